@@ -1,0 +1,123 @@
+"""Find the command, run it, and turn what went wrong into one sentence and an exit code.
+
+A command is a file of this folder, named after it, with a click command called `command`. Only the one that
+is asked for is imported: `mavcompass --help` and `--version` load nothing but click.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+
+import click
+
+from mavcompass import __version__
+from mavcompass.cli.options import verbose_option
+from mavcompass.errors import MavCompassError
+
+COMMANDS = {
+    "calibrate": "Calibrate the compass of a vehicle or from a recording.",
+    "heading": "Stream the tilt-compensated heading with its uncertainty.",
+    "check": "Check the compass before a flight: pass, warn or fail.",
+    "params": "Show, compare, write, back up or restore compass parameters.",
+    "replay": "Play a recording as if the vehicle were there.",
+    "simulate": "Run a simulated flight controller on a socket.",
+    "gap": "Explain the gap between the simulation and a recording.",
+    "fleet": "Work through many recordings, on one machine or a cluster.",
+    "serve": "Run as a service on a companion computer.",
+}
+
+WRONG_USAGE = 2
+STOPPED_BY_PERSON = 7
+READER_WENT_AWAY = 141  # what the shell reports for a program that ended by SIGPIPE
+UNEXPECTED = 1
+
+
+class LazyCommands(click.Group):
+    """Import a command when it is called, not when it is listed."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [name for name in COMMANDS if Path(__file__).with_name(f"{name}.py").is_file()]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in self.list_commands(ctx):
+            return None
+        command = import_module(f"mavcompass.cli.{cmd_name}").command
+        assert isinstance(command, click.Command)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        if rows := [(name, COMMANDS[name]) for name in self.list_commands(ctx)]:
+            with formatter.section("Commands"):
+                formatter.write_dl(rows)
+
+    def invoke(self, ctx: click.Context) -> object:
+        try:
+            result = super().invoke(ctx)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            _discard_standard_output()
+            ctx.exit(READER_WENT_AWAY)
+        return result
+
+
+@click.command(cls=LazyCommands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="mavcompass", message="%(prog)s %(version)s")
+@verbose_option
+def program() -> None:
+    """Calibrate a vehicle's compass in four 90 degree turns, read its heading with an honest uncertainty,
+    and explain the gap between the simulator and the real vehicle.
+
+    SOURCE is an address (udpin:0.0.0.0:14550, tcp:HOST:PORT, /dev/ttyACM0:115200), a simulated vehicle
+    (sim:rover) or a recording (.tlog, .bin, .ulg, .csv).
+
+    \b
+    Example: mavcompass calibrate sim:rover --yes
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program with these arguments (default: the command line's) and return its exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")  # a terminal that lacks a letter shows "?" for it
+    try:
+        code = program.main(args=arguments, prog_name="mavcompass", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        return WRONG_USAGE
+    except (click.Abort, KeyboardInterrupt):
+        _complain("stopped.")
+        return STOPPED_BY_PERSON
+    except MavCompassError as error:
+        _complain(str(error))
+        _log_traceback(error)
+        return error.exit_code
+    except Exception as error:
+        _complain(
+            f"unexpected {type(error).__name__}: {error}. This is a mistake in mavcompass: please report it"
+            " with what `mavcompass -v ...` prints."
+        )
+        _log_traceback(error)
+        return UNEXPECTED
+    return code if type(code) is int else 0  # a command may return its exit code
+
+
+def _complain(sentence: str) -> None:
+    print(f"mavcompass: {sentence}", file=sys.stderr)
+
+
+def _log_traceback(error: Exception) -> None:
+    import logging
+
+    logging.getLogger("mavcompass").info("where it happened", exc_info=error)
+
+
+def _discard_standard_output() -> None:
+    """Send what is still buffered nowhere, so that the interpreter's last flush is quiet too."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)

@@ -1,0 +1,116 @@
+"""What every command understands: `-v`, and `--json FILE` for the machine-readable result."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from mavcompass.errors import UsageError
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_VERBOSITY = "mavcompass.verbosity"
+
+
+def to_json(document: object, indent: int | None = None) -> str:
+    """Write plain values, arrays, paths and enums as JSON; a number that is not finite becomes null."""
+    return json.dumps(_plain(document), indent=indent, allow_nan=False)
+
+
+def _plain(value: Any) -> object:
+    if hasattr(value, "tolist"):  # an array or a scalar of numpy, which is not imported for this
+        value = value.tolist()
+    match value:
+        case Enum():
+            return _plain(value.value)
+        case float():
+            return value if math.isfinite(value) else None
+        case Mapping():
+            return {str(_plain(key)): _plain(item) for key, item in value.items()}
+        case list() | tuple() | set() | frozenset():
+            return [_plain(item) for item in value]
+        case os.PathLike():
+            return os.fspath(value)
+    return value
+
+
+class Output:
+    """Carry a command's words to a person, and its result to a program.
+
+    With `--json -` standard output holds the JSON document and nothing else.
+    """
+
+    def __init__(self, json_file: str | None = None) -> None:
+        self.json_file = json_file
+
+    def say(self, text: str = "") -> None:
+        """Print a line for a person on standard output, unless that belongs to the JSON document."""
+        if self.json_file != "-":
+            print(text, flush=True)
+
+    def write_json(self, document: Mapping[str, object]) -> None:
+        """Write the result where `--json` asked for it; without `--json` do nothing."""
+        if self.json_file is None:
+            return
+        text = to_json(document, indent=2) + "\n"
+        if self.json_file == "-":
+            sys.stdout.write(text)
+            sys.stdout.flush()
+            return
+        try:
+            Path(self.json_file).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise UsageError(
+                f"The result could not be written to {self.json_file} ({error.strerror}).",
+                "Give --json a file in a folder that you may write to.",
+            ) from error
+
+
+def _output(context: click.Context, parameter: click.Parameter, value: str | None) -> Output:
+    if value is not None and value != "-" and not Path(value).absolute().parent.is_dir():
+        raise click.BadParameter(f"the folder of {value} does not exist.", context, parameter)
+    return Output(value)
+
+
+def _raise_verbosity(context: click.Context, parameter: click.Parameter, value: int) -> None:
+    if not value:
+        return
+    import logging
+
+    total = context.meta[_VERBOSITY] = context.meta.get(_VERBOSITY, 0) + value  # before and after the command
+    form = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+    logging.basicConfig(stream=sys.stderr, format=form, force=True)
+    logging.getLogger("mavcompass").setLevel(logging.INFO if total == 1 else logging.DEBUG)
+
+
+def verbose_option(function: Function) -> Function:
+    """Let a command take `-v`; it handles it itself and passes nothing to the function."""
+    return click.option(
+        "-v",
+        "--verbose",
+        count=True,
+        expose_value=False,
+        is_eager=True,
+        callback=_raise_verbosity,
+        help="Log to standard error; -vv logs more.",
+    )(function)
+
+
+def common_options(function: Function) -> Function:
+    """Let a command take `-v` and `--json FILE`; the function gets the argument `output: Output`."""
+    json_option = click.option(
+        "--json",
+        "output",
+        metavar="FILE",
+        callback=_output,
+        help="Write the machine-readable result to FILE; - is standard output.",
+    )
+    return json_option(verbose_option(function))
