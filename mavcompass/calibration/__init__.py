@@ -1,0 +1,1 @@
+"""The calibration methods, their uncertainty and their verdict."""

@@ -1,0 +1,123 @@
+"""FieldCorrection: what turns a raw magnetometer reading into the Earth's field, and back.
+
+The form is ArduPilot's, in body axes:
+
+    field = M ((raw + offsets) scale) + motor load,    M = [[DX, OX, OY],
+                                                            [OX, DY, OZ],
+                                                            [OY, OZ, DZ]]
+
+with the diagonal D, the off-diagonals O, and `load` the battery current in amperes or the throttle
+as a fraction. PX4's form is brought into this one by `compass_parameters`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mavcompass.frames import FloatArray
+
+Vector = tuple[float, float, float]
+MotorSource = Literal["none", "throttle", "current"]
+
+
+def _vector(values: ArrayLike) -> Vector:
+    x, y, z = (float(v) for v in np.asarray(values, dtype=np.float64).reshape(3))
+    return (x, y, z)
+
+
+@dataclass(frozen=True, slots=True)
+class FieldCorrection:
+    """Hold one compass's correction.
+
+    Attributes:
+        offsets_mgauss: added to the raw field (so minus the hard iron), milligauss.
+        diagonals, off_diagonals: the symmetric matrix M; off_diagonals are (xy, xz, yz).
+        scale: the scalar that multiplies the whole field.
+        motor_mgauss: field added per unit of motor load, milligauss per ampere or at full throttle.
+        motor_source: which load `motor_mgauss` goes with.
+    """
+
+    offsets_mgauss: Vector = (0.0, 0.0, 0.0)
+    diagonals: Vector = (1.0, 1.0, 1.0)
+    off_diagonals: Vector = (0.0, 0.0, 0.0)
+    scale: float = 1.0
+    motor_mgauss: Vector = (0.0, 0.0, 0.0)
+    motor_source: MotorSource = "none"
+
+    @property
+    def matrix(self) -> FloatArray:
+        """Return M times scale, shape (3, 3): all that is linear in this correction."""
+        dx, dy, dz = self.diagonals
+        xy, xz, yz = self.off_diagonals
+        return self.scale * np.array([[dx, xy, xz], [xy, dy, yz], [xz, yz, dz]])
+
+    @classmethod
+    def from_matrix(
+        cls,
+        offsets_mgauss: ArrayLike,
+        matrix: ArrayLike,
+        scale: float = 1.0,
+        motor_mgauss: ArrayLike = (0.0, 0.0, 0.0),
+        motor_source: MotorSource = "none",
+    ) -> FieldCorrection:
+        """Build a correction from a symmetric matrix (3, 3), of which `scale` is taken out.
+
+        Raises ValueError where the matrix is not symmetric: neither autopilot can hold a rotation.
+        """
+        m = np.asarray(matrix, dtype=np.float64) / scale
+        if not np.allclose(m, m.T, rtol=0.0, atol=1e-9 * float(np.abs(m).max())):
+            raise ValueError("a field correction's matrix is symmetric; take its rotation out first")
+        return cls(
+            offsets_mgauss=_vector(offsets_mgauss),
+            diagonals=_vector(np.diag(m)),
+            off_diagonals=_vector([m[0, 1], m[0, 2], m[1, 2]]),
+            scale=float(scale),
+            motor_mgauss=_vector(motor_mgauss),
+            motor_source=motor_source,
+        )
+
+    def apply(self, raw_mgauss: ArrayLike, load: ArrayLike | None = None) -> FloatArray:
+        """Correct raw readings (..., 3), in milligauss, given the motor load (...)."""
+        raw = np.asarray(raw_mgauss, dtype=np.float64)
+        corrected = (raw + np.asarray(self.offsets_mgauss)) @ self.matrix.T
+        return corrected if load is None else corrected + self.motor_field(load)
+
+    def undo(self, field_mgauss: ArrayLike, load: ArrayLike | None = None) -> FloatArray:
+        """Rebuild raw readings (..., 3) from corrected ones; the inverse of `apply`.
+
+        Raises numpy.linalg.LinAlgError where the matrix is singular (a zero on its diagonal).
+        """
+        field = np.asarray(field_mgauss, dtype=np.float64)
+        if load is not None:
+            field = field - self.motor_field(load)
+        return field @ np.linalg.inv(self.matrix).T - np.asarray(self.offsets_mgauss)
+
+    def motor_field(self, load: ArrayLike) -> FloatArray:
+        """Return the compensation (..., 3) for a motor load (...); an unknown load (nan) gives none."""
+        known = np.nan_to_num(np.asarray(load, dtype=np.float64), nan=0.0)
+        return known[..., np.newaxis] * np.asarray(self.motor_mgauss)
+
+    def then(self, later: FieldCorrection) -> FieldCorrection:
+        """Compose: one correction that does this one and then `later` to its output.
+
+        Raises ValueError where the product of the matrices is not symmetric, or the two motor terms
+        go with different loads.
+        """
+        sources = {c.motor_source for c in (self, later) if any(c.motor_mgauss)}
+        if len(sources) > 1:
+            raise ValueError("corrections for different motor loads do not compose")
+        offsets = np.asarray(self.offsets_mgauss) + np.linalg.solve(self.matrix, later.offsets_mgauss)
+        return FieldCorrection.from_matrix(
+            offsets,
+            later.matrix @ self.matrix,
+            scale=self.scale * later.scale,
+            motor_mgauss=later.matrix @ np.asarray(self.motor_mgauss) + np.asarray(later.motor_mgauss),
+            motor_source=sources.pop() if sources else "none",
+        )
+
+
+IDENTITY = FieldCorrection()

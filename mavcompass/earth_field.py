@@ -1,0 +1,101 @@
+"""The Earth's magnetic field where and when the vehicle is, from WMM2025, with its sigma.
+
+The sigmas are those that NOAA states with the model: what the crust and the external field add to
+the main field at one place. Declination: sqrt(0.26^2 + (5417 / H)^2) degrees, H in nanotesla.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from mavcompass.correction import Vector
+from mavcompass.frames import FloatArray
+from mavcompass.units import NANOTESLA_PER_MGAUSS, RAD_PER_DEG
+
+MODEL_YEARS = (2025.0, 2030.0)
+_SIGMA_MGAUSS = (1.37, 0.89, 1.41)
+# Outside the model's five years its secular variation is extrapolated; the acceleration it leaves
+# out is of the order of 10 nT per year squared.
+_SIGMA_OUTSIDE_MGAUSS_PER_YEAR2 = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class EarthField:
+    """Hold the field vector in NED, milligauss, and the standard deviation of each component."""
+
+    ned_mgauss: Vector
+    sigma_mgauss: Vector = _SIGMA_MGAUSS
+
+    @property
+    def vector_mgauss(self) -> FloatArray:
+        """Return the NED vector as an array of shape (3,)."""
+        return np.array(self.ned_mgauss)
+
+    @property
+    def horizontal_mgauss(self) -> float:
+        """Return the length of the horizontal part."""
+        return math.hypot(self.ned_mgauss[0], self.ned_mgauss[1])
+
+    @property
+    def total_mgauss(self) -> float:
+        """Return the length of the whole field."""
+        return math.hypot(*self.ned_mgauss)
+
+    @property
+    def declination_rad(self) -> float:
+        """Return the angle from true north to magnetic north, east positive."""
+        return math.atan2(self.ned_mgauss[1], self.ned_mgauss[0])
+
+    @property
+    def declination_sigma_rad(self) -> float:
+        """Return the standard deviation of the declination: large near the magnetic poles."""
+        horizontal_nt = max(self.horizontal_mgauss * NANOTESLA_PER_MGAUSS, 1.0)
+        inherent = self.sigma_mgauss[1] - _SIGMA_MGAUSS[1]
+        grown = inherent * NANOTESLA_PER_MGAUSS / horizontal_nt
+        model_rad = math.hypot(0.26, 5417.0 / horizontal_nt) * RAD_PER_DEG
+        return min(math.hypot(model_rad, grown), math.pi)
+
+    @property
+    def inclination_rad(self) -> float:
+        """Return the dip: the angle of the field below the horizon."""
+        return math.atan2(self.ned_mgauss[2], self.horizontal_mgauss)
+
+
+def decimal_year(utc_s: float) -> float:
+    """Turn a Unix time into a decimal year."""
+    moment = datetime.fromtimestamp(utc_s, UTC)
+    start = datetime(moment.year, 1, 1, tzinfo=UTC)
+    end = datetime(moment.year + 1, 1, 1, tzinfo=UTC)
+    return moment.year + (moment - start) / (end - start)
+
+
+@lru_cache(maxsize=1)
+def _model() -> Any:
+    from pygeomag import GeoMag  # 20 ms and 2 MB: only for those who ask for a field
+
+    return GeoMag()
+
+
+@lru_cache(maxsize=4096)
+def earth_field(lat_deg: float, lon_deg: float, alt_m: float, year: float) -> EarthField:
+    """Return the field at a place and a decimal year (WMM2025).
+
+    Outside 2025 to 2030 the secular variation is extrapolated and the sigmas grow.
+    Raises ValueError for a place that is not on Earth.
+    """
+    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and math.isfinite(alt_m)):
+        raise ValueError(f"no such place: latitude {lat_deg}, longitude {lon_deg}, altitude {alt_m} m")
+    result = _model().calculate(
+        glat=lat_deg, glon=lon_deg, alt=alt_m / 1000.0, time=year, allow_date_outside_lifespan=True
+    )
+    outside = max(MODEL_YEARS[0] - year, year - MODEL_YEARS[1], 0.0)
+    growth = _SIGMA_OUTSIDE_MGAUSS_PER_YEAR2 * outside**2
+    x, y, z = (float(v) / NANOTESLA_PER_MGAUSS for v in (result.x, result.y, result.z))
+    sx, sy, sz = (s + growth for s in _SIGMA_MGAUSS)
+    return EarthField(ned_mgauss=(x, y, z), sigma_mgauss=(sx, sy, sz))

@@ -1,0 +1,175 @@
+"""Angles, rotations and the two frames: world NED and body FRD.
+
+A rotation `R` (or its quaternion `q`, scalar first) takes body vectors to world vectors,
+`v_ned = R @ v_frd`. Euler angles are aerospace roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll).
+Arrays carry the samples in the first axis.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def wrap_pi(angle_rad: ArrayLike) -> Any:
+    """Bring angles into [-pi, pi)."""
+    return (np.asarray(angle_rad, dtype=np.float64) + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def wrap_two_pi(angle_rad: ArrayLike) -> Any:
+    """Bring angles into [0, 2 pi)."""
+    wrapped = np.asarray(angle_rad, dtype=np.float64) % (2.0 * math.pi)
+    # -1e-17 % 2pi rounds to 2pi itself.
+    return np.where(wrapped >= 2.0 * math.pi, 0.0, wrapped)
+
+
+def circular_mean(angle_rad: ArrayLike) -> float:
+    """Average angles on the circle; nan where they cancel out."""
+    total = np.exp(1j * np.asarray(angle_rad, dtype=np.float64)).sum()
+    return float(np.angle(total)) if abs(total) > 0.0 else math.nan
+
+
+def euler_to_matrix(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
+    """Build body-to-world rotation matrices, shape (..., 3, 3), from aerospace Euler angles."""
+    roll, pitch, yaw = np.broadcast_arrays(
+        *(np.asarray(a, dtype=np.float64) for a in (roll_rad, pitch_rad, yaw_rad))
+    )
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
+    matrix = np.empty((*roll.shape, 3, 3))
+    matrix[..., 0, 0] = cp * cy
+    matrix[..., 0, 1] = sr * sp * cy - cr * sy
+    matrix[..., 0, 2] = cr * sp * cy + sr * sy
+    matrix[..., 1, 0] = cp * sy
+    matrix[..., 1, 1] = sr * sp * sy + cr * cy
+    matrix[..., 1, 2] = cr * sp * sy - sr * cy
+    matrix[..., 2, 0] = -sp
+    matrix[..., 2, 1] = sr * cp
+    matrix[..., 2, 2] = cr * cp
+    return matrix
+
+
+def matrix_to_euler(matrix: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Read roll, pitch, yaw off body-to-world rotation matrices of shape (..., 3, 3)."""
+    m = np.asarray(matrix, dtype=np.float64)
+    roll = np.arctan2(m[..., 2, 1], m[..., 2, 2])
+    pitch = np.arcsin(np.clip(-m[..., 2, 0], -1.0, 1.0))
+    yaw = np.arctan2(m[..., 1, 0], m[..., 0, 0])
+    return roll, pitch, yaw
+
+
+def euler_to_quaternion(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
+    """Build quaternions (w, x, y, z), shape (..., 4), from aerospace Euler angles."""
+    half = [np.asarray(a, dtype=np.float64) / 2.0 for a in (roll_rad, pitch_rad, yaw_rad)]
+    cr, sr, cp, sp, cy, sy = (f(a) for a in half for f in (np.cos, np.sin))
+    return np.stack(
+        np.broadcast_arrays(
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ),
+        axis=-1,
+    )
+
+
+def quaternion_to_matrix(quaternion: ArrayLike) -> FloatArray:
+    """Build rotation matrices, shape (..., 3, 3), from unit quaternions (w, x, y, z)."""
+    q = np.asarray(quaternion, dtype=np.float64)
+    w, x, y, z = (q[..., i] for i in range(4))
+    matrix = np.empty((*q.shape[:-1], 3, 3))
+    matrix[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    matrix[..., 0, 1] = 2.0 * (x * y - w * z)
+    matrix[..., 0, 2] = 2.0 * (x * z + w * y)
+    matrix[..., 1, 0] = 2.0 * (x * y + w * z)
+    matrix[..., 1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    matrix[..., 1, 2] = 2.0 * (y * z - w * x)
+    matrix[..., 2, 0] = 2.0 * (x * z - w * y)
+    matrix[..., 2, 1] = 2.0 * (y * z + w * x)
+    matrix[..., 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return matrix
+
+
+def quaternion_multiply(left: ArrayLike, right: ArrayLike) -> FloatArray:
+    """Multiply quaternions (w, x, y, z): the rotation `right` first, then `left`."""
+    a, b = np.asarray(left, dtype=np.float64), np.asarray(right, dtype=np.float64)
+    aw, ax, ay, az = (a[..., i] for i in range(4))
+    bw, bx, by, bz = (b[..., i] for i in range(4))
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def rotate(matrix: ArrayLike, vector: ArrayLike) -> FloatArray:
+    """Take body vectors (..., 3) to the world by rotation matrices (..., 3, 3)."""
+    return np.einsum("...ij,...j->...i", np.asarray(matrix), np.asarray(vector))
+
+
+def rotate_back(matrix: ArrayLike, vector: ArrayLike) -> FloatArray:
+    """Take world vectors (..., 3) to the body by rotation matrices (..., 3, 3)."""
+    return np.einsum("...ji,...j->...i", np.asarray(matrix), np.asarray(vector))
+
+
+def tilt_from_acceleration(acceleration_mps2: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Read roll and pitch off the specific force of a vehicle at rest, shape (..., 3).
+
+    At rest an accelerometer in FRD axes reads (0, 0, -g).
+    """
+    a = np.asarray(acceleration_mps2, dtype=np.float64)
+    roll = np.arctan2(-a[..., 1], -a[..., 2])
+    pitch = np.arctan2(a[..., 0], np.hypot(a[..., 1], a[..., 2]))
+    return roll, pitch
+
+
+# MAV_SENSOR_ORIENTATION, the numbers of COMPASS_ORIENT and CAL_MAGn_ROT: (roll, pitch, yaw) in degrees.
+SENSOR_ORIENTATIONS_DEG: dict[int, tuple[float, float, float]] = {
+    **{i: (0.0, 0.0, 45.0 * i) for i in range(8)},
+    **{8 + i: (180.0, 0.0, 45.0 * i) for i in range(8)},
+    12: (0.0, 180.0, 0.0),
+    16: (90.0, 0.0, 0.0),
+    17: (90.0, 0.0, 45.0),
+    18: (90.0, 0.0, 90.0),
+    19: (90.0, 0.0, 135.0),
+    20: (270.0, 0.0, 0.0),
+    21: (270.0, 0.0, 45.0),
+    22: (270.0, 0.0, 90.0),
+    23: (270.0, 0.0, 135.0),
+    24: (0.0, 90.0, 0.0),
+    25: (0.0, 270.0, 0.0),
+    26: (0.0, 180.0, 90.0),
+    27: (0.0, 180.0, 270.0),
+    28: (90.0, 90.0, 0.0),
+    29: (180.0, 90.0, 0.0),
+    30: (270.0, 90.0, 0.0),
+    31: (90.0, 180.0, 0.0),
+    32: (270.0, 180.0, 0.0),
+    33: (90.0, 270.0, 0.0),
+    34: (180.0, 270.0, 0.0),
+    35: (270.0, 270.0, 0.0),
+    36: (90.0, 180.0, 90.0),
+    37: (90.0, 0.0, 270.0),
+    38: (90.0, 68.0, 293.0),
+    39: (0.0, 315.0, 0.0),
+    40: (90.0, 315.0, 0.0),
+    41: (0.0, 7.0, 0.0),
+    42: (45.0, 0.0, 0.0),
+    43: (315.0, 0.0, 0.0),
+}
+
+
+def sensor_orientation_matrix(orientation: int) -> FloatArray:
+    """Build the sensor-to-body rotation, shape (3, 3), of a MAV_SENSOR_ORIENTATION number.
+
+    Raises KeyError for a number outside the table (custom angles are not in it).
+    """
+    return euler_to_matrix(*np.radians(SENSOR_ORIENTATIONS_DEG[orientation]))

@@ -1,0 +1,1 @@
+"""Diagnosis of the gap between the simulation and a recording."""

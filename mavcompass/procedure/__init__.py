@@ -1,0 +1,1 @@
+"""The calibration and the pre-flight check as state machines without clock or sockets."""

@@ -1,0 +1,94 @@
+"""What a procedure needs of an autopilot, whichever make: implemented in `vehicle` per autopilot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.procedure.script import Context, Script
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Hold one parameter's old and new value."""
+
+    name: str
+    old: float
+    new: float
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterPlan:
+    """Hold what a write will do, before it does it.
+
+    Attributes:
+        changes: in the order of writing; parameters that keep their value are not in it.
+        refusals: sentences why this must not be written (range, arming checks); empty: may be written.
+        remarks: what the person should know (reboot wanted, AUTODEC, LEARN, EKF needs time).
+        commit_instances: compasses whose device id must be committed beside the parameters.
+    """
+
+    changes: tuple[Change, ...]
+    refusals: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    commit_instances: tuple[int, ...] = ()
+
+    def reversed(self) -> ParameterPlan:
+        """Return the plan that puts the old values back, last change first."""
+        back = tuple(Change(c.name, c.new, c.old) for c in reversed(self.changes))
+        return ParameterPlan(back)
+
+
+@dataclass(frozen=True, slots=True)
+class WriteOutcome:
+    """Say how a write ended: every value read back equal, and where its undo lies."""
+
+    verified: bool
+    undo_file: Path | None
+    values: Mapping[str, float]
+
+
+# Puts an undo record on disk before the first write and returns its path; injected, as procedures
+# do not touch files.
+SaveUndo = Callable[[ParameterPlan, Mapping[str, float]], Path]
+
+
+class Dialect(Protocol):
+    """Speak one autopilot's parameters; all methods are scripts or pure."""
+
+    @property
+    def autopilot(self) -> str:
+        """Return "ardupilot" or "px4"."""
+        ...
+
+    def read_parameters(self, context: Context, names: Sequence[str]) -> Script[dict[str, float]]:
+        """Read parameters by name; a name that the vehicle does not know is absent from the answer."""
+        ...
+
+    def compass_parameters(self, context: Context) -> Script[dict[str, float]]:
+        """Read everything about all compasses that a calibration and its checks need."""
+        ...
+
+    def instances(self, parameters: Mapping[str, float]) -> tuple[int, ...]:
+        """List the compasses that the vehicle has, from 1."""
+        ...
+
+    def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
+        """Return the correction in force."""
+        ...
+
+    def plan(
+        self, parameters: Mapping[str, float], corrections: Mapping[int, FieldCorrection]
+    ) -> ParameterPlan:
+        """Plan the write of new corrections over the parameters in force."""
+        ...
+
+    def write(self, context: Context, plan: ParameterPlan, save_undo: SaveUndo) -> Script[WriteOutcome]:
+        """Write a plan: undo file first, each value read back, all undone on any failure.
+
+        Raises WriteFailed where it could not be completed, saying what is left and what restores it.
+        """
+        ...

@@ -1,0 +1,213 @@
+"""Procedures that read like a story and never sleep, read a clock or touch a socket.
+
+A `Script` is a generator: it yields the time at which it wants to be woken at the latest and is
+resumed with the next `Event`. What it wants sent or shown it leaves with its `Context`. `Machine`
+wraps a script into `step(event) -> actions`, so the same procedure runs on a serial line, on the
+simulated vehicle in virtual time, inside another program and in tests.
+
+A stop (the pilot, a failsafe, Ctrl-C) is thrown into the script as `Refused`; its `finally` blocks
+run as any other part of it, so what was changed is put back over the wire before the script ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+from mavcompass.errors import NoReply, Refused
+from mavcompass.messages import Incoming, Message
+
+T = TypeVar("T")
+M = TypeVar("M", bound=Message)
+
+# After a stop a script has this long to put back what it changed.
+CLEAN_UP_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Say that time has passed and nothing was heard."""
+
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Ask a procedure to end safely: `reason` is a sentence for the person."""
+
+    time_s: float
+    reason: str
+
+
+Event = Incoming | Tick | Stop
+Script = Generator[float, Event, T]
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """Ask the driver to send a message to the vehicle."""
+
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class Show:
+    """Tell the person what goes on.
+
+    `step` is the procedure's phase (a word), `text` one sentence, `fraction` of the whole (or None),
+    `data` figures for pages and progress bars, such as turned_deg.
+    """
+
+    step: str
+    text: str
+    fraction: float | None = None
+    data: tuple[tuple[str, float], ...] = ()
+
+
+Action = Send | Show
+
+
+@dataclass(slots=True)
+class Context:
+    """Be a script's desk: the time, the vehicle it talks to, the tray for what goes out.
+
+    Attributes:
+        now: time of the event being handled, seconds on the link's clock.
+        system, component: the vehicle's MAVLink address, 0 until it is known.
+        listeners: called with every message from the vehicle before the script sees it.
+        watches: called after each event with the time; a sentence stops the procedure.
+    """
+
+    now: float = 0.0
+    system: int = 0
+    component: int = 0
+    listeners: list[Callable[[Incoming], None]] = field(default_factory=list)
+    watches: list[Callable[[float], str | None]] = field(default_factory=list)
+    outbox: list[Action] = field(default_factory=list)
+
+    def send(self, message: Message) -> None:
+        """Leave a message to be sent."""
+        self.outbox.append(Send(message))
+
+    def show(self, step: str, text: str, fraction: float | None = None, **data: float) -> None:
+        """Leave a line for the person."""
+        self.outbox.append(Show(step, text, fraction, tuple(data.items())))
+
+    def heard_from_vehicle(self, event: Event) -> Incoming | None:
+        """Return the event if it is a message of this script's vehicle (or none is chosen yet)."""
+        if not isinstance(event, Incoming):
+            return None
+        if self.system and (event.system, event.component) != (self.system, self.component):
+            return None
+        return event
+
+
+class Machine(Generic[T]):
+    """Run a script one event at a time."""
+
+    def __init__(self, script: Callable[[Context], Script[T]]) -> None:
+        self.context = Context()
+        self.done = False
+        self.result: T | None = None
+        self.error: BaseException | None = None
+        self.wake_at_s = 0.0
+        self._script = script(self.context)
+        self._started = False
+        self._stopping_since: float | None = None
+
+    def step(self, event: Event) -> list[Action]:
+        """Take one event, return what is to be sent and shown. After `done` nothing happens."""
+        if self.done:
+            return []
+        context = self.context
+        context.now = event.time_s
+        if not self._started:
+            self._started = True
+            self._resume(lambda: next(self._script))
+        if isinstance(event, Stop):
+            self._stop(event.reason)
+        elif not self.done:
+            if (message := context.heard_from_vehicle(event)) is not None:
+                for listener in context.listeners:
+                    listener(message)
+            reason = None
+            if self._stopping_since is None:
+                reason = next((r for w in list(context.watches) if (r := w(context.now))), None)
+            if reason is not None:
+                self._stop(reason)
+            else:
+                self._resume(lambda: self._script.send(event))
+        if self._stopping_since is not None and context.now - self._stopping_since > CLEAN_UP_S:
+            self._script.close()
+            self._finish(None, Refused("The procedure was stopped, and the vehicle did not answer after."))
+        actions, context.outbox = context.outbox, []
+        return actions
+
+    def _stop(self, reason: str) -> None:
+        if self._stopping_since is None and not self.done:
+            self._stopping_since = self.context.now
+            self._resume(lambda: self._script.throw(Refused(reason)))
+
+    def _resume(self, advance: Callable[[], float]) -> None:
+        try:
+            self.wake_at_s = advance()
+        except StopIteration as end:
+            self._finish(end.value, None)
+        except Exception as error:
+            self._finish(None, error)
+
+    def _finish(self, result: T | None, error: BaseException | None) -> None:
+        if not self.done:
+            self.done, self.result, self.error = True, result, error
+
+
+# --- the words that scripts are made of ----------------------------------------------------------
+
+
+def pause(context: Context, seconds: float) -> Script[None]:
+    """Let time pass."""
+    end = context.now + seconds
+    while context.now < end:
+        yield end
+
+
+def expect(
+    context: Context,
+    kind: type[M],
+    matches: Callable[[M], bool] = lambda _: True,
+    timeout_s: float = 1.0,
+) -> Script[M | None]:
+    """Wait for a message of the vehicle; None when it did not come in time."""
+    end = context.now + timeout_s
+    while context.now < end:
+        heard = context.heard_from_vehicle((yield end))
+        # `type is`, not isinstance: SCALED_IMU2 is a subclass of SCALED_IMU.
+        if heard is not None and type(heard.message) is kind and matches(heard.message):
+            return heard.message
+    return None
+
+
+def request(
+    context: Context,
+    ask: Message,
+    kind: type[M],
+    matches: Callable[[M], bool] = lambda _: True,
+    what: str = "a request",
+    timeout_s: float = 0.7,
+    tries: int = 6,
+) -> Script[M]:
+    """Ask until answered, a little more patient each time.
+
+    Raises NoReply after `tries` (0.7 + 1.05 + 1.4 ... seconds).
+    """
+    for attempt in range(tries):
+        context.send(ask)
+        patience = timeout_s * (1.0 + 0.5 * attempt)
+        answer = yield from expect(context, kind, matches, patience)
+        if answer is not None:
+            return answer
+    raise NoReply(
+        f"The vehicle did not answer {what} ({tries} tries).",
+        "Check the link; if it is slow or lossy, bring the radios closer and run again.",
+    )

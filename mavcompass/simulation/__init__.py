@@ -1,0 +1,1 @@
+"""The simulated world, vehicle, sensors and flight controller, without sockets."""

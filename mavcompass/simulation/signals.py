@@ -1,0 +1,47 @@
+"""What reaches a sensor, and what it says: the two ends of every sensor model and effect.
+
+Arrays carry the samples in the first axis; a live simulation passes arrays of one sample, the
+replay of a recording passes all of it at once, so both use the same models.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mavcompass.frames import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stimulus:
+    """Hold the true state of the world at the sensors, N samples.
+
+    Attributes:
+        time_s: (N,), seconds.
+        rotation: body-to-NED rotation matrices, (N, 3, 3).
+        field_ned_mgauss: the Earth's field at the vehicle, (N, 3).
+        rate_radps: body angular rate, (N, 3); specific_force_mps2: body specific force, (N, 3).
+        position_ned_m: (N, 3); velocity_ned_mps: (N, 3).
+        current_a: battery current, (N,); throttle: 0..1, (N,); temperature_degc: (N,).
+        motors: outputs 0..1, (N, k).
+    """
+
+    time_s: FloatArray
+    rotation: FloatArray
+    field_ned_mgauss: FloatArray
+    rate_radps: FloatArray
+    specific_force_mps2: FloatArray
+    position_ned_m: FloatArray
+    velocity_ned_mps: FloatArray
+    current_a: FloatArray
+    throttle: FloatArray
+    temperature_degc: FloatArray
+    motors: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """Hold what magnetometer, accelerometer and gyro say, body FRD, raw, each (N, 3)."""
+
+    mag_mgauss: FloatArray
+    acc_mps2: FloatArray
+    gyro_radps: FloatArray

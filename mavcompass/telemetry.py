@@ -1,0 +1,67 @@
+"""What the numbers in a MAVLink message mean as quantities of a Track.
+
+Each function takes anything with the message's field names as attributes: one message of
+`messages`, or a numpy record array holding thousands of them. Vectors come back as (..., 3).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
+
+# The compass that each message carries. RAW_IMU of ArduPilot is compass 1, corrected like SCALED_IMU;
+# PX4 sends SCALED_IMU uncorrected and in the sensor's axes.
+MAG_MESSAGES = {"RAW_IMU": 1, "SCALED_IMU": 1, "SCALED_IMU2": 2, "SCALED_IMU3": 3}
+
+
+def _vector(message: Any, x: str, y: str, z: str, factor: float) -> FloatArray:
+    return np.stack([getattr(message, x), getattr(message, y), getattr(message, z)], axis=-1) * factor
+
+
+def field_mgauss(imu: Any) -> FloatArray:
+    """Read the magnetic field off RAW_IMU or SCALED_IMU, milligauss."""
+    return _vector(imu, "xmag", "ymag", "zmag", 1.0)
+
+
+def acceleration_mps2(imu: Any) -> FloatArray:
+    """Read the specific force off RAW_IMU or SCALED_IMU, metres per second squared."""
+    return _vector(imu, "xacc", "yacc", "zacc", MPS2_PER_MILLI_G)
+
+
+def angular_rate_radps(imu: Any) -> FloatArray:
+    """Read the angular rate off RAW_IMU or SCALED_IMU, radians per second."""
+    return _vector(imu, "xgyro", "ygyro", "zgyro", RADPS_PER_MILLIRADPS)
+
+
+def imu_time_s(imu: Any) -> Any:
+    """Read the time since boot off RAW_IMU (microseconds) or SCALED_IMU (milliseconds), seconds."""
+    if hasattr(imu, "time_usec"):
+        return imu.time_usec * 1.0e-6
+    return imu.time_boot_ms * 1.0e-3
+
+
+def euler_rad(attitude: Any) -> FloatArray:
+    """Read roll, pitch, yaw off ATTITUDE or SIMSTATE, radians."""
+    return np.stack([attitude.roll, attitude.pitch, attitude.yaw], axis=-1)
+
+
+def place(global_position: Any) -> FloatArray:
+    """Read latitude deg, longitude deg, altitude m off GLOBAL_POSITION_INT or GPS_RAW_INT."""
+    return np.stack(
+        [
+            np.asarray(global_position.lat) * 1.0e-7,
+            np.asarray(global_position.lon) * 1.0e-7,
+            np.asarray(global_position.alt) * 1.0e-3,
+        ],
+        axis=-1,
+    )
+
+
+def battery_current_a(sys_status: Any) -> Any:
+    """Read the battery current off SYS_STATUS or BATTERY_STATUS, amperes; nan where not measured."""
+    centiamps = np.asarray(sys_status.current_battery, dtype=np.float64)
+    return np.where(centiamps < 0.0, np.nan, centiamps * 0.01)

@@ -1,0 +1,181 @@
+"""Track: the columns of one recording, whatever it came from.
+
+A live stream, a replay, a log of any format and a CSV all end here. Every quantity keeps its own
+clock (`Series`); `time_s` counts from the vehicle's boot (or the file's start) on one clock for all.
+Magnetometer readings are kept as the autopilot reported them, beside the correction that was in
+force at the time; `Track.raw_field` gives the readings with that correction undone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.frames import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """Hold one quantity over time: `time_s` (N,) not decreasing, `values` (N,) or (N, k).
+
+    The columns of `values` lie contiguous in memory, so that column arithmetic is fast.
+    """
+
+    time_s: FloatArray
+    values: FloatArray
+
+    @classmethod
+    def of(cls, time_s: ArrayLike, values: ArrayLike) -> Series:
+        """Build a series from any array-likes; raises ValueError where the lengths differ."""
+        times = np.ascontiguousarray(time_s, dtype=np.float64)
+        array = np.asfortranarray(values, dtype=np.float64)
+        if times.ndim != 1 or array.shape[:1] != times.shape:
+            raise ValueError(f"{times.shape} times do not go with values of shape {array.shape}")
+        return cls(times, array)
+
+    def __len__(self) -> int:
+        """Count the samples."""
+        return int(self.time_s.size)
+
+    def at(self, time_s: ArrayLike) -> FloatArray:
+        """Interpolate linearly at other times; the ends are held; nan where the series is empty.
+
+        For quantities that wrap (angles) interpolate their sine and cosine, or rotations, instead.
+        """
+        wanted = np.asarray(time_s, dtype=np.float64)
+        if wanted is self.time_s:
+            return self.values
+        shape = wanted.shape + self.values.shape[1:]
+        if not len(self):
+            return np.full(shape, np.nan)
+        if self.values.ndim == 1:
+            return np.interp(wanted, self.time_s, self.values)
+        columns = [np.interp(wanted, self.time_s, column) for column in self.values.T]
+        return np.asarray(columns).T if columns else np.empty(shape)
+
+    def between(self, start_s: float, end_s: float) -> Series:
+        """Cut out start_s <= time < end_s."""
+        first, last = np.searchsorted(self.time_s, [start_s, end_s])
+        return Series(self.time_s[first:last], self.values[first:last])
+
+
+@dataclass(frozen=True, slots=True)
+class InForce:
+    """Say that `correction` was in force from `from_s` on."""
+
+    from_s: float
+    correction: FieldCorrection
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MagSeries:
+    """Hold what one compass reported, and what the autopilot had done to it.
+
+    Attributes:
+        instance: counts from 1, as the autopilot counts its compasses.
+        reported: the field in body FRD axes, milligauss, (N, 3), as sent or logged.
+        in_force: the corrections inside `reported`, oldest first; the first also holds before its time.
+        correction_known: False where the recording does not tell its parameters (then identity).
+        quantum_mgauss: the step of the numbers, 0 for floats.
+        truncated: True where the step was made by truncation toward zero (MAVLink's int16 of ArduPilot).
+        device_id: the autopilot's id of the sensor, None where unknown.
+    """
+
+    instance: int
+    reported: Series
+    in_force: tuple[InForce, ...] = (InForce(-np.inf, IDENTITY),)
+    correction_known: bool = True
+    quantum_mgauss: float = 0.0
+    truncated: bool = False
+    device_id: int | None = None
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Return the times of the readings, (N,)."""
+        return self.reported.time_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Hold one recording as columns. A quantity that was not recorded is None.
+
+    Attributes:
+        source: the file's or link's name, for messages.
+        autopilot: "ardupilot", "px4" or "unknown"; vehicle: "rover", "copter", ... or "unknown".
+        compasses: what each compass reported, by instance (from 1).
+        acc_mps2, gyro_radps: specific force and angular rate, body FRD, (N, 3).
+        attitude_rad: the autopilot's own roll, pitch, yaw, (N, 3). Its yaw comes from a compass.
+        reference_q: an independent attitude reference (optical, turntable), NED <- FRD, (N, 4).
+        truth_q: a simulator's true attitude: for judging results, never an input of a method.
+        gps_yaw_rad, gps_velocity_mps (north, east, down), position_ned_m: (N,), (N, 3), (N, 3).
+        place: latitude deg, longitude deg, altitude m, (N, 3).
+        current_a, throttle (0..1), temperature_degc: (N,); motors: outputs 0..1, (N, k).
+        utc_offset_s: Unix time of time_s = 0; None where unknown.
+        parameters: the vehicle's parameters as last seen in the recording.
+        notes: what the reader skipped or supposed, in sentences.
+    """
+
+    source: str = ""
+    autopilot: str = "unknown"
+    vehicle: str = "unknown"
+    compasses: Mapping[int, MagSeries] = field(default_factory=dict)
+    acc_mps2: Series | None = None
+    gyro_radps: Series | None = None
+    attitude_rad: Series | None = None
+    reference_q: Series | None = None
+    truth_q: Series | None = None
+    gps_yaw_rad: Series | None = None
+    gps_velocity_mps: Series | None = None
+    position_ned_m: Series | None = None
+    place: Series | None = None
+    current_a: Series | None = None
+    throttle: Series | None = None
+    temperature_degc: Series | None = None
+    motors: Series | None = None
+    utc_offset_s: float | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def motor_load(self, time_s: FloatArray, source: str) -> FloatArray | None:
+        """Return the load that a motor correction goes with, at other times; None where not recorded."""
+        series = {"current": self.current_a, "throttle": self.throttle}.get(source)
+        return None if series is None else series.at(time_s)
+
+    def raw_field(self, instance: int = 1) -> FloatArray:
+        """Undo the corrections in force: the readings (N, 3) of one compass in body axes, milligauss.
+
+        Raises KeyError for a compass that the recording does not have.
+        """
+        compass = self.compasses[instance]
+        raw = np.empty_like(compass.reported.values)
+        starts = np.array([step.from_s for step in compass.in_force])
+        starts[0] = -np.inf
+        edges = [*np.searchsorted(compass.time_s, starts), len(compass.reported)]
+        for step, first, last in zip(compass.in_force, edges[:-1], edges[1:], strict=True):
+            rows = slice(int(first), int(last))
+            load = self.motor_load(compass.time_s[rows], step.correction.motor_source)
+            raw[rows] = step.correction.undo(compass.reported.values[rows], load)
+        return raw
+
+    def between(self, start_s: float, end_s: float) -> Track:
+        """Cut out start_s <= time < end_s of every column."""
+        cut = {
+            name: series.between(start_s, end_s)
+            for name in self.__slots__
+            if isinstance(series := getattr(self, name), Series)
+        }
+        compasses = {
+            i: replace(compass, reported=compass.reported.between(start_s, end_s))
+            for i, compass in self.compasses.items()
+        }
+        return replace(self, compasses=compasses, **cut)  # type: ignore[arg-type]
+
+    @property
+    def duration_s(self) -> float:
+        """Return the time from the first to the last magnetometer reading of any compass."""
+        ends = [(c.time_s[0], c.time_s[-1]) for c in self.compasses.values() if len(c.reported)]
+        return float(max(e[1] for e in ends) - min(e[0] for e in ends)) if ends else 0.0

@@ -1,0 +1,188 @@
+"""TrackBuilder: turn a live stream of messages into the same Track that a recording gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mavcompass import messages as mav
+from mavcompass import telemetry
+from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.frames import FloatArray, euler_to_quaternion
+from mavcompass.track import InForce, MagSeries, Series, Track
+from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
+
+_IMU_MESSAGES: dict[type[mav.Message], str] = {
+    mav.RawImu: "RAW_IMU",
+    mav.ScaledImu: "SCALED_IMU",
+    mav.ScaledImu2: "SCALED_IMU2",
+    mav.ScaledImu3: "SCALED_IMU3",
+}
+
+
+@dataclass(slots=True)
+class _Rows:
+    """Collect the rows of one series; put in order of time when it is built."""
+
+    times: list[float] = field(default_factory=list)
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+
+    def add(self, time_s: float, *values: float) -> None:
+        self.times.append(time_s)
+        self.rows.append(values)
+
+    def series(self) -> Series | None:
+        if not self.times:
+            return None
+        times = np.array(self.times)
+        # A radio link may deliver late or twice: sort by the vehicle's clock, keep the first of each.
+        times, first = np.unique(times, return_index=True)
+        values = np.array(self.rows)[first]
+        return Series.of(times, values[:, 0] if values.shape[1] == 1 else values)
+
+
+class TrackBuilder:
+    """Append messages as they are heard; `build` gives the Track so far.
+
+    Times are the vehicle's: seconds since its boot. Messages that carry none are placed by their
+    arrival and the smallest delay seen so far between the two clocks. A clock that jumps back (the
+    autopilot was restarted) starts the columns anew: parts before and after do not belong together.
+    """
+
+    def __init__(self, autopilot: str = "unknown", vehicle: str = "unknown", source: str = "") -> None:
+        self.autopilot = autopilot
+        self.vehicle = vehicle
+        self.source = source
+        self.parameters: dict[str, float] = {}
+        self.restarts = 0
+        self._in_force: dict[int, list[InForce]] = {}
+        self._rotations: dict[int, FloatArray] = {}
+        self._start_anew()
+
+    def _start_anew(self) -> None:
+        self._imu = {name: _Rows() for name in telemetry.MAG_MESSAGES}
+        self._columns: dict[str, _Rows] = {}
+        self._offset_s: float | None = None
+        self.latest_s = -np.inf
+
+    def set_correction(self, instance: int, correction: FieldCorrection) -> None:
+        """Say which correction the autopilot applies to a compass from the latest message on."""
+        steps = self._in_force.setdefault(instance, [])
+        steps.append(InForce(self.latest_s if steps else -np.inf, correction))
+
+    def set_rotation(self, instance: int, sensor_to_body: FloatArray) -> None:
+        """Say how to turn what is reported into body axes, where the autopilot has not done so."""
+        self._rotations[instance] = sensor_to_body
+
+    def vehicle_time_s(self, link_time_s: float) -> float:
+        """Turn a time of the link's clock into the vehicle's; the link's while none is known."""
+        return link_time_s - (self._offset_s or 0.0)
+
+    def add(self, heard: mav.Incoming) -> None:
+        """Append one message; those without a meaning for a Track are passed over."""
+        message = heard.message
+        if isinstance(message, mav.RawImu | mav.ScaledImu):
+            self._add_imu(heard.time_s, message)
+        elif isinstance(message, mav.Attitude):
+            time_s = message.time_boot_ms * 1e-3
+            self._note_clock(heard.time_s, time_s)
+            self._column("attitude_rad").add(time_s, message.roll, message.pitch, message.yaw)
+        elif isinstance(message, mav.GlobalPositionInt):
+            time_s = message.time_boot_ms * 1e-3
+            self._column("place").add(time_s, *telemetry.place(message).tolist())
+        elif isinstance(message, mav.LocalPositionNed):
+            self._column("position_ned_m").add(message.time_boot_ms * 1e-3, message.x, message.y, message.z)
+        elif isinstance(message, mav.SystemTime):
+            if message.time_unix_usec and message.time_boot_ms:
+                offset = message.time_unix_usec * 1e-6 - message.time_boot_ms * 1e-3
+                self._column("utc_offset_s").add(message.time_boot_ms * 1e-3, offset)
+        else:
+            self._add_without_clock(heard)
+
+    def _add_imu(self, link_time_s: float, message: mav.RawImu | mav.ScaledImu) -> None:
+        time_s = float(telemetry.imu_time_s(message))
+        self._note_clock(link_time_s, time_s)
+        self._imu[_IMU_MESSAGES[type(message)]].add(
+            time_s,
+            *(message.xmag, message.ymag, message.zmag),
+            *(message.xacc, message.yacc, message.zacc),
+            *(message.xgyro, message.ygyro, message.zgyro),
+        )
+
+    def _add_without_clock(self, heard: mav.Incoming) -> None:
+        message, time_s = heard.message, self.vehicle_time_s(heard.time_s)
+        if isinstance(message, mav.SysStatus):
+            if message.current_battery >= 0:
+                self._column("current_a").add(time_s, message.current_battery * 0.01)
+        elif isinstance(message, mav.VfrHud):
+            self._column("throttle").add(time_s, message.throttle * 0.01)
+        elif isinstance(message, mav.Simstate):
+            q = euler_to_quaternion(message.roll, message.pitch, message.yaw)
+            self._column("truth_q").add(time_s, *q.tolist())
+        elif isinstance(message, mav.ParamValue):
+            self.parameters[message.param_id] = message.param_value
+
+    def _note_clock(self, link_time_s: float, vehicle_time_s: float) -> None:
+        if vehicle_time_s < self.latest_s - 5.0:
+            self.restarts += 1
+            self._start_anew()
+        self.latest_s = max(self.latest_s, vehicle_time_s)
+        offset = link_time_s - vehicle_time_s
+        self._offset_s = offset if self._offset_s is None else min(self._offset_s, offset)
+
+    def _column(self, name: str) -> _Rows:
+        return self._columns.setdefault(name, _Rows())
+
+    def _compass(self, instance: int, message: str, columns: Series) -> MagSeries:
+        rotation = self._rotations.get(instance)
+        field_mgauss = columns.values[:, 0:3]
+        if rotation is not None:
+            field_mgauss = field_mgauss @ rotation.T
+        steps = self._in_force.get(instance)
+        return MagSeries(
+            instance=instance,
+            reported=Series(columns.time_s, np.asfortranarray(field_mgauss)),
+            in_force=tuple(steps) if steps else (InForce(-np.inf, IDENTITY),),
+            correction_known=steps is not None,
+            quantum_mgauss=1.0,
+            truncated=True,
+        )
+
+    def build(self) -> Track:
+        """Give the Track of all that was heard since the vehicle's last start."""
+        imu = {name: rows.series() for name, rows in self._imu.items()}
+        compasses: dict[int, MagSeries] = {}
+        body: Series | None = None
+        # The denser of RAW_IMU and SCALED_IMU speaks for compass 1 and the body.
+        for name, columns in sorted(imu.items(), key=lambda item: len(item[1] or ())):
+            if columns is not None:
+                instance = telemetry.MAG_MESSAGES[name]
+                compasses[instance] = self._compass(instance, name, columns)
+                if instance == 1:
+                    body = columns
+        columns_by_name: Mapping[str, Series | None] = {n: r.series() for n, r in self._columns.items()}
+        utc = columns_by_name.get("utc_offset_s")
+        return Track(
+            source=self.source,
+            autopilot=self.autopilot,
+            vehicle=self.vehicle,
+            compasses=dict(sorted(compasses.items())),
+            acc_mps2=_scaled(body, slice(3, 6), MPS2_PER_MILLI_G),
+            gyro_radps=_scaled(body, slice(6, 9), RADPS_PER_MILLIRADPS),
+            attitude_rad=columns_by_name.get("attitude_rad"),
+            truth_q=columns_by_name.get("truth_q"),
+            position_ned_m=columns_by_name.get("position_ned_m"),
+            place=columns_by_name.get("place"),
+            current_a=columns_by_name.get("current_a"),
+            throttle=columns_by_name.get("throttle"),
+            utc_offset_s=float(utc.values[-1]) if utc is not None else None,
+            parameters=dict(self.parameters),
+        )
+
+
+def _scaled(columns: Series | None, which: slice, factor: float) -> Series | None:
+    if columns is None:
+        return None
+    return Series(columns.time_s, np.asfortranarray(columns.values[:, which] * factor))
