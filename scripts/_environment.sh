@@ -60,13 +60,14 @@ discard_unfinished() {
 }
 
 explain_failure() {
-    local log=$1
+    local log=$1 unreachable='NewConnectionError|ConnectTimeout|ReadTimeout|Read timed out|ProxyError|SSLError'
+    unreachable+='|name resolution|Connection (refused|reset|aborted)|Network is unreachable|\(from versions: none\)'
     if grep -Eq 'ensurepip is not available|No module named (venv|ensurepip)' "$log"; then
         complain "this Python lacks its venv module; install it (Debian, Ubuntu: sudo apt install python3-venv)" \
             "and start this again. Details: $log"
     elif grep -Eq 'No space left on device' "$log"; then
         complain "the disk is full; about 1 GB is needed for the environment. Details: $log"
-    elif grep -Eq 'NewConnectionError|ConnectTimeout|ReadTimeout|Read timed out|ProxyError|SSLError|name resolution|Connection (refused|reset|aborted)|Network is unreachable' "$log"; then
+    elif grep -Eq "$unreachable" "$log"; then
         complain "the Python package index cannot be reached; connect this computer to the internet" \
             "(or point PIP_INDEX_URL at a mirror) and start this again. Details: $log"
     else
