@@ -79,14 +79,14 @@ explain_failure() {
     fi
 }
 
-# Ours, but made for another place (the checkout was moved or copied) or cut short: of no use.
+# Made for another place (the checkout was moved or copied), or cut short: of no use.
 discard_useless() {
     discard_unfinished
     local level made_for
     for level in run dev; do
         if [ -f "$root/.venv/.installed-$level" ]; then
             IFS= read -r made_for <"$root/.venv/.installed-$level" || true
-            if [ "$made_for" != "$root" ] || [ ! -x "$root/.venv/bin/python" ]; then
+            if [ "$made_for" != "$root" ]; then
                 rm -rf "$root/.venv"
             fi
         fi
@@ -111,10 +111,11 @@ install_environment() { # LEVEL
     trap discard_unfinished EXIT
     trap 'exit 130' INT
     trap 'exit 143' TERM HUP
-    if [ -d "$root/.venv" ]; then
+    if [ -x "$root/.venv/bin/python" ]; then
         complain "bringing the Python environment .venv up to date ..."
     else
         complain "making the Python environment .venv, once (a minute or two) ..."
+        rm -rf "$root/.venv"
         mkdir "$root/.venv"
         : >"$root/.venv/.unfinished"
     fi
