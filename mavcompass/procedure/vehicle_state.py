@@ -1,0 +1,152 @@
+"""Who the vehicle is and how it is: found by its heartbeat, kept up to date by what it says."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Literal
+
+from mavcompass import messages as mav
+from mavcompass.enums import MavAutopilot, MavModeFlag, MavType
+from mavcompass.errors import NoVehicle
+from mavcompass.procedure.script import Context, Script
+
+Kind = Literal["rover", "boat", "copter", "sub", "plane", "unknown"]
+
+_KINDS: dict[int, Kind] = {
+    MavType.GROUND_ROVER: "rover",
+    MavType.SURFACE_BOAT: "boat",
+    MavType.SUBMARINE: "sub",
+    MavType.FIXED_WING: "plane",
+    **dict.fromkeys(
+        (
+            MavType.QUADROTOR,
+            MavType.COAXIAL,
+            MavType.HELICOPTER,
+            MavType.HEXAROTOR,
+            MavType.OCTOROTOR,
+            MavType.TRICOPTER,
+            MavType.DODECAROTOR,
+            MavType.DECAROTOR,
+        ),
+        "copter",
+    ),
+    **dict.fromkeys(
+        (MavType.VTOL_TAILSITTER_DUOROTOR, MavType.VTOL_TAILSITTER_QUADROTOR, MavType.VTOL_TILTROTOR),
+        "plane",
+    ),
+}
+_AUTOPILOTS = {MavAutopilot.ARDUPILOTMEGA: "ardupilot", MavAutopilot.PX4: "px4"}
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleIdentity:
+    """Name a vehicle: its MAVLink address, autopilot ("ardupilot", "px4") and kind."""
+
+    system: int
+    component: int
+    autopilot: str
+    kind: Kind
+
+
+def identify(heard: mav.Incoming) -> VehicleIdentity | None:
+    """Recognise an autopilot's heartbeat; None for ground stations, cameras, radios and the rest."""
+    beat = heard.message
+    if not isinstance(beat, mav.Heartbeat):
+        return None
+    autopilot = _AUTOPILOTS.get(MavAutopilot(beat.autopilot)) if beat.autopilot in _AUTOPILOTS else None
+    if autopilot is None:
+        return None
+    return VehicleIdentity(heard.system, heard.component, autopilot, _KINDS.get(beat.type, "unknown"))
+
+
+def find_vehicle(
+    context: Context, system: int | None = None, timeout_s: float = 10.0
+) -> Script[VehicleIdentity]:
+    """Wait for the heartbeat of an autopilot and talk to that one from now on.
+
+    Heartbeats of ground stations and peripherals are routed onto every link, so the first one heard
+    need not be the vehicle's. `system` picks one of several vehicles.
+    Raises NoVehicle when none was heard in time.
+    """
+    end = context.now + timeout_s
+    others = 0
+    while context.now < end:
+        event = yield end
+        if not isinstance(event, mav.Incoming):
+            continue
+        found = identify(event)
+        if found is not None and system in (None, found.system):
+            context.system, context.component = found.system, found.component
+            return found
+        others += 1
+    if others:
+        raise NoVehicle(
+            f"{others} messages were heard, but no heartbeat of an ArduPilot or PX4 autopilot"
+            + (f" with system id {system}." if system is not None else "."),
+            "Check that the autopilot itself is connected to this link, not only a ground station.",
+        )
+    raise NoVehicle(
+        f"Nothing was heard in {timeout_s:.0f} s.",
+        "Check the address, the cable and the power, and that no other program holds the port.",
+    )
+
+
+@dataclass(slots=True)
+class VehicleState:
+    """Keep the latest of what the vehicle says of itself; `hear` is a listener of a Context."""
+
+    heard_s: float = float("-inf")
+    heartbeat: mav.Heartbeat | None = None
+    heartbeat_s: float = float("-inf")
+    attitude: mav.Attitude | None = None
+    place: mav.GlobalPositionInt | None = None
+    local: mav.LocalPositionNed | None = None
+    ekf: mav.EkfStatusReport | None = None
+    battery: mav.SysStatus | None = None
+    sticks: mav.RcChannels | None = None
+    landed: mav.ExtendedSysState | None = None
+    fence: mav.FenceStatus | None = None
+    gps: mav.GpsRawInt | None = None
+    utc: mav.SystemTime | None = None
+    texts: deque[str] = field(default_factory=lambda: deque(maxlen=20))
+
+    def hear(self, heard: mav.Incoming) -> None:
+        """Take one message of the vehicle."""
+        self.heard_s = heard.time_s
+        message = heard.message
+        match message:
+            case mav.Heartbeat():
+                self.heartbeat, self.heartbeat_s = message, heard.time_s
+            case mav.Attitude():
+                self.attitude = message
+            case mav.GlobalPositionInt():
+                self.place = message
+            case mav.LocalPositionNed():
+                self.local = message
+            case mav.EkfStatusReport():
+                self.ekf = message
+            case mav.SysStatus():
+                self.battery = message
+            case mav.RcChannels():
+                self.sticks = message
+            case mav.ExtendedSysState():
+                self.landed = message
+            case mav.FenceStatus():
+                self.fence = message
+            case mav.GpsRawInt():
+                self.gps = message
+            case mav.SystemTime():
+                self.utc = message
+            case mav.Statustext():
+                self.texts.append(message.text)
+
+    @property
+    def armed(self) -> bool:
+        """Tell whether the motors are armed; False while no heartbeat was heard."""
+        return self.heartbeat is not None and bool(self.heartbeat.base_mode & MavModeFlag.SAFETY_ARMED)
+
+    @property
+    def mode(self) -> int:
+        """Return the autopilot's own number of its mode, -1 while none is known."""
+        return -1 if self.heartbeat is None else self.heartbeat.custom_mode
