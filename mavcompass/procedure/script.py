@@ -12,10 +12,11 @@ run as any other part of it, so what was changed is put back over the wire befor
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from mavcompass.errors import NoReply, Refused
+from mavcompass.errors import MavCompassError, NoReply, Refused
 from mavcompass.messages import Incoming, Message
 
 T = TypeVar("T")
@@ -40,7 +41,15 @@ class Stop:
     reason: str
 
 
-Event = Incoming | Tick | Stop
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Bring the person's answer to the latest `Ask`."""
+
+    time_s: float
+    yes: bool
+
+
+Event = Incoming | Tick | Stop | Answer
 Script = Generator[float, Event, T]
 
 
@@ -65,7 +74,14 @@ class Show:
     data: tuple[tuple[str, float], ...] = ()
 
 
-Action = Send | Show
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """Ask the person a yes-or-no question; the driver brings an `Answer` when there is one."""
+
+    question: str
+
+
+Action = Send | Show | Ask
 
 
 @dataclass(slots=True)
@@ -93,6 +109,10 @@ class Context:
     def show(self, step: str, text: str, fraction: float | None = None, **data: float) -> None:
         """Leave a line for the person."""
         self.outbox.append(Show(step, text, fraction, tuple(data.items())))
+
+    def ask(self, question: str) -> None:
+        """Leave a question for the person."""
+        self.outbox.append(Ask(question))
 
     def heard_from_vehicle(self, event: Event) -> Incoming | None:
         """Return the event if it is a message of this script's vehicle (or none is chosen yet)."""
@@ -139,8 +159,7 @@ class Machine(Generic[T]):
             else:
                 self._resume(lambda: self._script.send(event))
         if self._stopping_since is not None and context.now - self._stopping_since > CLEAN_UP_S:
-            self._script.close()
-            self._finish(None, Refused("The procedure was stopped, and the vehicle did not answer after."))
+            self._abandon()
         actions, context.outbox = context.outbox, []
         return actions
 
@@ -148,6 +167,15 @@ class Machine(Generic[T]):
         if self._stopping_since is None and not self.done:
             self._stopping_since = self.context.now
             self._resume(lambda: self._script.throw(Refused(reason)))
+
+    def _abandon(self) -> None:
+        """End a script that could not clean up in time; it may say what it leaves behind."""
+        try:
+            with suppress(RuntimeError):  # it was still waiting in a `finally`
+                self._script.close()
+        except MavCompassError as what_is_left:
+            self._finish(None, what_is_left)
+        self._finish(None, Refused("The procedure was stopped, and the vehicle did not answer after."))
 
     def _resume(self, advance: Callable[[], float]) -> None:
         try:
@@ -211,3 +239,12 @@ def request(
         f"The vehicle did not answer {what} ({tries} tries).",
         "Check the link; if it is slow or lossy, bring the radios closer and run again.",
     )
+
+
+def ask(context: Context, question: str) -> Script[bool]:
+    """Ask the person and wait for the answer, however long it takes."""
+    context.ask(question)
+    while True:
+        event = yield context.now + 1.0
+        if isinstance(event, Answer):
+            return event.yes
