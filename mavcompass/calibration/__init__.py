@@ -1,1 +1,1 @@
-"""The calibration methods, their uncertainty and their verdict."""
+"""Calibration: from still positions and turns, or any motion, to a correction with its covariance."""

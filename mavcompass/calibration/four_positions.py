@@ -1,0 +1,228 @@
+"""The four-position calibration at its best: a maximum-a-posteriori fit of still positions.
+
+Estimated together: hard iron, gains and cross terms, the first heading, the angles really turned, the
+gyro's scale and bias, the Earth's field and the field of a changing current. Measured: the mean field
+of each dwell with its covariance, the gyro's step angles, gravity for the tilt, and the world model
+where the place is known. The autopilot's own yaw is not used. Three positions suffice, any steps and
+either direction will do, and more turns only help. Equations (M1) and (M2) stand in `model`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.calibration.model import (
+    GAIN,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    HEADINGS,
+    HORIZONTAL,
+    MOTOR,
+    NAMES,
+    OFFSET,
+    VERTICAL,
+    HeadingError,
+    gain_matrix,
+    heading_gradient,
+)
+from mavcompass.calibration.observation import FourPositionData
+from mavcompass.calibration.position_fit import Blend, PositionFit, fit_positions, weigh_cross_terms
+from mavcompass.calibration.position_problem import DEFAULT_PRIOR, IronPrior, PositionProblem
+from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray, wrap_two_pi
+
+# Sources of the heading's uncertainty, as the report names them.
+SOURCES = ("noise", "step_angle", "tilt", "world_model", "quantisation", "disturbance", "prior")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FourPositionsResult:
+    """Hold the fit of the still positions.
+
+    Attributes:
+        correction: what to put in force, ArduPilot's meaning.
+        state, covariance: all parameters, named by `names`; headings are magnetic.
+        residual_mgauss: measured less predicted mean field, (K, 3).
+        residual_rms_mgauss: over dwells and axes.
+        chi_square, degrees_of_freedom, consistency: how well the K positions agree with one rigid
+            compass; `consistency` is the probability of a worse agreement by chance.
+        suspects: dwells (from 0) of which one was disturbed, most likely first; empty if none was.
+        budget_rad: the heading's rms sigma by source; the squares add up to the whole.
+        world_model: True where the Earth's field at the place was used.
+        mirrored: True where the field turns against the gyro: a compass mounted upside down.
+        cross_probability: of there being horizontal cross terms, and vertical ones.
+    """
+
+    correction: FieldCorrection
+    names: tuple[str, ...]
+    state: FloatArray
+    covariance: FloatArray
+    residual_mgauss: FloatArray
+    residual_rms_mgauss: float
+    chi_square: float
+    degrees_of_freedom: int
+    consistency: float
+    suspects: tuple[int, ...]
+    budget_rad: dict[str, float]
+    world_model: bool
+    mirrored: bool
+    cross_probability: tuple[float, float]
+    iterations: int
+
+    @property
+    def heading_error(self) -> HeadingError:
+        """Return the heading's uncertainty as a function of heading and tilt."""
+        return HeadingError(self.state, self.covariance[:9, :9])
+
+    @property
+    def heading_sigma_rad(self) -> float:
+        """Return the level heading's sigma, rms over the circle, by the calibration alone."""
+        return self.heading_error.rms_rad()
+
+    @property
+    def raw_offset_mgauss(self) -> FloatArray:
+        """Return the hard iron, (3,): raw = field + offset."""
+        return self.state[OFFSET]
+
+    @property
+    def magnetic_headings_rad(self) -> FloatArray:
+        """Return the magnetic heading of each dwell, (K,), in [0, 2 pi)."""
+        return np.asarray(wrap_two_pi(self.state[HEADINGS:]))
+
+
+def solve_four_positions(
+    data: FourPositionData,
+    in_force: FieldCorrection = IDENTITY,
+    earth: EarthField | None = None,
+    prior: IronPrior = DEFAULT_PRIOR,
+) -> FourPositionsResult:
+    """Fit a compass's correction to three or more still positions and the turns between them.
+
+    Args:
+        data: the dwells' raw field and the gyro's steps.
+        in_force: the correction in force; it gives the Z offset where no world model does, and its
+            motor term is carried over.
+        earth: the Earth's field at the place; gives the scale and, with its sigma, Z.
+        prior: what is known of compasses in general.
+
+    Raises PoorCalibration for fewer than three positions or too little turning.
+    """
+    problem = PositionProblem.of(data, in_force, earth, prior)
+    fit = fit_positions(problem)
+    blend = weigh_cross_terms(fit, prior)
+    chi_square, freedom = fit.chi_square, fit.freedom
+    consistency = _chance(chi_square, freedom)
+    suspects = _suspects(data, in_force, earth, prior, fit) if consistency < 0.01 else ()
+    # The cross terms' blend shifts all that is correlated with them; the budget keeps its shares.
+    budget = _budget(problem, fit, blend)
+    factor = _normalisation(blend.state) if earth is None else 1.0
+    residual = fit.residual
+    return FourPositionsResult(
+        correction=_correction(blend.state, in_force, factor),
+        names=(*NAMES, *(f"heading_{k + 1}" for k in range(len(data.dwells)))),
+        state=blend.state,
+        covariance=blend.covariance,
+        residual_mgauss=residual,
+        residual_rms_mgauss=math.sqrt(float((residual**2).mean())),
+        chi_square=chi_square,
+        degrees_of_freedom=freedom,
+        consistency=consistency,
+        suspects=suspects,
+        budget_rad=budget,
+        world_model=earth is not None,
+        mirrored=problem.mirrored,
+        cross_probability=blend.cross_probability,
+        iterations=fit.iterations,
+    )
+
+
+def _chance(chi_square: float, freedom: int) -> float:
+    """Return the probability that chance alone gives a larger chi-square."""
+    if freedom <= 0:
+        return 1.0
+    from scipy.special import gammaincc
+
+    return float(gammaincc(freedom / 2.0, chi_square / 2.0))
+
+
+def _budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> dict[str, float]:
+    """Split the heading's rms sigma by source: each source's covariance is carried through the fit."""
+    k = len(problem.mean)
+    circle = np.arange(36) * (2.0 * math.pi / 36)
+    gradient = np.zeros((36, fit.state.size))
+    gradient[:, :9] = heading_gradient(blend.state, circle)
+    gains = gradient @ fit.covariance @ fit.jacobian.T  # heading by whitened residual, (36, R)
+    field = gains[:, : 3 * k].reshape(36, k, 3)
+    variance = dict.fromkeys(SOURCES, 0.0)
+    for name, part in (
+        ("noise", problem.noise),
+        ("quantisation", problem.quantisation),
+        ("tilt", problem.tilt),
+    ):
+        unit = problem.whiten @ part @ np.swapaxes(problem.whiten, 1, 2)
+        variance[name] = float(np.einsum("nki,kij,nkj->n", field, unit, field).mean())
+    rest = (gains[:, 3 * k :] ** 2).mean(axis=0)
+    variance["step_angle"] = float(rest[: k - 1].sum())
+    held = np.flatnonzero(np.isfinite(problem.sigma))
+    for place, share in zip(held, rest[k - 1 : -1], strict=True):
+        variance[_source_of(int(place))] += float(share)
+    variance["prior"] += float(rest[-1])
+    whole = float(np.einsum("ni,ij,nj->n", gradient, blend.covariance, gradient).mean())
+    factor = whole / max(sum(variance.values()), 1e-30)
+    return {name: math.sqrt(value * factor) for name, value in variance.items()}
+
+
+def _source_of(place: int) -> str:
+    if place in (GYRO_SCALE, GYRO_BIAS):
+        return "step_angle"
+    if place in (HORIZONTAL, VERTICAL):
+        return "world_model"
+    if MOTOR.start <= place < MOTOR.stop:
+        return "disturbance"
+    return "prior"
+
+
+def _suspects(
+    data: FourPositionData,
+    in_force: FieldCorrection,
+    earth: EarthField | None,
+    prior: IronPrior,
+    fit: PositionFit,
+) -> tuple[int, ...]:
+    """Name the dwells whose removal makes the others agree, best first.
+
+    With four positions the remaining three always agree; then only what the prior says of the irons
+    they would need tells the dwells apart, and all that it does not exclude are named.
+    """
+    costs = []
+    for index in range(len(data.dwells)):
+        try:
+            costs.append(fit_positions(PositionProblem.of(data.without(index), in_force, earth, prior)).cost)
+        except PoorCalibration:
+            costs.append(math.inf)
+    best = min(costs)
+    if not math.isfinite(best) or fit.cost - best < 6.0:
+        return ()
+    likely = [i for i in np.argsort(costs) if costs[int(i)] - best < 6.0]
+    return tuple(int(i) for i in likely)
+
+
+def _normalisation(state: FloatArray) -> float:
+    """Return the factor that makes the mean of the horizontal diagonals 1: the scale is not known."""
+    diagonal = np.diag(np.linalg.inv(gain_matrix(state[GAIN])))
+    return 2.0 / float(diagonal[0] + diagonal[1])
+
+
+def _correction(state: FloatArray, in_force: FieldCorrection, factor: float) -> FieldCorrection:
+    """Turn the fitted state into a correction; the motor term in force is carried into its matrix."""
+    matrix = factor * np.linalg.inv(gain_matrix(state[GAIN]))
+    matrix = 0.5 * (matrix + matrix.T)
+    motor = matrix @ np.linalg.solve(in_force.matrix, np.asarray(in_force.motor_mgauss))
+    correction = FieldCorrection.from_matrix(-state[OFFSET], matrix)
+    x, y, z = (float(v) for v in motor)
+    return replace(correction, motor_mgauss=(x, y, z), motor_source=in_force.motor_source)

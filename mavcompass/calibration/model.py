@@ -1,0 +1,122 @@
+"""The model of a compass on a turning vehicle, and what its parameters do to the heading.
+
+A dwell k at magnetic heading psi_k, with the tilt L_k (level to body) and mean current I_k, reads
+
+    r_k = b + T L_k (c_k H cos psi_k, -c_k H sin psi_k, Z) + m (I_k - mean I)                    (M1)
+
+with hard iron b, symmetric soft iron and gain T, the Earth's horizontal and vertical field H and Z,
+the coherence c_k of a dwell that hunts, and the field m per ampere. A level heading psi has the error
+
+    d psi = (e_psi . T^-1 (db + dT f)) / H,   e_psi = (sin psi, cos psi, 0)                      (M2)
+
+to first order, f being the true field in body axes. Symmetry of T is a convention: a turn of the
+whole compass about the vertical shows in no relative measurement.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mavcompass.frames import FloatArray
+
+# Places of the quantities in the state vector; the K headings follow.
+OFFSET = slice(0, 3)
+GAIN = slice(3, 9)
+HORIZONTAL, VERTICAL, GYRO_SCALE, GYRO_BIAS = 9, 10, 11, 12
+MOTOR = slice(13, 16)
+HEADINGS = 16
+NAMES = (
+    "offset_x",
+    "offset_y",
+    "offset_z",
+    "gain_xx",
+    "gain_yy",
+    "gain_zz",
+    "gain_xy",
+    "gain_xz",
+    "gain_yz",
+    "horizontal_field",
+    "vertical_field",
+    "gyro_scale",
+    "gyro_bias",
+    "motor_x",
+    "motor_y",
+    "motor_z",
+)
+# Row, column of each of the six gain parameters.
+_GAIN_ROWS = np.array([0, 1, 2, 0, 0, 1])
+_GAIN_COLUMNS = np.array([0, 1, 2, 1, 2, 2])
+
+
+def gain_matrix(parameters: ArrayLike) -> FloatArray:
+    """Build the symmetric matrix (3, 3) from (xx, yy, zz, xy, xz, yz)."""
+    xx, yy, zz, xy, xz, yz = (float(v) for v in np.asarray(parameters))
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def gain_parameters(matrix: ArrayLike) -> FloatArray:
+    """Read (xx, yy, zz, xy, xz, yz) off a symmetric matrix (3, 3)."""
+    return np.asarray(matrix)[_GAIN_ROWS, _GAIN_COLUMNS]
+
+
+def gain_jacobian(vectors: FloatArray) -> FloatArray:
+    """Return d(T v)/d(xx, yy, zz, xy, xz, yz), (N, 3, 6), for vectors v (N, 3)."""
+    jacobian = np.zeros((len(vectors), 3, 6))
+    x, y, z = vectors.T
+    jacobian[:, 0, 0], jacobian[:, 1, 1], jacobian[:, 2, 2] = x, y, z
+    jacobian[:, 0, 3], jacobian[:, 1, 3] = y, x
+    jacobian[:, 0, 4], jacobian[:, 2, 4] = z, x
+    jacobian[:, 1, 5], jacobian[:, 2, 5] = z, y
+    return jacobian
+
+
+def level_to_body(roll_rad: ArrayLike, pitch_rad: ArrayLike) -> FloatArray:
+    """Build the rotations (..., 3, 3) that take level axes (forward, right, down) to body axes."""
+    roll, pitch = np.broadcast_arrays(np.asarray(roll_rad, float), np.asarray(pitch_rad, float))
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    zero = np.zeros_like(cr)
+    rows = [[cp, zero, -sp], [sr * sp, cr, sr * cp], [cr * sp, -sr, cr * cp]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def heading_gradient(
+    state: FloatArray, heading_rad: ArrayLike, roll_rad: float = 0.0, pitch_rad: float = 0.0
+) -> FloatArray:
+    """Return the heading's derivative by offsets and gains, (N, 9), at magnetic headings (N,) (eq. M2)."""
+    psi = np.atleast_1d(np.asarray(heading_rad, dtype=np.float64))
+    horizontal, vertical = state[HORIZONTAL], state[VERTICAL]
+    tilt = level_to_body(roll_rad, pitch_rad)
+    level = np.stack(
+        [horizontal * np.cos(psi), -horizontal * np.sin(psi), np.full(psi.size, vertical)], axis=1
+    )
+    body = level @ tilt.T
+    across = np.stack([np.sin(psi), np.cos(psi), np.zeros(psi.size)], axis=1) @ tilt.T
+    weights = across @ np.linalg.inv(gain_matrix(state[GAIN])) / horizontal
+    by_gain = np.einsum("ni,nij->nj", weights, gain_jacobian(body))
+    return np.concatenate([weights, by_gain], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadingError:
+    """Turn the covariance of offsets and gains into a heading's standard deviation.
+
+    Attributes:
+        state: the fitted state. covariance: (9, 9), of offsets and gains.
+    """
+
+    state: FloatArray
+    covariance: FloatArray
+
+    def sigma_rad(self, heading_rad: ArrayLike, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> FloatArray:
+        """Return the standard deviation at magnetic headings (N,), radians, by the calibration alone."""
+        gradient = heading_gradient(self.state, heading_rad, roll_rad, pitch_rad)
+        return np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", gradient, self.covariance, gradient), 0.0))
+
+    def rms_rad(self, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> float:
+        """Return the standard deviation averaged (rms) over the circle."""
+        circle = np.arange(72) * (2.0 * math.pi / 72)
+        return math.sqrt(float((self.sigma_rad(circle, roll_rad, pitch_rad) ** 2).mean()))

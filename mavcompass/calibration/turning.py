@@ -1,0 +1,191 @@
+"""How far the vehicle has turned, by the gyro alone.
+
+The turned angle is the integral of the angular rate about the vertical, minus the gyro's bias. The
+autopilot's yaw is never used: it is fused with the compass that is being calibrated.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.track import Track
+
+# Autopilots zero their gyros at power-up; what is left drifts with temperature.
+BOOT_BIAS_SIGMA_RADPS = math.radians(0.2)
+# A bare gyro in a file of unknown origin: its datasheet's zero-rate level.
+BARE_BIAS_SIGMA_RADPS = math.radians(3.0)
+# Sensitivity of MEMS gyros as they come and after the autopilot's temperature has settled.
+GYRO_SCALE_SIGMA = 0.01
+_WINDOW_S = 3.0
+# Windows share their errors (a creep below the compass's resolution): no more than two count as independent.
+_INDEPENDENT_WINDOWS = 2.0
+_GRAVITY_SMOOTHING_S = 0.6
+_GAP_S = 0.5
+_ON_THE_GROUND = frozenset({"rover", "ackermann-rover", "boat"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TurnRecord:
+    """Hold the angle turned about the vertical over a recording, (N,), clockwise seen from above.
+
+    Attributes:
+        time_s, angle_rad, rate_radps: bias removed.
+        tilt_rate_radps: length of the horizontal part of the angular rate.
+        bias_radps, bias_sigma_radps: the vertical bias taken out and what is not known of it.
+        noise_radps: white noise of one rate sample.
+        interval_s: usual time between samples.
+    """
+
+    time_s: FloatArray
+    angle_rad: FloatArray
+    rate_radps: FloatArray
+    tilt_rate_radps: FloatArray
+    bias_radps: float
+    bias_sigma_radps: float
+    noise_radps: float
+    interval_s: float
+
+    def angle_at(self, time_s: FloatArray) -> FloatArray:
+        """Return the turned angle at other times, radians."""
+        return np.interp(time_s, self.time_s, self.angle_rad)
+
+    def rate_at(self, time_s: FloatArray) -> FloatArray:
+        """Return the rate of turn at other times, radians per second."""
+        return np.interp(time_s, self.time_s, self.rate_radps)
+
+    def independent_sigma_rad(self, start_s: float, end_s: float) -> float:
+        """Return what white noise, sparse sampling and gaps add to the angle between two times.
+
+        Bias and scale are common to all turns and kept apart (`bias_sigma_radps`, GYRO_SCALE_SIGMA).
+        """
+        first, last = np.searchsorted(self.time_s, [start_s, end_s])
+        rows = slice(max(int(first) - 1, 0), int(last) + 1)
+        time, rate = self.time_s[rows], self.rate_radps[rows]
+        if time.size < 3:
+            return math.inf
+        steps = np.diff(time)
+        white = self.noise_radps * math.sqrt(max(end_s - start_s, 0.0) * self.interval_s)
+        # The trapezoid's error shows in the second difference of the rate: h^2/12 rate'' per step.
+        bend = np.diff(rate, 2) * 0.5 * (steps[1:] + steps[:-1]) / 12.0
+        sampling = math.sqrt(float(np.sum(bend**2)))
+        gaps = steps > _GAP_S
+        lost = float(np.sum(np.abs(np.diff(rate))[gaps] * steps[gaps])) if gaps.any() else 0.0
+        return math.sqrt(white**2 + sampling**2 + lost**2)
+
+
+def _smooth(time_s: FloatArray, values: FloatArray, width_s: float) -> FloatArray:
+    """Average over a centred window of a fixed length in time, column by column."""
+    total = np.vstack([np.zeros(values.shape[1:])[np.newaxis], np.cumsum(values, axis=0)])
+    first = np.searchsorted(time_s, time_s - width_s / 2.0, side="left")
+    last = np.searchsorted(time_s, time_s + width_s / 2.0, side="right")
+    count = (last - first).astype(np.float64)
+    return (total[last] - total[first]) / (count[:, np.newaxis] if values.ndim == 2 else count)
+
+
+def down_in_body(track: Track, time_s: FloatArray) -> FloatArray:
+    """Return the unit vector that points down, in body axes, (N, 3), without using any yaw.
+
+    On the ground the smoothed accelerometer; in flight, where it shows the thrust instead of gravity,
+    the autopilot's roll and pitch. Whichever was recorded where only one was; level where neither.
+    """
+    attitude, acc = track.attitude_rad, track.acc_mps2
+    has_attitude = attitude is not None and len(attitude) and np.isfinite(attitude.values[:, :2]).any()
+    has_acc = acc is not None and len(acc) and np.isfinite(acc.values).all(axis=1).any()
+    if attitude is not None and has_attitude and not (has_acc and track.vehicle in _ON_THE_GROUND):
+        roll, pitch = attitude.at(time_s)[:, 0], attitude.at(time_s)[:, 1]
+        return np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
+    if acc is None or not has_acc:
+        return np.tile([0.0, 0.0, 1.0], (time_s.size, 1))
+    usable = np.isfinite(acc.values).all(axis=1)
+    down = -_smooth(acc.time_s[usable], np.asarray(acc.values)[usable], _GRAVITY_SMOOTHING_S)
+    columns = [np.interp(time_s, acc.time_s[usable], column) for column in down.T]
+    down = np.stack(columns, axis=1)
+    return down / np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9)
+
+
+def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
+    """Integrate the gyro about the vertical; None where the recording has no gyro.
+
+    The bias comes from stretches in which the magnetometer `instance` shows that nothing turned.
+    """
+    gyro = track.gyro_radps
+    if gyro is None or len(gyro) < 3:
+        return None
+    usable = np.isfinite(gyro.values).all(axis=1)
+    time, rates = gyro.time_s[usable], np.asarray(gyro.values)[usable]
+    if time.size < 3:
+        return None
+    down = down_in_body(track, time)
+    vertical = np.einsum("ij,ij->i", rates, down)
+    horizontal = np.linalg.norm(rates - vertical[:, np.newaxis] * down, axis=1)
+    known_autopilot = track.autopilot in ("ardupilot", "px4")
+    prior = BOOT_BIAS_SIGMA_RADPS if known_autopilot else BARE_BIAS_SIGMA_RADPS
+    bias, sigma = _vertical_bias(track, instance, time, vertical, prior)
+    rate = vertical - bias
+    steps = np.diff(time)
+    angle = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps)])
+    jumps = np.abs(np.diff(rate, 2))
+    noise = float(np.percentile(jumps, 25)) / (0.3186 * math.sqrt(6.0)) if jumps.size else 0.0
+    return TurnRecord(
+        time_s=time,
+        angle_rad=angle,
+        rate_radps=rate,
+        tilt_rate_radps=horizontal,
+        bias_radps=bias,
+        bias_sigma_radps=sigma,
+        noise_radps=noise,
+        interval_s=float(np.median(steps)),
+    )
+
+
+def _vertical_bias(
+    track: Track, instance: int, time: FloatArray, vertical: FloatArray, prior_sigma: float
+) -> tuple[float, float]:
+    """Estimate the vertical gyro bias and its sigma from stretches without turning.
+
+    In each window the magnetometer bounds the true rate: a field that moves by u mG/s in a horizontal
+    field of H mG turns with u / H rad/s at most. That bound, and the noise of u, is the window's sigma.
+    """
+    compass = track.compasses.get(instance)
+    if compass is None or len(compass.reported) < 8:
+        return 0.0, prior_sigma
+    field_time, field = compass.time_s, np.asarray(compass.reported.values)
+    swing = np.percentile(field, 98, axis=0) - np.percentile(field, 2, axis=0)
+    amplitude = max(0.5 * float(np.sort(swing)[-2:].max()), 50.0)
+    edges = np.arange(time[0], time[-1] + 1e-9, _WINDOW_S)
+    weight, total, best = 1.0 / prior_sigma**2, 0.0, prior_sigma
+    for start, end in pairwise(edges):
+        rows = slice(*np.searchsorted(time, [start, end]))
+        mags = slice(*np.searchsorted(field_time, [start, end]))
+        if rows.stop - rows.start < 4 or mags.stop - mags.start < 4:
+            continue
+        slope, slope_sigma = _slope(field_time[mags], field[mags], compass.quantum_mgauss)
+        bound = math.sqrt(float(slope @ slope) + 2.0 * slope_sigma**2) / amplitude
+        rate = vertical[rows]
+        sigma = math.hypot(bound, float(rate.std()) / math.sqrt(rate.size))
+        sigma = max(sigma, math.radians(0.01))
+        best = min(best, sigma)
+        weight += 1.0 / sigma**2
+        total += float(rate.mean()) / sigma**2
+    return total / weight, max(1.0 / math.sqrt(weight), best / math.sqrt(_INDEPENDENT_WINDOWS))
+
+
+def _slope(time: FloatArray, field: FloatArray, quantum: float) -> tuple[FloatArray, float]:
+    """Fit a straight line to each axis: the slopes (3,) and their common sigma, mG/s."""
+    t = time - time.mean()
+    power = float(t @ t)
+    if power <= 0.0:
+        return np.zeros(3), math.inf
+    slope = t @ field / power
+    residual = field - field.mean(axis=0) - t[:, np.newaxis] * slope
+    noise = math.sqrt(float((residual**2).mean()) * 1.5)
+    # Repeated readings are not new evidence: a compass is read about ten times a second.
+    fresh = min(time.size, max(10.0 * float(time[-1] - time[0]), 4.0))
+    # Whole numbers hide a creep of up to a step in the window's length.
+    hidden = quantum / (math.sqrt(12.0) * max(float(time[-1] - time[0]), 1e-3))
+    return slope, math.hypot(noise / math.sqrt(power * fresh / time.size), hidden)
