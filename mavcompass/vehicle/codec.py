@@ -1,0 +1,177 @@
+"""The messages of `mavcompass.messages` as MAVLink payloads, both ways.
+
+This is the only file that knows the dialect, pymavlink's generated description of every message; it is
+loaded with the first message. Framing (headers, checksums, signatures) is in `framing`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cache
+from operator import itemgetter
+from struct import Struct
+from typing import Any
+
+from mavcompass import messages
+from mavcompass.messages import Message
+
+# Payload lengths of MAVLink 1, which knows no extension fields, where the dialect has such fields.
+# The dialect's Python does not mark them; a test compares these with its XML.
+BASE_LENGTHS = {
+    "SYS_STATUS": 31,
+    "AUTOPILOT_VERSION": 60,
+    "STATUSTEXT": 51,
+    "RAW_IMU": 26,
+    "SCALED_IMU": 22,
+    "SCALED_IMU2": 22,
+    "SCALED_IMU3": 22,
+    "HIGHRES_IMU": 62,
+    "SCALED_PRESSURE": 14,
+    "GPS_RAW_INT": 30,
+    "EKF_STATUS_REPORT": 22,
+    "FENCE_STATUS": 8,
+    "SERVO_OUTPUT_RAW": 21,
+    "COMMAND_ACK": 3,
+    "SET_ATTITUDE_TARGET": 39,
+    "RC_CHANNELS_OVERRIDE": 18,
+    "MANUAL_CONTROL": 11,
+    "MAG_CAL_REPORT": 44,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class WireFormat:
+    """Describe one message on the wire.
+
+    Attributes:
+        id, crc_extra, base_length, full_length: as the dialect says; base without the extension fields.
+        kind: the dataclass, None for messages that this program does not use.
+    """
+
+    id: int
+    crc_extra: int
+    base_length: int
+    full_length: int
+    kind: type[Message] | None
+    _struct: Struct
+    _defaults: tuple[Any, ...]
+    _places: tuple[tuple[str, int, int, bool], ...]
+    _pick: Callable[[tuple[Any, ...]], tuple[Any, ...]] | None
+
+    def decode(self, payload: bytes) -> Message:
+        """Read a payload of any length: what is missing at its end is zero, what is too much is ignored."""
+        assert self.kind is not None
+        size = self.full_length
+        if len(payload) != size:
+            payload = payload[:size].ljust(size, b"\0")
+        values = self._struct.unpack(payload)
+        if self._pick is not None:  # only numbers: the order is all there is to change
+            return self.kind(*self._pick(values))
+        return self.kind(*(_read(values, at, count, text) for _, at, count, text in self._places))
+
+    def encode(self, message: Message) -> bytes:
+        """Write a payload of full length; fields that we leave out take the dialect's zero."""
+        values = list(self._defaults)
+        for name, at, count, text in self._places:
+            value = getattr(message, name)
+            if text:
+                values[at] = value.encode("utf-8", "replace")  # struct cuts it to the field's length
+            elif count:
+                values[at : at + count] = value
+            else:
+                values[at] = value
+        return self._struct.pack(*values)
+
+
+def _read(values: tuple[Any, ...], at: int, count: int, text: bool) -> Any:
+    if text:
+        return values[at].split(b"\0", 1)[0].decode("utf-8", "replace")
+    return values[at : at + count] if count else values[at]
+
+
+@cache
+def _dialect() -> Any:
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    return ardupilotmega
+
+
+@cache
+def _kinds() -> dict[str, type[Message]]:
+    known = (thing for _, thing in inspect.getmembers(messages, inspect.isclass))
+    return {kind.wire_name(): kind for kind in known if issubclass(kind, Message) and kind is not Message}
+
+
+_FORMATS: dict[int, WireFormat] = {}
+
+
+def wire_format(message_id: int) -> WireFormat | None:
+    """Look up a message by its number; None for one that the dialect does not have."""
+    form = _FORMATS.get(message_id)
+    if form is None and message_id in _dialect().mavlink_map:
+        form = _FORMATS[message_id] = _describe(message_id)
+    return form
+
+
+def _describe(message_id: int) -> WireFormat:
+    description = _dialect().mavlink_map[message_id]
+    kind = _kinds().get(description.msgname)
+    unpacker: Struct = description.unpacker
+    places = tuple(_places(description, kind)) if kind is not None else ()
+    numbers_only = all(not count and not text for _, _, count, text in places) and len(places) > 1
+    return WireFormat(
+        id=message_id,
+        crc_extra=description.crc_extra,
+        base_length=BASE_LENGTHS.get(description.msgname, unpacker.size),
+        full_length=unpacker.size,
+        kind=kind,
+        _struct=unpacker,
+        _defaults=unpacker.unpack(bytes(unpacker.size)),
+        _places=places,
+        _pick=itemgetter(*(at for _, at, _, _ in places)) if numbers_only else None,
+    )
+
+
+def _places(description: Any, kind: type[Message]) -> list[tuple[str, int, int, bool]]:
+    """Say where each field of the dataclass stands among the struct's values: name, at, count, text.
+
+    Text is one value of the struct, an array as many as it has elements.
+    """
+    starts: dict[str, tuple[int, int, bool]] = {}
+    at = 0
+    for name in description.ordered_fieldnames:
+        # `array_lengths` goes with the wire's order, `fieldtypes` with the declared one.
+        count = description.array_lengths[description.ordered_fieldnames.index(name)]
+        text = description.fieldtypes[description.fieldnames.index(name)] == "char"
+        starts[name] = (at, 0 if text else count, text)
+        at += 1 if text else max(count, 1)
+    return [(field.name, *starts[field.name]) for field in fields(kind)]
+
+
+_IDS: dict[type[Message], int] = {}
+
+
+def message_id(kind: type[Message]) -> int:
+    """Return the number of a message's type."""
+    if not _IDS:
+        numbers = {description.msgname: number for number, description in _dialect().mavlink_map.items()}
+        _IDS.update({known: numbers[name] for name, known in _kinds().items()})
+    return _IDS[kind]
+
+
+def decode(message_id: int, payload: bytes) -> Message | None:
+    """Read a message; None for one that this program does not use."""
+    form = wire_format(message_id)
+    return None if form is None or form.kind is None else form.decode(payload)
+
+
+def encode(message: Message) -> tuple[WireFormat, bytes]:
+    """Write a message: its format and its payload at full length.
+
+    Raises struct.error where a number does not fit its field: that is a mistake in this program.
+    """
+    form = wire_format(message_id(type(message)))
+    assert form is not None
+    return form, form.encode(message)

@@ -1,0 +1,187 @@
+"""The driver: run a procedure on a link, and end it safely whatever happens.
+
+The procedure neither sleeps nor reads a clock nor sends; this loop does it for it, speaks our heartbeat,
+and turns Ctrl-C, SIGTERM, a silent vehicle and a lost link into a stop.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any, TypeVar, cast
+
+from mavcompass.errors import LinkLost, Refused
+from mavcompass.messages import Incoming
+from mavcompass.procedure.script import CLEAN_UP_S, Answer, Ask, Event, Machine, Send, Show, Stop, Tick
+from mavcompass.vehicle.link import Link
+
+T = TypeVar("T")
+PollAnswer = Callable[[], bool | None]
+
+HEARTBEAT_EVERY_S = 1.0
+TICK_S = 0.05
+# A vehicle streams several messages a second: this is dozens of them in a row.
+SILENCE_S = 3.0
+
+
+@dataclass(slots=True)
+class StopRequest:
+    """Hold the reason for which somebody wants the procedure to end; None until then."""
+
+    reason: str | None = None
+
+
+def run(
+    machine: Machine[T],
+    link: Link,
+    *,
+    on_show: Callable[[Show], None] | None = None,
+    on_message: Callable[[Incoming], None] | None = None,
+    on_ask: Callable[[str], PollAnswer] | None = None,
+    stop: StopRequest | None = None,
+    silence_s: float = SILENCE_S,
+) -> T:
+    """Run a procedure to its end and return its result.
+
+    Args:
+        on_show: gets what the procedure has to tell. on_message: gets every message heard.
+        on_ask: puts a question to the person and returns at once a function that tells the answer when
+            there is one, else None; heartbeats and guards go on meanwhile. Without it the answer is no.
+        stop: set its reason, from any thread, to end the procedure safely.
+        silence_s: the vehicle counts as lost after saying nothing for so long.
+
+    Raises whatever the procedure raises: Refused after a stop; LinkLost when the vehicle fell silent or
+    the link broke for good, unless the procedure ended with something worse to tell, such as WriteFailed.
+    """
+    drive = _Drive(
+        machine, link, on_show or (lambda _: None), on_ask or _refuse, stop or StopRequest(), silence_s
+    )
+    with _stop_signals(drive.stop):
+        while not machine.done:
+            incoming = drive.turn()
+            if incoming is not None and on_message is not None:
+                on_message(incoming)
+    if drive.lost is not None and type(machine.error) is Refused:
+        raise drive.lost from machine.error
+    if machine.error is not None:
+        raise machine.error
+    return cast(T, machine.result)
+
+
+def _refuse(question: str) -> PollAnswer:
+    return lambda: False
+
+
+class _Drive:
+    """Be one run: what was said when, and why it has to stop."""
+
+    def __init__(
+        self,
+        machine: Machine[Any],
+        link: Link,
+        on_show: Callable[[Show], None],
+        on_ask: Callable[[str], PollAnswer],
+        stop: StopRequest,
+        silence_s: float,
+    ) -> None:
+        self.machine = machine
+        self.link = link
+        self.on_show = on_show
+        self.on_ask = on_ask
+        self.poll_answer: PollAnswer | None = None
+        self.stop = stop
+        self.silence_s = silence_s
+        self.lost: LinkLost | None = None
+        self._stopped = False
+        self._next_heartbeat_s = link.now()
+        self._heard_vehicle_s = link.now()
+
+    def turn(self) -> Incoming | None:
+        """Take the next event to the procedure and do what it asks for."""
+        now_s = self.link.now()
+        if self.stop.reason is not None and not self._stopped:
+            self._stop(self.stop.reason)
+            return None
+        if self.poll_answer is not None and (yes := self.poll_answer()) is not None:
+            self.poll_answer = None
+            self._step(Answer(now_s, yes))
+            return None
+        if now_s >= self._next_heartbeat_s:
+            self.link.send(self.link.identity.heartbeat())
+            self._next_heartbeat_s = now_s + HEARTBEAT_EVERY_S
+        wake_s = min(self.machine.wake_at_s, self._next_heartbeat_s, now_s + TICK_S)
+        try:
+            incoming = self.link.receive(max(wake_s - now_s, 0.0))
+        except LinkLost as error:
+            self._end_without_link(error)
+            return None
+        self._step(Tick(self.link.now()) if incoming is None else incoming)
+        self._watch_silence(incoming)
+        return incoming
+
+    def _step(self, event: Event) -> None:
+        for action in self.machine.step(event):
+            match action:
+                case Send(message):
+                    self.link.send(message)
+                case Show():
+                    self.on_show(action)
+                case Ask(question):
+                    self.poll_answer = self.on_ask(question)
+        if self.machine.context.system:
+            self.link.identity = self.link.identity.aboard(self.machine.context.system)
+
+    def _stop(self, reason: str) -> None:
+        self._stopped = True
+        self._step(Stop(self.link.now(), reason))
+
+    def _watch_silence(self, incoming: Incoming | None) -> None:
+        context = self.machine.context
+        now_s = self.link.now()
+        from_vehicle = incoming is not None and incoming.system == context.system
+        if from_vehicle or not context.system:  # finding no vehicle at all is the procedure's to tell
+            self._heard_vehicle_s = now_s
+        silent_s = now_s - self._heard_vehicle_s
+        if silent_s > self.silence_s and self.lost is None and not self.machine.done:
+            self.lost = LinkLost(
+                f"The vehicle on {self.link.name} has said nothing for {silent_s:.0f} s.",
+                "Bring the link back (power, cable, radio), then run again.",
+            )
+            self._stop(f"The vehicle has said nothing for {silent_s:.0f} s.")
+
+    def _end_without_link(self, error: LinkLost) -> None:
+        """Let the procedure find out that nothing gets through any more, without waiting for it."""
+        self.lost = error
+        now_s = self.link.now()
+        self._stop(error.what)
+        end_s = now_s + 2.0 * CLEAN_UP_S
+        while not self.machine.done and now_s < end_s:
+            now_s += TICK_S
+            self._step(Tick(now_s))
+
+
+@contextmanager
+def _stop_signals(stop: StopRequest) -> Iterator[None]:
+    """Turn Ctrl-C and SIGTERM into a safe stop; a second Ctrl-C interrupts at once.
+
+    Only the main thread may do that; elsewhere `StopRequest` is the way.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        if stop.reason is not None and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        stop.reason = f"Stopped by {'Ctrl-C' if number == signal.SIGINT else 'the system (SIGTERM)'}."
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
