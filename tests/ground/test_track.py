@@ -1,0 +1,128 @@
+"""Track: columns on their own clocks, and the readings with the corrections in force undone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.messages import (
+    Attitude,
+    GlobalPositionInt,
+    Incoming,
+    Message,
+    ParamValue,
+    RawImu,
+    ScaledImu,
+    ScaledImu2,
+    SysStatus,
+    SystemTime,
+)
+from mavcompass.track import InForce, MagSeries, Series, Track
+from mavcompass.track_builder import TrackBuilder
+
+
+def test_a_series_interpolates_and_holds_its_ends() -> None:
+    series = Series.of([1.0, 2.0, 4.0], [[0.0, 10.0], [1.0, 20.0], [3.0, 0.0]])
+    assert series.at([0.0, 1.5, 3.0, 9.0]) == pytest.approx(
+        np.array([[0.0, 10.0], [0.5, 15.0], [2.0, 10.0], [3.0, 0.0]])
+    )
+    assert np.isnan(Series.of([], []).at([1.0])).all()
+    assert series.at(series.time_s) is series.values
+
+
+def test_columns_of_a_series_lie_contiguous() -> None:
+    values = Series.of(np.arange(5.0), np.arange(15.0).reshape(5, 3)).values
+    assert all(values[:, axis].flags["C_CONTIGUOUS"] for axis in range(3))
+
+
+def test_times_and_values_of_different_length_are_refused() -> None:
+    with pytest.raises(ValueError, match="do not go with"):
+        Series.of([0.0, 1.0], [1.0])
+
+
+def test_raw_field_honours_a_correction_that_changed_in_mid_recording() -> None:
+    raw = np.tile([100.0, 200.0, 300.0], (6, 1))
+    old, new = FieldCorrection((5.0, 13.0, -18.0)), FieldCorrection((50.0, 0.0, 0.0), (1.1, 0.9, 1.0))
+    reported = np.concatenate([old.apply(raw[:3]), new.apply(raw[3:])])
+    compass = MagSeries(1, Series.of(np.arange(6.0), reported), (InForce(-np.inf, old), InForce(2.5, new)))
+    assert Track(compasses={1: compass}).raw_field(1) == pytest.approx(raw)
+
+
+def test_raw_field_takes_the_motor_term_out_at_the_current_of_the_time() -> None:
+    correction = FieldCorrection(motor_mgauss=(2.0, 0.0, -1.0), motor_source="current")
+    times = np.arange(4.0)
+    current = Series.of([0.0, 3.0], [0.0, 30.0])
+    raw = np.tile([100.0, 200.0, 300.0], (4, 1))
+    compass = MagSeries(
+        1, Series.of(times, correction.apply(raw, current.at(times))), (InForce(0.0, correction),)
+    )
+    assert Track(compasses={1: compass}, current_a=current).raw_field(1) == pytest.approx(raw)
+
+
+def test_cutting_a_track_cuts_every_column() -> None:
+    track = Track(
+        compasses={2: MagSeries(2, Series.of(np.arange(10.0), np.zeros((10, 3))))},
+        gyro_radps=Series.of(np.arange(10.0), np.zeros((10, 3))),
+        current_a=Series.of(np.arange(0.0, 10.0, 2.0), np.ones(5)),
+    )
+    cut = track.between(2.0, 6.0)
+    assert cut.compasses[2].time_s.tolist() == [2.0, 3.0, 4.0, 5.0]
+    assert cut.gyro_radps is not None and len(cut.gyro_radps) == 4
+    assert cut.current_a is not None and cut.current_a.time_s.tolist() == [2.0, 4.0]
+    assert cut.duration_s == 3.0
+
+
+def heard(time_s: float, message: Message) -> Incoming:
+    return Incoming(time_s, 1, 1, message)
+
+
+def test_a_live_stream_becomes_a_track_in_the_vehicles_time() -> None:
+    builder = TrackBuilder("ardupilot", "rover")
+    builder.set_correction(1, FieldCorrection((10.0, 0.0, 0.0)))
+    for i in range(10):
+        boot = 100.0 + 0.1 * i
+        builder.add(heard(5.0 + 0.1 * i, RawImu(time_usec=int(boot * 1e6), zacc=-1000, xgyro=100, xmag=250)))
+    builder.add(heard(5.5, SysStatus(current_battery=1250)))
+    builder.add(heard(5.5, Attitude(time_boot_ms=100_500, yaw=1.0)))
+    builder.add(heard(5.6, GlobalPositionInt(100_600, lat=471234567, lon=85000000, alt=450_000)))
+    builder.add(heard(5.6, SystemTime(1_790_000_000_000_000, 100_600)))
+    builder.add(heard(5.6, ParamValue("COMPASS_OFS_X", 10.0)))
+    track = builder.build()
+    assert track.compasses[1].time_s == pytest.approx(100.0 + 0.1 * np.arange(10))
+    assert track.raw_field(1)[0] == pytest.approx([240.0, 0.0, 0.0])
+    assert track.acc_mps2 is not None and track.acc_mps2.values[0] == pytest.approx([0.0, 0.0, -9.80665])
+    assert track.gyro_radps is not None and track.gyro_radps.values[0] == pytest.approx([0.1, 0.0, 0.0])
+    assert track.current_a is not None and track.current_a.values == pytest.approx([12.5])
+    assert track.current_a.time_s == pytest.approx([100.5])
+    assert track.place is not None and track.place.values[0] == pytest.approx([47.1234567, 8.5, 450.0])
+    assert track.utc_offset_s == pytest.approx(1_790_000_000.0 - 100.6)
+    assert track.parameters["COMPASS_OFS_X"] == 10.0
+
+
+def test_late_and_repeated_messages_are_put_in_order() -> None:
+    builder = TrackBuilder()
+    for boot_us in (0, 100_000, 300_000, 200_000, 200_000, 400_000):
+        builder.add(heard(boot_us * 1e-6, RawImu(time_usec=boot_us, xmag=boot_us // 1000)))
+    compass = builder.build().compasses[1]
+    assert compass.time_s == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
+    assert compass.reported.values[:, 0].tolist() == [0.0, 100.0, 200.0, 300.0, 400.0]
+
+
+def test_a_restart_of_the_autopilot_starts_the_track_anew() -> None:
+    builder = TrackBuilder()
+    for boot_s in (100.0, 101.0, 102.0, 0.5, 1.5):
+        builder.add(heard(0.0, RawImu(time_usec=int(boot_s * 1e6))))
+    assert builder.restarts == 1
+    assert builder.build().compasses[1].time_s == pytest.approx([0.5, 1.5])
+
+
+def test_the_denser_message_speaks_for_the_first_compass() -> None:
+    builder = TrackBuilder()
+    for i in range(4):
+        builder.add(heard(i, ScaledImu(time_boot_ms=1000 * i, xmag=1)))
+        builder.add(heard(i, ScaledImu2(time_boot_ms=1000 * i, xmag=2)))
+    builder.add(heard(1.0, RawImu(time_usec=1_000_000, xmag=3)))
+    track = builder.build()
+    assert track.compasses[1].reported.values[:, 0].tolist() == [1.0] * 4
+    assert track.compasses[2].reported.values[:, 0].tolist() == [2.0] * 4

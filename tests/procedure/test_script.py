@@ -1,0 +1,173 @@
+"""Scripts and their machine: no clock, no sockets, always a clean end."""
+
+from __future__ import annotations
+
+import pytest
+
+from mavcompass.errors import NoReply, Refused
+from mavcompass.messages import CommandAck, CommandLong, Heartbeat, Incoming, Message, ScaledImu, ScaledImu2
+from mavcompass.procedure.script import (
+    CLEAN_UP_S,
+    Answer,
+    Ask,
+    Context,
+    Machine,
+    Script,
+    Send,
+    Show,
+    Stop,
+    Tick,
+    ask,
+    expect,
+    pause,
+    request,
+)
+
+
+def heard(time_s: float, message: Message, system: int = 1) -> Incoming:
+    return Incoming(time_s, system, 1, message)
+
+
+def test_a_script_is_woken_no_earlier_than_it_asked_for() -> None:
+    def script(context: Context) -> Script[float]:
+        yield from pause(context, 2.0)
+        return context.now
+
+    machine = Machine(script)
+    for time_s in (0.0, 1.0, 1.9):
+        machine.step(Tick(time_s))
+        assert not machine.done
+        assert machine.wake_at_s == 2.0
+    machine.step(Tick(2.0))
+    assert machine.done
+    assert machine.result == 2.0
+
+
+def test_a_request_is_repeated_until_answered() -> None:
+    def script(context: Context) -> Script[CommandAck]:
+        return (yield from request(context, CommandLong(command=400), CommandAck))
+
+    machine = Machine(script)
+    assert machine.step(Tick(0.0)) == [Send(CommandLong(command=400))]
+    assert machine.step(Tick(0.5)) == []
+    assert machine.step(Tick(0.8)) == [Send(CommandLong(command=400))]
+    machine.step(heard(0.9, CommandAck(400, 0)))
+    assert machine.result == CommandAck(400, 0)
+
+
+def test_a_request_that_is_never_answered_says_so() -> None:
+    def script(context: Context) -> Script[CommandAck]:
+        return (yield from request(context, CommandLong(), CommandAck, what="the reboot", tries=2))
+
+    machine = Machine(script)
+    for tenth in range(40):
+        machine.step(Tick(tenth / 10))
+    assert isinstance(machine.error, NoReply)
+    assert "the reboot" in machine.error.what
+
+
+def test_messages_of_other_systems_are_not_the_vehicles() -> None:
+    seen: list[Incoming] = []
+
+    def script(context: Context) -> Script[Heartbeat | None]:
+        context.system, context.component = 7, 1
+        context.listeners.append(seen.append)
+        return (yield from expect(context, Heartbeat))
+
+    machine = Machine(script)
+    machine.step(heard(0.0, Heartbeat(), system=3))
+    assert not machine.done
+    machine.step(heard(0.1, Heartbeat(type=10), system=7))
+    assert machine.result == Heartbeat(type=10)
+    assert [m.system for m in seen] == [7]
+
+
+def test_the_second_compass_is_not_taken_for_the_first() -> None:
+    def script(context: Context) -> Script[ScaledImu | None]:
+        return (yield from expect(context, ScaledImu))
+
+    machine = Machine(script)
+    machine.step(heard(0.0, ScaledImu2(xmag=2)))
+    machine.step(heard(0.1, ScaledImu(xmag=1)))
+    assert machine.result == ScaledImu(xmag=1)
+
+
+def test_a_stop_lets_the_script_put_back_what_it_changed() -> None:
+    def script(context: Context) -> Script[None]:
+        try:
+            yield from pause(context, 100.0)
+        finally:
+            context.send(CommandLong(command=1))
+            yield from expect(context, CommandAck)
+            context.show("end", "put back")
+
+    machine = Machine(script)
+    machine.step(Tick(0.0))
+    assert machine.step(Stop(1.0, "Ctrl-C was pressed.")) == [Send(CommandLong(command=1))]
+    assert not machine.done
+    assert machine.step(heard(1.2, CommandAck(1))) == [Show("end", "put back")]
+    assert machine.done
+    assert isinstance(machine.error, Refused)
+    assert machine.error.what == "Ctrl-C was pressed."
+
+
+def test_a_clean_up_that_never_ends_is_ended() -> None:
+    def script(context: Context) -> Script[None]:
+        try:
+            yield from pause(context, 100.0)
+        finally:
+            yield from pause(context, 1000.0)
+
+    machine = Machine(script)
+    machine.step(Tick(0.0))
+    machine.step(Stop(1.0, "stop"))
+    machine.step(Tick(1.0 + CLEAN_UP_S))
+    assert not machine.done
+    machine.step(Tick(1.1 + CLEAN_UP_S))
+    assert machine.done
+    assert isinstance(machine.error, Refused)
+
+
+def test_a_watch_stops_the_script_once() -> None:
+    calls: list[float] = []
+
+    def watch(now: float) -> str | None:
+        calls.append(now)
+        return "The pilot moved a stick." if now > 1.0 else None
+
+    def script(context: Context) -> Script[None]:
+        context.watches.append(watch)
+        try:
+            yield from pause(context, 10.0)
+        finally:
+            yield from pause(context, 1.0)
+
+    machine = Machine(script)
+    for time_s in (0.0, 0.5, 1.5, 2.0, 2.6):
+        machine.step(Tick(time_s))
+    assert calls == [0.0, 0.5, 1.5]
+    assert str(machine.error) == "The pilot moved a stick."
+
+
+def test_a_question_waits_for_its_answer() -> None:
+    def script(context: Context) -> Script[bool]:
+        return (yield from ask(context, "Write?"))
+
+    machine = Machine(script)
+    assert machine.step(Tick(0.0)) == [Ask("Write?")]
+    machine.step(Tick(500.0))
+    assert not machine.done
+    machine.step(Answer(501.0, True))
+    assert machine.result is True
+
+
+def test_an_error_in_a_script_is_the_machines_error() -> None:
+    def script(context: Context) -> Script[None]:
+        yield 0.0
+        raise ZeroDivisionError
+
+    machine = Machine(script)
+    machine.step(Tick(0.0))
+    with pytest.raises(ZeroDivisionError):
+        raise machine.error or AssertionError("no error was kept")
+    assert machine.step(Tick(1.0)) == []
