@@ -16,6 +16,7 @@ import numpy as np
 
 from mavcompass.correction import Vector
 from mavcompass.frames import FloatArray
+from mavcompass.track import Track
 from mavcompass.units import NANOTESLA_PER_MGAUSS, RAD_PER_DEG
 
 MODEL_YEARS = (2025.0, 2030.0)
@@ -99,3 +100,22 @@ def earth_field(lat_deg: float, lon_deg: float, alt_m: float, year: float) -> Ea
     x, y, z = (float(v) / NANOTESLA_PER_MGAUSS for v in (result.x, result.y, result.z))
     sx, sy, sz = (s + growth for s in _SIGMA_MGAUSS)
     return EarthField(ned_mgauss=(x, y, z), sigma_mgauss=(sx, sy, sz))
+
+
+def earth_field_of(track: Track, year: float | None = None) -> EarthField | None:
+    """Return the field at a recording's place and date; None where it does not know its place.
+
+    `year` (decimal) is used where the recording does not know its date; without it the model's first
+    year is, and the sigmas are a little too small.
+    """
+    place = track.place
+    if place is None or not len(place):
+        return None
+    known = np.isfinite(place.values).all(axis=1) & (np.abs(place.values[:, :2]).sum(axis=1) > 1e-6)
+    if not known.any():
+        return None
+    lat, lon, alt = (float(v) for v in np.median(place.values[known], axis=0))
+    if track.utc_offset_s is not None:
+        year = decimal_year(track.utc_offset_s + float(place.time_s[-1]))
+    # A hundredth of a degree or year is far below the model's sigma, and hits the cache.
+    return earth_field(round(lat, 2), round(lon, 2), round(alt, -1), round(year or MODEL_YEARS[0], 2))

@@ -76,11 +76,8 @@ def test_ardupilot_parameters_hold_a_correction(correction: FieldCorrection) -> 
         for naming in ("COMPASS_OFS2_X", "COMPASS2_OFS_X"):
             values = ardupilot_values(correction, instance, naming)
             assert all(len(name) <= 16 for name in values)
-            assert (
-                ardupilot_correction(values | {"COMPASS1_OFS_X": 0.0}, instance) == correction
-                if (naming == "COMPASS2_OFS_X" and instance != 1)
-                else ardupilot_correction(values, instance) == correction
-            )
+            scheme = {"COMPASS1_OFS_X": 0.0} if naming == "COMPASS2_OFS_X" else {}
+            assert ardupilot_correction(scheme | values, instance) == correction
 
 
 def test_ardupilot_spells_its_parameters_by_instance_and_scheme() -> None:
