@@ -111,9 +111,14 @@ def px4_name(quantity: str, instance: int) -> str:
 
 
 def px4_rotation(parameters: Mapping[str, float], instance: int) -> FloatArray:
-    """Return the sensor-to-body rotation, shape (3, 3), that CAL_MAGn_ROT sets (-1: none)."""
+    """Return the sensor-to-body rotation, shape (3, 3), that CAL_MAGn_ROT sets.
+
+    -1 is a sensor inside the flight controller, which is mounted as SENS_BOARD_ROT says.
+    """
     orientation = int(parameters.get(px4_name("ROT", instance), -1))
-    return sensor_orientation_matrix(max(orientation, 0))
+    if orientation < 0:
+        orientation = int(parameters.get("SENS_BOARD_ROT", 0))
+    return sensor_orientation_matrix(orientation)
 
 
 def _px4_scale(parameters: Mapping[str, float], instance: int) -> FloatArray:

@@ -44,11 +44,12 @@ class ParameterPlan:
 
 @dataclass(frozen=True, slots=True)
 class WriteOutcome:
-    """Say how a write ended: every value read back equal, and where its undo lies."""
+    """Say how a write ended: every value read back equal, where its undo lies, what else to know."""
 
     verified: bool
     undo_file: Path | None
     values: Mapping[str, float]
+    remarks: tuple[str, ...] = ()
 
 
 # Puts an undo record on disk before the first write and returns its path; injected, as procedures

@@ -1,0 +1,24 @@
+"""Choose the dialect of an autopilot."""
+
+from __future__ import annotations
+
+from mavcompass.errors import Refused
+from mavcompass.vehicle.ardupilot import ArduPilotDialect
+from mavcompass.vehicle.px4 import PX4Dialect
+
+
+def make_dialect(autopilot: str, source: str = "SOURCE") -> ArduPilotDialect | PX4Dialect:
+    """Make the dialect of "ardupilot" or "px4".
+
+    `source` is the vehicle's address as the person gave it, which goes into the command that restores.
+    Raises Refused for any other autopilot: its parameters are not known.
+    """
+    match autopilot:
+        case "ardupilot":
+            return ArduPilotDialect(source)
+        case "px4":
+            return PX4Dialect(source)
+    raise Refused(
+        f"The compass parameters of the autopilot {autopilot!r} are not known.",
+        "Connect a vehicle that runs ArduPilot or PX4.",
+    )
