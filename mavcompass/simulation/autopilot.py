@@ -1,0 +1,322 @@
+"""The simulated flight controller: its clock, its body, its sensors, its ports; no sockets.
+
+    vehicle = SimulatedAutopilot("rover", seed=7)
+    vehicle.receive(ParamRequestRead(param_id="COMPASS_OFS_X"), system=255, component=190)
+    for out in vehicle.advance(vehicle.time_s + 1.0):
+        ...
+
+Time moves only in `advance`, by fixed ticks; all randomness comes from the seed. The same seed and the
+same messages at the same times give the same bytes, however the calls to `advance` are cut.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, MutableMapping, Sequence
+
+from mavcompass.enums import COMPONENT_AUTOPILOT, MavAutopilot, MavSeverity, MavState, MavType
+from mavcompass.messages import Heartbeat, Message, Statustext
+from mavcompass.simulation.ardupilot import ArduPilot
+from mavcompass.simulation.attitude_filter import AttitudeFilter
+from mavcompass.simulation.faults import Calibration, CompassSetup, draw_compasses
+from mavcompass.simulation.firmware import Firmware, Sender
+from mavcompass.simulation.motion import Body, Drive
+from mavcompass.simulation.noise import generator
+from mavcompass.simulation.outgoing import Outgoing
+from mavcompass.simulation.profiles import VehicleProfile, profile
+from mavcompass.simulation.sensors import COMPASS_PERIOD_US, Distortion, SensorSuite, Surroundings
+from mavcompass.simulation.streams import MESSAGES, Streams
+from mavcompass.simulation.truth import Truth, truth_of
+from mavcompass.simulation.world import DEFAULT_UTC_S, Place, Wave, World
+
+GROUND_STATION = (255, 190)
+_HEARTBEAT_US = 1_000_000
+_REBOOT_SILENCE_US = 1_500_000
+_UPTIME_AT_START_US = 60_000_000
+
+
+class SimulatedAutopilot:
+    """Behave as a vehicle's flight controller does, towards messages of `mavcompass.messages`."""
+
+    def __init__(
+        self,
+        vehicle: str,
+        *,
+        seed: int = 0,
+        effects: Sequence[Distortion] = (),
+        parameters: Mapping[str, float] | None = None,
+        storage: MutableMapping[str, float] | None = None,
+        place: tuple[float, float, float] | None = None,
+        utc_start_s: float = DEFAULT_UTC_S,
+        armed: bool = True,
+        ready_s: float = 6.0,
+        start_yaw_deg: float | None = None,
+        compasses: Sequence[CompassSetup] | None = None,
+        calibration: Calibration | None = None,
+        tilt_deg: float | None = None,
+        system: int = 1,
+        other_stations: Sequence[tuple[int, int]] = (GROUND_STATION,),
+    ) -> None:
+        """Build a vehicle.
+
+        Parameters
+        ----------
+        vehicle: rover, ackermann-rover, boat, copter, sub or px4-copter.
+        seed: of everything random: iron, start heading, noise.
+        effects: further physical effects on the first compass and IMU.
+        parameters: values other than the defaults; they give way to what `storage` holds.
+        storage: what has been written to the vehicle; hand it to another instance to keep it.
+        place: latitude deg, longitude deg, altitude m; the firmware's usual place by default.
+        armed: start armed in GUIDED, position known, hovering where it flies; otherwise it starts at
+            power-up, disarmed.
+        ready_s: from power-up until the position is known (real firmware: 36 s and more).
+        start_yaw_deg: true heading at the start; by seed if not given.
+        compasses: three compasses and their calibrations; by seed if not given.
+        calibration: "old" (wrong; the default) or "exact" (the default where effects are given).
+        tilt_deg: steepness of the ground, height of the waves as tilt; by seed if not given.
+        other_stations: (system, component) of those whose heartbeats this vehicle forwards.
+        """
+        self.profile: VehicleProfile = profile(vehicle)
+        self.seed = seed
+        self.system, self.component = system, COMPONENT_AUTOPILOT
+        self.ready_s = ready_s
+        self.other_stations = tuple(other_stations)
+        rng = generator(seed, "start")
+        yaw_deg = rng.uniform(-180.0, 180.0) if start_yaw_deg is None else start_yaw_deg
+        self.world = _world(self.profile, seed, place, utc_start_s, tilt_deg)
+        if compasses is None:
+            kind = calibration or ("exact" if effects else "old")
+            compasses = draw_compasses(seed, self.world.horizontal_mgauss, kind)
+        self.compass_setups = tuple(compasses)
+        self.body = Body(self.profile, self.world, seed, math.radians(yaw_deg))
+        self.tick_us = self.profile.tick_us
+        self.sensors = SensorSuite(
+            [c.model for c in self.compass_setups],
+            effects,
+            seed,
+            self.tick_us * 1e-6,
+            self.profile.vibration_mps2,
+        )
+        self.now_us = 0
+        self.boot_us = -_UPTIME_AT_START_US if armed else 0
+        self.boots = 0
+        self.silent_until_us: int | None = None
+        self.drive = Drive()
+        self.consumed_mah = 0.0
+        self._until_us = 0
+        self._outbox: list[Outgoing] = []
+        self._ports: dict[int, Streams] = {}
+        self.firmware: Firmware = ArduPilot(self, dict(parameters or {}), storage)
+        self.filter = AttitudeFilter(seed, self.boots)
+        self._start(armed)
+
+    # --- the face towards the link -----------------------------------------------------------------
+
+    @property
+    def time_s(self) -> float:
+        """Return the virtual time, seconds since the simulation began."""
+        return self._until_us * 1e-6
+
+    @property
+    def truth(self) -> Truth:
+        """Return how things really are now: for judging results, never for getting them."""
+        return truth_of(self)
+
+    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
+        """Take a message from a station; the answer leaves with the next `advance`."""
+        self._port(port)
+        if self.silent_until_us is not None:
+            return
+        if isinstance(message, Heartbeat):
+            for other in self._ports:
+                if other != port:
+                    self._emit(self.now_us, system, component, message, other)
+        self.firmware.handle(message, Sender(system, component, port))
+
+    def advance(self, until_s: float) -> list[Outgoing]:
+        """Let time pass up to `until_s` (virtual seconds); return what was sent meanwhile."""
+        self._until_us = max(self._until_us, round(until_s * 1e6))
+        while self.now_us + self.tick_us <= self._until_us:
+            self._tick()
+        sent, self._outbox = self._outbox, []
+        sent.sort(key=_leaving_time)
+        return sent
+
+    # --- what the firmware uses --------------------------------------------------------------------
+
+    def send(self, message: Message, port: int | None = None) -> None:
+        """Send a message now, by one port or by all."""
+        self._emit(self.now_us, self.system, self.component, message, port)
+
+    def say(self, text: str, severity: MavSeverity = MavSeverity.INFO) -> None:
+        """Send a STATUSTEXT by all ports."""
+        self.send(Statustext(severity, text[:50]))
+
+    @property
+    def boot_time_s(self) -> float:
+        """Return the time since power-up or the last reboot."""
+        return (self.now_us - self.boot_us) * 1e-6
+
+    @property
+    def ready(self) -> bool:
+        """Tell whether the position is known."""
+        return self.boot_time_s >= self.ready_s
+
+    def streams(self, port: int) -> Streams:
+        """Return the message rates of a port."""
+        return self._port(port)
+
+    def reboot(self) -> None:
+        """Fall silent and power up again; what was written to parameters stays."""
+        self.silent_until_us = self.now_us + _REBOOT_SILENCE_US
+        self.drive = Drive()
+
+    # --- what happens to a vehicle: hooks for tests and demonstrations -----------------------------
+
+    def disarm(self) -> None:
+        """Let the pilot disarm."""
+        self.firmware.pilot_disarms()
+
+    def pilot_switches_mode(self, mode: str) -> None:
+        """Let the pilot move the mode switch."""
+        self.firmware.pilot_switches_mode(mode)
+
+    def pilot_moves_stick(self, channel: int = 1, pwm: int = 1800, for_s: float = 3.0) -> None:
+        """Let the pilot hold a stick (RC channel) away from its centre for a while."""
+        self.firmware.pilot_moves_stick(channel, pwm, for_s)
+
+    def battery_failsafe(self) -> None:
+        """Let the battery run low."""
+        self.firmware.battery_failsafe()
+
+    def cut_sensor(self, instance: int = 1) -> None:
+        """Unplug a compass: its last value keeps streaming, its health falls."""
+        self.firmware.lose_compass(instance, healthy=False, value=None)
+
+    def freeze_compass(self, instance: int = 1) -> None:
+        """Let a compass repeat its last value for ever, and look healthy."""
+        self.firmware.lose_compass(instance, healthy=True, value=None)
+
+    def zero_compass(self, instance: int = 1) -> None:
+        """Let a compass deliver zeros: what is left are its offsets."""
+        self.firmware.lose_compass(instance, healthy=True, value=(0.0, 0.0, 0.0))
+
+    # --- the works ---------------------------------------------------------------------------------
+
+    def _start(self, armed: bool) -> None:
+        if armed and self.profile.hovers:
+            self.body.place_at_height(self.profile.hover_m)
+        self._port(0)
+        self._sense()
+        self.sensors.read_compasses()
+        self.firmware.boot(armed)
+
+    def _sense(self) -> None:
+        self.sensors.tick(self.body, self.surroundings())
+
+    def surroundings(self) -> Surroundings:
+        """Return current, throttle and temperature at this moment."""
+        p, body = self.profile, self.body
+        rest, moving, turning = p.currents_a
+        current, throttle = rest, 0.0
+        if body.motors_on:
+            moves = 1.0 if p.hovers and not body.landed else abs(body.speed_mps) / p.speed_max_mps
+            effort = abs(body.yaw_rate_radps)
+            current += moves * (moving - rest) + turning * effort
+            throttle = min(1.0, 0.39 * moves + 0.1 * effort)
+        warm = 1.0 - math.exp(-self.boot_time_s / 600.0)
+        return Surroundings(current, throttle, 25.0 + 15.0 * warm, (throttle,) * 4)
+
+    def _tick(self) -> None:
+        dt = self.tick_us * 1e-6
+        gyro = self.sensors.samples[0].gyro_radps
+        self.body.step(dt, self.drive, gyro[2])
+        self.now_us += self.tick_us
+        self._sense()
+        if self.silent_until_us is not None:
+            if self.now_us >= self.silent_until_us:
+                self._power_up()
+            return
+        body = self.body
+        gyro = self.sensors.samples[0].gyro_radps
+        self.filter.predict(dt, gyro, body.roll_rad, body.pitch_rad)
+        if self.now_us % COMPASS_PERIOD_US == 0:
+            self.sensors.read_compasses()
+            self.firmware.use_compasses(COMPASS_PERIOD_US * 1e-6)
+        self.drive = self.firmware.control(dt)
+        self.firmware.attend()
+        if self.now_us % _HEARTBEAT_US == 0:
+            self._heartbeats()
+        for port, streams in self._ports.items():
+            for time_us, number in streams.due(self.now_us):
+                self._stream(time_us, number, port)
+
+    def _power_up(self) -> None:
+        self.silent_until_us = None
+        self.boot_us = self.now_us
+        self.boots += 1
+        self.filter = AttitudeFilter(self.seed, self.boots)
+        for port in self._ports:
+            self._ports[port] = self._new_streams()
+        self.sensors.read_compasses()
+        self.firmware.boot(armed=False)
+
+    def _heartbeats(self) -> None:
+        # The forwarded ones leave first: the first heartbeat a client hears need not be the vehicle's.
+        for system, component in self.other_stations:
+            station = Heartbeat(MavType.GCS, MavAutopilot.INVALID, 0, 0, MavState.ACTIVE)
+            self._emit(self.now_us, system, component, station, None)
+        self._emit(self.now_us, self.system, self.component, self.firmware.heartbeat(), None)
+
+    def _stream(self, time_us: int, number: int, port: int) -> None:
+        # Messages between two ticks carry readings interpolated between them.
+        share = 1.0 - (self.now_us - time_us) / self.tick_us
+        message = self.firmware.report(MESSAGES[number][0], time_us, share)
+        if message is not None:
+            self._emit(time_us, self.system, self.component, message, port)
+
+    def _emit(self, time_us: int, system: int, component: int, message: Message, port: int | None) -> None:
+        self._outbox.append(Outgoing(time_us * 1e-6, system, component, message, port))
+
+    def _port(self, port: int) -> Streams:
+        if port not in self._ports:
+            self._ports[port] = self._new_streams()
+        return self._ports[port]
+
+    def _new_streams(self) -> Streams:
+        return Streams(self.profile.loop_hz, self.firmware.default_intervals(), self.now_us)
+
+
+def _leaving_time(out: Outgoing) -> float:
+    return out.time_s
+
+
+def _world(
+    kind: VehicleProfile,
+    seed: int,
+    place: tuple[float, float, float] | None,
+    utc_start_s: float,
+    tilt_deg: float | None,
+) -> World:
+    """Build the world: the ground's slope or the waves, by seed where they are not given."""
+    rng = generator(seed, "ground")
+    heading, steepness = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.4, 1.0)
+    slope_rad, wave_rad = kind.slope_rad * steepness, kind.wave_rad * steepness
+    if tilt_deg is not None:
+        slope_rad = wave_rad = math.radians(tilt_deg)
+    waves: list[tuple[Wave, ...]] = [(), ()]
+    if kind.chassis == "boat":
+        slope_rad = 0.0
+        for axis, share in enumerate((1.0, 0.6)):
+            waves[axis] = tuple(
+                Wave(wave_rad * share * part, 2.0 * math.pi / period, rng.uniform(0.0, 2.0 * math.pi))
+                for part, period in ((0.7, rng.uniform(2.6, 3.4)), (0.3, rng.uniform(1.3, 1.9)))
+            )
+    rise = math.tan(slope_rad)
+    return World(
+        Place(*place) if place else kind.place,
+        utc_start_s,
+        slope=(rise * math.cos(heading), rise * math.sin(heading)),
+        roll_waves=waves[0],
+        pitch_waves=waves[1],
+    )

@@ -1,0 +1,217 @@
+"""How a simulated vehicle moves: turning, tilting, drifting, driving, climbing.
+
+The step is fixed and short (10 or 20 ms). Yaw is integrated by the trapezoid, so the integral of the
+true rate over any time is the angle really turned. All is plain float arithmetic: a numpy call on
+three numbers costs more than the whole step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mavcompass.correction import Vector
+from mavcompass.simulation.noise import NoiseTape, generator
+from mavcompass.simulation.profiles import VehicleProfile
+from mavcompass.simulation.world import World
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+Rotation = tuple[float, float, float, float, float, float, float, float, float]
+
+# A hovering vehicle's short tilts accelerate it, and so hardly show in its accelerometer; only the
+# tilt that the drag balances does.
+_TILT_SEEN_BY_ACCELEROMETER = 0.3
+_CLIMB_LAG_S = 0.4
+_SPEED_ACCELERATION_MPS2 = 1.5
+
+
+@dataclass(slots=True)
+class Drive:
+    """Say what the controllers ask of the chassis.
+
+    `yaw_rate_radps` None lets go of the yaw (brakes on the ground, coasts in air and water).
+    """
+
+    yaw_rate_radps: float | None = None
+    speed_mps: float = 0.0
+    climb_mps: float = 0.0
+    motors_on: bool = False
+
+
+def rotation_matrix(roll: float, pitch: float, yaw: float) -> Rotation:
+    """Return the body-to-NED rotation, row by row."""
+    cr, sr = math.cos(roll), math.sin(roll)
+    cp, sp = math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return (
+        cp * cy,
+        sr * sp * cy - cr * sy,
+        cr * sp * cy + sr * sy,
+        cp * sy,
+        sr * sp * sy + cr * cy,
+        cr * sp * sy - sr * cy,
+        -sp,
+        sr * cp,
+        cr * cp,
+    )
+
+
+class Body:
+    """Be the true vehicle: where it is, how it stands and moves.
+
+    `height_m` is above the start's ground (negative under water); `landed` tells that the ground
+    carries it.
+    """
+
+    def __init__(self, profile: VehicleProfile, world: World, seed: int, yaw_rad: float) -> None:
+        self.profile = profile
+        self.world = world
+        self.yaw_rad = yaw_rad
+        self.yaw_rate_radps = 0.0
+        self.roll_rad = self.pitch_rad = 0.0
+        self.roll_rate_radps = self.pitch_rate_radps = 0.0
+        self.north_m = self.east_m = self.height_m = 0.0
+        self.speed_mps = self.climb_mps = 0.0
+        self.velocity_ned_mps: Vector = (0.0, 0.0, 0.0)
+        self.forward_acceleration_mps2 = 0.0
+        self.time_s = 0.0
+        self.motors_on = False
+        self._tape = NoiseTape(generator(seed, "motion"), 4)
+        self._jitter = [0.0, 0.0, 0.0, 0.0]
+        self._unrest_radps = 0.0
+        rng = generator(seed, "wind")
+        heading, strength = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.3, 1.0)
+        lean = 2.0 * profile.jitter_rad * strength
+        self._lean_ned = (lean * math.cos(heading), lean * math.sin(heading))
+        self._stream_mps = (
+            (0.12 * strength * math.cos(heading), 0.12 * strength * math.sin(heading))
+            if profile.chassis == "boat"
+            else (0.0, 0.0)
+        )
+        self._settle()
+
+    @property
+    def landed(self) -> bool:
+        """Tell whether the ground carries the vehicle."""
+        return not self.profile.hovers or (self.profile.hover_m > 0.0 and self.height_m <= 0.0)
+
+    def place_at_height(self, height_m: float) -> None:
+        """Put the vehicle at a height, at rest, motors running: the start of a hover."""
+        self.height_m = height_m
+        self.motors_on = True
+        self._settle()
+
+    def step(self, dt_s: float, drive: Drive, measured_yaw_rate_radps: float) -> None:
+        """Move on by one step; the rate controller sees the gyro's rate, not the true one."""
+        self.time_s += dt_s
+        self.motors_on = drive.motors_on
+        noise = self._tape.row()
+        self._turn(dt_s, drive, measured_yaw_rate_radps, noise[0])
+        self._translate(dt_s, drive)
+        self._tilt(dt_s, noise)
+        self._settle()
+
+    def _turn(self, dt: float, drive: Drive, measured: float, noise: float) -> None:
+        p = self.profile
+        limit = p.yaw_acceleration_radps2
+        if drive.yaw_rate_radps is None:
+            acceleration = max(-p.coast_radps2, min(p.coast_radps2, -self.yaw_rate_radps / dt))
+        else:
+            wanted = max(-p.yaw_rate_max_radps, min(p.yaw_rate_max_radps, drive.yaw_rate_radps))
+            if p.turn_radius_m:
+                most = abs(self.speed_mps) / p.turn_radius_m
+                wanted = max(-most, min(most, wanted))
+            acceleration = max(-2.0 * limit, min(2.0 * limit, (wanted - measured) / p.yaw_lag_s))
+        if p.yaw_unrest_radps and not self.landed_on_ground:
+            # Gusts and small waves: a first-order process with a time constant of two seconds.
+            self._unrest_radps += -0.5 * dt * self._unrest_radps
+            self._unrest_radps += p.yaw_unrest_radps * math.sqrt(dt) * noise
+            acceleration += self._unrest_radps
+        before = self.yaw_rate_radps
+        self.yaw_rate_radps = before + acceleration * dt
+        yaw = self.yaw_rad + 0.5 * (before + self.yaw_rate_radps) * dt
+        self.yaw_rad = (yaw + math.pi) % (2.0 * math.pi) - math.pi
+
+    @property
+    def landed_on_ground(self) -> bool:
+        """Tell whether it stands on solid ground."""
+        return self.landed and self.profile.chassis != "boat"
+
+    def _translate(self, dt: float, drive: Drive) -> None:
+        most = _SPEED_ACCELERATION_MPS2 * dt
+        change = max(-most, min(most, drive.speed_mps - self.speed_mps))
+        self.speed_mps += change
+        self.forward_acceleration_mps2 = change / dt
+        stream = self._stream_mps
+        north = self.speed_mps * math.cos(self.yaw_rad) + stream[0]
+        east = self.speed_mps * math.sin(self.yaw_rad) + stream[1]
+        self.north_m += north * dt
+        self.east_m += east * dt
+        if self.profile.hovers:
+            self.climb_mps += (drive.climb_mps - self.climb_mps) * dt / _CLIMB_LAG_S
+            self.height_m += self.climb_mps * dt
+            bottom, top = (0.0, math.inf) if self.profile.hover_m > 0.0 else (-100.0, 0.0)
+            if not bottom < self.height_m < top:
+                self.height_m = max(bottom, min(top, self.height_m))
+                self.climb_mps = 0.0
+        self.velocity_ned_mps = (north, east, -self.climb_mps)
+
+    def _tilt(self, dt: float, noise: list[float]) -> None:
+        """Let roll and pitch of a hovering vehicle swing: damped oscillators driven by noise."""
+        p = self.profile
+        if not p.jitter_rad:
+            return
+        j = self._jitter
+        if self.landed:
+            j[0] = j[1] = j[2] = j[3] = 0.0
+            return
+        omega = 2.0 * math.pi / p.jitter_period_s
+        zeta = 0.5
+        # The stationary variance of x of x'' + 2 z w x' + w^2 x = q n is q^2 / (4 z w^3).
+        drive = p.jitter_rad * math.sqrt(4.0 * zeta * omega**3) * math.sqrt(dt)
+        for i in (0, 1):
+            rate = j[2 + i] + dt * (-2.0 * zeta * omega * j[2 + i] - omega * omega * j[i])
+            j[2 + i] = rate + drive * noise[1 + i]
+            j[i] += dt * j[2 + i]
+
+    def _settle(self) -> None:
+        """Bring attitude, rotation, body rate and specific force in line with the state."""
+        if self.landed_on_ground:
+            tilt = self.world.ground_tilt(self.yaw_rad, self.yaw_rate_radps)
+        elif self.profile.chassis == "boat":
+            tilt = self.world.water_tilt(self.time_s)
+        else:
+            tilt = self._hover_tilt()
+        self.roll_rad, self.pitch_rad, self.roll_rate_radps, self.pitch_rate_radps = tilt
+        self.rotation = rotation_matrix(self.roll_rad, self.pitch_rad, self.yaw_rad)
+        self.rate_radps = self._body_rate()
+        self.specific_force_mps2 = self._specific_force()
+
+    def _hover_tilt(self) -> tuple[float, float, float, float]:
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        ahead = self._lean_ned[0] * c + self._lean_ned[1] * s
+        right = -self._lean_ned[0] * s + self._lean_ned[1] * c
+        j, w = self._jitter, self.yaw_rate_radps
+        return right + j[0], -ahead + j[1], -ahead * w + j[2], -right * w + j[3]
+
+    def _body_rate(self) -> Vector:
+        sr, cr = math.sin(self.roll_rad), math.cos(self.roll_rad)
+        sp, cp = math.sin(self.pitch_rad), math.cos(self.pitch_rad)
+        return (
+            self.roll_rate_radps - self.yaw_rate_radps * sp,
+            self.pitch_rate_radps * cr + self.yaw_rate_radps * cp * sr,
+            -self.pitch_rate_radps * sr + self.yaw_rate_radps * cp * cr,
+        )
+
+    def _specific_force(self) -> Vector:
+        m, g = self.rotation, STANDARD_GRAVITY_MPS2
+        x, y, z = -g * m[6], -g * m[7], -g * m[8]
+        if self.landed_on_ground or self.profile.chassis == "boat":
+            return (
+                x + self.forward_acceleration_mps2,
+                y + self.speed_mps * self.yaw_rate_radps,
+                z,
+            )
+        j = self._jitter
+        unseen = 1.0 - _TILT_SEEN_BY_ACCELEROMETER
+        return x - g * unseen * j[1], y + g * unseen * j[0], z

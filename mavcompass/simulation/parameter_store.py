@@ -1,0 +1,120 @@
+"""A simulated flight controller's parameters: names, types, float32 values that survive a reboot."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping, MutableMapping
+from dataclasses import dataclass
+from functools import cache
+
+from mavcompass.data_files import params_path
+from mavcompass.enums import MavParamType
+
+_INTEGER_RANGES = {
+    MavParamType.INT8: (-128, 127),
+    MavParamType.INT16: (-32768, 32767),
+    MavParamType.INT32: (-(2**31), 2**31 - 1),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """Hold a parameter's default and type."""
+
+    default: float
+    type: MavParamType
+
+
+@cache
+def parameter_table(*files: str) -> Mapping[str, Parameter]:
+    """Read files of `params/simulated`; later files override and add. Sorted by name."""
+    table: dict[str, Parameter] = {}
+    for file in files:
+        for line in params_path(f"simulated/{file}").read_text(encoding="ascii").splitlines():
+            if line.strip() and not line.startswith("#"):
+                name, value, kind = line.split()
+                table[name] = Parameter(float(value), MavParamType(int(kind)))
+    return dict(sorted(table.items()))
+
+
+def as_float32(value: float) -> float:
+    """Round to what a 32 bit float holds; infinite where it is too large for one."""
+    try:
+        return float(struct.unpack("<f", struct.pack("<f", value))[0])
+    except OverflowError:
+        return math.copysign(math.inf, value)
+
+
+class ParameterStore:
+    """Hold the values; what is written goes into `storage`, which outlives a reboot or the object."""
+
+    def __init__(
+        self,
+        table: Mapping[str, Parameter],
+        defaults: Mapping[str, float],
+        storage: MutableMapping[str, float] | None = None,
+    ) -> None:
+        self._table = dict(table)
+        self.storage: MutableMapping[str, float] = {} if storage is None else storage
+        self._values = {n: as_float32(defaults.get(n, p.default)) for n, p in self._table.items()}
+        for name, value in self.storage.items():
+            if name in self._values:
+                self._values[name] = as_float32(value)
+        self.names = tuple(self._table)
+        self._index = {name: i for i, name in enumerate(self.names)}
+
+    def __contains__(self, name: str) -> bool:
+        """Tell whether there is such a parameter."""
+        return name in self._values
+
+    def __getitem__(self, name: str) -> float:
+        """Return a value; KeyError for an unknown name."""
+        return self._values[name]
+
+    def __len__(self) -> int:
+        """Count the parameters."""
+        return len(self.names)
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Return all values by name (a live view: do not change it)."""
+        return self._values
+
+    def get(self, name: str, default: float = 0.0) -> float:
+        """Return a value, or the default where this vehicle lacks the parameter."""
+        return self._values.get(name, default)
+
+    def index(self, name: str) -> int:
+        """Return the parameter's place in the list."""
+        return self._index[name]
+
+    def type(self, name: str) -> MavParamType:
+        """Return the parameter's type."""
+        return self._table[name].type
+
+    def set(self, name: str, value: float, keep: bool = True) -> bool:
+        """Set a value; False (and nothing set) for an unknown name or a number that is none.
+
+        Without `keep` it holds until the next power-up only.
+        """
+        if name not in self._values or not math.isfinite(value):
+            return False
+        limits = _INTEGER_RANGES.get(self.type(name))
+        if limits:
+            value = float(max(limits[0], min(limits[1], math.floor(value + 0.5))))
+        value = as_float32(value)
+        if not math.isfinite(value):
+            return False
+        self._values[name] = value
+        if keep:
+            self.storage[name] = value
+        return True
+
+    def vector_of(self, name: str) -> tuple[str, ...]:
+        """List the three names of the vector that an _X element opens; nothing for any other name."""
+        stem = name.removesuffix("_X")
+        axes = (name, f"{stem}_Y", f"{stem}_Z")
+        if stem == name or any(a not in self._table for a in axes):
+            return ()
+        return axes if all(self.type(a) == MavParamType.REAL32 for a in axes) else ()
