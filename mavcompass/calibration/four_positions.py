@@ -36,6 +36,9 @@ from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, wrap_two_pi
 
+# Below this probability of the agreement the covariance is widened and a disturbed dwell looked for.
+WIDENED_BELOW = 0.01
+
 # Sources of the heading's uncertainty, as the report names them.
 SOURCES = ("noise", "step_angle", "tilt", "world_model", "quantisation", "disturbance", "prior")
 
@@ -51,6 +54,7 @@ class FourPositionsResult:
         residual_rms_mgauss: over dwells and axes.
         chi_square, degrees_of_freedom, consistency: how well the K positions agree with one rigid
             compass; `consistency` is the probability of a worse agreement by chance.
+        disturbance_mgauss: the size of a change in one dwell that would explain the disagreement.
         suspects: dwells (from 0) of which one was disturbed, most likely first; empty if none was.
         budget_rad: the heading's rms sigma by source; the squares add up to the whole.
         world_model: True where the Earth's field at the place was used.
@@ -67,6 +71,7 @@ class FourPositionsResult:
     chi_square: float
     degrees_of_freedom: int
     consistency: float
+    disturbance_mgauss: float
     suspects: tuple[int, ...]
     budget_rad: dict[str, float]
     world_model: bool
@@ -114,31 +119,35 @@ def solve_four_positions(
     """
     problem = PositionProblem.of(data, in_force, earth, prior)
     fit = fit_positions(problem)
-    blend = weigh_cross_terms(fit, prior)
-    chi_square, freedom = fit.chi_square, fit.freedom
-    consistency = _chance(chi_square, freedom)
-    suspects = _suspects(data, in_force, earth, prior, fit) if consistency < 0.01 else ()
-    # The cross terms' blend shifts all that is correlated with them; the budget keeps its shares.
-    budget = _budget(problem, fit, blend)
-    factor = _normalisation(blend.state) if earth is None else 1.0
+    consistency = _chance(fit.chi_square, fit.freedom)
+    # A worse agreement than chance gives: whatever moved has bent the answer as much as the residuals.
+    excess = max(fit.chi_square / fit.freedom, 1.0) if consistency < WIDENED_BELOW else 1.0
+    blend = weigh_cross_terms(fit.state, excess * fit.covariance, prior)
+    budget = _budget(problem, fit, blend, excess)
     residual = fit.residual
     return FourPositionsResult(
-        correction=_correction(blend.state, in_force, factor),
+        correction=_correction(blend.state, in_force, earth is not None),
         names=(*NAMES, *(f"heading_{k + 1}" for k in range(len(data.dwells)))),
         state=blend.state,
         covariance=blend.covariance,
         residual_mgauss=residual,
         residual_rms_mgauss=math.sqrt(float((residual**2).mean())),
-        chi_square=chi_square,
-        degrees_of_freedom=freedom,
+        chi_square=fit.chi_square,
+        degrees_of_freedom=fit.freedom,
         consistency=consistency,
-        suspects=suspects,
+        disturbance_mgauss=_disturbance(residual, fit.freedom),
+        suspects=_suspects(data, in_force, earth, prior, fit) if consistency < WIDENED_BELOW else (),
         budget_rad=budget,
         world_model=earth is not None,
         mirrored=problem.mirrored,
         cross_probability=blend.cross_probability,
         iterations=fit.iterations,
     )
+
+
+def _disturbance(residual: FloatArray, freedom: int) -> float:
+    """Estimate the change in one dwell from what the fit could not absorb of it, milligauss."""
+    return math.sqrt(float((residual**2).sum()) * residual.size / max(freedom, 1))
 
 
 def _chance(chi_square: float, freedom: int) -> float:
@@ -150,7 +159,7 @@ def _chance(chi_square: float, freedom: int) -> float:
     return float(gammaincc(freedom / 2.0, chi_square / 2.0))
 
 
-def _budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> dict[str, float]:
+def _budget(problem: PositionProblem, fit: PositionFit, blend: Blend, excess: float) -> dict[str, float]:
     """Split the heading's rms sigma by source: each source's covariance is carried through the fit."""
     k = len(problem.mean)
     circle = np.arange(36) * (2.0 * math.pi / 36)
@@ -173,7 +182,9 @@ def _budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> dict[st
         variance[_source_of(int(place))] += float(share)
     variance["prior"] += float(rest[-1])
     whole = float(np.einsum("ni,ij,nj->n", gradient, blend.covariance, gradient).mean())
-    factor = whole / max(sum(variance.values()), 1e-30)
+    # The blend of the cross terms shifts the whole a little; the shares are kept.
+    factor = whole / (excess * max(sum(variance.values()), 1e-30))
+    variance["disturbance"] += (excess - 1.0) * sum(variance.values())
     return {name: math.sqrt(value * factor) for name, value in variance.items()}
 
 
@@ -212,17 +223,19 @@ def _suspects(
     return tuple(int(i) for i in likely)
 
 
-def _normalisation(state: FloatArray) -> float:
-    """Return the factor that makes the mean of the horizontal diagonals 1: the scale is not known."""
-    diagonal = np.diag(np.linalg.inv(gain_matrix(state[GAIN])))
-    return 2.0 / float(diagonal[0] + diagonal[1])
+def _correction(state: FloatArray, in_force: FieldCorrection, world_model: bool) -> FieldCorrection:
+    """Turn the fitted state into a correction; the motor term in force is carried into its matrix.
 
-
-def _correction(state: FloatArray, in_force: FieldCorrection, factor: float) -> FieldCorrection:
-    """Turn the fitted state into a correction; the motor term in force is carried into its matrix."""
-    matrix = factor * np.linalg.inv(gain_matrix(state[GAIN]))
+    Without the world model neither the scale nor Z is known: the horizontal diagonals then average 1,
+    and offset and diagonal of Z stay as they are in force.
+    """
+    matrix = np.linalg.inv(gain_matrix(state[GAIN]))
+    offsets = -state[OFFSET]
+    if not world_model:
+        matrix = matrix * 2.0 / (matrix[0, 0] + matrix[1, 1])
+        matrix[2, 2] = in_force.matrix[2, 2]
+        offsets = np.array([*offsets[:2], in_force.offsets_mgauss[2]])
     matrix = 0.5 * (matrix + matrix.T)
-    motor = matrix @ np.linalg.solve(in_force.matrix, np.asarray(in_force.motor_mgauss))
-    correction = FieldCorrection.from_matrix(-state[OFFSET], matrix)
-    x, y, z = (float(v) for v in motor)
+    x, y, z = (matrix @ np.linalg.solve(in_force.matrix, np.asarray(in_force.motor_mgauss))).tolist()
+    correction = FieldCorrection.from_matrix(offsets, matrix)
     return replace(correction, motor_mgauss=(x, y, z), motor_source=in_force.motor_source)

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.turning import TurnRecord, down_in_body, turn_record
+from mavcompass.calibration.turning import TurnRecord, turn_record
 from mavcompass.calibration.wire import effective_count, unquantise
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
+from mavcompass.heading.gravity import down_in_body
 from mavcompass.track import MagSeries, Track
 
 # The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.

@@ -152,14 +152,13 @@ class Blend:
     cross_probability: tuple[float, float]
 
 
-def weigh_cross_terms(fit: PositionFit, prior: IronPrior) -> Blend:
+def weigh_cross_terms(state: FloatArray, covariance: FloatArray, prior: IronPrior) -> Blend:
     """Weigh 'there are cross terms' against 'there are none' and blend the two.
 
     Both are one Gaussian: without cross terms is the fit conditioned on their being 0. The odds are the
     density of 0 after over that before the data (Savage and Dickey), even odds to begin with. Where the
     data cannot tell, the blend costs less than either: a cross term that is not there is not paid for.
     """
-    state, covariance = fit.state, fit.covariance
     horizontal, (state, covariance) = _spike_and_slab(state, covariance, [6], prior.cross_sigma)
     vertical, (state, covariance) = _spike_and_slab(state, covariance, [7, 8], prior.cross_sigma)
     return Blend(state, covariance, (horizontal, vertical))

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from mavcompass.frames import FloatArray
+from mavcompass.heading.gravity import down_in_body
 from mavcompass.track import Track
 
 # Autopilots zero their gyros at power-up; what is left drifts with temperature.
@@ -24,9 +25,7 @@ GYRO_SCALE_SIGMA = 0.01
 _WINDOW_S = 3.0
 # Windows share their errors (a creep below the compass's resolution): no more than two count as independent.
 _INDEPENDENT_WINDOWS = 2.0
-_GRAVITY_SMOOTHING_S = 0.6
 _GAP_S = 0.5
-_ON_THE_GROUND = frozenset({"rover", "ackermann-rover", "boat"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,36 +75,6 @@ class TurnRecord:
         gaps = steps > _GAP_S
         lost = float(np.sum(np.abs(np.diff(rate))[gaps] * steps[gaps])) if gaps.any() else 0.0
         return math.sqrt(white**2 + sampling**2 + lost**2)
-
-
-def _smooth(time_s: FloatArray, values: FloatArray, width_s: float) -> FloatArray:
-    """Average over a centred window of a fixed length in time, column by column."""
-    total = np.vstack([np.zeros(values.shape[1:])[np.newaxis], np.cumsum(values, axis=0)])
-    first = np.searchsorted(time_s, time_s - width_s / 2.0, side="left")
-    last = np.searchsorted(time_s, time_s + width_s / 2.0, side="right")
-    count = (last - first).astype(np.float64)
-    return (total[last] - total[first]) / (count[:, np.newaxis] if values.ndim == 2 else count)
-
-
-def down_in_body(track: Track, time_s: FloatArray) -> FloatArray:
-    """Return the unit vector that points down, in body axes, (N, 3), without using any yaw.
-
-    On the ground the smoothed accelerometer; in flight, where it shows the thrust instead of gravity,
-    the autopilot's roll and pitch. Whichever was recorded where only one was; level where neither.
-    """
-    attitude, acc = track.attitude_rad, track.acc_mps2
-    has_attitude = attitude is not None and len(attitude) and np.isfinite(attitude.values[:, :2]).any()
-    has_acc = acc is not None and len(acc) and np.isfinite(acc.values).all(axis=1).any()
-    if attitude is not None and has_attitude and not (has_acc and track.vehicle in _ON_THE_GROUND):
-        roll, pitch = attitude.at(time_s)[:, 0], attitude.at(time_s)[:, 1]
-        return np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
-    if acc is None or not has_acc:
-        return np.tile([0.0, 0.0, 1.0], (time_s.size, 1))
-    usable = np.isfinite(acc.values).all(axis=1)
-    down = -_smooth(acc.time_s[usable], np.asarray(acc.values)[usable], _GRAVITY_SMOOTHING_S)
-    columns = [np.interp(time_s, acc.time_s[usable], column) for column in down.T]
-    down = np.stack(columns, axis=1)
-    return down / np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9)
 
 
 def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:

@@ -1,0 +1,157 @@
+"""What a calibration gives: a correction, what is known of it in degrees, and a verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mavcompass.calibration.model import HeadingError
+from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.frames import FloatArray, wrap_pi
+from mavcompass.heading.compute import level_heading
+
+METHODS = (
+    "four-positions",
+    "four-positions-textbook",
+    "min-max",
+    "sensitivity-bias",
+    "sphere",
+    "ellipsoid",
+    "world-field",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Position:
+    """Hold one still position as the report shows it.
+
+    Attributes:
+        turned_deg: the angle turned since the first position.
+        mean_mgauss: the mean raw field, (3,). samples: fresh readings in it.
+        residual_mgauss: measured less fitted, (3,); nan where the method has none.
+    """
+
+    turned_deg: float
+    mean_mgauss: FloatArray
+    samples: int
+    residual_mgauss: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationResult:
+    """Hold one compass's calibration.
+
+    Attributes:
+        instance: the compass, from 1. method: one of METHODS.
+        accepted: True where the correction is worth writing; `reasons` say why not, in a pilot's words.
+        warnings: what the pilot should know although it is accepted.
+        raw_offset_mgauss: hard iron, (3,): raw = field + offset.
+        correction: to put in force. in_force: the one that was.
+        covariance_names, covariance: of the fitted quantities.
+        not_observable: quantities this motion cannot determine; where they came from is in `warnings`.
+        residual_rms_mgauss: measured less fitted.
+        heading_sigma_deg: the level heading's predicted error, 1 sigma, rms over the circle.
+        heading_budget_deg: its parts by source; their squares add up.
+        heading_error: the same as a function of heading and tilt; None for methods without covariance.
+        heading_change_deg: old correction against new on the same field, rms over the circle.
+        heading_change_max_deg: the largest such difference.
+        horizontal_mgauss, vertical_mgauss: the Earth's field the fit arrived at.
+        positions: the still positions used.
+        parameters: the autopilot's parameters that put the correction in force.
+    """
+
+    instance: int
+    method: str
+    accepted: bool
+    reasons: tuple[str, ...]
+    raw_offset_mgauss: FloatArray
+    correction: FieldCorrection
+    in_force: FieldCorrection = IDENTITY
+    warnings: tuple[str, ...] = ()
+    covariance_names: tuple[str, ...] = ()
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    not_observable: tuple[str, ...] = ()
+    residual_rms_mgauss: float = math.nan
+    heading_sigma_deg: float = math.nan
+    heading_budget_deg: Mapping[str, float] = field(default_factory=dict)
+    heading_error: HeadingError | None = None
+    heading_change_deg: float = math.nan
+    heading_change_max_deg: float = math.nan
+    horizontal_mgauss: float = math.nan
+    vertical_mgauss: float = math.nan
+    positions: tuple[Position, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the entry of `compasses` in the calibration JSON; nan becomes null."""
+        c = self.correction
+        return {
+            "instance": self.instance,
+            "method": self.method,
+            "accepted": self.accepted,
+            "reasons": list(self.reasons),
+            "warnings": list(self.warnings),
+            "raw_offset_mgauss": _numbers(self.raw_offset_mgauss),
+            "correction": {
+                "offsets_mgauss": _numbers(c.offsets_mgauss),
+                "diagonals": _numbers(c.diagonals),
+                "off_diagonals": _numbers(c.off_diagonals),
+                "scale": _number(c.scale),
+            },
+            "covariance": {
+                "names": list(self.covariance_names),
+                "matrix": [_numbers(row) for row in self.covariance],
+            },
+            "not_observable": list(self.not_observable),
+            "residual_rms_mgauss": _number(self.residual_rms_mgauss),
+            "heading_sigma_deg": _number(self.heading_sigma_deg),
+            "heading_error_budget_deg": {k: _number(v) for k, v in self.heading_budget_deg.items()},
+            "heading_change_deg": _number(self.heading_change_deg),
+            "heading_change_max_deg": _number(self.heading_change_max_deg),
+            "field_mgauss": {
+                "horizontal": _number(self.horizontal_mgauss),
+                "vertical": _number(self.vertical_mgauss),
+            },
+            "positions": [
+                {
+                    "turned_deg": _number(p.turned_deg),
+                    "mean_mgauss": _numbers(p.mean_mgauss),
+                    "samples": p.samples,
+                    "residual_mgauss": _numbers(p.residual_mgauss),
+                }
+                for p in self.positions
+            ],
+            "parameters": {name: _number(value) for name, value in self.parameters.items()},
+        }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _numbers(values: Any) -> list[float | None]:
+    return [_number(v) for v in np.asarray(values, dtype=np.float64).ravel()]
+
+
+def heading_change_rad(
+    old: FieldCorrection, new: FieldCorrection, horizontal_mgauss: float, vertical_mgauss: float
+) -> FloatArray:
+    """Return by how much the heading changes from `old` to `new`, level, at 72 true headings, (72,).
+
+    The field is taken to be what `new` makes of the raw readings, so for a good `new` this is the
+    error of `old`.
+    """
+    psi = np.arange(72) * (2.0 * math.pi / 72)
+    field_mgauss = np.stack(
+        [
+            horizontal_mgauss * np.cos(psi),
+            -horizontal_mgauss * np.sin(psi),
+            np.full(72, vertical_mgauss),
+        ],
+        axis=1,
+    )
+    return np.asarray(wrap_pi(level_heading(old.apply(new.undo(field_mgauss))) - psi))

@@ -1,0 +1,197 @@
+"""Accept or refuse a calibration by the heading error it would leave, in words a pilot understands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavcompass.calibration.four_positions import FourPositionsResult
+from mavcompass.calibration.model import GAIN, HORIZONTAL
+from mavcompass.calibration.observation import Dwell, FourPositionData
+from mavcompass.frames import FloatArray, circular_mean, wrap_pi
+from mavcompass.units import DEG_PER_RAD
+
+# The Earth's horizontal field is between these nearly everywhere people drive; its total never leaves
+# 220 to 670 milligauss.
+EARTH_TOTAL_MGAUSS = (220.0, 670.0)
+_WIRE_LIMIT_MGAUSS = 32000.0
+_WORLD_MISMATCH = 0.3
+_TURNED_MOUNT = 0.35
+_UNLIKELY = 1e-3
+
+SOURCE_WORDS = {
+    "noise": "noise of the compass (dwell longer)",
+    "step_angle": "the angles turned (turn faster, or a better gyro)",
+    "tilt": "tilt (stand on level, firm ground)",
+    "world_model": "the Earth's field at this place (move away from steel and buildings)",
+    "quantisation": "the whole milligauss of the messages",
+    "disturbance": "something magnetic that changed between the positions",
+    "prior": "too few positions for all that is unknown (turn through four)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Set what is accepted: the predicted heading error in degrees, 1 sigma rms over the circle."""
+
+    heading_deg: float = 2.0
+
+
+DEFAULT_LIMITS = Limits()
+
+
+def judge(
+    data: FourPositionData,
+    fit: FourPositionsResult,
+    limits: Limits = DEFAULT_LIMITS,
+    reference_headings_rad: FloatArray | None = None,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the reasons to refuse a four-position fit and the warnings if it is accepted.
+
+    `reference_headings_rad` (K,) are the dwells' magnetic headings by something else (GPS yaw, another
+    compass), nan where unknown: they tell a compass that is mounted turned.
+    """
+    reasons: list[str] = []
+    warnings: list[str] = []
+    reasons += _geometry(data, fit)
+    reasons += _field_size(data, fit)
+    reasons += _mounting(fit, reference_headings_rad)
+    sigma = fit.heading_sigma_rad * DEG_PER_RAD
+    if sigma > limits.heading_deg:
+        worst = max(fit.budget_rad, key=lambda name: fit.budget_rad[name])
+        reasons.append(
+            f"The heading would be uncertain by {sigma:.1f} degrees (limit {limits.heading_deg:g}), "
+            f"most of it from {SOURCE_WORDS[worst]}."
+        )
+    _judge_disturbance(data, fit, limits, reasons, warnings)
+    _judge_current(data, fit, limits, reasons, warnings)
+    return tuple(reasons), tuple(warnings)
+
+
+def largest_gap_rad(turned_rad: FloatArray) -> float:
+    """Return the largest empty arc between positions on the circle, radians."""
+    ordered = np.sort(np.asarray(turned_rad) % (2.0 * math.pi))
+    return float(np.diff(np.concatenate([ordered, [ordered[0] + 2.0 * math.pi]])).max())
+
+
+def _geometry(data: FourPositionData, fit: FourPositionsResult) -> list[str]:
+    gap = largest_gap_rad(data.turned_rad)
+    if gap > math.radians(200.0):
+        covered = 360.0 - gap * DEG_PER_RAD
+        return [
+            f"The vehicle turned too little: the positions cover only {covered:.0f} degrees of the circle. "
+            "Turn it in four steps of about 90 degrees."
+        ]
+    return []
+
+
+def _field_size(data: FourPositionData, fit: FourPositionsResult) -> list[str]:
+    means = np.array([d.mean_mgauss for d in data.dwells])
+    if np.abs(means).max() > _WIRE_LIMIT_MGAUSS:
+        return ["The compass is saturated: its readings stand at the end of their range."]
+    gain = 0.5 * (fit.state[GAIN][0] + fit.state[GAIN][1])
+    if fit.world_model and abs(gain - 1.0) > _WORLD_MISMATCH:
+        return [
+            f"The field that turns with the vehicle is {100.0 * gain:.0f} % of the Earth's field at this "
+            "place: steel near the vehicle or under the ground, or a compass that is not what it should be. "
+            "Move at least 10 m away and repeat."
+        ]
+    horizontal = float(fit.state[HORIZONTAL]) * gain
+    if not fit.world_model and not 15.0 < horizontal < 1.2 * EARTH_TOTAL_MGAUSS[1]:
+        return [
+            f"The field that turns with the vehicle is {horizontal:.0f} mG; the Earth's is nowhere so "
+            f"{'weak' if horizontal < 100.0 else 'strong'}."
+        ]
+    return []
+
+
+def _mounting(fit: FourPositionsResult, reference: FloatArray | None) -> list[str]:
+    if fit.mirrored:
+        return [
+            "The field turns against the gyro: the compass is mounted upside down or its orientation "
+            "parameter is wrong (COMPASS_ORIENT, CAL_MAGn_ROT). Correct the orientation and repeat."
+        ]
+    xz, yz = fit.state[GAIN][4:6]
+    if math.hypot(xz, yz) > _TURNED_MOUNT:
+        return [
+            "The compass's vertical axis sees the horizontal field: it is mounted on its side or its "
+            "orientation parameter is wrong. Correct the orientation and repeat."
+        ]
+    if reference is None or not np.isfinite(reference).any():
+        return []
+    known = np.isfinite(reference)
+    off = circular_mean(wrap_pi(fit.magnetic_headings_rad - reference)[known]) * DEG_PER_RAD
+    if abs(off) > 30.0:
+        return [
+            f"The heading is {off:+.0f} degrees away from the vehicle's other heading source: the "
+            f"compass seems mounted turned by {90.0 * round(off / 90.0):.0f} degrees. Correct its orientation and repeat."
+        ]
+    return []
+
+
+def _name_positions(indices: tuple[int, ...]) -> str:
+    numbers = [str(i + 1) for i in sorted(indices)]
+    if not numbers:
+        return "the positions"
+    if len(numbers) == 1:
+        return f"position {numbers[0]}"
+    return f"position {', '.join(numbers[:-1])} or {numbers[-1]}"
+
+
+def _judge_disturbance(
+    data: FourPositionData,
+    fit: FourPositionsResult,
+    limits: Limits,
+    reasons: list[str],
+    warnings: list[str],
+) -> None:
+    horizontal = float(fit.state[HORIZONTAL]) * 0.5 * float(fit.state[GAIN][0] + fit.state[GAIN][1])
+    for index, dwell in enumerate(data.dwells):
+        degrees = math.atan2(dwell.unsteady_mgauss, horizontal) * DEG_PER_RAD
+        if degrees > limits.heading_deg:
+            reasons.append(
+                f"At position {index + 1} the field changed by {dwell.unsteady_mgauss:.0f} mG while "
+                "the vehicle stood still: something magnetic moved nearby, or a motor ran."
+            )
+    apart = fit.disturbance_mgauss
+    degrees = math.atan2(apart, horizontal) * DEG_PER_RAD
+    if fit.consistency < _UNLIKELY and degrees > 0.25 * limits.heading_deg:
+        reasons.append(
+            f"The positions do not fit one rigid compass: {_name_positions(fit.suspects)} is off by about "
+            f"{apart:.0f} mG ({degrees:.1f} degrees). Something magnetic moved nearby, or the vehicle "
+            "slipped. Repeat it there."
+        )
+    elif fit.consistency < 0.01:
+        warnings.append(
+            f"The positions fit worse than their noise explains ({_name_positions(fit.suspects)}); "
+            "the uncertainty is widened by that."
+        )
+
+
+def current_range_a(dwells: tuple[Dwell, ...]) -> float:
+    """Return how much the battery current differed between positions, amperes; 0 where unknown."""
+    current = np.array([d.current_a for d in dwells])
+    return float(np.ptp(current)) if np.isfinite(current).all() else 0.0
+
+
+def _judge_current(
+    data: FourPositionData,
+    fit: FourPositionsResult,
+    limits: Limits,
+    reasons: list[str],
+    warnings: list[str],
+) -> None:
+    swing = current_range_a(data.dwells)
+    if swing < 1.0:
+        return
+    share = fit.budget_rad["disturbance"] * DEG_PER_RAD
+    sentence = f"The battery current differed by {swing:.1f} A between the positions"
+    if share > 0.5 * limits.heading_deg:
+        reasons.append(
+            f"{sentence}, which may bend the heading by {share:.1f} degrees. Let the motors run alike "
+            "at each position, or switch them off."
+        )
+    elif share > 0.1 * limits.heading_deg:
+        warnings.append(f"{sentence}; up to {share:.1f} degrees of the uncertainty come from that.")

@@ -1,0 +1,102 @@
+"""The heading of a field: level, tilt-compensated, for one sample or a million.
+
+Body axes are FRD, headings count clockwise from magnetic north. A level vehicle at heading psi sees
+the horizontal field H as (H cos psi, -H sin psi), so psi = atan2(-y, x).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mavcompass.frames import FloatArray, wrap_two_pi
+
+# Rows per block: the working columns of a block stay in the processor's cache.
+_BLOCK = 8192
+
+
+def level_heading(field_mgauss: ArrayLike) -> Any:
+    """Return the magnetic heading of a level vehicle, (...), in [0, 2 pi), from fields (..., 2 or 3)."""
+    field = np.asarray(field_mgauss, dtype=np.float64)
+    return wrap_two_pi(np.arctan2(-field[..., 1], field[..., 0]))
+
+
+def tilt_compensated_heading(
+    field_mgauss: ArrayLike,
+    acc_mps2: ArrayLike | None = None,
+    *,
+    roll_rad: ArrayLike | None = None,
+    pitch_rad: ArrayLike | None = None,
+) -> Any:
+    """Return the magnetic heading, (...), in [0, 2 pi), from fields (..., 3) and the tilt.
+
+    The tilt comes from the specific force (..., 3) of a vehicle at rest, which reads (0, 0, -g) when
+    level, or from roll and pitch (...). With the specific force a and the field f, east is f x a and
+    north is a x (f x a), so without any angle
+
+        psi = atan2(|a| (a_z f_y - a_y f_z), f_x (a_y^2 + a_z^2) - a_x (a_y f_y + a_z f_z)).
+
+    Raises ValueError where neither or both are given.
+    """
+    field = np.asarray(field_mgauss, dtype=np.float64)
+    if (acc_mps2 is None) == (roll_rad is None or pitch_rad is None):
+        raise ValueError("give either the specific force or roll and pitch")
+    if acc_mps2 is None:
+        acc = _specific_force(np.asarray(roll_rad, float), np.asarray(pitch_rad, float))
+    else:
+        acc = np.asarray(acc_mps2, dtype=np.float64)
+    field, acc = np.broadcast_arrays(field, acc)
+    if field.ndim == 2:
+        return _blocks(field, acc)
+    return wrap_two_pi(np.arctan2(*_east_north(field, acc)))
+
+
+def _specific_force(roll: FloatArray, pitch: FloatArray) -> FloatArray:
+    cos_pitch = np.cos(pitch)
+    return np.stack(
+        np.broadcast_arrays(np.sin(pitch), -cos_pitch * np.sin(roll), -cos_pitch * np.cos(roll)), axis=-1
+    )
+
+
+def _east_north(field: FloatArray, acc: FloatArray) -> tuple[FloatArray, FloatArray]:
+    fx, fy, fz = field[..., 0], field[..., 1], field[..., 2]
+    ax, ay, az = acc[..., 0], acc[..., 1], acc[..., 2]
+    across = ay * ay + az * az
+    east = (az * fy - ay * fz) * np.sqrt(across + ax * ax)
+    north = fx * across - ax * (ay * fy + az * fz)
+    return east, north
+
+
+def _blocks(field: FloatArray, acc: FloatArray) -> FloatArray:
+    """Work through (N, 3) rows block by block, column by column, without temporaries of full length."""
+    heading = np.empty(len(field))
+    size = min(_BLOCK, max(len(field), 1))
+    across, north, east, spare = (np.empty(size) for _ in range(4))
+    for first in range(0, len(field), size):
+        rows = slice(first, min(first + size, len(field)))
+        n = rows.stop - rows.start
+        fx, fy, fz = (np.ascontiguousarray(field[rows, i]) for i in range(3))
+        ax, ay, az = (np.ascontiguousarray(acc[rows, i]) for i in range(3))
+        r, u, e, t = across[:n], north[:n], east[:n], spare[:n]
+        np.multiply(ay, ay, out=r)
+        np.multiply(az, az, out=t)
+        r += t
+        np.multiply(az, fy, out=e)
+        np.multiply(ay, fz, out=t)
+        e -= t
+        np.multiply(ax, ax, out=t)
+        t += r
+        np.sqrt(t, out=t)
+        e *= t
+        np.multiply(ay, fy, out=u)
+        np.multiply(az, fz, out=t)
+        u += t
+        u *= ax
+        r *= fx
+        r -= u
+        out = heading[rows]
+        np.arctan2(e, r, out=out)
+        np.add(out, 2.0 * np.pi, out=out, where=out < 0.0)
+    return heading

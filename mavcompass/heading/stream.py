@@ -1,0 +1,184 @@
+"""The heading of a recording, sample by sample, with what is not known of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField, decimal_year, earth_field
+from mavcompass.errors import BadRecording
+from mavcompass.frames import FloatArray
+from mavcompass.heading.compute import tilt_compensated_heading
+from mavcompass.heading.gravity import down_in_body
+from mavcompass.heading.north import grid_heading, true_heading
+from mavcompass.heading.two_axis import two_axis_heading
+from mavcompass.track import Track
+
+# The date of a recording that does not tell it: the middle of WMM2025's years.
+_UNKNOWN_YEAR = 2027.5
+# Roll and pitch of a MEMS accelerometer or an autopilot's attitude, each, beside its noise.
+TILT_SIGMA_RAD = math.radians(0.3)
+
+
+class CalibrationUncertainty(Protocol):
+    """Tell a calibration's share of the heading's sigma."""
+
+    def sigma_rad(self, heading_rad: Any, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> FloatArray:
+        """Return the standard deviation at magnetic headings (N,), radians."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadingResult:
+    """Hold headings over time, (N,) each, radians in [0, 2 pi).
+
+    Attributes:
+        time_s: the compass's readings.
+        magnetic_rad: from magnetic north. true_rad, grid_rad: from true and UTM grid north; None where
+            the recording does not tell its place.
+        magnetic_sigma_rad, sigma_rad: standard deviation of the magnetic heading, and of the true one
+            (the declination's included; of the magnetic one again where the place is unknown).
+        sigma_from: "calibration" where the calibration's own covariance was given, "field" where it was
+            judged by how far the corrected field is from the Earth's.
+    """
+
+    time_s: FloatArray
+    magnetic_rad: FloatArray
+    magnetic_sigma_rad: FloatArray
+    sigma_rad: FloatArray
+    true_rad: FloatArray | None = None
+    grid_rad: FloatArray | None = None
+    declination_rad: float = math.nan
+    sigma_from: str = "field"
+
+
+def earth_field_of(track: Track) -> EarthField | None:
+    """Return the Earth's field where the recording was made; None where it does not tell the place."""
+    place = track.place
+    if place is None or not len(place):
+        return None
+    known = np.isfinite(place.values).all(axis=1) & (np.abs(place.values[:, :2]).max(axis=1) > 1e-6)
+    if not known.any():
+        return None
+    lat, lon, alt = np.median(np.asarray(place.values)[known], axis=0)
+    year = _UNKNOWN_YEAR
+    if track.utc_offset_s is not None and track.utc_offset_s > 0.0:
+        year = decimal_year(track.utc_offset_s + float(place.time_s[-1]))
+    return earth_field(round(float(lat), 4), round(float(lon), 4), round(float(alt), 0), round(year, 2))
+
+
+def heading_of_track(
+    track: Track,
+    correction: FieldCorrection | None = None,
+    instance: int = 1,
+    *,
+    two_axis: bool = False,
+    uncertainty: CalibrationUncertainty | None = None,
+    earth: EarthField | None = None,
+) -> HeadingResult:
+    """Compute a recording's tilt-compensated heading.
+
+    Args:
+        track: the recording.
+        correction: applied to the raw field; None leaves the autopilot's own correction in force.
+        instance: the compass, counting from 1.
+        two_axis: use X and Y only and estimate Z from the world model's field length.
+        uncertainty: the calibration's, where it is known.
+        earth: the Earth's field; None takes it from the recording's place and date.
+
+    Raises BadRecording where the compass is missing, or two_axis is wanted and the place is unknown.
+    """
+    compass = track.compasses.get(instance)
+    if compass is None or not len(compass.reported):
+        known = ", ".join(str(i) for i in sorted(track.compasses)) or "none"
+        raise BadRecording(
+            f"{track.source or 'The recording'} has no readings of compass {instance} (it has: {known}).",
+            "Choose one of its compasses with --compass.",
+        )
+    world = earth if earth is not None else earth_field_of(track)
+    field = _field(track, correction, instance)
+    down = down_in_body(track, compass.time_s)
+    roll = np.arctan2(down[:, 1], down[:, 2])
+    pitch = np.arctan2(-down[:, 0], np.hypot(down[:, 1], down[:, 2]))
+    if two_axis:
+        if world is None:
+            raise BadRecording(
+                "A two-axis heading needs the Earth's field, and the recording does not tell its place.",
+                "Use a recording with GPS, or all three axes.",
+            )
+        magnetic = np.asarray(
+            two_axis_heading(field[:, :2], roll, pitch, world.total_mgauss, world.inclination_rad)
+        )
+    else:
+        magnetic = np.asarray(tilt_compensated_heading(field, -down))
+    sigma = _magnetic_sigma(field, down, magnetic, world, uncertainty, two_axis)
+    return _result(track, compass.time_s, magnetic, sigma, world, uncertainty is not None)
+
+
+def _field(track: Track, correction: FieldCorrection | None, instance: int) -> FloatArray:
+    compass = track.compasses[instance]
+    if correction is None:
+        return np.asarray(compass.reported.values)
+    load = track.motor_load(compass.time_s, correction.motor_source)
+    return correction.apply(track.raw_field(instance), load)
+
+
+def _magnetic_sigma(
+    field: FloatArray,
+    down: FloatArray,
+    magnetic: FloatArray,
+    world: EarthField | None,
+    uncertainty: CalibrationUncertainty | None,
+    two_axis: bool,
+) -> FloatArray:
+    """Add up calibration, tilt times the tangent of the dip, and (two-axis) the estimated Z."""
+    vertical = np.einsum("ij,ij->i", field, down)
+    horizontal = np.sqrt(np.maximum((field**2).sum(axis=1) - vertical**2, 1.0))
+    usual = world.horizontal_mgauss if world is not None else float(np.median(horizontal))
+    if uncertainty is not None:
+        calibration = uncertainty.sigma_rad(magnetic)
+    else:
+        # An error across the field is as likely as one along it, and the latter shows in the length.
+        along = horizontal - usual
+        calibration = np.full(magnetic.size, math.sqrt(float(np.mean(along**2))) / usual)
+    steepness = abs(world.ned_mgauss[2]) / usual if world is not None else np.abs(vertical) / usual
+    variance = calibration**2 + (TILT_SIGMA_RAD * steepness) ** 2
+    if two_axis and world is not None:
+        tilt = np.hypot(down[:, 0], down[:, 1])
+        root = np.maximum(np.abs(field[:, 2]), 0.05 * world.total_mgauss)
+        total_sigma = math.hypot(*world.sigma_mgauss)
+        z_sigma = total_sigma * world.total_mgauss / root
+        variance = variance + (z_sigma * tilt / usual) ** 2
+    return np.asarray(np.minimum(np.sqrt(variance), math.pi))
+
+
+def _result(
+    track: Track,
+    time_s: FloatArray,
+    magnetic: FloatArray,
+    sigma: FloatArray,
+    world: EarthField | None,
+    calibrated: bool,
+) -> HeadingResult:
+    origin = "calibration" if calibrated else "field"
+    if world is None:
+        return HeadingResult(time_s, magnetic, sigma, sigma, sigma_from=origin)
+    true = np.asarray(true_heading(magnetic, world))
+    grid = None
+    if track.place is not None and len(track.place):
+        lat, lon = np.median(np.asarray(track.place.values)[:, :2], axis=0)
+        grid = np.asarray(grid_heading(true, float(lat), float(lon)))
+    return HeadingResult(
+        time_s=time_s,
+        magnetic_rad=magnetic,
+        magnetic_sigma_rad=sigma,
+        sigma_rad=np.hypot(sigma, world.declination_sigma_rad),
+        true_rad=true,
+        grid_rad=grid,
+        declination_rad=world.declination_rad,
+        sigma_from=origin,
+    )
