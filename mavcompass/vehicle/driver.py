@@ -6,18 +6,14 @@ and turns Ctrl-C, SIGTERM, a silent vehicle and a lost link into a stop.
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
-from types import FrameType
+from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 from mavcompass.errors import LinkLost, Refused
 from mavcompass.messages import Incoming
 from mavcompass.procedure.script import CLEAN_UP_S, Answer, Ask, Event, Machine, Send, Show, Stop, Tick
 from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.stopping import StopRequest, stop_signals
 
 T = TypeVar("T")
 PollAnswer = Callable[[], bool | None]
@@ -26,13 +22,6 @@ HEARTBEAT_EVERY_S = 1.0
 TICK_S = 0.05
 # A vehicle streams several messages a second: this is dozens of them in a row.
 SILENCE_S = 3.0
-
-
-@dataclass(slots=True)
-class StopRequest:
-    """Hold the reason for which somebody wants the procedure to end; None until then."""
-
-    reason: str | None = None
 
 
 def run(
@@ -60,7 +49,7 @@ def run(
     drive = _Drive(
         machine, link, on_show or (lambda _: None), on_ask or _refuse, stop or StopRequest(), silence_s
     )
-    with _stop_signals(drive.stop):
+    with stop_signals(drive.stop):
         while not machine.done:
             incoming = drive.turn()
             if incoming is not None and on_message is not None:
@@ -162,26 +151,3 @@ class _Drive:
         while not self.machine.done and now_s < end_s:
             now_s += TICK_S
             self._step(Tick(now_s))
-
-
-@contextmanager
-def _stop_signals(stop: StopRequest) -> Iterator[None]:
-    """Turn Ctrl-C and SIGTERM into a safe stop; a second Ctrl-C interrupts at once.
-
-    Only the main thread may do that; elsewhere `StopRequest` is the way.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        if stop.reason is not None and number == signal.SIGINT:
-            raise KeyboardInterrupt
-        stop.reason = f"Stopped by {'Ctrl-C' if number == signal.SIGINT else 'the system (SIGTERM)'}."
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -123,20 +123,36 @@ class FrameWriter:
         Raises ValueError for a message whose number is too large for version 1.
         """
         form, payload = encode(message)
-        sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFF
         if self.version == 1:
             payload = payload[: form.base_length]
-            head = _HEADER_1.pack(_V1, len(payload), sequence, system, component, _small(form.id))
         else:
             payload = payload.rstrip(b"\0") or payload[:1]
-            flags = 0 if self.signing is None else _SIGNED
-            low, high = form.id & 0xFFFF, form.id >> 16
+        return self._frame(self.version, payload, system, component, form.id, form.crc_extra)
+
+    def forward(self, frame: Frame) -> bytes:
+        """Return another's frame with our sequence number and signature; its version and payload stay.
+
+        Raises ValueError for a message that the dialect does not have.
+        """
+        form = wire_format(frame.message_id)
+        if form is None:
+            raise ValueError(f"message {frame.message_id} is not in the dialect")
+        sender = (frame.system, frame.component)
+        return self._frame(frame.version, frame.payload, *sender, form.id, form.crc_extra)
+
+    def _frame(
+        self, version: int, payload: bytes, system: int, component: int, number: int, crc_extra: int
+    ) -> bytes:
+        sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFF
+        signing = self.signing if version == 2 else None
+        if version == 1:
+            head = _HEADER_1.pack(_V1, len(payload), sequence, system, component, _small(number))
+        else:
+            flags, low, high = (0 if signing is None else _SIGNED), number & 0xFFFF, number >> 16
             head = _HEADER_2.pack(_V2, len(payload), flags, 0, sequence, system, component, low, high)
         frame = head + payload
-        frame += _CHECKSUM.pack(checksum(frame[1:], form.crc_extra))
-        if self.version == 2 and self.signing is not None:
-            frame += self.signing.sign(frame)
-        return frame
+        frame += _CHECKSUM.pack(checksum(frame[1:], crc_extra))
+        return frame if signing is None else frame + signing.sign(frame)
 
 
 def _small(message_id: int) -> int:

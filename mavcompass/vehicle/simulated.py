@@ -2,65 +2,21 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING
 
-from mavcompass.errors import LinkLost
+from mavcompass.errors import LinkLost, UsageError
 from mavcompass.messages import Incoming, Message
+from mavcompass.vehicle.autopilot import Autopilot, Said
 from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
+from mavcompass.vehicle.pace import Pace
+
+if TYPE_CHECKING:
+    from mavcompass.simulation.autopilot import SimulatedAutopilot
 
 # The vehicle is advanced in pieces of this length, which is therefore how long an answer takes at most.
 STEP_S = 0.01
-
-
-class Said(Protocol):
-    """Be a message that leaves a simulated vehicle; `port` None is every port."""
-
-    @property
-    def time_s(self) -> float: ...
-    @property
-    def system(self) -> int: ...
-    @property
-    def component(self) -> int: ...
-    @property
-    def message(self) -> Message: ...
-    @property
-    def port(self) -> int | None: ...
-
-
-class Autopilot(Protocol):
-    """Be a simulated flight controller: `mavcompass.simulation.SimulatedAutopilot`, or one that replays."""
-
-    @property
-    def time_s(self) -> float:
-        """Return its virtual time, seconds; never goes back."""
-
-    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
-        """Hear a message now."""
-
-    def advance(self, until_s: float) -> Sequence[Said]:
-        """Live until then and return what was said, in order."""
-
-
-class Pace:
-    """Keep virtual time from running ahead of the wall clock; `speed` 2 is twice real time."""
-
-    def __init__(self, speed: float, virtual_s: float) -> None:
-        self._speed = speed
-        self._virtual_s = virtual_s
-        self._wall_s = time.monotonic()
-
-    def virtual_now(self) -> float:
-        """Return the virtual time that has been reached by now."""
-        return self._virtual_s + (time.monotonic() - self._wall_s) * self._speed
-
-    def sleep_until(self, virtual_s: float) -> None:
-        """Wait for the wall clock."""
-        ahead_s = (virtual_s - self.virtual_now()) / self._speed
-        if ahead_s > 0.0:
-            time.sleep(ahead_s)
 
 
 class SimulatedLink(Link):
@@ -83,7 +39,7 @@ class SimulatedLink(Link):
         self._port = port
         self._pace = None if speed is None else Pace(speed, autopilot.time_s)
         self._now_s = autopilot.time_s
-        self._heard: deque[Incoming] = deque()
+        self._heard: deque[tuple[Said, Message]] = deque()
         self._closed = False
 
     @classmethod
@@ -92,14 +48,12 @@ class SimulatedLink(Link):
         vehicle: str,
         *,
         seed: int = 0,
-        effects: Sequence[Any] = (),
+        effects: Sequence[str] = (),
         identity: Identity = ONBOARD_COMPUTER,
         speed: float | None = None,
     ) -> SimulatedLink:
         """Make a vehicle and the link to it. Raises UsageError for an unknown vehicle or effect."""
-        from mavcompass.simulation.autopilot import SimulatedAutopilot
-
-        autopilot = SimulatedAutopilot(vehicle, seed=seed, effects=effects)
+        autopilot = simulated_autopilot(vehicle, seed, effects)
         return cls(autopilot, f"sim:{vehicle},seed={seed}", identity, speed)
 
     def now(self) -> float:
@@ -117,11 +71,12 @@ class SimulatedLink(Link):
         """Return the next message; see Link."""
         deadline_s = self._now_s + timeout_s
         while not self._closed:
-            if self._heard and self._heard[0].time_s <= deadline_s:
-                incoming = self._heard.popleft()
-                self._now_s = max(self._now_s, incoming.time_s)
+            if self._heard and self._heard[0][0].time_s <= deadline_s:
+                said, message = self._heard.popleft()
+                # A stream's message may carry a time just before a moment that was already waited for.
+                self._now_s = max(self._now_s, said.time_s)
                 self.statistics.received += 1
-                return incoming
+                return Incoming(self._now_s, said.system, said.component, message)
             if self._heard or self.autopilot.time_s >= deadline_s:
                 break
             self._advance(min(self.autopilot.time_s + STEP_S, deadline_s))
@@ -136,7 +91,21 @@ class SimulatedLink(Link):
 
     def _advance(self, until_s: float) -> None:
         for said in self.autopilot.advance(until_s):
-            if said.port is None or said.port == self._port:
-                self._heard.append(Incoming(said.time_s, said.system, said.component, said.message))
+            if said.port in (None, self._port) and said.message is not None:
+                self._heard.append((said, said.message))
         if self._pace is not None:
             self._pace.sleep_until(until_s)
+
+
+def simulated_autopilot(
+    vehicle: str, seed: int = 0, effects: Sequence[str] = (), armed: bool = True
+) -> SimulatedAutopilot:
+    """Make a simulated vehicle; effects are spelled as in `mavcompass gap catalogue`: NAME[:param=value,..].
+
+    Raises UsageError for an unknown vehicle or effect.
+    """
+    from mavcompass.simulation.autopilot import SimulatedAutopilot
+
+    if effects:
+        raise UsageError(f"There is no effect {effects[0]!r}.", "Run without effects.")
+    return SimulatedAutopilot(vehicle, seed=seed, armed=armed)

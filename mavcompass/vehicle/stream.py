@@ -111,6 +111,11 @@ class StreamTransport:
         """Name the one peer, if it is there."""
         return [] if self._stream is None else [self.PEER]
 
+    def hang_up(self) -> None:
+        """Close the connection; it is opened again."""
+        if self._stream is not None:
+            self._broke(EOFError("hung up by us"))
+
     def close(self) -> None:
         """Close the connection for good."""
         self._closed = True

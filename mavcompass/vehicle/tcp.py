@@ -78,6 +78,7 @@ class TcpServerTransport:
                 f"{self.name} cannot be listened on: {error.strerror or error}.",
                 "Choose an address of this machine and a port that no other program uses.",
             ) from error
+        self.name = f"tcpin:{host}:{self.port}"
         self._listener.setblocking(False)
         self._selector.register(self._listener, selectors.EVENT_READ)
 
@@ -123,6 +124,11 @@ class TcpServerTransport:
         """List the connections."""
         return list(self._streams)
 
+    def hang_up(self) -> None:
+        """Close all connections but keep listening."""
+        for peer in self.peers():
+            self.disconnect(peer)
+
     def disconnect(self, peer: Peer) -> None:
         """Close one connection."""
         stream, _ = self._streams.pop(peer)
@@ -133,8 +139,7 @@ class TcpServerTransport:
         """Close all connections and the port."""
         if not self._closed:
             self._closed = True
-            for peer in self.peers():
-                self.disconnect(peer)
+            self.hang_up()
             self._selector.close()
             self._listener.close()
 

@@ -34,6 +34,9 @@ class Transport(Protocol):
     def peers(self) -> list[Peer]:
         """List the peers that can be written to now."""
 
+    def hang_up(self) -> None:
+        """Drop all connections, as a rebooting vehicle does; they may come again."""
+
     def close(self) -> None:
         """Let go of the port; calling it again does nothing."""
 

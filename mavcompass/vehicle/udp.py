@@ -38,7 +38,7 @@ class UdpTransport:
                 f"{name} cannot be listened on: {error.strerror or error}.",
                 "Close the other program that uses this port, or choose another address.",
             ) from error
-        return cls(name, local)
+        return cls(f"udpin:{host}:{local.getsockname()[1]}", local)
 
     @classmethod
     def speaking_to(cls, host: str, port: int) -> UdpTransport:
@@ -92,6 +92,9 @@ class UdpTransport:
         if self._first_peer is not None and self._first_peer not in heard:
             heard.append(self._first_peer)
         return heard
+
+    def hang_up(self) -> None:
+        """Do nothing: UDP has no connections."""
 
     def close(self) -> None:
         """Close the port."""

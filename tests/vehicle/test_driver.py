@@ -12,9 +12,10 @@ from dialogue import HEARTBEAT, Expect, MemoryVehicle, Reply, Silence, vehicle_s
 from mavcompass.errors import LinkLost, Refused, WriteFailed
 from mavcompass.messages import CommandAck, CommandLong, Heartbeat, ParamSet, ParamValue, Statustext
 from mavcompass.procedure.script import Context, Machine, Script, Show, ask, pause, request
-from mavcompass.vehicle.driver import StopRequest, run
+from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.faults import Faults, FaultyLink
 from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.stopping import StopRequest
 
 SET = ParamSet(param_id="COMPASS_OFS_X", param_value=120.0)
 ECHO = ParamValue("COMPASS_OFS_X", 120.0)

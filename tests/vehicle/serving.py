@@ -1,0 +1,56 @@
+"""A vehicle served on a real port by a thread of this process."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from mavcompass.vehicle.address import TcpIn, WireAddress
+from mavcompass.vehicle.autopilot import Autopilot
+from mavcompass.vehicle.opening import open_transport
+from mavcompass.vehicle.server import Record, VehicleServer
+from mavcompass.vehicle.stopping import StopRequest
+from mavcompass.vehicle.transport import Transport
+
+ANY_TCP_PORT = TcpIn("127.0.0.1", 0)
+
+
+def port_of(transport: Transport) -> int:
+    return int(transport.name.rpartition(":")[2])
+
+
+@contextmanager
+def serving(
+    autopilot: Autopilot,
+    address: WireAddress = ANY_TCP_PORT,
+    speed: float = 1.0,
+    record: Record | None = None,
+) -> Iterator[tuple[VehicleServer, int]]:
+    """Give the server and its port; what it raises fails the test."""
+    transport = open_transport(address)
+    server = VehicleServer(
+        autopilot,
+        transport,
+        speed=speed,
+        record=record,
+        is_rebooting=lambda: getattr(autopilot, "silent_until_us", None) is not None,
+    )
+    stop = StopRequest()
+    errors: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            server.serve(stop)
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield server, port_of(transport)
+    finally:
+        stop.reason = "The test is over."
+        thread.join(5.0)
+        transport.close()
+    assert not thread.is_alive() and not errors, errors
