@@ -1,0 +1,90 @@
+"""The attitude is not what the reference says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mavcompass.frames import FloatArray, rotate_back
+from mavcompass.simulation.effects.effect import GROUPS, Effect, Memory, Parameter, Signals, Stage, xyz
+from mavcompass.simulation.effects.rotations import rotation_vector_matrix
+
+_Rng = np.random.Generator | None
+_ALL = GROUPS
+
+
+def _reference_error(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    error = rotation_vector_matrix(theta)
+    s = signals.stimulus
+    return signals.turned(s.rotation @ error, s.rate_radps @ error)
+
+
+def _platform_tilt(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    tilt = rotation_vector_matrix(np.array([theta[0], theta[1], 0.0]))
+    s = signals.stimulus
+    return signals.turned(tilt @ s.rotation, s.rate_radps)
+
+
+def _yaw_step_error(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    s = signals.stimulus
+    yaw = np.arctan2(s.rotation[:, 1, 0], s.rotation[:, 0, 0])
+    first, last = memory.get("yaw", (yaw[0], yaw[0]))
+    unwrapped = np.unwrap(np.concatenate([[last], yaw]))[1:]
+    memory["yaw"] = (first, unwrapped[-1])
+    extra = theta[0] * (unwrapped - first)
+    c, d = np.cos(extra), np.sin(extra)
+    rotation = s.rotation.copy()
+    rotation[:, 0] = c[:, None] * s.rotation[:, 0] - d[:, None] * s.rotation[:, 1]
+    rotation[:, 1] = d[:, None] * s.rotation[:, 0] + c[:, None] * s.rotation[:, 1]
+    return signals.turned(rotation, s.rate_radps + theta[0] * _yaw_rate_vector(s.rotation, s.rate_radps))
+
+
+def _yaw_rate_vector(rotation: FloatArray, rate_radps: FloatArray) -> FloatArray:
+    """Return the body rate (N, 3) of the yaw motion alone: psi' about the world's down axis."""
+    # psi' = (q sin(roll) + r cos(roll)) / cos(pitch), with the angles read off the last row of R.
+    cos_pitch_2 = np.maximum(1.0 - rotation[:, 2, 0] ** 2, 1e-6)
+    rate = (rate_radps[:, 1] * rotation[:, 2, 1] + rate_radps[:, 2] * rotation[:, 2, 2]) / cos_pitch_2
+    down = np.zeros_like(rate_radps)
+    down[:, 2] = rate
+    return rotate_back(rotation, down)
+
+
+EFFECTS = (
+    Effect(
+        id="attitude_reference_error",
+        title="the attitude reference is turned against the sensors",
+        stage=Stage.ATTITUDE,
+        parameters=xyz(-0.35, 0.35, (0.02, -0.015, 0.03), 0.02, "rad"),
+        forward=_reference_error,
+        groups=_ALL,
+        needs=frozenset({"reference"}),
+        aliases=("misalignment", "declination"),
+        separated_by="an independent reference: it shows in all three sensors",
+        source="R exp[w], 0.2 to 5 degrees",
+    ),
+    Effect(
+        id="platform_tilt",
+        title="the ground or the turntable is not level",
+        stage=Stage.ATTITUDE,
+        parameters=tuple(
+            Parameter(n, "rad", -0.2, 0.2, d, 0.01) for n, d in (("about_north", 0.02), ("about_east", -0.03))
+        ),
+        forward=_platform_tilt,
+        groups=_ALL,
+        needs=frozenset({"reference"}),
+        aliases=("inclination", "accel_bias"),
+        separated_by="turn the vehicle by 180 degrees: it stays in the world, a bias goes with the body",
+        source="exp[tilt] R, 0.2 to 3 degrees",
+    ),
+    Effect(
+        id="yaw_step_error",
+        title="turns are longer or shorter than commanded",
+        stage=Stage.ATTITUDE,
+        parameters=(Parameter("fraction", "1", -0.3, 0.3, 0.03, 0.005),),
+        forward=_yaw_step_error,
+        groups=_ALL,
+        needs=frozenset({"turning", "reference"}),
+        aliases=("gyro_scale", "declination"),
+        separated_by="several whole turns",
+        source="yaw - yaw_0 grows by (1 + e), 0.5 to 5 degrees per step",
+    ),
+)

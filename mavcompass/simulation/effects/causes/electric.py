@@ -1,0 +1,181 @@
+"""Currents: motors, power lines, relays, alternating fields."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage, xyz
+
+_Rng = np.random.Generator | None
+_MOTORS = 8
+_RELAY_SOURCES = 2 + _MOTORS
+
+
+def _motor_current(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    current = np.nan_to_num(signals.stimulus.current_a)
+    return signals.with_mag(signals.reading.mag_mgauss + current[:, None] * theta)
+
+
+def _per_motor(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    motors = np.nan_to_num(signals.stimulus.motors[:, :_MOTORS])
+    return signals.with_mag(
+        signals.reading.mag_mgauss + motors @ theta.reshape(_MOTORS, 3)[: motors.shape[1]]
+    )
+
+
+def _varying_motors(signals: Signals) -> NDArray[np.bool_]:
+    free = np.zeros((_MOTORS, 3), dtype=np.bool_)
+    motors = signals.stimulus.motors[:, :_MOTORS]
+    if motors.size:
+        free[: motors.shape[1]] = (np.nanstd(motors, axis=0) > 1e-3)[:, None]
+    return free.ravel()
+
+
+def _alternating(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    phase = 2.0 * math.pi * theta[6] * signals.stimulus.time_s
+    waves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
+    return signals.with_mag(signals.reading.mag_mgauss + waves @ theta[:6].reshape(2, 3))
+
+
+def _alternating_starts(misfit: Misfit) -> list[FloatArray]:
+    """Find the strongest line of the residual's spectrum up to half the sampling rate."""
+    rows = np.flatnonzero(misfit.rows)
+    time = misfit.time_s
+    if rows.size < 40:
+        return []
+    step = float(np.median(np.diff(time)))
+    span = float(time[-1] - time[0])
+    index = np.round((time[rows] - time[0]) / step).astype(np.int64)
+    size = 1 << math.ceil(math.log2(4 * (index[-1] + 1)))
+    y = np.zeros((size, 3))
+    centred = misfit.residual.mag_mgauss[rows] / misfit.sigma_mgauss
+    y[index] = centred - centred.mean(axis=0)
+    power = (np.abs(np.fft.rfft(y, axis=0)) ** 2).sum(axis=1)
+    frequency = np.fft.rfftfreq(size, step)
+    # Slower than four cycles per recording is drift, not an alternating field.
+    power[frequency < 4.0 / span] = 0.0
+    starts = []
+    for _ in range(2):
+        peak = int(np.argmax(power))
+        if power[peak] <= 0.0:
+            break
+        f = float(frequency[peak])
+        phase = 2.0 * math.pi * f * time[rows]
+        waves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
+        amplitudes, *_ = np.linalg.lstsq(waves, misfit.residual.mag_mgauss[rows], rcond=None)
+        starts.append(np.array([*np.clip(amplitudes.ravel(), -300.0, 300.0), max(f, 0.01)]))
+        power[max(0, peak - 8) : peak + 9] = 0.0
+    return starts
+
+
+def _load(signals: Signals, source: int) -> FloatArray | None:
+    s = signals.stimulus
+    if source == 0:
+        return s.throttle
+    if source == 1:
+        return s.current_a
+    return s.motors[:, source - 2] if source - 2 < s.motors.shape[1] else None
+
+
+def _relay(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    load = _load(signals, round(float(theta[3])))
+    if load is None:
+        return signals
+    on = (np.nan_to_num(load) > theta[4]).astype(np.float64)
+    return signals.with_mag(signals.reading.mag_mgauss + on[:, None] * theta[:3])
+
+
+def _relay_starts(misfit: Misfit) -> list[FloatArray]:
+    """Try every recorded load and eight thresholds each; keep the best two."""
+    rows = misfit.rows
+    y = misfit.residual.mag_mgauss[rows] / misfit.sigma_mgauss
+    found: list[tuple[float, FloatArray]] = []
+    for source in range(_RELAY_SOURCES):
+        load = _load(misfit.signals, source)
+        if load is None or not np.nanstd(load) > 1e-3:
+            continue
+        known = np.nan_to_num(load)[rows]
+        levels = np.unique(np.quantile(known, np.linspace(0.04, 0.96, 24)))
+        for threshold in 0.5 * (levels[:-1] + levels[1:]):
+            on = known > threshold
+            if not 8 <= int(on.sum()) <= on.size - 8:
+                continue
+            difference = y[on].mean(axis=0)
+            gain = float((difference**2).sum() * on.sum())
+            start = np.array([*(difference * misfit.sigma_mgauss), float(source), threshold])
+            found.append((gain, start))
+    found.sort(key=lambda item: -item[0])
+    return [start for _, start in found[:2]]
+
+
+EFFECTS = (
+    Effect(
+        id="motor_current",
+        title="the field of the battery current",
+        stage=Stage.FIELD,
+        parameters=xyz(-50.0, 50.0, (2.0, -1.5, 1.0), 0.5, "mG/A"),
+        forward=_motor_current,
+        needs=frozenset({"current"}),
+        aliases=("per_motor", "vibration_rectification", "hard_iron"),
+        separated_by="throttle pulses at a fixed attitude",
+        source="raw = field + c I; 0.2 to 5 mG/A",
+        sitl=lambda v: {f"SIM_MAG_MOT_{a.upper()}": v[a] for a in "xyz"},
+    ),
+    Effect(
+        id="per_motor",
+        title="the field of each motor's current",
+        stage=Stage.FIELD,
+        parameters=tuple(
+            Parameter(f"motor{m + 1}_{a}", "mG", -500.0, 500.0, 20.0 * math.cos(1.3 * m + i), 20.0)
+            for m in range(_MOTORS)
+            for i, a in enumerate("xyz")
+        ),
+        forward=_per_motor,
+        needs=frozenset({"motors"}),
+        aliases=("motor_current",),
+        separated_by="run the motors one by one",
+        source="raw = field + sum of c_i u_i, u the motor output 0 to 1; ArduPilot's per-motor compensation",
+        free=_varying_motors,
+    ),
+    Effect(
+        id="ac_interference",
+        title="an alternating field, aliased by the sampling",
+        stage=Stage.FIELD,
+        parameters=(
+            *(
+                Parameter(f"sin_{a}", "mG", -300.0, 300.0, d, 5.0)
+                for a, d in zip("xyz", (12.0, 4.0, -6.0), strict=True)
+            ),
+            *(
+                Parameter(f"cos_{a}", "mG", -300.0, 300.0, d, 5.0)
+                for a, d in zip("xyz", (0.0, 8.0, 3.0), strict=True)
+            ),
+            Parameter("frequency_hz", "Hz", 0.01, 2000.0, 2.3, 0.001),
+        ),
+        forward=_alternating,
+        aliases=("timestamp_jitter",),
+        separated_by="record at two sampling rates, and log the rotor speed",
+        source="raw = field + A sin(2 pi f t), 1 to 50 mG",
+        starts=_alternating_starts,
+    ),
+    Effect(
+        id="relay_field",
+        title="the field of something that is switched",
+        stage=Stage.FIELD,
+        parameters=(
+            *xyz(-500.0, 500.0, (25.0, -15.0, 10.0), 10.0, "mG"),
+            Parameter("source", "0 throttle, 1 current, 2.. motor", 0.0, 9.0, 0.0, 1.0, integer=True),
+            Parameter("threshold", "of the source", -1e3, 1e3, 0.5, 0.0),
+        ),
+        forward=_relay,
+        needs=frozenset({"throttle|current|motors"}),
+        aliases=("hard_iron_step", "motor_current"),
+        separated_by="log the switch's output",
+        source="raw = field + b while the load is above a threshold, 2 to 50 mG",
+        starts=_relay_starts,
+    ),
+)

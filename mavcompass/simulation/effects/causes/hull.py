@@ -1,0 +1,29 @@
+"""Eddy currents in a conducting hull."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.simulation.effects.effect import Effect, Memory, Signals, Stage, xyz
+
+
+def _eddy(signals: Signals, theta: FloatArray, memory: Memory, rng: np.random.Generator | None) -> Signals:
+    field = signals.reading.mag_mgauss
+    # In a uniform world field the body field changes by its rotation alone: dm/dt = m x w.
+    return signals.with_mag(field - theta * np.cross(field, signals.stimulus.rate_radps))
+
+
+EFFECTS = (
+    Effect(
+        id="eddy_current",
+        title="eddy currents in a metal hull oppose changes of the field",
+        stage=Stage.HULL,
+        parameters=xyz(-0.1, 0.1, (0.02, 0.008, 0.03), 0.005, "s"),
+        forward=_eddy,
+        needs=frozenset({"turning"}),
+        aliases=("transport_lag", "low_pass", "hysteresis"),
+        separated_by="turns about several axes: a lag is the same about all",
+        source="raw = m - tau dm/dt with one time per body axis, 1 to 50 ms",
+    ),
+)

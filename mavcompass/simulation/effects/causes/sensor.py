@@ -1,0 +1,179 @@
+"""The sensor's electronics: limits, steps, noise, drift, hysteresis, cross-axis response, toggling."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage, xyz
+
+_Rng = np.random.Generator | None
+_FULL_SCALE_MGAUSS = 1000.0
+_NEXT = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+
+
+def _clipping(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    return signals.with_mag(np.clip(signals.reading.mag_mgauss, -theta[0], theta[0]))
+
+
+def _clipping_starts(misfit: Misfit) -> list[FloatArray]:
+    measured = (misfit.signals.reading.mag_mgauss + misfit.residual.mag_mgauss)[misfit.rows]
+    top = float(np.abs(measured).max()) if measured.size else 0.0
+    return [np.array([max(level, 1.0)]) for level in (top, 0.97 * top, 0.9 * top)]
+
+
+def _quantisation(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    return signals.with_mag(np.round(signals.reading.mag_mgauss / theta[0]) * theta[0])
+
+
+def _noise(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    field = signals.reading.mag_mgauss
+    return signals if rng is None else signals.with_mag(field + theta[0] * rng.standard_normal(field.shape))
+
+
+def _random_walk(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    if rng is None:
+        return signals
+    time = signals.stimulus.time_s
+    last_time, last = memory.get("state", (time[0], np.zeros(3)))
+    step = np.sqrt(np.maximum(np.diff(time, prepend=last_time), 0.0))
+    walk = last + np.cumsum(theta[0] * step[:, None] * rng.standard_normal((time.size, 3)), axis=0)
+    memory["state"] = (time[-1], walk[-1])
+    return signals.with_mag(signals.reading.mag_mgauss + walk)
+
+
+def _hysteresis(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    field = signals.reading.mag_mgauss
+    remanence, width = float(theta[0]), max(float(theta[1]), 1e-6)
+    held = memory.get("held")
+    out = np.empty_like(field)
+    ends = []
+    for axis in range(3):
+        values = field[:, axis].tolist()
+        play = values[0] if held is None else held[axis]
+        column = []
+        for value in values:
+            # The play operator: dragged along once the field has moved by the width.
+            play = min(max(play, value - width), value + width)
+            column.append(play)
+        out[:, axis] = column
+        ends.append(play)
+    memory["held"] = ends
+    return signals.with_mag(field + remanence / width * (out - field))
+
+
+def _hysteresis_starts(misfit: Misfit) -> list[FloatArray]:
+    starts = []
+    for width in (15.0, 60.0, 200.0):
+        moved = _hysteresis(misfit.signals, np.array([1.0, width]), {}, None).reading.mag_mgauss
+        shape = (moved - misfit.signals.reading.mag_mgauss)[misfit.rows]
+        power = float((shape**2).sum())
+        if power > 0.0:
+            size = float((shape * misfit.residual.mag_mgauss[misfit.rows]).sum()) / power
+            starts.append(np.array([float(np.clip(size, -100.0, 100.0)), width]))
+    return starts
+
+
+def _cross_axis(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    field = signals.reading.mag_mgauss
+    out = field.copy()
+    for value, (axis, other) in zip(theta, _NEXT, strict=True):
+        if value != 0.0:
+            out[:, axis] += value / _FULL_SCALE_MGAUSS * field[:, axis] * field[:, other]
+    return signals.with_mag(out)
+
+
+def _toggle(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    count = memory.get("count", 0)
+    n = len(signals.reading.mag_mgauss)
+    memory["count"] = count + n
+    sign = 1.0 - 2.0 * ((count + np.arange(n)) % 2)
+    return signals.with_mag(signals.reading.mag_mgauss + sign[:, None] * theta)
+
+
+EFFECTS = (
+    Effect(
+        id="clipping",
+        title="the sensor saturates",
+        stage=Stage.SENSOR,
+        parameters=(Parameter("limit_mgauss", "mG", 1.0, 20000.0, 400.0, 5.0),),
+        forward=_clipping,
+        aliases=("axis_scale", "hard_iron"),
+        separated_by="turn through more attitudes: plateaus show",
+        source="raw = clip(field, -L, L)",
+        starts=_clipping_starts,
+    ),
+    Effect(
+        id="quantisation",
+        title="coarse steps of the numbers",
+        stage=Stage.SENSOR,
+        parameters=(Parameter("step_mgauss", "mG", 0.01, 100.0, 4.0, 1.0),),
+        forward=_quantisation,
+        kind="integrity",
+        aliases=("noise_excess",),
+        separated_by="nothing is needed: the lattice of the numbers tells",
+        source="raw = q round(field / q); IST8310 3 mG per step, RM3100 0.13 mG",
+    ),
+    Effect(
+        id="noise_excess",
+        title="more noise than the floor",
+        stage=Stage.SENSOR,
+        parameters=(Parameter("sigma_mgauss", "mG", 0.0, 200.0, 6.0, 2.0),),
+        forward=_noise,
+        kind="random",
+        aliases=("timestamp_jitter", "ac_interference"),
+        separated_by="a still recording beside a moving one",
+        source="raw = field + n; HMC5883L and QMC5883L about 2 mG, IST8310 3 mG",
+        sitl=lambda values: {"SIM_MAG_RND": values["sigma_mgauss"] / 0.17},
+    ),
+    Effect(
+        id="bias_random_walk",
+        title="an offset that wanders",
+        stage=Stage.FIELD,
+        parameters=(Parameter("sigma_mgauss_per_sqrt_s", "mG/sqrt(s)", 0.0, 20.0, 0.8, 0.3),),
+        forward=_random_walk,
+        kind="random",
+        aliases=("temperature_bias", "hard_iron_step"),
+        separated_by="a long still recording; it can eat any slow cause, so it is never named as one",
+        source="raw = field + integral of white noise, 0.1 to 2 mG/sqrt(s)",
+    ),
+    Effect(
+        id="hysteresis",
+        title="iron that remembers where the field came from",
+        stage=Stage.HULL,
+        parameters=(
+            Parameter("remanence_mgauss", "mG", -100.0, 100.0, 8.0, 3.0),
+            Parameter("width_mgauss", "mG", 2.0, 1000.0, 60.0, 20.0),
+        ),
+        forward=_hysteresis,
+        needs=frozenset({"turning"}),
+        aliases=("transport_lag", "eddy_current"),
+        separated_by="go the same way forth and back, slowly and fast",
+        source="the play operator per axis, raw = field + r (play - field) / w; 0.5 to 20 mG",
+        starts=_hysteresis_starts,
+    ),
+    Effect(
+        id="cross_axis",
+        title="the gain of an axis depends on the field across it",
+        stage=Stage.MATRIX,
+        parameters=tuple(
+            Parameter(f"{'xyz'[i]}{'xyz'[j]}", "1 at 1 G", -0.3, 0.3, d, 0.01)
+            for (i, j), d in zip(_NEXT, (0.03, -0.02, 0.02, 0.025, -0.03, 0.015), strict=True)
+        ),
+        forward=_cross_axis,
+        needs=frozenset({"turning"}),
+        aliases=("soft_iron",),
+        separated_by="tumble, better in a stronger field",
+        source="raw_i = m_i (1 + sum of c_ij m_j / 1 G), magnetoresistive sensors; HMC1053 +/-3 %",
+    ),
+    Effect(
+        id="set_reset_offset",
+        title="an offset that changes sign with every reading",
+        stage=Stage.FIELD,
+        parameters=xyz(-200.0, 200.0, (6.0, -4.0, 5.0), 3.0, "mG"),
+        forward=_toggle,
+        aliases=("quantisation", "ac_interference"),
+        separated_by="record every reading, with the toggling on and off",
+        source="raw = field +/- b, the bridge's offset under set and reset pulses; 1 to 20 mG",
+    ),
+)

@@ -1,0 +1,65 @@
+"""Temperature: the sensor's offset and its gain follow it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage, xyz
+
+_Rng = np.random.Generator | None
+_REFERENCE = Parameter("reference_degc", "degC", -40.0, 85.0, 25.0, 2.0)
+
+
+def _bias(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    above = np.nan_to_num(signals.stimulus.temperature_degc - theta[3])
+    return signals.with_mag(signals.reading.mag_mgauss + above[:, None] * theta[:3])
+
+
+def _sensitivity(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    above = np.nan_to_num(signals.stimulus.temperature_degc - theta[3])
+    return signals.with_mag(signals.reading.mag_mgauss * (1.0 + above[:, None] * theta[:3]))
+
+
+def _starts(misfit: Misfit, carrier: FloatArray, limit: float) -> list[FloatArray]:
+    """Fit slope and intercept per axis; the reference is where the fitted lines come nearest to zero."""
+    rows = misfit.rows
+    temperature = np.nan_to_num(misfit.signals.stimulus.temperature_degc[rows])
+    middle = float(temperature.mean())
+    y, c = misfit.residual.mag_mgauss[rows], carrier[rows]
+    design = np.stack([c * (temperature - middle)[:, None], c], axis=2)
+    slope, level = np.empty(3), np.empty(3)
+    for axis in range(3):
+        (slope[axis], level[axis]), *_ = np.linalg.lstsq(design[:, axis], y[:, axis], rcond=None)
+    weight = float(slope @ slope)
+    crossing = middle - float(slope @ level) / weight if weight > 0.0 else middle
+    references = [float(np.clip(crossing, -40.0, 85.0)), float(temperature[0])]
+    return [np.array([*np.clip(slope, -limit, limit), reference]) for reference in references]
+
+
+EFFECTS = (
+    Effect(
+        id="temperature_bias",
+        title="an offset that follows the temperature",
+        stage=Stage.FIELD,
+        parameters=(*xyz(-10.0, 10.0, (0.8, -0.5, 1.2), 0.3, "mG/degC"), _REFERENCE),
+        forward=_bias,
+        needs=frozenset({"temperature"}),
+        aliases=("hard_iron_step", "bias_random_walk", "hard_iron"),
+        separated_by="warm up and cool down again",
+        source="raw = field + k (T - T0), 0.1 to 2 mG/degC",
+        starts=lambda misfit: _starts(misfit, np.ones_like(misfit.residual.mag_mgauss), 10.0),
+    ),
+    Effect(
+        id="temperature_sensitivity",
+        title="a gain that follows the temperature",
+        stage=Stage.MATRIX,
+        parameters=(*xyz(-0.02, 0.02, (-0.0027, -0.0027, -0.0027), 0.001, "1/degC"), _REFERENCE),
+        forward=_sensitivity,
+        needs=frozenset({"temperature"}),
+        aliases=("field_intensity", "axis_scale"),
+        separated_by="warm up and cool down while tumbling",
+        source="raw = (1 + a (T - T0)) field; HMC1053: -2700 ppm/degC",
+        starts=lambda misfit: _starts(misfit, misfit.signals.reading.mag_mgauss, 0.02),
+    ),
+)

@@ -1,0 +1,180 @@
+"""The world's field is not what the model says: anomalies, gradients, a magnet at one place."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mavcompass.frames import FloatArray, rotate
+from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage
+
+_Rng = np.random.Generator | None
+_NEAREST_M = 0.03
+
+
+def _intensity(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    return signals.in_field(signals.stimulus.field_ned_mgauss * (1.0 + theta[0]))
+
+
+def _inclination(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    field = signals.stimulus.field_ned_mgauss
+    horizontal = np.maximum(np.hypot(field[:, 0], field[:, 1]), 1e-9)
+    c, s = math.cos(theta[0]), math.sin(theta[0])
+    level = horizontal * c - field[:, 2] * s
+    down = horizontal * s + field[:, 2] * c
+    ratio = level / horizontal
+    return signals.in_field(np.stack([field[:, 0] * ratio, field[:, 1] * ratio, down], axis=1))
+
+
+def _declination(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    n, e, d = signals.stimulus.field_ned_mgauss.T
+    c, s = math.cos(theta[0]), math.sin(theta[0])
+    return signals.in_field(np.stack([c * n - s * e, s * n + c * e, d], axis=1))
+
+
+def _gradient(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    nn, ee, ne, nd, ed = theta
+    matrix = np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, -nn - ee]])
+    position = np.nan_to_num(signals.stimulus.position_ned_m)
+    return signals.in_field(signals.stimulus.field_ned_mgauss + position @ matrix)
+
+
+def dipole_field(position_m: FloatArray, source_m: FloatArray, moment_mgauss_m3: FloatArray) -> FloatArray:
+    """Return the field (N, 3) of a dipole: (3 u (u . m) - m) / r^3."""
+    offset = position_m - source_m
+    distance = np.sqrt(np.einsum("ij,ij->i", offset, offset) + _NEAREST_M**2)[:, None]
+    unit = offset / distance
+    return np.asarray((3.0 * unit * (unit @ moment_mgauss_m3)[:, None] - moment_mgauss_m3) / distance**3)
+
+
+def _dipole(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    position = np.nan_to_num(signals.stimulus.position_ned_m)
+    return signals.in_field(signals.stimulus.field_ned_mgauss + dipole_field(position, theta[:3], theta[3:]))
+
+
+def _dipole_starts(misfit: Misfit) -> list[FloatArray]:
+    """Scan a grid of places around the path; the moment is linear in each."""
+    rows = np.flatnonzero(misfit.rows)
+    rows = rows[:: max(1, rows.size // 300)]
+    position = np.nan_to_num(misfit.signals.stimulus.position_ned_m[rows])
+    residual = rotate(misfit.signals.stimulus.rotation[rows], misfit.residual.mag_mgauss[rows])
+    low, high = position.min(axis=0), position.max(axis=0)
+    reach = max(0.5 * float((high - low).max()), 0.3)
+    axes = [np.linspace(a - reach, b + reach, 7) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    gains = [_dipole_gain(position, residual, source) for source in grid]
+    best = sorted(range(len(grid)), key=lambda i: -gains[i][0])[:3]
+    starts = []
+    for i in best:
+        gain, source, moment = _polish(position, residual, grid[i], gains[i], reach / 3.0)
+        if gain > 0.0:
+            starts.append(np.array([*source, *np.clip(moment, -1e4, 1e4)]))
+    return starts[:2]
+
+
+def _polish(
+    position: FloatArray,
+    residual: FloatArray,
+    source: FloatArray,
+    first: tuple[float, FloatArray],
+    step: float,
+) -> tuple[float, FloatArray, FloatArray]:
+    """Walk from a grid point to a better place by pattern search."""
+    gain, moment = first
+    while step > 0.01:
+        moved = False
+        for axis in range(3):
+            for sign in (-1.0, 1.0):
+                trial = source.copy()
+                trial[axis] += sign * step
+                trial_gain, trial_moment = _dipole_gain(position, residual, trial)
+                if trial_gain > gain:
+                    gain, source, moment, moved = trial_gain, trial, trial_moment, True
+        step = step if moved else 0.5 * step
+    return gain, source, moment
+
+
+def _dipole_gain(position: FloatArray, residual: FloatArray, source: FloatArray) -> tuple[float, FloatArray]:
+    """Return how much of the sum of squares a dipole at a place takes away, and its moment."""
+    offset = position - source
+    distance = np.sqrt(np.einsum("ij,ij->i", offset, offset) + 0.05**2)
+    unit = offset / distance[:, None]
+    w3 = distance**-3
+    # A_i = (3 u u^T - I) / r^3 is symmetric: A^T A = (3 u u^T + I) / r^6.
+    w6 = w3 * w3
+    normal = 3.0 * (unit * w6[:, None]).T @ unit + np.eye(3) * w6.sum()
+    projected = np.einsum("ij,ij->i", unit, residual)
+    right = (3.0 * unit * projected[:, None] - residual).T @ w3
+    moment = np.linalg.solve(normal + 1e-12 * np.eye(3), right)
+    return float(right @ moment), moment
+
+
+EFFECTS = (
+    Effect(
+        id="field_intensity",
+        title="the field is stronger or weaker than the model says",
+        stage=Stage.WORLD,
+        parameters=(Parameter("fraction", "1", -0.5, 0.5, 0.04, 0.01),),
+        forward=_intensity,
+        aliases=("axis_scale", "temperature_sensitivity"),
+        separated_by="a second site or an absolute reference: it is an equal scale of all axes exactly",
+        source="B (1 + e), 1 to 10 % near iron and in the crust",
+    ),
+    Effect(
+        id="inclination",
+        title="the field dips more or less than the model says",
+        stage=Stage.WORLD,
+        parameters=(Parameter("angle_rad", "rad", -0.35, 0.35, 0.04, 0.01),),
+        forward=_inclination,
+        aliases=("axis_scale", "platform_tilt"),
+        separated_by="tilt",
+        source="B turned about the magnetic east axis, 0.2 to 10 degrees; down positive",
+    ),
+    Effect(
+        id="declination",
+        title="the field points elsewhere than the model says",
+        stage=Stage.WORLD,
+        parameters=(Parameter("angle_rad", "rad", -0.6, 0.6, 0.06, 0.01),),
+        forward=_declination,
+        aliases=("misalignment", "attitude_reference_error"),
+        separated_by="tilt, and a yaw that does not come from a compass",
+        source="B turned about the vertical, 0.2 to 20 degrees; east positive",
+    ),
+    Effect(
+        id="field_gradient",
+        title="the field changes evenly with the place",
+        stage=Stage.WORLD,
+        parameters=tuple(
+            Parameter(n, "mG/m", -500.0, 500.0, d, 5.0)
+            for n, d in (("nn", 12.0), ("ee", -8.0), ("ne", 5.0), ("nd", 6.0), ("ed", -4.0))
+        ),
+        forward=_gradient,
+        needs=frozenset({"position"}),
+        aliases=("spatial_dipole",),
+        separated_by="a larger area",
+        source="B + G p, G symmetric without trace (no curl, no divergence), 5 to 50 mG/m indoors",
+    ),
+    Effect(
+        id="spatial_dipole",
+        title="a magnet or iron at one place",
+        stage=Stage.WORLD,
+        parameters=(
+            *(
+                Parameter(f"{n}_m", "m", -1000.0, 1000.0, d, 0.1)
+                for n, d in zip(("north", "east", "down"), (1.0, 0.6, 0.3), strict=True)
+            ),
+            *(
+                Parameter(f"moment_{n}", "mG m^3", -1e4, 1e4, d, 5.0)
+                for n, d in zip(("north", "east", "down"), (40.0, -25.0, 60.0), strict=True)
+            ),
+        ),
+        forward=_dipole,
+        needs=frozenset({"position"}),
+        aliases=("field_gradient",),
+        separated_by="pass the place again on another heading",
+        source="(3 u (u . m) - m) / r^3",
+        starts=_dipole_starts,
+        sitl=None,
+    ),
+)

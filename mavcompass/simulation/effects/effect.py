@@ -1,0 +1,261 @@
+"""Effect: a physical cause with its parameters and the one forward model that everybody uses.
+
+A forward model takes `Signals` (what reaches the sensors, and what they say so far) and returns them
+changed. Effects that act on the world or the attitude change the stimulus and what the sensors say of
+it; effects of the sensor change what it says. They are composed in the order of their stages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.errors import UsageError
+from mavcompass.frames import FloatArray, rotate, rotate_back
+from mavcompass.simulation.signals import Reading, Stimulus
+
+Memory = dict[str, Any]
+Kind = Literal["mean", "discrete", "random", "integrity"]
+Group = Literal["mag", "acc", "gyro"]
+GROUPS: tuple[Group, ...] = ("mag", "acc", "gyro")
+
+
+class Stage(IntEnum):
+    """Order the effects from the world to the number that is logged."""
+
+    ATTITUDE = 0
+    WORLD = 1
+    HULL = 2
+    MATRIX = 3
+    FIELD = 4
+    TIMING = 5
+    SENSOR = 6
+    IMU = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """Describe one parameter: unit, physical range, a typical simulated value, and its natural size."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    default: float
+    scale: float
+    integer: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signals:
+    """Hold what reaches the sensors and what they say of it, N samples."""
+
+    stimulus: Stimulus
+    reading: Reading
+
+    def with_mag(self, mag_mgauss: FloatArray) -> Signals:
+        """Replace what the magnetometer says."""
+        r = self.reading
+        return Signals(self.stimulus, Reading(mag_mgauss, r.acc_mps2, r.gyro_radps))
+
+    def with_acc(self, acc_mps2: FloatArray) -> Signals:
+        """Replace what the accelerometer says."""
+        r = self.reading
+        return Signals(self.stimulus, Reading(r.mag_mgauss, acc_mps2, r.gyro_radps))
+
+    def with_gyro(self, gyro_radps: FloatArray) -> Signals:
+        """Replace what the gyro says."""
+        r = self.reading
+        return Signals(self.stimulus, Reading(r.mag_mgauss, r.acc_mps2, gyro_radps))
+
+    def in_field(self, field_ned_mgauss: FloatArray) -> Signals:
+        """Put the vehicle into another world field, (N, 3)."""
+        s = self.stimulus
+        change = rotate_back(s.rotation, field_ned_mgauss - s.field_ned_mgauss)
+        moved = replace(s, field_ned_mgauss=field_ned_mgauss)
+        return Signals(moved, self.reading).with_mag(self.reading.mag_mgauss + change)
+
+    def turned(self, rotation: FloatArray, rate_radps: FloatArray) -> Signals:
+        """Give the vehicle another attitude (N, 3, 3) and rate (N, 3) under the same forces."""
+        s, r = self.stimulus, self.reading
+        force_ned = rotate(s.rotation, s.specific_force_mps2)
+        force = rotate_back(rotation, force_ned)
+        mag_change = rotate_back(rotation, s.field_ned_mgauss) - rotate_back(s.rotation, s.field_ned_mgauss)
+        moved = replace(s, rotation=rotation, rate_radps=rate_radps, specific_force_mps2=force)
+        return Signals(
+            moved,
+            Reading(
+                r.mag_mgauss + mag_change,
+                r.acc_mps2 + (force - s.specific_force_mps2),
+                r.gyro_radps + (rate_radps - s.rate_radps),
+            ),
+        )
+
+
+Forward = Callable[[Signals, FloatArray, Memory, np.random.Generator | None], Signals]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Misfit:
+    """Hold what a model leaves unexplained: measured minus predicted, and the signals it predicts with.
+
+    `rows` tells which samples may be looked at; `sigma` is the noise of each magnetometer axis.
+    """
+
+    signals: Signals
+    residual: Reading
+    rows: NDArray[np.bool_]
+    sigma_mgauss: FloatArray
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Return the times of the samples, (N,)."""
+        return self.signals.stimulus.time_s
+
+
+Starts = Callable[[Misfit], list[FloatArray]]
+Freedom = Callable[[Signals], NDArray[np.bool_]]
+Export = Callable[[Mapping[str, float]], dict[str, float]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Effect:
+    """Describe one physical effect.
+
+    Attributes:
+        id: its name in commands and results; title: a few words.
+        stage: its place in the order of composition.
+        parameters: what can be set and is fitted.
+        forward: the model; `memory` is carried between the blocks of a live run, empty at the start.
+        groups: the sensors that see it.
+        kind: "mean" shifts the readings; "discrete" has integer parameters; "random" changes their
+            scatter; "integrity" leaves an exact trace (repeats, steps).
+        needs: what a recording must contain: current, throttle, temperature, position, motors, tilt,
+            turning, reference (an attitude that the vehicle's own sensors did not make).
+        aliases: effects that can look the same; separated_by: the motion that tells them apart.
+        source: where the model or its size comes from.
+        starts: first guesses for a fit, where zero is no good one.
+        free: which parameters a recording can tell at all (default: all).
+        affine: True for a linear map plus offset of the field in body axes.
+        sitl: the parameters of ArduPilot's simulator for a fitted setting.
+        optional: parameters that cost nothing in a fit when they stay at their upper end.
+    """
+
+    id: str
+    title: str
+    stage: Stage
+    parameters: tuple[Parameter, ...]
+    forward: Forward
+    groups: tuple[Group, ...] = ("mag",)
+    kind: Kind = "mean"
+    needs: frozenset[str] = frozenset()
+    aliases: tuple[str, ...] = ()
+    separated_by: str = ""
+    source: str = ""
+    starts: Starts | None = None
+    free: Freedom | None = None
+    affine: bool = False
+    sitl: Export | None = None
+    optional: frozenset[str] = frozenset()
+
+    @property
+    def lower(self) -> FloatArray:
+        """Return the lower ends of the physical ranges, (k,)."""
+        return np.array([p.low for p in self.parameters])
+
+    @property
+    def upper(self) -> FloatArray:
+        """Return the upper ends of the physical ranges, (k,)."""
+        return np.array([p.high for p in self.parameters])
+
+    @property
+    def scale(self) -> FloatArray:
+        """Return the natural sizes of the parameters, (k,)."""
+        return np.array([p.scale for p in self.parameters])
+
+    @property
+    def default(self) -> FloatArray:
+        """Return the typical values a simulation uses, (k,)."""
+        return np.array([p.default for p in self.parameters])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    def neutral(self) -> FloatArray:
+        """Return parameters near which the effect does nothing: zero, or the nearest end of the range."""
+        return np.clip(np.zeros(len(self.parameters)), self.lower, self.upper)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setting:
+    """Be an effect with values for its parameters."""
+
+    effect: Effect
+    theta: FloatArray
+
+    @classmethod
+    def of(cls, effect: Effect, values: Mapping[str, float] = MappingProxyType({})) -> Setting:
+        """Set some parameters by name.
+
+        Where none is named all take their typical values; otherwise the unnamed amplitudes are zero.
+        Raises UsageError for an unknown name or a value outside its physical range.
+        """
+        if unknown := set(values) - set(effect.names):
+            raise UsageError(
+                f"The effect {effect.id} has no parameter {', '.join(sorted(unknown))}.",
+                f"Its parameters are {', '.join(effect.names)}.",
+            )
+        theta = np.array([_value(p, values) for p in effect.parameters])
+        for parameter, value in zip(effect.parameters, theta, strict=True):
+            if not parameter.low <= value <= parameter.high:
+                raise UsageError(
+                    f"{effect.id}: {parameter.name} = {value:g} {parameter.unit} is not physical.",
+                    f"It lies between {parameter.low:g} and {parameter.high:g}.",
+                )
+        return cls(effect, theta)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Return the parameters by name."""
+        return dict(zip(self.effect.names, self.theta.tolist(), strict=True))
+
+
+def _value(parameter: Parameter, values: Mapping[str, float]) -> float:
+    if parameter.name in values:
+        return float(values[parameter.name])
+    # A range that holds zero on both sides is an amplitude: not named, it is absent.
+    amplitude = parameter.low < 0.0 < parameter.high
+    return 0.0 if values and amplitude else parameter.default
+
+
+@dataclass(slots=True)
+class Chain:
+    """Be several settings, composed in the order of their stages."""
+
+    settings: Sequence[Setting]
+    _memories: list[Memory] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.settings = sorted(self.settings, key=lambda s: s.effect.stage)
+        self._memories = [{} for _ in self.settings]
+
+    def run(self, signals: Signals, rng: np.random.Generator | None) -> Signals:
+        """Pass a block of samples through all effects, remembering what the next block needs."""
+        for setting, memory in zip(self.settings, self._memories, strict=True):
+            signals = setting.effect.forward(signals, setting.theta, memory, rng)
+        return signals
+
+
+def xyz(
+    low: float, high: float, defaults: tuple[float, float, float], scale: float, unit: str
+) -> tuple[Parameter, ...]:
+    """Describe a vector parameter with the components x, y, z."""
+    return tuple(Parameter(n, unit, low, high, d, scale) for n, d in zip("xyz", defaults, strict=True))

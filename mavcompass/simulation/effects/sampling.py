@@ -1,0 +1,74 @@
+"""Signals at other times: cubic interpolation and a first-order low pass, exact between samples."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+
+
+def at_times(time_s: FloatArray, values: FloatArray, wanted_s: FloatArray) -> FloatArray:
+    """Interpolate columns (N, k) by cubic Hermite pieces; outside the ends are held.
+
+    Slopes are central differences (Catmull and Rom), which reproduces parabolas exactly.
+    """
+    n = time_s.size
+    if n < 2:
+        return np.repeat(values[:1], wanted_s.size, axis=0)
+    wanted = np.clip(wanted_s, time_s[0], time_s[-1])
+    left = np.clip(np.searchsorted(time_s, wanted, side="right") - 1, 0, n - 2)
+    slope = np.empty_like(values)
+    if n > 2:
+        slope[1:-1] = (values[2:] - values[:-2]) / (time_s[2:] - time_s[:-2])[:, None]
+    slope[0] = (values[1] - values[0]) / (time_s[1] - time_s[0])
+    slope[-1] = (values[-1] - values[-2]) / (time_s[-1] - time_s[-2])
+    width = (time_s[left + 1] - time_s[left])[:, None]
+    u = (wanted - time_s[left])[:, None] / width
+    a, b = values[left], values[left + 1]
+    return np.asarray(
+        a
+        + (b - a) * (u * u * (3.0 - 2.0 * u))
+        + width * u * (1.0 - u) * (slope[left] * (1.0 - u) - slope[left + 1] * u)
+    )
+
+
+State = tuple[float, FloatArray, FloatArray]
+
+
+def first_order_lag(
+    time_s: FloatArray, values: FloatArray, time_constant_s: float, state: State | None = None
+) -> tuple[FloatArray, State]:
+    """Low-pass columns (N, k) with tau dy/dt + y = x, x linear between samples (exact for such x).
+
+    Returns the output and the state to give to the next block. It starts settled on its first sample.
+    """
+    first = np.asarray(values[0])
+    last_time, x, y = state if state is not None else (float(time_s[0]), first, first)
+    step = np.diff(time_s, prepend=last_time)
+    if state is None and time_s.size > 8 and float(np.ptp(step[1:])) < 1e-3 * float(step[1]):
+        return _uniform(time_s, values, float(step[1]), time_constant_s)
+    ratio = step / max(time_constant_s, 1e-9)
+    decay = np.exp(-ratio)
+    mean = np.where(ratio > 1e-9, -np.expm1(-ratio) / np.where(ratio > 1e-9, ratio, 1.0), 1.0)
+    out = np.empty_like(values)
+    for i in range(time_s.size):
+        # y(t + h) = a y + (m - a) x(t) + (1 - m) x(t + h), a = exp(-h/tau), m = (1 - a) tau / h
+        y = decay[i] * y + (mean[i] - decay[i]) * x + (1.0 - mean[i]) * values[i]
+        x = values[i]
+        out[i] = y
+    return out, (float(time_s[-1]), np.array(x), np.array(y))
+
+
+def _uniform(
+    time_s: FloatArray, values: FloatArray, step_s: float, time_constant_s: float
+) -> tuple[FloatArray, State]:
+    from scipy.signal import lfilter
+
+    ratio = step_s / max(time_constant_s, 1e-9)
+    a = float(np.exp(-ratio))
+    m = (1.0 - a) / ratio
+    # Settled on the first sample: the filter's state makes its first output equal to its first input.
+    initial = ((1.0 - (1.0 - m)) * values[0])[None, :]
+    out, _ = lfilter([1.0 - m, m - a], [1.0, -a], values, axis=0, zi=initial)
+    result = np.asarray(out, dtype=np.float64)
+    return result, (float(time_s[-1]), np.array(values[-1]), np.array(result[-1]))
