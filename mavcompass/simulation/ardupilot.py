@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _PARAMETER_FILES = {
     "skid": ("ardupilot.param", "rover.param"),
-    "ackermann": ("ardupilot.param", "rover.param"),
+    "ackermann": ("ardupilot.param", "rover.param", "ackermann-rover.param"),
     "boat": ("ardupilot.param", "rover.param", "boat.param"),
     "copter": ("ardupilot.param", "copter.param"),
     "sub": ("ardupilot.param", "sub.param"),

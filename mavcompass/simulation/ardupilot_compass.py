@@ -25,7 +25,7 @@ class CompassBank:
     def __init__(self, vehicle: SimulatedAutopilot, store: ParameterStore) -> None:
         self._vehicle = vehicle
         self._store = store
-        self.hardware_ids = tuple(store[ardupilot_name("DEV_ID", i)] for i in INSTANCES)
+        self.hardware_ids = tuple(store.factory_value(ardupilot_name("DEV_ID", i)) for i in INSTANCES)
         self.fields: list[Vector] = [(0.0, 0.0, 0.0)] * len(INSTANCES)
         self.order: tuple[int, ...] = INSTANCES
         self.steering: int | None = None

@@ -246,6 +246,7 @@ class SimulatedAutopilot:
         self.drive = self.firmware.control(dt)
         self.firmware.attend()
         if self.now_us % _HEARTBEAT_US == 0:
+            self.consumed_mah += self.surroundings().current_a * _HEARTBEAT_US * 1e-6 / 3.6
             self._heartbeats()
         for port, streams in self._ports.items():
             for time_us, number in streams.due(self.now_us):

@@ -85,6 +85,10 @@ class ParameterStore:
         """Return a value, or the default where this vehicle lacks the parameter."""
         return self._values.get(name, default)
 
+    def factory_value(self, name: str) -> float:
+        """Return what a parameter holds on a new vehicle of this kind."""
+        return self._table[name].default
+
     def index(self, name: str) -> int:
         """Return the parameter's place in the list."""
         return self._index[name]
