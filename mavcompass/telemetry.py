@@ -19,7 +19,12 @@ MAG_MESSAGES = {"RAW_IMU": 1, "SCALED_IMU": 1, "SCALED_IMU2": 2, "SCALED_IMU3": 
 
 
 def _vector(message: Any, x: str, y: str, z: str, factor: float) -> FloatArray:
-    return np.stack([getattr(message, x), getattr(message, y), getattr(message, z)], axis=-1) * factor
+    return _columns(*(getattr(message, name) for name in (x, y, z))) * factor
+
+
+def _columns(*columns: Any) -> FloatArray:
+    # Stacked first and turned then, so that each column stays contiguous, as a Series wants it.
+    return np.moveaxis(np.stack(columns), 0, -1)
 
 
 def field_mgauss(imu: Any) -> FloatArray:
@@ -46,18 +51,15 @@ def imu_time_s(imu: Any) -> Any:
 
 def euler_rad(attitude: Any) -> FloatArray:
     """Read roll, pitch, yaw off ATTITUDE or SIMSTATE, radians."""
-    return np.stack([attitude.roll, attitude.pitch, attitude.yaw], axis=-1)
+    return _columns(attitude.roll, attitude.pitch, attitude.yaw)
 
 
 def place(global_position: Any) -> FloatArray:
     """Read latitude deg, longitude deg, altitude m off GLOBAL_POSITION_INT or GPS_RAW_INT."""
-    return np.stack(
-        [
-            np.asarray(global_position.lat) * 1.0e-7,
-            np.asarray(global_position.lon) * 1.0e-7,
-            np.asarray(global_position.alt) * 1.0e-3,
-        ],
-        axis=-1,
+    return _columns(
+        np.asarray(global_position.lat) * 1.0e-7,
+        np.asarray(global_position.lon) * 1.0e-7,
+        np.asarray(global_position.alt) * 1.0e-3,
     )
 
 

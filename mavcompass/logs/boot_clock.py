@@ -1,0 +1,166 @@
+"""One clock for a recording: the vehicle's time since boot, through restarts and lost or late messages.
+
+Some messages carry the vehicle's own time, some only the time at which they were logged. The former are
+the clock. A message without is placed from that neighbour in the file that was logged nearest to it, as
+it came through the same link with the same delay, and never outside its neighbours: what was sent
+between two messages happened between their times. After a restart the vehicle's time begins anew;
+`time_s` goes on, by as much as the logging clock says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+
+# A radio link may deliver a message late by this much and no more; a restart goes back further.
+_LATEST_S = 1.0
+# A clock that steps by more than this did not merely wait for the link.
+_JUMP_S = 5.0
+_NEIGHBOURS = 15
+_GLITCH_MESSAGES = 5
+_LONGEST_BREAK_S = 30.0 * 86400.0
+_OUTSIDE_S = 3600.0
+
+OrderArray = NDArray[np.uint32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BootClock:
+    """Turn the vehicle's times and the log's into one `time_s` that never starts anew.
+
+    Attributes:
+        first_order: (segments,) the place in the file where each power-up begins; the first is 0.
+        shift_s: (segments,) time_s minus time since boot.
+        start_s: (segments,) the first time_s of each.
+        glitches: places in the file of messages with an impossible time.
+    """
+
+    first_order: OrderArray
+    shift_s: FloatArray
+    start_s: FloatArray
+    glitches: OrderArray
+    _order: OrderArray
+    _time_s: FloatArray
+    _log_s: FloatArray
+    log_jumps: int = 0
+
+    def segment(self, order: OrderArray) -> NDArray[np.intp]:
+        """Tell the power-up that messages belong to, by their places in the file."""
+        return np.asarray(np.searchsorted(self.first_order, order, side="right") - 1)
+
+    def from_boot(self, order: OrderArray, boot_s: FloatArray) -> FloatArray:
+        """Place messages by the time since boot that they carry."""
+        if self.shift_s.size == 1:
+            return boot_s + self.shift_s[0]
+        return boot_s + self.shift_s[self.segment(order)]
+
+    def from_log(self, order: OrderArray, log_s: FloatArray) -> FloatArray:
+        """Place messages by the time when they were logged."""
+        last = self._order.size - 1
+        after = np.searchsorted(self._order, order)
+        before = np.maximum(after - 1, 0)
+        after = np.minimum(after, last)
+        nearer_before = np.abs(log_s - self._log_s[before]) <= np.abs(self._log_s[after] - log_s)
+        neighbour = np.where(nearer_before, before, after)
+        guess = self._time_s[neighbour] + (log_s - self._log_s[neighbour])
+        low, high = self._time_s[before], self._time_s[after]
+        # Ahead of the first and behind the last there is a neighbour on one side only.
+        low = np.where(order < self._order[0], low - _OUTSIDE_S, low)
+        high = np.where(order > self._order[last], high + _OUTSIDE_S, high)
+        return np.asarray(np.clip(guess, np.minimum(low, high), np.maximum(low, high)))
+
+    def from_order(self, order: OrderArray) -> FloatArray:
+        """Place messages without any time: when the one before them in the file was sent."""
+        before = np.maximum(np.searchsorted(self._order, order, side="right") - 1, 0)
+        return self._time_s[before]
+
+    def utc_offset_s(self) -> float | None:
+        """Return the Unix time of time_s = 0 by the logging clock; None where that was not set."""
+        offset = float(np.median(self._log_s - self._time_s))
+        return offset if offset > 1.0e9 else None
+
+
+def build_clock(order: OrderArray, log_s: FloatArray, boot_s: FloatArray) -> BootClock:
+    """Build the clock from the messages that carry both times, (N,) each, N > 0.
+
+    `order` is their place in the file; they need not be sorted.
+    """
+    sort = np.argsort(order, kind="stable")
+    order, log_s, boot_s = order[sort], log_s[sort], boot_s[sort]
+    wrong, glitch = _glitches(log_s, boot_s)
+    glitches = order[glitch]
+    if bool(wrong.any()) and not bool(wrong.all()):
+        order, log_s, boot_s = order[~wrong], log_s[~wrong], boot_s[~wrong]
+    edges = _restarts(boot_s)
+    time_s, shifts = _go_on(edges, log_s, boot_s)
+    starts = np.array([float(time_s[first]) for first in edges])
+    jumps = np.count_nonzero(np.abs(np.diff(log_s - time_s)) > _JUMP_S)
+    first_order = order[edges].copy()
+    first_order[0] = 0
+    return BootClock(
+        first_order=first_order,
+        shift_s=shifts,
+        start_s=starts,
+        glitches=glitches,
+        _order=order,
+        _time_s=time_s,
+        _log_s=log_s,
+        log_jumps=int(jumps),
+    )
+
+
+def impossible_times(order: OrderArray, boot_s: FloatArray) -> NDArray[np.bool_]:
+    """Find records whose own time leaps away from their neighbours' in the file and returns at once."""
+    sort = np.argsort(order, kind="stable")
+    wrong = np.zeros(order.size, dtype=bool)
+    wrong[sort] = _glitches(np.zeros(order.size), boot_s[sort])[1]
+    return wrong
+
+
+def _glitches(log_s: FloatArray, boot_s: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Find short outbreaks of either clock: which messages to leave out, and which have a wrong boot time."""
+    wrong = np.zeros(log_s.size, dtype=bool)
+    boot_wrong = wrong.copy()
+    offset = log_s - boot_s
+    steps = np.flatnonzero(np.abs(np.diff(offset)) > _JUMP_S)
+    position = 0
+    while position < steps.size - 1:
+        last_good, last_wrong = int(steps[position]), int(steps[position + 1])
+        returned = abs(offset[last_wrong + 1] - offset[last_good]) <= _JUMP_S
+        if returned and last_wrong - last_good <= _GLITCH_MESSAGES:
+            span = slice(last_good + 1, last_wrong + 1)
+            wrong[span] = True
+            low, high = boot_s[last_good] - _LATEST_S, boot_s[last_wrong + 1] + _LATEST_S
+            boot_wrong[span] = (boot_s[span] < low) | (boot_s[span] > high)
+            position += 2
+        else:
+            position += 1
+    return wrong, boot_wrong
+
+
+def _restarts(boot_s: FloatArray) -> list[int]:
+    """Find where time since boot begins anew: it falls and stays below what it was."""
+    edges = [0]
+    for index in (np.flatnonzero(np.diff(boot_s) < -_LATEST_S) + 1).tolist():
+        before = np.median(boot_s[max(edges[-1], index - _NEIGHBOURS) : index])
+        after = np.median(boot_s[index : index + _NEIGHBOURS])
+        if after < before - _LATEST_S:
+            edges.append(index)
+    return edges
+
+
+def _go_on(edges: list[int], log_s: FloatArray, boot_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Let the time of each power-up follow on the one before."""
+    time_s = boot_s.copy()
+    shifts = np.zeros(len(edges))
+    for number, (first, last) in enumerate(zip(edges, [*edges[1:], boot_s.size], strict=True)):
+        if first:
+            waited = float(log_s[first] - log_s[first - 1])
+            waited = waited if 0.0 < waited < _LONGEST_BREAK_S else 1.0
+            shifts[number] = float(time_s[:first].max()) + waited - float(boot_s[first:last].min())
+            time_s[first:last] += shifts[number]
+    return time_s, shifts

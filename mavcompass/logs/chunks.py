@@ -1,0 +1,84 @@
+"""Read a file of any size in overlapping chunks, in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import FileIO
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+ByteArray = NDArray[np.uint8]
+
+CHUNK_BYTES = 2 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Be one piece of a file.
+
+    Attributes:
+        data: the bytes, followed by `padding` zeros, so that windows at the end stay inside.
+        size: how many of them belong to the file.
+        offset: where in the file the first one stands.
+        fresh: records that start before this index were complete in the chunk before.
+        limit: records that start at or after this index are left to the next chunk; `size` in the last.
+    """
+
+    data: ByteArray
+    size: int
+    offset: int
+    fresh: int
+    limit: int
+
+
+def read_chunks(
+    path: Path,
+    *,
+    longest_record: int,
+    look_back: int = 0,
+    padding: int = 0,
+    chunk_bytes: int = CHUNK_BYTES,
+    start: int = 0,
+    end: int | None = None,
+) -> Iterator[Chunk]:
+    """Cut a file into chunks such that each record of at most `longest_record` bytes lies whole in one.
+
+    A record belongs to the chunk where its start is at least `fresh` and below `limit`; `look_back` bytes
+    before `fresh` are there too (except at the file's start). One buffer is reused: a chunk is valid
+    until the next one is asked for. `start` and `end` restrict it to a part of the file.
+    """
+    keep = longest_record + look_back
+    size = max(chunk_bytes, 4 * keep)
+    buffer = np.zeros(size + padding, dtype=np.uint8)
+    end = path.stat().st_size if end is None else end
+    with path.open("rb", buffering=0) as file:
+        file.seek(start)
+        kept, fresh, offset = 0, 0, start
+        while True:
+            wanted = min(size - kept, end - offset - kept)
+            got = _fill(file, buffer[kept : kept + wanted])
+            filled = kept + got
+            buffer[filled : filled + padding] = 0
+            last = got < wanted or offset + filled >= end
+            limit = filled if last else filled - longest_record
+            yield Chunk(buffer[: filled + padding], filled, offset, fresh, limit)
+            if last:
+                return
+            cut = max(limit - look_back, 0)
+            kept, fresh = filled - cut, limit - cut
+            buffer[:kept] = buffer[cut:filled].copy()
+            offset += cut
+
+
+def _fill(file: FileIO, into: ByteArray) -> int:
+    view = into.data
+    done = 0
+    while done < len(view):
+        got = file.readinto(view[done:])
+        if not got:
+            break
+        done += got
+    return done

@@ -1,0 +1,199 @@
+"""Read ArduPilot's own log (DataFlash, .bin or text .log) into a Track."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mavcompass.compass_parameters import ardupilot_name
+from mavcompass.errors import BadRecording
+from mavcompass.frames import FloatArray
+from mavcompass.logs.boot_clock import BootClock, build_clock, impossible_times
+from mavcompass.logs.dataflash_columns import columns
+from mavcompass.logs.dataflash_parameters import parameters_seen
+from mavcompass.logs.dataflash_records import DataFlashContents, Log, Records, read_records
+from mavcompass.logs.dataflash_text import read_text_records
+from mavcompass.logs.dataflash_time import boot_time_s, gps_unix_offset_s
+from mavcompass.logs.parameter_steps import Change, ardupilot_steps, changes
+from mavcompass.track import MagSeries, Series, Track
+
+_TIME = ("TimeUS", "TimeMS")
+_MAG = (*_TIME, "I", "MagX", "MagY", "MagZ", "OfsX", "OfsY", "OfsZ")
+_IMU = (*_TIME, "I", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ", "T", "Temp")
+_OUTPUTS = tuple(f"{stem}{n}" for stem in ("C", "Ch", "Chan") for n in range(1, 9))
+WANTED: dict[str, tuple[str, ...]] = {
+    "MAG": _MAG,
+    "MAG2": _MAG,
+    "MAG3": _MAG,
+    "IMU": _IMU,
+    "ATT": (*_TIME, "Roll", "Pitch", "Yaw"),
+    "GPS": (
+        *("TimeUS", "TimeMS", "T", "I", "Status", "GMS", "GWk", "Week"),
+        *("Lat", "Lng", "Alt", "Spd", "GCrs", "VZ", "Yaw"),
+    ),
+    "POS": (*_TIME, "Lat", "Lng", "Alt"),
+    "XKF1": (*_TIME, "C", "PN", "PE", "PD"),
+    "NKF1": (*_TIME, "C", "PN", "PE", "PD"),
+    "BAT": (*_TIME, "I", "Inst", "Instance", "Curr"),
+    "CURR": (*_TIME, "I", "Inst", "Instance", "Curr"),
+    "CTUN": (*_TIME, "ThO", "ThrOut"),
+    "THR": (*_TIME, "ThrOut"),
+    "BARO": (*_TIME, "I", "Temp"),
+    "RCOU": (*_TIME, *_OUTPUTS),
+    "SIM": (*_TIME, "Roll", "Pitch", "Yaw", "Q1", "Q2", "Q3", "Q4"),
+    "PARM": (*_TIME, "Name", "Value"),
+    "MSG": (*_TIME, "Message"),
+}
+_FIRMWARES = (("Rover", "rover"), ("Copter", "copter"), ("Sub", "sub"), ("Plane", "plane"))
+_BOAT = 2  # FRAME_CLASS
+
+
+def read_dataflash(path: Path, *, text: bool = False) -> Track:
+    """Read a DataFlash log, or several that were put together.
+
+    Raises BadRecording where it holds no record or no magnetometer.
+    """
+    contents = (read_text_records if text else read_records)(path, WANTED)
+    if not contents.counts:
+        raise BadRecording(
+            f"{path} holds no DataFlash record: it is not ArduPilot's log, or wholly damaged.",
+            "Give the .bin as it comes from the autopilot's card.",
+        )
+    logs = contents.logs
+    if not any(name in log.records for log in logs for name in ("MAG", "MAG2", "MAG3")):
+        raise BadRecording(
+            f"{path} holds no magnetometer: {sum(contents.counts.values())} records, but no MAG.",
+            "Set LOG_BITMASK to include the compass, check that COMPASS_ENABLE is 1, and record again.",
+        )
+    notes = _notes_about_the_file(contents)
+    clock, glitches = _clock(logs)
+    if glitches:
+        notes.append(f"Left out {glitches} records with an impossible time.")
+    if clock.shift_s.size > 1:
+        at = ", ".join(f"{start:.1f}" for start in clock.start_s[1:6])
+        notes.append(
+            f"The autopilot was started {clock.shift_s.size} times; time_s goes on across the restarts "
+            f"(at {at} s)."
+        )
+    history = changes(parameters_seen(logs, clock), clock.start_s.tolist())
+    parameters = {change.name: change.value for change in history}
+    compasses = _compasses(logs, clock, history)
+    notes += [
+        f"The parameters of compass {instance} are not in the recording: its readings are taken as they are."
+        for instance, compass in compasses.items()
+        if not compass.correction_known
+    ]
+    if not compasses:
+        raise BadRecording(
+            f"{path} holds only zeros as magnetic field: there was no compass.",
+            "Check the compass's wiring and COMPASS_ENABLE, and record again.",
+        )
+    return Track(
+        source=str(path),
+        autopilot="ardupilot",
+        vehicle=_vehicle(logs, parameters.get("FRAME_CLASS")),
+        compasses=compasses,
+        utc_offset_s=clock.utc_offset_s(),
+        parameters=parameters,
+        notes=tuple(notes),
+        **columns(logs, clock, parameters),
+    )
+
+
+def _clock(logs: Sequence[Log]) -> tuple[BootClock, int]:
+    """Build the clock from every wanted record that carries a time; drop those with an impossible one."""
+    orders: list[np.ndarray[tuple[int], np.dtype[np.uint32]]] = []
+    boots: list[FloatArray] = []
+    units: list[FloatArray] = []
+    glitches = 0
+    for log in logs:
+        timed = {name: boot_time_s(name, records) for name, records in log.records.items()}
+        known = {name: time_s for name, time_s in timed.items() if time_s is not None}
+        if not known:
+            continue
+        order = np.concatenate([log.records[name].order for name in known])
+        wrong = order[impossible_times(order, np.concatenate(list(known.values())))]
+        glitches += wrong.size
+        if wrong.size:
+            for name in known:
+                log.records[name] = log.records[name].select(~np.isin(log.records[name].order, wrong))
+        offset_s = gps_unix_offset_s(log.records.get("GPS"))
+        for name in known:
+            time_s = boot_time_s(name, log.records[name])
+            assert time_s is not None
+            orders.append(log.records[name].order)
+            boots.append(time_s)
+            units.append(time_s + (offset_s or 0.0))
+    if not orders:
+        return build_clock(np.zeros(1, np.uint32), np.zeros(1), np.zeros(1)), glitches
+    return build_clock(np.concatenate(orders), np.concatenate(units), np.concatenate(boots)), glitches
+
+
+def _compasses(logs: Sequence[Log], clock: BootClock, history: Sequence[Change]) -> dict[int, MagSeries]:
+    found: dict[int, list[tuple[FloatArray, FloatArray, bool]]] = {}
+    for log in logs:
+        for name, base in (("MAG", 1), ("MAG2", 2), ("MAG3", 3)):
+            records = log.records.pop(name, None)
+            if records is None:
+                continue
+            for instance, some in _by_instance(records, base):
+                time_s = clock.from_boot(some.order, _time(name, some))
+                field = np.stack([some.quantity(f"Mag{axis}") for axis in "XYZ"]).T
+                whole = some.fields["MagX"].character not in "fd"
+                found.setdefault(instance, []).append((time_s, field, whole))
+    out: dict[int, MagSeries] = {}
+    for instance, parts in sorted(found.items()):
+        reported = _ordered(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]))
+        if not bool(reported.values.any()):
+            continue
+        steps, known = ardupilot_steps(history, instance)
+        device_id = next(
+            (int(c.value) for c in reversed(history) if c.name == ardupilot_name("DEV_ID", instance)), None
+        )
+        whole = all(p[2] for p in parts)
+        out[instance] = MagSeries(instance, reported, steps, known, 1.0 if whole else 0.0, whole, device_id)
+    return out
+
+
+def _time(name: str, records: Records) -> FloatArray:
+    time_s = boot_time_s(name, records)
+    return np.full(len(records), np.nan) if time_s is None else time_s
+
+
+def _ordered(time_s: FloatArray, values: FloatArray) -> Series:
+    if bool((np.diff(time_s) < 0.0).any()):
+        order = np.argsort(time_s, kind="stable")
+        time_s, values = time_s[order], values[order]
+    return Series.of(time_s, values)
+
+
+def _by_instance(records: Records, base: int) -> list[tuple[int, Records]]:
+    """Tell the compasses in one kind of record apart: the field I counts from 0, MAG2 is the second."""
+    if "I" not in records:
+        return [(base, records)]
+    numbers = records.rows["I"]
+    return [(base + int(n), records.select(numbers == n)) for n in np.unique(numbers)]
+
+
+def _vehicle(logs: Sequence[Log], frame_class: float | None) -> str:
+    for log in logs:
+        records = log.records.get("MSG")
+        for message in [] if records is None else records.rows["Message"].tolist():
+            for firmware, vehicle in _FIRMWARES:
+                if message.startswith((f"Ardu{firmware}".encode(), f"APM{firmware}".encode())):
+                    return "boat" if vehicle == "rover" and frame_class == _BOAT else vehicle
+    return "unknown"
+
+
+def _notes_about_the_file(contents: DataFlashContents) -> list[str]:
+    notes = []
+    if contents.skipped_bytes:
+        notes.append(
+            f"Skipped {contents.skipped_bytes} bytes at {contents.skipped_stretches} places that are no "
+            f"record of the log ({sum(contents.counts.values())} records were read)."
+        )
+    if len(contents.logs) > 1:
+        notes.append(f"The file holds {len(contents.logs)} logs one after the other.")
+    return notes

@@ -1,0 +1,65 @@
+"""The parameters that a DataFlash log shows, with their times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from mavcompass.logs.boot_clock import BootClock
+from mavcompass.logs.dataflash_records import Log, Records
+from mavcompass.logs.dataflash_time import boot_time_s
+from mavcompass.logs.parameter_steps import Seen
+
+# MAG's offsets are whole numbers cut off toward zero.
+_CUT_OFF_MGAUSS = 1.0
+_MOST_OFFSET_STEPS = 1000
+
+
+def parameters_seen(logs: Sequence[Log], clock: BootClock) -> list[Seen]:
+    """List every PARM of the logs, and the offsets that MAG shows where PARM does not have them."""
+    out: list[Seen] = []
+    for log in logs:
+        records = log.records.get("PARM")
+        if records is not None and "Name" in records and "Value" in records:
+            out += _values(records, clock)
+    names = {one.name for one in out}
+    for log in logs:
+        for base, kind in enumerate(("MAG", "MAG2", "MAG3"), start=1):
+            mag = log.records.get(kind)
+            if mag is not None and "OfsX" in mag:
+                out += _offsets(mag, base, clock, names)
+    return out
+
+
+def _values(records: Records, clock: BootClock) -> Iterator[Seen]:
+    boot_s = boot_time_s("PARM", records)
+    time_s = clock.from_order(records.order) if boot_s is None else clock.from_boot(records.order, boot_s)
+    # At the start of a log all parameters are written; a name that comes again was set.
+    power_up = clock.segment(records.order).tolist()
+    known: set[tuple[int, bytes]] = set()
+    names, values = records.rows["Name"].tolist(), records.rows["Value"].tolist()
+    for moment, name, value, number in zip(time_s.tolist(), names, values, power_up, strict=True):
+        again = (number, name) in known
+        known.add((number, name))
+        yield Seen(moment, name.decode("ascii", "replace"), value, announced=again, power_up=number)
+
+
+def _offsets(mag: Records, base: int, clock: BootClock, names: set[str]) -> Iterator[Seen]:
+    """Read offsets off MAG for compasses whose COMPASS_OFS is in no PARM."""
+    boot_s = boot_time_s("MAG", mag)
+    if boot_s is None:
+        return
+    offsets = np.stack([mag.quantity(f"Ofs{axis}") for axis in "XYZ"]).T
+    time_s = clock.from_boot(mag.order, boot_s)
+    instances = mag.rows["I"] if "I" in mag else np.zeros(len(mag), dtype=np.intp)
+    power_up = clock.segment(mag.order)
+    for number in np.unique(instances).tolist():
+        suffix = "" if base + number == 1 else str(base + number)
+        if f"COMPASS_OFS{suffix}_X" in names or f"COMPASS{base + number}_OFS_X" in names:
+            continue
+        rows = np.flatnonzero(instances == number)
+        fresh = np.concatenate([[True], np.diff(offsets[rows], axis=0).any(axis=1)])
+        for row in rows[fresh][:_MOST_OFFSET_STEPS].tolist():
+            for axis, value in zip("XYZ", offsets[row].tolist(), strict=True):
+                yield Seen(float(time_s[row]), f"COMPASS_OFS{suffix}_{axis}", value, True, int(power_up[row]))

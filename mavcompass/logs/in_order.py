@@ -1,0 +1,41 @@
+"""Bring the samples of one quantity into the order of time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+
+
+def in_order(time_s: FloatArray, rows: Any) -> tuple[FloatArray, Any, int]:
+    """Sort times and record rows by time; leave out repeats (same time, same bytes), and count them.
+
+    A radio link delivers late and twice; a log that merges two links holds everything twice.
+    """
+    steps = np.diff(time_s)
+    if bool((steps > 0.0).all()):
+        return time_s, rows, 0
+    if bool((steps < 0.0).any()):
+        order = np.argsort(time_s, kind="stable")
+        time_s, rows = time_s[order], rows[order]
+        steps = np.diff(time_s)
+    fresh = _fresh(steps, rows)
+    repeats = int(fresh.size - np.count_nonzero(fresh))
+    return (time_s[fresh], rows[fresh], repeats) if repeats else (time_s, rows, 0)
+
+
+def _fresh(steps: FloatArray, rows: Any) -> NDArray[np.bool_]:
+    """Tell which rows are not a repeat of an earlier one of the same time."""
+    fresh = np.ones(rows.size, dtype=bool)
+    edges = np.flatnonzero(np.concatenate([[True], steps > 0.0, [True]]))
+    lengths = np.diff(edges)
+    for first, count in zip(edges[:-1][lengths > 1], lengths[lengths > 1], strict=True):
+        heard: set[bytes] = set()
+        for index in range(int(first), int(first + count)):
+            content = rows[index].tobytes()
+            fresh[index] = content not in heard
+            heard.add(content)
+    return fresh

@@ -1,0 +1,24 @@
+"""The names that a Track uses for MAVLink's kinds of autopilots and vehicles."""
+
+from __future__ import annotations
+
+from mavcompass.enums import MavAutopilot, MavType
+
+AUTOPILOTS: dict[int, str] = {MavAutopilot.ARDUPILOTMEGA: "ardupilot", MavAutopilot.PX4: "px4"}
+VEHICLES: dict[int, str] = {
+    MavType.FIXED_WING: "plane",
+    MavType.QUADROTOR: "copter",
+    MavType.COAXIAL: "copter",
+    MavType.HELICOPTER: "copter",
+    MavType.HEXAROTOR: "copter",
+    MavType.OCTOROTOR: "copter",
+    MavType.TRICOPTER: "copter",
+    MavType.DODECAROTOR: "copter",
+    MavType.DECAROTOR: "copter",
+    MavType.VTOL_TAILSITTER_DUOROTOR: "plane",
+    MavType.VTOL_TAILSITTER_QUADROTOR: "plane",
+    MavType.VTOL_TILTROTOR: "plane",
+    MavType.GROUND_ROVER: "rover",
+    MavType.SURFACE_BOAT: "boat",
+    MavType.SUBMARINE: "sub",
+}

@@ -1,0 +1,100 @@
+"""From the parameters seen in a recording to the corrections in force, with their times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from mavcompass.compass_parameters import (
+    ardupilot_correction,
+    ardupilot_correction_names,
+    ardupilot_naming,
+    px4_correction,
+    px4_name,
+)
+from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.track import InForce
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Say that a parameter was seen to have a value.
+
+    `announced` is True where the vehicle said so because it had just been set (then it holds from this
+    time on), False where it was merely read (then it may have held for longer).
+    """
+
+    time_s: float
+    name: str
+    value: float
+    announced: bool = False
+    power_up: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Say that a parameter has a value from a time on; minus infinity for before the recording."""
+
+    from_s: float
+    name: str
+    value: float
+
+
+def changes(seen: Iterable[Seen], power_up_s: Sequence[float]) -> tuple[Change, ...]:
+    """Reduce what was seen, in the recording's order, to the changes, in order of time.
+
+    The first value of a parameter also held before it was seen. A value that is merely read after a
+    restart and differs from the one before held since that restart: `power_up_s` are their times.
+    """
+    last: dict[str, float] = {}
+    read_in: dict[str, int] = {}
+    out: list[Change] = []
+    for one in seen:
+        if not math.isfinite(one.value):
+            continue
+        first_here = read_in.get(one.name) != one.power_up
+        read_in[one.name] = one.power_up
+        if one.name not in last:
+            out.append(Change(-math.inf, one.name, one.value))
+        elif last[one.name] != one.value:
+            since_restart = first_here and not one.announced
+            from_s = power_up_s[one.power_up] if since_restart else one.time_s
+            out.append(Change(from_s, one.name, one.value))
+        last[one.name] = one.value
+    return tuple(sorted(out, key=lambda change: change.from_s))
+
+
+def ardupilot_steps(history: Sequence[Change], instance: int) -> tuple[tuple[InForce, ...], bool]:
+    """Return ArduPilot's corrections of one compass over time, and whether its offsets are known."""
+    final = {change.name: change.value for change in history}
+    names = {*ardupilot_correction_names(instance, ardupilot_naming(final)), "COMPASS_MOTCT"}
+    offsets = ardupilot_correction_names(instance, ardupilot_naming(final))[:3]
+    known = all(name in final for name in offsets)
+    return _steps(history, names, lambda values: ardupilot_correction(values, instance)), known
+
+
+def px4_steps(history: Sequence[Change], instance: int) -> tuple[tuple[InForce, ...], bool]:
+    """Return PX4's corrections of one compass over time, and whether its offsets are known."""
+    prefix = px4_name("", instance)
+    names = {change.name for change in history if change.name.startswith(prefix)} | {"CAL_MAG_COMP_TYP"}
+    known = all(px4_name(f"{axis}OFF", instance) in names for axis in "XYZ")
+    return _steps(history, names, lambda values: px4_correction(values, instance)), known
+
+
+def _steps(
+    history: Sequence[Change],
+    names: set[str],
+    correct: Callable[[Mapping[str, float]], FieldCorrection],
+) -> tuple[InForce, ...]:
+    values: dict[str, float] = {}
+    moments: dict[float, FieldCorrection] = {-math.inf: IDENTITY}
+    for change in history:
+        if change.name in names:
+            values[change.name] = change.value
+            moments[change.from_s] = correct(values)
+    out: list[InForce] = []
+    for from_s, correction in moments.items():
+        if not out or out[-1].correction != correction:
+            out.append(InForce(from_s, correction))
+    return tuple(out)

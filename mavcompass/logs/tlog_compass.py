@@ -1,0 +1,114 @@
+"""Which MAVLink message speaks for which compass, and what its numbers are in milligauss and body axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavcompass import telemetry
+from mavcompass.compass_parameters import ardupilot_name, px4_name, px4_rotation
+from mavcompass.correction import IDENTITY
+from mavcompass.frames import FloatArray
+from mavcompass.logs.parameter_steps import Change, ardupilot_steps, px4_steps
+from mavcompass.track import InForce, MagSeries, Series
+from mavcompass.units import MGAUSS_PER_GAUSS
+
+# ArduPilot sent HIGHRES_IMU's field a million times too large until 2026; Earth's is below one gauss.
+_NO_FIELD_GAUSS = 1000.0
+_ARDUPILOT_HIGHRES_PER_MGAUSS = 1000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Hold one message's samples in order of time: `rows` is a record array with its field names."""
+
+    name: str
+    time_s: FloatArray
+    rows: object
+
+    def __len__(self) -> int:
+        """Count the samples."""
+        return int(self.time_s.size)
+
+
+def spokesmen(samples: Mapping[str, Samples], autopilot: str, rotation_known: bool) -> dict[int, Samples]:
+    """Choose the message for each compass, by instance.
+
+    Compass 1 speaks in up to three messages. Of RAW_IMU and SCALED_IMU the denser is taken. HIGHRES_IMU
+    steps in where it is more than twice as dense, and on PX4 where SCALED_IMU's axes are not known.
+    """
+    chosen: dict[int, Samples] = {}
+    for name, instance in telemetry.MAG_MESSAGES.items():
+        found = samples.get(name)
+        if found is not None and len(found) > len(chosen.get(instance, ())):
+            chosen[instance] = found
+    highres = samples.get("HIGHRES_IMU")
+    if highres is not None:
+        rival = chosen.get(1)
+        blind = autopilot == "px4" and not rotation_known
+        if rival is None or blind or len(highres) > 2 * len(rival):
+            chosen[1] = highres
+    return dict(sorted(chosen.items()))
+
+
+def compass_of(
+    instance: int,
+    samples: Samples,
+    autopilot: str,
+    history: Sequence[Change],
+    parameters: Mapping[str, float],
+) -> tuple[MagSeries, tuple[str, ...]]:
+    """Build one compass's readings with the corrections inside them, and notes on what was supposed."""
+    notes: list[str] = []
+    highres = samples.name == "HIGHRES_IMU"
+    reported = _highres_mgauss(samples.rows, autopilot) if highres else telemetry.field_mgauss(samples.rows)
+    steps: tuple[InForce, ...] = (InForce(-np.inf, IDENTITY),)
+    known = True
+    device_id: float | None = None
+    if autopilot == "ardupilot":
+        steps, known = ardupilot_steps(history, instance)
+        device_id = parameters.get(ardupilot_name("DEV_ID", instance))
+    elif autopilot == "px4":
+        device_id = parameters.get(px4_name("ID", instance))
+        if highres:
+            steps, known = px4_steps(history, instance)
+        else:
+            reported, more = _px4_body_axes(reported, parameters, instance)
+            notes += more
+    else:
+        known = False
+    compass = MagSeries(
+        instance=instance,
+        reported=Series.of(samples.time_s, reported),
+        in_force=steps,
+        correction_known=known,
+        quantum_mgauss=0.0 if highres else 1.0,
+        truncated=not highres,
+        device_id=None if device_id is None else int(device_id),
+    )
+    return compass, tuple(notes)
+
+
+def _px4_body_axes(
+    sensor_mgauss: FloatArray, parameters: Mapping[str, float], instance: int
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Turn PX4's SCALED_IMU, uncorrected and in the sensor's axes, into body axes."""
+    name = px4_name("ROT", instance)
+    if name not in parameters:
+        return sensor_mgauss, (
+            f"{name} is not in the recording: compass {instance} is taken as not rotated.",
+        )
+    try:
+        rotation = px4_rotation(parameters, instance)
+    except KeyError:
+        return sensor_mgauss, (f"{name} = {parameters[name]:g} is no known rotation: none was applied.",)
+    return sensor_mgauss @ rotation.T, ()
+
+
+def _highres_mgauss(rows: object, autopilot: str) -> FloatArray:
+    field = telemetry.field_mgauss(rows).astype(np.float64)
+    if autopilot == "ardupilot" and float(np.median(np.abs(field).max(axis=1))) > _NO_FIELD_GAUSS:
+        return field / _ARDUPILOT_HIGHRES_PER_MGAUSS
+    return field * MGAUSS_PER_GAUSS
