@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from mavcompass.compass_parameters import ardupilot_name
 from mavcompass.logs.boot_clock import BootClock
 from mavcompass.logs.dataflash_records import Log, Records
 from mavcompass.logs.dataflash_time import boot_time_s
 from mavcompass.logs.parameter_steps import Seen
 
-# MAG's offsets are whole numbers cut off toward zero.
-_CUT_OFF_MGAUSS = 1.0
+# A compass that learns its offsets in flight changes them with every record.
 _MOST_OFFSET_STEPS = 1000
 
 
@@ -55,8 +55,8 @@ def _offsets(mag: Records, base: int, clock: BootClock, names: set[str]) -> Iter
     instances = mag.rows["I"] if "I" in mag else np.zeros(len(mag), dtype=np.intp)
     power_up = clock.segment(mag.order)
     for number in np.unique(instances).tolist():
-        suffix = "" if base + number == 1 else str(base + number)
-        if f"COMPASS_OFS{suffix}_X" in names or f"COMPASS{base + number}_OFS_X" in names:
+        instance = base + int(number)
+        if names & {ardupilot_name("OFS_X", instance), ardupilot_name("OFS_X", instance, "COMPASS2_OFS_X")}:
             continue
         rows = np.flatnonzero(instances == number)
         fresh = np.concatenate([[True], np.diff(offsets[rows], axis=0).any(axis=1)])
