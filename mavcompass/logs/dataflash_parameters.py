@@ -62,4 +62,5 @@ def _offsets(mag: Records, base: int, clock: BootClock, names: set[str]) -> Iter
         fresh = np.concatenate([[True], np.diff(offsets[rows], axis=0).any(axis=1)])
         for row in rows[fresh][:_MOST_OFFSET_STEPS].tolist():
             for axis, value in zip("XYZ", offsets[row].tolist(), strict=True):
-                yield Seen(float(time_s[row]), f"COMPASS_OFS{suffix}_{axis}", value, True, int(power_up[row]))
+                name = ardupilot_name(f"OFS_{axis}", instance)
+                yield Seen(float(time_s[row]), name, value, True, int(power_up[row]))
