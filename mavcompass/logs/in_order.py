@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from mavcompass.frames import FloatArray
 
 
-def in_order(time_s: FloatArray, rows: Any) -> tuple[FloatArray, Any, int]:
+def in_order(time_s: FloatArray, rows: Any, *, own_time: bool = True) -> tuple[FloatArray, Any, int]:
     """Sort times and record rows by time; leave out repeats (same time, same bytes), and count them.
 
-    A radio link delivers late and twice; a log that merges two links holds everything twice.
+    A radio link delivers late and twice; a log that merges two links holds everything twice. Without
+    `own_time` the times were found from outside, and tell nothing of repeats.
     """
     steps = np.diff(time_s)
     if bool((steps > 0.0).all()):
@@ -22,6 +23,8 @@ def in_order(time_s: FloatArray, rows: Any) -> tuple[FloatArray, Any, int]:
         order = np.argsort(time_s, kind="stable")
         time_s, rows = time_s[order], rows[order]
         steps = np.diff(time_s)
+    if not own_time:
+        return time_s, rows, 0
     fresh = _fresh(steps, rows)
     repeats = int(fresh.size - np.count_nonzero(fresh))
     return (time_s[fresh], rows[fresh], repeats) if repeats else (time_s, rows, 0)

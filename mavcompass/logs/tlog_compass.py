@@ -97,9 +97,7 @@ def _px4_body_axes(
     """Turn PX4's SCALED_IMU, uncorrected and in the sensor's axes, into body axes."""
     name = px4_name("ROT", instance)
     if name not in parameters:
-        return sensor_mgauss, (
-            f"{name} is not in the recording: compass {instance} is taken as not rotated.",
-        )
+        return sensor_mgauss, (f"{name} is not recorded: compass {instance} is taken as not rotated.",)
     try:
         rotation = px4_rotation(parameters, instance)
     except KeyError:

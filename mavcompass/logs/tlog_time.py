@@ -67,9 +67,9 @@ def place_messages(messages: dict[str, Messages], clock: BootClock) -> tuple[dic
             time_s = clock.from_log(found.order, found.log_time_s)
             if _MICROSECONDS in fields:
                 time_s = _by_microseconds(found, time_s, clock)
-        time_s, rows, left_out = in_order(time_s, found.rows)
-        if _MILLISECONDS in fields or _MICROSECONDS in fields:
-            repeats += left_out
+        own_time = _MILLISECONDS in fields or _MICROSECONDS in fields
+        time_s, rows, left_out = in_order(time_s, found.rows, own_time=own_time)
+        repeats += left_out
         samples[name] = Samples(name, time_s, rows)
     return samples, repeats
 
