@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, MutableMapping
 from typing import TYPE_CHECKING
 
@@ -13,19 +12,20 @@ from mavcompass.enums import MavAutopilot, MavResult, MavSeverity, MavState
 from mavcompass.simulation.ardupilot_arming import arming_refusals
 from mavcompass.simulation.ardupilot_commands import answer_command
 from mavcompass.simulation.ardupilot_compass import INSTANCES, CompassBank
-from mavcompass.simulation.ardupilot_guidance import GroundGuidance, HoverGuidance
 from mavcompass.simulation.ardupilot_modes import mode_rules
-from mavcompass.simulation.ardupilot_parameters import ParameterServer
 from mavcompass.simulation.ardupilot_reports import ArduPilotReports
 from mavcompass.simulation.ardupilot_steering import Steering
-from mavcompass.simulation.ardupilot_targets import attitude_target, position_target
 from mavcompass.simulation.attitude_filter import compass_yaw
 from mavcompass.simulation.firmware import Sender
+from mavcompass.simulation.guidance import GroundGuidance, HoverGuidance
 from mavcompass.simulation.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.motion import Drive
+from mavcompass.simulation.parameter_server import ARDUPILOT_MANNERS, ParameterServer
 from mavcompass.simulation.parameter_store import ParameterStore, parameter_table
 from mavcompass.simulation.radio import Radio
+from mavcompass.simulation.stream_commands import as_long
 from mavcompass.simulation.streams import MESSAGES
+from mavcompass.simulation.targets import attitude_target, position_target
 
 if TYPE_CHECKING:
     from mavcompass.simulation.autopilot import SimulatedAutopilot
@@ -44,6 +44,8 @@ _SET_MODE_ID = 11
 class ArduPilot:
     """Be the software of one simulated ArduPilot vehicle."""
 
+    available = frozenset(MESSAGES)
+
     def __init__(
         self,
         vehicle: SimulatedAutopilot,
@@ -54,7 +56,7 @@ class ArduPilot:
         self.modes = mode_rules(vehicle.profile)
         table = parameter_table(*_PARAMETER_FILES[vehicle.profile.chassis])
         self.store = ParameterStore(table, self._defaults(parameters), storage)
-        self.parameters = ParameterServer(vehicle, self.store)
+        self.parameters = ParameterServer(vehicle, self.store, ARDUPILOT_MANNERS)
         self.compasses = CompassBank(vehicle, self.store)
         self.magnetometer_calibration = MagnetometerCalibration()
         self.radio = Radio(throttle_low=vehicle.profile.chassis == "copter")
@@ -163,7 +165,7 @@ class ArduPilot:
             case m.CommandLong():
                 self._acknowledge(message.command, answer_command(self, message, sender), sender)
             case m.CommandInt():
-                self._acknowledge(message.command, answer_command(self, _as_long(message), sender), sender)
+                self._acknowledge(message.command, answer_command(self, as_long(message), sender), sender)
             case m.SetMode():
                 done = bool(message.base_mode & 1) and self.set_mode_number(message.custom_mode)
                 result = MavResult.ACCEPTED if done else MavResult.FAILED
@@ -285,21 +287,3 @@ class ArduPilot:
     def lose_compass(self, instance: int, healthy: bool, value: Vector | None) -> None:
         """Stop a compass, at a raw value or at its last reading."""
         self.compasses.lose(instance, healthy, value)
-
-
-def _as_long(command: m.CommandInt) -> m.CommandLong:
-    """Read a COMMAND_INT as the COMMAND_LONG of the same meaning (places in degrees)."""
-    c = command
-    return m.CommandLong(
-        c.target_system,
-        c.target_component,
-        c.command,
-        0,
-        c.param1,
-        c.param2,
-        c.param3,
-        c.param4,
-        c.x * 1e-7,
-        c.y * 1e-7,
-        c.z if math.isfinite(c.z) else 0.0,
-    )

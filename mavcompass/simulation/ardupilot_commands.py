@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from mavcompass.compass_parameters import ardupilot_name
 from mavcompass.correction import Vector
 from mavcompass.enums import MavCmd, MavResult
-from mavcompass.messages import AutopilotVersion, CommandLong, MessageInterval
+from mavcompass.messages import CommandLong
 from mavcompass.simulation.ardupilot_compass import INSTANCES
 from mavcompass.simulation.firmware import Sender
 from mavcompass.simulation.motion import rotation_matrix
-from mavcompass.simulation.streams import MESSAGE_IDS, MESSAGES
+from mavcompass.simulation.stream_commands import answer_stream_command
 
 if TYPE_CHECKING:
     from mavcompass.simulation.ardupilot import ArduPilot
@@ -22,7 +22,6 @@ Handler = Callable[["ArduPilot", CommandLong, Sender], MavResult]
 
 _FORCE = 21196.0
 _FORCE_SAVE_CALIBRATION = 76.0
-_MESSAGE_INTERVAL_ID = 244
 _SENSOR_OF_COMPASS = {2: 1, 5: 2, 6: 3}
 _DEFAULT_SLEW_RADPS = math.radians(60.0)
 _TAKEOFF_MIN_M = 0.1
@@ -74,40 +73,6 @@ def _land(fc: ArduPilot, c: CommandLong, sender: Sender) -> MavResult:
     if fc.vehicle.profile.chassis != "copter":
         return MavResult.UNSUPPORTED
     return _as_result(fc.set_mode("LAND"))
-
-
-def _set_message_interval(fc: ArduPilot, c: CommandLong, sender: Sender) -> MavResult:
-    streams = fc.vehicle.streams(sender.port)
-    accepted = streams.set_interval(int(c.param1), int(c.param2), fc.vehicle.now_us)
-    return MavResult.ACCEPTED if accepted else MavResult.DENIED
-
-
-def _tell_interval(fc: ArduPilot, number: int, sender: Sender) -> None:
-    interval = fc.vehicle.streams(sender.port).interval_us(number)
-    fc.vehicle.send(MessageInterval(number, interval), sender.port)
-
-
-def _get_message_interval(fc: ArduPilot, c: CommandLong, sender: Sender) -> MavResult:
-    _tell_interval(fc, int(c.param1), sender)
-    return MavResult.ACCEPTED
-
-
-def _request_message(fc: ArduPilot, c: CommandLong, sender: Sender) -> MavResult:
-    number = int(c.param1)
-    if number == _MESSAGE_INTERVAL_ID:
-        _tell_interval(fc, int(c.param2), sender)
-        return MavResult.ACCEPTED
-    if number not in MESSAGES:
-        return MavResult.FAILED
-    message = fc.report(MESSAGES[number][0], fc.vehicle.now_us, 1.0)
-    if message is not None:
-        fc.vehicle.send(message, sender.port)
-    return MavResult.ACCEPTED
-
-
-def _request_capabilities(fc: ArduPilot, c: CommandLong, sender: Sender) -> MavResult:
-    number = float(MESSAGE_IDS[AutopilotVersion])
-    return _request_message(fc, CommandLong(command=MavCmd.REQUEST_MESSAGE, param1=number), sender)
 
 
 def _reboot(fc: ArduPilot, c: CommandLong, sender: Sender) -> MavResult:
@@ -212,10 +177,6 @@ _HANDLERS: dict[int, Handler] = {
     MavCmd.CONDITION_YAW: _condition_yaw,
     MavCmd.NAV_TAKEOFF: _takeoff,
     MavCmd.NAV_LAND: _land,
-    MavCmd.SET_MESSAGE_INTERVAL: _set_message_interval,
-    MavCmd.GET_MESSAGE_INTERVAL: _get_message_interval,
-    MavCmd.REQUEST_MESSAGE: _request_message,
-    MavCmd.REQUEST_AUTOPILOT_CAPABILITIES: _request_capabilities,
     MavCmd.PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
     MavCmd.RUN_PREARM_CHECKS: _run_checks,
     MavCmd.PREFLIGHT_CALIBRATION: _preflight_calibration,
@@ -230,9 +191,10 @@ _HANDLERS: dict[int, Handler] = {
 def answer_command(fc: ArduPilot, command: CommandLong, sender: Sender) -> MavResult:
     """Carry out a command; what this firmware does not know is UNSUPPORTED."""
     values = (command.param1, command.param2, command.param3, command.param4, command.param7)
-    handler = _HANDLERS.get(command.command)
-    if handler is None:
-        return MavResult.UNSUPPORTED
     if not all(math.isfinite(v) for v in values):
         return MavResult.DENIED
-    return handler(fc, command, sender)
+    about_messages = answer_stream_command(fc.vehicle, command, sender)
+    if about_messages is not None:
+        return about_messages
+    handler = _HANDLERS.get(command.command)
+    return MavResult.UNSUPPORTED if handler is None else handler(fc, command, sender)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from mavcompass.simulation.ardupilot_guidance import Target, stick
-from mavcompass.simulation.ardupilot_targets import Ignore
+from mavcompass.simulation.guidance import Target, stick
 from mavcompass.simulation.motion import Drive
+from mavcompass.simulation.targets import Ignore
 
 if TYPE_CHECKING:
     from mavcompass.simulation.ardupilot import ArduPilot

@@ -24,6 +24,7 @@ from mavcompass.simulation.motion import Body, Drive
 from mavcompass.simulation.noise import generator
 from mavcompass.simulation.outgoing import Outgoing
 from mavcompass.simulation.profiles import VehicleProfile, profile
+from mavcompass.simulation.px4 import Px4
 from mavcompass.simulation.sensors import COMPASS_PERIOD_US, Distortion, SensorSuite, Surroundings
 from mavcompass.simulation.streams import MESSAGES, Streams
 from mavcompass.simulation.truth import Truth, truth_of
@@ -43,7 +44,7 @@ class SimulatedAutopilot:
         vehicle: str,
         *,
         seed: int = 0,
-        effects: Sequence[Distortion] = (),
+        effects: Sequence[Distortion | str] = (),
         parameters: Mapping[str, float] | None = None,
         storage: MutableMapping[str, float] | None = None,
         place: tuple[float, float, float] | None = None,
@@ -63,7 +64,8 @@ class SimulatedAutopilot:
         ----------
         vehicle: rover, ackermann-rover, boat, copter, sub or px4-copter.
         seed: of everything random: iron, start heading, noise.
-        effects: further physical effects on the first compass and IMU.
+        effects: further physical effects on the first compass and IMU, ready or as text
+            ("hard_iron:x=100,y=-50").
         parameters: values other than the defaults; they give way to what `storage` holds.
         storage: what has been written to the vehicle; hand it to another instance to keep it.
         place: latitude deg, longitude deg, altitude m; the firmware's usual place by default.
@@ -92,7 +94,7 @@ class SimulatedAutopilot:
         self.tick_us = self.profile.tick_us
         self.sensors = SensorSuite(
             [c.model for c in self.compass_setups],
-            effects,
+            _distortions(effects),
             seed,
             self.tick_us * 1e-6,
             self.profile.vibration_mps2,
@@ -106,7 +108,8 @@ class SimulatedAutopilot:
         self._until_us = 0
         self._outbox: list[Outgoing] = []
         self._ports: dict[int, Streams] = {}
-        self.firmware: Firmware = ArduPilot(self, dict(parameters or {}), storage)
+        make = Px4 if self.profile.firmware == "px4" else ArduPilot
+        self.firmware: Firmware = make(self, dict(parameters or {}), storage)
         self.filter = AttitudeFilter(seed, self.boots)
         self._start(armed)
 
@@ -161,6 +164,11 @@ class SimulatedAutopilot:
     def ready(self) -> bool:
         """Tell whether the position is known."""
         return self.boot_time_s >= self.ready_s
+
+    @property
+    def rebooting(self) -> bool:
+        """Tell whether the vehicle is silent because it reboots."""
+        return self.silent_until_us is not None
 
     def streams(self, port: int) -> Streams:
         """Return the message rates of a port."""
@@ -285,11 +293,29 @@ class SimulatedAutopilot:
         return self._ports[port]
 
     def _new_streams(self) -> Streams:
-        return Streams(self.profile.loop_hz, self.firmware.default_intervals(), self.now_us)
+        firmware, profile = self.firmware, self.profile
+        return Streams(
+            profile.loop_us,
+            int(profile.loop_us / profile.rate_share),
+            firmware.available,
+            firmware.default_intervals(),
+            self.now_us,
+        )
 
 
 def _leaving_time(out: Outgoing) -> float:
     return out.time_s
+
+
+def _distortions(effects: Sequence[Distortion | str]) -> list[Distortion]:
+    """Make those effects that are given as text, all of them in one chain, in the order of causes."""
+    ready = [e for e in effects if not isinstance(e, str)]
+    texts = [e for e in effects if isinstance(e, str)]
+    if texts:
+        from mavcompass.simulation.effects.registry import distortion
+
+        ready.append(distortion(texts))
+    return ready
 
 
 def _world(

@@ -24,6 +24,7 @@ class Firmware(Protocol):
     """Behave as one autopilot's software."""
 
     armed: bool
+    available: frozenset[int]
 
     def boot(self, armed: bool) -> None:
         """Power up; `armed` begins in the middle of a mission instead."""

@@ -25,6 +25,7 @@ class VehicleProfile:
 
     Attributes:
         loop_hz: the flight controller's main loop; it bounds the message rates and times them.
+        rate_share: message rates above this share of the loop's are denied.
         tick_us: the simulation's step, a whole number of which make 100 ms.
         yaw_rate_max_radps, yaw_acceleration_radps2, yaw_lag_s: how the chassis can turn.
         yaw_gain_per_s: turn rate asked per radian of heading error.
@@ -45,6 +46,7 @@ class VehicleProfile:
     guided_mode: int
     initial_mode: int
     loop_hz: int = 50
+    rate_share: float = 0.8
     tick_us: int = 20_000
     yaw_rate_max_radps: float = 120.0 * _DEG
     yaw_acceleration_radps2: float = 120.0 * _DEG
@@ -166,6 +168,30 @@ PROFILES: dict[str, VehicleProfile] = {
             vibration_mps2=0.05,
             slope_rad=0.5 * _DEG,
             yaw_unrest_radps=0.3 * _DEG,
+        ),
+        VehicleProfile(
+            name="px4-copter",
+            firmware="px4",
+            chassis="copter",
+            mav_type=MavType.QUADROTOR,
+            place=ZURICH,
+            guided_mode=6 << 16,
+            initial_mode=3 << 16,
+            loop_hz=250,
+            rate_share=1.0,
+            tick_us=10_000,
+            yaw_rate_max_radps=200.0 * _DEG,
+            yaw_acceleration_radps2=90.0 * _DEG,
+            yaw_lag_s=0.12,
+            yaw_gain_per_s=2.2,
+            coast_radps2=60.0 * _DEG,
+            hover_m=8.0,
+            currents_a=(0.6, 18.0, 1.2),
+            jitter_rad=0.35 * _DEG,
+            jitter_period_s=1.4,
+            vibration_mps2=0.6,
+            slope_rad=0.5 * _DEG,
+            yaw_unrest_radps=0.15 * _DEG,
         ),
     )
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from mavcompass import messages as m
@@ -46,9 +46,8 @@ MESSAGES: dict[int, tuple[type[m.Message], str]] = {
 }
 MESSAGE_IDS = {kind: number for number, (kind, _) in MESSAGES.items()}
 
-# A flight controller refuses rates above this share of its main loop's.
-_RATE_SHARE = 0.8
 _LONGEST_INTERVAL_US = 60_000_000
+_NEVER_US = 1 << 62
 
 
 @dataclass(slots=True)
@@ -60,25 +59,41 @@ class _Timer:
 class Streams:
     """Hold the message intervals of one port."""
 
-    def __init__(self, loop_hz: int, defaults: Mapping[int, int], now_us: int) -> None:
-        """Start with default intervals, message id -> microseconds."""
-        self._loop_us = 1_000_000 // loop_hz
-        self._shortest_us = int(1_000_000 / (_RATE_SHARE * loop_hz))
+    def __init__(
+        self,
+        loop_us: int,
+        shortest_us: int,
+        available: Collection[int],
+        defaults: Mapping[int, int],
+        now_us: int,
+    ) -> None:
+        """Start with default intervals.
+
+        Parameters
+        ----------
+        loop_us: messages leave at multiples of this, the main loop's period.
+        shortest_us: the shortest interval that the firmware grants.
+        available: ids of the messages that it knows; defaults: id -> interval, microseconds.
+        """
+        self._loop_us = loop_us
+        self._shortest_us = shortest_us
+        self._available = available
         self._defaults = dict(defaults)
         self._timers: dict[int, _Timer] = {}
+        self._next_us = 0
         for number, interval in self._defaults.items():
             self._start(number, interval, now_us)
 
     def interval_us(self, number: int) -> int:
         """Return a message's interval: -1 when it is off, 0 when there is no such message."""
-        if number not in MESSAGES:
+        if number not in self._available:
             return 0
         timer = self._timers.get(number)
         return timer.interval_us if timer else -1
 
     def set_interval(self, number: int, interval_us: int, now_us: int) -> bool:
         """Set an interval as SET_MESSAGE_INTERVAL does; False leaves the old one in force."""
-        if number not in MESSAGES:
+        if number not in self._available:
             return False
         if interval_us < 0:
             self._timers.pop(number, None)
@@ -109,6 +124,8 @@ class Streams:
     def due(self, until_us: int) -> list[tuple[int, int]]:
         """List (time, message id) of what leaves up to a time, in order of time."""
         out: list[tuple[int, int]] = []
+        if until_us < self._next_us:
+            return out
         loop = self._loop_us
         for number, timer in self._timers.items():
             while True:
@@ -117,6 +134,7 @@ class Streams:
                     break
                 out.append((leaves, number))
                 timer.due_us += timer.interval_us
+        self._next_us = min((t.due_us for t in self._timers.values()), default=_NEVER_US)
         if len(out) > 1:
             out.sort()
         return out
@@ -126,3 +144,4 @@ class Streams:
         if old is not None and old.interval_us == interval_us:
             return
         self._timers[number] = _Timer(interval_us, now_us + interval_us)
+        self._next_us = min(self._next_us, now_us + interval_us)

@@ -18,6 +18,9 @@ from mavcompass.units import STANDARD_GRAVITY_MPS2
 if TYPE_CHECKING:
     from mavcompass.simulation.autopilot import SimulatedAutopilot
 
+# Samples for which an attitude is held when it is judged; the second half is averaged.
+_SETTLING_SAMPLES = 100
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
@@ -76,8 +79,9 @@ def heading_errors_rad(
 ) -> FloatArray:
     """Return the heading error of a correction (by default the one in force) on the whole circle.
 
-    The vehicle is held at `headings` equal steps and a tilt; the reading is free of noise (that of
-    effects, which may be random, excepted), the tilt is known exactly, the declination too.
+    The vehicle is held at `headings` equal steps and a tilt, at its present current and temperature. The
+    reading is free of noise (that of effects, which may be random, excepted); the tilt and the
+    declination are known exactly.
     """
     yaw = np.linspace(-math.pi, math.pi, headings, endpoint=False)
     rotation = euler_to_matrix(roll_rad, pitch_rad, yaw)
@@ -109,25 +113,34 @@ def raw_readings(vehicle: SimulatedAutopilot, instance: int, rotation: FloatArra
     raw = compass.model.iron.undo(rotate_back(rotation, field_ned))
     if instance != 1 or not vehicle.sensors.distortions:
         return raw
-    n = len(raw)
-    around = vehicle.surroundings()
-    force = rotate_back(rotation, np.array([0.0, 0.0, -STANDARD_GRAVITY_MPS2]))
-    stimulus = Stimulus(
-        time_s=np.full(n, vehicle.now_us * 1e-6),
-        rotation=rotation,
-        field_ned_mgauss=np.tile(field_ned, (n, 1)),
-        rate_radps=np.zeros((n, 3)),
-        specific_force_mps2=force,
-        position_ned_m=np.tile(vehicle.truth.position_ned_m, (n, 1)),
-        velocity_ned_mps=np.zeros((n, 3)),
-        current_a=np.full(n, around.current_a),
-        throttle=np.full(n, around.throttle),
-        temperature_degc=np.full(n, around.temperature_degc),
-        motors=np.tile(around.motors, (n, 1)),
-    )
-    reading = Reading(raw, force, np.zeros((n, 3)))
-    rng = generator(vehicle.seed, "judge")
-    # On copies: what an effect remembers of the journey so far must not change by being looked at.
-    for distortion in copy.deepcopy(vehicle.sensors.distortions):
-        reading = distortion.apply(stimulus, reading, rng)
-    return reading.mag_mgauss
+    return _distorted(vehicle, rotation, raw)
+
+
+def _distorted(vehicle: SimulatedAutopilot, rotation: FloatArray, raw: FloatArray) -> FloatArray:
+    """Pass readings through the vehicle's effects, each attitude held long enough for any lag to settle."""
+    field_ned = np.asarray(vehicle.world.field_ned_mgauss)
+    around, n = vehicle.surroundings(), _SETTLING_SAMPLES
+    start_s, step_s = vehicle.now_us * 1e-6, vehicle.tick_us * 1e-6
+    means = np.empty_like(raw)
+    for row, (matrix, reading_mgauss) in enumerate(zip(rotation, raw, strict=True)):
+        force = np.tile(matrix.T @ [0.0, 0.0, -STANDARD_GRAVITY_MPS2], (n, 1))
+        stimulus = Stimulus(
+            time_s=start_s + step_s * np.arange(1.0, n + 1.0),
+            rotation=np.tile(matrix, (n, 1, 1)),
+            field_ned_mgauss=np.tile(field_ned, (n, 1)),
+            rate_radps=np.zeros((n, 3)),
+            specific_force_mps2=force,
+            position_ned_m=np.tile(vehicle.truth.position_ned_m, (n, 1)),
+            velocity_ned_mps=np.zeros((n, 3)),
+            current_a=np.full(n, around.current_a),
+            throttle=np.full(n, around.throttle),
+            temperature_degc=np.full(n, around.temperature_degc),
+            motors=np.tile(around.motors, (n, 1)),
+        )
+        reading = Reading(np.tile(reading_mgauss, (n, 1)), force, np.zeros((n, 3)))
+        rng = generator(vehicle.seed, f"judge {row}")
+        # On copies: what an effect remembers of the journey so far must not change by being looked at.
+        for distortion in copy.deepcopy(vehicle.sensors.distortions):
+            reading = distortion.apply(stimulus, reading, rng)
+        means[row] = reading.mag_mgauss[n // 2 :].mean(axis=0)
+    return means

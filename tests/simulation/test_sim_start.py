@@ -9,6 +9,7 @@ from mavcompass.simulation.faults import draw_compasses
 from mavcompass.simulation.truth import heading_error_rms_deg, true_correction
 
 VEHICLES = ["rover", "ackermann-rover", "boat", "copter", "sub"]
+ALL = [*VEHICLES, "px4-copter"]
 
 
 @pytest.mark.parametrize("seed", range(100))
@@ -36,7 +37,7 @@ def test_it_comes_up_armed_in_guided_and_ready(station, vehicle):
     assert s.of(m.EkfStatusReport)[-1].flags & 0b10011 == 0b10011
 
 
-@pytest.mark.parametrize("vehicle", VEHICLES)
+@pytest.mark.parametrize("vehicle", ALL)
 def test_the_same_seed_gives_the_same_bytes_however_time_is_cut(vehicle):
     def record(cuts):
         v = SimulatedAutopilot(vehicle, seed=5)

@@ -1,4 +1,4 @@
-"""How ArduPilot turns a vehicle: heading and rate targets on the ground, auto-yaw in air and water.
+"""How a flight controller turns a vehicle: heading and rate targets on the ground, auto-yaw in air and water.
 
 Everything is closed on the filter's yaw, the only one a flight controller has.
 """

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from mavcompass.enums import MavFrame
 from mavcompass.messages import Quaternion, SetAttitudeTarget, SetPositionTargetLocalNed
-from mavcompass.simulation.ardupilot_guidance import Target
 from mavcompass.simulation.attitude_filter import wrap_angle
+from mavcompass.simulation.guidance import Target
 
 if TYPE_CHECKING:
     from mavcompass.simulation.ardupilot import ArduPilot
