@@ -1,1 +1,56 @@
 """Calibration: from still positions and turns, or any motion, to a correction with its covariance."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mavcompass.calibration.calibrate import calibrate_positions as calibrate_positions
+    from mavcompass.calibration.calibrate import calibrate_track as calibrate_track
+    from mavcompass.calibration.four_positions import FourPositionsResult as FourPositionsResult
+    from mavcompass.calibration.four_positions import solve_four_positions as solve_four_positions
+    from mavcompass.calibration.observation import Dwell as Dwell
+    from mavcompass.calibration.observation import FourPositionData as FourPositionData
+    from mavcompass.calibration.observation import Step as Step
+    from mavcompass.calibration.observation import dwell_between as dwell_between
+    from mavcompass.calibration.observation import step_between as step_between
+    from mavcompass.calibration.result import METHODS as METHODS
+    from mavcompass.calibration.result import CalibrationResult as CalibrationResult
+    from mavcompass.calibration.stillness import StillnessDetector as StillnessDetector
+    from mavcompass.calibration.stillness import assemble as assemble
+    from mavcompass.calibration.stillness import find_dwells as find_dwells
+    from mavcompass.calibration.stillness import observe as observe
+    from mavcompass.calibration.stillness import turns_between as turns_between
+    from mavcompass.calibration.verdict import Limits as Limits
+
+_PUBLIC = {
+    "calibrate_positions": "calibrate",
+    "calibrate_track": "calibrate",
+    "FourPositionsResult": "four_positions",
+    "solve_four_positions": "four_positions",
+    "Dwell": "observation",
+    "FourPositionData": "observation",
+    "Step": "observation",
+    "dwell_between": "observation",
+    "step_between": "observation",
+    "METHODS": "result",
+    "CalibrationResult": "result",
+    "StillnessDetector": "stillness",
+    "assemble": "stillness",
+    "find_dwells": "stillness",
+    "observe": "stillness",
+    "turns_between": "stillness",
+    "Limits": "verdict",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(_PUBLIC)

@@ -38,6 +38,8 @@ from mavcompass.frames import FloatArray, wrap_two_pi
 
 # Below this probability of the agreement the covariance is widened and a disturbed dwell looked for.
 WIDENED_BELOW = 0.01
+# With more positions than this the robust weights name the disturbed ones.
+_REFIT_AT_MOST = 10
 
 # Sources of the heading's uncertainty, as the report names them.
 SOURCES = ("noise", "step_angle", "tilt", "world_model", "quantisation", "disturbance", "prior")
@@ -210,6 +212,8 @@ def _suspects(
     With four positions the remaining three always agree; then only what the prior says of the irons
     they would need tells the dwells apart, and all that it does not exclude are named.
     """
+    if len(data.dwells) > _REFIT_AT_MOST:
+        return tuple(int(i) for i in np.argsort(fit.weights)[:3] if fit.weights[i] < 0.5)
     costs = []
     for index in range(len(data.dwells)):
         try:

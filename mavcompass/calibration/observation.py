@@ -15,6 +15,7 @@ from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.heading.gravity import down_in_body
 from mavcompass.track import MagSeries, Track
+from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.
 ARDUPILOT_LAG_S = 0.09
@@ -22,6 +23,8 @@ LAG_SIGMA_S = 0.03
 # What the ground, the suspension and the accelerometer's vibration add to a tilt averaged over a dwell.
 _TILT_FLOOR_RAD = math.radians(0.02)
 _OUTLIER_SIGMAS = 5.0
+# A mean specific force further from g than this is not gravity alone.
+_GRAVITY_SLACK = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,6 +149,23 @@ def correction_at(compass: MagSeries, time_s: float) -> FieldCorrection:
     return current.correction
 
 
+def uncorrected_field(track: Track, instance: int) -> FloatArray:
+    """Undo offsets, matrix and scale in force, but leave the motor compensation in: (N, 3), milligauss.
+
+    The motor term is kept by the calibrations that do not fit one, so it has to stay in their data.
+    Raises KeyError for a compass that the recording does not have.
+    """
+    compass = track.compasses[instance]
+    reported = np.asarray(compass.reported.values)
+    raw = np.empty_like(reported)
+    starts = np.array([step.from_s for step in compass.in_force])
+    starts[0] = -np.inf
+    edges = [*np.searchsorted(compass.time_s, starts), len(reported)]
+    for step, first, last in zip(compass.in_force, edges[:-1], edges[1:], strict=True):
+        raw[int(first) : int(last)] = step.correction.undo(reported[int(first) : int(last)])
+    return raw
+
+
 def dwell_between(
     track: Track, instance: int, start_s: float, end_s: float, turn: TurnRecord | None = None
 ) -> Dwell:
@@ -223,7 +243,14 @@ def _dwell(
         coherence=float(abs(phasor)),
         swept_rad=float(np.ptp(angles)),
         current_a=float(np.nanmean(current.at(time))) if current is not None and len(current) else math.nan,
-        unsteady_mgauss=_wander(residual, float(np.sqrt((noise**2).mean())), samples, compass.quantum_mgauss),
+        unsteady_mgauss=_wander(
+            track,
+            time[keep],
+            residual,
+            float(np.linalg.norm(value)),
+            math.sqrt(float((noise**2).mean()) * memory * len(counted) / samples),
+            compass.quantum_mgauss,
+        ),
         outliers=int((~keep).sum()),
     )
 
@@ -279,30 +306,51 @@ def _memory(residual: FloatArray) -> float:
     return (1.0 + min(lag_one, 0.9)) / (1.0 - min(lag_one, 0.9))
 
 
-def _wander(residual: FloatArray, noise: float, samples: int, quantum: float) -> float:
-    """Return how far the two halves of a dwell lie apart beyond chance, milligauss (0 if they do not)."""
+def _wander(
+    track: Track, time: FloatArray, residual: FloatArray, length: float, noise: float, quantum: float
+) -> float:
+    """Return how far the two halves of a dwell lie apart beyond chance and tilting, milligauss."""
     half = len(residual) // 2
     if half < 2:
         return 0.0
     apart = float(np.linalg.norm(residual[half:].mean(axis=0) - residual[:half].mean(axis=0)))
-    chance = 4.0 * noise * math.sqrt(4.0 / max(samples, 2)) + quantum
+    down = down_in_body(track, time)
+    leaning = float(np.linalg.norm(down[half:].mean(axis=0) - down[:half].mean(axis=0)))
+    apart -= length * leaning
+    chance = 4.0 * noise * math.sqrt(4.0 / max(len(residual), 2)) + quantum
     return apart if apart > chance else 0.0
 
 
 def _tilt(track: Track, time: FloatArray) -> tuple[float, float, float, FloatArray]:
-    """Return roll, pitch, their sigma and the mean specific force over a stretch."""
-    down = down_in_body(track, time)
-    mean = down.mean(axis=0)
-    roll = math.atan2(mean[1], mean[2])
-    pitch = math.atan2(-mean[0], math.hypot(mean[1], mean[2]))
-    spread = float(np.linalg.norm(down - mean, axis=1).std()) if time.size > 1 else 0.0
-    sigma = math.hypot(_TILT_FLOOR_RAD, spread / math.sqrt(max(time.size, 1)))
+    """Return roll, pitch, their sigma and the mean specific force over a stretch.
+
+    The accelerometer's mean is gravity wherever the velocity is the same at both ends, in steady flight
+    too; without one the autopilot's roll and pitch serve.
+    """
     acc = track.acc_mps2
-    if acc is None or not len(acc):
-        return roll, pitch, sigma, np.full(3, np.nan)
-    rows = slice(*np.searchsorted(acc.time_s, [time[0], time[-1] + 1e-9]))
-    values = np.asarray(acc.values[rows])
-    return roll, pitch, sigma, values.mean(axis=0) if len(values) else np.full(3, np.nan)
+    values = np.empty((0, 3))
+    if acc is not None and len(acc):
+        rows = slice(*np.searchsorted(acc.time_s, [time[0], time[-1] + 1e-9]))
+        values = np.asarray(acc.values[rows])
+        values = values[np.isfinite(values).all(axis=1)]
+    force = values.mean(axis=0) if len(values) else np.full(3, np.nan)
+    if len(values) >= 3 and abs(float(np.linalg.norm(force)) / STANDARD_GRAVITY_MPS2 - 1.0) < _GRAVITY_SLACK:
+        down = -force
+        noise = values.std(axis=0).max() / STANDARD_GRAVITY_MPS2
+        spread = float(noise) * math.sqrt(_shake_memory(time) / len(values))
+    else:
+        directions = down_in_body(track, time)
+        down = directions.mean(axis=0)
+        spread = float(np.linalg.norm(directions - down, axis=1).std()) / math.sqrt(max(time.size, 1))
+    roll = math.atan2(down[1], down[2])
+    pitch = math.atan2(-down[0], math.hypot(down[1], down[2]))
+    return roll, pitch, math.hypot(_TILT_FLOOR_RAD, spread), force
+
+
+def _shake_memory(time: FloatArray) -> float:
+    """Return how many consecutive accelerations make one independent: shaking lasts about 50 ms."""
+    interval = float(time[-1] - time[0]) / max(time.size - 1, 1)
+    return max(1.0, 0.05 / max(interval, 1e-4))
 
 
 def step_between(

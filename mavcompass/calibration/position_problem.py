@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from mavcompass.calibration.model import (
     gain_parameters,
     level_to_body,
 )
-from mavcompass.calibration.observation import FourPositionData
+from mavcompass.calibration.observation import FourPositionData, Step
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
@@ -114,6 +114,38 @@ class PositionProblem:
             vertical_gain_sigma=prior.vertical_gain_sigma,
             start=start,
             mirrored=mirrored,
+        )
+
+    def with_pose(
+        self, state: FloatArray, turn_rad: float, roll_rad: float, pitch_rad: float, step: Step
+    ) -> PositionProblem:
+        """Add a pose not yet taken, as certain as the best so far, reading what `state` predicts."""
+        tilt = level_to_body(roll_rad, pitch_rad)
+        psi = float(state[-1]) + turn_rad
+        horizontal = float(state[HORIZONTAL])
+        level = np.array([horizontal * math.cos(psi), -horizontal * math.sin(psi), float(state[VERTICAL])])
+        reading = state[OFFSET] + gain_matrix(state[GAIN]) @ tilt @ level
+        best = int(np.argmin(np.trace(self.noise + self.quantisation + self.tilt, axis1=1, axis2=2)))
+
+        def grown(array: FloatArray, value: FloatArray) -> FloatArray:
+            return np.concatenate([array, np.asarray(value)[np.newaxis]])
+
+        return replace(
+            self,
+            mean=grown(self.mean, reading),
+            level_to_body=grown(self.level_to_body, tilt),
+            coherence=grown(self.coherence, np.array(1.0)),
+            current=grown(self.current, np.array(0.0)),
+            steps=grown(self.steps, np.array(turn_rad)),
+            step_sigma=grown(self.step_sigma, np.array(max(step.sigma_rad, 1e-6))),
+            step_duration=grown(self.step_duration, np.array(step.duration_s)),
+            centre=grown(self.centre, np.array(0.0)),
+            sigma=grown(self.sigma, np.array(np.inf)),
+            start=grown(state, np.array(psi)),
+            whiten=grown(self.whiten, self.whiten[best]),
+            noise=grown(self.noise, self.noise[best]),
+            quantisation=grown(self.quantisation, self.quantisation[best]),
+            tilt=grown(self.tilt, self.tilt[best]),
         )
 
 

@@ -34,7 +34,9 @@ SHORTEST_DWELL_S = 1.0
 _RATE_SMOOTHING_S = 0.5
 # After the vehicle has come to rest the compass still averages the turn.
 _SETTLE_S = 0.25
-_CUT_HALF_WIDTH_RAD = math.radians(8.0)
+# Half the arc of a position cut from a continuous turn: wide averages a hand's wobble, and the
+# coherence accounts for the width exactly.
+_CUT_HALF_WIDTH_RAD = math.radians(20.0)
 _MOST_DWELLS = 48
 
 
@@ -167,10 +169,17 @@ def turns_between(
 def observe(track: Track, instance: int = 1, turn: TurnRecord | None = None) -> FourPositionData:
     """Find the dwells of a recording and measure the turns between them.
 
-    Raises PoorCalibration where the recording has no gyro, KeyError for an unknown compass.
+    Raises PoorCalibration where the recording has no gyro or hardly turns, KeyError for an unknown compass.
     """
     record = turn if turn is not None else turn_record(track, instance)
     dwells = find_dwells(track, instance, record)
+    if len(dwells) < 3 and record is not None:
+        turned = math.degrees(float(np.ptp(record.angle_rad)))
+        if turned < 200.0:
+            raise PoorCalibration(
+                f"Too little motion: the vehicle's heading changed by only {turned:.0f} degrees in all.",
+                "Turn it on the level in four steps of about 90 degrees and stop after each.",
+            )
     return assemble(track, dwells, instance, record)
 
 

@@ -26,6 +26,8 @@ _WINDOW_S = 3.0
 # Windows share their errors (a creep below the compass's resolution): no more than two count as independent.
 _INDEPENDENT_WINDOWS = 2.0
 _GAP_S = 0.5
+# A field that moves by more than this many sigmas shows a vehicle that turns.
+_MOVING_SIGMAS = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,6 +136,8 @@ def _vertical_bias(
         if rows.stop - rows.start < 4 or mags.stop - mags.start < 4:
             continue
         slope, slope_sigma = _slope(field_time[mags], field[mags], compass.quantum_mgauss)
+        if float(slope @ slope) > (_MOVING_SIGMAS * slope_sigma) ** 2:
+            continue
         bound = math.sqrt(float(slope @ slope) + 2.0 * slope_sigma**2) / amplitude
         rate = vertical[rows]
         sigma = math.hypot(bound, float(rate.std()) / math.sqrt(rate.size))

@@ -126,15 +126,16 @@ def _mounting(fit: FourPositionsResult, reference: FloatArray | None) -> list[st
     if abs(off) > 30.0:
         return [
             f"The heading is {off:+.0f} degrees away from the vehicle's other heading source: the "
-            f"compass seems mounted turned by {90.0 * round(off / 90.0):.0f} degrees. Correct its orientation and repeat."
+            f"compass seems mounted turned by {90.0 * round(off / 90.0):.0f} degrees. "
+            "Correct its orientation and repeat."
         ]
     return []
 
 
 def _name_positions(indices: tuple[int, ...]) -> str:
     numbers = [str(i + 1) for i in sorted(indices)]
-    if not numbers:
-        return "the positions"
+    if not 0 < len(numbers) <= 4:
+        return "one of the positions"
     if len(numbers) == 1:
         return f"position {numbers[0]}"
     return f"position {', '.join(numbers[:-1])} or {numbers[-1]}"

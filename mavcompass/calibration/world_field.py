@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mavcompass.calibration.model import gain_matrix
+from mavcompass.calibration.position_problem import IronPrior
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 
@@ -56,6 +57,7 @@ def fit_world_field(
     load: ArrayLike | None = None,
     temperature_degc: ArrayLike | None = None,
     independent: float | None = None,
+    prior: IronPrior | None = None,
 ) -> WorldFieldFit:
     """Fit equation W1 by least squares over the moments of the data.
 
@@ -66,6 +68,8 @@ def fit_world_field(
         temperature_degc: (N,).
         independent: how many of the N readings count for the covariance; None judges by the residuals'
             memory.
+        prior: what is known of compasses in general. With it a level turn gives an answer too: the Z
+            gain is then the mean of the horizontal ones and Z's offset follows from the world model.
 
     Raises PoorCalibration where the motion does not determine the parameters.
     """
@@ -75,7 +79,14 @@ def fit_world_field(
     if temperature_degc is not None:
         temperature = np.asarray(temperature_degc, dtype=np.float64)
         warm = temperature - temperature.mean()
-    answer, inverse = _normal_equations(raw, field, extra, warm)
+    normal, right = _normal_equations(raw, field, extra, warm)
+    if prior is not None:
+        # The prior counts against the noise of independent readings, which a first fit measures.
+        weak = _with_prior(normal, right, prior, 1.0)
+        first = _residual(raw, field, extra, warm, _solve(*weak)[0])
+        noise = float((first**2).mean()) * _memory(first)
+        normal, right = _with_prior(normal, right, prior, max(noise, 1e-6))
+    answer, inverse = _solve(normal, right)
     residual = _residual(raw, field, extra, warm, answer)
     k = extra.shape[1]
     shared = answer[9 : 9 + 3 * k].reshape(k, 3)
@@ -92,7 +103,7 @@ def fit_world_field(
     return WorldFieldFit(
         offset_mgauss=answer[:3],
         gain=gain_matrix(answer[3:9]),
-        motor_mgauss=motors[0] if np.ndim(load) == 1 and len(motors) else motors,
+        motor_mgauss=motors[0] if load is not None and np.ndim(load) == 1 else motors,
         temperature_bias=shared[-1] if warm is not None else np.zeros(3),
         temperature_gain=answer[9 + 3 * k :] if warm is not None else np.zeros(3),
         names=names,
@@ -122,7 +133,7 @@ def _regressors(
 def _normal_equations(
     raw: FloatArray, field: FloatArray, extra: FloatArray, warm: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Build and solve the normal equations from second moments; returns the answer and (J^T J)^-1.
+    """Build the normal equations J^T J x = J^T y from second moments.
 
     Each axis's row of the design uses the same columns u = (1, field, extra, warm field); all that is
     needed of N samples is u^T u and u^T raw.
@@ -145,6 +156,11 @@ def _normal_equations(
         parameters, used = (np.array(v) for v in zip(*place, strict=True))
         normal[np.ix_(parameters, parameters)] += moments[np.ix_(used, used)]
         right[parameters] += cross[used, axis]
+    return normal, right
+
+
+def _solve(normal: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Solve the normal equations; returns the answer and (J^T J)^-1."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-30))
     scaled = normal * np.outer(scale, scale)
     if not np.isfinite(scaled).all() or np.linalg.cond(scaled) > _STRONGEST_CONDITION:
@@ -154,6 +170,22 @@ def _normal_equations(
         )
     inverse = np.linalg.inv(scaled) * np.outer(scale, scale)
     return inverse @ right, inverse
+
+
+def _with_prior(
+    normal: FloatArray, right: FloatArray, prior: IronPrior, noise_mgauss2: float
+) -> tuple[FloatArray, FloatArray]:
+    """Add the prior of the gains as rows of the same weight as a reading of the given variance."""
+    rows = np.zeros((6, len(right)))
+    wanted = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    rows[0, 3] = rows[1, 4] = rows[2, 5] = 1.0
+    rows[2, 3:5] = -0.5
+    rows[3:, 6:9] = np.eye(3)
+    sigma = np.array(
+        [prior.gain_sigma, prior.gain_sigma, prior.vertical_gain_sigma, *(3 * [prior.cross_sigma])]
+    )
+    weighted = rows / sigma[:, np.newaxis] ** 2 * noise_mgauss2
+    return normal + rows.T @ weighted, right + weighted.T @ wanted
 
 
 def _residual(
@@ -179,7 +211,8 @@ def _memory(residual: FloatArray) -> float:
         correlation = float((centred[lag:] * centred[:-lag]).sum()) / power
         if correlation < 0.05:
             break
-        total += 2.0 * correlation * (lag if lag == 1 else lag / 2.0)
+        # Lags between the last power of two and this one count like this one.
+        total += 2.0 * correlation * max(lag / 2.0, 1.0)
         lag *= 2
     return total
 
@@ -201,6 +234,7 @@ def fit_with_gyro_yaw(
     horizontal_mgauss: float,
     vertical_mgauss: float,
     load: FloatArray | None = None,
+    prior: IronPrior | None = None,
 ) -> GyroYawFit:
     """Fit equation W1 with the gyro's turned angle as yaw; its start and drift are found by the fit.
 
@@ -223,10 +257,10 @@ def fit_with_gyro_yaw(
         return np.einsum("nij,nj->ni", level_field_to_body, level)
 
     def residual(start: float, drift: float) -> FloatArray:
-        return fit_world_field(raw_mgauss, expected(start, drift), load).residual_mgauss
+        return fit_world_field(raw_mgauss, expected(start, drift), load, prior=prior).residual_mgauss
 
     def plausible(start: float) -> float:
-        fit = fit_world_field(raw_mgauss, expected(start, 0.0), load)
+        fit = fit_world_field(raw_mgauss, expected(start, 0.0), load, prior=prior)
         # A wrong start makes the symmetric gain far from 1 rather than the residual large.
         return fit.residual_rms_mgauss + float(np.linalg.norm(fit.gain - np.eye(3))) * horizontal_mgauss
 
@@ -241,4 +275,4 @@ def fit_with_gyro_yaw(
         x = x + move
         if abs(move[0]) < 1e-9:
             break
-    return GyroYawFit(fit_world_field(raw_mgauss, expected(*x), load), float(x[0]), float(x[1]))
+    return GyroYawFit(fit_world_field(raw_mgauss, expected(*x), load, prior=prior), float(x[0]), float(x[1]))

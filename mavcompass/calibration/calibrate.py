@@ -1,0 +1,219 @@
+"""Calibrate a compass from a recording, by any of the methods."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from mavcompass.calibration.four_positions import FourPositionsResult, solve_four_positions
+from mavcompass.calibration.model import GAIN, HORIZONTAL, VERTICAL
+from mavcompass.calibration.observability import unobserved
+from mavcompass.calibration.observation import FourPositionData, correction_at
+from mavcompass.calibration.position_problem import DEFAULT_PRIOR, IronPrior
+from mavcompass.calibration.result import METHODS, CalibrationResult, Position, heading_change_rad
+from mavcompass.calibration.stillness import observe
+from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits, judge
+from mavcompass.compass_parameters import (
+    ardupilot_naming,
+    ardupilot_values,
+    px4_rotation,
+    px4_values,
+)
+from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.errors import BadRecording, PoorCalibration, UsageError
+from mavcompass.frames import FloatArray
+from mavcompass.heading.stream import earth_field_of
+from mavcompass.track import Track
+from mavcompass.units import DEG_PER_RAD
+
+_DEAD_SWING_MGAUSS = 3.0
+
+
+def calibrate_track(
+    track: Track,
+    method: str = "four-positions",
+    instance: int = 1,
+    *,
+    limits: Limits = DEFAULT_LIMITS,
+    earth: EarthField | None = None,
+    use_world_model: bool = True,
+    prior: IronPrior = DEFAULT_PRIOR,
+) -> CalibrationResult:
+    """Calibrate one compass of a recording.
+
+    Args:
+        track: the recording.
+        method: one of `result.METHODS`.
+        instance: the compass, counting from 1.
+        limits: what is accepted.
+        earth: the Earth's field; None takes it from the recording's place and date.
+        use_world_model: False leaves scale and Z alone even where the place is known.
+        prior: what is known of compasses in general.
+
+    Raises BadRecording where the compass is missing, PoorCalibration where the recording cannot give a
+    calibration at all (too little motion, a dead compass), UsageError for an unknown method. A result
+    that is not worth writing comes back with `accepted` False and its reasons.
+    """
+    if method not in METHODS:
+        raise UsageError(f"There is no method {method!r}.", f"Choose one of: {', '.join(METHODS)}.")
+    _check_compass(track, instance)
+    world = (earth if earth is not None else earth_field_of(track)) if use_world_model else None
+    if method == "four-positions":
+        data = observe(track, instance)
+        result = calibrate_positions(
+            data,
+            in_force_of(track, instance),
+            world,
+            instance,
+            limits,
+            prior,
+            _references(track, data, instance),
+        )
+    else:
+        from mavcompass.calibration.other_methods import calibrate_otherwise
+
+        result = calibrate_otherwise(track, method, instance, limits, world, prior)
+    return with_parameters(result, track)
+
+
+def calibrate_positions(
+    data: FourPositionData,
+    in_force: FieldCorrection = IDENTITY,
+    earth: EarthField | None = None,
+    instance: int = 1,
+    limits: Limits = DEFAULT_LIMITS,
+    prior: IronPrior = DEFAULT_PRIOR,
+    reference_headings_rad: FloatArray | None = None,
+) -> CalibrationResult:
+    """Calibrate from still positions that are already at hand; see `solve_four_positions` and `judge`.
+
+    Raises PoorCalibration for fewer than three positions, too little turning or a dead compass.
+    """
+    fit = solve_four_positions(data, in_force, earth, prior)
+    reasons, warnings = judge(data, fit, limits, reference_headings_rad)
+    hidden = unobserved(fit, prior)
+    if "offset_z" in hidden:
+        sigma = math.sqrt(float(fit.covariance[2, 2]))
+        warnings = (*warnings, _about_z(earth is not None, sigma))
+    return _result(data, fit, in_force, instance, reasons, warnings, hidden)
+
+
+def _about_z(world_model: bool, sigma_mgauss: float) -> str:
+    if world_model:
+        return (
+            "Turning on the level does not show the Z offset: it was taken from the world model, "
+            f"sigma {sigma_mgauss:.0f} mG as an offset (what matters on the level is known better)."
+        )
+    return (
+        "Turning on the level does not show the Z offset and the place is unknown: Z stays as it is in force."
+    )
+
+
+def _result(
+    data: FourPositionData,
+    fit: FourPositionsResult,
+    in_force: FieldCorrection,
+    instance: int,
+    reasons: tuple[str, ...],
+    warnings: tuple[str, ...],
+    hidden: tuple[str, ...],
+) -> CalibrationResult:
+    horizontal = float(fit.state[HORIZONTAL])
+    if not fit.world_model:
+        # The correction's scale makes the mean horizontal diagonal 1, so its field has this length.
+        gain = np.diag(fit.correction.matrix)[:2].mean() * 0.5 * float(fit.state[GAIN][:2].sum())
+        horizontal *= float(gain)
+    vertical = float(fit.state[VERTICAL])
+    change = heading_change_rad(in_force, fit.correction, horizontal, vertical)
+    return CalibrationResult(
+        instance=instance,
+        method="four-positions",
+        accepted=not reasons,
+        reasons=reasons,
+        warnings=warnings,
+        raw_offset_mgauss=-np.asarray(fit.correction.offsets_mgauss),
+        correction=fit.correction,
+        in_force=in_force,
+        covariance_names=fit.names,
+        covariance=fit.covariance,
+        not_observable=hidden,
+        residual_rms_mgauss=fit.residual_rms_mgauss,
+        heading_sigma_deg=fit.heading_sigma_rad * DEG_PER_RAD,
+        heading_budget_deg={name: value * DEG_PER_RAD for name, value in fit.budget_rad.items()},
+        heading_error=fit.heading_error,
+        heading_change_deg=math.sqrt(float((change**2).mean())) * DEG_PER_RAD,
+        heading_change_max_deg=float(np.abs(change).max()) * DEG_PER_RAD,
+        horizontal_mgauss=horizontal,
+        vertical_mgauss=vertical,
+        positions=tuple(
+            Position(float(turned) * DEG_PER_RAD, dwell.mean_mgauss, dwell.samples, residual)
+            for turned, dwell, residual in zip(data.turned_rad, data.dwells, fit.residual_mgauss, strict=True)
+        ),
+    )
+
+
+def in_force_of(track: Track, instance: int) -> FieldCorrection:
+    """Return the correction in force at the end of a recording."""
+    compass = track.compasses[instance]
+    return correction_at(compass, float(compass.time_s[-1]))
+
+
+def with_parameters(result: CalibrationResult, track: Track) -> CalibrationResult:
+    """Spell a result's correction in the parameters of the recording's autopilot."""
+    if track.autopilot == "px4":
+        rotation = px4_rotation(track.parameters, result.instance)
+        values = px4_values(result.correction, result.instance, rotation)
+    else:
+        values = ardupilot_values(result.correction, result.instance, ardupilot_naming(track.parameters))
+    return replace(result, parameters=values)
+
+
+def _check_compass(track: Track, instance: int) -> None:
+    """Refuse a missing or a dead compass."""
+    compass = track.compasses.get(instance)
+    if compass is None or not len(compass.reported):
+        known = ", ".join(str(i) for i in sorted(track.compasses)) or "none"
+        raise BadRecording(
+            f"{track.source or 'The recording'} has no readings of compass {instance} (it has: {known}).",
+            "Choose one of its compasses with --compass.",
+        )
+    reported = np.asarray(compass.reported.values)
+    finite = reported[np.isfinite(reported).all(axis=1)]
+    swing = (
+        np.percentile(finite, 99, axis=0) - np.percentile(finite, 1, axis=0) if len(finite) else np.zeros(3)
+    )
+    raw_size = float(np.linalg.norm(np.median(track.raw_field(instance), axis=0))) if len(finite) else 0.0
+    if float(swing.max()) < _DEAD_SWING_MGAUSS and raw_size < 20.0:
+        raise PoorCalibration(
+            f"Compass {instance} reads only its offsets: the sensor itself is silent or not connected.",
+            "Check the compass's wiring and power, then record again.",
+        )
+    if float(swing.max()) < _DEAD_SWING_MGAUSS and _turned(track):
+        raise PoorCalibration(
+            f"Compass {instance} is frozen: the vehicle turned and its reading did not change.",
+            "Check the compass's wiring and driver, then record again.",
+        )
+
+
+def _turned(track: Track) -> bool:
+    gyro = track.gyro_radps
+    if gyro is None or len(gyro) < 3:
+        return False
+    rate = np.nan_to_num(np.asarray(gyro.values))
+    turned = np.abs(np.cumsum(rate[:-1] * np.diff(gyro.time_s)[:, np.newaxis], axis=0)).max()
+    return bool(turned > math.radians(45.0))
+
+
+def _references(track: Track, data: FourPositionData, instance: int) -> FloatArray | None:
+    """Return the dwells' magnetic headings by GPS yaw, (K,); None where the recording has none."""
+    yaw = track.gps_yaw_rad
+    world = earth_field_of(track)
+    if yaw is None or not len(yaw) or world is None:
+        return None
+    middles = np.array([0.5 * (d.start_s + d.end_s) for d in data.dwells])
+    nearest = np.clip(np.searchsorted(yaw.time_s, middles), 0, len(yaw) - 1)
+    headings = yaw.values[nearest] - world.declination_rad
+    return np.where(np.abs(yaw.time_s[nearest] - middles) < 2.0, headings, np.nan)
