@@ -102,6 +102,21 @@ def read_dataflash(path: Path, *, text: bool = False) -> Track:
     )
 
 
+def read_parameters(path: Path) -> tuple[tuple[Change, ...], float | None]:
+    """Read only the parameters' history of a binary log, and the Unix time of its time_s = 0.
+
+    Raises BadRecording where the file holds no DataFlash record.
+    """
+    contents = read_records(path, {name: WANTED[name] for name in _OF_PARAMETERS})
+    if not contents.counts:
+        raise BadRecording(f"{path} holds no DataFlash record.", "Give the .bin as it comes from the card.")
+    clock, _ = _clock(contents.logs)
+    return changes(parameters_seen(contents.logs, clock), clock.start_s.tolist()), clock.utc_offset_s()
+
+
+_OF_PARAMETERS = ("PARM", "GPS", "MAG", "MAG2", "MAG3")
+
+
 def _clock(logs: Sequence[Log]) -> tuple[BootClock, int]:
     """Build the clock from every wanted record that carries a time; drop those with an impossible one."""
     orders: list[np.ndarray[tuple[int], np.dtype[np.uint32]]] = []

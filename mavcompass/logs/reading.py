@@ -40,9 +40,10 @@ def read_tracks(path: str | Path) -> dict[int, Track]:
     path = Path(path)
     kind = recognise(path)
     if kind == "tlog":
+        from mavcompass.logs.companion import complete
         from mavcompass.logs.tlog import read_tlog
 
-        return read_tlog(path)
+        return {system: complete(track, path) for system, track in read_tlog(path).items()}
     if kind == "ulog":
         from mavcompass.logs.ulog import read_ulog
 
