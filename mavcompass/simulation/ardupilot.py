@@ -92,7 +92,7 @@ class ArduPilot:
         self.compasses.boot()
         self.compasses.read()
         body = self.vehicle.body
-        self.vehicle.filter.align(body.roll_rad, body.pitch_rad, self._compass_yaw() or 0.0)
+        self.vehicle.filter.align(body.roll_rad, body.pitch_rad, self._compass_yaw())
         self.armed = armed
         number = self.vehicle.profile.guided_mode if armed else int(self.store["INITIAL_MODE"])
         self.mode = self.modes.name(number) or self.mode

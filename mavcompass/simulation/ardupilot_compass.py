@@ -104,10 +104,14 @@ class CompassBank:
         return self.fields[instance - 1]
 
     def uncorrected(self, instance: int) -> Vector:
-        """Return what the firmware takes for the raw field: it takes matrix and offsets off the
-        corrected field, but neither SCALE nor the motor's share."""
+        """Return what the firmware takes for the raw field.
+
+        It takes matrix and offsets off the corrected field, but neither SCALE nor the motor's share; a
+        matrix that cannot be inverted stays.
+        """
         c = self._corrections[instance - 1]
-        inverse = np.linalg.inv(c.matrix / c.scale)
+        matrix = c.matrix / c.scale
+        inverse = np.linalg.inv(matrix) if np.linalg.det(matrix) else np.eye(3)
         x, y, z = (inverse @ self.field(instance) - np.asarray(c.offsets_mgauss)).tolist()
         return (x, y, z)
 

@@ -50,9 +50,11 @@ class AttitudeFilter:
         self.innovation_rad = 0.0
         self.compass_variance = 0.0
 
-    def align(self, roll_rad: float, pitch_rad: float, compass_yaw_rad: float) -> None:
-        """Take over the compass's yaw at once, as at power-up."""
+    def align(self, roll_rad: float, pitch_rad: float, compass_yaw_rad: float | None) -> None:
+        """Take over the compass's yaw at once, as at power-up; north where there is none."""
         self._tilt(roll_rad, pitch_rad)
+        if compass_yaw_rad is None or not math.isfinite(compass_yaw_rad):
+            compass_yaw_rad = 0.0
         self.yaw_rad = compass_yaw_rad
         self.bias_radps = 0.0
         self.innovation_rad = 0.0
@@ -71,8 +73,8 @@ class AttitudeFilter:
         self.yaw_rad = wrap_angle(self.yaw_rad + yaw_rate * dt_s)
 
     def correct(self, dt_s: float, compass_yaw_rad: float | None) -> None:
-        """Be pulled towards the compass's yaw; None where there is no compass to believe."""
-        if compass_yaw_rad is None:
+        """Be pulled towards the compass's yaw; None or nan where there is no compass to believe."""
+        if compass_yaw_rad is None or not math.isfinite(compass_yaw_rad):
             self.innovation_rad = 0.0
         else:
             self.innovation_rad = wrap_angle(compass_yaw_rad - self.yaw_rad)

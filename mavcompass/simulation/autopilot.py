@@ -220,7 +220,7 @@ class SimulatedAutopilot:
         self.firmware.boot(armed)
 
     def _sense(self) -> None:
-        self.sensors.tick(self.body, self.surroundings())
+        self.sensors.tick(self.body, self.surroundings)
 
     def surroundings(self) -> Surroundings:
         """Return current, throttle and temperature at this moment."""

@@ -139,7 +139,9 @@ class Body:
 
     def _translate(self, dt: float, drive: Drive) -> None:
         most = _SPEED_ACCELERATION_MPS2 * dt
-        change = max(-most, min(most, drive.speed_mps - self.speed_mps))
+        fastest = self.profile.speed_max_mps
+        wanted = max(-fastest, min(fastest, drive.speed_mps))
+        change = max(-most, min(most, wanted - self.speed_mps))
         self.speed_mps += change
         self.forward_acceleration_mps2 = change / dt
         stream = self._stream_mps

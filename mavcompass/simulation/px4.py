@@ -91,7 +91,7 @@ class Px4:
         self.compasses.boot()
         self.compasses.read()
         body = self.vehicle.body
-        self.vehicle.filter.align(body.roll_rad, body.pitch_rad, self._compass_yaw() or 0.0)
+        self.vehicle.filter.align(body.roll_rad, body.pitch_rad, self._compass_yaw())
         self.armed = armed
         self.mode = "HOLD" if armed else "POSCTL"
         self.flight.boot(armed)

@@ -12,7 +12,7 @@ from mavcompass.simulation import px4_modes
 from mavcompass.simulation.firmware import Sender
 from mavcompass.simulation.motion import rotation_matrix
 from mavcompass.simulation.px4_compass import INSTANCES
-from mavcompass.simulation.stream_commands import answer_stream_command
+from mavcompass.simulation.stream_commands import answer_stream_command, whole
 from mavcompass.units import MGAUSS_PER_GAUSS
 
 if TYPE_CHECKING:
@@ -30,8 +30,8 @@ def answer_command(fc: Px4, command: CommandLong, sender: Sender) -> MavResult:
         case MavCmd.COMPONENT_ARM_DISARM:
             return _arm_disarm(fc, command)
         case MavCmd.DO_SET_MODE:
-            mode = px4_modes.mode_of(_whole(command.param2), _whole(command.param3))
-            return _or_rejected(bool(_whole(command.param1) & 1) and fc.set_mode(mode))
+            mode = px4_modes.mode_of(whole(command.param2), whole(command.param3))
+            return _or_rejected(bool(whole(command.param1) & 1) and fc.set_mode(mode))
         case MavCmd.NAV_TAKEOFF:
             return _take_off(fc, command)
         case MavCmd.NAV_LAND:
@@ -49,10 +49,6 @@ def answer_command(fc: Px4, command: CommandLong, sender: Sender) -> MavResult:
             return _fixed_yaw_calibration(fc, command)
         case _:
             return MavResult.UNSUPPORTED
-
-
-def _whole(value: float) -> int:
-    return int(value) if math.isfinite(value) else 0
 
 
 def _or_rejected(done: bool) -> MavResult:

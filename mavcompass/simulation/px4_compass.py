@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavcompass.compass_parameters import px4_correction, px4_name, px4_rotation
+from mavcompass.compass_parameters import px4_correction, px4_name
 from mavcompass.correction import FieldCorrection, Vector
-from mavcompass.frames import sensor_orientation_matrix
+from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, sensor_orientation_matrix
 from mavcompass.simulation.parameter_store import ParameterStore
 
 if TYPE_CHECKING:
@@ -31,12 +31,14 @@ class Px4Compasses:
         self._mounting = [sensor_orientation_matrix(o) for o in (mounting, 0)]
         self._lost: dict[int, tuple[bool, Vector | None]] = {}
         self._corrections = [self._wanted(i) for i in INSTANCES]
+        self._rotations = [self._rotation(i) for i in INSTANCES]
         self.raw_sensor_mgauss: list[Vector] = [(0.0, 0.0, 0.0)] * len(INSTANCES)
         self.fields: list[Vector] = [(0.0, 0.0, 0.0)] * len(INSTANCES)
         self.steering: int | None = INSTANCES[0]
 
     def boot(self) -> None:
         """Take all parameters over, choose the compass of the highest priority (0 is disabled)."""
+        self.parameters_changed()
         self._corrections = [self._wanted(i) for i in INSTANCES]
         priorities = {i: self._store[px4_name("PRIO", i)] for i in INSTANCES}
         best = max(INSTANCES, key=lambda i: priorities[i])
@@ -56,6 +58,7 @@ class Px4Compasses:
 
     def parameters_changed(self) -> None:
         """Take parameters over, except offsets that hardly changed."""
+        self._rotations = [self._rotation(i) for i in INSTANCES]
         for place, instance in enumerate(INSTANCES):
             old, new = self._corrections[place], self._wanted(instance)
             moved = math.dist(old.offsets_mgauss, new.offsets_mgauss)
@@ -74,7 +77,7 @@ class Px4Compasses:
             x, y, z = (self._mounting[place].T @ np.array(raw)).tolist()
             self.raw_sensor_mgauss[place] = (x, y, z)
             # The parameters may say another rotation than the mounting: they are what is believed.
-            turned = px4_rotation(self._store.values, instance) @ np.array([x, y, z])
+            turned = self._rotations[place] @ np.array([x, y, z])
             correction = self._corrections[place]
             load = around.current_a if correction.motor_source == "current" else around.throttle
             x, y, z = correction.apply(turned, load if any(correction.motor_mgauss) else None).tolist()
@@ -82,14 +85,23 @@ class Px4Compasses:
 
     def expected_raw(self, instance: int, field: Sequence[float]) -> list[float]:
         """Return what a sensor without offset would read of a body field: S^-1 R^T field."""
-        rotation = px4_rotation(self._store.values, instance)
+        rotation = self._rotations[instance - 1]
         matrix = rotation.T @ self._corrections[instance - 1].matrix @ rotation
-        found: list[float] = np.linalg.solve(matrix, rotation.T @ np.asarray(field)).tolist()
+        inverse = np.linalg.inv(matrix) if np.linalg.det(matrix) else np.eye(3)
+        found: list[float] = (inverse @ rotation.T @ np.asarray(field)).tolist()
         return found
 
     def _wanted(self, instance: int) -> FieldCorrection:
         """Return what the parameters say; with another sensor's id they are not for this one."""
         name = px4_name("ID", instance)
-        if self._store[name] != self._store.factory_value(name):
+        if self._store[name] != self._store.factory_value(name) or self._orientation(instance) is None:
             return FieldCorrection()
         return px4_correction(self._store.values, instance)
+
+    def _orientation(self, instance: int) -> int | None:
+        """Return the number that CAL_MAGn_ROT holds, None for one that is not simulated."""
+        orientation = max(int(self._store[px4_name("ROT", instance)]), 0)
+        return orientation if orientation in SENSOR_ORIENTATIONS_DEG else None
+
+    def _rotation(self, instance: int) -> FloatArray:
+        return sensor_orientation_matrix(self._orientation(instance) or 0)

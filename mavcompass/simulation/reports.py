@@ -22,7 +22,9 @@ _GPS_ERROR_M = 0.4
 
 
 def int16(value: float) -> int:
-    """Cast to int16 as C does: truncated toward zero, wrapped round on overflow."""
+    """Cast to int16 as C does: truncated toward zero, wrapped round on overflow; 0 for no number."""
+    if not math.isfinite(value):
+        return 0
     return (int(value) + 0x8000 & 0xFFFF) - 0x8000
 
 

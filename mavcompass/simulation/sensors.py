@@ -11,7 +11,7 @@ Further physical effects come in as `Distortion`s. They act on the first compass
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -146,7 +146,7 @@ class SensorSuite:
         self._distorted_sum = [0.0, 0.0, 0.0]
         self._count = 0
 
-    def tick(self, body: Body, around: Surroundings) -> None:
+    def tick(self, body: Body, surroundings: Callable[[], Surroundings]) -> None:
         """Take one sample of everything at the body's present state."""
         first, second = self.imus
         self.previous = self.samples
@@ -156,7 +156,7 @@ class SensorSuite:
             self._field_sum[i] += field[i]
         self._count += 1
         if self.distortions:
-            self._distort(body, around, field)
+            self._distort(body, surroundings(), field)
 
     def read_compasses(self) -> None:
         """Finish an averaging period: bring every compass's `raw_mgauss` up to date."""

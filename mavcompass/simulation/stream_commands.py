@@ -20,21 +20,27 @@ def answer_stream_command(
     vehicle: SimulatedAutopilot, command: CommandLong, sender: Sender
 ) -> MavResult | None:
     """Carry out a command about messages; None for any other command."""
+    first, second = whole(command.param1), whole(command.param2)
     match command.command:
         case MavCmd.SET_MESSAGE_INTERVAL:
             streams = vehicle.streams(sender.port)
-            done = streams.set_interval(int(command.param1), int(command.param2), vehicle.now_us)
+            done = streams.set_interval(first, second, vehicle.now_us)
             return MavResult.ACCEPTED if done else MavResult.DENIED
         case MavCmd.GET_MESSAGE_INTERVAL:
-            return _tell_interval(vehicle, int(command.param1), sender)
-        case MavCmd.REQUEST_MESSAGE if int(command.param1) == _MESSAGE_INTERVAL_ID:
-            return _tell_interval(vehicle, int(command.param2), sender)
+            return _tell_interval(vehicle, first, sender)
+        case MavCmd.REQUEST_MESSAGE if first == _MESSAGE_INTERVAL_ID:
+            return _tell_interval(vehicle, second, sender)
         case MavCmd.REQUEST_MESSAGE:
-            return _send_once(vehicle, int(command.param1), sender)
+            return _send_once(vehicle, first, sender)
         case MavCmd.REQUEST_AUTOPILOT_CAPABILITIES:
             return _send_once(vehicle, MESSAGE_IDS[AutopilotVersion], sender)
         case _:
             return None
+
+
+def whole(value: float) -> int:
+    """Read a whole number off a float field; 0 for what is no number."""
+    return int(value) if math.isfinite(value) else 0
 
 
 def as_long(command: CommandInt) -> CommandLong:

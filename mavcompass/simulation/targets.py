@@ -76,7 +76,9 @@ def attitude_target(fc: ArduPilot, message: SetAttitudeTarget) -> Target | None:
     now = fc.vehicle.boot_time_s
     speed = message.thrust * fc.vehicle.profile.speed_max_mps
     if not mask & IgnoreAttitude.YAW_RATE:
-        return Target(now, rate_radps=message.body_yaw_rate, speed_mps=speed)
+        rate = message.body_yaw_rate
+        return Target(now, rate_radps=rate, speed_mps=speed) if math.isfinite(rate) else None
     if not mask & IgnoreAttitude.ATTITUDE:
-        return Target(now, heading_rad=yaw_of(message.q), speed_mps=speed)
+        if all(math.isfinite(v) for v in message.q):
+            return Target(now, heading_rad=yaw_of(message.q), speed_mps=speed)
     return None
