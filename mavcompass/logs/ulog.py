@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -60,8 +59,8 @@ def _parse(path: Path) -> Any:
         ) from None
     try:
         # pyulog prints what it stumbles over; what matters is told in the notes.
-        with contextlib.redirect_stdout(io.StringIO()):
-            return ULog(str(path), [*MAG_TOPICS, *TOPICS])
+        with contextlib.redirect_stdout(io.StringIO()), path.open("rb") as file:
+            return ULog(file, [*MAG_TOPICS, *TOPICS])
     except Exception as error:
         # On a damaged file pyulog raises whatever its parsing runs into.
         raise BadRecording(
@@ -71,10 +70,13 @@ def _parse(path: Path) -> Any:
 
 
 def _parameters(log: Any) -> list[Seen]:
-    initial: Mapping[str, Any] = log.initial_parameters
-    first = [Seen(0.0, name, float(value)) for name, value in initial.items()]
-    later = [Seen(int(us) * _MICRO, name, float(value), True) for us, name, value in log.changed_parameters]
-    return first + later
+    first = [(0, name, value) for name, value in log.initial_parameters.items()]
+    # A damaged type makes a parameter's value anything but a number.
+    return [
+        Seen(int(us) * _MICRO, name, float(value), announced=number >= len(first))
+        for number, (us, name, value) in enumerate([*first, *log.changed_parameters])
+        if isinstance(value, int | float)
+    ]
 
 
 def _notes_about_the_file(log: Any) -> list[str]:

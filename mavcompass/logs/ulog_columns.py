@@ -152,8 +152,8 @@ def _throttle(topics: Topics) -> Series | None:
 def _motors(topics: Topics, parameters: Mapping[str, float]) -> Series | None:
     """Read the motors' outputs as fractions; a stopped motor is nan in the log."""
     for data in topics.get("actuator_motors", ())[:1]:
-        names = [name for name in indexed("control", 8) if name in data.data]
-        controls = vector(data, *names).reshape(-1, len(names))
+        names = [name for name in indexed("control", 8) if has(data, name)]
+        controls = vector(data, *names).reshape(-1, len(names)) if names else np.empty((0, 0))
         used = np.isfinite(controls).any(axis=0)
         if bool(used.any()):
             return Series.of(time_s(data), np.clip(np.nan_to_num(np.abs(controls[:, used])), 0.0, 1.0))

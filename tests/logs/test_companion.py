@@ -16,10 +16,10 @@ _WEEK = 2288
 _MS = round((T0_US * 1e-6 + 18.0 - 315_964_800 - _WEEK * 604_800) * 1e3)
 
 
-def autopilots_log(boot_us: int = 20_000_000, suffix_of_offset: str = "") -> Log:
+def autopilots_log(boot_us: int = 20_000_000) -> Log:
     log = Log(MAG, PARM, GPS)
     for axis, value in zip("XYZ", (5.0, 13.0, -18.0), strict=True):
-        log.add("PARM", boot_us, f"COMPASS_OFS{suffix_of_offset}_{axis}", value)
+        log.add("PARM", boot_us, f"COMPASS_OFS_{axis}", value)
     log.add("GPS", boot_us, 3, _MS, _WEEK, 9, 100, 479_000_000, 80_000_000, 0, 0.0, 0.0, 0.0)
     return log.mags(10, boot_us)
 

@@ -1,0 +1,63 @@
+"""Which format a file has, and what is said of files that have none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from dataflash_builder import MAG, Log
+from pymavlink import mavutil
+from recorded_frames import Recording
+
+from mavcompass.errors import BadRecording, UsageError
+from mavcompass.logs import read_track, read_tracks
+
+
+def test_the_content_decides_where_the_suffix_is_wrong(tmp_path: Path) -> None:
+    Recording().fly(2.0).write(tmp_path / "a.bin")
+    Log(MAG).mags(5).write(tmp_path / "a.tlog")
+    (tmp_path / "a.txt").write_text("time_s,mag_x_mgauss,mag_y_mgauss,mag_z_mgauss\n0,1,2,3\n")
+    assert len(read_track(tmp_path / "a.bin").compasses[1].reported) == 20
+    assert len(read_track(tmp_path / "a.tlog").compasses[1].reported) == 5
+    assert len(read_track(tmp_path / "a.txt").compasses[1].reported) == 1
+
+
+def test_the_suffix_decides_where_the_start_is_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "a.tlog"
+    path.write_bytes(b"\0" * 999 + Recording().fly(2.0).content)
+    assert len(read_track(path).compasses[1].reported) == 20
+    path = tmp_path / "a.BIN"
+    path.write_bytes(b"\0" * 999 + Log(MAG).mags(5).content)
+    assert len(read_track(path).compasses[1].reported) == 5
+
+
+def test_names_may_be_strings(tmp_path: Path) -> None:
+    path = Recording().fly(1.0).write(tmp_path / "a.tlog")
+    assert list(read_tracks(str(path))) == [1]
+
+
+def test_a_file_that_is_not_there_is_a_matter_of_usage(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"no file .*missing\.tlog"):
+        read_track(tmp_path / "missing.tlog")
+    with pytest.raises(UsageError, match="is a folder"):
+        read_track(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["a.tlog", "a.bin", "a.log", "a.ulg", "a.csv", "a.dat", "a"])
+@pytest.mark.parametrize("content", [b"", b"\0" * 5000, b"hello world\n" * 50, bytes(range(256)) * 40])
+def test_junk_is_refused_whatever_its_name(tmp_path: Path, name: str, content: bytes) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(BadRecording) as caught:
+        read_track(path)
+    assert caught.value.remedy
+
+
+def test_what_we_write_pymavlink_reads(tmp_path: Path) -> None:
+    recording = Recording().fly(3.0)
+    log = mavutil.mavlink_connection(str(recording.write(tmp_path / "a.tlog")))
+    found = []
+    while (message := log.recv_match()) is not None:
+        found.append((round(message._timestamp * 1e6), bytes(message.get_msgbuf())))
+    log.close()
+    assert found == recording.records

@@ -1,0 +1,143 @@
+"""Track CSV: any subset of the columns, exact round trips, errors that name the line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.errors import BadRecording
+from mavcompass.logs import read_track, write_track_csv
+from mavcompass.track import InForce, MagSeries, Series, Track
+
+MAG = "mag_x_mgauss,mag_y_mgauss,mag_z_mgauss"
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def refused(path: Path, text: str) -> str:
+    with pytest.raises(BadRecording) as caught:
+        read_track(write(path, text))
+    assert caught.value.remedy
+    return str(caught.value)
+
+
+finite = st.floats(-1e6, 1e6)
+
+
+@st.composite
+def series(draw: st.DrawFn, width: int | None) -> Series:
+    count = draw(st.integers(1, 12))
+    times = np.sort(draw(hnp.arrays(np.float64, count, elements=st.sampled_from(np.arange(8) * 0.1))))
+    shape = count if width is None else (count, width)
+    return Series.of(times, draw(hnp.arrays(np.float64, shape, elements=finite)))
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+@given(st.data())
+def test_what_is_written_is_read_back_exactly(tmp_path: Path, data: st.DataObject) -> None:
+    widths = {"acc_mps2": 3, "gyro_radps": 3, "attitude_rad": 3, "reference_q": 4, "position_ned_m": 3}
+    widths |= {"place": 3, "motors": 4}
+    columns = {name: data.draw(st.none() | series(width)) for name, width in widths.items()}
+    for name in ("current_a", "throttle", "temperature_degc", "gps_yaw_rad"):
+        columns[name] = data.draw(st.none() | series(None))
+    track = Track(compasses={1: MagSeries(1, data.draw(series(3)))}, **columns)
+    path = tmp_path / "a.csv"
+    write_track_csv(track, path)
+    back = read_track(path)
+    columns["mag"] = track.compasses[1].reported
+    for name, written in columns.items():
+        found = back.compasses[1].reported if name == "mag" else getattr(back, name)
+        assert (found is None) == (written is None), name
+        if written is not None:
+            np.testing.assert_array_equal(found.time_s, written.time_s)
+            np.testing.assert_array_equal(found.values, written.values)
+
+
+def test_the_raw_field_is_written_with_the_correction_undone(tmp_path: Path) -> None:
+    correction = FieldCorrection(offsets_mgauss=(10.0, 0.0, 0.0))
+    mag = MagSeries(2, Series.of([0.0], [[110.0, 0.0, 400.0]]), (InForce(-np.inf, correction),))
+    path = tmp_path / "a.csv"
+    write_track_csv(Track(compasses={2: mag}), path, instance=2)
+    assert read_track(path).compasses[1].reported.values.tolist() == [[100.0, 0.0, 400.0]]
+
+
+def test_any_order_of_columns_spaces_a_byte_order_mark_and_dos_lines(tmp_path: Path) -> None:
+    text = "\ufeffmag_z_mgauss, mag_x_mgauss ,time_s,mag_y_mgauss\r\n3, 1,0.5, 2\r\n6,4,0.6,5\r\n"
+    path = tmp_path / "a.csv"
+    path.write_bytes(text.encode("utf-8"))
+    reported = read_track(path).compasses[1].reported
+    assert reported.values.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    assert reported.time_s.tolist() == [0.5, 0.6]
+
+
+def test_empty_is_missing_for_that_quantity_only(tmp_path: Path) -> None:
+    text = f"time_s,{MAG},current_a\n0,1,2,3,\n1,,,,7\n2,4,5,6,8\n"
+    track = read_track(write(tmp_path / "a.csv", text))
+    assert track.compasses[1].time_s.tolist() == [0.0, 2.0]
+    assert track.current_a is not None
+    assert track.current_a.time_s.tolist() == [1.0, 2.0]
+    assert track.current_a.values.tolist() == [7.0, 8.0]
+
+
+def test_columns_of_no_track_are_passed_over_and_named(tmp_path: Path) -> None:
+    track = read_track(write(tmp_path / "a.csv", f"time_s,{MAG},label\n0,1,2,3,hello\n"))
+    assert len(track.compasses[1].reported) == 1
+    assert any("label" in note for note in track.notes)
+
+
+def test_rows_out_of_order_are_sorted_and_said(tmp_path: Path) -> None:
+    track = read_track(write(tmp_path / "a.csv", f"time_s,{MAG}\n2,4,5,6\n1,1,2,3\n"))
+    assert track.compasses[1].reported.values[0].tolist() == [1.0, 2.0, 3.0]
+    assert any("sorted" in note for note in track.notes)
+
+
+def test_errors_name_the_line_and_the_column(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    message = refused(path, f"time_s,{MAG}\n0,1,2,3\n1,1,oops,3\n")
+    assert "line 3" in message and "mag_y_mgauss" in message and "oops" in message
+    assert "line 3: 3 fields where the header has 4" in refused(path, f"time_s,{MAG}\n0,1,2,3\n1,1,2\n")
+    assert "line 3: time_s is missing" in refused(path, f"time_s,{MAG}\n0,1,2,3\n,1,2,3\n")
+    assert "mag_z_mgauss" in refused(path, "time_s,mag_x_mgauss,mag_y_mgauss\n0,1,2\n")
+    assert "twice" in refused(path, f"time_s,{MAG},time_s\n0,1,2,3,4\n")
+
+
+def test_lines_are_counted_with_blank_ones_and_quoted_ones(tmp_path: Path) -> None:
+    message = refused(tmp_path / "a.csv", f'time_s,{MAG}\n\n0,"1",2,3\n\n1,x,2,3\n')
+    assert "line 5" in message
+
+
+def test_a_table_without_magnetometer_or_rows_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    assert "no magnetometer" in refused(path, "time_s,current_a\n0,1\n")
+    assert "no magnetometer" in refused(path, f"time_s,{MAG}\n")
+    assert "no magnetometer" in refused(path, f"time_s,{MAG}\n0,,,\n")
+    assert "time_s" in refused(path, f"{MAG}\n1,2,3\n")
+
+
+@pytest.mark.parametrize("name", ["01_undisturbed_slow_rotation_A", "34_disturbed_attached_magnet_3cm"])
+def test_recorded_reference_attitudes_are_read(shared_data: Path, name: str) -> None:
+    path = shared_data / "real" / "broad" / f"{name}.csv"
+    track = read_track(path)
+    lines = path.read_text().splitlines()
+    assert len(track.compasses[1].reported) == len(lines) - 1
+    header, row = lines[0].split(","), lines[4000].split(",")
+    reported = track.compasses[1].reported.values[3999]
+    assert reported.tolist() == [float(row[header.index(f"mag_{axis}_mgauss")]) for axis in "xyz"]
+    assert track.reference_q is not None and len(track.reference_q) <= len(track.compasses[1].reported)
+    assert np.linalg.norm(track.reference_q.values, axis=1) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_the_hand_turned_sensor_is_read_as_recorded(shared_data: Path) -> None:
+    path = shared_data / "real" / "hmc5883l-hand-rotation" / "full-sphere.csv"
+    track = read_track(path)
+    assert track.compasses[1].reported.values[0].tolist() == [241.284, -337.615, -388.991]
+    assert track.temperature_degc is not None and len(track.temperature_degc) == 8190

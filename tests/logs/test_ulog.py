@@ -1,0 +1,115 @@
+"""ULog through pyulog: PX4's raw and corrected fields, in body axes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ulog_builder import ULogFile
+
+from mavcompass.errors import BadRecording, UsageError
+from mavcompass.logs import read_track
+
+pytest.importorskip("pyulog")
+
+
+def modern(path: Path, rotation: int = 2) -> Path:
+    log = ULogFile()
+    log.topic(
+        "sensor_mag", "uint64_t timestamp_sample", "uint32_t device_id", "float x", "float y", "float z"
+    )
+    log.topic("vehicle_magnetometer", "uint32_t device_id", "float[3] magnetometer_ga")
+    log.topic("battery_status", "float current_a")
+    log.topic("vehicle_attitude", "float[4] q")
+    log.topic("actuator_motors", "float[4] control")
+    log.topic("vehicle_status", "uint8_t vehicle_type")
+    log.parameter("CAL_MAG0_ID", 77).parameter("CAL_MAG1_ID", 55).parameter("CAL_MAG1_ROT", rotation)
+    log.parameter("CAL_MAG1_XOFF", 0.1)
+    for n in range(10):
+        now = 2_000_000 + n * 20_000
+        log.add("sensor_mag", now + 500, now, 55, 0.1, 0.02, -0.4)
+        log.add("vehicle_magnetometer", now, 55, -0.02, 0.0, -0.4)
+        log.add("battery_status", now, -1.0 if n < 5 else 3.0)
+        log.add("vehicle_attitude", now, np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))
+        log.add("actuator_motors", now, 0.5, np.nan, 0.25, 0.0)
+        log.add("vehicle_status", now, 1)
+    return log.write(path)
+
+
+def test_raw_sensor_is_turned_into_body_axes_and_found_by_its_id(tmp_path: Path) -> None:
+    track = read_track(modern(tmp_path / "a.ulg"))
+    assert (track.autopilot, track.vehicle, list(track.compasses)) == ("px4", "copter", [2])
+    compass = track.compasses[2]
+    assert compass.correction_known and compass.device_id == 55
+    np.testing.assert_allclose(track.raw_field(2), [[-20.0, 100.0, -400.0]] * 10, atol=1e-5)
+    np.testing.assert_allclose(compass.time_s, 2.0 + 0.02 * np.arange(10))
+
+
+def test_other_columns_are_in_the_units_used_inside(tmp_path: Path) -> None:
+    track = read_track(modern(tmp_path / "a.ulg"))
+    assert track.attitude_rad is not None and track.current_a is not None and track.motors is not None
+    np.testing.assert_allclose(track.attitude_rad.values, [[0.0, 0.0, np.pi / 2]] * 10, atol=1e-6)
+    assert track.current_a.values.tolist() == [3.0] * 5
+    assert track.motors.values[0].tolist() == [0.5, 0.25, 0.0]
+
+
+def test_a_rotation_that_nobody_knows_falls_back_to_the_corrected_field(tmp_path: Path) -> None:
+    track = read_track(modern(tmp_path / "a.ulg", rotation=88))
+    assert any("no known rotation" in note for note in track.notes)
+    np.testing.assert_allclose(track.compasses[2].reported.values[0], [-20.0, 0.0, -400.0], atol=1e-5)
+    assert not track.compasses[2].correction_known
+
+
+def test_every_value_of_the_recorded_flight_equals_pyulogs(shared_data: Path) -> None:
+    from pyulog import ULog
+
+    path = shared_data / "real" / "px4-ulog" / "sample.ulg"
+    combined = ULog(str(path)).get_dataset("sensor_combined").data
+    track = read_track(path)
+    for axis in range(3):
+        for series, name, factor in (
+            (track.compasses[1].reported, "magnetometer_ga", 1000.0),
+            (track.acc_mps2, "accelerometer_m_s2", 1.0),
+            (track.gyro_radps, "gyro_rad", 1.0),
+        ):
+            assert series is not None
+            expected = combined[f"{name}[{axis}]"].astype(np.float64) * factor
+            np.testing.assert_array_equal(series.values[:, axis], expected)
+    assert track.compasses[1].correction_known
+    offsets = track.compasses[1].in_force[0].correction.offsets_mgauss
+    assert offsets == pytest.approx((-28.247, 200.208, 136.905), abs=1e-3)
+
+
+def test_without_pyulog_the_command_that_installs_it_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = modern(tmp_path / "a.ulg")
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    with pytest.raises(UsageError) as caught:
+        read_track(path)
+    assert 'pip install "mavcompass[ulog]"' in caught.value.remedy
+
+
+def test_a_log_without_magnetometer_says_so(tmp_path: Path) -> None:
+    log = ULogFile().topic("battery_status", "float current_a").add("battery_status", 1, 1.0)
+    with pytest.raises(BadRecording, match="no magnetometer"):
+        read_track(log.write(tmp_path / "a.ulg"))
+
+
+def test_a_damaged_log_is_refused_or_read_but_never_breaks(tmp_path: Path) -> None:
+    content = modern(tmp_path / "good.ulg").read_bytes()
+    path = tmp_path / "a.ulg"
+    rng = np.random.default_rng(5)
+    outcomes = set()
+    for _ in range(150):
+        damaged = bytearray(content)
+        for place in rng.integers(8, len(content), 3):
+            damaged[place] ^= 1 << rng.integers(8)
+        path.write_bytes(damaged[: rng.integers(8, len(content))])
+        try:
+            outcomes.add(type(read_track(path)).__name__)
+        except BadRecording:
+            outcomes.add("BadRecording")
+    assert outcomes == {"Track", "BadRecording"}
