@@ -45,30 +45,25 @@ def first_order_lag(
     first = np.asarray(values[0])
     last_time, x, y = state if state is not None else (float(time_s[0]), first, first)
     step = np.diff(time_s, prepend=last_time)
-    if state is None and time_s.size > 8 and float(np.ptp(step[1:])) < 1e-3 * float(step[1]):
-        return _uniform(time_s, values, float(step[1]), time_constant_s)
     ratio = step / max(time_constant_s, 1e-9)
     decay = np.exp(-ratio)
     mean = np.where(ratio > 1e-9, -np.expm1(-ratio) / np.where(ratio > 1e-9, ratio, 1.0), 1.0)
-    out = np.empty_like(values)
-    for i in range(time_s.size):
-        # y(t + h) = a y + (m - a) x(t) + (1 - m) x(t + h), a = exp(-h/tau), m = (1 - a) tau / h
-        y = decay[i] * y + (mean[i] - decay[i]) * x + (1.0 - mean[i]) * values[i]
-        x = values[i]
-        out[i] = y
-    return out, (float(time_s[-1]), np.array(x), np.array(y))
+    before = np.vstack([x[None], values[:-1]])
+    # y(t + h) = a y + (m - a) x(t) + (1 - m) x(t + h), a = exp(-h/tau), m = (1 - a) tau / h
+    drive = (mean - decay)[:, None] * before + (1.0 - mean)[:, None] * values
+    drive[0] += decay[0] * y
+    out = _recursion(decay, drive)
+    return out, (float(time_s[-1]), np.array(values[-1]), np.array(out[-1]))
 
 
-def _uniform(
-    time_s: FloatArray, values: FloatArray, step_s: float, time_constant_s: float
-) -> tuple[FloatArray, State]:
-    from scipy.signal import lfilter
-
-    ratio = step_s / max(time_constant_s, 1e-9)
-    a = float(np.exp(-ratio))
-    m = (1.0 - a) / ratio
-    # Settled on the first sample: the filter's state makes its first output equal to its first input.
-    initial = ((1.0 - (1.0 - m)) * values[0])[None, :]
-    out, _ = lfilter([1.0 - m, m - a], [1.0, -a], values, axis=0, zi=initial)
-    result = np.asarray(out, dtype=np.float64)
-    return result, (float(time_s[-1]), np.array(values[-1]), np.array(result[-1]))
+def _recursion(decay: FloatArray, drive: FloatArray) -> FloatArray:
+    """Return y_k = decay_k y_(k-1) + drive_k with y_0 = drive_0, by doubling the reach of each step."""
+    out, factor = drive.copy(), decay.copy()
+    factor[0] = 0.0
+    reach = 1
+    while reach < len(out) and float(factor.max()) > 1e-18:
+        out[reach:] += factor[reach:, None] * out[:-reach].copy()
+        factor[reach:] *= factor[:-reach].copy()
+        factor[:reach] = 0.0
+        reach *= 2
+    return out

@@ -45,21 +45,26 @@ def _random_walk(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng)
 def _hysteresis(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
     field = signals.reading.mag_mgauss
     remanence, width = float(theta[0]), max(float(theta[1]), 1e-6)
-    held = memory.get("held")
-    out = np.empty_like(field)
-    ends = []
-    for axis in range(3):
-        values = field[:, axis].tolist()
-        play = values[0] if held is None else held[axis]
-        column = []
-        for value in values:
-            # The play operator: dragged along once the field has moved by the width.
-            play = min(max(play, value - width), value + width)
-            column.append(play)
-        out[:, axis] = column
-        ends.append(play)
-    memory["held"] = ends
-    return signals.with_mag(field + remanence / width * (out - field))
+    play = _play(field, width, memory.get("held", field[0]))
+    memory["held"] = play[-1]
+    return signals.with_mag(field + remanence / width * (play - field))
+
+
+def _play(field: FloatArray, width: float, held: FloatArray) -> FloatArray:
+    """Return the play operator p_k = min(max(p_(k-1), m_k - w), m_k + w) of columns (N, 3).
+
+    Each step is a clamp; clamps compose to clamps, so that doubling the reach gives all N in log2 N passes.
+    """
+    low, high = field - width, field + width
+    reach = 1
+    while reach < len(field):
+        earlier_low, earlier_high = low[:-reach].copy(), high[:-reach].copy()
+        low[reach:], high[reach:] = (
+            np.minimum(np.maximum(earlier_low, low[reach:]), high[reach:]),
+            np.minimum(np.maximum(earlier_high, low[reach:]), high[reach:]),
+        )
+        reach *= 2
+    return np.asarray(np.minimum(np.maximum(held, low), high))
 
 
 def _hysteresis_starts(misfit: Misfit) -> list[FloatArray]:

@@ -63,25 +63,21 @@ def _dipole_starts(misfit: Misfit) -> list[FloatArray]:
     reach = max(0.5 * float((high - low).max()), 0.3)
     axes = [np.linspace(a - reach, b + reach, 7) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    gains = [_dipole_gain(position, residual, source) for source in grid]
-    best = sorted(range(len(grid)), key=lambda i: -gains[i][0])[:3]
+    gains = _grid_gains(position, residual, grid)
+    best = np.argsort(-gains)[:3]
     starts = []
     for i in best:
-        gain, source, moment = _polish(position, residual, grid[i], gains[i], reach / 3.0)
+        gain, source, moment = _polish(position, residual, grid[i], reach / 3.0)
         if gain > 0.0:
             starts.append(np.array([*source, *np.clip(moment, -1e4, 1e4)]))
     return starts[:2]
 
 
 def _polish(
-    position: FloatArray,
-    residual: FloatArray,
-    source: FloatArray,
-    first: tuple[float, FloatArray],
-    step: float,
+    position: FloatArray, residual: FloatArray, source: FloatArray, step: float
 ) -> tuple[float, FloatArray, FloatArray]:
     """Walk from a grid point to a better place by pattern search."""
-    gain, moment = first
+    gain, moment = _dipole_gain(position, residual, source)
     while step > 0.01:
         moved = False
         for axis in range(3):
@@ -93,6 +89,21 @@ def _polish(
                     gain, source, moment, moved = trial_gain, trial, trial_moment, True
         step = step if moved else 0.5 * step
     return gain, source, moment
+
+
+def _grid_gains(position: FloatArray, residual: FloatArray, grid: FloatArray) -> FloatArray:
+    """Return `_dipole_gain`'s gain for many places at once, (M,)."""
+    offset = position[None] - grid[:, None]
+    distance = np.sqrt((offset**2).sum(axis=2) + 0.05**2)
+    unit = offset / distance[:, :, None]
+    w3 = distance**-3
+    w6 = w3 * w3
+    normal = 3.0 * np.matmul((unit * w6[:, :, None]).transpose(0, 2, 1), unit)
+    normal += (w6.sum(axis=1) + 1e-12)[:, None, None] * np.eye(3)
+    projected = np.einsum("mij,ij->mi", unit, residual)
+    right = 3.0 * np.einsum("mij,mi->mj", unit, projected * w3) - w3 @ residual
+    moment = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    return np.asarray((right * moment).sum(axis=1))
 
 
 def _dipole_gain(position: FloatArray, residual: FloatArray, source: FloatArray) -> tuple[float, FloatArray]:

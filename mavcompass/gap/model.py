@@ -1,0 +1,337 @@
+"""A hypothesis (nuisances and effects with values) and its fit to a replay by Gauss and Newton.
+
+The residual is whitened by the noise floor, so that its sum of squares is minus twice the logarithm of
+the likelihood, up to a constant. Derivatives are differences of the forward models: each parameter runs
+the composition again from its own stage on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.noise import Noise, group_values
+from mavcompass.gap.nuisance import Nuisance
+from mavcompass.gap.replay import Replay
+from mavcompass.simulation.effects.effect import Effect, Signals
+from mavcompass.simulation.signals import Reading
+
+Mask = NDArray[np.bool_]
+_STEP = 1e-3
+_ITERATIONS = 12
+_CONVERGED = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Term:
+    """Be one effect of a hypothesis: `free` (k,) tells which parameters a fit may move."""
+
+    effect: Effect
+    free: Mask
+
+    @property
+    def dimension(self) -> int:
+        """Count the parameters that are fitted."""
+        return int(self.free.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Hold a fitted hypothesis.
+
+    Attributes:
+        terms: its effects, without the nuisances.
+        thetas: their parameters; nuisance_thetas: those of the nuisances.
+        sse: whitened sum of squares on the fitted rows plus what the priors of the nuisances cost.
+        covariance: of the free parameters, nuisances first, then the terms in order.
+    """
+
+    terms: tuple[Term, ...]
+    thetas: tuple[FloatArray, ...]
+    nuisance_thetas: tuple[FloatArray, ...]
+    sse: float
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def ids(self) -> frozenset[str]:
+        """Return the effects' ids."""
+        return frozenset(term.effect.id for term in self.terms)
+
+    @property
+    def dimension(self) -> int:
+        """Count the fitted parameters of the effects; an optional one at its end is not one."""
+        return sum(active_dimension(t, x) for t, x in zip(self.terms, self.thetas, strict=True))
+
+    def theta(self, effect_id: str) -> FloatArray:
+        """Return the parameters of one effect."""
+        for term, theta in zip(self.terms, self.thetas, strict=True):
+            if term.effect.id == effect_id:
+                return theta
+        raise KeyError(effect_id)
+
+
+def active_dimension(term: Term, theta: FloatArray) -> int:
+    """Count the parameters that a fitted term uses: integers and moments of change count too."""
+    unused = sum(
+        1
+        for parameter, value in zip(term.effect.parameters, theta, strict=True)
+        if parameter.name in term.effect.optional and value >= parameter.high
+    )
+    fixed = sum(1 for p in term.effect.parameters if p.integer or p.scale == 0.0)
+    return term.dimension + fixed - unused
+
+
+class Problem:
+    """Fit hypotheses to the rows of a replay under a noise floor."""
+
+    def __init__(self, replay: Replay, noise: Noise, rows: Mask, nuisances: Sequence[Nuisance]) -> None:
+        self.replay = replay
+        self.noise = noise
+        self.rows = rows
+        self.nuisances = tuple(nuisances)
+        self.groups = replay.groups
+        usable = replay.valid.copy()
+        most = max((noise[g].coefficients.size for g in self.groups), default=0)
+        for lag in range(1, most + 1):
+            usable[lag:] &= replay.valid[:-lag]
+            usable[:lag] = False
+        step = np.diff(replay.time_s, prepend=replay.time_s[0])
+        gap = step > 3.0 * float(np.median(step[1:]))
+        for lag in range(most):
+            usable[lag:] &= ~gap[: gap.size - lag]
+        self.usable = usable
+        self.index = np.flatnonzero(rows & usable)
+        self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
+        self._precision = _block_diagonal([n.precision for n in self.nuisances])
+        self._prior = np.concatenate([n.mean for n in self.nuisances]) if self.nuisances else np.zeros(0)
+        self._nuisance_columns: FloatArray | None = None
+
+    @property
+    def count(self) -> int:
+        """Count the fitted rows."""
+        return int(self.index.size)
+
+    def with_rows(self, rows: Mask) -> Problem:
+        """Return the same problem on other rows."""
+        return Problem(self.replay, self.noise, rows, self.nuisances)
+
+    def predict(self, fit: Fit, effects: bool = True) -> Reading:
+        """Return what the simulation says under a hypothesis, or under its nuisances alone."""
+        terms = fit.terms if effects else ()
+        thetas = fit.thetas if effects else ()
+        return self._states(terms, thetas, fit.nuisance_thetas)[-1].reading
+
+    def signals(self, fit: Fit) -> Signals:
+        """Return the simulated signals under a hypothesis."""
+        return self._states(fit.terms, fit.thetas, fit.nuisance_thetas)[-1]
+
+    def innovations(self, reading: Reading) -> dict[str, FloatArray]:
+        """Return measured minus predicted, whitened, (N, 3) per sensor."""
+        return {g: self.noise[g].whiten(self._measured[g] - group_values(reading, g)) for g in self.groups}
+
+    def residual(self, reading: Reading) -> FloatArray:
+        """Return the whitened residual of the fitted rows as one vector."""
+        return np.concatenate(
+            [
+                self.noise[g].whiten(self._measured[g] - group_values(reading, g))[self.index].ravel()
+                for g in self.groups
+            ]
+        )
+
+    def change(self, before: Reading, after: Reading, index: NDArray[np.int64] | None = None) -> FloatArray:
+        """Return the whitened difference of two predictions as one vector."""
+        rows = self.index if index is None else index
+        parts = []
+        for g in self.groups:
+            a, b = group_values(before, g), group_values(after, g)
+            if a is b:
+                parts.append(np.zeros(3 * rows.size))
+            else:
+                parts.append(self.noise[g].whiten(b - a)[rows].ravel())
+        return np.concatenate(parts)
+
+    def _ordered(self, terms: Sequence[Term]) -> list[tuple[Effect, int]]:
+        """List the effects of the composition in order, with their places in the list of parameters."""
+        members = [(n.effect, i) for i, n in enumerate(self.nuisances)]
+        members += [(t.effect, len(self.nuisances) + i) for i, t in enumerate(terms)]
+        # Sorting is stable: a nuisance acts before the effects of its stage.
+        return sorted(members, key=lambda member: member[0].stage)
+
+    def _states(
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray]
+    ) -> list[Signals]:
+        everything = [*nuisance_thetas, *thetas]
+        states = [self.replay.signals]
+        for effect, place in self._ordered(terms):
+            states.append(effect.forward(states[-1], everything[place], {}, None))
+        return states
+
+    def _run_from(
+        self, order: list[tuple[Effect, int]], at: int, state: Signals, thetas: list[FloatArray]
+    ) -> Reading:
+        for effect, place in order[at:]:
+            state = effect.forward(state, thetas[place], {}, None)
+        return state.reading
+
+    def columns(
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
+        states: list[Signals], wanted: Sequence[int], index: NDArray[np.int64] | None = None,
+    ) -> FloatArray:  # fmt: skip
+        """Return the derivatives of the whitened prediction by the free parameters of some members.
+
+        `wanted` holds places: nuisances first, then terms. One column per free parameter.
+        """
+        order = self._ordered(terms)
+        everything = [*nuisance_thetas, *thetas]
+        places = {place: at for at, (_, place) in enumerate(order)}
+        base = states[-1].reading
+        columns = []
+        for place in wanted:
+            at = places[place]
+            effect = order[at][0]
+            free = self._free(terms, place)
+            for j in np.flatnonzero(free):
+                theta = everything[place].copy()
+                step = _STEP * max(effect.parameters[j].scale, 1e-12)
+                if theta[j] + step > effect.parameters[j].high:
+                    step = -step
+                theta[j] += step
+                moved = everything.copy()
+                moved[place] = theta
+                columns.append(self.change(base, self._run_from(order, at, states[at], moved), index) / step)
+        rows = (self.index.size if index is None else index.size) * 3 * len(self.groups)
+        return np.stack(columns, axis=1) if columns else np.zeros((rows, 0))
+
+    def _free(self, terms: Sequence[Term], place: int) -> Mask:
+        n = len(self.nuisances)
+        if place < n:
+            return np.ones(len(self.nuisances[place].effect.parameters), dtype=np.bool_)
+        return terms[place - n].free
+
+    def null(self) -> Fit:
+        """Fit the nuisances alone."""
+        return self.fit((), (), tuple(n.mean.copy() for n in self.nuisances))
+
+    def nuisance_columns(self, fit: Fit) -> FloatArray:
+        """Return the derivatives by the nuisances (computed once: they hardly change)."""
+        if self._nuisance_columns is None:
+            states = self._states((), (), fit.nuisance_thetas)
+            self._nuisance_columns = self.columns(
+                (), (), fit.nuisance_thetas, states, range(len(self.nuisances))
+            )
+        return self._nuisance_columns
+
+    def fit(
+        self,
+        terms: Sequence[Term],
+        thetas: Sequence[FloatArray],
+        nuisance_thetas: Sequence[FloatArray],
+        iterations: int = _ITERATIONS,
+    ) -> Fit:
+        """Fit from a start by Levenberg and Marquardt; parameters stay inside their physical ranges."""
+        terms = tuple(terms)
+        x = [np.array(t, dtype=np.float64) for t in (*nuisance_thetas, *thetas)]
+        n = len(self.nuisances)
+        n_dim = self._prior.size
+        lengths = [len(v) for v in x]
+        free = [np.flatnonzero(self._free(terms, i)) for i in range(len(x))]
+        states = self._states(terms, x[n:], x[:n])
+        r = self.residual(states[-1].reading)
+        cost = float(r @ r) + self._prior_cost(x[:n])
+        damping = 1e-6
+        normal = np.zeros((0, 0))
+        exact_nuisances = n_dim > 0 and not terms
+        for _ in range(iterations):
+            first = self._columns_for(terms, x, states, exact_nuisances)
+            J = np.hstack([first, self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))])
+            normal = J.T @ J
+            gradient = J.T @ r
+            if n_dim:
+                normal[:n_dim, :n_dim] += self._precision
+                gradient[:n_dim] += self._precision @ (self._prior - np.concatenate(x[:n]))
+            if not normal.size:
+                break
+            improved = False
+            for _ in range(6):
+                step = _solve(normal, gradient, damping)
+                trial = _moved(x, step, free, self._bounds(terms))
+                trial_states = self._states(terms, trial[n:], trial[:n])
+                trial_r = self.residual(trial_states[-1].reading)
+                trial_cost = float(trial_r @ trial_r) + self._prior_cost(trial[:n])
+                if trial_cost < cost:
+                    improved = True
+                    break
+                damping = max(damping, 1e-7) * 30.0
+            if not improved:
+                break
+            gained = cost - trial_cost
+            x, states, r, cost = trial, trial_states, trial_r, trial_cost
+            damping *= 0.03
+            if gained < _CONVERGED:
+                break
+        assert len(x) == len(lengths)
+        covariance = _invert(normal) if normal.size else normal
+        return Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
+
+    def _columns_for(
+        self, terms: tuple[Term, ...], x: list[FloatArray], states: list[Signals], exact: bool
+    ) -> FloatArray:
+        n = len(self.nuisances)
+        if exact or self._nuisance_columns is None or self._far(x[:n]):
+            return self.columns(terms, x[n:], x[:n], states, range(n))
+        return self._nuisance_columns
+
+    def _far(self, thetas: Sequence[FloatArray]) -> bool:
+        """Tell whether a nuisance with a strong non-linearity (yaw, age) is being solved for."""
+        return any(n.effect.stage != self.nuisances[0].effect.stage for n in self.nuisances)
+
+    def _prior_cost(self, thetas: Sequence[FloatArray]) -> float:
+        if not thetas:
+            return 0.0
+        off = np.concatenate(list(thetas)) - self._prior
+        return float(off @ self._precision @ off)
+
+    def _bounds(self, terms: Sequence[Term]) -> list[tuple[FloatArray, FloatArray]]:
+        effects = [*(n.effect for n in self.nuisances), *(t.effect for t in terms)]
+        return [(e.lower, e.upper) for e in effects]
+
+
+def _moved(
+    x: list[FloatArray],
+    step: FloatArray,
+    free: list[NDArray[np.int64]],
+    bounds: list[tuple[FloatArray, FloatArray]],
+) -> list[FloatArray]:
+    out, at = [], 0
+    for value, index, (low, high) in zip(x, free, bounds, strict=True):
+        moved = value.copy()
+        moved[index] += step[at : at + index.size]
+        at += index.size
+        out.append(np.clip(moved, low, high))
+    return out
+
+
+def _solve(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(size, size)
+    scaled[np.diag_indices_from(scaled)] += damping + 1e-12
+    return np.asarray(np.linalg.solve(scaled, gradient / size) / size)
+
+
+def _invert(normal: FloatArray) -> FloatArray:
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(np.linalg.pinv(normal / np.outer(size, size), rcond=1e-10) / np.outer(size, size))
+
+
+def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    total = sum(len(b) for b in blocks)
+    out = np.zeros((total, total))
+    at = 0
+    for block in blocks:
+        out[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    return out

@@ -1,0 +1,303 @@
+"""Search the set of effects that explains a gap: beam search under a penalised likelihood.
+
+Two questions have two criteria. *How many* effects: one more is taken only where the whitened sum of
+squares falls by more than chance allows once in 50 000 (chi-squared tail, moments of change and
+frequencies counted twice). *Which*: sets of equal size compete by EBIC, SSE + k ln n + 2 m ln C, and the
+weights exp(-EBIC / 2) tell how sure that is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.model import Fit, Problem, Term, active_dimension
+from mavcompass.gap.noise import group_values
+from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
+from mavcompass.simulation.signals import Reading
+
+MOST_EFFECTS = 4
+CHANCE = 2.0e-5
+_BEAM = 3
+_REFINED = 7
+_SHORT = 3
+_HOPEFUL = 0.6
+_SEARCHED_TWICE = frozenset({"on_s", "off_s", "frequency_hz", "threshold", "source", "orientation"})
+
+
+@lru_cache(maxsize=256)
+def least_gain(dimension: int) -> float:
+    """Return the fall of the sum of squares that chance reaches with probability CHANCE."""
+    from scipy.special import chdtri
+
+    return float(chdtri(max(dimension, 1), CHANCE))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Hold the result of a search.
+
+    Attributes:
+        null: the fit without effects; best: the fit of the best set (perhaps the null).
+        explored: every fitted set by its ids; scores: their EBIC.
+        weights: of the sets as large as the best one, sorted, those above 1 %.
+    """
+
+    null: Fit
+    best: Fit
+    explored: dict[frozenset[str], Fit]
+    weights: tuple[tuple[frozenset[str], float], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    term: Term
+    theta: FloatArray
+    expected: float
+
+
+class Search:
+    """Search sets of effects on one problem."""
+
+    def __init__(self, problem: Problem, effects: Iterable[Effect]) -> None:
+        self.problem = problem
+        signals = problem.replay.signals
+        self.terms = [
+            term
+            for effect in effects
+            if effect.kind in ("mean", "discrete") and (term := make_term(effect, signals)).dimension >= 0
+        ]
+        self._log_n = math.log(max(problem.count, 2))
+        self._log_c = math.log(max(len(self.terms), 2))
+        self.explored: dict[frozenset[str], Fit] = {}
+
+    def score(self, fit: Fit) -> float:
+        """Return the EBIC of a fit."""
+        return fit.sse + fit.dimension * self._log_n + 2.0 * len(fit.terms) * self._log_c
+
+    def run(self) -> Found:
+        """Search up to MOST_EFFECTS effects."""
+        null = self.problem.null()
+        self.explored[frozenset()] = null
+        best, beam = null, [null]
+        for size in range(1, MOST_EFFECTS + 1):
+            children = self._children(beam)
+            if not children:
+                break
+            leader = children[0]
+            if size > 1:
+                leader = self._swapped(leader)
+            if not self.grows(best, leader):
+                break
+            best = leader
+            beam = sorted({leader.ids: leader, **{c.ids: c for c in children}}.values(), key=self.score)
+            beam = beam[:_BEAM]
+        best = self.polished(best)
+        self.explored[best.ids] = best
+        return Found(null, best, self.explored, self._weights(best))
+
+    def grows(self, smaller: Fit, larger: Fit) -> bool:
+        """Tell whether the larger set is needed."""
+        extra = max(_tested_dimension(larger) - _tested_dimension(smaller), 1)
+        return smaller.sse - larger.sse > least_gain(extra)
+
+    def _weights(self, best: Fit) -> tuple[tuple[frozenset[str], float], ...]:
+        rivals = {ids: self.score(f) for ids, f in self.explored.items() if len(ids) == len(best.terms)}
+        lowest = min(rivals.values())
+        raw = {ids: math.exp(-0.5 * min(score - lowest, 1400.0)) for ids, score in rivals.items()}
+        total = sum(raw.values())
+        ranked = sorted(((ids, w / total) for ids, w in raw.items()), key=lambda item: -item[1])
+        return tuple(item for item in ranked if item[1] > 0.01)
+
+    def _children(self, beam: Sequence[Fit]) -> list[Fit]:
+        children: dict[frozenset[str], Fit] = {}
+        for place, parent in enumerate(beam):
+            starts = self._starts(parent)
+            if place == 0 and not self._hopeful(parent, starts):
+                # What the best parent cannot use, a worse one can only use to become the best's equal.
+                return []
+            for start in starts[:_REFINED]:
+                ids = parent.ids | {start.term.effect.id}
+                fit = self._extended(parent, start)
+                if ids not in children or fit.sse < children[ids].sse:
+                    children[ids] = fit
+        for ids, fit in children.items():
+            if ids not in self.explored or fit.sse < self.explored[ids].sse:
+                self.explored[ids] = fit
+        return sorted(children.values(), key=self.score)
+
+    def _hopeful(self, parent: Fit, starts: Sequence[_Start]) -> bool:
+        return any(parent.sse - s.expected > _HOPEFUL * least_gain(s.term.dimension) for s in starts)
+
+    def _extended(self, parent: Fit, start: _Start, iterations: int = 8) -> Fit:
+        return self.problem.fit(
+            (*parent.terms, start.term),
+            (*parent.thetas, start.theta),
+            parent.nuisance_thetas,
+            iterations,
+        )
+
+    def _swapped(self, fit: Fit) -> Fit:
+        """Replace each member by whatever serves better beside the others."""
+        for _ in range(2):
+            before = self.score(fit)
+            for out in sorted(fit.ids):
+                rest = self._without(fit, out)
+                for start in self._starts(rest)[:4]:
+                    rival = self._extended(rest, start)
+                    if rival.ids not in self.explored or rival.sse < self.explored[rival.ids].sse:
+                        self.explored[rival.ids] = rival
+                    if self.score(rival) < self.score(fit) - 1e-6:
+                        fit = rival
+                        break
+                if out not in fit.ids:
+                    break
+            if self.score(fit) >= before - 1e-6:
+                break
+        return fit
+
+    def _without(self, fit: Fit, effect_id: str) -> Fit:
+        keep = [i for i, t in enumerate(fit.terms) if t.effect.id != effect_id]
+        terms = [fit.terms[i] for i in keep]
+        known = self.explored.get(frozenset(t.effect.id for t in terms))
+        if known is not None:
+            return known
+        refitted = self.problem.fit(terms, [fit.thetas[i] for i in keep], fit.nuisance_thetas)
+        self.explored[refitted.ids] = refitted
+        return refitted
+
+    def polished(self, fit: Fit) -> Fit:
+        """Fit to convergence; look again for moments, places and frequencies beside the other effects."""
+        if not fit.terms:
+            return fit
+        best = self.problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+        for i, term in enumerate(best.terms):
+            if term.effect.starts is None:
+                continue
+            others = [j for j in range(len(best.terms)) if j != i]
+            rest = Fit(
+                tuple(best.terms[j] for j in others),
+                tuple(best.thetas[j] for j in others),
+                best.nuisance_thetas,
+                np.inf,
+            )
+            for start in term.effect.starts(self._misfit(rest)):
+                terms = (*rest.terms, term)
+                trial = self.problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas)
+                if self.score(trial) < self.score(best) - 1e-6:
+                    best = _in_order(trial, best)
+        return best
+
+    def _misfit(self, fit: Fit) -> Misfit:
+        problem = self.problem
+        signals = problem.signals(fit)
+        residual = Reading(
+            *(
+                group_values(problem.replay.measured, g) - group_values(signals.reading, g)
+                for g in ("mag", "acc", "gyro")
+            )
+        )
+        rows = np.zeros(problem.rows.size, dtype=np.bool_)
+        rows[problem.index] = True
+        return Misfit(signals, residual, rows, problem.noise["mag"].rms)
+
+    def _starts(self, parent: Fit) -> list[_Start]:
+        """Guess every effect's parameters beside a fit; sort by the sum of squares to expect."""
+        problem = self.problem
+        n = len(problem.nuisances)
+        states = problem._states(parent.terms, parent.thetas, parent.nuisance_thetas)
+        residual = problem.residual(states[-1].reading)
+        known = problem.columns(
+            parent.terms, parent.thetas, parent.nuisance_thetas, states, range(n + len(parent.terms))
+        )
+        basis = _orthonormal(known)
+        misfit = self._misfit(parent)
+        found = []
+        for term in self.terms:
+            if term.effect.id in parent.ids:
+                continue
+            guesses = [term.effect.neutral()] if term.effect.starts is None else term.effect.starts(misfit)
+            judged = (self._judged(parent, term, guess, residual, basis) for guess in guesses)
+            options = [option for option in judged if option is not None]
+            if options:
+                found.append(min(options, key=lambda option: option.expected))
+        penalty = {id(s): s.term.dimension * self._log_n for s in found}
+        return sorted(found, key=lambda s: s.expected + penalty[id(s)])
+
+    def _judged(
+        self, parent: Fit, term: Term, guess: FloatArray, residual: FloatArray, basis: FloatArray
+    ) -> _Start | None:
+        """Linearise an effect at a guess; solve for its parameters beside the parent's."""
+        problem = self.problem
+        terms, thetas = (*parent.terms, term), (*parent.thetas, guess)
+        states = problem._states(terms, thetas, parent.nuisance_thetas)
+        neutral = term.effect.starts is None
+        r = residual if neutral else problem.residual(states[-1].reading)
+        place = len(problem.nuisances) + len(parent.terms)
+        J = problem.columns(terms, thetas, parent.nuisance_thetas, states, [place])
+        if not np.isfinite(r).all() or not np.isfinite(J).all():
+            return None
+        left = r - basis @ (basis.T @ r)
+        # The parent is fitted, so what its columns still take away is not this effect's merit alone.
+        expected = parent.sse - float(residual @ residual) + float(left @ left)
+        theta = guess
+        if J.shape[1]:
+            J = J - basis @ (basis.T @ J)
+            normal = J.T @ J
+            size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+            scaled = normal / np.outer(size, size)
+            scaled[np.diag_indices_from(scaled)] += 1e-7
+            right = (J.T @ left) / size
+            step = np.linalg.solve(scaled, right)
+            expected -= float(2.0 * right @ step - step @ (normal / np.outer(size, size)) @ step)
+            theta = guess.copy()
+            theta[term.free] += step / size
+            theta = np.clip(theta, term.effect.lower, term.effect.upper)
+        return _Start(term, theta, expected)
+
+
+def make_term(effect: Effect, signals: Signals) -> Term:
+    """Say which parameters of an effect a fit may move."""
+    free = np.array([not p.integer and p.scale > 0.0 for p in effect.parameters], dtype=np.bool_)
+    if effect.free is not None:
+        free &= effect.free(signals)
+    return Term(effect, free)
+
+
+def _tested_dimension(fit: Fit) -> int:
+    """Count parameters for the test against chance: those searched over a wide range count twice."""
+    total = 0
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        total += active_dimension(term, theta)
+        total += sum(
+            1
+            for p, v in zip(term.effect.parameters, theta, strict=True)
+            if p.name in _SEARCHED_TWICE and not (p.name in term.effect.optional and v >= p.high)
+        )
+    return total
+
+
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    if not columns.shape[1]:
+        return columns
+    size = np.sqrt(np.maximum((columns**2).sum(axis=0), 1e-300))
+    u, s, _ = np.linalg.svd(columns / size, full_matrices=False)
+    return np.asarray(u[:, s > 1e-6 * max(float(s[0]), 1e-300)])
+
+
+def _in_order(fit: Fit, like: Fit) -> Fit:
+    """Put the terms of a fit in the order of another fit of the same set."""
+    place = {t.effect.id: i for i, t in enumerate(fit.terms)}
+    order = [place[t.effect.id] for t in like.terms]
+    return Fit(
+        tuple(fit.terms[i] for i in order),
+        tuple(fit.thetas[i] for i in order),
+        fit.nuisance_thetas,
+        fit.sse,
+        fit.covariance,
+    )
