@@ -61,7 +61,7 @@ def show(source: str, system: int | None, output: Output) -> None:
 
     held = _read(source, system)
     show_parameters(output, held)
-    output.write_json({**_head("show", source, held), "parameters": held.values})
+    output.write_json({**_head("show", source, held), "parameters": held.compass_values})
 
 
 @command.command()
@@ -148,14 +148,15 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
         if file.exists() and not yes:
             raise UsageError(f"{file} exists.", "Give another name, or --yes to replace it.")
     held = _read(source, system)
+    values = held.compass_values
     comment = (f"Compass parameters of {source}, by mavcompass.",)
     if file is None:
-        output.say(parameter_text(held.values, "param", comment).rstrip("\n"))
+        output.say(parameter_text(values, "param", comment).rstrip("\n"))
     else:
-        types = {name: parameter.type for name, parameter in held.typed.items()}
-        write_parameter_file(file, held.values, comment, types)
-        output.say(f"{len(held.values)} parameters saved in {file}.")
-    saved = {"file": None if file is None else str(file), "parameters": held.values}
+        types = {name: parameter.type for name, parameter in held.compass_typed.items()}
+        write_parameter_file(file, values, comment, types)
+        output.say(f"{len(values)} parameters saved in {file}.")
+    saved = {"file": None if file is None else str(file), "parameters": values}
     output.write_json({**_head("backup", source, held), **saved})
 
 

@@ -14,13 +14,13 @@ from mavcompass.vehicle.parameter_session import HeldParameters
 def show_parameters(output: Output, held: HeldParameters) -> None:
     """Show all parameters: on a terminal one column per compass, in a pipe one NAME VALUE per line."""
     if not _is_table_wanted(output):
-        for name, value in held.values.items():
+        for name, value in held.compass_values.items():
             output.say(f"{name:<16} {_number(value)}")
         return
     compasses = held.compasses
-    shared = [(name, _number(v)) for name, v in held.values.items() if held.instance_of(name) is None]
+    shared = [(name, _number(v)) for name, v in held.compass_values.items() if held.instance_of(name) is None]
     rows: dict[str, dict[int, str]] = {}
-    for name, value in held.values.items():
+    for name, value in held.compass_values.items():
         instance = held.instance_of(name)
         if instance in compasses:
             rows.setdefault(_quantity(name, instance), {})[instance] = _number(value)

@@ -60,7 +60,10 @@ class ArduPilotDialect:
         return {name: parameter.value for name, parameter in held.items()}
 
     def compass_parameters_typed(self, context: Context) -> Script[dict[str, wire.Parameter]]:
-        """Read everything about all compasses, with types; the spelling is found by two questions."""
+        """Read everything about all compasses and what `rules.vehicle` adds, with types.
+
+        The spelling of the names is found by two questions.
+        """
         probes = yield from wire.read(context, _SPELLING_PROBES, self.encoding, enough=bool)
         if not probes:
             raise NoReply(
@@ -68,7 +71,7 @@ class ArduPilotDialect:
                 "Check that the link carries both ways and that the firmware has a compass.",
             )
         naming = ardupilot_naming({name: p.value for name, p in probes.items()})
-        names = [*self.rules.general]
+        names = [*self.rules.general, *self.rules.vehicle]
         for instance in COMPASSES:
             names += self.instance_names(instance, naming)
         return (yield from self.read_typed(context, names))

@@ -24,7 +24,8 @@ class ParameterRules:
     """Hold one autopilot's rules.
 
     Attributes:
-        general, per_compass: what to read: whole names, and what belongs to each compass.
+        general, per_compass: what to read of the compasses: whole names, and what each of them has.
+        vehicle: what to read of the vehicle itself, for turning and judging it.
         protected, needs_reboot: patterns of names that are never written, or work after a start.
         offset_usual_mgauss: per axis; beyond it a person is told. offset_largest_mgauss: length.
         offset_instead_of_zero_mgauss: 0 where zero offsets mean nothing special.
@@ -34,6 +35,7 @@ class ParameterRules:
 
     general: tuple[str, ...]
     per_compass: tuple[str, ...]
+    vehicle: tuple[str, ...]
     protected: tuple[str, ...]
     needs_reboot: tuple[str, ...]
     offset_usual_mgauss: float
@@ -71,6 +73,7 @@ def _rules(document: dict[str, Any]) -> ParameterRules:
     return ParameterRules(
         general=tuple(read["general"]),
         per_compass=tuple(read["per_compass"]),
+        vehicle=tuple(read["vehicle"]),
         protected=tuple(write["protected"]),
         needs_reboot=tuple(write["needs_reboot"]),
         offset_usual_mgauss=float(offset["usual_mgauss"]),

@@ -39,8 +39,19 @@ class HeldParameters:
 
     @property
     def values(self) -> dict[str, float]:
-        """Return the values by name."""
+        """Return all values by name."""
         return {name: parameter.value for name, parameter in self.typed.items()}
+
+    @property
+    def compass_typed(self) -> dict[str, Parameter]:
+        """Return the compass parameters alone, without what else was read of the vehicle."""
+        prefixes = _PREFIXES[self.dialect.autopilot]
+        return {name: p for name, p in self.typed.items() if name.startswith(prefixes)}
+
+    @property
+    def compass_values(self) -> dict[str, float]:
+        """Return the values of `compass_typed`."""
+        return {name: parameter.value for name, parameter in self.compass_typed.items()}
 
     @property
     def compasses(self) -> tuple[int, ...]:

@@ -53,7 +53,11 @@ class PX4Dialect:
 
     def compass_parameters_typed(self, context: Context) -> Script[dict[str, wire.Parameter]]:
         """Read everything about all compasses, with types; unused slots are not asked for further."""
-        names = [*self.rules.general, *(px4_name("ID", instance) for instance in COMPASSES)]
+        names = [
+            *self.rules.general,
+            *self.rules.vehicle,
+            *(px4_name("ID", instance) for instance in COMPASSES),
+        ]
         held = yield from self.read_typed(context, names)
         if not held:
             raise NoReply(

@@ -1,0 +1,105 @@
+"""The files of params/: complete, consistent with the code, and true of the firmware they are for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from parameter_vehicle import ardupilot_parameters
+
+from mavcompass.data_files import params_path
+from mavcompass.errors import MavCompassError
+from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.turning import strategies_for
+from mavcompass.vehicle import parameter_rules, vehicle_profiles
+from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.parameter_files import read_parameter_file
+from mavcompass.vehicle.vehicle_profiles import vehicle_profile
+
+FAULTS = sorted(params_path("sitl-faults").glob("*.parm"))
+
+
+@pytest.mark.parametrize("path", FAULTS, ids=lambda path: path.stem)
+def test_a_fault_preset_loads_and_explains_itself(path: Path) -> None:
+    values = read_parameter_file(path)
+    assert path.read_text().startswith("# ")
+    for stem in ("SIM_MAG1_DIA", "SIM_MAG2_DIA", "SIM_MAG3_DIA", "SIM_MAG1_OFS"):
+        # The simulator takes a matrix of which only one axis is set for singular and leaves it out.
+        assert sum(f"{stem}_{axis}" in values for axis in "XYZ") in (0, 3)
+
+
+def test_none_takes_every_other_preset_back() -> None:
+    none = read_parameter_file(params_path("sitl-faults/none.parm"))
+    others = {name for path in FAULTS for name in read_parameter_file(path) if name.startswith("SIM_")}
+    assert others <= set(none)
+
+
+def test_the_firmwares_simulator_knows_every_name(shared_data: Path) -> None:
+    from mavcompass import read_track
+
+    known = read_track(str(shared_data / "ardupilot-4.6.3" / "rover_plain.BIN")).parameters
+    names = {name for path in FAULTS for name in read_parameter_file(path)}
+    assert not names - set(known)
+    defaults = read_parameter_file(params_path("sitl-faults/none.parm"))
+    assert defaults == {name: known[name] for name in defaults}
+
+
+@pytest.mark.parametrize("name", ["mild", "strong", "severe"])
+def test_the_exact_cure_of_a_fault_may_be_written(name: str) -> None:
+    fault = read_parameter_file(params_path(f"sitl-faults/{name}.parm"))
+    cure = {n.replace("SIM_MAG1_", "COMPASS_"): v for n, v in fault.items() if n.startswith("SIM_MAG1_")}
+    dialect = make_dialect("ardupilot")
+    plan = dialect.plan_values(ardupilot_parameters(), cure)
+    assert plan.changes and not plan.refusals
+    correction = dialect.correction(ardupilot_parameters() | cure, 1)
+    # raw = E^-1 truth - OFS is what the simulator's compass reads
+    truth = np.array([232.0, 52.7, -528.9])
+    raw = np.linalg.solve(correction.matrix, truth) - correction.offsets_mgauss
+    assert correction.apply(raw) == pytest.approx(truth)
+
+
+@pytest.mark.parametrize(
+    ("kind", "ackermann"),
+    [("rover", False), ("rover", True), ("boat", False), ("copter", False), ("sub", False)],
+)
+def test_a_profile_turns_its_vehicle_as_the_procedure_does(kind: str, ackermann: bool) -> None:
+    profile = vehicle_profile(kind, "ardupilot", ackermann)
+    assert profile is not None
+    assert profile.strategies == strategies_for(kind, "ardupilot", ackermann)
+    settings = CalibrateSettings()
+    assert (profile.dwell, profile.stream_rate_hz) == (settings.dwell, settings.rate_hz)
+    assert profile.limits == settings.limits
+
+
+def test_what_only_a_person_can_turn_has_no_profile() -> None:
+    assert vehicle_profile("plane", "ardupilot") is None
+    assert vehicle_profile("unknown", "px4") is None
+
+
+@pytest.mark.parametrize(
+    "damage",
+    ["[read", "[read]\ngeneral = []\n", "[offset]\nusual_mgauss = 'many'\n"],
+)
+def test_a_damaged_rules_file_is_named(damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "ardupilot.toml").write_text(damage)
+    monkeypatch.setattr(parameter_rules, "params_path", lambda name: tmp_path / name)
+    with pytest.raises(MavCompassError, match=r"ardupilot\.toml cannot be used"):
+        parameter_rules.parameter_rules.__wrapped__("ardupilot")
+
+
+def test_a_damaged_profile_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "vehicles").mkdir()
+    whole = params_path("vehicles/rover.toml").read_text()
+    (tmp_path / "vehicles" / "tank.toml").write_text(whole.replace('"yaw-rate"', '"by-magic"'))
+    monkeypatch.setattr(vehicle_profiles, "params_path", lambda name: tmp_path / name)
+    with pytest.raises(MavCompassError, match=r"tank\.toml cannot be used .*by-magic"):
+        vehicle_profiles.vehicle_profiles.__wrapped__()
+
+
+def test_the_rules_agree_with_what_the_firmware_applies() -> None:
+    from mavcompass.compass_parameters import ARDUPILOT_SCALE_LIMITS
+
+    rules = parameter_rules.parameter_rules("ardupilot")
+    assert rules.scale == pytest.approx(ARDUPILOT_SCALE_LIMITS, abs=1e-6)
+    assert rules.diagonal[0] < 1.0 < rules.diagonal[1]
