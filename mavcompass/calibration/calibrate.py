@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,11 @@ import numpy as np
 from mavcompass.calibration.four_positions import FourPositionsResult, solve_four_positions
 from mavcompass.calibration.model import GAIN, HORIZONTAL, VERTICAL
 from mavcompass.calibration.observability import unobserved
-from mavcompass.calibration.observation import FourPositionData, correction_at
+from mavcompass.calibration.observation import FourPositionData, correction_at, dwell_between
 from mavcompass.calibration.position_problem import DEFAULT_PRIOR, IronPrior
 from mavcompass.calibration.result import METHODS, CalibrationResult, Position, heading_change_rad
-from mavcompass.calibration.stillness import observe
+from mavcompass.calibration.stillness import assemble, observe
+from mavcompass.calibration.turning import turn_record
 from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits, judge
 from mavcompass.compass_parameters import (
     ardupilot_naming,
@@ -22,10 +24,9 @@ from mavcompass.compass_parameters import (
     px4_values,
 )
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.earth_field import EarthField
+from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 from mavcompass.frames import FloatArray
-from mavcompass.heading.stream import earth_field_of
 from mavcompass.track import Track
 from mavcompass.units import DEG_PER_RAD
 
@@ -41,6 +42,7 @@ def calibrate_track(
     earth: EarthField | None = None,
     use_world_model: bool = True,
     prior: IronPrior = DEFAULT_PRIOR,
+    windows: Sequence[tuple[float, float]] | None = None,
 ) -> CalibrationResult:
     """Calibrate one compass of a recording.
 
@@ -52,6 +54,7 @@ def calibrate_track(
         earth: the Earth's field; None takes it from the recording's place and date.
         use_world_model: False leaves scale and Z alone even where the place is known.
         prior: what is known of compasses in general.
+        windows: the still stretches (start, end) for four-positions; None finds them.
 
     Raises BadRecording where the compass is missing, PoorCalibration where the recording cannot give a
     calibration at all (too little motion, a dead compass), UsageError for an unknown method. A result
@@ -62,7 +65,7 @@ def calibrate_track(
     _check_compass(track, instance)
     world = (earth if earth is not None else earth_field_of(track)) if use_world_model else None
     if method == "four-positions":
-        data = observe(track, instance)
+        data = observe(track, instance) if windows is None else observe_windows(track, instance, windows)
         result = calibrate_positions(
             data,
             in_force_of(track, instance),
@@ -77,6 +80,13 @@ def calibrate_track(
 
         result = calibrate_otherwise(track, method, instance, limits, world, prior)
     return with_parameters(result, track)
+
+
+def observe_windows(track: Track, instance: int, windows: Sequence[tuple[float, float]]) -> FourPositionData:
+    """Measure the positions that the caller chose and the turns between them."""
+    record = turn_record(track, instance)
+    dwells = [dwell_between(track, instance, start, end, record) for start, end in windows]
+    return assemble(track, dwells, instance, record)
 
 
 def calibrate_positions(

@@ -22,6 +22,8 @@ ARDUPILOT_LAG_S = 0.09
 LAG_SIGMA_S = 0.03
 # What the ground, the suspension and the accelerometer's vibration add to a tilt averaged over a dwell.
 _TILT_FLOOR_RAD = math.radians(0.02)
+# What an autopilot's attitude estimate is off by while it stands or hovers.
+_ESTIMATOR_SIGMA_RAD = math.radians(0.15)
 _OUTLIER_SIGMAS = 5.0
 # A mean specific force further from g than this is not gravity alone.
 _GRAVITY_SLACK = 0.06
@@ -215,11 +217,11 @@ def _dwell(
     samples = max(int((fresh & keep).sum()), 1)
     residual = counted - _trend(angles[keep], counted)
     spread = np.sqrt((residual**2).sum(axis=0) / max(len(counted) - 1, 1))
-    value, hidden, noise = unquantise(counted.mean(axis=0), spread, compass.quantum_mgauss, compass.truncated)
+    value, hidden = unquantise(counted.mean(axis=0), spread, compass.quantum_mgauss, compass.truncated)
     inverse = np.linalg.inv(in_force.matrix)
     memory = _memory(residual[fresh[keep]])
-    # Whole numbers that never change say nothing about noise; their step's share is in `hidden`.
-    covariance = inverse @ np.diag(np.maximum(noise**2, 1e-6) * memory / samples) @ inverse.T
+    # Whole numbers that never change show no noise; their step's share is in `hidden`.
+    covariance = inverse @ np.diag(np.maximum(spread**2, 1e-6) * memory / samples) @ inverse.T
     quantisation = inverse @ np.diag(hidden**2) @ inverse.T
     phasor = np.exp(1j * angles[keep]).mean()
     middle = float(np.median(angles))
@@ -248,7 +250,7 @@ def _dwell(
             time[keep],
             residual,
             float(np.linalg.norm(value)),
-            math.sqrt(float((noise**2).mean()) * memory * len(counted) / samples),
+            math.sqrt(float((spread**2).mean()) * memory * len(counted) / samples),
             compass.quantum_mgauss,
         ),
         outliers=int((~keep).sum()),
@@ -324,27 +326,44 @@ def _wander(
 def _tilt(track: Track, time: FloatArray) -> tuple[float, float, float, FloatArray]:
     """Return roll, pitch, their sigma and the mean specific force over a stretch.
 
-    The accelerometer's mean is gravity wherever the velocity is the same at both ends, in steady flight
-    too; without one the autopilot's roll and pitch serve.
+    Two witnesses, weighed by their variance. The accelerometer's mean is gravity wherever the velocity is
+    the same at both ends, in steady flight too, but motors shake it. The autopilot's roll and pitch are
+    smooth and carry an error of their own that no averaging removes. Level where neither was recorded.
     """
+    force, shaking = _mean_force(track, time)
+    witnesses: list[tuple[FloatArray, float]] = []
+    if abs(float(np.linalg.norm(force)) / STANDARD_GRAVITY_MPS2 - 1.0) < _GRAVITY_SLACK:
+        witnesses.append((-force / np.linalg.norm(force), shaking))
+    attitude = track.attitude_rad
+    if attitude is not None:
+        during = attitude.between(float(time[0]), float(time[-1]) + 1e-9).values[:, :2]
+        during = during[np.isfinite(during).all(axis=1)]
+        if len(during) >= 3:
+            down = _down(during[:, 0], during[:, 1])
+            swing = float(np.linalg.norm(down - down.mean(axis=0), axis=1).std())
+            sampling = swing / math.sqrt(len(during))
+            witnesses.append((down.mean(axis=0), math.hypot(_ESTIMATOR_SIGMA_RAD, sampling)))
+    if not witnesses:
+        witnesses.append((down_in_body(track, time).mean(axis=0), _TILT_FLOOR_RAD))
+    weights = np.array([1.0 / (sigma**2 + _TILT_FLOOR_RAD**2) for _, sigma in witnesses])
+    x, y, z = np.average([direction for direction, _ in witnesses], axis=0, weights=weights)
+    return math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), 1.0 / math.sqrt(float(weights.sum())), force
+
+
+def _mean_force(track: Track, time: FloatArray) -> tuple[FloatArray, float]:
+    """Return the mean specific force (3,) over a stretch and the direction sigma of it; nan for none."""
     acc = track.acc_mps2
-    values = np.empty((0, 3))
     if acc is not None and len(acc):
-        rows = slice(*np.searchsorted(acc.time_s, [time[0], time[-1] + 1e-9]))
-        values = np.asarray(acc.values[rows])
+        values = np.asarray(acc.between(float(time[0]), float(time[-1]) + 1e-9).values)
         values = values[np.isfinite(values).all(axis=1)]
-    force = values.mean(axis=0) if len(values) else np.full(3, np.nan)
-    if len(values) >= 3 and abs(float(np.linalg.norm(force)) / STANDARD_GRAVITY_MPS2 - 1.0) < _GRAVITY_SLACK:
-        down = -force
-        noise = values.std(axis=0).max() / STANDARD_GRAVITY_MPS2
-        spread = float(noise) * math.sqrt(_shake_memory(time) / len(values))
-    else:
-        directions = down_in_body(track, time)
-        down = directions.mean(axis=0)
-        spread = float(np.linalg.norm(directions - down, axis=1).std()) / math.sqrt(max(time.size, 1))
-    roll = math.atan2(down[1], down[2])
-    pitch = math.atan2(-down[0], math.hypot(down[1], down[2]))
-    return roll, pitch, math.hypot(_TILT_FLOOR_RAD, spread), force
+        if len(values) >= 3:
+            noise = float(values.std(axis=0).max()) / STANDARD_GRAVITY_MPS2
+            return values.mean(axis=0), noise * math.sqrt(_shake_memory(time) / len(values))
+    return np.full(3, np.nan), math.nan
+
+
+def _down(roll: FloatArray, pitch: FloatArray) -> FloatArray:
+    return np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
 
 
 def _shake_memory(time: FloatArray) -> float:

@@ -58,6 +58,8 @@ def judge(
     reasons += _geometry(data, fit)
     reasons += _field_size(data, fit)
     reasons += _mounting(fit, reference_headings_rad)
+    _judge_disturbance(data, fit, limits, reasons, warnings)
+    _judge_current(data, fit, limits, reasons, warnings)
     sigma = fit.heading_sigma_rad * DEG_PER_RAD
     if sigma > limits.heading_deg:
         worst = max(fit.budget_rad, key=lambda name: fit.budget_rad[name])
@@ -65,8 +67,6 @@ def judge(
             f"The heading would be uncertain by {sigma:.1f} degrees (limit {limits.heading_deg:g}), "
             f"most of it from {SOURCE_WORDS[worst]}."
         )
-    _judge_disturbance(data, fit, limits, reasons, warnings)
-    _judge_current(data, fit, limits, reasons, warnings)
     return tuple(reasons), tuple(warnings)
 
 

@@ -14,48 +14,67 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcompass.frames import FloatArray
 
-_UNIFORM_SD = 1.0 / math.sqrt(12.0)
 # A noise-free reading of 0 after truncation may be anything in (-1, 1).
 _ZERO_CELL_SD = 1.0 / math.sqrt(3.0)
+_HARMONICS = np.arange(1, 9)
+_NOISE_GRID = np.linspace(0.0, 1.0, 101)
 
 
 def unquantise(
     mean: ArrayLike, spread: ArrayLike, quantum: float, truncated: bool
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Estimate the average before whole-number conversion.
+) -> tuple[FloatArray, FloatArray]:
+    """Estimate averages before whole-number conversion.
 
     Args:
-        mean: averages of the converted readings, any shape.
-        spread: standard deviation of single converted readings, same shape.
+        mean: averages of the converted readings, one per axis, (k,).
+        spread: standard deviation of single converted readings, (k,); the axes share one noise.
         quantum: the step; 0 means the readings are not quantised.
         truncated: True for cutting toward zero, False for rounding.
 
     Returns:
-        The estimated average, the standard deviation that the conversion leaves on it (it does not
-        shrink with more readings), and the noise of single readings without the conversion's share.
+        The estimated averages and the standard deviation that the conversion leaves on each (it does
+        not shrink with more readings), both (k,).
 
-    With noise of s steps the conversion's error has the amplitude exp(-2 pi^2 s^2) / pi of its first
-    harmonic; cutting toward zero takes erf(v / (s sqrt 2)) / 2 steps from an average v.
+    With noise of s steps the conversion's error, over all places of the average in a step, has the
+    variance sum_k exp(-4 pi^2 k^2 s^2) / (2 pi^2 k^2): 1/12 without noise, nothing from s = 0.6 on.
+    Cutting toward zero takes erf(v / (s sqrt 2)) / 2 steps from an average v.
     """
     average = np.asarray(mean, dtype=np.float64)
-    sd = np.asarray(spread, dtype=np.float64)
     if quantum <= 0.0:
-        return average, np.zeros_like(average), sd
+        return average, np.zeros_like(average)
     from scipy.special import erf
 
     m = average / quantum
-    noise = np.sqrt(np.maximum((sd / quantum) ** 2 - _UNIFORM_SD**2, 0.0))
-    hidden = np.exp(-2.0 * (math.pi * noise) ** 2)
-    sigma = _UNIFORM_SD * hidden
+    noise = _noise_before(float(np.mean((np.asarray(spread, dtype=np.float64) / quantum) ** 2)))
+    hidden = math.sqrt(_hidden_variance(noise))
+    sigma = np.full_like(average, hidden)
+    value = m
     if truncated:
-        width = math.sqrt(2.0) * np.maximum(noise, 0.5)
-        value = m
+        width = math.sqrt(2.0) * max(noise, 0.5)
         for _ in range(8):
             value = m + 0.5 * erf(value / width)
-        sigma = np.where(np.abs(m) < 0.5, _ZERO_CELL_SD * hidden, sigma)
-    else:
-        value = m
-    return value * quantum, sigma * quantum, noise * quantum
+        zero_cell = hidden * math.sqrt(12.0) * _ZERO_CELL_SD
+        sigma = np.where(np.abs(m) < 0.5, zero_cell, sigma)
+    return value * quantum, sigma * quantum
+
+
+def _hidden_variance(noise: float) -> float:
+    """Return the conversion's variance of an average, in steps squared, for a noise in steps."""
+    k2 = _HARMONICS**2
+    tail = 1.0 / 12.0 - float((1.0 / (2.0 * math.pi**2 * k2)).sum())  # only counts without noise
+    terms = np.exp(-4.0 * (math.pi * noise) ** 2 * k2) / (2.0 * math.pi**2 * k2)
+    return float(terms.sum()) + (tail if noise < 0.01 else 0.0)
+
+
+def _noise_before(variance: float) -> float:
+    """Return the noise in steps whose converted readings vary that much, over all places in a step.
+
+    The converted readings' variance is s^2 + 1/12 less what is hidden from it.
+    """
+    if variance > 1.0:
+        return math.sqrt(variance - 1.0 / 12.0)
+    seen = [s * s + 1.0 / 12.0 - _hidden_variance(float(s)) for s in _NOISE_GRID]
+    return float(np.interp(variance, seen, _NOISE_GRID))
 
 
 def effective_count(values: FloatArray) -> tuple[NDArray[np.bool_], int]:

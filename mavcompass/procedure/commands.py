@@ -24,6 +24,7 @@ MESSAGE_IDS = {
     mav.HighresImu: 105,
     mav.ScaledImu2: 116,
     mav.ScaledImu3: 129,
+    mav.Simstate: 164,
     mav.EkfStatusReport: 193,
     mav.ExtendedSysState: 245,
 }

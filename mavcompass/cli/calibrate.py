@@ -1,0 +1,308 @@
+"""`mavcompass calibrate SOURCE`: turn, solve, write, prove; or solve a recording."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mavcompass.cli.options import Output, common_options
+from mavcompass.errors import BadRecording, UsageError
+
+if TYPE_CHECKING:
+    from mavcompass.calibration.result import CalibrationResult
+    from mavcompass.procedure.calibrate import CalibrationReport
+    from mavcompass.vehicle.address import Address
+    from mavcompass.vehicle.link import Link
+
+METHODS = (
+    "four-positions",
+    "four-positions-textbook",
+    "min-max",
+    "sensitivity-bias",
+    "sphere",
+    "ellipsoid",
+    "world-field",
+)
+NOT_ACCEPTED = 5
+
+
+def _instances(context: click.Context, parameter: click.Parameter, value: str) -> tuple[int, ...]:
+    if value == "all":
+        return ()
+    try:
+        chosen = tuple(sorted({int(part) for part in value.split(",")}))
+    except ValueError:
+        chosen = ()
+    if not chosen or any(i not in (1, 2, 3) for i in chosen):
+        raise click.BadParameter("give numbers from 1 to 3, such as 1,2, or all.", context, parameter)
+    return chosen
+
+
+@click.command()
+@click.argument("source")
+@click.option("--method", type=click.Choice(METHODS), default="four-positions", show_default=True)
+@click.option(
+    "--motion",
+    type=click.Choice(("auto", "vehicle", "hand")),
+    default="auto",
+    help="Who turns the vehicle (auto: itself where it is armed, else a person).",
+)
+@click.option(
+    "--compass", "instances", default="1", callback=_instances, help="1, 2, 3, a list of them, or all."
+)
+@click.option("--yes", is_flag=True, help="Write without asking.")
+@click.option("--dry-run", is_flag=True, help="Never write.")
+@click.option("--positions", type=click.IntRange(3, 24), default=4, show_default=True)
+@click.option(
+    "--step-deg",
+    type=click.FloatRange(-180.0, 180.0),
+    default=90.0,
+    show_default=True,
+    help="Turn between positions; negative turns left.",
+)
+@click.option("--dwell", "dwell_s", type=click.FloatRange(0.5, 60.0), default=2.0, show_default=True)
+@click.option(
+    "--max-error-deg",
+    type=click.FloatRange(0.1, 45.0),
+    default=2.0,
+    show_default=True,
+    help="Accept no calibration with a larger predicted heading error.",
+)
+@click.option("--system", type=click.IntRange(1, 255), help="System id, where several vehicles are heard.")
+@click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="NAME[:p=v,..]",
+    help="An effect for sim:... (see gap catalogue).",
+)
+@click.option("--params-out", type=click.Path(dir_okay=False, path_type=Path), help=".param, .parm, .params")
+@click.option("--report", "report_file", type=click.Path(dir_okay=False, path_type=Path), help="HTML report.")
+@common_options
+def command(
+    source: str,
+    method: str,
+    motion: str,
+    instances: tuple[int, ...],
+    yes: bool,
+    dry_run: bool,
+    positions: int,
+    step_deg: float,
+    dwell_s: float,
+    max_error_deg: float,
+    system: int | None,
+    effects: tuple[str, ...],
+    params_out: Path | None,
+    report_file: Path | None,
+    output: Output,
+) -> int:
+    """Calibrate the compass of a live vehicle, or solve a recording.
+
+    A live vehicle turns in steps of 90 degrees (or is turned by hand); the result is judged by its
+    heading error, written as a transaction with an undo file, and proven by one more turn.
+
+    \b
+    mavcompass calibrate sim:rover --yes
+    mavcompass calibrate udpin:0.0.0.0:14550 --dry-run
+    mavcompass calibrate flight.tlog --params-out compass.param
+    """
+    from mavcompass.vehicle.address import Recording, parse_address
+
+    if yes and dry_run:
+        raise UsageError("--yes and --dry-run exclude each other.", "Give one of them.")
+    if params_out is not None:
+        from mavcompass.vehicle.parameter_files import parameter_form
+
+        parameter_form(params_out)  # a wrong suffix is told before the vehicle moves
+    address = parse_address(source)
+    if isinstance(address, Recording):
+        return _recording(source, method, instances, max_error_deg, params_out, report_file, output)
+    if not yes and not dry_run and not sys.stdin.isatty():
+        raise UsageError(
+            "Nobody can be asked whether to write: standard input is not a terminal.",
+            "Give --yes to write without asking, or --dry-run to write nothing.",
+        )
+    import math
+
+    from mavcompass.procedure.calibrate import CalibrateSettings
+    from mavcompass.procedure.positions import DwellSettings
+
+    settings = CalibrateSettings(
+        instances=instances,
+        motion=motion,  # type: ignore[arg-type]
+        positions=positions,
+        step_rad=math.radians(step_deg),
+        writing="yes" if yes else "never" if dry_run else "ask",
+        system=system,
+        year=_this_year(),
+        dwell=DwellSettings(dwell_s=dwell_s),
+    )
+    return _live(source, address, effects, method, max_error_deg, settings, params_out, report_file, output)
+
+
+def _this_year() -> float:
+    import time
+
+    from mavcompass.earth_field import decimal_year
+
+    return round(decimal_year(time.time()), 2)
+
+
+# --- a recording ---------------------------------------------------------------------------------
+
+
+def _recording(
+    source: str,
+    method: str,
+    instances: tuple[int, ...],
+    max_error_deg: float,
+    params_out: Path | None,
+    report_file: Path | None,
+    output: Output,
+) -> int:
+    from mavcompass import api
+    from mavcompass.report.document import recording_document
+
+    track = api.read_track(source)
+    missing = [i for i in instances if i not in track.compasses]
+    if missing:
+        raise BadRecording(
+            f"{source} has no compass {missing[0]}; it has {', '.join(map(str, track.compasses)) or 'none'}.",
+            "Choose with --compass.",
+        )
+    results = [
+        api.calibrate(track, method, instance, max_error_deg) for instance in instances or track.compasses
+    ]
+    for note in track.notes:
+        output.say(f"Note: {note}")
+    for result in results:
+        _say_result(output, result)
+    document = recording_document(source, track, results, method)
+    output.write_json(document)
+    accepted = all(result.accepted for result in results)
+    if accepted and params_out is not None:
+        _write_params(params_out, document, source, output)
+    if report_file is not None:
+        from mavcompass.report.calibration import write_recording_report
+
+        write_recording_report(track, results, report_file)
+        output.say(f"Report: {report_file}")
+    return 0 if accepted else NOT_ACCEPTED
+
+
+# --- a live vehicle ------------------------------------------------------------------------------
+
+
+def _live(
+    source: str,
+    address: Address,
+    effects: tuple[str, ...],
+    method: str,
+    max_error_deg: float,
+    settings: Any,
+    params_out: Path | None,
+    report_file: Path | None,
+    output: Output,
+) -> int:
+    from mavcompass.cli.terminal import ask_on_terminal, showing
+    from mavcompass.report.document import live_document
+    from mavcompass.vehicle.calibrating import calibrate_on
+
+    with open_source(address, effects) as link:
+        before_deg = _true_error_deg(link, settings.instances)
+        with showing() as show:
+            report = calibrate_on(
+                link, source, settings, method, max_error_deg, on_show=show, on_ask=ask_on_terminal
+            )
+        after_deg = _true_error_deg(link, settings.instances)
+    for result in report.results:
+        _say_result(output, result)
+    for message in report.messages:
+        output.say(f"Note: {message}")
+    if before_deg is not None and after_deg is not None:
+        output.say(
+            f"Heading error against the simulator's truth, rms over the circle:"
+            f" {before_deg:.2f} deg before, {after_deg:.2f} deg after."
+        )
+    document = live_document(source, report, method)
+    if before_deg is not None:
+        document["true_heading_error_deg"] = {"before": before_deg, "after": after_deg}
+    output.write_json(document)
+    if report.accepted and params_out is not None:
+        _write_params(params_out, document, source, output)
+    if report_file is not None:
+        from mavcompass.report.calibration import write_report
+
+        write_report(report, report_file)
+        output.say(f"Report: {report_file}")
+    _say_outcome(output, report, source)
+    return _exit_code(report)
+
+
+def open_source(address: Address, effects: Sequence[str]) -> Link:
+    """Open a live address; effects go to an embedded simulated vehicle only."""
+    from mavcompass.vehicle.address import Simulated
+    from mavcompass.vehicle.opening import open_link
+
+    if not effects:
+        return open_link(address)
+    if not isinstance(address, Simulated):
+        raise UsageError("--effect is for sim:VEHICLE only.", "Leave it away for a real vehicle.")
+    return open_link(Simulated(address.vehicle, address.seed, (*address.effects, *effects)))
+
+
+def _true_error_deg(link: Link, instances: tuple[int, ...]) -> float | None:
+    """Return the heading error that an embedded simulator knows, of the first compass calibrated."""
+    autopilot = getattr(link, "autopilot", None)
+    if autopilot is None:
+        return None
+    from mavcompass.simulation.truth import heading_error_rms_deg
+
+    return heading_error_rms_deg(autopilot, instances[0] if instances else 1)
+
+
+def _say_result(output: Output, result: CalibrationResult) -> None:
+    from mavcompass.calibration.summary import summary
+
+    output.say(summary(result))
+    for reason in (*result.reasons, *result.warnings):
+        output.say(f"  - {reason}")
+
+
+def _write_params(path: Path, document: dict[str, object], source: str, output: Output) -> None:
+    from mavcompass.vehicle.parameter_files import write_parameter_file
+
+    values: dict[str, float] = {}
+    compasses: Any = document["compasses"]
+    for compass in compasses:
+        values |= compass["parameters"]
+    write_parameter_file(path, values, (f"Compass calibration from {source}, by mavcompass.",))
+    output.say(f"Parameters: {path}")
+
+
+def _say_outcome(output: Output, report: CalibrationReport, source: str) -> None:
+    outcome = report.outcome
+    if report.written and outcome is not None:
+        output.say("Written and read back.")
+        if report.proof is not None:
+            output.say(report.proof.summary())
+        if outcome.undo_file is not None:
+            restore = f"mavcompass params restore {shlex.quote(source)} {shlex.quote(str(outcome.undo_file))}"
+            output.say(f"To undo: {restore}")
+    elif report.undone:
+        output.say("The old values are back on the vehicle.")
+    else:
+        output.say("Nothing was written.")
+
+
+def _exit_code(report: CalibrationReport) -> int:
+    if not report.accepted or report.undone:
+        return NOT_ACCEPTED
+    if report.plan is not None and report.plan.refusals:
+        return NOT_ACCEPTED
+    return 0

@@ -1,0 +1,89 @@
+"""How a procedure shows itself in a terminal: a live line with a bar, or plain lines in a pipe."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from mavcompass.procedure.script import Show
+
+_MARKS = {"connect": "·", "turn": "↻", "dwell": "■", "solve": "=", "write": ">", "prove": "✓", "undo": "!"}
+
+
+def is_live() -> bool:
+    """Tell whether a person looks at standard error in a terminal that can redraw a line."""
+    return sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+
+
+class PlainShow:
+    """Print one line per step on standard error; the same step twice in a row only once."""
+
+    def __init__(self) -> None:
+        self._last = ""
+
+    def __call__(self, show: Show) -> None:
+        """Print a line."""
+        if show.text != self._last:
+            self._last = show.text
+            print(show.text, file=sys.stderr, flush=True)
+
+
+class LiveShow:
+    """Keep one live line with a bar; finished steps scroll up above it."""
+
+    def __init__(self, progress: Any) -> None:
+        self._progress = progress
+        self._task = progress.add_task("", total=1.0)
+        self._last: Show | None = None
+
+    def __call__(self, show: Show) -> None:
+        """Show a step."""
+        if self._last is not None and self._last.step != show.step:
+            self._progress.console.print(
+                f"[dim]{_MARKS.get(self._last.step, '·')} {self._last.text}[/dim]", highlight=False
+            )
+        self._last = show
+        update = {"description": f"{_MARKS.get(show.step, '·')} {show.text}"}
+        if show.fraction is not None:
+            self._progress.update(self._task, completed=show.fraction, **update)
+        else:
+            self._progress.update(self._task, **update)
+
+
+@contextmanager
+def showing(quiet: bool = False) -> Iterator[Callable[[Show], None]]:
+    """Show a procedure's progress on standard error while the block runs."""
+    if quiet:
+        yield lambda _: None
+        return
+    if not is_live():
+        yield PlainShow()
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True, no_color=bool(os.environ.get("NO_COLOR")))
+    columns = (BarColumn(bar_width=24), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        yield LiveShow(progress)
+
+
+def ask_on_terminal(question: str) -> Callable[[], bool | None]:
+    """Put a yes-or-no question on the terminal; the answer is read beside the running procedure."""
+    answers: list[bool] = []
+
+    def read() -> None:
+        # A whole line: a live progress bar keeps back what does not end.
+        print(f"{question} [y/N]", file=sys.stderr, flush=True)
+        try:
+            line = sys.stdin.readline()
+        except (OSError, ValueError):
+            line = ""
+        answers.append(line.strip().lower() in ("y", "yes"))
+
+    threading.Thread(target=read, name="answer", daemon=True).start()
+    return lambda: answers[0] if answers else None

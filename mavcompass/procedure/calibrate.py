@@ -1,0 +1,300 @@
+"""The calibration: four positions, a solution, a verdict, a verified write, a proof.
+
+Read `calibrate` from top to bottom: it is the product. It runs as a `Machine` (see `script`), so it
+neither sleeps nor reads a clock nor touches a socket or a file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from mavcompass import messages as mav
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.calibration.summary import summary
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField, earth_field_of
+from mavcompass.errors import Refused
+from mavcompass.procedure.commands import MessageRates
+from mavcompass.procedure.dialect import Dialect, ParameterPlan, SaveUndo, WriteOutcome
+from mavcompass.procedure.gyro_angle import GyroAngle
+from mavcompass.procedure.positions import (
+    DwellSettings,
+    HandMover,
+    Mover,
+    Rest,
+    VehicleMover,
+    Window,
+    dwell,
+    visit,
+)
+from mavcompass.procedure.proof import Proof, prove
+from mavcompass.procedure.safety import MotionGuard, SafetyLimits
+from mavcompass.procedure.script import Context, Script, ask
+from mavcompass.procedure.turning import strategies_for
+from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
+from mavcompass.track import Track
+from mavcompass.track_builder import TrackBuilder
+
+Motion = Literal["auto", "vehicle", "hand"]
+Writing = Literal["ask", "yes", "never"]
+
+# Solves one compass of a Track from the still stretches that the procedure chose.
+Solve = Callable[[Track, int, list[Window], EarthField | None], CalibrationResult]
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrateSettings:
+    """Hold what the person may choose.
+
+    Attributes:
+        instances: compasses to calibrate, from 1; empty means all that the vehicle has.
+        motion: who turns the vehicle; "auto" lets it turn itself where it is armed.
+        positions, step_rad: how many still positions, and the turn between them (negative: left).
+        writing: "ask" the person, "yes" without asking, "never".
+        system: MAVLink system id, where several vehicles share the link.
+        rate_hz: at which IMU messages are asked for.
+        year: decimal year to use where the vehicle does not know the date.
+    """
+
+    instances: tuple[int, ...] = (1,)
+    motion: Motion = "auto"
+    positions: int = 4
+    step_rad: float = math.pi / 2.0
+    writing: Writing = "ask"
+    system: int | None = None
+    rate_hz: float = 25.0
+    year: float = 2026.0
+    dwell: DwellSettings = field(default_factory=DwellSettings)
+    limits: SafetyLimits = field(default_factory=SafetyLimits)
+
+
+@dataclass(frozen=True, slots=True)
+class Services:
+    """Hold what the procedure needs from rooms that it may not import."""
+
+    dialect_for: Callable[[str], Dialect]
+    save_undo: SaveUndo
+    solve: Solve
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationReport:
+    """Say what a calibration found and did.
+
+    Attributes:
+        before: the correction in force at the start, per compass.
+        proof: what the turn after the write showed; None where nothing was written.
+        undone: True where the proof failed and the old values were put back.
+    """
+
+    identity: VehicleIdentity
+    results: tuple[CalibrationResult, ...]
+    before: Mapping[int, FieldCorrection]
+    track: Track
+    windows: tuple[Window, ...]
+    duration_s: float
+    plan: ParameterPlan | None = None
+    outcome: WriteOutcome | None = None
+    proof: Proof | None = None
+    undone: bool = False
+    messages: tuple[str, ...] = ()
+
+    @property
+    def accepted(self) -> bool:
+        """Tell whether every compass got a calibration worth writing."""
+        return bool(self.results) and all(result.accepted for result in self.results)
+
+    @property
+    def written(self) -> bool:
+        """Tell whether the new values are in force on the vehicle."""
+        return self.outcome is not None and not self.undone
+
+
+def calibrate(context: Context, services: Services, settings: CalibrateSettings) -> Script[CalibrationReport]:
+    """Calibrate a live vehicle's compasses.
+
+    Raises Refused where the vehicle must not be turned or was stopped, LinkError where it cannot be
+    heard, WriteFailed where values were left half written, PoorCalibration where no solution exists.
+    A solution that is not good enough is in the report, not accepted, and nothing is written.
+    """
+    desk = yield from _Desk.open(context, services, settings)
+    rates = MessageRates()
+    mover: Mover | None = None
+    try:
+        yield from rates.ask(context, _wanted_rates(desk.identity, desk.instances, settings.rate_hz))
+        mover = yield from desk.choose_mover()
+        windows = yield from visit(
+            context, desk.rest, desk.gyro, mover, settings.positions, settings.step_rad, settings.dwell
+        )
+        report = desk.solve(windows)
+        for result in report.results:
+            context.show("solve", summary(result), settings.positions / (settings.positions + 1.0))
+        if not report.accepted or settings.writing == "never":
+            return report
+        report = yield from desk.write(report)
+        if report.outcome is None:
+            return report
+        return (yield from desk.prove_or_undo(report, mover))
+    finally:
+        if mover is not None:
+            mover.halt(context)
+        desk.stop_guarding()
+        yield from rates.restore(context)
+
+
+def _wanted_rates(
+    identity: VehicleIdentity, instances: tuple[int, ...], rate_hz: float
+) -> dict[type[mav.Message], float]:
+    """List the messages to ask for: fast ones for the calibration, slow ones for safety."""
+    px4 = identity.autopilot == "px4"
+    kinds: dict[int, type[mav.Message]] = {
+        1: mav.ScaledImu if px4 else mav.RawImu,
+        2: mav.ScaledImu2,
+        3: mav.ScaledImu3,
+    }
+    # The first compass's message brings the gyro along, so it is wanted in any case.
+    wanted = {kinds[i]: rate_hz for i in sorted({1, *instances}) if i in kinds}
+    wanted[mav.Attitude] = min(rate_hz, 10.0)
+    wanted |= dict.fromkeys((mav.GlobalPositionInt, mav.RcChannels, mav.SysStatus), 4.0)
+    wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime), 2.0)
+    if px4:
+        del wanted[mav.EkfStatusReport]
+    return wanted
+
+
+@dataclass(slots=True)
+class _Desk:
+    """Hold what one calibration works with."""
+
+    context: Context
+    services: Services
+    settings: CalibrateSettings
+    identity: VehicleIdentity
+    dialect: Dialect
+    parameters: dict[str, float]
+    instances: tuple[int, ...]
+    state: VehicleState
+    builder: TrackBuilder
+    began_s: float
+    gyro: GyroAngle = field(default_factory=GyroAngle)
+    rest: Rest = field(default_factory=Rest)
+    guard: MotionGuard | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @classmethod
+    def open(cls, context: Context, services: Services, settings: CalibrateSettings) -> Script[_Desk]:
+        """Find the vehicle, read the parameters in force, start recording."""
+        began_s = context.now
+        context.show("connect", "Waiting for the vehicle's heartbeat.", 0.0)
+        state = VehicleState()
+        context.listeners.append(state.hear)
+        identity = yield from find_vehicle(context, settings.system)
+        context.show("connect", f"Found {identity.autopilot} {identity.kind} (system {identity.system}).")
+        dialect = services.dialect_for(identity.autopilot)
+        parameters = yield from dialect.compass_parameters(context)
+        present = dialect.instances(parameters)
+        instances = settings.instances or present
+        missing = [str(i) for i in instances if i not in present]
+        if missing:
+            raise Refused(
+                f"The vehicle has no compass {', '.join(missing)}; it has {len(present) or 'none'}.",
+                "Choose with --compass, or connect and enable the compass.",
+            )
+        builder = TrackBuilder(identity.autopilot, identity.kind)
+        builder.parameters.update(parameters)
+        for instance in present:
+            builder.set_correction(instance, dialect.correction(parameters, instance))
+        desk = cls(
+            context, services, settings, identity, dialect, parameters, instances, state, builder, began_s
+        )
+        context.listeners += [builder.add, desk.gyro.hear, desk.rest.hear]
+        return desk
+
+    def choose_mover(self) -> Script[Mover]:
+        """Choose who turns the vehicle, and start to guard it where it turns itself."""
+        if self.state.heartbeat is None:
+            yield self.context.now
+        motion, armed = self.settings.motion, self.state.armed
+        if motion == "hand" and armed:
+            raise Refused("The vehicle is armed: turning it by hand is not safe.", "Disarm it and run again.")
+        if motion == "hand" or (motion == "auto" and not armed):
+            return HandMover(self.gyro, self.rest)
+        if not armed:
+            raise Refused(
+                "The vehicle is disarmed, so it cannot turn itself.",
+                "Arm it in GUIDED (a copter: take off), or turn it by hand with --motion hand.",
+            )
+        ackermann = self.parameters.get("SERVO1_FUNCTION") == 26.0
+        strategies = strategies_for(self.identity.kind, self.identity.autopilot, ackermann)
+        if not strategies:
+            raise Refused(
+                f"This {self.identity.autopilot} {self.identity.kind} cannot be made to turn on the spot.",
+                "Disarm it and turn it by hand with --motion hand.",
+            )
+        self.guard = MotionGuard(self.state, self.gyro, self.identity.kind, self.settings.limits)
+        self.guard.begin()
+        self.context.listeners.append(self.guard.hear)
+        self.context.watches.append(self.guard.check)
+        return VehicleMover(self.gyro, strategies)
+
+    def stop_guarding(self) -> None:
+        """End the watch: what follows no longer moves the vehicle."""
+        self.context.watches.clear()
+
+    def solve(self, windows: list[Window]) -> CalibrationReport:
+        """Solve and judge every compass on what was recorded."""
+        track = self.builder.build()
+        world = earth_field_of(track, self.settings.year)
+        if world is None:
+            self.notes.append(
+                "The vehicle does not know its place: nothing was taken from the world's magnetic model."
+            )
+        results = tuple(self.services.solve(track, i, windows, world) for i in self.instances)
+        return CalibrationReport(
+            identity=self.identity,
+            results=results,
+            before={i: self.dialect.correction(self.parameters, i) for i in self.instances},
+            track=track,
+            windows=tuple(windows),
+            duration_s=self.context.now - self.began_s,
+            messages=tuple(self.notes),
+        )
+
+    def write(self, report: CalibrationReport) -> Script[CalibrationReport]:
+        """Plan, ask where wanted, write and read back."""
+        corrections = {result.instance: result.correction for result in report.results}
+        plan = self.dialect.plan(self.parameters, corrections)
+        self.notes += [*plan.refusals, *plan.remarks]
+        report = replace(report, plan=plan, messages=tuple(self.notes))
+        if plan.refusals:
+            return report
+        if self.settings.writing == "ask":
+            lines = [f"  {c.name:<18} {c.old:>10.4g} -> {c.new:.4g}" for c in plan.changes]
+            if not (yield from ask(self.context, "\n".join(["Write these parameters?", *lines]))):
+                self.notes.append("Not written: the answer was no.")
+                return replace(report, messages=tuple(self.notes))
+        self.context.show("write", f"Writing {len(plan.changes)} parameters.")
+        outcome = yield from self.dialect.write(self.context, plan, self.services.save_undo)
+        for instance, correction in corrections.items():
+            self.builder.set_correction(instance, correction)
+        return replace(report, outcome=outcome)
+
+    def prove_or_undo(self, report: CalibrationReport, mover: Mover) -> Script[CalibrationReport]:
+        """Turn once more: the field's own heading must follow the gyro; otherwise undo."""
+        self.context.show("prove", "One more turn proves the new values.")
+        yield from mover.next(self.context, self.settings.step_rad, 1)
+        window = yield from dwell(self.context, self.rest, self.gyro, mover, self.settings.dwell)
+        track = self.builder.build()
+        proof = prove(track, report.windows[-1], window, report.results)
+        report = replace(report, proof=proof, track=track, duration_s=self.context.now - self.began_s)
+        if proof.passed:
+            self.context.show("prove", proof.summary(), 1.0)
+            return replace(report, messages=tuple(self.notes))
+        self.context.show("undo", f"{proof.summary()} Putting the old values back.")
+        assert report.plan is not None
+        yield from self.dialect.write(self.context, report.plan.reversed(), self.services.save_undo)
+        self.notes.append(f"{proof.summary()} The old values were put back.")
+        return replace(report, undone=True, messages=tuple(self.notes))

@@ -1,0 +1,93 @@
+"""Prove a written calibration by one more turn: the field's own heading against the gyro.
+
+Not against ATTITUDE: the autopilot's estimator follows a new calibration only slowly and stays wrong
+by up to twenty degrees through a whole further turn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mavcompass.calibration.observation import Dwell, dwell_between
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.calibration.stillness import assemble
+from mavcompass.frames import wrap_pi
+from mavcompass.heading.compute import tilt_compensated_heading
+from mavcompass.procedure.positions import Window
+from mavcompass.track import Track
+
+# What a right calibration may differ by all the same: three sigmas, and never less than this.
+_LEAST_TOLERANCE_RAD = math.radians(1.5)
+
+
+@dataclass(frozen=True, slots=True)
+class CompassProof:
+    """Hold what the proof turn showed of one compass, degrees."""
+
+    instance: int
+    field_turned_deg: float
+    gyro_turned_deg: float
+    tolerance_deg: float
+
+    @property
+    def difference_deg(self) -> float:
+        """Return field minus gyro, in [-180, 180)."""
+        return math.degrees(float(wrap_pi(math.radians(self.field_turned_deg - self.gyro_turned_deg))))
+
+    @property
+    def passed(self) -> bool:
+        """Tell whether the two agree."""
+        return abs(self.difference_deg) <= self.tolerance_deg
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """Hold the proof of all compasses."""
+
+    compasses: tuple[CompassProof, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Tell whether all agree."""
+        return all(compass.passed for compass in self.compasses)
+
+    def summary(self) -> str:
+        """Return the sentence for the person."""
+        parts = [
+            f"compass {c.instance} turned {c.field_turned_deg:.1f} deg, the gyro {c.gyro_turned_deg:.1f} deg"
+            for c in self.compasses
+        ]
+        verdict = "Proven" if self.passed else "Not proven"
+        return f"{verdict}: {'; '.join(parts)}."
+
+
+def prove(track: Track, before: Window, after: Window, results: Sequence[CalibrationResult]) -> Proof:
+    """Compare the turn between two dwells as the corrected field saw it with the gyro's.
+
+    `after` lies behind the write: there the autopilot itself applies the new values.
+    """
+    proofs = []
+    for result in results:
+        dwells = [dwell_between(track, result.instance, w.start_s, w.end_s) for w in (before, after)]
+        step = assemble(track, dwells, result.instance).steps[0]
+        first, second = (_heading_rad(dwell, result) for dwell in dwells)
+        sigma_deg = math.hypot(math.sqrt(2.0) * result.heading_sigma_deg, math.degrees(step.sigma_rad), 0.2)
+        proofs.append(
+            CompassProof(
+                instance=result.instance,
+                field_turned_deg=math.degrees(
+                    step.angle_rad + float(wrap_pi(second - first - step.angle_rad))
+                ),
+                gyro_turned_deg=math.degrees(step.angle_rad),
+                tolerance_deg=max(math.degrees(_LEAST_TOLERANCE_RAD), 3.0 * sigma_deg),
+            )
+        )
+    return Proof(tuple(proofs))
+
+
+def _heading_rad(dwell: Dwell, result: CalibrationResult) -> float:
+    """Return the tilt-compensated magnetic heading of a dwell under the new correction."""
+    field = result.correction.apply(dwell.mean_mgauss)
+    return float(tilt_compensated_heading(field, roll_rad=dwell.roll_rad, pitch_rad=dwell.pitch_rad))

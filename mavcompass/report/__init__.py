@@ -1,0 +1,1 @@
+"""Results for people and programs: documents in JSON, reports in self-contained HTML."""

@@ -1,0 +1,62 @@
+"""The machine-readable result of a calibration: schema mavcompass.calibration/1."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.procedure.calibrate import CalibrationReport
+from mavcompass.track import Track
+
+SCHEMA = "mavcompass.calibration/1"
+
+
+def recording_document(
+    source: str, track: Track, results: Sequence[CalibrationResult], method: str
+) -> dict[str, object]:
+    """Put together the document of a calibration from a recording: nothing was written."""
+    return _document(source, track, results, method) | {
+        "written": False,
+        "verified": False,
+        "undo_file": None,
+        "duration_s": track.duration_s,
+        "messages": list(track.notes),
+    }
+
+
+def live_document(source: str, report: CalibrationReport, method: str) -> dict[str, object]:
+    """Put together the document of a live calibration."""
+    outcome, proof = report.outcome, report.proof
+    document = _document(source, report.track, report.results, method)
+    document |= {
+        "written": report.written,
+        "verified": report.written and outcome is not None and outcome.verified,
+        "undo_file": None if outcome is None or outcome.undo_file is None else str(outcome.undo_file),
+        "duration_s": report.duration_s,
+        "messages": list(report.messages),
+    }
+    if proof is not None:
+        document["proof"] = [
+            {
+                "instance": compass.instance,
+                "field_turned_deg": compass.field_turned_deg,
+                "gyro_turned_deg": compass.gyro_turned_deg,
+                "tolerance_deg": compass.tolerance_deg,
+                "passed": compass.passed,
+            }
+            for compass in proof.compasses
+        ]
+    return document
+
+
+def _document(
+    source: str, track: Track, results: Sequence[CalibrationResult], method: str
+) -> dict[str, object]:
+    return {
+        "schema": SCHEMA,
+        "source": source,
+        "autopilot": track.autopilot,
+        "vehicle": track.vehicle,
+        "method": method,
+        "compasses": [result.to_json() for result in results],
+    }

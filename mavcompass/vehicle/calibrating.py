@@ -1,0 +1,82 @@
+"""Run the calibration procedure on a link: the one place that puts its parts together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from mavcompass.calibration import calibrate_track
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.calibration.verdict import Limits
+from mavcompass.earth_field import EarthField
+from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport, Services, Solve, calibrate
+from mavcompass.procedure.positions import Window
+from mavcompass.procedure.script import Machine, Show
+from mavcompass.track import Track
+from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.driver import PollAnswer, run
+from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.stopping import StopRequest
+from mavcompass.vehicle.undo import undo_saver
+
+
+def calibrate_on(
+    link: Link,
+    source: str,
+    settings: CalibrateSettings,
+    method: str = "four-positions",
+    max_heading_error_deg: float = 2.0,
+    *,
+    on_show: Callable[[Show], None] | None = None,
+    on_ask: Callable[[str], PollAnswer] | None = None,
+    stop: StopRequest | None = None,
+    undo_directory: Path | None = None,
+) -> CalibrationReport:
+    """Calibrate the vehicle on a link and return what was found and done.
+
+    `source` is the address as the person gave it: it goes into the undo record and its command.
+    Raises what `procedure.calibrate.calibrate` and `driver.run` raise.
+    """
+    machine = calibration_machine(source, settings, method, max_heading_error_deg, undo_directory)
+    return run(machine, link, on_show=on_show, on_ask=on_ask, stop=stop)
+
+
+def calibration_machine(
+    source: str,
+    settings: CalibrateSettings,
+    method: str = "four-positions",
+    max_heading_error_deg: float = 2.0,
+    undo_directory: Path | None = None,
+) -> Machine[CalibrationReport]:
+    """Build the machine, for those who drive it themselves."""
+    services = Services(
+        dialect_for=lambda autopilot: make_dialect(autopilot, source),
+        # The record names the autopilot by the parameters' names it holds.
+        save_undo=lambda plan, values: undo_saver(_make_of(plan.changes[0].name), source, undo_directory)(
+            plan, values
+        ),
+        solve=solver(method, max_heading_error_deg),
+    )
+    return Machine(lambda context: calibrate(context, services, settings))
+
+
+def _make_of(parameter: str) -> str:
+    return "px4" if parameter.startswith("CAL_") else "ardupilot"
+
+
+def solver(method: str, max_heading_error_deg: float) -> Solve:
+    """Build the function that solves one compass on the positions that a procedure visited."""
+
+    def solve(
+        track: Track, instance: int, windows: list[Window], earth: EarthField | None
+    ) -> CalibrationResult:
+        return calibrate_track(
+            track,
+            method=method,
+            instance=instance,
+            earth=earth,
+            windows=[(window.start_s, window.end_s) for window in windows],
+            limits=Limits(heading_deg=max_heading_error_deg),
+        )
+
+    return solve
