@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mavcompass.errors import UsageError
@@ -152,13 +152,18 @@ def parse_address(source: str) -> Address:
 
 
 def listening_address(where: str) -> WireAddress:
-    """Read the ADDRESS of `--listen`: as SOURCE, but `tcp:` waits for connections here.
+    """Read the ADDRESS of `--listen`: a SOURCE, but `tcp:` waits for connections and port 0 is any free one.
 
     Raises UsageError for what is no port.
     """
+    scheme, _, rest = where.strip().partition(":")
+    if _SCHEMES.get(scheme.lower()) == "tcp":
+        where = f"tcpin:{rest}"
+    if (waiting := re.fullmatch(r"(?P<at>(udp|udpin|tcpin):.*):0", where, re.IGNORECASE)) is not None:
+        address = parse_address(f"{waiting['at']}:1")
+        assert isinstance(address, UdpIn | TcpIn)
+        return replace(address, port=0)
     match parse_address(where):
-        case Tcp(host, port):
-            return TcpIn(host, port)
         case UdpIn() | UdpOut() | TcpIn() | Serial() as address:
             return address
     raise UsageError(

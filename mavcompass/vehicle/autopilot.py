@@ -29,6 +29,17 @@ class Said(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class SaidMessage:
+    """Be a message, plainly."""
+
+    time_s: float
+    system: int
+    component: int
+    message: Message
+    port: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class SaidFrame:
     """Be a message as a frame that was recorded: it is sent on with the payload as it is."""
 
@@ -60,3 +71,17 @@ class Autopilot(Protocol):
 
     def advance(self, until_s: float) -> Sequence[Said]:
         """Live until then and return what was said, in order."""
+
+
+Played = SaidMessage | SaidFrame
+
+
+class Recorded(Autopilot, Protocol):
+    """Be the vehicle of a recording, which comes to an end."""
+
+    def advance(self, until_s: float) -> Sequence[Played]:
+        """Live until then and return what was said, in order."""
+
+    @property
+    def ended(self) -> bool:
+        """Tell whether everything has been said."""

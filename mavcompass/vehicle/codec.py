@@ -104,6 +104,11 @@ def _kinds() -> dict[str, type[Message]]:
     return {kind.wire_name(): kind for kind in known if issubclass(kind, Message) and kind is not Message}
 
 
+def kind_named(name: str) -> type[Message] | None:
+    """Look up a message's dataclass by the dialect's name, such as RAW_IMU."""
+    return _kinds().get(name)
+
+
 _FORMATS: dict[int, WireFormat] = {}
 
 

@@ -7,6 +7,7 @@ and turns Ctrl-C, SIGTERM, a silent vehicle and a lost link into a stop.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 from mavcompass.errors import LinkLost, Refused
@@ -86,7 +87,7 @@ class _Drive:
         self.silence_s = silence_s
         self.lost: LinkLost | None = None
         self._stopped = False
-        self._next_heartbeat_s = link.now()
+        self._last_s = self._next_heartbeat_s = link.now()
         self._heard_vehicle_s = link.now()
 
     def turn(self) -> Incoming | None:
@@ -113,6 +114,10 @@ class _Drive:
         return incoming
 
     def _step(self, event: Event) -> None:
+        # A message may have waited while a stop or an answer was taken in: time must not go back for it.
+        self._last_s = max(self._last_s, event.time_s)
+        if event.time_s < self._last_s:
+            event = replace(event, time_s=self._last_s)
         for action in self.machine.step(event):
             match action:
                 case Send(message):

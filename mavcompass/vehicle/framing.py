@@ -14,6 +14,8 @@ import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
+from mmap import mmap
 from struct import Struct
 from typing import Protocol
 
@@ -52,11 +54,16 @@ class Counts(Protocol):
     unknown: int
 
 
-def checksum(data: bytes, crc_extra: int) -> int:
-    """Compute a frame's checksum; `data` is all between the first byte and the checksum."""
+@cache
+def _mcrf4xx() -> Callable[[bytes], int]:
     from fastcrc.crc16 import mcrf4xx
 
-    return mcrf4xx(bytes((crc_extra,)), mcrf4xx(data))
+    return mcrf4xx
+
+
+def checksum(data: bytes, crc_extra: int) -> int:
+    """Compute a frame's checksum; `data` is all between the first byte and the checksum."""
+    return _mcrf4xx()(data + bytes((crc_extra,)))
 
 
 def unix_time_s() -> float:
@@ -186,10 +193,10 @@ class FrameParser:
                 self._count_malformed()
                 at = self._next_magic(at)
                 continue
-            length = _frame_length(buffer, at)
+            length = frame_length(buffer, at)
             if not length or at + length > end:
                 break
-            frame = _split(bytes(buffer[at : at + length]))
+            frame = split_frame(bytes(buffer[at : at + length]))
             if wire_format(frame.message_id) is None:
                 at = self._skip_unknown(at, length)
             elif self._is_authentic(frame):
@@ -219,9 +226,9 @@ class FrameParser:
             return at + 1
         inside = self._next_magic(at + 1)
         while inside < end:
-            inner = _frame_length(buffer, inside)
+            inner = frame_length(buffer, inside)
             if inner and inside + inner <= len(buffer):
-                if _checksum_is_right(_split(bytes(buffer[inside : inside + inner]))):
+                if checksum_is_right(split_frame(bytes(buffer[inside : inside + inner]))):
                     self._count_malformed()
                     return inside
             inside = self._next_magic(inside + 1)
@@ -231,14 +238,15 @@ class FrameParser:
     def _is_authentic(self, frame: Frame) -> bool:
         raw = frame.raw
         flags = raw[2] if frame.version == 2 else 0
-        if flags & ~_SIGNED or not _checksum_is_right(frame):
+        if flags & ~_SIGNED or not checksum_is_right(frame):
             return False  # such a flag must be understood and is not
         if self.signing is None or frame.message_id == _RADIO_STATUS:
             return True
         return bool(flags) and self.signing.accepts(raw, frame.system, frame.component)
 
 
-def _checksum_is_right(frame: Frame) -> bool:
+def checksum_is_right(frame: Frame) -> bool:
+    """Check a frame; one of a message that the dialect does not have is never right."""
     form = wire_format(frame.message_id)
     if form is None:
         return False
@@ -247,16 +255,17 @@ def _checksum_is_right(frame: Frame) -> bool:
     return checksum(unsigned[1:-2], form.crc_extra) == int.from_bytes(unsigned[-2:], "little")
 
 
-def _frame_length(buffer: bytearray, at: int) -> int:
-    """Return the length of the frame that begins here; 0 while that cannot be told."""
-    if len(buffer) - at < 3:
+def frame_length(buffer: bytearray | bytes | mmap, at: int) -> int:
+    """Return the length of the frame that begins here; 0 while, or where, that cannot be told."""
+    if len(buffer) - at < 3 or buffer[at] not in _MAGIC:
         return 0
     if buffer[at] == _V1:
         return buffer[at + 1] + 8
     return buffer[at + 1] + 12 + (_SIGNATURE_LENGTH if buffer[at + 2] & _SIGNED else 0)
 
 
-def _split(raw: bytes) -> Frame:
+def split_frame(raw: bytes) -> Frame:
+    """Read the header of a whole frame; whether it is a good one `checksum_is_right` tells."""
     length = raw[1]
     if raw[0] == _V1:
         _, _, sequence, system, component, number = _HEADER_1.unpack_from(raw)

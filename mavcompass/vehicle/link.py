@@ -138,6 +138,7 @@ class Link(ABC):
     def receive(self, timeout_s: float) -> Incoming | None:
         """Return the next message heard, or None when none came within `timeout_s` of the link's time.
 
+        Messages come in the order of their times, which are those of their arrival.
         Raises LinkLost when the other end is gone for good, once everything it said has been handed out.
         """
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from mavcompass.errors import UsageError
+from collections.abc import Callable
+from pathlib import Path
+
+from mavcompass.track import Track
 from mavcompass.vehicle.address import (
     Address,
+    Mavsdk,
+    Recording,
     Serial,
     Simulated,
     Tcp,
@@ -24,6 +29,7 @@ def open_link(
     identity: Identity | None = None,
     signing: Signing | None = None,
     reconnect: Reconnect | None = None,
+    read_track: Callable[[Path], Track] | None = None,
 ) -> Link:
     """Open any address; see `mavcompass.vehicle.open_link`."""
     address = parse_address(source) if isinstance(source, str) else source
@@ -33,11 +39,18 @@ def open_link(
             from mavcompass.vehicle.simulated import SimulatedLink
 
             return SimulatedLink.of(vehicle, seed=seed, effects=effects, identity=identity)
+        case Recording(path):
+            from mavcompass.vehicle.replayed import ReplayedLink
+
+            return ReplayedLink.playing(path, read_track, identity)
+        case Mavsdk(url):
+            from mavcompass.vehicle.mavsdk_link import MavsdkLink
+
+            return MavsdkLink(url, identity)
         case UdpIn() | UdpOut() | Tcp() | TcpIn() | Serial():
             from mavcompass.vehicle.wire import WireLink
 
             return WireLink(open_transport(address, reconnect), identity, signing)
-    raise UsageError(f"{address} is no link to a vehicle.", "Give an address, or sim:rover.")
 
 
 def open_transport(address: WireAddress, reconnect: Reconnect | None = None) -> Transport:

@@ -48,6 +48,7 @@ class VehicleServer:
     Args:
         speed: 2 is twice real time.
         is_rebooting: tells that the vehicle reboots; connections are dropped then, as firmware does.
+        is_over: tells that there is nothing more to come, which ends serving.
         record: gets the virtual time and the bytes of every frame that leaves by port 0.
 
     Attributes:
@@ -61,6 +62,7 @@ class VehicleServer:
         *,
         speed: float = 1.0,
         is_rebooting: Callable[[], bool] = lambda: False,
+        is_over: Callable[[], bool] = lambda: False,
         record: Record | None = None,
         signing: Signing | None = None,
     ) -> None:
@@ -71,14 +73,15 @@ class VehicleServer:
         self._pace: Pace | None = None
         self._is_rebooting = is_rebooting
         self._was_rebooting = False
+        self._is_over = is_over
         self._record = record
         self._signing = signing
         self._clients: dict[Peer, _Client] = {}
         self._recorder = _Client(0, LinkStatistics(), None)
 
-    def serve(self, stop: StopRequest, until_s: float | None = None) -> None:
-        """Serve until asked to stop, or up to a virtual time; the caller closes the transport."""
-        while stop.reason is None and (until_s is None or self._autopilot.time_s < until_s):
+    def serve(self, stop: StopRequest) -> None:
+        """Serve until asked to stop or it is over; the caller closes the transport."""
+        while stop.reason is None and not self._is_over():
             self.turn()
             self._transport.wait(TURN_S)
 

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from mavcompass.errors import LinkLost, UsageError
+from mavcompass.errors import LinkLost
 from mavcompass.messages import Incoming, Message
 from mavcompass.vehicle.autopilot import Autopilot, Said
 from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
@@ -56,6 +56,11 @@ class SimulatedLink(Link):
         autopilot = simulated_autopilot(vehicle, seed, effects)
         return cls(autopilot, f"sim:{vehicle},seed={seed}", identity, speed)
 
+    @property
+    def waiting(self) -> bool:
+        """Tell whether something was said that has not been handed out yet."""
+        return bool(self._heard)
+
     def now(self) -> float:
         """Return the virtual time."""
         return self._now_s
@@ -77,7 +82,8 @@ class SimulatedLink(Link):
                 self._now_s = max(self._now_s, said.time_s)
                 self.statistics.received += 1
                 return Incoming(self._now_s, said.system, said.component, message)
-            if self._heard or self.autopilot.time_s >= deadline_s:
+            # The simulation counts whole microseconds: it may never reach a deadline between two of them.
+            if self._heard or self.autopilot.time_s >= deadline_s - 1e-6:
                 break
             self._advance(min(self.autopilot.time_s + STEP_S, deadline_s))
         self._now_s = max(self._now_s, deadline_s)
@@ -106,6 +112,8 @@ def simulated_autopilot(
     """
     from mavcompass.simulation.autopilot import SimulatedAutopilot
 
-    if effects:
-        raise UsageError(f"There is no effect {effects[0]!r}.", "Run without effects.")
-    return SimulatedAutopilot(vehicle, seed=seed, armed=armed)
+    if not effects:
+        return SimulatedAutopilot(vehicle, seed=seed, armed=armed)
+    from mavcompass.simulation.effects import distortion
+
+    return SimulatedAutopilot(vehicle, seed=seed, armed=armed, effects=(distortion(tuple(effects)),))

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 import tty
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Protocol
 
-from dialogue import MemoryVehicle
+from dialogue import HEARTBEAT, MemoryVehicle
 
-from mavcompass.messages import Message
+from mavcompass.enums import MavAutopilot
+from mavcompass.messages import CommandLong, Heartbeat, Message
 from mavcompass.vehicle.address import Serial, Tcp, TcpIn, UdpIn, UdpOut
 from mavcompass.vehicle.codec import decode
 from mavcompass.vehicle.framing import FrameParser, FrameWriter
 from mavcompass.vehicle.link import Link, LinkStatistics
 from mavcompass.vehicle.opening import open_transport
+from mavcompass.vehicle.recording_contents import survey
+from mavcompass.vehicle.replayed import ReplayedAutopilot, ReplayedLink, play_tlog
 from mavcompass.vehicle.simulated import SimulatedLink
 from mavcompass.vehicle.stream import StreamTransport
 from mavcompass.vehicle.tcp import TcpServerTransport
@@ -26,15 +32,19 @@ from mavcompass.vehicle.udp import UdpTransport
 from mavcompass.vehicle.wire import WireLink
 
 Heard = list[tuple[int, int, Message]]
+SYSTEM = 9
 QUICK = Reconnect(first_s=1.0, again_s=0.2, every_s=0.02)
 
 
 class FarEnd(Protocol):
     """Be the vehicle's side."""
 
-    def say(self, message: Message, system: int = 1, component: int = 1) -> None: ...
+    def say(self, message: Message, system: int = SYSTEM, component: int = 1) -> None: ...
     def heard(self, count: int) -> Heard:
         """Wait a moment for so many messages and return all that came."""
+
+    def beating(self) -> AbstractContextManager[None]:
+        """Beat the heart meanwhile, for a link that must be found anew."""
 
     def leave(self) -> None: ...
 
@@ -45,12 +55,15 @@ class MemoryEnd:
     def __init__(self, vehicle: MemoryVehicle) -> None:
         self.vehicle = vehicle
 
-    def say(self, message: Message, system: int = 1, component: int = 1) -> None:
+    def say(self, message: Message, system: int = SYSTEM, component: int = 1) -> None:
         self.vehicle.system, self.vehicle.component = system, component
         self.vehicle.say(message)
 
     def heard(self, count: int) -> Heard:
         return self.vehicle.heard
+
+    def beating(self) -> AbstractContextManager[None]:
+        return nullcontext()
 
     def leave(self) -> None: ...
 
@@ -64,7 +77,7 @@ class WireEnd:
         self.parser = FrameParser(LinkStatistics())
         self._heard: Heard = []
 
-    def say(self, message: Message, system: int = 1, component: int = 1) -> None:
+    def say(self, message: Message, system: int = SYSTEM, component: int = 1) -> None:
         writer = self.writers.setdefault((system, component), FrameWriter())
         self.say_bytes(writer.write(message, system, component))
 
@@ -77,13 +90,19 @@ class WireEnd:
         end_s = time.monotonic() + 2.0
         while True:
             for _, data in self.transport.read():
-                for frame in self.parser.feed(data):
-                    message = decode(frame.message_id, frame.payload)
-                    assert message is not None
-                    self._heard.append((frame.system, frame.component, message))
+                self.take(data)
             if len(self._heard) >= count or time.monotonic() > end_s:
                 return self._heard
             self.transport.wait(0.05)
+
+    def take(self, data: bytes) -> None:
+        for frame in self.parser.feed(data):
+            message = decode(frame.message_id, frame.payload)
+            if message is not None:
+                self._heard.append((frame.system, frame.component, message))
+
+    def beating(self) -> AbstractContextManager[None]:
+        return nullcontext()
 
     def leave(self) -> None:
         self.transport.close()
@@ -154,6 +173,59 @@ def serial() -> Iterator[tuple[Link, FarEnd]]:
     yield from _wire(near, lambda: StreamTransport("pty", lambda: _PtyMaster(master), QUICK, ""))
 
 
+class MavsdkEnd(WireEnd):
+    """Be a vehicle that MAVSDK finds: by its heartbeat. MAVSDK asks and beats on its own account."""
+
+    def heard(self, count: int) -> Heard:
+        end_s = time.monotonic() + 2.0
+        while True:
+            super().heard(0)
+            self._heard[:] = [h for h in self._heard if not _is_mavsdks_own(h[2])]
+            if len(self._heard) >= count or time.monotonic() > end_s:
+                return self._heard
+            self.transport.wait(0.05)
+
+    @contextmanager
+    def beating(self) -> Iterator[None]:
+        stop = threading.Event()
+        beat = FrameWriter().write(HEARTBEAT, SYSTEM, 1)
+
+        def work() -> None:
+            while not stop.wait(0.05):
+                for peer in self.transport.peers():
+                    self.transport.write(beat, peer)
+                for _, data in self.transport.read():  # a new MAVSDK comes from a new port
+                    self.take(data)
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            thread.join()
+
+
+def _is_mavsdks_own(message: Message) -> bool:
+    if isinstance(message, Heartbeat):  # unlike ours, MAVSDK's own tell no state
+        return message.autopilot == MavAutopilot.INVALID and message.system_status == 0
+    return isinstance(message, CommandLong)
+
+
+@contextmanager
+def mavsdk() -> Iterator[tuple[Link, FarEnd]]:
+    from mavcompass.vehicle.mavsdk_link import MavsdkLink
+
+    transport = open_transport(UdpIn("127.0.0.1", 0))
+    assert isinstance(transport, UdpTransport)
+    far = MavsdkEnd(transport)
+    with MavsdkLink(f"udpout://127.0.0.1:{transport.port}") as link:
+        try:
+            yield link, far
+        finally:
+            far.leave()
+
+
 def _wire(near: Transport, make_far: Callable[[], Transport]) -> Iterator[tuple[Link, FarEnd]]:
     link = WireLink(near)
     far = WireEnd(make_far())
@@ -165,12 +237,97 @@ def _wire(near: Transport, make_far: Callable[[], Transport]) -> Iterator[tuple[
         far.leave()
 
 
+def write_tlog(path: Path, lines: Iterable[tuple[float, int, int, Message]]) -> Path:
+    """Record (time, system, component, message) as a ground station does."""
+    writers: dict[tuple[int, int], FrameWriter] = {}
+    with path.open("wb") as file:
+        for time_s, system, component, message in lines:
+            writer = writers.setdefault((system, component), FrameWriter())
+            file.write(round((1.7e9 + time_s) * 1e6).to_bytes(8, "big"))
+            file.write(writer.write(message, system, component))
+    return path
+
+
+class ListeningRecording(ReplayedAutopilot):
+    """Be the vehicle of a recording and keep what it hears."""
+
+    heard: Heard
+
+    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
+        self.heard.append((system, component, message))
+        super().receive(message, system, component, port)
+
+
+class RecordedEnd:
+    """Be a vehicle that has said everything long ago."""
+
+    def __init__(self, recording: ListeningRecording) -> None:
+        self.recording = recording
+
+    def say(self, message: Message, system: int = SYSTEM, component: int = 1) -> None:
+        raise AssertionError("a recording is over")
+
+    def heard(self, count: int) -> Heard:
+        return self.recording.heard
+
+    def beating(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
+    def leave(self) -> None: ...
+
+
+Saying = tuple[Message, int, int]
+
+
+@contextmanager
+def replay(said: Sequence[Saying]) -> Iterator[tuple[Link, FarEnd]]:
+    """Play a recording of `said`, between a heartbeat before and one long after."""
+    lines: list[tuple[float, int, int, Message]] = [(0.0, SYSTEM, 1, HEARTBEAT), (5.0, SYSTEM, 1, HEARTBEAT)]
+    lines[1:1] = [(0.1 + 0.001 * i, system, component, m) for i, (m, system, component) in enumerate(said)]
+    with TemporaryDirectory() as folder:
+        path = write_tlog(Path(folder) / "said.tlog", lines)
+        contents = survey(path)
+        recording = ListeningRecording(play_tlog(path, contents), contents)
+        recording.heard = []
+        with ReplayedLink(recording, "recording") as link:
+            assert link.receive(0.05) is not None
+            yield link, RecordedEnd(recording)
+
+
+def greet(link: Link, far: FarEnd) -> None:
+    """Some links wait to be spoken to, others speak first, others want a few heartbeats."""
+    for _ in range(50):
+        far.say(HEARTBEAT)
+        link.receive(0.05)
+        link.send(Heartbeat())
+        if (1, 191, Heartbeat()) in far.heard(0):
+            break
+    else:
+        raise AssertionError("the two ends do not find each other")
+    while link.receive(0.1) is not None:
+        pass
+    far.heard(0).clear()
+
+
 @dataclass(frozen=True)
 class Kind:
     """Name a kind of link: how to make one, and whether it can tell that the other end is gone for good."""
 
-    make: Callable[[], AbstractContextManager[tuple[Link, FarEnd]]]
+    make: Callable[[], AbstractContextManager[tuple[Link, FarEnd]]] | None
     tells_the_end: bool = False
+
+    @contextmanager
+    def talk(self, said: Sequence[Saying] = ()) -> Iterator[tuple[Link, FarEnd]]:
+        """Give a link and its other end, which have greeted each other, and the other end says this."""
+        if self.make is None:
+            with replay(said) as ends:
+                yield ends
+            return
+        with self.make() as (link, far):
+            greet(link, far)
+            for message, system, component in said:
+                far.say(message, system, component)
+            yield link, far
 
 
 KINDS = {
@@ -180,4 +337,6 @@ KINDS = {
     "tcp": Kind(tcp, tells_the_end=True),
     "tcpin": Kind(tcpin),
     "serial": Kind(serial, tells_the_end=True),
+    "mavsdk": Kind(mavsdk),
+    "replay": Kind(None, tells_the_end=True),
 }

@@ -6,8 +6,10 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from mavcompass.messages import Message
 from mavcompass.vehicle.address import TcpIn, WireAddress
 from mavcompass.vehicle.autopilot import Autopilot
+from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.opening import open_transport
 from mavcompass.vehicle.server import Record, VehicleServer
 from mavcompass.vehicle.stopping import StopRequest
@@ -54,3 +56,13 @@ def serving(
         thread.join(5.0)
         transport.close()
     assert not thread.is_alive() and not errors, errors
+
+
+def hear(link: Link, kind: type[Message], timeout_s: float = 3.0) -> Message:
+    """Wait for a message of this kind."""
+    end_s = link.now() + timeout_s
+    while link.now() < end_s:
+        incoming = link.receive(0.2)
+        if incoming is not None and type(incoming.message) is kind:
+            return incoming.message
+    raise AssertionError(f"no {kind.__name__} within {timeout_s} s")

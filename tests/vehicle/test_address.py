@@ -107,5 +107,7 @@ def test_any_text_is_an_address_or_a_usage_error(source: str) -> None:
 def test_listening_on_tcp_waits_for_connections() -> None:
     assert listening_address("tcp:127.0.0.1:5760") == TcpIn("127.0.0.1", 5760)
     assert listening_address("udpout:127.0.0.1:14550") == UdpOut("127.0.0.1", 14550)
+    assert listening_address("tcp:127.0.0.1:0") == TcpIn("127.0.0.1", 0)
+    assert listening_address("udpin::0") == UdpIn("0.0.0.0", 0)
     with pytest.raises(UsageError, match="listen"):
         listening_address("sim:rover")

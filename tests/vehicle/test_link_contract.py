@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
 
 import pytest
-from far_ends import KINDS, FarEnd, Kind
+from dialogue import HEARTBEAT
+from far_ends import KINDS, SYSTEM, Kind, Saying
 
 from mavcompass.errors import LinkLost
-from mavcompass.messages import Attitude, Heartbeat, NamedValueFloat, ParamSet, ParamValue, RawImu
+from mavcompass.messages import Attitude, Heartbeat, Message, NamedValueFloat, ParamSet, RawImu, Statustext
 from mavcompass.vehicle.link import GROUND_STATION, ONBOARD_COMPUTER, Link
-
-Ends = tuple[Link, FarEnd]
 
 
 @pytest.fixture(params=KINDS)
@@ -20,110 +18,108 @@ def kind(request: pytest.FixtureRequest) -> Kind:
     return KINDS[request.param]
 
 
-@pytest.fixture
-def ends(kind: Kind) -> Iterator[Ends]:
-    """A link and its other end, which have greeted each other."""
-    with kind.make() as (link, far):
-        far.say(Heartbeat())  # some links wait to be spoken to,
-        link.receive(0.05)
-        link.send(Heartbeat())  # others speak first
-        assert (1, 191, Heartbeat()) in far.heard(1)
-        far.heard(0).clear()
-        yield link, far
+def vehicle_says(*messages: Message) -> list[Saying]:
+    return [(message, SYSTEM, 1) for message in messages]
 
 
-def hear(link: Link, count: int) -> list[object]:
-    heard = []
+def hear(link: Link, count: int) -> list[Message]:
+    heard: list[Message] = []
     while len(heard) < count and (incoming := link.receive(2.0)) is not None:
         heard.append(incoming.message)
     return heard
 
 
-def test_a_message_is_heard_with_its_sender(ends: Ends) -> None:
-    link, far = ends
-    far.say(RawImu(xmag=232, ymag=-52), system=4, component=7)
-    before_s = link.now()
-    incoming = link.receive(2.0)
-    assert incoming is not None
-    assert (incoming.system, incoming.component) == (4, 7)
-    assert incoming.message == RawImu(xmag=232, ymag=-52)
-    assert before_s <= incoming.time_s <= link.now()
-    assert link.statistics.received >= 1
-
-
-def test_the_vehicle_hears_us_as_its_onboard_computer(ends: Ends) -> None:
-    link, far = ends
-    link.identity = ONBOARD_COMPUTER.aboard(9)
-    write = ParamSet(9, 1, "COMPASS_OFS_X", 12.5)
-    link.send(write)
-    assert far.heard(1) == [(9, 191, write)]
-
-
-def test_the_vehicle_hears_us_as_a_ground_station(ends: Ends) -> None:
-    link, far = ends
-    link.identity = GROUND_STATION.aboard(9)
-    link.send(link.identity.heartbeat())
-    assert far.heard(1) == [(255, 190, GROUND_STATION.heartbeat())]
-
-
-def test_a_burst_keeps_its_order_and_loses_nothing(ends: Ends) -> None:
-    link, far = ends
-    burst = [NamedValueFloat(i, "n", float(i)) for i in range(100)]
-    for message in burst:
-        far.say(message)
-    assert hear(link, 100) == burst
-    assert link.statistics.lost == 0
-
-
-def test_many_messages_each_way(ends: Ends) -> None:
-    link, far = ends
-    for i in range(50):
-        link.send(ParamSet(1, 1, f"P{i}", i))
-        far.say(ParamValue(f"P{i}", i))
-    assert hear(link, 50) == [ParamValue(f"P{i}", i) for i in range(50)]
-    assert [m for _, _, m in far.heard(50)] == [ParamSet(1, 1, f"P{i}", i) for i in range(50)]
-
-
-def test_nothing_heard_is_none_after_the_time(ends: Ends) -> None:
-    link, _ = ends
-    start_s = link.now()
-    assert link.receive(0.05) is None
-    assert 0.05 <= link.now() - start_s < 0.5
-    assert link.receive(0.0) is None
-
-
-def test_time_never_goes_back(ends: Ends) -> None:
-    link, far = ends
-    times = [link.now()]
-    for i in range(20):
-        far.say(Attitude(time_boot_ms=1000 - i))
+def test_a_message_is_heard_with_its_sender(kind: Kind) -> None:
+    with kind.talk([(RawImu(xmag=232, ymag=-52), SYSTEM, 7)]) as (link, _):
         incoming = link.receive(2.0)
         assert incoming is not None
-        times += [incoming.time_s, link.now()]
-    assert times == sorted(times)
+        assert (incoming.system, incoming.component) == (SYSTEM, 7)
+        assert incoming.message == RawImu(xmag=232, ymag=-52)
+        assert link.statistics.received >= 1
 
 
-def test_a_closed_link_says_so_and_can_be_closed_again(ends: Ends) -> None:
-    link, _ = ends
-    link.close()
-    link.close()
-    link.send(Heartbeat())
-    assert link.statistics.dropped == 1
-    with pytest.raises(LinkLost):
-        link.receive(0.01)
-    assert list(link) == []
+def test_the_vehicle_hears_us_as_its_onboard_computer(kind: Kind) -> None:
+    with kind.talk() as (link, far):
+        link.identity = ONBOARD_COMPUTER.aboard(SYSTEM)
+        write = ParamSet(SYSTEM, 1, "COMPASS_OFS_X", 12.5)
+        with far.beating():
+            link.send(write)
+        assert far.heard(1) == [(SYSTEM, 191, write)]
 
 
-def test_iteration_hands_out_all_and_ends_with_the_other_end(kind: Kind, ends: Ends) -> None:
-    link, far = ends
+def test_the_vehicle_hears_us_as_a_ground_station(kind: Kind) -> None:
+    with kind.talk() as (link, far):
+        link.identity = GROUND_STATION.aboard(SYSTEM)
+        with far.beating():
+            link.send(link.identity.heartbeat())
+        assert far.heard(1) == [(255, 190, GROUND_STATION.heartbeat())]
+
+
+def test_a_burst_keeps_its_order_and_loses_nothing(kind: Kind) -> None:
+    burst = [NamedValueFloat(i, "n", float(i)) for i in range(100)]
+    with kind.talk(vehicle_says(*burst)) as (link, _):
+        assert hear(link, 100) == burst
+        assert link.statistics.lost == link.statistics.malformed == 0
+
+
+def test_texts_numbers_and_arrays_come_through(kind: Kind) -> None:
+    said = [Statustext(3, "PreArm: Check mag field (xy diff:118>100)"), Attitude(5, yaw=-3.0), RawImu(2**40)]
+    with kind.talk(vehicle_says(*said)) as (link, _):
+        assert hear(link, 3) == said
+
+
+def test_many_messages_each_way(kind: Kind) -> None:
+    said = [NamedValueFloat(i, "n", float(i)) for i in range(50)]
+    with kind.talk(vehicle_says(*said)) as (link, far):
+        heard: list[Message] = []
+        for i in range(50):
+            link.send(ParamSet(SYSTEM, 1, f"P{i}", i))
+            heard += hear(link, 1)
+        assert heard == said
+        assert [m for _, _, m in far.heard(50)] == [ParamSet(SYSTEM, 1, f"P{i}", i) for i in range(50)]
+
+
+def test_nothing_heard_is_none_after_the_time(kind: Kind) -> None:
+    with kind.talk() as (link, _):
+        start_s = link.now()
+        assert link.receive(0.05) is None
+        assert 0.05 <= link.now() - start_s < 0.5
+        assert link.receive(0.0) is None
+
+
+def test_time_never_goes_back(kind: Kind) -> None:
+    said = [Attitude(time_boot_ms=1000 - i) for i in range(20)]
+    with kind.talk(vehicle_says(*said)) as (link, _):
+        heard_s, now_s = [link.now()], [link.now()]
+        for _ in said:
+            incoming = link.receive(2.0)
+            assert incoming is not None
+            heard_s.append(incoming.time_s)
+            now_s.append(link.now())
+            assert incoming.time_s <= link.now()
+        assert heard_s == sorted(heard_s)
+        assert now_s == sorted(now_s)
+
+
+def test_a_closed_link_says_so_and_can_be_closed_again(kind: Kind) -> None:
+    with kind.talk() as (link, _):
+        link.close()
+        link.close()
+        dropped = link.statistics.dropped
+        link.send(Heartbeat())
+        assert link.statistics.dropped == dropped + 1
+        with pytest.raises(LinkLost):
+            link.receive(0.01)
+        assert list(link) == []
+
+
+def test_iteration_hands_out_all_and_ends_with_the_other_end(kind: Kind) -> None:
     said = [NamedValueFloat(i, "n", 0.0) for i in range(5)]
-    for message in said:
-        far.say(message)
-    with contextlib.closing(iter(link)) as heard:
+    with kind.talk(vehicle_says(*said)) as (link, far), contextlib.closing(iter(link)) as heard:
         assert [next(heard).message for _ in said] == said
         if kind.tells_the_end:
             far.leave()
-            assert list(heard) == []
+            assert [i.message for i in heard if i.message != HEARTBEAT] == []
             with pytest.raises(LinkLost) as caught:
                 link.receive(0.1)
             assert caught.value.exit_code == 3

@@ -7,7 +7,7 @@ import time
 from contextlib import closing
 
 import pytest
-from serving import serving
+from serving import hear, serving
 
 from mavcompass.enums import MavCmd, MavResult
 from mavcompass.errors import LinkLost
@@ -16,7 +16,6 @@ from mavcompass.messages import (
     CommandAck,
     CommandLong,
     Heartbeat,
-    Message,
     ParamRequestRead,
     ParamSet,
     ParamValue,
@@ -29,15 +28,6 @@ from mavcompass.vehicle.framing import FrameWriter
 from mavcompass.vehicle.link import GROUND_STATION, Link
 from mavcompass.vehicle.opening import open_link, open_transport
 from mavcompass.vehicle.transport import Reconnect
-
-
-def hear(link: Link, kind: type[Message], timeout_s: float = 3.0) -> Message:
-    end_s = link.now() + timeout_s
-    while link.now() < end_s:
-        incoming = link.receive(0.2)
-        if incoming is not None and type(incoming.message) is kind:
-            return incoming.message
-    raise AssertionError(f"no {kind.__name__} within {timeout_s} s")
 
 
 def read_parameter(link: Link, name: str) -> float:

@@ -1,0 +1,131 @@
+"""`mavcompass simulate`: a simulated flight controller on a real port."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from mavcompass.cli.options import Output, common_options
+from mavcompass.errors import UsageError
+from mavcompass.vehicle.address import VEHICLES
+
+if TYPE_CHECKING:
+    from mavcompass.vehicle.server import Record
+
+
+@contextmanager
+def recording_to(tlog: Path, utc_start_s: float) -> Iterator[Record]:
+    """Give a function that records frames at a virtual time. Raises UsageError for a file that cannot be."""
+    from mavcompass.logs import TlogWriter
+
+    try:
+        writer = TlogWriter(tlog)
+    except OSError as error:
+        raise UsageError(
+            f"{tlog} cannot be written: {error.strerror}.",
+            "Give --tlog a file in a folder that you may write to.",
+        ) from error
+    start_us = round(utc_start_s * 1e6)
+    with writer:
+        yield lambda time_s, frame: writer.append(start_us + round(time_s * 1e6), frame)
+
+
+@click.command()
+@click.option(
+    "--vehicle",
+    type=click.Choice(VEHICLES),
+    default="rover",
+    show_default=True,
+)
+@click.option(
+    "--listen",
+    "where",
+    required=True,
+    metavar="ADDRESS",
+    help="tcp:HOST:PORT or udpin:HOST:PORT wait for clients; udpout:HOST:PORT speaks first.",
+)
+@click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="NAME[:p=v,..]",
+    help="A physical effect on compass 1 and its IMU (see gap catalogue); may be repeated.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of everything random.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(0.01, 1000.0),
+    default=1.0,
+    show_default=True,
+    help="2 is twice real time.",
+)
+@click.option("--disarmed", is_flag=True, help="Start at power-up, disarmed (default: armed and ready).")
+@click.option(
+    "--tlog",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Record what the vehicle sends to its first client.",
+)
+@click.option("--quiet", is_flag=True, help="Do not say where it listens.")
+@common_options
+def command(
+    vehicle: str,
+    where: str,
+    effects: tuple[str, ...],
+    seed: int,
+    speed: float,
+    disarmed: bool,
+    tlog: Path | None,
+    quiet: bool,
+    output: Output,
+) -> int:
+    """Run a simulated flight controller for any number of MAVLink clients, until Ctrl-C or SIGTERM.
+
+    Its time begins when the first client is there. Everything follows from the seed and the clients' doings.
+
+    \b
+    mavcompass simulate --vehicle rover --listen tcp:127.0.0.1:5760
+    mavcompass simulate --vehicle copter --listen udpout:127.0.0.1:14550 --seed 7
+    """
+    from mavcompass.vehicle.address import listening_address
+    from mavcompass.vehicle.opening import open_transport
+    from mavcompass.vehicle.server import VehicleServer
+    from mavcompass.vehicle.simulated import simulated_autopilot
+    from mavcompass.vehicle.stopping import StopRequest, stop_signals
+
+    address = listening_address(where)
+    autopilot = simulated_autopilot(vehicle, seed, effects, armed=not disarmed)
+    stop = StopRequest()
+    with ExitStack() as open_things:
+        record = None
+        if tlog is not None:
+            record = open_things.enter_context(recording_to(tlog, autopilot.world.utc_start_s))
+        transport = open_transport(address)
+        open_things.callback(transport.close)
+        server = VehicleServer(
+            autopilot,
+            transport,
+            speed=speed,
+            is_rebooting=lambda: autopilot.silent_until_us is not None,
+            record=record,
+        )
+        open_things.enter_context(stop_signals(stop))
+        if not quiet:
+            output.say(f"A simulated {vehicle} (seed {seed}) is at {transport.name}; Ctrl-C ends it.")
+        server.serve(stop)
+    statistics = server.statistics
+    output.write_json(
+        {
+            "vehicle": vehicle,
+            "seed": seed,
+            "address": transport.name,
+            "vehicle_time_s": autopilot.time_s,
+            "received": statistics.received,
+            "malformed": statistics.malformed,
+            "dropped": statistics.dropped,
+        }
+    )
+    return 0
