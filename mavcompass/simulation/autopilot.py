@@ -25,10 +25,11 @@ from mavcompass.simulation.noise import generator
 from mavcompass.simulation.outgoing import Outgoing
 from mavcompass.simulation.profiles import VehicleProfile, profile
 from mavcompass.simulation.px4 import Px4
+from mavcompass.simulation.scenery import draw_world
 from mavcompass.simulation.sensors import COMPASS_PERIOD_US, Distortion, SensorSuite, Surroundings
 from mavcompass.simulation.streams import MESSAGES, Streams
 from mavcompass.simulation.truth import Truth, truth_of
-from mavcompass.simulation.world import DEFAULT_UTC_S, Place, Wave, World
+from mavcompass.simulation.world import DEFAULT_UTC_S
 
 GROUND_STATION = (255, 190)
 _HEARTBEAT_US = 1_000_000
@@ -85,7 +86,7 @@ class SimulatedAutopilot:
         self.other_stations = tuple(other_stations)
         rng = generator(seed, "start")
         yaw_deg = rng.uniform(-180.0, 180.0) if start_yaw_deg is None else start_yaw_deg
-        self.world = _world(self.profile, seed, place, utc_start_s, tilt_deg)
+        self.world = draw_world(self.profile, seed, place, utc_start_s, tilt_deg)
         if compasses is None:
             kind = calibration or ("exact" if effects else "old")
             compasses = draw_compasses(seed, self.world.horizontal_mgauss, kind)
@@ -316,34 +317,3 @@ def _distortions(effects: Sequence[Distortion | str]) -> list[Distortion]:
 
         ready.append(distortion(texts))
     return ready
-
-
-def _world(
-    kind: VehicleProfile,
-    seed: int,
-    place: tuple[float, float, float] | None,
-    utc_start_s: float,
-    tilt_deg: float | None,
-) -> World:
-    """Build the world: the ground's slope or the waves, by seed where they are not given."""
-    rng = generator(seed, "ground")
-    heading, steepness = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.4, 1.0)
-    slope_rad, wave_rad = kind.slope_rad * steepness, kind.wave_rad * steepness
-    if tilt_deg is not None:
-        slope_rad = wave_rad = math.radians(tilt_deg)
-    waves: list[tuple[Wave, ...]] = [(), ()]
-    if kind.chassis == "boat":
-        slope_rad = 0.0
-        for axis, share in enumerate((1.0, 0.6)):
-            waves[axis] = tuple(
-                Wave(wave_rad * share * part, 2.0 * math.pi / period, rng.uniform(0.0, 2.0 * math.pi))
-                for part, period in ((0.7, rng.uniform(2.6, 3.4)), (0.3, rng.uniform(1.3, 1.9)))
-            )
-    rise = math.tan(slope_rad)
-    return World(
-        Place(*place) if place else kind.place,
-        utc_start_s,
-        slope=(rise * math.cos(heading), rise * math.sin(heading)),
-        roll_waves=waves[0],
-        pitch_waves=waves[1],
-    )

@@ -11,7 +11,7 @@ Further physical effects come in as `Distortion`s. They act on the first compass
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -40,8 +40,13 @@ ACCELEROMETER_NOISE_MPS2 = 1.5 * MPS2_PER_MILLI_G
 class Distortion(Protocol):
     """Be a physical effect between the world and what the sensors say."""
 
+    @property
+    def groups(self) -> Collection[str]:
+        """Name the sensors that it changes: "mag", "acc", "gyro"."""
+        ...
+
     def apply(self, stimulus: Stimulus, reading: Reading, rng: np.random.Generator) -> Reading:
-        """Return the distorted reading of N samples; a live vehicle passes one sample at a time."""
+        """Return the distorted reading of N samples, which follow those of the last call."""
         ...
 
 
@@ -140,11 +145,14 @@ class SensorSuite:
         self.samples: list[ImuSample] = [ImuSample(_ZERO, _ZERO), ImuSample(_ZERO, _ZERO)]
         self.previous = self.samples
         self.distortions = tuple(distortions)
+        # What only the compass feels can wait for the end of its averaging period.
+        self._at_once = any(set(d.groups) - {"mag"} for d in self.distortions)
         self._rng = generator(seed, "effects")
         self._tick_s = tick_s
         self._field_sum = [0.0, 0.0, 0.0]
         self._distorted_sum = [0.0, 0.0, 0.0]
         self._count = 0
+        self._waiting: list[Moment] = []
 
     def tick(self, body: Body, surroundings: Callable[[], Surroundings]) -> None:
         """Take one sample of everything at the body's present state."""
@@ -156,13 +164,19 @@ class SensorSuite:
             self._field_sum[i] += field[i]
         self._count += 1
         if self.distortions:
-            self._distort(body, surroundings(), field)
+            compass = self.compasses[0]
+            raw = compass.add_noise(compass.sense(field), self._tick_s)
+            self._waiting.append(moment_of(body, surroundings(), raw, self.samples[0]))
+            if self._at_once:
+                self._distort()
 
     def read_compasses(self) -> None:
         """Finish an averaging period: bring every compass's `raw_mgauss` up to date."""
         n, period = self._count, COMPASS_PERIOD_US * 1e-6
         if not n:
             return
+        if self._waiting:
+            self._distort()
         mean = (self._field_sum[0] / n, self._field_sum[1] / n, self._field_sum[2] / n)
         for i, compass in enumerate(self.compasses):
             if i == 0 and self.distortions:
@@ -174,17 +188,17 @@ class SensorSuite:
         self._distorted_sum = [0.0, 0.0, 0.0]
         self._count = 0
 
-    def _distort(self, body: Body, around: Surroundings, field: Vector) -> None:
-        compass, imu = self.compasses[0], self.samples[0]
-        raw = compass.add_noise(compass.sense(field), self._tick_s)
-        reading = Reading(np.array([raw]), np.array([imu.acc_mps2]), np.array([imu.gyro_radps]))
-        stimulus = stimulus_of(body, around)
+    def _distort(self) -> None:
+        """Pass the waiting moments through the effects."""
+        stimulus, reading = signals_of(self._waiting)
+        self._waiting.clear()
         for distortion in self.distortions:
             reading = distortion.apply(stimulus, reading, self._rng)
-        for i, value in enumerate(reading.mag_mgauss[0].tolist()):
+        for i, value in enumerate(reading.mag_mgauss.sum(axis=0).tolist()):
             self._distorted_sum[i] += value
-        (gx, gy, gz), (ax, ay, az) = reading.gyro_radps[0].tolist(), reading.acc_mps2[0].tolist()
-        self.samples[0] = ImuSample((gx, gy, gz), (ax, ay, az))
+        if self._at_once:
+            (gx, gy, gz), (ax, ay, az) = reading.gyro_radps[-1].tolist(), reading.acc_mps2[-1].tolist()
+            self.samples[0] = ImuSample((gx, gy, gz), (ax, ay, az))
 
 
 def field_in_body(body: Body) -> Vector:
@@ -197,18 +211,56 @@ def field_in_body(body: Body) -> Vector:
     )
 
 
-def stimulus_of(body: Body, around: Surroundings) -> Stimulus:
-    """Describe one moment of a body as the stimulus of its sensors, one sample."""
-    return Stimulus(
-        time_s=np.array([body.time_s]),
-        rotation=np.array(body.rotation).reshape(1, 3, 3),
-        field_ned_mgauss=np.array([body.world.field_ned_mgauss]),
-        rate_radps=np.array([body.rate_radps]),
-        specific_force_mps2=np.array([body.specific_force_mps2]),
-        position_ned_m=np.array([(body.north_m, body.east_m, -body.height_m)]),
-        velocity_ned_mps=np.array([body.velocity_ned_mps]),
-        current_a=np.array([around.current_a]),
-        throttle=np.array([around.throttle]),
-        temperature_degc=np.array([around.temperature_degc]),
-        motors=np.array([around.motors]),
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Hold the truth and the undistorted readings of one moment, as plain numbers."""
+
+    time_s: float
+    field_ned_mgauss: Vector
+    rotation: tuple[float, ...]
+    rate_radps: Vector
+    specific_force_mps2: Vector
+    position_ned_m: Vector
+    velocity_ned_mps: Vector
+    around: Surroundings
+    raw_mgauss: Vector
+    imu: ImuSample
+
+
+def moment_of(body: Body, around: Surroundings, raw_mgauss: Vector, imu: ImuSample) -> Moment:
+    """Note down a body's present state and what its sensors say of it."""
+    return Moment(
+        body.time_s,
+        body.world.field_ned_mgauss,
+        body.rotation,
+        body.rate_radps,
+        body.specific_force_mps2,
+        (body.north_m, body.east_m, -body.height_m),
+        body.velocity_ned_mps,
+        around,
+        raw_mgauss,
+        imu,
     )
+
+
+def signals_of(moments: Sequence[Moment]) -> tuple[Stimulus, Reading]:
+    """Turn moments into arrays."""
+    stimulus = Stimulus(
+        time_s=np.array([m.time_s for m in moments]),
+        rotation=np.array([m.rotation for m in moments]).reshape(-1, 3, 3),
+        field_ned_mgauss=np.array([m.field_ned_mgauss for m in moments]),
+        rate_radps=np.array([m.rate_radps for m in moments]),
+        specific_force_mps2=np.array([m.specific_force_mps2 for m in moments]),
+        position_ned_m=np.array([m.position_ned_m for m in moments]),
+        velocity_ned_mps=np.array([m.velocity_ned_mps for m in moments]),
+        current_a=np.array([m.around.current_a for m in moments]),
+        throttle=np.array([m.around.throttle for m in moments]),
+        temperature_degc=np.array([m.around.temperature_degc for m in moments]),
+        motors=np.array([m.around.motors for m in moments]),
+    )
+    reading = Reading(
+        np.array([m.raw_mgauss for m in moments]),
+        np.array([m.imu.acc_mps2 for m in moments]),
+        np.array([m.imu.gyro_radps for m in moments]),
+    )
+    return stimulus, reading

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mavcompass.simulation.effects.effect import Chain, Setting, Signals
+from mavcompass.simulation.effects.effect import Chain, Group, Setting, Signals
 from mavcompass.simulation.signals import Reading, Stimulus
 
 
@@ -24,6 +24,11 @@ class Distortion:
     def settings(self) -> tuple[Setting, ...]:
         """Return the effects in the order in which they act."""
         return tuple(self._chain.settings)
+
+    @property
+    def groups(self) -> frozenset[Group]:
+        """Return the sensors that the effects change."""
+        return frozenset(group for setting in self._chain.settings for group in setting.effect.groups)
 
     def apply(self, stimulus: Stimulus, reading: Reading, rng: np.random.Generator) -> Reading:
         """Return the reading as the effects change it."""
