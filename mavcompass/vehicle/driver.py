@@ -21,8 +21,8 @@ PollAnswer = Callable[[], bool | None]
 
 HEARTBEAT_EVERY_S = 1.0
 TICK_S = 0.05
-# A vehicle streams several messages a second: this is dozens of them in a row.
-SILENCE_S = 3.0
+# Heartbeats alone come once a second; on a link that loses a third, five in a row are one case in 250.
+SILENCE_S = 5.0
 
 
 def run(

@@ -160,6 +160,8 @@ def from_json(kind: type[Message], text: str) -> Message | None:
     """Read a message from MAVSDK's JSON; None where that is not one."""
     try:
         given = json.loads(text)
+        if not isinstance(given, dict):
+            return None
         return kind(
             **{name: _read(given[name], default) for name, default in _defaults(kind) if name in given}
         )
