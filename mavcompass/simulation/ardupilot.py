@@ -14,6 +14,7 @@ from mavcompass.simulation.ardupilot_commands import answer_command
 from mavcompass.simulation.ardupilot_compass import INSTANCES, CompassBank
 from mavcompass.simulation.ardupilot_modes import mode_rules
 from mavcompass.simulation.ardupilot_reports import ArduPilotReports
+from mavcompass.simulation.ardupilot_routine import Routine
 from mavcompass.simulation.ardupilot_steering import Steering
 from mavcompass.simulation.attitude_filter import compass_yaw
 from mavcompass.simulation.firmware import Sender
@@ -37,7 +38,6 @@ _PARAMETER_FILES = {
     "copter": ("ardupilot.param", "copter.param"),
     "sub": ("ardupilot.param", "sub.param"),
 }
-_PREARM_PERIOD_S = 30.0
 _SET_MODE_ID = 11
 
 
@@ -69,10 +69,13 @@ class ArduPilot:
         self.failsafe = False
         self.battery_low = False
         self.reboot_wanted = False
-        self._next_prearm_s = _PREARM_PERIOD_S
+        self.routine = Routine(self)
 
     def _defaults(self, parameters: Mapping[str, float]) -> dict[str, float]:
-        values: dict[str, float] = {"COMPASS_DEC": self.vehicle.world.declination_rad}
+        values: dict[str, float] = {
+            "COMPASS_DEC": self.vehicle.world.declination_rad,
+            "SYSID_THISMAV": float(self.vehicle.system),
+        }
         for instance, setup in zip(INSTANCES, self.vehicle.compass_setups, strict=True):
             values |= ardupilot_values(setup.in_force, instance)
         return values | dict(parameters)
@@ -86,21 +89,19 @@ class ArduPilot:
         self.ground.stop()
         self.hover.release()
         self.reboot_wanted = self.failsafe = False
-        self._next_prearm_s = self.vehicle.boot_time_s + _PREARM_PERIOD_S
         if self.store["COMPASS_AUTODEC"]:
             self.store.set("COMPASS_DEC", self.vehicle.world.declination_rad, keep=False)
         self.compasses.boot()
         self.compasses.read()
         body = self.vehicle.body
-        self.vehicle.filter.align(body.roll_rad, body.pitch_rad, self._compass_yaw())
+        self.vehicle.filter.align(body.roll_rad, body.pitch_rad, self.compass_yaw())
         self.armed = armed
         number = self.vehicle.profile.guided_mode if armed else int(self.store["INITIAL_MODE"])
         self.mode = self.modes.name(number) or self.mode
         if armed:
             self.hover.height_m = body.height_m
             self.hover.hold()
-        else:
-            self.vehicle.say("ArduPilot Ready")
+        self.routine.boot(in_the_middle=armed)
 
     def arm(self, forced: bool) -> bool:
         """Arm if nothing speaks against it, or forced."""
@@ -204,22 +205,18 @@ class ArduPilot:
         return self.steering.control(dt_s)
 
     def attend(self) -> None:
-        """Time-outs, lists, periodic texts."""
-        if self.ground.expire():
-            self.vehicle.say("target not received last 3secs, stopping", MavSeverity.WARNING)
+        """Do what is due: time-outs, lists, texts."""
+        self.routine.attend()
         self.parameters.attend()
-        now = self.vehicle.boot_time_s
-        if not self.armed and now >= self._next_prearm_s:
-            self._next_prearm_s = now + _PREARM_PERIOD_S
-            self.tell_refusals("PreArm")
 
     def use_compasses(self, dt_s: float) -> None:
         """Correct the new readings and let the filter have the one that steers."""
         self.compasses.read()
-        self.vehicle.filter.correct(dt_s, self._compass_yaw())
+        self.vehicle.filter.correct(dt_s, self.compass_yaw())
         self.magnetometer_calibration.observe(self.vehicle.body.yaw_rad)
 
-    def _compass_yaw(self) -> float | None:
+    def compass_yaw(self) -> float | None:
+        """Return the heading of the compass that steers; None where there is none to believe."""
         steering = self.compasses.steering
         if steering is None or not self.store["COMPASS_ENABLE"] or not self.compasses.in_use(steering):
             return None
@@ -236,10 +233,8 @@ class ArduPilot:
         return self.compasses.correction(instance)
 
     def heartbeat(self) -> m.Heartbeat:
-        """Describe the vehicle; send the progress of a running calibration beside it."""
+        """Describe the vehicle."""
         profile = self.vehicle.profile
-        for progress in self.magnetometer_calibration.progress():
-            self.vehicle.send(progress)
         active = self.armed and not self.vehicle.body.landed if profile.hovers else True
         state = MavState.ACTIVE if active else MavState.STANDBY
         return m.Heartbeat(

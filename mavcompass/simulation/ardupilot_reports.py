@@ -53,7 +53,7 @@ class ArduPilotReports(Reports):
             m.ServoOutputRaw: lambda t, s: self._servos(t),
             m.RcChannels: lambda t, s: self._rc_channels(t),
             m.VfrHud: lambda t, s: self.vfr_hud(),
-            m.Simstate: lambda t, s: self.simstate(),
+            m.Simstate: lambda t, s: self.simstate(s),
             m.EkfStatusReport: lambda t, s: self.ekf_status(),
             m.ExtendedSysState: lambda t, s: self._extended_state(),
             m.FenceStatus: lambda t, s: None,

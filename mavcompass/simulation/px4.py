@@ -61,7 +61,7 @@ class Px4:
     ) -> None:
         self.vehicle = vehicle
         self.mounting = int(generator(vehicle.seed, "mounting").choice(_MOUNTINGS))
-        defaults = self._calibrations() | dict(parameters)
+        defaults = {"MAV_SYS_ID": float(vehicle.system)} | self._calibrations() | dict(parameters)
         self.store = ParameterStore(parameter_table("px4.param"), defaults, storage)
         self.parameters = ParameterServer(vehicle, self.store, PX4_MANNERS)
         self.compasses = Px4Compasses(vehicle, self.store, self.mounting)

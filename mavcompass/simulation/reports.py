@@ -73,16 +73,16 @@ class Reports:
         """Report the filter's attitude."""
         f = self.vehicle.filter
         p, q, r = f.rate_radps
-        back_s = (1.0 - share) * self.vehicle.tick_us * 1e-6
-        yaw = f.yaw_rad - r * back_s
+        yaw = f.yaw_rad - r * self._back_s(share)
         return m.Attitude(self.boot_us(time_us) // 1000, f.roll_rad, f.pitch_rad, yaw, p, q, r)
 
-    def simstate(self) -> m.Simstate:
+    def simstate(self, share: float) -> m.Simstate:
         """Report the truth, as simulations do."""
         b = self.vehicle.body
+        yaw = b.yaw_rad - b.yaw_rate_radps * self._back_s(share)
         lat, lon, _ = self._place(0.0, 0.0)
         (x, y, z), (p, q, r) = b.specific_force_mps2, b.rate_radps
-        return m.Simstate(b.roll_rad, b.pitch_rad, b.yaw_rad, x, y, z, p, q, r, lat, lon)
+        return m.Simstate(b.roll_rad, b.pitch_rad, yaw, x, y, z, p, q, r, lat, lon)
 
     def global_position(self, time_us: int) -> m.GlobalPositionInt:
         """Report the filter's position and heading."""
@@ -157,6 +157,10 @@ class Reports:
         height = self.vehicle.world.place.alt_m + self.vehicle.body.height_m
         pressure = 1013.25 * (1.0 - 2.25577e-5 * height) ** 5.25588
         return m.ScaledPressure(self.boot_us(time_us) // 1000, pressure, 0.0, self.temperature_cdegc())
+
+    def _back_s(self, share: float) -> float:
+        """Return how long ago, before the last tick, a message's moment lies."""
+        return (1.0 - share) * self.vehicle.tick_us * 1e-6
 
     def _place(self, north_error_m: float, east_error_m: float) -> tuple[int, int, int]:
         b = self.vehicle.body

@@ -94,6 +94,21 @@ def test_written_parameters_can_be_handed_to_another_instance(station):
     assert station(storage=storage).read("COMPASS_OFS_X") == 77.0
 
 
+def test_some_parameters_arrive_unasked(station):
+    s = station(armed=False)
+    s.wait(65.0)
+    names = [v.param_id for v in s.of(m.ParamValue)]
+    assert names.count("STAT_RUNTIME") == 2
+    assert names.count("BARO1_GND_PRESS") == 2
+
+
+def test_the_system_id_is_a_parameter(station):
+    s = station(system=7)
+    s.send(m.ParamRequestRead(7, 1, "SYSID_THISMAV"))
+    (out,) = [o for o in s.wait(0.1) if isinstance(o.message, m.ParamValue)]
+    assert (out.system, out.message.param_value) == (7, 7.0)
+
+
 def test_integer_parameters_are_rounded_and_bounded(station):
     s = station()
     s.set("COMPASS_USE", 0.9)

@@ -154,6 +154,20 @@ def test_copter_takes_off_turns_and_lands(station):
     assert s.vehicle.truth.position_ned_m[2] == 0.0
 
 
+def test_the_filter_takes_the_compasss_yaw_over_on_leaving_the_ground(station):
+    s = exact(station, armed=False, ready_s=1.0)
+    s.wait(4.0)
+    s.command(176, 1.0, 4.0)
+    s.command(400, 1.0)
+    s.vehicle.filter.yaw_rad += 0.5
+    s.command(22, 0, 0, 0, 0, 0, 0, 8.0)
+    s.wait(1.0)
+    assert abs(s.ekf_error_deg) > 15.0
+    s.wait(5.0)
+    assert "EKF3 IMU0 MAG0 in-flight yaw alignment complete" in s.texts()
+    assert abs(s.ekf_error_deg) < 3.0
+
+
 def test_copter_idle_on_the_ground_disarms_itself(station):
     s = exact(station, armed=False, ready_s=1.0)
     s.wait(4.0)
