@@ -332,3 +332,32 @@ def test_every_message_can_be_requested(station, vehicle):
         s.send(m.CommandLong(1, 1, 512, 0, float(number)))
         heard = s.of(kind, s.wait(0.1))
         assert heard or kind is m.FenceStatus, kind
+
+
+def test_highres_imu_carries_a_thousand_times_milligauss(station):
+    s = station(seed=2)
+    s.stream(27, 10)
+    s.stream(105, 10)
+    s.wait(0.55)
+    raw, highres = s.of(m.RawImu)[-1], s.of(m.HighresImu)[-1]
+    assert highres.xmag / 1000.0 == pytest.approx(raw.xmag, abs=1.0)
+    assert highres.zacc == pytest.approx(raw.zacc * 9.80665e-3, abs=0.02)
+
+
+def test_the_order_of_compasses_changes_at_the_next_power_up(station):
+    s = on_the_ground(station, calibration="exact")
+    for number in (27, 116):
+        s.stream(number, 5)
+    first, second = s.read("COMPASS_PRIO1_ID"), s.read("COMPASS_PRIO2_ID")
+    s.set("COMPASS_OFS2_X", s.read("COMPASS_OFS2_X") + 100.0)
+    s.set("COMPASS_PRIO1_ID", second)
+    s.set("COMPASS_PRIO2_ID", first)
+    s.wait(1.0)
+    before = s.of(m.RawImu)[-1]
+    s.command(246, 1.0)
+    s.wait(4.0)
+    for number in (27, 116):
+        s.stream(number, 5)
+    s.wait(1.0)
+    assert s.of(m.RawImu)[-1].xmag - before.xmag == pytest.approx(100.0, abs=12.0)
+    assert s.of(m.ScaledImu2)[-1].xmag == pytest.approx(before.xmag, abs=8.0)

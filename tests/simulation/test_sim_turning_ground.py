@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from mavcompass import messages as m
+from mavcompass.correction import FieldCorrection
 from mavcompass.frames import euler_to_quaternion
-from mavcompass.simulation.faults import draw_compasses
+from mavcompass.simulation.faults import CompassSetup, draw_compasses
+from mavcompass.simulation.sensors import CompassModel
 
 YAW_ONLY, RATE_ONLY, VELOCITY_AND_RATE = 0x9FF, 0x5FF, 0x5C7
 LOCAL, BODY = 1, 9
@@ -210,3 +212,31 @@ def test_the_filter_follows_a_good_write_only_slowly(station):
     assert 3.0 < abs(s.ekf_error_deg) < bent
     s.hold_heading(s.vehicle.filter.yaw_rad, 90.0)
     assert abs(s.ekf_error_deg) < 3.0
+
+
+def test_the_turns_recorded_on_firmware_are_re_enacted(station):
+    """The distortion, place and commands of a recording in which the EKF was bent by up to 32 degrees.
+
+    Recorded: true steps of 79, 72, 87 and 103 degrees; the yaw 33 degrees off at the first turn.
+    """
+    clean = FieldCorrection((0.0, 0.0, 0.1))
+    s = station(
+        seed=1,
+        compasses=[CompassSetup(CompassModel(clean, 1.0), clean)] * 3,
+        place=(-35.363262, 149.165237, 584.0),
+        start_yaw_deg=0.0,
+        tilt_deg=0.0,
+    )
+    # The firmware's simulator distorts the raw field; wrong parameters distort it alike.
+    wrong = {"OFS_X": -115.0 * 1.1, "OFS_Y": 93.0 * 0.9, "OFS_Z": -58.0, "DIA_X": 1 / 1.1, "DIA_Y": 1 / 0.9}
+    for name, value in wrong.items():
+        s.set(f"COMPASS_{name}", value)
+    s.wait(4.5)
+    start = s.vehicle.filter.yaw_rad
+    s.hold_heading(start, 5.0)
+    steps, before = [], s.vehicle.truth.yaw_rad
+    for i in range(1, 5):
+        s.hold_heading(start + i * math.pi / 2, 9.7)
+        steps.append(math.degrees((s.vehicle.truth.yaw_rad - before) % (2 * math.pi)))
+        before = s.vehicle.truth.yaw_rad
+    np.testing.assert_allclose(steps, [79.0, 72.0, 87.0, 103.0], atol=9.0)
