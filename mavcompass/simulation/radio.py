@@ -7,7 +7,7 @@ from mavcompass.messages import ManualControl, RcChannelsOverride
 OVERRIDE_TIMEOUT_S = 3.0
 _CENTRE, _LOW, _HIGH = 1500, 1000, 1800
 _IGNORE, _RELEASE = 65535, 0
-_UNUSED_AXIS = 32767
+_UNUSED_AXIS, _FULL_AXIS = 32767, 1000
 
 
 class Radio:
@@ -44,7 +44,8 @@ class Radio:
             axes = {1: message.y, 2: -message.x, 3: message.z, 4: message.r}
             for number, value in axes.items():
                 if abs(value) < _UNUSED_AXIS:
-                    self._overrides[number] = (_CENTRE + value // 2, until_s)
+                    deflection = max(-_FULL_AXIS, min(value, _FULL_AXIS))
+                    self._overrides[number] = (_CENTRE + deflection // 2, until_s)
             return
         for number in range(1, 9):
             pwm = getattr(message, f"chan{number}_raw")

@@ -61,6 +61,8 @@ def as_long(command: CommandInt) -> CommandLong:
 
 
 def _tell_interval(vehicle: SimulatedAutopilot, number: int, sender: Sender) -> MavResult:
+    if not 0 <= number <= 0xFFFF:  # MESSAGE_INTERVAL has no room for it
+        return MavResult.FAILED
     interval = vehicle.streams(sender.port).interval_us(number)
     vehicle.send(MessageInterval(number, interval), sender.port)
     return MavResult.ACCEPTED

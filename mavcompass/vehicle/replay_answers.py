@@ -89,26 +89,35 @@ class Answers:
 
     def _obey(self, message: CommandLong | CommandInt, command: int, port: int, now_s: float) -> None:
         result = self._contents.results.get(command, int(MavResult.UNSUPPORTED))
-        number = int(message.param1) if math.isfinite(message.param1) else -1
+        number, second = _whole(message.param1), _whole(message.param2)
         answer: Message | None = None
-        interval_us = self._contents.interval_us(number)
         match command:
             case MavCmd.SET_MESSAGE_INTERVAL:
                 # Rates are what they were: a lower one is no reason to refuse, a higher one is.
-                slow_enough = message.param2 <= 0.0 or message.param2 * _RATE_SLACK >= interval_us
+                interval_us = self._contents.interval_us(number)
+                slow_enough = second <= 0 or second * _RATE_SLACK >= interval_us
                 result = MavResult.ACCEPTED if interval_us and slow_enough else MavResult.DENIED
             case MavCmd.GET_MESSAGE_INTERVAL:
-                answer = MessageInterval(number, interval_us)
-            case MavCmd.REQUEST_MESSAGE if number == _MESSAGE_INTERVAL and math.isfinite(message.param2):
-                answer = MessageInterval(int(message.param2), self._contents.interval_us(int(message.param2)))
+                answer = self._interval(number)
             case MavCmd.REQUEST_MESSAGE:
-                answer = self._last_said.get(number)
+                answer = (
+                    self._interval(second) if number == _MESSAGE_INTERVAL else self._last_said.get(number)
+                )
         if answer is not None:
             result = MavResult.ACCEPTED
         self._say(CommandAck(command, int(result)), port, now_s)
         if answer is not None:
             self._say(answer, port, now_s)
 
+    def _interval(self, number: int) -> MessageInterval | None:
+        """Tell a rate; MESSAGE_INTERVAL has no room for larger numbers."""
+        return MessageInterval(number, self._contents.interval_us(number)) if 0 <= number <= 0xFFFF else None
+
     def _say(self, message: Message, port: int | None, now_s: float) -> None:
         contents = self._contents
         self._outbox.append(SaidMessage(now_s, contents.system, contents.component, message, port))
+
+
+def _whole(value: float) -> int:
+    """Read a whole number off a float field; -1 for what is no number."""
+    return int(value) if math.isfinite(value) else -1
