@@ -1,0 +1,143 @@
+"""`mavcompass heading SOURCE`: the tilt-compensated heading, live or of a recording."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mavcompass.cli.options import Output, common_options, to_json
+from mavcompass.errors import UsageError
+
+if TYPE_CHECKING:
+    from mavcompass.vehicle.address import Address
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Hold one heading as it is shown; degrees."""
+
+    time_s: float
+    magnetic_deg: float
+    true_deg: float | None
+    grid_deg: float | None
+    sigma_deg: float
+
+    def text(self) -> str:
+        """Return a line for a person."""
+        true = "   -  " if self.true_deg is None else f"{self.true_deg:6.1f}"
+        return (
+            f"{self.time_s:10.2f} s   magnetic {self.magnetic_deg:6.1f}   true {true}"
+            f"   sigma {self.sigma_deg:4.1f} deg"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON form."""
+        return {
+            "time_s": round(self.time_s, 4),
+            "magnetic_deg": round(self.magnetic_deg, 3),
+            "true_deg": None if self.true_deg is None else round(self.true_deg, 3),
+            "grid_deg": None if self.grid_deg is None else round(self.grid_deg, 3),
+            "sigma_deg": round(self.sigma_deg, 3),
+        }
+
+
+@click.command()
+@click.argument("source")
+@click.option("--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True)
+@click.option("--two-axis", is_flag=True, help="Use X and Y only; Z comes from the Earth's field.")
+@click.option("--json-lines", is_flag=True, help="One JSON object a line.")
+@click.option(
+    "--rate", "rate_hz", type=click.FloatRange(0.01, 400.0), help="Rows a second (live: 5, recording: all)."
+)
+@click.option("--duration", "duration_s", type=click.FloatRange(0.0), help="End after this many seconds.")
+@common_options
+def command(
+    source: str,
+    instance: int,
+    two_axis: bool,
+    json_lines: bool,
+    rate_hz: float | None,
+    duration_s: float | None,
+    output: Output,
+) -> int:
+    """Stream the tilt-compensated heading with its uncertainty (1 sigma).
+
+    Magnetic, and true by the World Magnetic Model where the vehicle knows its place. The autopilot's
+    own calibration is in force. A live stream ends with Ctrl-C.
+
+    \b
+    mavcompass heading udpin:0.0.0.0:14550
+    mavcompass heading flight.tlog --json-lines --rate 1
+    """
+    from mavcompass.vehicle.address import Recording, parse_address
+
+    address = parse_address(source)
+    if isinstance(address, Recording):
+        rows = _recorded(source, instance, two_axis)
+    else:
+        rows = _live(source, address, instance, two_axis, rate_hz or 5.0)
+    chosen = _limited(rows, rate_hz, duration_s)
+    kept: list[dict[str, Any]] = []
+    try:
+        for row in chosen:
+            if json_lines:
+                print(to_json(row.document()), flush=not isinstance(address, Recording))
+            elif output.json_file is None or sys.stdout.isatty():
+                output.say(row.text())
+            if output.json_file is not None:
+                kept.append(row.document())
+    except KeyboardInterrupt:
+        pass  # the ordinary end of a live stream
+    output.write_json({"schema": "mavcompass.heading/1", "source": source, "headings": kept})
+    return 0
+
+
+def _limited(rows: Iterator[Row], rate_hz: float | None, duration_s: float | None) -> Iterator[Row]:
+    """Thin rows out to a rate and end them after a duration."""
+    start_s, next_s = None, -math.inf
+    for row in rows:
+        start_s = row.time_s if start_s is None else start_s
+        if duration_s is not None and row.time_s - start_s > duration_s:
+            return
+        if rate_hz is None or row.time_s >= next_s:
+            next_s = max(next_s, row.time_s - 1e-9) + (1.0 / rate_hz if rate_hz else 0.0)
+            yield row
+
+
+def _recorded(source: str, instance: int, two_axis: bool) -> Iterator[Row]:
+    import numpy as np
+
+    from mavcompass.api import read_track
+    from mavcompass.heading.stream import heading_of_track
+
+    found = heading_of_track(read_track(source), None, instance, two_axis=two_axis)
+    nothing = np.full(len(found.time_s), np.nan)
+    true, grid = (nothing if a is None else np.degrees(a) for a in (found.true_rad, found.grid_rad))
+    table = np.stack(
+        [found.time_s, np.degrees(found.magnetic_rad), true, grid, np.degrees(found.sigma_rad)], axis=1
+    )
+    for time_s, magnetic, t, g, sigma in table.tolist():
+        yield Row(time_s, magnetic, None if t != t else t, None if g != g else g, sigma)
+
+
+def _live(source: str, address: Address, instance: int, two_axis: bool, rate_hz: float) -> Iterator[Row]:
+    from mavcompass.vehicle.heading_stream import headings
+    from mavcompass.vehicle.opening import open_link
+
+    if two_axis and instance != 1:
+        raise UsageError("--two-axis works on compass 1 of a live vehicle.", "Leave --compass away.")
+    with open_link(address) as link:
+        for heading in headings(link, source, instance, two_axis=two_axis, rate_hz=max(rate_hz, 10.0)):
+            true, grid = heading.true_rad, heading.grid_rad
+            yield Row(
+                heading.boot_s,
+                math.degrees(heading.magnetic_rad),
+                None if true is None else math.degrees(true),
+                None if grid is None else math.degrees(grid),
+                math.degrees(heading.sigma_rad),
+            )

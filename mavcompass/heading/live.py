@@ -1,0 +1,226 @@
+"""The heading of every compass, message by message: plain numbers, no arrays, a few microseconds each.
+
+With the unit vector d that points down, in body axes, and the field m, also in body axes:
+
+    forward = x - (x d) d,   right = d x forward,   heading = atan2(-m right, m forward)
+
+which is the tilt-compensated heading written without angles: only the horizontal part of m counts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.frames import FloatArray
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+Vector = tuple[float, float, float]
+
+_TWO_PI = 2.0 * math.pi
+_G = STANDARD_GRAVITY_MPS2
+# Where no calibration of this compass is on record, this much is assumed of whatever is in force.
+UNKNOWN_CALIBRATION_SIGMA_RAD = math.radians(5.0)
+# Autopilots average the compass over 100 ms: a turning vehicle's reading is old by about this much.
+_LAG_SIGMA_S = 0.1
+_QUANTUM_SIGMA_MGAUSS = 1.0 / math.sqrt(12.0)
+_LONGEST_STEP_S = 0.5
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+class Level:
+    """Keep which way is down, in body axes, from accelerometer and gyro; and the angle turned about it.
+
+    The gyro carries the direction, the accelerometer corrects it within about half a second while the
+    specific force is near one standard gravity, ten times slower while it is not.
+
+    Attributes:
+        down: unit vector. turned_rad: about the vertical since the start, clockwise positive, bias taken
+            out. rate_radps: of that turn. tilt_sigma_rad: how far accelerometer and gyro disagree.
+    """
+
+    def __init__(self) -> None:
+        self.down: Vector = (0.0, 0.0, 1.0)
+        self.turned_rad = 0.0
+        self.rate_radps = 0.0
+        self.bias_radps = 0.0
+        self.tilt_sigma_rad = math.radians(0.3)
+        self._misfit: Vector = (0.0, 0.0, 0.0)
+        self._time_s = -math.inf
+
+    def restart(self) -> None:
+        """Begin anew after a silence or a reboot: the direction of then says nothing of now."""
+        self._time_s = -math.inf
+
+    def update(self, time_s: float, acc_mps2: Vector, gyro_radps: Vector) -> None:
+        """Take one reading; times are the vehicle's, and one that is not later is passed over."""
+        step_s = time_s - self._time_s
+        if step_s <= 0.0:
+            return
+        self._time_s = time_s
+        ax, ay, az = acc_mps2
+        norm = math.sqrt(ax * ax + ay * ay + az * az)
+        if step_s > _LONGEST_STEP_S:
+            if norm > 1.0:
+                self.down = (-ax / norm, -ay / norm, -az / norm)
+            self.rate_radps = _dot(gyro_radps, self.down) - self.bias_radps
+            return
+        wx, wy, wz = gyro_radps
+        dx, dy, dz = self.down
+        # A direction that stands still in the world turns the other way round in the body.
+        dx, dy, dz = (
+            dx + step_s * (dy * wz - dz * wy),
+            dy + step_s * (dz * wx - dx * wz),
+            dz + step_s * (dx * wy - dy * wx),
+        )
+        if norm > 1.0:
+            at_rest = abs(norm - _G) < 0.1 * _G
+            gain = min(step_s / (0.5 if at_rest else 5.0), 1.0)
+            ex, ey, ez = -ax / norm - dx, -ay / norm - dy, -az / norm - dz
+            dx, dy, dz = dx + gain * ex, dy + gain * ey, dz + gain * ez
+            self._note_misfit((ex, ey, ez), min(step_s / 0.3, 1.0))
+        length = math.sqrt(dx * dx + dy * dy + dz * dz) or 1.0
+        self.down = (dx / length, dy / length, dz / length)
+        raw_rate = _dot(gyro_radps, self.down)
+        if abs(raw_rate) < 0.02:  # standing, or as good as
+            self.bias_radps += min(step_s / 10.0, 1.0) * (raw_rate - self.bias_radps)
+        self.rate_radps = raw_rate - self.bias_radps
+        self.turned_rad += self.rate_radps * step_s
+
+    def _note_misfit(self, misfit: Vector, gain: float) -> None:
+        x, y, z = (m + gain * (e - m) for m, e in zip(self._misfit, misfit, strict=True))
+        self._misfit = (x, y, z)
+        self.tilt_sigma_rad = math.hypot(math.radians(0.3), x, y, z)
+
+    @property
+    def roll_rad(self) -> float:
+        """Return the roll."""
+        return math.atan2(self.down[1], self.down[2])
+
+    @property
+    def pitch_rad(self) -> float:
+        """Return the pitch."""
+        return math.asin(max(-1.0, min(1.0, -self.down[0])))
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """Hold one heading.
+
+    Attributes:
+        time_s: arrival, on the link's clock. boot_s: on the vehicle's.
+        instance: the compass, from 1.
+        magnetic_rad, true_rad: in [0, 2 pi); true is None where the declination is not known.
+        sigma_rad: standard deviation of the magnetic heading.
+        level_mgauss: the field along forward, right and down of the levelled vehicle.
+    """
+
+    time_s: float
+    boot_s: float
+    instance: int
+    magnetic_rad: float
+    true_rad: float | None
+    sigma_rad: float
+    level_mgauss: Vector
+
+    @property
+    def total_mgauss(self) -> float:
+        """Return the length of the field."""
+        return math.hypot(*self.level_mgauss)
+
+    @property
+    def horizontal_mgauss(self) -> float:
+        """Return the length of its horizontal part."""
+        return math.hypot(self.level_mgauss[0], self.level_mgauss[1])
+
+    @property
+    def dip_rad(self) -> float:
+        """Return its angle below the horizon."""
+        return math.atan2(self.level_mgauss[2], self.horizontal_mgauss)
+
+
+class LiveCompass:
+    """Turn one compass's readings into headings with sigma.
+
+    Attributes:
+        calibration_sigma_rad: heading sigma of the calibration in force.
+        world: the Earth's field at the vehicle, None while its place is unknown.
+        latest: the last heading, None before the first.
+    """
+
+    def __init__(self, instance: int) -> None:
+        self.instance = instance
+        self.calibration_sigma_rad = UNKNOWN_CALIBRATION_SIGMA_RAD
+        self.world: EarthField | None = None
+        self.latest: Heading | None = None
+        self._declination_rad: float | None = None
+        self._affine: tuple[Vector, Vector, Vector, Vector] | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget how noisy and how far off the field was: the correction in force has changed."""
+        self._noise_mgauss2 = 0.0
+        self._unexplained_mgauss2: float | None = None
+        self._before: Vector | None = None
+
+    def set_world(self, world: EarthField | None) -> None:
+        """Say what the field should be."""
+        self.world = world
+        self._declination_rad = None if world is None else world.declination_rad
+
+    def set_uncorrected(self, correction: FieldCorrection, rotation: FloatArray) -> None:
+        """Say that this autopilot reports raw readings in sensor axes, and how to make a field of them."""
+        matrix = correction.matrix @ rotation
+        offset = correction.matrix @ correction.offsets_mgauss
+        rows = [(float(r[0]), float(r[1]), float(r[2])) for r in (*matrix, offset)]
+        self._affine = (rows[0], rows[1], rows[2], rows[3])
+
+    def update(self, time_s: float, boot_s: float, reading_mgauss: Vector, level: Level) -> Heading | None:
+        """Take one reading; None where it has no horizontal part to speak of."""
+        m = reading_mgauss
+        if self._affine is not None:
+            rx, ry, rz, offset = self._affine
+            m = (_dot(rx, m) + offset[0], _dot(ry, m) + offset[1], _dot(rz, m) + offset[2])
+        dx, dy, dz = level.down
+        ahead = math.sqrt(dy * dy + dz * dz)  # length of the horizontal part of the body's x axis
+        if ahead < 1e-3:
+            return None
+        # forward = (1 - dx^2, -dx dy, -dx dz) / ahead and right = (0, dz, -dy) / ahead
+        along = m[0] * ahead - dx * (dy * m[1] + dz * m[2]) / ahead
+        across = (dz * m[1] - dy * m[2]) / ahead
+        below = dx * m[0] + dy * m[1] + dz * m[2]
+        horizontal = math.sqrt(along * along + across * across)
+        if horizontal < 1.0:
+            return None
+        magnetic = math.atan2(-across, along) % _TWO_PI
+        true = None if self._declination_rad is None else (magnetic + self._declination_rad) % _TWO_PI
+        sigma = self._sigma_rad(m, horizontal, below, level)
+        self.latest = Heading(time_s, boot_s, self.instance, magnetic, true, sigma, (along, across, below))
+        return self.latest
+
+    def _sigma_rad(self, m: Vector, horizontal: float, below: float, level: Level) -> float:
+        """Combine calibration, noise, tilt, lag, and the part of the field that the world cannot explain."""
+        turning = abs(level.rate_radps)
+        before = self._before
+        if before is None or m != before:  # repeated readings say nothing of the noise
+            if before is not None and turning < 0.03:
+                square = (m[0] - before[0]) ** 2 + (m[1] - before[1]) ** 2
+                self._noise_mgauss2 += 0.05 * (square / 4.0 - self._noise_mgauss2)
+            self._before = m
+        if self.world is not None:
+            # Strength and dip show two of the three components of a disturbance; the third, the one that
+            # turns the heading, is taken to be as large as each of these.
+            dh = horizontal - self.world.horizontal_mgauss
+            dz = below - self.world.ned_mgauss[2]
+            square, before2 = 0.5 * (dh * dh + dz * dz), self._unexplained_mgauss2
+            self._unexplained_mgauss2 = square if before2 is None else before2 + 0.02 * (square - before2)
+        noise = self._noise_mgauss2 + _QUANTUM_SIGMA_MGAUSS**2 + (self._unexplained_mgauss2 or 0.0)
+        tilt = below / horizontal * level.tilt_sigma_rad
+        lag = turning * _LAG_SIGMA_S
+        variance = self.calibration_sigma_rad**2 + noise / (horizontal * horizontal) + tilt * tilt + lag * lag
+        return min(math.sqrt(variance), math.pi)

@@ -1,0 +1,157 @@
+"""The live heading of a vehicle: rates asked for and restored, one heading per fresh message."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from mavcompass import messages as mav
+from mavcompass.earth_field import EarthField, earth_field_of
+from mavcompass.errors import LinkLost, NoReply, Refused
+from mavcompass.heading.live import Level, LiveCompass
+from mavcompass.heading.north import grid_convergence_rad
+from mavcompass.heading.two_axis import TwoAxisCompass
+from mavcompass.procedure.commands import MessageRates
+from mavcompass.procedure.script import Context, Machine, Script, expect
+from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
+from mavcompass.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
+from mavcompass.track_builder import TrackBuilder
+from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.driver import SILENCE_S, run
+from mavcompass.vehicle.link import Link
+
+_KINDS: dict[int, type[mav.Message]] = {1: mav.RawImu, 2: mav.ScaledImu2, 3: mav.ScaledImu3}
+
+
+@dataclass(frozen=True, slots=True)
+class LiveHeading:
+    """Hold one heading, radians; true and grid are None where the vehicle does not know its place."""
+
+    boot_s: float
+    magnetic_rad: float
+    sigma_rad: float
+    true_rad: float | None = None
+    grid_rad: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """Hold what the stream begins with."""
+
+    identity: VehicleIdentity
+    rates: MessageRates
+    parameters: dict[str, float]
+    world: EarthField | None
+    convergence_rad: float
+
+
+def headings(
+    link: Link, source: str, instance: int = 1, *, two_axis: bool = False, rate_hz: float = 10.0
+) -> Iterator[LiveHeading]:
+    """Yield the heading of one compass for as long as the vehicle speaks; close it to restore the rates.
+
+    Raises NoVehicle, LinkLost, and Refused for a compass that the vehicle does not have or a two-axis
+    heading where the place is unknown.
+    """
+    start = run(Machine(lambda context: _begin(context, source, instance, rate_hz)), link)
+    try:
+        if two_axis and start.world is None:
+            raise Refused(
+                "A two-axis heading needs the Earth's field, and the vehicle does not know its place.",
+                "Wait for its GPS, or use all three axes.",
+            )
+        yield from _stream(link, source, start, instance, two_axis)
+    finally:
+        _restore(link, start)
+
+
+def _begin(context: Context, source: str, instance: int, rate_hz: float) -> Script[_Start]:
+    identity = yield from find_vehicle(context)
+    dialect = make_dialect(identity.autopilot, source)
+    parameters = yield from dialect.compass_parameters(context)
+    if instance not in dialect.instances(parameters):
+        raise Refused(f"The vehicle has no compass {instance}.", "Choose with --compass.")
+    builder = TrackBuilder(identity.autopilot, identity.kind)
+    context.listeners.append(builder.add)
+    rates = MessageRates()
+    first = mav.ScaledImu if identity.autopilot == "px4" else mav.RawImu
+    wanted: dict[type[mav.Message], float] = {first: rate_hz, mav.GlobalPositionInt: 2.0, mav.SystemTime: 1.0}
+    if instance > 1:
+        wanted[_KINDS[instance]] = rate_hz
+    yield from rates.ask(context, wanted)
+    place = yield from expect(context, mav.GlobalPositionInt, timeout_s=2.0)
+    if place is not None:
+        yield from expect(context, mav.SystemTime, timeout_s=1.5)
+    world = earth_field_of(builder.build())
+    convergence = grid_convergence_rad(place.lat * 1e-7, place.lon * 1e-7) if place is not None else math.nan
+    return _Start(identity, rates, parameters, world, convergence)
+
+
+def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: bool) -> Iterator[LiveHeading]:
+    compass, level = LiveCompass(instance), Level()
+    compass.set_world(start.world)
+    if start.identity.autopilot == "px4":
+        dialect = make_dialect("px4", source)
+        from mavcompass.compass_parameters import px4_rotation
+
+        correction = dialect.correction(start.parameters, instance)
+        compass.set_uncorrected(correction, px4_rotation(start.parameters, instance))
+    flat = (
+        TwoAxisCompass(start.world.total_mgauss, start.world.inclination_rad)
+        if two_axis and start.world is not None
+        else None
+    )
+    kinds = (_KINDS[instance],) if instance > 1 else (mav.RawImu, mav.ScaledImu)
+    chosen: type[mav.Message] | None = None
+    heard_s = link.now()
+    while True:
+        heard = link.receive(0.5)
+        if heard is None or heard.system != start.identity.system:
+            if link.now() - heard_s > SILENCE_S:
+                raise LinkLost("The vehicle fell silent.", "Bring the link back and run again.")
+            continue
+        heard_s = heard.time_s
+        message = heard.message
+        if type(message) in (mav.RawImu, mav.ScaledImu):
+            level.update(
+                float(imu_time_s(message)),
+                _three(acceleration_mps2(message)),
+                _three(angular_rate_radps(message)),
+            )
+        if type(message) not in kinds or chosen not in (None, type(message)):
+            continue
+        chosen = type(message)  # RAW_IMU and SCALED_IMU both carry compass 1: one of them is enough
+        boot_s = float(imu_time_s(message))
+        found = compass.update(heard.time_s, boot_s, _three(field_mgauss(message)), level)
+        if found is None:
+            continue
+        magnetic = found.magnetic_rad
+        if flat is not None:
+            x, y, _ = _three(field_mgauss(message))
+            magnetic = flat.update(x, y, level.roll_rad, level.pitch_rad)
+        yield _heading(boot_s, magnetic, found.sigma_rad, start)
+
+
+def _heading(boot_s: float, magnetic: float, sigma: float, start: _Start) -> LiveHeading:
+    if start.world is None:
+        return LiveHeading(boot_s, magnetic, sigma)
+    true = (magnetic + start.world.declination_rad) % (2.0 * math.pi)
+    grid = (true - start.convergence_rad) % (2.0 * math.pi)
+    return LiveHeading(boot_s, magnetic, math.hypot(sigma, start.world.declination_sigma_rad), true, grid)
+
+
+def _three(vector: object) -> tuple[float, float, float]:
+    x, y, z = vector.tolist()  # type: ignore[attr-defined]
+    return (x, y, z)
+
+
+def _restore(link: Link, start: _Start) -> None:
+    def script(context: Context) -> Script[None]:
+        context.system, context.component = start.identity.system, start.identity.component
+        yield from start.rates.restore(context)
+
+    try:
+        run(Machine(script), link)
+    except (LinkLost, NoReply):
+        pass  # who is gone keeps nothing
