@@ -36,21 +36,31 @@ class BootClock:
         first_order: (segments,) the place in the file where each power-up begins; the first is 0.
         shift_s: (segments,) time_s minus time since boot.
         start_s: (segments,) the first time_s of each.
-        glitches: places in the file of messages with an impossible time.
+        log_jumps: how often the logging clock stepped against the vehicle's.
     """
 
     first_order: OrderArray
     shift_s: FloatArray
     start_s: FloatArray
-    glitches: OrderArray
+    log_jumps: int
     _order: OrderArray
     _time_s: FloatArray
     _log_s: FloatArray
-    log_jumps: int = 0
 
     def segment(self, order: OrderArray) -> NDArray[np.intp]:
         """Tell the power-up that messages belong to, by their places in the file."""
         return np.asarray(np.searchsorted(self.first_order, order, side="right") - 1)
+
+    def fits(self, time_s: FloatArray) -> bool:
+        """Tell whether times in the file's order agree with this clock as they are.
+
+        That is so in a recording without restarts, if they go forward and stay inside it.
+        """
+        if self.shift_s.size > 1 or not time_s.size:
+            return False
+        goes_forward = bool((np.diff(time_s) > -_LATEST_S).all())
+        low, high = self._time_s[0] - _JUMP_S, self._time_s[-1] + _JUMP_S
+        return goes_forward and bool(low < time_s[0]) and bool(time_s.max() < high)
 
     def from_boot(self, order: OrderArray, boot_s: FloatArray) -> FloatArray:
         """Place messages by the time since boot that they carry."""
@@ -89,43 +99,37 @@ def build_clock(order: OrderArray, log_s: FloatArray, boot_s: FloatArray) -> Boo
 
     `order` is their place in the file; they need not be sorted.
     """
-    sort = np.argsort(order, kind="stable")
-    order, log_s, boot_s = order[sort], log_s[sort], boot_s[sort]
-    wrong, glitch = _glitches(log_s, boot_s)
-    glitches = order[glitch]
+    if bool((np.diff(order.astype(np.int64)) < 0).any()):
+        sort = np.argsort(order, kind="stable")
+        order, log_s, boot_s = order[sort], log_s[sort], boot_s[sort]
+    wrong, _ = _glitches(log_s, boot_s)
     if bool(wrong.any()) and not bool(wrong.all()):
         order, log_s, boot_s = order[~wrong], log_s[~wrong], boot_s[~wrong]
     edges = _restarts(boot_s)
     time_s, shifts = _go_on(edges, log_s, boot_s)
-    starts = np.array([float(time_s[first]) for first in edges])
-    jumps = np.count_nonzero(np.abs(np.diff(log_s - time_s)) > _JUMP_S)
     first_order = order[edges].copy()
     first_order[0] = 0
     return BootClock(
         first_order=first_order,
         shift_s=shifts,
-        start_s=starts,
-        glitches=glitches,
+        start_s=np.array([float(time_s[first]) for first in edges]),
+        log_jumps=int(np.count_nonzero(np.abs(np.diff(log_s - time_s)) > _JUMP_S)),
         _order=order,
         _time_s=time_s,
         _log_s=log_s,
-        log_jumps=int(jumps),
     )
 
 
-def impossible_times(order: OrderArray, boot_s: FloatArray) -> NDArray[np.bool_]:
-    """Find records whose own time leaps away from their neighbours' in the file and returns at once."""
-    sort = np.argsort(order, kind="stable")
-    wrong = np.zeros(order.size, dtype=bool)
-    wrong[sort] = _glitches(np.zeros(order.size), boot_s[sort])[1]
-    return wrong
+def impossible_times(boot_s: FloatArray) -> NDArray[np.intp]:
+    """Find, among times in the file's order, those that leap away from their neighbours and back."""
+    return np.flatnonzero(_glitches(None, boot_s)[1])
 
 
-def _glitches(log_s: FloatArray, boot_s: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _glitches(log_s: FloatArray | None, boot_s: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Find short outbreaks of either clock: which messages to leave out, and which have a wrong boot time."""
-    wrong = np.zeros(log_s.size, dtype=bool)
+    wrong = np.zeros(boot_s.size, dtype=bool)
     boot_wrong = wrong.copy()
-    offset = log_s - boot_s
+    offset = boot_s if log_s is None else log_s - boot_s
     steps = np.flatnonzero(np.abs(np.diff(offset)) > _JUMP_S)
     position = 0
     while position < steps.size - 1:

@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from mavcompass.compass_parameters import ardupilot_name
 from mavcompass.errors import BadRecording
-from mavcompass.frames import FloatArray
-from mavcompass.logs.boot_clock import BootClock, build_clock, impossible_times
-from mavcompass.logs.dataflash_columns import columns
+from mavcompass.logs.boot_clock import BootClock
+from mavcompass.logs.dataflash_columns import columns, take
 from mavcompass.logs.dataflash_parameters import parameters_seen
-from mavcompass.logs.dataflash_records import DataFlashContents, Log, Records, read_records
+from mavcompass.logs.dataflash_records import DataFlashContents, Log, read_records
 from mavcompass.logs.dataflash_text import read_text_records
-from mavcompass.logs.dataflash_time import boot_time_s, gps_unix_offset_s
+from mavcompass.logs.dataflash_time import clock_of, leave_out_impossible_times
 from mavcompass.logs.parameter_steps import Change, ardupilot_steps, changes
-from mavcompass.track import MagSeries, Series, Track
+from mavcompass.track import MagSeries, Track
 
 _TIME = ("TimeUS", "TimeMS")
 _MAG = (*_TIME, "I", "MagX", "MagY", "MagZ", "OfsX", "OfsY", "OfsZ")
@@ -68,7 +65,8 @@ def read_dataflash(path: Path, *, text: bool = False) -> Track:
             "Set LOG_BITMASK to include the compass, check that COMPASS_ENABLE is 1, and record again.",
         )
     notes = _notes_about_the_file(contents)
-    clock, glitches = _clock(logs)
+    glitches = leave_out_impossible_times(logs)
+    clock = clock_of(logs)
     if glitches:
         notes.append(f"Left out {glitches} records with an impossible time.")
     if clock.shift_s.size > 1:
@@ -110,86 +108,36 @@ def read_parameters(path: Path) -> tuple[tuple[Change, ...], float | None]:
     contents = read_records(path, {name: WANTED[name] for name in _OF_PARAMETERS})
     if not contents.counts:
         raise BadRecording(f"{path} holds no DataFlash record.", "Give the .bin as it comes from the card.")
-    clock, _ = _clock(contents.logs)
+    clock = clock_of(contents.logs)
     return changes(parameters_seen(contents.logs, clock), clock.start_s.tolist()), clock.utc_offset_s()
 
 
 _OF_PARAMETERS = ("PARM", "GPS", "MAG", "MAG2", "MAG3")
 
 
-def _clock(logs: Sequence[Log]) -> tuple[BootClock, int]:
-    """Build the clock from every wanted record that carries a time; drop those with an impossible one."""
-    orders: list[np.ndarray[tuple[int], np.dtype[np.uint32]]] = []
-    boots: list[FloatArray] = []
-    units: list[FloatArray] = []
-    glitches = 0
-    for log in logs:
-        timed = {name: boot_time_s(name, records) for name, records in log.records.items()}
-        known = {name: time_s for name, time_s in timed.items() if time_s is not None}
-        if not known:
-            continue
-        order = np.concatenate([log.records[name].order for name in known])
-        wrong = order[impossible_times(order, np.concatenate(list(known.values())))]
-        glitches += wrong.size
-        if wrong.size:
-            for name in known:
-                log.records[name] = log.records[name].select(~np.isin(log.records[name].order, wrong))
-        offset_s = gps_unix_offset_s(log.records.get("GPS"))
-        for name in known:
-            time_s = boot_time_s(name, log.records[name])
-            assert time_s is not None
-            orders.append(log.records[name].order)
-            boots.append(time_s)
-            units.append(time_s + (offset_s or 0.0))
-    if not orders:
-        return build_clock(np.zeros(1, np.uint32), np.zeros(1), np.zeros(1)), glitches
-    return build_clock(np.concatenate(orders), np.concatenate(units), np.concatenate(boots)), glitches
-
-
 def _compasses(logs: Sequence[Log], clock: BootClock, history: Sequence[Change]) -> dict[int, MagSeries]:
-    found: dict[int, list[tuple[FloatArray, FloatArray, bool]]] = {}
-    for log in logs:
-        for name, base in (("MAG", 1), ("MAG2", 2), ("MAG3", 3)):
-            records = log.records.pop(name, None)
-            if records is None:
-                continue
-            for instance, some in _by_instance(records, base):
-                time_s = clock.from_boot(some.order, _time(name, some))
-                field = np.stack([some.quantity(f"Mag{axis}") for axis in "XYZ"]).T
-                whole = some.fields["MagX"].character not in "fd"
-                found.setdefault(instance, []).append((time_s, field, whole))
+    """Build all compasses: MAG's instances count from 0, MAG2 of old firmware is the second."""
     out: dict[int, MagSeries] = {}
-    for instance, parts in sorted(found.items()):
-        reported = _ordered(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]))
-        if not bool(reported.values.any()):
-            continue
-        steps, known = ardupilot_steps(history, instance)
-        device_id = next(
-            (int(c.value) for c in reversed(history) if c.name == ardupilot_name("DEV_ID", instance)), None
-        )
-        whole = all(p[2] for p in parts)
-        out[instance] = MagSeries(instance, reported, steps, known, 1.0 if whole else 0.0, whole, device_id)
-    return out
-
-
-def _time(name: str, records: Records) -> FloatArray:
-    time_s = boot_time_s(name, records)
-    return np.full(len(records), np.nan) if time_s is None else time_s
-
-
-def _ordered(time_s: FloatArray, values: FloatArray) -> Series:
-    if bool((np.diff(time_s) < 0.0).any()):
-        order = np.argsort(time_s, kind="stable")
-        time_s, values = time_s[order], values[order]
-    return Series.of(time_s, values)
-
-
-def _by_instance(records: Records, base: int) -> list[tuple[int, Records]]:
-    """Tell the compasses in one kind of record apart: the field I counts from 0, MAG2 is the second."""
-    if "I" not in records:
-        return [(base, records)]
-    numbers = records.rows["I"]
-    return [(base + int(n), records.select(numbers == n)) for n in np.unique(numbers)]
+    for name, base in (("MAG", 1), ("MAG2", 2), ("MAG3", 3)):
+        for number, placed in take(logs, clock, name).items():
+            instance = base + number
+            reported = placed.series("MagX", "MagY", "MagZ")
+            if reported is None or not bool(reported.values.any()) or instance in out:
+                continue
+            steps, known = ardupilot_steps(history, instance)
+            names = ardupilot_name("DEV_ID", instance)
+            ids = [int(change.value) for change in history if change.name == names]
+            whole = placed.whole_numbers("MagX")
+            out[instance] = MagSeries(
+                instance=instance,
+                reported=reported,
+                in_force=steps,
+                correction_known=known,
+                quantum_mgauss=1.0 if whole else 0.0,
+                truncated=whole,
+                device_id=ids[-1] if ids else None,
+            )
+    return dict(sorted(out.items()))
 
 
 def _vehicle(logs: Sequence[Log], frame_class: float | None) -> str:

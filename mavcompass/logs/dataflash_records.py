@@ -27,6 +27,7 @@ from mavcompass.logs.dataflash_formats import (
     Units,
     parse_fmt,
 )
+from mavcompass.logs.growing import GrowingArray
 from mavcompass.logs.intervals import not_overlapping, windows
 
 _LONGEST_RECORD = 255 + HEADER_BYTES
@@ -148,7 +149,7 @@ class _LogReader:
         self._formats: dict[int, Format] = {}
         self._lengths = np.zeros(256, dtype=np.intp)
         self._lengths[FMT_TYPE] = FMT_BYTES
-        self._parts: dict[int, list[tuple[Any, NDArray[np.uint32]]]] = {}
+        self._growing: dict[int, tuple[GrowingArray, GrowingArray]] = {}
         self._counts = np.zeros(256, dtype=np.int64)
 
     def read(self, path: Path, start: int, end: int, chunk_bytes: int) -> None:
@@ -209,7 +210,11 @@ class _LogReader:
             if which.size:
                 raw = windows(chunk.data, found.start[which] + HEADER_BYTES, some.record.itemsize)
                 order = (which + self.records).astype(np.uint32)
-                self._parts.setdefault(number, []).append((self._narrow(raw, some), order))
+                rows = self._narrow(raw, some)
+                if number not in self._growing:
+                    self._growing[number] = (GrowingArray(rows.dtype), GrowingArray(order.dtype))
+                self._growing[number][0].append(rows)
+                self._growing[number][1].append(order)
         self.records += found.start.size
 
     def _narrow(self, raw: NDArray[np.uint8], some: Format) -> Any:
@@ -235,28 +240,22 @@ class _LogReader:
 
     def _finish(self) -> None:
         tables = {
-            self._formats[number].name: (self._formats[number], parts)
-            for number, parts in self._parts.items()
+            self._formats[number].name: (self._formats[number], rows.finish(), order.finish())
+            for number, (rows, order) in self._growing.items()
         }
-        units = _units({name: _join(parts)[0] for name, (_, parts) in tables.items() if name in _UNIT_TABLES})
+        units = _units({name: table[1] for name, table in tables.items() if name in _UNIT_TABLES})
         log = Log(last_order=self.records)
-        for name, (some, parts) in tables.items():
+        for name, (some, rows, order) in tables.items():
             if name not in _UNIT_TABLES:
-                rows, order = _join(parts)
-                parts.clear()
                 log.records[name] = Records(rows, order, units.fields(some))
+        counts = self._contents.counts
         for number, some in self._formats.items():
             if self._counts[number]:
-                counts = self._contents.counts
                 counts[some.name] = counts.get(some.name, 0) + int(self._counts[number])
         self._contents.logs.append(log)
 
 
 _UNIT_TABLES = ("UNIT", "MULT", "FMTU")
-
-
-def _join(parts: list[tuple[Any, NDArray[np.uint32]]]) -> tuple[Any, NDArray[np.uint32]]:
-    return np.concatenate([rows for rows, _ in parts]), np.concatenate([order for _, order in parts])
 
 
 def _units(tables: Mapping[str, Any]) -> Units:

@@ -131,6 +131,11 @@ def _end_aligned(data: ByteArray, ends: IntArray, lengths: IntArray) -> NDArray[
 
 def _unknown_between(unknown: Frames, good: Frames, chunk: Chunk, covered: int) -> Frames:
     """Keep the unknown frames that follow on a good one (or one another) and are followed by one."""
+    # Most candidates are chance bytes in payloads: they begin where no other frame ends.
+    follows = np.isin(unknown.start - TIMESTAMP_BYTES, np.concatenate([good.end, unknown.end, [covered]]))
+    unknown = unknown.select(follows)
+    if not len(unknown):
+        return unknown
     opens = {covered, *good.end.tolist()}
     closes = {chunk.size, *(good.start - TIMESTAMP_BYTES).tolist()}
     begins = (unknown.start - TIMESTAMP_BYTES).tolist()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -12,44 +11,29 @@ from mavcompass.compass_parameters import ardupilot_name, px4_name, px4_rotation
 from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
 from mavcompass.logs.parameter_steps import Change, ardupilot_steps, px4_steps
+from mavcompass.logs.tlog_time import Samples
 from mavcompass.track import InForce, MagSeries, Series
 from mavcompass.units import MGAUSS_PER_GAUSS
 
+HIGHRES = "HIGHRES_IMU"
 # ArduPilot sent HIGHRES_IMU's field a million times too large until 2026; Earth's is below one gauss.
 _NO_FIELD_GAUSS = 1000.0
 _ARDUPILOT_HIGHRES_PER_MGAUSS = 1000.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Samples:
-    """Hold one message's samples in order of time: `rows` is a record array with its field names."""
-
-    name: str
-    time_s: FloatArray
-    rows: object
-
-    def __len__(self) -> int:
-        """Count the samples."""
-        return int(self.time_s.size)
-
-
-def spokesmen(samples: Mapping[str, Samples], autopilot: str, rotation_known: bool) -> dict[int, Samples]:
-    """Choose the message for each compass, by instance.
+def spokesmen(count: Callable[[str], int], autopilot: str, rotation_known: bool) -> dict[int, str]:
+    """Choose the message for each compass, by instance; `count` tells how many messages of a name there are.
 
     Compass 1 speaks in up to three messages. Of RAW_IMU and SCALED_IMU the denser is taken. HIGHRES_IMU
     steps in where it is more than twice as dense, and on PX4 where SCALED_IMU's axes are not known.
     """
-    chosen: dict[int, Samples] = {}
+    chosen: dict[int, str] = {}
     for name, instance in telemetry.MAG_MESSAGES.items():
-        found = samples.get(name)
-        if found is not None and len(found) > len(chosen.get(instance, ())):
-            chosen[instance] = found
-    highres = samples.get("HIGHRES_IMU")
-    if highres is not None:
-        rival = chosen.get(1)
-        blind = autopilot == "px4" and not rotation_known
-        if rival is None or blind or len(highres) > 2 * len(rival):
-            chosen[1] = highres
+        if count(name) > (count(chosen[instance]) if instance in chosen else 0):
+            chosen[instance] = name
+    blind = autopilot == "px4" and not rotation_known
+    if count(HIGHRES) and (1 not in chosen or blind or count(HIGHRES) > 2 * count(chosen[1])):
+        chosen[1] = HIGHRES
     return dict(sorted(chosen.items()))
 
 
@@ -62,7 +46,7 @@ def compass_of(
 ) -> tuple[MagSeries, tuple[str, ...]]:
     """Build one compass's readings with the corrections inside them, and notes on what was supposed."""
     notes: list[str] = []
-    highres = samples.name == "HIGHRES_IMU"
+    highres = samples.name == HIGHRES
     reported = _highres_mgauss(samples.rows, autopilot) if highres else telemetry.field_mgauss(samples.rows)
     steps: tuple[InForce, ...] = (InForce(-np.inf, IDENTITY),)
     known = True

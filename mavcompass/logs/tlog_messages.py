@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.logs.chunks import CHUNK_BYTES, Chunk, read_chunks
+from mavcompass.logs.growing import GrowingArray
 from mavcompass.logs.intervals import windows
 from mavcompass.logs.mavlink_frames import (
     LONGEST_RECORD,
@@ -122,7 +123,7 @@ class _Gather:
 
     def __init__(self, wanted: list[tuple[Layout, tuple[str, ...]]]) -> None:
         self._wanted = wanted
-        self._parts: dict[tuple[Sender, str], list[Messages]] = {}
+        self._growing: dict[tuple[Sender, str], tuple[GrowingArray, GrowingArray, GrowingArray]] = {}
 
     def add(self, chunk: Chunk, frames: Frames, frames_before: int) -> None:
         for message, names in self._wanted:
@@ -135,27 +136,28 @@ class _Gather:
                 order=(which + frames_before).astype(np.uint32),
                 log_time_us=_time_stamps(chunk, some),
             )
-            self._split_by_sender(message.name, found, some)
+            address = some.system.astype(np.int32) << 8 | some.component
+            first = int(address[0])
+            if bool((address == first).all()):
+                self._append(first, message.name, found)
+            else:
+                for sender in np.unique(address).tolist():
+                    self._append(sender, message.name, found.select(address == sender))
 
-    def _split_by_sender(self, name: str, found: Messages, frames: Frames) -> None:
-        address = frames.system.astype(np.int32) << 8 | frames.component
-        first = int(address[0])
-        if bool((address == first).all()):
-            self._parts.setdefault(((first >> 8, first & 0xFF), name), []).append(found)
-            return
-        for sender in np.unique(address).tolist():
-            part = found.select(address == sender)
-            self._parts.setdefault(((sender >> 8, sender & 0xFF), name), []).append(part)
+    def _append(self, address: int, name: str, found: Messages) -> None:
+        key = ((address >> 8, address & 0xFF), name)
+        columns = (found.rows, found.order, found.log_time_us)
+        if key not in self._growing:
+            rows, order, log_time_us = (GrowingArray(column.dtype) for column in columns)
+            self._growing[key] = (rows, order, log_time_us)
+        for growing, column in zip(self._growing[key], columns, strict=True):
+            growing.append(column)
 
     def senders(self) -> dict[Sender, dict[str, Messages]]:
         out: dict[Sender, dict[str, Messages]] = {}
-        while self._parts:
-            (sender, name), parts = self._parts.popitem()
-            out.setdefault(sender, {})[name] = Messages(
-                rows=np.concatenate([part.rows for part in parts]).view(np.recarray),
-                order=np.concatenate([part.order for part in parts]),
-                log_time_us=np.concatenate([part.log_time_us for part in parts]),
-            )
+        for (sender, name), growing in self._growing.items():
+            rows, order, log_time_us = (column.finish() for column in growing)
+            out.setdefault(sender, {})[name] = Messages(rows.view(np.recarray), order, log_time_us)
         return dict(sorted(out.items()))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,13 +11,13 @@ from mavcompass import telemetry
 from mavcompass.compass_parameters import px4_name
 from mavcompass.logs.boot_clock import BootClock
 from mavcompass.logs.mavlink_kinds import AUTOPILOTS, VEHICLES
-from mavcompass.logs.parameter_steps import changes
+from mavcompass.logs.parameter_steps import Change, changes
 from mavcompass.logs.tlog_columns import body_columns, columns
-from mavcompass.logs.tlog_compass import compass_of, spokesmen
+from mavcompass.logs.tlog_compass import HIGHRES, compass_of, spokesmen
 from mavcompass.logs.tlog_messages import Messages
 from mavcompass.logs.tlog_parameters import parameters_seen
-from mavcompass.logs.tlog_time import clock_of, place_messages
-from mavcompass.track import MagSeries, Track
+from mavcompass.logs.tlog_time import Placer, clock_of
+from mavcompass.track import MagSeries, Series, Track
 
 _MILLI = 0.001
 
@@ -26,29 +27,12 @@ def track_of(messages: dict[str, Messages], source: str, notes: tuple[str, ...])
     autopilot, vehicle = _identity(messages.pop("HEARTBEAT", None))
     clock = clock_of(messages)
     utc_offset_s = _utc_offset(messages.get("SYSTEM_TIME"), clock)
-    all_notes = [*notes, *_notes_about_time(clock)]
     history = changes(parameters_seen(messages, clock, autopilot), clock.start_s.tolist())
     parameters = {change.name: change.value for change in history}
-    samples, repeats = place_messages(messages, clock)
-    if repeats:
-        all_notes.append(f"Left out {repeats} messages that were recorded twice.")
-
-    compasses: dict[int, MagSeries] = {}
-    rotation_known = px4_name("ROT", 1) in parameters
-    chosen = spokesmen(samples, autopilot, rotation_known)
-    for instance, spokesman in chosen.items():
-        compass, more = compass_of(instance, spokesman, autopilot, history, parameters)
-        if not bool(compass.reported.values.any()):
-            all_notes.append(f"{spokesman.name} carries no magnetic field: there is no compass {instance}.")
-            continue
-        compasses[instance] = compass
-        all_notes += more
-        if not compass.correction_known:
-            all_notes.append(_unknown_correction(instance, autopilot))
-    body = chosen.get(1) or next(iter(chosen.values()), None)
-    for name in telemetry.MAG_MESSAGES:
-        if body is None or name != body.name:
-            samples.pop(name, None)
+    placer = Placer(messages, clock)
+    compasses, body, notes_about_compasses = _compasses(placer, autopilot, history, parameters)
+    # The first compass's own thermometer is nearer to it than the barometer's.
+    measured = columns(placer, parameters) | body
     return Track(
         source=source,
         autopilot=autopilot,
@@ -56,10 +40,35 @@ def track_of(messages: dict[str, Messages], source: str, notes: tuple[str, ...])
         compasses=compasses,
         utc_offset_s=utc_offset_s,
         parameters=parameters,
-        notes=tuple(all_notes),
-        **body_columns(body),
-        **columns(samples, parameters),
+        notes=(*notes, *_notes_about_time(clock, placer), *notes_about_compasses),
+        **measured,
     )
+
+
+def _compasses(
+    placer: Placer, autopilot: str, history: Sequence[Change], parameters: Mapping[str, float]
+) -> tuple[dict[int, MagSeries], dict[str, Series], list[str]]:
+    """Build all compasses, and what the first one's message tells of the body; and notes."""
+    chosen = spokesmen(placer.count, autopilot, px4_name("ROT", 1) in parameters)
+    for name in {*telemetry.MAG_MESSAGES, HIGHRES} - set(chosen.values()):
+        placer.drop(name)
+    compasses: dict[int, MagSeries] = {}
+    body: dict[str, Series] = {}
+    notes: list[str] = []
+    for instance, name in chosen.items():
+        samples = placer.take(name)
+        if samples is None:
+            continue
+        body = body or body_columns(samples)
+        compass, more = compass_of(instance, samples, autopilot, history, parameters)
+        if not bool(compass.reported.values.any()):
+            notes.append(f"{name} carries no magnetic field: there is no compass {instance}.")
+            continue
+        compasses[instance] = compass
+        notes += more
+        if not compass.correction_known:
+            notes.append(_unknown_correction(instance, autopilot))
+    return compasses, body, notes
 
 
 def _identity(heartbeats: Messages | None) -> tuple[str, str]:
@@ -80,7 +89,7 @@ def _unknown_correction(instance: int, autopilot: str) -> str:
     )
 
 
-def _notes_about_time(clock: BootClock) -> list[str]:
+def _notes_about_time(clock: BootClock, placer: Placer) -> list[str]:
     notes = []
     restarts = clock.shift_s.size - 1
     if restarts:
@@ -88,8 +97,10 @@ def _notes_about_time(clock: BootClock) -> list[str]:
         notes.append(
             f"The autopilot was started {restarts + 1} times; time_s goes on across the restarts (at {at} s)."
         )
-    if clock.glitches.size:
-        notes.append(f"Left out {clock.glitches.size} messages with an impossible time.")
+    if placer.misplaced:
+        notes.append(f"{placer.misplaced} messages carry an impossible time; they were placed by arrival.")
+    if placer.repeats:
+        notes.append(f"Left out {placer.repeats} messages that were recorded twice.")
     if clock.log_jumps:
         notes.append(f"The logging clock jumped {clock.log_jumps} times; the vehicle's own was followed.")
     return notes

@@ -165,11 +165,12 @@ def test_the_ground_stations_clock_may_jump(tmp_path: Path) -> None:
     assert any("clock jumped" in note for note in track.notes)
 
 
-def test_one_message_with_an_impossible_time_is_left_out(tmp_path: Path) -> None:
+def test_one_message_with_an_impossible_time_is_placed_by_its_arrival(tmp_path: Path) -> None:
     recording = Recording().fly(5.0)
     recording.add(5.0, attitude(9e5)).fly(5.0, boot_s=25.0, log_s=5.0)
     track = read_track(recording.write(tmp_path / "a.tlog"))
-    assert track.attitude_rad is not None and len(track.attitude_rad) == 100
+    assert track.attitude_rad is not None and len(track.attitude_rad) == 101
+    assert track.attitude_rad.time_s[50] == pytest.approx(24.9, abs=0.1)
     assert track.attitude_rad.time_s[-1] == pytest.approx(29.9)
     assert any("impossible time" in note for note in track.notes)
 
