@@ -10,12 +10,14 @@ rotation: the offset has the other sign, the other unit and the other frame.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from mavcompass.correction import FieldCorrection, MotorSource, Vector
 from mavcompass.frames import FloatArray, sensor_orientation_matrix
+from mavcompass.track import InForce, Track
 from mavcompass.units import MGAUSS_PER_GAUSS
 
 ArduPilotNaming = Literal["COMPASS_OFS2_X", "COMPASS2_OFS_X"]
@@ -169,3 +171,17 @@ def px4_values(
         px4_name("ZODIAG", instance): float(scale[1, 2]),
     }
     return values
+
+
+def with_parameters_in_force(track: Track, parameters: Mapping[str, float]) -> Track:
+    """Say which ArduPilot parameters were in force during a recording that does not tell them itself."""
+    known = {**track.parameters, **parameters}
+    compasses = {
+        instance: replace(
+            compass,
+            in_force=(InForce(-np.inf, ardupilot_correction(known, instance)),),
+            correction_known=True,
+        )
+        for instance, compass in track.compasses.items()
+    }
+    return replace(track, compasses=compasses, parameters=known)

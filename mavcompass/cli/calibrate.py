@@ -16,6 +16,7 @@ from mavcompass.errors import BadRecording, UsageError
 if TYPE_CHECKING:
     from mavcompass.calibration.result import CalibrationResult
     from mavcompass.procedure.calibrate import CalibrationReport
+    from mavcompass.track import Track
     from mavcompass.vehicle.address import Address
     from mavcompass.vehicle.link import Link
 
@@ -81,6 +82,12 @@ def _instances(context: click.Context, parameter: click.Parameter, value: str) -
     metavar="NAME[:p=v,..]",
     help="An effect for sim:... (see gap catalogue).",
 )
+@click.option(
+    "--in-force",
+    "in_force_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Parameters that were in force, for a recording without them.",
+)
 @click.option("--params-out", type=click.Path(dir_okay=False, path_type=Path), help=".param, .parm, .params")
 @click.option("--report", "report_file", type=click.Path(dir_okay=False, path_type=Path), help="HTML report.")
 @common_options
@@ -97,6 +104,7 @@ def command(
     max_error_deg: float,
     system: int | None,
     effects: tuple[str, ...],
+    in_force_file: Path | None,
     params_out: Path | None,
     report_file: Path | None,
     output: Output,
@@ -121,7 +129,11 @@ def command(
         parameter_form(params_out)  # a wrong suffix is told before the vehicle moves
     address = parse_address(source)
     if isinstance(address, Recording):
-        return _recording(source, method, instances, max_error_deg, params_out, report_file, output)
+        return _recording(
+            source, method, instances, max_error_deg, in_force_file, params_out, report_file, output
+        )
+    if in_force_file is not None:
+        raise UsageError("--in-force is for recordings.", "A live vehicle tells its parameters itself.")
     if not yes and not dry_run and not sys.stdin.isatty():
         raise UsageError(
             "Nobody can be asked whether to write: standard input is not a terminal.",
@@ -161,6 +173,7 @@ def _recording(
     method: str,
     instances: tuple[int, ...],
     max_error_deg: float,
+    in_force_file: Path | None,
     params_out: Path | None,
     report_file: Path | None,
     output: Output,
@@ -169,6 +182,11 @@ def _recording(
     from mavcompass.report.document import recording_document
 
     track = api.read_track(source)
+    if in_force_file is not None:
+        from mavcompass.compass_parameters import with_parameters_in_force
+        from mavcompass.vehicle.parameter_files import read_parameter_file
+
+        track = with_parameters_in_force(track, read_parameter_file(in_force_file))
     missing = [i for i in instances if i not in track.compasses]
     if missing:
         raise BadRecording(
@@ -186,6 +204,7 @@ def _recording(
     output.write_json(document)
     accepted = all(result.accepted for result in results)
     if accepted and params_out is not None:
+        _require_known_correction(track, [result.instance for result in results])
         _write_params(params_out, document, source, output)
     if report_file is not None:
         from mavcompass.report.calibration import write_recording_report
@@ -193,6 +212,20 @@ def _recording(
         write_recording_report(track, results, report_file)
         output.say(f"Report: {report_file}")
     return 0 if accepted else NOT_ACCEPTED
+
+
+def _require_known_correction(track: Track, instances: Sequence[int]) -> None:
+    """Refuse to write parameters that would be relative to unknown ones.
+
+    Only ArduPilot reports corrected fields; what PX4 and bare sensors record is raw.
+    """
+    unknown = [i for i in instances if not track.compasses[i].correction_known]
+    if unknown and track.autopilot == "ardupilot":
+        raise BadRecording(
+            f"The recording does not tell which parameters were in force for compass {unknown[0]}, and"
+            " ArduPilot's readings have them inside: the new values would be wrong by the old ones.",
+            "Save the vehicle's parameters of that day to a file and give it with --in-force FILE.",
+        )
 
 
 # --- a live vehicle ------------------------------------------------------------------------------
