@@ -1,0 +1,160 @@
+"""The report of a calibration: one self-contained HTML file, made for looking."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mavcompass import __version__
+from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.calibration.summary import summary
+from mavcompass.correction import FieldCorrection
+from mavcompass.errors import UsageError
+from mavcompass.procedure.calibrate import CalibrationReport
+from mavcompass.report import figures
+from mavcompass.track import Track
+
+_TEMPLATES = Path(__file__).with_name("templates")
+
+
+def write_report(report: CalibrationReport, path: Path) -> None:
+    """Write the report of a live calibration. Raises UsageError where the file cannot be written."""
+    outcome = report.outcome
+    if report.undone:
+        end = "The proof failed and the old values were put back."
+    elif report.written:
+        end = "Written to the vehicle and read back."
+    else:
+        end = "Nothing was written."
+    facts = {
+        "Vehicle": f"{report.identity.autopilot} {report.identity.kind}, system {report.identity.system}",
+        "Duration": f"{report.duration_s:.0f} s",
+        "Outcome": end,
+    }
+    if outcome is not None and outcome.undo_file is not None:
+        facts["Undo file"] = str(outcome.undo_file)
+    proof = None if report.proof is None else report.proof.summary()
+    _write(path, report.track, report.results, facts, report.messages, proof, report.written)
+
+
+def write_recording_report(track: Track, results: Sequence[CalibrationResult], path: Path) -> None:
+    """Write the report of a calibration from a recording. Raises UsageError as above."""
+    facts = {
+        "Recording": track.source or "unknown",
+        "Vehicle": f"{track.autopilot} {track.vehicle}",
+        "Duration": f"{track.duration_s:.0f} s",
+    }
+    _write(path, track, results, facts, track.notes, None, False)
+
+
+def _write(
+    path: Path,
+    track: Track,
+    results: Sequence[CalibrationResult],
+    facts: Mapping[str, str],
+    notes: Sequence[str],
+    proof: str | None,
+    written: bool,
+) -> None:
+    html = render(
+        "calibration.html",
+        made_at=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        version=__version__,
+        accepted=bool(results) and all(result.accepted for result in results),
+        written=written,
+        facts=facts,
+        notes=notes,
+        proof=proof,
+        compasses=[_compass(track, result) for result in results],
+    )
+    try:
+        path.write_text(html, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(
+            f"The report could not be written to {path} ({error.strerror}).",
+            "Name a file in a folder that you may write to.",
+        ) from error
+
+
+def render(template: str, **values: Any) -> str:
+    """Fill a template of this room; everything is escaped but the figures.
+
+    Raises UsageError where the package that does it is not installed.
+    """
+    try:
+        from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            "Reports need the package jinja2, which is not installed.",
+            "Install it with: pip install 'mavcompass[report]'",
+        ) from error
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(**values)
+
+
+def _compass(track: Track, result: CalibrationResult) -> dict[str, Any]:
+    """Collect what the template shows of one compass."""
+    return {
+        "instance": result.instance,
+        "method": result.method,
+        "accepted": result.accepted,
+        "summary": summary(result),
+        "reasons": result.reasons,
+        "warnings": result.warnings,
+        "not_observable": result.not_observable,
+        "sigma_deg": _known(result.heading_sigma_deg),
+        "change_deg": _known(result.heading_change_deg),
+        "change_max_deg": _known(result.heading_change_max_deg),
+        "residual_mgauss": _known(result.residual_rms_mgauss),
+        "figures": {
+            "circle": figures.circle_figure(track, result),
+            "raw": figures.raw_figure(track, result),
+            "error": figures.heading_error_figure(result),
+            "sigma": figures.sigma_figure(result),
+            "residuals": figures.residual_figure(result),
+            "budget": figures.budget_figure(result),
+        },
+        "rows": _rows(result.in_force, result.correction),
+        "card": _deviation_card(result),
+        "parameters": result.parameters,
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _rows(old: FieldCorrection, new: FieldCorrection) -> list[tuple[str, float, float]]:
+    """Set old and new values side by side."""
+    names = [
+        *(f"offset {axis}, mG" for axis in "XYZ"),
+        *(f"diagonal {axis}" for axis in "XYZ"),
+        *(f"off-diagonal {pair}" for pair in ("XY", "XZ", "YZ")),
+        "scale",
+    ]
+    columns = [(*c.offsets_mgauss, *c.diagonals, *c.off_diagonals, c.scale) for c in (old, new)]
+    return list(zip(names, *columns, strict=True))
+
+
+def _deviation_card(result: CalibrationResult) -> list[tuple[int, float, float]]:
+    """List heading, error of the old calibration and sigma of the new one, every 30 degrees."""
+    if not (math.isfinite(result.horizontal_mgauss) and math.isfinite(result.vertical_mgauss)):
+        return []
+    old_deg = np.degrees(
+        heading_change_rad(
+            result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss
+        )
+    )
+    sigma = figures.sigma_deg(result, np.arange(72) * 5.0)
+    return [(5 * k, float(old_deg[k]), float(sigma[k])) for k in range(0, 72, 6)]

@@ -1,0 +1,183 @@
+"""Small plots as inline SVG: scalable, light, and coloured by the page's style sheet, dark or light.
+
+A plot is built from text pieces; numbers are rounded to a tenth of a pixel, so a thousand points stay
+below twenty kilobytes. Marks carry classes (`old`, `new`, `point`, ...), never colours.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from html import escape
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 12.0, 12.0, 34.0
+
+
+def nice_ticks(low: float, high: float, count: int = 5) -> list[float]:
+    """Return about `count` round numbers that lie in [low, high]."""
+    span = high - low
+    if not (span > 0.0 and math.isfinite(span)):
+        return [low] if math.isfinite(low) else []
+    rough = span / count
+    magnitude = 10.0 ** math.floor(math.log10(rough))
+    step = magnitude * next(s for s in (1.0, 2.0, 5.0, 10.0) if s * magnitude >= rough * 0.999)
+    first = math.ceil(low / step - 1e-9)
+    return [round(k * step, 10) for k in range(first, math.floor(high / step + 1e-9) + 1)]
+
+
+def limits(*values: ArrayLike, margin: float = 0.06, least: float = 0.0) -> tuple[float, float]:
+    """Return an axis's range that holds all finite values, at least `least` long."""
+    everything = np.concatenate([np.ravel(np.asarray(v, dtype=np.float64)) for v in values])
+    finite = everything[np.isfinite(everything)]
+    if not finite.size:
+        return (0.0, 1.0)
+    low, high = float(finite.min()), float(finite.max())
+    spare = max(least - (high - low), 0.0) / 2.0 + margin * max(high - low, least, 1e-9)
+    return (low - spare, high + spare)
+
+
+@dataclass(slots=True)
+class Plot:
+    """Draw in data coordinates; `render` returns the <svg> element.
+
+    Attributes:
+        x_range, y_range: what the axes show. equal: one unit is as long on both axes (for circles).
+        title: for screen readers.
+    """
+
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+    x_label: str = ""
+    y_label: str = ""
+    title: str = ""
+    width: float = 420.0
+    height: float = 300.0
+    equal: bool = False
+    x_ticks: Sequence[float] | None = None
+    _pieces: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Stretch the shorter axis of a plot with equal units."""
+        if not self.equal:
+            return
+        wide, high = self.width - _LEFT - _RIGHT, self.height - _TOP - _BOTTOM
+        per_pixel = max(
+            (self.x_range[1] - self.x_range[0]) / wide, (self.y_range[1] - self.y_range[0]) / high
+        )
+        self.x_range = _about_middle(self.x_range, per_pixel * wide)
+        self.y_range = _about_middle(self.y_range, per_pixel * high)
+
+    def x(self, value: float) -> float:
+        """Return the pixel of an abscissa."""
+        low, high = self.x_range
+        return _LEFT + (value - low) / (high - low) * (self.width - _LEFT - _RIGHT)
+
+    def y(self, value: float) -> float:
+        """Return the pixel of an ordinate; up is more."""
+        low, high = self.y_range
+        return self.height - _BOTTOM - (value - low) / (high - low) * (self.height - _TOP - _BOTTOM)
+
+    def line(self, x: ArrayLike, y: ArrayLike, css: str, close: bool = False) -> None:
+        """Draw a line through points; it is broken where a value is not finite."""
+        path, pen_down = [], False
+        for px, py in self._pixels(x, y):
+            if px is None:
+                pen_down = False
+                continue
+            path.append(f"{'L' if pen_down else 'M'}{px:.1f} {py:.1f}")
+            pen_down = True
+        if path:
+            end = "Z" if close else ""
+            self._pieces.append(f'<path class="line {css}" d="{"".join(path)}{end}"/>')
+
+    def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, css: str) -> None:
+        """Fill between two lines."""
+        there = [f"{px:.1f} {py:.1f}" for px, py in self._pixels(x, high) if px is not None]
+        back = [f"{px:.1f} {py:.1f}" for px, py in self._pixels(x, low) if px is not None]
+        if there:
+            self._pieces.append(f'<path class="band {css}" d="M{"L".join(there + back[::-1])}Z"/>')
+
+    def dots(self, x: ArrayLike, y: ArrayLike, css: str, radius: float = 1.6) -> None:
+        """Draw many dots as one element."""
+        r = f"{radius:.1f}"
+        dot = f"a{r} {r} 0 1 0 {2 * radius:.1f} 0a{r} {r} 0 1 0 -{2 * radius:.1f} 0"
+        path = [f"M{px - radius:.1f} {py:.1f}{dot}" for px, py in self._pixels(x, y) if px is not None]
+        if path:
+            self._pieces.append(f'<path class="dots {css}" d="{"".join(path)}"/>')
+
+    def circle(self, x: float, y: float, radius: float, css: str) -> None:
+        """Draw a circle of a radius in data units; for plots with equal units."""
+        pixels = abs(self.x(x + radius) - self.x(x))
+        self._pieces.append(
+            f'<circle class="line {css}" cx="{self.x(x):.1f}" cy="{self.y(y):.1f}" r="{pixels:.1f}"/>'
+        )
+
+    def text(self, x: float, y: float, words: str, css: str = "", dx: float = 0.0, dy: float = 0.0) -> None:
+        """Write words at a point."""
+        at = f'x="{self.x(x) + dx:.1f}" y="{self.y(y) + dy:.1f}"'
+        self._pieces.append(f'<text class="mark {css}" {at}>{escape(words)}</text>')
+
+    def render(self) -> str:
+        """Return the whole element."""
+        return (
+            f'<svg viewBox="0 0 {self.width:.0f} {self.height:.0f}" role="img"'
+            f' aria-label="{escape(self.title)}">{self._axes()}{"".join(self._pieces)}</svg>'
+        )
+
+    def _pixels(self, x: ArrayLike, y: ArrayLike) -> Iterable[tuple[float | None, float]]:
+        for vx, vy in zip(np.ravel(x), np.ravel(y), strict=True):
+            known = math.isfinite(vx) and math.isfinite(vy)
+            yield (self.x(float(vx)), self.y(float(vy))) if known else (None, 0.0)
+
+    def _axes(self) -> str:
+        bottom, right = self.height - _BOTTOM, self.width - _RIGHT
+        pieces = []
+        x_ticks = nice_ticks(*self.x_range) if self.x_ticks is None else self.x_ticks
+        for tick in x_ticks:
+            at = f"{self.x(tick):.1f}"
+            css = "zero" if tick == 0.0 else "grid"
+            pieces.append(f'<line class="{css}" x1="{at}" x2="{at}" y1="{_TOP}" y2="{bottom}"/>')
+            pieces.append(f'<text class="tick" x="{at}" y="{bottom + 14:.1f}">{tick:g}</text>')
+        for tick in nice_ticks(*self.y_range):
+            at = f"{self.y(tick):.1f}"
+            css = "zero" if tick == 0.0 else "grid"
+            pieces.append(f'<line class="{css}" x1="{_LEFT}" x2="{right}" y1="{at}" y2="{at}"/>')
+            pieces.append(f'<text class="tick side" x="{_LEFT - 6}" y="{at}" dy="0.32em">{tick:g}</text>')
+        middle_x, middle_y = (_LEFT + right) / 2, (_TOP + bottom) / 2
+        label = f'<text class="label" x="{middle_x}" y="{self.height - 4}">{escape(self.x_label)}</text>'
+        turned = f'transform="translate(11 {middle_y}) rotate(-90)"'
+        side = f'<text class="label" {turned}>{escape(self.y_label)}</text>'
+        return "".join(pieces) + label + side
+
+
+def _about_middle(span: tuple[float, float], length: float) -> tuple[float, float]:
+    middle = (span[0] + span[1]) / 2.0
+    return (middle - length / 2.0, middle + length / 2.0)
+
+
+def bars(rows: Sequence[tuple[str, float]], unit: str, title: str, width: float = 420.0) -> str:
+    """Draw one horizontal bar per row, longest first given, with its value beside it."""
+    known = [(name, value) for name, value in rows if math.isfinite(value)]
+    if not known:
+        return ""
+    step, left, right = 26.0, 128.0, 70.0
+    most = max(value for _, value in known) or 1.0
+    pieces = []
+    for k, (name, value) in enumerate(known):
+        y = 6.0 + k * step
+        length = (width - left - right) * value / most
+        pieces.append(
+            f'<text class="tick side" x="{left - 8}" y="{y + 9}" dy="0.32em">{escape(name)}</text>'
+            f'<rect class="bar" x="{left}" y="{y}" width="{max(length, 1.0):.1f}" height="18" rx="3"/>'
+            f'<text class="mark" x="{left + max(length, 1.0) + 6:.1f}" y="{y + 9}" dy="0.32em">'
+            f"{'&lt; 0.001' if value < 0.001 else f'{value:.2g}'} {escape(unit)}</text>"
+        )
+    height = 10.0 + step * len(known)
+    return (
+        f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(title)}">'
+        f"{''.join(pieces)}</svg>"
+    )

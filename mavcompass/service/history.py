@@ -1,0 +1,209 @@
+"""What was done to which compass: calibrations, checks, undo files and gap reports, in SQLite.
+
+Entries belong to a vehicle (its autopilot's unique id where it tells one, else its system id) and, where
+they are about one compass, to its device id: a swapped compass begins a history of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from mavcompass.errors import MavCompassError
+
+Kind = Literal["calibration", "check", "undo", "gap"]
+KINDS: tuple[Kind, ...] = ("calibration", "check", "undo", "gap")
+
+# Each step brings a database to the version of its place in the list.
+_MIGRATIONS = (
+    """
+    CREATE TABLE entry (
+        id INTEGER PRIMARY KEY,
+        made_at TEXT NOT NULL,
+        kind TEXT NOT NULL,
+        vehicle TEXT NOT NULL,
+        ok INTEGER NOT NULL,
+        summary TEXT NOT NULL,
+        document TEXT NOT NULL,
+        report TEXT,
+        undo_file TEXT
+    );
+    CREATE INDEX entry_by_vehicle ON entry (vehicle, kind, id);
+    CREATE TABLE entry_compass (
+        entry INTEGER NOT NULL REFERENCES entry (id) ON DELETE CASCADE,
+        instance INTEGER NOT NULL,
+        device INTEGER NOT NULL
+    );
+    CREATE INDEX entry_compass_by_device ON entry_compass (device, entry);
+    """,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Hold one line of the history.
+
+    Attributes:
+        made_at: UTC, ISO 8601. vehicle: its key. ok: accepted and written, passed, or done.
+        compasses: (instance, device id) that it is about. document: the machine-readable result.
+        report: path of the HTML report, None where there is none. undo_file: as the write left it.
+    """
+
+    id: int
+    made_at: str
+    kind: Kind
+    vehicle: str
+    ok: bool
+    summary: str
+    compasses: tuple[tuple[int, int], ...]
+    document: Mapping[str, Any]
+    report: str | None
+    undo_file: str | None
+
+    def head(self) -> dict[str, Any]:
+        """Return all but the document, for lists."""
+        return {
+            "id": self.id,
+            "made_at": self.made_at,
+            "kind": self.kind,
+            "vehicle": self.vehicle,
+            "ok": self.ok,
+            "summary": self.summary,
+            "compasses": [{"instance": i, "device_id": d} for i, d in self.compasses],
+            "has_report": self.report is not None,
+            "undo_file": self.undo_file,
+        }
+
+
+class History:
+    """Keep entries in a file; safe to use from several threads."""
+
+    def __init__(self, path: Path) -> None:
+        """Open or make the database. Raises MavCompassError where it cannot be used."""
+        self._lock = threading.Lock()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._database = sqlite3.connect(path, check_same_thread=False, isolation_level=None)
+            # After a power cut the file is whole; the last entry may be missing.
+            self._database.execute("PRAGMA journal_mode = WAL")
+            self._database.execute("PRAGMA foreign_keys = ON")
+            self._migrate()
+        except (OSError, sqlite3.Error) as error:
+            raise MavCompassError(
+                f"The history {path} cannot be used ({error}).",
+                "Make its folder writable, or move the file away to begin a new one.",
+            ) from error
+
+    def _migrate(self) -> None:
+        version = int(self._database.execute("PRAGMA user_version").fetchone()[0])
+        if version > len(_MIGRATIONS):
+            raise sqlite3.DatabaseError(f"it was written by a newer mavcompass (version {version})")
+        for number, script in enumerate(_MIGRATIONS[version:], version + 1):
+            self._database.executescript(f"BEGIN; {script} PRAGMA user_version = {number}; COMMIT;")
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        with self._lock:
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._database
+            except BaseException:
+                self._database.execute("ROLLBACK")
+                raise
+            self._database.execute("COMMIT")
+
+    def add(
+        self,
+        kind: Kind,
+        made_at: str,
+        vehicle: str,
+        ok: bool,
+        summary: str,
+        document: Mapping[str, Any],
+        compasses: Sequence[tuple[int, int]] = (),
+        report: str | None = None,
+        undo_file: str | None = None,
+    ) -> int:
+        """Add an entry and return its number."""
+        row = (made_at, kind, vehicle, int(ok), summary, json.dumps(document), report, undo_file)
+        with self._transaction() as database:
+            cursor = database.execute(
+                "INSERT INTO entry (made_at, kind, vehicle, ok, summary, document, report, undo_file)"
+                " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                row,
+            )
+            number = int(cursor.lastrowid or 0)
+            database.executemany(
+                "INSERT INTO entry_compass (entry, instance, device) VALUES (?, ?, ?)",
+                [(number, instance, device) for instance, device in compasses],
+            )
+        return number
+
+    def attach_report(self, number: int, report: str) -> None:
+        """Name the HTML report that belongs to an entry."""
+        with self._transaction() as database:
+            database.execute("UPDATE entry SET report = ? WHERE id = ?", (report, number))
+
+    def entry(self, number: int) -> Entry | None:
+        """Return one entry, None where there is none of this number."""
+        found = self._select("WHERE id = ?", (number,))
+        return found[0] if found else None
+
+    def entries(
+        self,
+        kind: Kind | None = None,
+        vehicle: str | None = None,
+        device: int | None = None,
+        before: int | None = None,
+        limit: int = 50,
+    ) -> list[Entry]:
+        """List entries, newest first; `before` an entry's number continues a list."""
+        conditions: list[str] = []
+        values: list[object] = []
+        for column, value in (("kind = ?", kind), ("vehicle = ?", vehicle), ("id < ?", before)):
+            if value is not None:
+                conditions.append(column)
+                values.append(value)
+        if device is not None:
+            conditions.append("id IN (SELECT entry FROM entry_compass WHERE device = ?)")
+            values.append(device)
+        where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
+        return self._select(f"{where} ORDER BY id DESC LIMIT ?", (*values, limit))
+
+    def latest_calibration(self, vehicle: str, device: int) -> Entry | None:
+        """Return the newest calibration of a compass that was accepted and written."""
+        found = self._select(
+            "WHERE kind = 'calibration' AND ok = 1 AND vehicle = ?"
+            " AND id IN (SELECT entry FROM entry_compass WHERE device = ?) ORDER BY id DESC LIMIT 1",
+            (vehicle, device),
+        )
+        return found[0] if found else None
+
+    def _select(self, rest: str, values: Sequence[object]) -> list[Entry]:
+        columns = "id, made_at, kind, vehicle, ok, summary, document, report, undo_file"
+        with self._lock:
+            rows = self._database.execute(f"SELECT {columns} FROM entry {rest}", tuple(values)).fetchall()
+            about = {
+                row[0]: tuple(
+                    self._database.execute(
+                        "SELECT instance, device FROM entry_compass WHERE entry = ? ORDER BY instance",
+                        (row[0],),
+                    ).fetchall()
+                )
+                for row in rows
+            }
+        return [
+            Entry(i, made_at, kind, vehicle, bool(ok), summary, about[i], json.loads(document), report, undo)
+            for i, made_at, kind, vehicle, ok, summary, document, report, undo in rows
+        ]
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            self._database.close()

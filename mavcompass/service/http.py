@@ -1,0 +1,281 @@
+"""The HTTP interface and the web page."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+
+from mavcompass.errors import MavCompassError
+from mavcompass.service import bodies
+from mavcompass.service.clock import utc_now
+from mavcompass.service.config import ServiceConfig
+from mavcompass.service.gaps import Gaps
+from mavcompass.service.history import KINDS, Entry, History
+from mavcompass.service.metrics import CONTENT_TYPE, Metrics
+from mavcompass.service.openapi import openapi
+from mavcompass.service.results import recording_path
+from mavcompass.service.security import MOST_BODY_BYTES, PAGE_POLICY, Guard
+from mavcompass.service.statedoc import moment_json, state_json
+from mavcompass.service.station import Station
+from mavcompass.service.stream import Stream
+from mavcompass.service.tasks import Busy, CalibrationRequest, CheckRequest, Task, UndoRequest
+from mavcompass.service.tasks import Request as TaskRequest
+
+WEB = Path(__file__).with_name("web")
+_REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
+_MOST_NUMBER = 2**53
+
+Handler = Callable[[Request], Awaitable[Response]]
+
+
+def build_app(
+    config: ServiceConfig,
+    station: Station,
+    history: History,
+    gaps: Gaps,
+    token: str,
+    is_alive: Callable[[], bool] = lambda: True,
+) -> Starlette:
+    """Put the interface together."""
+    api = _Api(config, station, history, gaps, is_alive)
+    routes: list[BaseRoute] = [
+        Route("/", _page),
+        Route("/openapi.json", api.describe),
+        Route("/metrics", api.metrics),
+        Route("/healthz", api.health),
+        Route("/readyz", api.ready),
+        Route("/api/state", api.state),
+        Route("/api/heading", api.heading),
+        Route("/api/task", api.task),
+        Route("/api/task/answer", api.answer, methods=["POST"]),
+        Route("/api/task/stop", api.stop, methods=["POST"]),
+        Route("/api/calibration", api.calibrate, methods=["POST"]),
+        Route("/api/check", api.check, methods=["POST"]),
+        Route("/api/undo", api.undo, methods=["POST"]),
+        Route("/api/history", api.history),
+        Route("/api/history/{entry}", api.entry),
+        Route("/api/history/{entry}/report", api.report),
+        Route("/api/history/{entry}/recording", api.recording),
+        Route("/api/parameters", api.parameters),
+        Route("/api/parameters/diff", api.difference, methods=["POST"]),
+        Route("/api/gap", api.gap_task),
+        Route("/api/gap", api.gap, methods=["POST"]),
+        WebSocketRoute("/api/stream", Stream(station).endpoint),
+        Mount("/web", StaticFiles(directory=WEB)),
+    ]
+    guard = Middleware(
+        Guard,
+        token=token,
+        allowed_origins=config.http.allowed_origins,
+        allowed_hosts=config.http.allowed_hosts,
+    )
+    handlers: Any = {HTTPException: _http_error, bodies.BadBody: _bad_body, MavCompassError: _our_error}
+    return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
+
+
+async def _page(request: Request) -> Response:
+    return Response(_page_text(), media_type="text/html", headers={"content-security-policy": PAGE_POLICY})
+
+
+@cache
+def _page_text() -> bytes:
+    return (WEB / "index.html").read_bytes()
+
+
+async def _http_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    return JSONResponse({"error": error.detail}, error.status_code, error.headers)
+
+
+async def _bad_body(request: Request, error: Exception) -> Response:
+    assert isinstance(error, bodies.BadBody)
+    return JSONResponse({"error": error.what}, error.status)
+
+
+async def _our_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, MavCompassError)
+    status = 409 if isinstance(error, Busy) else 503
+    return JSONResponse({"error": error.what, "remedy": error.remedy}, status)
+
+
+async def _body(request: Request, schema: bodies.Schema) -> dict[str, Any]:
+    """Read and check a body, however long it claims not to be."""
+    data = bytearray()
+    async for piece in request.stream():
+        data += piece
+        if len(data) > MOST_BODY_BYTES:
+            raise bodies.BadBody(413, f"A request's body may have {MOST_BODY_BYTES} bytes.")
+    return bodies.parse_body(bytes(data), request.headers.get("content-type", ""), schema)
+
+
+def _number(text: str, name: str, low: int, high: int = _MOST_NUMBER) -> int:
+    """Read a whole number; raises BadBody with 422."""
+    if not (text.isascii() and text.isdecimal() and len(text) < 20 and low <= int(text) <= high):
+        raise bodies.BadBody(422, f"{name} must be a whole number from {low} to {high}.")
+    return int(text)
+
+
+class _Api:
+    def __init__(
+        self,
+        config: ServiceConfig,
+        station: Station,
+        history: History,
+        gaps: Gaps,
+        is_alive: Callable[[], bool],
+    ) -> None:
+        self._config = config
+        self._station = station
+        self._history = history
+        self._gaps = gaps
+        self._metrics = Metrics(station)
+        self._is_alive = is_alive
+
+    # --- reading ------------------------------------------------------------------------------------
+
+    async def describe(self, request: Request) -> Response:
+        return JSONResponse(openapi())
+
+    async def metrics(self, request: Request) -> Response:
+        return Response(self._metrics.render(), headers={"content-type": CONTENT_TYPE})
+
+    async def health(self, request: Request) -> Response:
+        alive = self._is_alive()
+        return JSONResponse(
+            {"alive": alive} if alive else {"error": "The station is stuck."}, 200 if alive else 503
+        )
+
+    async def ready(self, request: Request) -> Response:
+        if self._station.connected:
+            return JSONResponse({"ready": True})
+        return JSONResponse({"error": self._station.link_error or "The vehicle is not heard."}, 503)
+
+    async def state(self, request: Request) -> Response:
+        return JSONResponse(state_json(self._station))
+
+    async def heading(self, request: Request) -> Response:
+        if not self._station.connected:
+            return JSONResponse({"error": self._station.link_error or "The vehicle is not heard."}, 503)
+        return JSONResponse(moment_json(self._station))
+
+    async def task(self, request: Request) -> Response:
+        return _show(self._station.desk.current)
+
+    async def history(self, request: Request) -> Response:
+        query = request.query_params
+        kind = query.get("kind")
+        if kind is not None and kind not in KINDS:
+            raise bodies.BadBody(422, f"kind must be one of {', '.join(KINDS)}.")
+        device = _number(query["device"], "device", 0) if "device" in query else None
+        before = _number(query["before"], "before", 1) if "before" in query else None
+        limit = _number(query.get("limit", "50"), "limit", 1, 200)
+        entries = await run_in_threadpool(self._history.entries, kind, None, device, before, limit)
+        return JSONResponse({"entries": [entry.head() for entry in entries]})
+
+    async def entry(self, request: Request) -> Response:
+        entry = await self._entry(_number(request.path_params["entry"], "entry", 1))
+        return JSONResponse(entry.head() | {"document": dict(entry.document)})
+
+    async def _entry(self, number: int) -> Entry:
+        entry = await run_in_threadpool(self._history.entry, number)
+        if entry is None:
+            raise HTTPException(404, f"The history has no entry {number}.")
+        return entry
+
+    async def report(self, request: Request) -> Response:
+        entry = await self._entry(_number(request.path_params["entry"], "entry", 1))
+        if entry.report is None or not Path(entry.report).is_file():
+            raise HTTPException(404, f"Entry {entry.id} has no report.")
+        headers = {"content-security-policy": _REPORT_POLICY}
+        return FileResponse(entry.report, media_type="text/html", headers=headers)
+
+    async def recording(self, request: Request) -> Response:
+        entry = await self._entry(_number(request.path_params["entry"], "entry", 1))
+        path = recording_path(self._config.folder, entry.id)
+        if not path.is_file():
+            raise HTTPException(404, f"Entry {entry.id} has no recording.")
+        return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+
+    def _in_force(self) -> dict[str, float]:
+        view = self._station.view
+        if view is None or not view.parameters:
+            raise MavCompassError("The compass parameters were not read yet.", "Try again in a moment.")
+        return dict(view.parameters)
+
+    async def parameters(self, request: Request) -> Response:
+        return JSONResponse({"parameters": self._in_force()})
+
+    async def difference(self, request: Request) -> Response:
+        wanted = (await _body(request, bodies.DIFF))["parameters"]
+        now = self._in_force()
+        changes = [
+            {"name": name, "now": now.get(name), "then": value, "differs": _differs(now.get(name), value)}
+            for name, value in wanted.items()
+        ]
+        return JSONResponse({"differences": changes})
+
+    # --- writing and moving -------------------------------------------------------------------------
+
+    async def calibrate(self, request: Request) -> Response:
+        body = await _body(request, bodies.CALIBRATION)
+        body["compasses"] = tuple(sorted(int(i) for i in body.get("compasses", ())))
+        if "positions" in body:
+            body["positions"] = int(body["positions"])
+        return self._take(CalibrationRequest(**body))
+
+    async def check(self, request: Request) -> Response:
+        return self._take(CheckRequest(**await _body(request, bodies.CHECK)))
+
+    async def undo(self, request: Request) -> Response:
+        entry = await self._entry(int((await _body(request, bodies.UNDO))["entry"]))
+        if entry.undo_file is None:
+            raise HTTPException(404, f"Entry {entry.id} wrote nothing, so there is nothing to undo.")
+        return self._take(UndoRequest(entry.undo_file))
+
+    def _take(self, request: TaskRequest) -> Response:
+        return _show(self._station.desk.submit(request, "http", utc_now()), 202)
+
+    async def answer(self, request: Request) -> Response:
+        yes = (await _body(request, bodies.ANSWER))["yes"]
+        task = self._station.desk.current
+        if task is None or not task.give_answer(yes):
+            raise HTTPException(409, "No question is open.")
+        return _show(task)
+
+    async def stop(self, request: Request) -> Response:
+        await _body(request, bodies.STOP)
+        task = self._station.desk.current
+        if task is None or task.finished:
+            raise HTTPException(409, "Nothing is under way.")
+        task.stop.reason = task.stop.reason or "Stopped from the page."
+        return _show(task)
+
+    async def gap(self, request: Request) -> Response:
+        entry = await self._entry(int((await _body(request, bodies.GAP))["entry"]))
+        if entry.kind != "calibration" or not recording_path(self._config.folder, entry.id).is_file():
+            raise HTTPException(404, f"Entry {entry.id} has no recording.")
+        return _show(self._gaps.submit(entry), 202)
+
+    async def gap_task(self, request: Request) -> Response:
+        return _show(self._gaps.desk.current)
+
+
+def _show(task: Task | None, status: int = 200) -> Response:
+    if task is None:
+        raise HTTPException(404, "Nothing was asked for yet.")
+    return JSONResponse(task.to_json(), status)
+
+
+def _differs(now: float | None, then: float) -> bool:
+    return now is None or abs(now - then) > 1e-6 * max(1.0, abs(then))

@@ -1,0 +1,133 @@
+"""Carry out requests on the link, one at a time, while everything else goes on."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+from mavcompass.errors import MavCompassError
+from mavcompass.messages import Incoming
+from mavcompass.procedure.script import Machine, Show
+from mavcompass.service import procedures
+from mavcompass.service.config import ServiceConfig
+from mavcompass.service.history import History
+from mavcompass.service.recorder import Recorder
+from mavcompass.service.results import Results, sigma_deg
+from mavcompass.service.staleness import stale_findings
+from mavcompass.service.tasks import CalibrationRequest, CheckRequest, Task, UndoRequest
+from mavcompass.service.vehicle_view import VehicleView
+from mavcompass.service.watch import Finding
+from mavcompass.service.worker import Worker
+from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.driver import PollAnswer, run
+from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.stopping import StopRequest
+
+_log = logging.getLogger(__name__)
+
+
+class Jobs:
+    """Run procedures on the station's thread.
+
+    Attributes:
+        recorder: of the calibration under way, None otherwise.
+    """
+
+    def __init__(
+        self, config: ServiceConfig, history: History, hear: Callable[[Link, Incoming], None]
+    ) -> None:
+        self.recorder: Recorder | None = None
+        self._config = config
+        self._history = history
+        self._hear = hear
+        self._worker = Worker()
+        self._results = Results(config, history, self._worker)
+
+    def work(self, link: Link, view: VehicleView | None, task: Task) -> None:
+        """Carry out a request to its end; whatever goes wrong is told in the task."""
+        try:
+            if view is None:
+                raise MavCompassError("No vehicle was heard yet.", "Check the link, then ask again.")
+            self._do(link, view, task)
+        except MavCompassError as error:
+            self._results.failed(task, view, error)
+        except Exception as error:
+            _log.exception("unexpected error in a %s", task.request.kind)
+            self._results.failed(task, view, error)
+        finally:
+            self.recorder = None
+            self._worker.end()
+
+    def meet(self, link: Link, view: VehicleView, stop: StopRequest) -> None:
+        """Read who the vehicle is and what its compasses are set to."""
+        machine = procedures.meet(view.identity, self._config.vehicle.source)
+        try:
+            met = self._drive(link, machine, None, stop)
+        except MavCompassError as error:
+            _log.info("the compass parameters could not be read yet: %s", error)
+            return
+        view.key = met.key
+        view.set_parameters(met.parameters)
+
+    def judge_calibrations(self, view: VehicleView) -> tuple[Finding, ...]:
+        """Compare what is in force with the history, and say how good it is."""
+        dialect = make_dialect(view.identity.autopilot)
+        findings: list[Finding] = []
+        for instance in view.instances():
+            last = self._history.latest_calibration(view.key, view.device_id(instance))
+            found = stale_findings(
+                instance, dialect, view.parameters, last, datetime.now(UTC), self._config.watch.age_days
+            )
+            findings += found
+            changed = any(finding.id in ("parameters", "uncalibrated") for finding in found)
+            sigma = None if last is None or changed else sigma_deg(last, instance)
+            view.set_calibration_sigma(instance, sigma)
+        return tuple(findings)
+
+    def _do(self, link: Link, view: VehicleView, task: Task) -> None:
+        config, request = self._config, task.request
+        source, system = config.vehicle.source, view.identity.system
+        undo_folder = config.folder / "undo"
+        if isinstance(request, CalibrationRequest):
+            machine = procedures.calibration(
+                task,
+                replace(request, compasses=request.compasses or config.vehicle.compasses),
+                source,
+                system,
+                view.year,
+                config.vehicle.rate_hz,
+                self._worker,
+                undo_folder,
+            )
+            self.recorder = recorder = Recorder()
+            self._results.calibrated(task, view, self._drive(link, machine, task, task.stop), recorder)
+        elif isinstance(request, CheckRequest):
+            checking = procedures.check(request, source, system, view.year, config.vehicle.rate_hz)
+            self._results.checked(task, view, self._drive(link, checking, task, task.stop))
+        elif isinstance(request, UndoRequest):
+            undoing = procedures.undo(self._results.undo_path(request), source, system, undo_folder)
+            self._results.undone(task, view, self._drive(link, undoing, task, task.stop))
+
+    def _drive(self, link: Link, machine: Machine[Any], task: Task | None, stop: StopRequest) -> Any:
+        """Run a procedure; every message goes to the station, too."""
+
+        def on_show(show: Show) -> None:
+            if task is not None:
+                task.show(show)
+
+        def on_ask(question: str) -> PollAnswer:
+            assert task is not None
+            task.ask(question)
+            return task.poll_answer
+
+        return run(
+            machine,
+            link,
+            on_show=on_show,
+            on_message=lambda heard: self._hear(link, heard),
+            on_ask=None if task is None else on_ask,
+            stop=stop,
+        )

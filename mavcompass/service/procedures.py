@@ -1,0 +1,140 @@
+"""The procedures that the service runs on its link, put together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mavcompass import messages as mav
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.enums import MavCmd
+from mavcompass.errors import MavCompassError
+from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport, Services, calibrate
+from mavcompass.procedure.check import CheckReport, CheckSettings
+from mavcompass.procedure.check import check as check_script
+from mavcompass.procedure.dialect import WriteOutcome
+from mavcompass.procedure.positions import DwellSettings
+from mavcompass.procedure.script import Context, Machine, Script, expect
+from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
+from mavcompass.service.tasks import CalibrationRequest, CheckRequest, Task
+from mavcompass.service.worker import Worker
+from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.undo import load_record, undo_saver
+
+MAX_HEADING_ERROR_DEG = 2.0
+_AUTOPILOT_VERSION = 148
+
+
+@dataclass(frozen=True, slots=True)
+class Acquaintance:
+    """Hold what a vehicle tells at the first meeting: who it is, a key for its history, its parameters."""
+
+    identity: VehicleIdentity
+    key: str
+    parameters: dict[str, float]
+
+
+def meet(identity: VehicleIdentity, source: str) -> Machine[Acquaintance]:
+    """Build the procedure that reads a vehicle's unique id and its compass parameters."""
+
+    def script(context: Context) -> Script[Acquaintance]:
+        context.system, context.component = identity.system, identity.component
+        uid = yield from _unique_id(context)
+        parameters = yield from make_dialect(identity.autopilot, source).compass_parameters(context)
+        who = f"{uid:016x}" if uid else f"system-{identity.system}"
+        return Acquaintance(identity, f"{identity.autopilot}-{who}", parameters)
+
+    return Machine(script)
+
+
+def _unique_id(context: Context) -> Script[int]:
+    """Ask for the autopilot's serial number; 0 where it has none or does not say."""
+    for _ in range(2):
+        context.send(
+            mav.CommandLong(
+                context.system,
+                context.component,
+                MavCmd.REQUEST_MESSAGE,
+                param1=float(_AUTOPILOT_VERSION),
+            )
+        )
+        version = yield from expect(context, mav.AutopilotVersion, timeout_s=0.4)
+        if version is not None:
+            return version.uid
+    return 0
+
+
+def calibration(
+    task: Task,
+    request: CalibrationRequest,
+    source: str,
+    system: int,
+    year: float,
+    rate_hz: float,
+    worker: Worker,
+    undo_folder: Path,
+) -> Machine[CalibrationReport]:
+    """Build a calibration whose solving is done by the worker; its results appear in the task."""
+    worker.start()
+
+    def solve(track: Any, instance: int, windows: list[Any], earth: Any) -> CalibrationResult:
+        result: CalibrationResult = worker.call(
+            "solve", track, instance, windows, earth, request.method, MAX_HEADING_ERROR_DEG
+        )
+        task.results = (*task.results, result)
+        return result
+
+    autopilot = ""
+
+    def dialect_for(make: str) -> Any:
+        nonlocal autopilot
+        autopilot = make
+        return make_dialect(make, source)
+
+    services = Services(
+        dialect_for=dialect_for,
+        save_undo=lambda plan, values: undo_saver(autopilot, source, undo_folder)(plan, values),
+        solve=solve,
+    )
+    settings = CalibrateSettings(
+        instances=request.compasses,
+        motion=request.motion,
+        positions=request.positions,
+        writing=request.writing,
+        system=system,
+        rate_hz=rate_hz,
+        year=year,
+        dwell=DwellSettings(dwell_s=request.dwell_s),
+    )
+    return Machine(lambda context: calibrate(context, services, settings))
+
+
+def check(
+    request: CheckRequest, source: str, system: int, year: float, rate_hz: float
+) -> Machine[CheckReport]:
+    """Build a pre-flight check."""
+    settings = CheckSettings(turn=request.turn, system=system, year=year, rate_hz=rate_hz)
+    return Machine(lambda context: check_script(context, lambda make: make_dialect(make, source), settings))
+
+
+def undo(undo_file: Path, source: str, system: int, undo_folder: Path) -> Machine[WriteOutcome]:
+    """Build the procedure that puts back what an undo file holds, as a transaction of its own."""
+    record = load_record(undo_file)
+
+    def script(context: Context) -> Script[WriteOutcome]:
+        context.show("connect", "Waiting for the vehicle's heartbeat.", 0.0)
+        identity = yield from find_vehicle(context, system)
+        if identity.autopilot != record.autopilot:
+            raise MavCompassError(
+                f"The undo file is of an {record.autopilot} vehicle, this one runs {identity.autopilot}.",
+                "Choose an undo file of this vehicle.",
+            )
+        dialect = make_dialect(identity.autopilot, source)
+        parameters = yield from dialect.compass_parameters(context)
+        plan = dialect.plan_values(parameters, record.before, checked=False)
+        context.show("write", f"Putting back {len(plan.changes)} parameters.", 0.5)
+        save = undo_saver(identity.autopilot, source, undo_folder)
+        return (yield from dialect.write(context, plan, save))
+
+    return Machine(script)

@@ -1,0 +1,181 @@
+"""Turn what procedures found into documents, history, reports and recordings."""
+
+from __future__ import annotations
+
+import logging
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.correction import FieldCorrection
+from mavcompass.errors import MavCompassError, UsageError
+from mavcompass.procedure.calibrate import CalibrationReport
+from mavcompass.procedure.check import CheckReport
+from mavcompass.procedure.dialect import WriteOutcome
+from mavcompass.report.document import live_document
+from mavcompass.service.clock import utc_now
+from mavcompass.service.config import ServiceConfig
+from mavcompass.service.history import Entry, History
+from mavcompass.service.recorder import Recorder
+from mavcompass.service.tasks import CalibrationRequest, Task, UndoRequest
+from mavcompass.service.vehicle_view import VehicleView
+from mavcompass.service.worker import Worker
+
+_log = logging.getLogger(__name__)
+
+_KEPT_RECORDINGS = 50
+_CARD_STEP = 3  # of the 72 headings: every 15 degrees
+
+
+class Results:
+    """Record how requests ended."""
+
+    def __init__(self, config: ServiceConfig, history: History, worker: Worker) -> None:
+        self._config = config
+        self._history = history
+        self._worker = worker
+
+    def calibrated(
+        self, task: Task, view: VehicleView, report: CalibrationReport, recorder: Recorder
+    ) -> None:
+        """Record a calibration, accepted or not."""
+        assert isinstance(task.request, CalibrationRequest)
+        document = live_document(self._config.vehicle.source, report, task.request.method)
+        document["old_and_new"] = [_old_and_new(result) for result in report.results]
+        ok = report.accepted and not report.undone
+        undo_file = document["undo_file"]
+        number = self._history.add(
+            "calibration",
+            utc_now(),
+            view.key,
+            report.written,
+            _summary(report),
+            document,
+            [(result.instance, view.device_id(result.instance)) for result in report.results],
+            undo_file=None if undo_file is None else str(undo_file),
+        )
+        self._save_recording(recorder, number)
+        self._save_report(report, number)
+        task.finish(ok, document, number)
+
+    def _save_recording(self, recorder: Recorder, number: int) -> None:
+        folder = self._config.folder / "recordings"
+        try:
+            recorder.save(recording_path(self._config.folder, number))
+            kept = sorted(folder.glob("*.tlog"), key=lambda path: path.stat().st_mtime)
+            for old in kept[:-_KEPT_RECORDINGS]:
+                old.unlink()
+        except OSError as error:
+            _log.warning("the recording of calibration %d could not be kept: %s", number, error)
+
+    def _save_report(self, report: CalibrationReport, number: int) -> None:
+        path = self._config.folder / "reports" / f"calibration-{number}.html"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._worker.call("write_report", report, path)
+        except (OSError, MavCompassError, ImportError) as error:
+            _log.warning("the report of calibration %d could not be written: %s", number, error)
+        else:
+            self._history.attach_report(number, str(path))
+
+    def checked(self, task: Task, view: VehicleView, report: CheckReport) -> None:
+        """Record a pre-flight check."""
+        document = report.to_json()
+        compasses = [(instance, view.device_id(instance)) for instance in view.instances()]
+        ok = report.verdict != "fail"
+        number = self._history.add("check", utc_now(), view.key, ok, report.summary(), document, compasses)
+        task.finish(ok, document, number)
+
+    def undone(self, task: Task, view: VehicleView, outcome: WriteOutcome) -> None:
+        """Record that an undo file was put back."""
+        assert isinstance(task.request, UndoRequest)
+        document: dict[str, Any] = {
+            "schema": "mavcompass.undone/1",
+            "verified": outcome.verified,
+            "put_back": task.request.undo_file,
+            "undo_file": None if outcome.undo_file is None else str(outcome.undo_file),
+            "values": dict(outcome.values),
+        }
+        summary = f"{len(outcome.values)} parameters put back."
+        number = self._history.add(
+            "undo", utc_now(), view.key, outcome.verified, summary, document, undo_file=document["undo_file"]
+        )
+        task.finish(outcome.verified, document, number)
+
+    def failed(self, task: Task, view: VehicleView | None, error: Exception) -> None:
+        """Record that a request came to nothing."""
+        task.fail(error)
+        document = {"error": task.error, "remedy": task.remedy, "lines": task.lines[-20:]}
+        key = "unknown" if view is None else view.key
+        kind = task.request.kind
+        task.entry = self._history.add(kind, utc_now(), key, False, task.error, document)
+
+    def undo_path(self, request: UndoRequest) -> Path:
+        """Find the undo file that a request names. Raises UsageError for any other file."""
+        folder = (self._config.folder / "undo").resolve()
+        path = (folder / Path(request.undo_file).name).resolve()
+        if path.parent != folder or not path.is_file():
+            raise UsageError(
+                f"There is no undo file {Path(request.undo_file).name}.", "Choose one from the history."
+            )
+        return path
+
+
+def recording_path(folder: Path, entry: int) -> Path:
+    """Return where the recording of a calibration lies."""
+    return folder / "recordings" / f"calibration-{entry}.tlog"
+
+
+def sigma_deg(entry: Entry, instance: int) -> float | None:
+    """Return the heading sigma that a calibration in the history claims for a compass."""
+    for compass in entry.document.get("compasses", ()):
+        if compass.get("instance") == instance:
+            sigma = compass.get("heading_sigma_deg")
+            return float(sigma) if sigma is not None else None
+    return None
+
+
+def _summary(report: CalibrationReport) -> str:
+    parts = []
+    for result in report.results:
+        if not result.accepted:
+            parts.append(f"compass {result.instance} not accepted")
+        elif math.isfinite(result.heading_sigma_deg):
+            parts.append(f"compass {result.instance} within {result.heading_sigma_deg:.1f} deg")
+        else:
+            parts.append(f"compass {result.instance} accepted")
+    end = "written" if report.written else "put back" if report.undone else "not written"
+    return f"{', '.join(parts)}; {end}"
+
+
+def _old_and_new(result: CalibrationResult) -> dict[str, Any]:
+    """Set the correction that was in force beside the new one, with the old one's deviation card."""
+    document: dict[str, Any] = {
+        "instance": result.instance,
+        "old": _correction(result.in_force),
+        "new": _correction(result.correction),
+        "deviation": [],
+    }
+    if math.isfinite(result.horizontal_mgauss) and math.isfinite(result.vertical_mgauss):
+        change_deg = np.degrees(
+            heading_change_rad(
+                result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss
+            )
+        )
+        document["deviation"] = [
+            {"heading_deg": 5.0 * k, "old_error_deg": round(float(change_deg[k]), 2)}
+            for k in range(0, 72, _CARD_STEP)
+        ]
+    return document
+
+
+def _correction(correction: FieldCorrection) -> dict[str, Any]:
+    return {
+        "offsets_mgauss": list(correction.offsets_mgauss),
+        "diagonals": list(correction.diagonals),
+        "off_diagonals": list(correction.off_diagonals),
+        "scale": correction.scale,
+    }

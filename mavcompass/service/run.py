@@ -1,0 +1,172 @@
+"""Put the service together, run it until it is told to stop, and stop it gracefully."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import signal
+import socket
+from collections.abc import Callable, Iterator
+
+import uvicorn
+
+from mavcompass.errors import UsageError
+from mavcompass.service.config import ServiceConfig, split_host_port
+from mavcompass.service.gaps import Gaps
+from mavcompass.service.history import History
+from mavcompass.service.http import build_app
+from mavcompass.service.security import load_token
+from mavcompass.service.station import OpenLink, Station
+from mavcompass.service.systemd import Notifier
+from mavcompass.vehicle.address import Simulated, parse_address
+from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.transport import Reconnect
+
+_log = logging.getLogger(__name__)
+
+# A station whose loop has not turned for so long is stuck: a procedure cleans up in less.
+STUCK_S = 25.0
+_BEAT_EVERY_S = 1.0
+
+
+class _Server(uvicorn.Server):
+    """Be a server that leaves the signals to the service."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        yield
+
+
+class Service:
+    """Be the whole service in one process.
+
+    Attributes:
+        address: host and port of the page, known once it listens. token: the secret.
+    """
+
+    def __init__(
+        self, config: ServiceConfig, open_link: OpenLink | None = None, notifier: Notifier | None = None
+    ) -> None:
+        """Open files and port. Raises UsageError or MavCompassError where that cannot be done."""
+        self.config = config
+        self.token = load_token(config.token_file)
+        self._socket = _listen(config.http.listen)
+        self.address: tuple[str, int] = self._socket.getsockname()[:2]
+        self.history = History(config.folder / "history.db")
+        self.station = Station(config, self.history, open_link or link_opener(config))
+        self.gaps = Gaps(config, self.history)
+        self._notifier = notifier or Notifier()
+        self._beat = (-1, 0.0)
+        self._stopping: asyncio.Event | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    @property
+    def url(self) -> str:
+        """Return the page's address."""
+        host, port = self.address
+        return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+
+    def run(self, on_ready: Callable[[], None] = lambda: None) -> None:
+        """Serve until SIGTERM, SIGINT or `stop`."""
+        asyncio.run(self._serve(on_ready))
+
+    def stop(self) -> None:
+        """Ask it to end; any thread may."""
+        if self._loop is not None and self._stopping is not None:
+            self._loop.call_soon_threadsafe(self._stopping.set)
+
+    async def _serve(self, on_ready: Callable[[], None]) -> None:
+        self._loop, self._stopping = asyncio.get_running_loop(), asyncio.Event()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            with contextlib.suppress(ValueError, RuntimeError):  # not the main thread: a test
+                self._loop.add_signal_handler(number, self._stopping.set)
+        app = build_app(
+            self.config, self.station, self.history, self.gaps, self.token, lambda: not self._is_stuck()
+        )
+        server = _Server(
+            uvicorn.Config(
+                app,
+                http="h11",
+                ws="websockets-sansio",
+                lifespan="off",
+                log_config=None,
+                access_log=False,
+                timeout_graceful_shutdown=2,
+            )
+        )
+        self.station.start()
+        serving = asyncio.create_task(server.serve(sockets=[self._socket]))
+        watching = asyncio.create_task(self._watch())
+        self._notifier.ready(f"serving {self.config.vehicle.source} on {self.url}")
+        on_ready()
+        await asyncio.wait(
+            [serving, asyncio.create_task(self._stopping.wait())], return_when="FIRST_COMPLETED"
+        )
+        self._notifier.stopping()
+        _log.info("stopping")
+        watching.cancel()
+        # A procedure ends safely first; the page sees it end.
+        if not await asyncio.to_thread(self.station.stop):
+            _log.error("the station did not stop in time")
+        self.gaps.stop()
+        server.should_exit = True
+        await serving
+        self.history.close()
+
+    async def _watch(self) -> None:
+        """Tell the service manager that all is well, as long as it is."""
+        watchdog_s = self._notifier.watchdog_s
+        every_s = _BEAT_EVERY_S if watchdog_s is None else min(_BEAT_EVERY_S, watchdog_s / 3.0)
+        status = ""
+        while True:
+            if not self._is_stuck():
+                self._notifier.alive()
+            now = "vehicle heard" if self.station.connected else self.station.link_error or "no vehicle heard"
+            if now != status:
+                status = now
+                self._notifier.status(f"{self.config.vehicle.source}: {status}")
+            await asyncio.sleep(every_s)
+
+    def _is_stuck(self) -> bool:
+        assert self._loop is not None
+        now_s = self._loop.time()
+        if self.station.beat != self._beat[0]:
+            self._beat = (self.station.beat, now_s)
+        return now_s - self._beat[1] > STUCK_S
+
+
+def link_opener(config: ServiceConfig) -> OpenLink:
+    """Build the function that opens the configured link, and opens it again."""
+    address = parse_address(config.vehicle.source)
+    if isinstance(address, Simulated):
+        from mavcompass.vehicle.simulated import SimulatedLink
+
+        simulated = SimulatedLink.of(
+            address.vehicle, seed=address.seed, effects=address.effects, speed=config.vehicle.speed
+        )
+        return lambda: simulated  # opening it again must not make another vehicle
+    # The station opens a lost link again itself; the link need not be patient.
+    patience = Reconnect(first_s=0.0)
+
+    def open_it() -> Link:
+        from mavcompass.vehicle import open_link
+
+        return open_link(address, reconnect=patience)
+
+    return open_it
+
+
+def _listen(listen: str) -> socket.socket:
+    """Bind the page's port. Raises UsageError where it is taken."""
+    host, port = split_host_port(listen)
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.create_server((address[0], port), family=family, backlog=128)
+    except OSError as error:
+        raise UsageError(
+            f"The page cannot be served on {listen}: {error.strerror or error}.",
+            "Close the other program that uses this port, or choose another with --http HOST:PORT.",
+        ) from error
+    listener.setblocking(False)
+    return listener

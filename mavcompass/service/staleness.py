@@ -1,0 +1,80 @@
+"""Compare what is in force on the vehicle with what the history says was calibrated, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+
+from mavcompass.procedure.dialect import Dialect
+from mavcompass.service.history import Entry
+from mavcompass.service.watch import Finding
+
+_SAME = 1e-3  # relative: parameters travel as 32 bit floats
+
+
+def stale_findings(
+    instance: int,
+    dialect: Dialect,
+    parameters: Mapping[str, float],
+    last: Entry | None,
+    now: datetime,
+    age_days: float,
+) -> list[Finding]:
+    """List why the calibration in force on one compass is not, or no longer, what was calibrated."""
+    correction = dialect.correction(parameters, instance)
+    findings: list[Finding] = []
+    if not any(correction.offsets_mgauss):
+        findings.append(
+            Finding(
+                "uncalibrated",
+                instance,
+                "bad",
+                f"Compass {instance} is not calibrated",
+                f"Compass {instance} has no offsets at all: it was never calibrated.",
+                "Calibrate it.",
+            )
+        )
+    if last is None:
+        return findings
+    days = (now - datetime.fromisoformat(last.made_at)).total_seconds() / 86400.0
+    if days > age_days:
+        findings.append(
+            Finding(
+                "age",
+                instance,
+                "warning",
+                f"Compass {instance}: calibrated {days:.0f} days ago",
+                f"The calibration of compass {instance} is {days:.0f} days old.",
+                "Calibrate it again.",
+                days,
+                age_days,
+            )
+        )
+    changed = _changed(last, parameters, instance)
+    if changed:
+        differ = "differs" if len(changed) == 1 else "differ"
+        findings.append(
+            Finding(
+                "parameters",
+                instance,
+                "warning",
+                f"Compass {instance}: calibration was changed",
+                f"{', '.join(changed)} of compass {instance} {differ} from what was calibrated"
+                f" {last.made_at[:10]}.",
+                "If that was not on purpose, put the calibration back or calibrate again.",
+            )
+        )
+    return findings
+
+
+def _changed(last: Entry, parameters: Mapping[str, float], instance: int) -> list[str]:
+    """List the parameters that no longer hold what the last calibration wrote."""
+    for compass in last.document.get("compasses", ()):
+        if compass.get("instance") == instance:
+            written: Mapping[str, float] = compass.get("parameters", {})
+            return [
+                name
+                for name, value in written.items()
+                if name in parameters and abs(parameters[name] - value) > _SAME * max(1.0, abs(value))
+            ]
+    return []

@@ -1,0 +1,134 @@
+"""What the service knows, as JSON: the vehicle, the headings, the findings, the task under way."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from mavcompass import __version__
+from mavcompass.heading.live import Heading
+from mavcompass.service.station import Station
+from mavcompass.service.vehicle_view import VehicleView
+from mavcompass.service.watch import Finding
+
+SCHEMA = "mavcompass.state/1"
+
+
+def heading_json(heading: Heading) -> dict[str, Any]:
+    """Describe one heading; the level field is what a page draws the circle from."""
+    forward, right, down = heading.level_mgauss
+    return {
+        "instance": heading.instance,
+        "boot_s": round(heading.boot_s, 4),
+        "magnetic_deg": round(math.degrees(heading.magnetic_rad), 2),
+        "true_deg": None if heading.true_rad is None else round(math.degrees(heading.true_rad), 2),
+        "sigma_deg": round(math.degrees(heading.sigma_rad), 2),
+        "level_mgauss": [round(forward, 1), round(right, 1), round(down, 1)],
+    }
+
+
+def moment_json(station: Station) -> dict[str, Any]:
+    """Describe what changes quickly: headings, tilt, turned angle."""
+    view = station.view
+    if view is None:
+        return {"connected": False, "headings": [], "turned_deg": 0.0, "rate_dps": 0.0, "still": False}
+    level = view.level
+    headings = [c.latest for c in list(view.compasses.values()) if c.latest is not None]
+    return {
+        "connected": station.connected,
+        "headings": [heading_json(heading) for heading in headings],
+        "turned_deg": round(math.degrees(level.turned_rad), 1),
+        "rate_dps": round(math.degrees(level.rate_radps), 1),
+        "roll_deg": round(math.degrees(level.roll_rad), 1),
+        "pitch_deg": round(math.degrees(level.pitch_rad), 1),
+        "still": abs(level.rate_radps) < 0.02,
+    }
+
+
+def state_json(station: Station) -> dict[str, Any]:
+    """Describe everything."""
+    task = station.desk.current
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        "link": _link_json(station),
+        "vehicle": None if station.view is None else _vehicle_json(station.view),
+        "world": None if station.view is None else _world_json(station.view),
+        "now": moment_json(station),
+        "findings": [finding_json(finding) for finding in station.findings],
+        "task": None if task is None else task.to_json(),
+    }
+
+
+def finding_json(finding: Finding) -> dict[str, Any]:
+    """Describe one finding."""
+    return {
+        "id": finding.id,
+        "compass": finding.instance,
+        "severity": finding.severity,
+        "text": finding.text,
+        "remedy": finding.remedy,
+        "value": _number(finding.value),
+        "limit": _number(finding.limit),
+    }
+
+
+def _link_json(station: Station) -> dict[str, Any]:
+    link, view = station.link, station.view
+    counts = None if link is None else link.statistics
+    silent_s = None if link is None or view is None else _number(link.now() - view.heard_s)
+    return {
+        "source": station.config.vehicle.source,
+        "open": link is not None,
+        "connected": station.connected,
+        "error": station.link_error,
+        "silent_s": silent_s if silent_s is None else round(silent_s, 3),
+        "reconnects": 0 if view is None else view.reconnects,
+        "reboots": 0 if view is None else view.reboots,
+        "received": 0 if counts is None else counts.received,
+        "lost": 0 if counts is None else counts.lost,
+        "malformed": 0 if counts is None else counts.malformed,
+        "dropped": 0 if counts is None else counts.dropped,
+    }
+
+
+def _vehicle_json(view: VehicleView) -> dict[str, Any]:
+    return {
+        "key": view.key,
+        "system": view.identity.system,
+        "autopilot": view.identity.autopilot,
+        "kind": view.identity.kind,
+        "armed": view.state.armed,
+        "mode": view.state.mode,
+        "boot_s": _number(view.boot_s),
+        "compasses": [
+            {
+                "instance": instance,
+                "device_id": view.device_id(instance),
+                "calibration_sigma_deg": _sigma_deg(view, instance),
+            }
+            for instance in view.instances()
+        ],
+        "texts": list(view.state.texts)[-5:],
+    }
+
+
+def _sigma_deg(view: VehicleView, instance: int) -> float | None:
+    compass = view.compasses.get(instance)
+    return None if compass is None else round(math.degrees(compass.calibration_sigma_rad), 2)
+
+
+def _world_json(view: VehicleView) -> dict[str, Any] | None:
+    world = view.world
+    if world is None:
+        return None
+    return {
+        "horizontal_mgauss": round(world.horizontal_mgauss, 1),
+        "total_mgauss": round(world.total_mgauss, 1),
+        "dip_deg": round(math.degrees(world.inclination_rad), 2),
+        "declination_deg": round(math.degrees(world.declination_rad), 2),
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

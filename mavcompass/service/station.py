@@ -1,0 +1,230 @@
+"""The station: the thread that owns the link and does everything that has to do with the vehicle.
+
+It hears, publishes headings, watches the compass, answers ground stations, keeps the message rates and
+runs one procedure at a time. Other threads hand it requests through `desk` and read what it knows.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+
+from mavcompass import messages as mav
+from mavcompass.earth_field import decimal_year
+from mavcompass.errors import MavCompassError
+from mavcompass.messages import Incoming
+from mavcompass.procedure.vehicle_state import VehicleIdentity, identify
+from mavcompass.service.config import ServiceConfig
+from mavcompass.service.history import History
+from mavcompass.service.jobs import Jobs
+from mavcompass.service.publisher import HeadingPublisher
+from mavcompass.service.rates import RateKeeper
+from mavcompass.service.schedule import Schedule
+from mavcompass.service.tasks import Desk
+from mavcompass.service.teller import Teller
+from mavcompass.service.vehicle_view import GONE_S, VehicleView
+from mavcompass.service.watch import CompassWatch, Finding
+from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.stopping import StopRequest
+
+_log = logging.getLogger(__name__)
+
+_TEND_EVERY_S = 0.05
+_LOOK_EVERY_S = 0.1
+_HEARTBEAT_EVERY_S = 1.0
+_MEET_AGAIN_S = 10.0
+_JUDGE_EVERY_S = 60.0
+_REOPEN_S = 0.5
+
+OpenLink = Callable[[], Link]
+
+
+class Station:
+    """Serve one vehicle on one link.
+
+    Attributes:
+        desk: takes requests. view: what is known of the vehicle, None before its first heartbeat.
+        stale: findings from parameters and history. link_error: why the link is not open, or "".
+        beat: counts up while the thread is alive, for the watchdog. headings: published so far.
+    """
+
+    def __init__(self, config: ServiceConfig, history: History, open_link: OpenLink) -> None:
+        self.config = config
+        self.desk = Desk()
+        self.watch = CompassWatch(config.watch)
+        self.view: VehicleView | None = None
+        self.stale: tuple[Finding, ...] = ()
+        self.link: Link | None = None
+        self.link_error = ""
+        self.beat = 0
+        self.headings = 0
+        self._open_link = open_link
+        self._due = Schedule()
+        self._teller = Teller(config, self.desk, self._due)
+        self._jobs = Jobs(config, history, self._hear_in_procedure)
+        self._rates = RateKeeper({})
+        self._publisher = HeadingPublisher(config.heading.publish) if config.heading.publish else None
+        self._ending = StopRequest()
+        self._thread = threading.Thread(target=self._run, name="station", daemon=True)
+
+    # --- for other threads --------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Open the link and begin."""
+        self._thread.start()
+
+    def stop(self, patience_s: float = 15.0) -> bool:
+        """End: a procedure is stopped safely first. False where the thread did not end in time."""
+        self.desk.close("The service is stopping.")
+        self._ending.reason = "The service is stopping."
+        self._thread.join(patience_s)
+        if self._publisher is not None:
+            self._publisher.close()
+        return not self._thread.is_alive()
+
+    @property
+    def connected(self) -> bool:
+        """Tell whether the vehicle was heard lately."""
+        view, link = self.view, self.link
+        return view is not None and link is not None and link.now() - view.heard_s < GONE_S
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Return what is wrong with the compasses, the bad first."""
+        both = (*self.watch.findings, *self.stale)
+        return tuple(sorted(both, key=lambda finding: finding.severity != "bad"))
+
+    # --- the thread ---------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while self._ending.reason is None:
+            try:
+                with self._open_link() as link:
+                    self.link, self.link_error = link, ""
+                    self._live(link)
+            except MavCompassError as error:
+                self.link_error = str(error)
+                _log.warning("%s", error)
+            except Exception:
+                self.link_error = "An unexpected error; see the service's log."
+                _log.exception("unexpected error on the link; opening it again")
+            self.link = None
+            self.beat += 1
+            if self._ending.reason is None:
+                time.sleep(_REOPEN_S)
+
+    def _live(self, link: Link) -> None:
+        """Do all the work on an open link until it is lost or the service ends."""
+        self._due.clear()
+        if self.view is not None:
+            link.identity = link.identity.aboard(self.view.identity.system)
+        while self._ending.reason is None:
+            task = self.desk.take()
+            if task is not None:
+                self._jobs.work(link, self.view, task)
+                self._after_work()
+            now_s = link.now()
+            incoming = link.receive(max(self._due.next_s("tend", now_s, _TEND_EVERY_S) - now_s, 0.0))
+            if incoming is not None:
+                self._hear(link, incoming)
+            self._tend(link, idle=True)
+        if self.view is not None:
+            for request in self._rates.goodbye(self.view.identity.system):
+                link.send(request)
+
+    def _after_work(self) -> None:
+        """Read the parameters again, which may have changed, and judge the compass anew."""
+        if self.view is not None:
+            self.view.parameters = {}
+        self.watch.restart()
+        self._due.hurry("meet")
+
+    def _hear_in_procedure(self, link: Link, heard: Incoming) -> None:
+        self._hear(link, heard)
+        self._tend(link, idle=False)
+
+    def _hear(self, link: Link, heard: Incoming) -> None:
+        """Take one message, whoever sent it."""
+        view = self.view
+        if view is None or heard.system != view.identity.system or heard.component != view.identity.component:
+            self._hear_other(link, heard)
+            return
+        if heard.time_s - view.heard_s > GONE_S and math.isfinite(view.heard_s):
+            view.reconnects += 1
+            view.level.restart()
+            self._vehicle_is_back()
+        if view.restarted(heard.message):
+            _log.warning("the vehicle was restarted")
+            view.restart()
+            self.watch.restart()
+            self._vehicle_is_back()
+        self._rates.count(type(heard.message))
+        heading = view.hear(heard)
+        if heading is not None:
+            self.headings += 1
+            if self._publisher is not None:
+                self._publisher.publish(heading)
+        if self._jobs.recorder is not None:
+            self._jobs.recorder.add(heard)
+
+    def _hear_other(self, link: Link, heard: Incoming) -> None:
+        """Take a message of anybody but the vehicle: a command, or the vehicle's first heartbeat."""
+        self._teller.hear_command(link, self.view, heard)
+        found = identify(heard)
+        wanted = self.config.vehicle.system
+        if found is None or self.view is not None or (wanted and found.system != wanted):
+            return
+        _log.info("found %s %s, system %d", found.autopilot, found.kind, found.system)
+        link.identity = link.identity.aboard(found.system)
+        year = round(decimal_year(time.time()), 2)
+        self.view = VehicleView(found, f"{found.autopilot}-system-{found.system}", year)
+        self.view.hear(heard)
+        self._rates = RateKeeper(_wanted_rates(found, self.config.vehicle.rate_hz))
+
+    def _vehicle_is_back(self) -> None:
+        self._rates.vehicle_is_back()
+        self._due.hurry("meet")
+
+    def _tend(self, link: Link, idle: bool) -> None:
+        """Do what is due; `idle` while no procedure runs, which speaks for itself then."""
+        now_s = link.now()
+        if not self._due.is_due("tend", now_s, _TEND_EVERY_S):
+            return
+        self.beat += 1
+        if idle and self._due.is_due("heartbeat", now_s, _HEARTBEAT_EVERY_S):
+            link.send(link.identity.heartbeat())
+        view = self.view
+        if view is None:
+            return
+        if self._due.is_due("look", now_s, _LOOK_EVERY_S):
+            self.watch.update(view.glance(now_s))
+        self._teller.tell(link, view, self.findings, now_s)
+        if not idle or now_s - view.heard_s > GONE_S:
+            return
+        for request in self._rates.due(now_s, view.identity.system):
+            link.send(request)
+        if not view.parameters:
+            # A request that waits comes first: it reads the parameters itself.
+            if not self.desk.busy and self._due.is_due("meet", now_s, _MEET_AGAIN_S):
+                self._jobs.meet(link, view, self._ending)
+                self._due.hurry("judge")
+        elif self._due.is_due("judge", now_s, _JUDGE_EVERY_S):
+            self.stale = self._jobs.judge_calibrations(view)
+
+
+def _wanted_rates(identity: VehicleIdentity, rate_hz: float) -> dict[type[mav.Message], float]:
+    """List the messages that the service wants, at their rates."""
+    slow_hz = min(rate_hz, 10.0)
+    return {
+        mav.ScaledImu if identity.autopilot == "px4" else mav.RawImu: rate_hz,
+        mav.ScaledImu2: slow_hz,
+        mav.ScaledImu3: slow_hz,
+        mav.Attitude: slow_hz,
+        mav.GlobalPositionInt: 2.0,
+        mav.GpsRawInt: 2.0,
+        mav.SysStatus: 2.0,
+        mav.SystemTime: 1.0,
+    }

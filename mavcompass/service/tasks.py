@@ -1,0 +1,217 @@
+"""What people and programs ask the service to do, and how each request is getting on."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+from mavcompass.errors import MavCompassError, Refused
+from mavcompass.procedure.script import Show
+from mavcompass.service.history import Kind
+from mavcompass.vehicle.stopping import StopRequest
+
+Writing = Literal["ask", "yes", "never"]
+Motion = Literal["auto", "vehicle", "hand"]
+State = Literal["waiting", "running", "asking", "done", "failed"]
+Origin = Literal["http", "mavlink"]
+
+_MOST_LINES = 200
+_AFTER_WRITING = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRequest:
+    """Ask for a calibration; no compasses means those of the configuration."""
+
+    compasses: tuple[int, ...] = ()
+    motion: Motion = "auto"
+    writing: Writing = "ask"
+    method: str = "four-positions"
+    positions: int = 4
+    dwell_s: float = 2.0
+
+    kind: ClassVar[Kind] = "calibration"
+
+
+@dataclass(frozen=True, slots=True)
+class CheckRequest:
+    """Ask for a pre-flight check; `turn` says who turns it by 90 degrees, if anybody."""
+
+    turn: Literal["none", "vehicle", "hand"] = "none"
+
+    kind: ClassVar[Kind] = "check"
+
+
+@dataclass(frozen=True, slots=True)
+class UndoRequest:
+    """Ask to put back what an undo file holds."""
+
+    undo_file: str
+
+    kind: ClassVar[Kind] = "undo"
+
+
+@dataclass(frozen=True, slots=True)
+class GapRequest:
+    """Ask why the recording of a calibration differs from the simulation."""
+
+    recording: str
+    entry: int
+
+    kind: ClassVar[Kind] = "gap"
+
+
+Request = CalibrationRequest | CheckRequest | UndoRequest | GapRequest
+
+
+class Busy(MavCompassError):
+    """Report that something else is being done: one motion at a time."""
+
+
+@dataclass(slots=True)
+class Task:
+    """Hold one request on its way; written by the thread that works on it, read by everybody.
+
+    Attributes:
+        lines: what was told so far: step, text, fraction, data.
+        fraction: of the whole, 0..1, never falling.
+        question: what the person is asked now, None while nothing.
+        document: the machine-readable result. entry: its number in the history.
+        results: the solutions of a calibration, as soon as there are any.
+    """
+
+    number: int
+    request: Request
+    origin: Origin
+    started_at: str
+    state: State = "waiting"
+    lines: list[dict[str, Any]] = field(default_factory=list)
+    fraction: float = 0.0
+    question: str | None = None
+    document: Mapping[str, Any] | None = None
+    entry: int | None = None
+    error: str = ""
+    remedy: str = ""
+    ok: bool = False
+    results: tuple[Any, ...] = ()
+    stop: StopRequest = field(default_factory=StopRequest)
+    _answer: bool | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Tell whether it has ended."""
+        return self.state in ("done", "failed")
+
+    def show(self, show: Show) -> None:
+        """Take note of what the procedure tells."""
+        if show.fraction is not None:
+            # A write counts its own steps; the whole goes on after it.
+            most = _AFTER_WRITING if show.step == "write" else 1.0
+            self.fraction = max(self.fraction, min(show.fraction, most))
+        line = {"step": show.step, "text": show.text, "fraction": self.fraction, "data": dict(show.data)}
+        if len(self.lines) < _MOST_LINES:
+            self.lines.append(line)
+        else:  # a person who turns by hand gets many prompts; the latest is the one that counts
+            self.lines[-1] = line
+
+    def ask(self, question: str) -> None:
+        """Put a question to the person."""
+        self._answer = None
+        self.question, self.state = question, "asking"
+
+    def give_answer(self, yes: bool) -> bool:
+        """Answer the question; False where none is open."""
+        if self.question is None:
+            return False
+        self._answer = yes
+        return True
+
+    def poll_answer(self) -> bool | None:
+        """Return the answer when there is one."""
+        answer = self._answer
+        if answer is not None:
+            self._answer, self.question, self.state = None, None, "running"
+        return answer
+
+    def finish(self, ok: bool, document: Mapping[str, Any], entry: int | None) -> None:
+        """End with a result."""
+        self.ok, self.document, self.entry = ok, document, entry
+        self.question, self.fraction, self.state = None, 1.0, "done"
+
+    def fail(self, error: Exception) -> None:
+        """End with an error."""
+        self.error = error.what if isinstance(error, MavCompassError) else f"{type(error).__name__}: {error}"
+        self.remedy = getattr(error, "remedy", "")
+        self.question, self.state = None, "failed"
+
+    def to_json(self) -> dict[str, Any]:
+        """Describe it, with everything that was told."""
+        return {
+            "id": self.number,
+            "kind": self.request.kind,
+            "origin": self.origin,
+            "started_at": self.started_at,
+            "state": self.state,
+            "ok": self.ok,
+            "fraction": self.fraction,
+            "lines": list(self.lines),
+            "question": self.question,
+            "document": self.document,
+            "history_entry": self.entry,
+            "error": self.error,
+            "remedy": self.remedy,
+        }
+
+
+class Desk:
+    """Take one request at a time; safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._count = 0
+        self._current: Task | None = None
+        self._closed = False
+
+    @property
+    def current(self) -> Task | None:
+        """Return the latest task, running or finished; None before the first."""
+        return self._current
+
+    @property
+    def busy(self) -> bool:
+        """Tell whether a task is waiting or running."""
+        return self._current is not None and not self._current.finished
+
+    def submit(self, request: Request, origin: Origin, now: str) -> Task:
+        """Take a request. Raises Busy while another is under way."""
+        with self._lock:
+            if self._closed:
+                raise Refused("The service is stopping.", "Start it again.")
+            if self._current is not None and not self._current.finished:
+                raise Busy(
+                    f"A {self._current.request.kind} is under way.", "Wait for its end, or stop it first."
+                )
+            self._count += 1
+            self._current = Task(self._count, request, origin, now)
+            return self._current
+
+    def take(self) -> Task | None:
+        """Return the task that is waiting, now running; None where there is none."""
+        with self._lock:
+            task = self._current
+            if task is None or task.state != "waiting":
+                return None
+            task.state = "running"
+            return task
+
+    def close(self, reason: str) -> None:
+        """Take no more requests, and stop the one under way."""
+        with self._lock:
+            self._closed = True
+            task = self._current
+            if task is not None and not task.finished:
+                task.stop.reason = task.stop.reason or reason
+                if task.state == "waiting":
+                    task.fail(Refused(reason))

@@ -1,0 +1,186 @@
+"""What the service knows of its vehicle, kept up to date message by message."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from mavcompass import messages as mav
+from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, px4_name, px4_rotation
+from mavcompass.earth_field import EarthField, decimal_year, earth_field
+from mavcompass.heading.live import UNKNOWN_CALIBRATION_SIGMA_RAD, Heading, Level, LiveCompass
+from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
+from mavcompass.service.watch import Glance
+from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
+from mavcompass.vehicle.dialects import make_dialect
+
+# Silence after which the vehicle counts as gone.
+GONE_S = 2.0
+# A clock that falls back by more than this was started again; less is a late message.
+_REBOOT_S = 2.0
+_PREFERRED_SILENCE_S = 1.0
+_COURSE_UNKNOWN = 65535
+_IMU = (mav.RawImu, mav.ScaledImu)
+
+
+@dataclass(slots=True)
+class VehicleView:
+    """Keep the state of one vehicle; `hear` takes every message of it.
+
+    Attributes:
+        key: of its history. parameters: of its compasses, empty until they were read.
+        reconnects, reboots: counted since the service started.
+        current_a: the latest battery current.
+    """
+
+    identity: VehicleIdentity
+    key: str
+    year: float
+    state: VehicleState = field(default_factory=VehicleState)
+    level: Level = field(default_factory=Level)
+    compasses: dict[int, LiveCompass] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
+    world: EarthField | None = None
+    heard_s: float = -math.inf
+    boot_s: float = -math.inf
+    reconnects: int = 0
+    reboots: int = 0
+    _preferred_s: float = -math.inf
+    _world_at: tuple[float, float] | None = None
+
+    def hear(self, heard: mav.Incoming) -> Heading | None:
+        """Take one message; the heading, where it brought one."""
+        message = heard.message
+        self.heard_s = heard.time_s
+        kind = type(message)
+        if kind is mav.RawImu:
+            return self._raw(heard.time_s, message)  # type: ignore[arg-type]
+        if kind is mav.ScaledImu or kind is mav.ScaledImu2 or kind is mav.ScaledImu3:
+            return self._scaled(heard.time_s, message)  # type: ignore[arg-type]
+        self.state.hear(heard)
+        if kind is mav.GlobalPositionInt:
+            self._place(message)  # type: ignore[arg-type]
+        return None
+
+    def _raw(self, time_s: float, imu: mav.RawImu) -> Heading | None:
+        if self.identity.autopilot == "px4":
+            return None  # its SCALED_IMU is the one whose numbers are known
+        self._preferred_s = time_s
+        return self._body(time_s, imu.time_usec * 1e-6, imu)
+
+    def _scaled(self, time_s: float, imu: mav.ScaledImu) -> Heading | None:
+        boot_s = imu.time_boot_ms * 1e-3
+        if type(imu) is mav.ScaledImu:
+            if time_s - self._preferred_s < _PREFERRED_SILENCE_S:
+                return None  # RAW_IMU says the same, finer in time
+            return self._body(time_s, boot_s, imu)
+        return self._compass(3 if type(imu) is mav.ScaledImu3 else 2, time_s, boot_s, imu)
+
+    def _body(self, time_s: float, boot_s: float, imu: mav.RawImu | mav.ScaledImu) -> Heading | None:
+        self.boot_s = boot_s
+        g, w = MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
+        acceleration = (imu.xacc * g, imu.yacc * g, imu.zacc * g)
+        self.level.update(boot_s, acceleration, (imu.xgyro * w, imu.ygyro * w, imu.zgyro * w))
+        return self._compass(1, time_s, boot_s, imu)
+
+    def _compass(
+        self, instance: int, time_s: float, boot_s: float, imu: mav.RawImu | mav.ScaledImu
+    ) -> Heading | None:
+        compass = self.compasses.get(instance)
+        if compass is None:
+            compass = self.compasses[instance] = LiveCompass(instance)
+            compass.set_world(self.world)
+            self._tell_correction(compass)
+        field_mgauss = (float(imu.xmag), float(imu.ymag), float(imu.zmag))
+        return compass.update(time_s, boot_s, field_mgauss, self.level)
+
+    def restarted(self, message: mav.Message) -> bool:
+        """Tell whether a message shows that the vehicle's clock began anew."""
+        if isinstance(message, mav.RawImu):
+            boot_s = message.time_usec * 1e-6
+        elif isinstance(message, mav.ScaledImu | mav.Attitude | mav.GlobalPositionInt):
+            boot_s = message.time_boot_ms * 1e-3
+        else:
+            return False
+        return boot_s < self.boot_s - _REBOOT_S
+
+    def restart(self) -> None:
+        """Forget what a reboot ends."""
+        self.reboots += 1
+        self.boot_s = -math.inf
+        self.parameters = {}
+        self.level.restart()
+
+    def _place(self, place: mav.GlobalPositionInt) -> None:
+        """Look up the Earth's field; again after ten kilometres."""
+        if not place.lat and not place.lon:
+            return
+        here = (place.lat * 1e-7, place.lon * 1e-7)
+        known = self._world_at
+        if known is not None and max(abs(here[0] - known[0]), abs(here[1] - known[1])) < 0.1:
+            return
+        if not (abs(here[0]) <= 90.0 and abs(here[1]) <= 180.0):
+            return
+        self._world_at = here
+        utc = self.state.utc
+        dated = utc is not None and utc.time_unix_usec > 1_400_000_000_000_000
+        year = decimal_year(utc.time_unix_usec * 1e-6) if utc is not None and dated else self.year
+        lat_deg, lon_deg = round(here[0], 2), round(here[1], 2)
+        self.world = earth_field(lat_deg, lon_deg, place.alt * 1e-3, round(year, 2))
+        for compass in self.compasses.values():
+            compass.set_world(self.world)
+
+    # --- parameters ---------------------------------------------------------------------------------
+
+    def set_parameters(self, parameters: Mapping[str, float]) -> None:
+        """Take the compass parameters in force."""
+        self.parameters = dict(parameters)
+        for compass in self.compasses.values():
+            compass.restart()
+            self._tell_correction(compass)
+
+    def _tell_correction(self, compass: LiveCompass) -> None:
+        if self.identity.autopilot == "px4" and self.parameters:
+            correction = make_dialect("px4").correction(self.parameters, compass.instance)
+            compass.set_uncorrected(correction, px4_rotation(self.parameters, compass.instance))
+
+    def instances(self) -> tuple[int, ...]:
+        """List the compasses that the vehicle has: by its parameters, else those heard."""
+        if self.parameters:
+            return make_dialect(self.identity.autopilot).instances(self.parameters)
+        return tuple(sorted(self.compasses))
+
+    def device_id(self, instance: int) -> int:
+        """Return a compass's device id, 0 where it is not known."""
+        if self.identity.autopilot == "px4":
+            return int(self.parameters.get(px4_name("ID", instance), 0.0))
+        name = ardupilot_name("DEV_ID", instance, ardupilot_naming(self.parameters))
+        return int(self.parameters.get(name, 0.0))
+
+    def set_calibration_sigma(self, instance: int, sigma_deg: float | None) -> None:
+        """Say how good the calibration in force is; None where that is not known."""
+        compass = self.compasses.get(instance)
+        if compass is not None:
+            known = sigma_deg is not None and math.isfinite(sigma_deg)
+            sigma_rad = math.radians(sigma_deg or 0.0) if known else UNKNOWN_CALIBRATION_SIGMA_RAD
+            compass.calibration_sigma_rad = sigma_rad
+
+    # --- for the watch ------------------------------------------------------------------------------
+
+    def glance(self, time_s: float) -> Glance:
+        """Return what the watch looks at."""
+        gps, battery = self.state.gps, self.state.battery
+        fixed = gps is not None and gps.fix_type >= 3 and gps.cog != _COURSE_UNKNOWN
+        measured = battery is not None and battery.current_battery >= 0
+        return Glance(
+            time_s=time_s,
+            headings={i: c.latest for i, c in self.compasses.items() if c.latest is not None},
+            world=self.world,
+            turned_rad=self.level.turned_rad,
+            rate_radps=self.level.rate_radps,
+            kind=self.identity.kind,
+            course_rad=math.radians(gps.cog * 0.01) if fixed and gps is not None else None,
+            speed_mps=gps.vel * 0.01 if fixed and gps is not None and gps.vel != 65535 else 0.0,
+            current_a=battery.current_battery * 0.01 if measured and battery is not None else None,
+        )

@@ -1,0 +1,294 @@
+"""Watch the compass in service and say early, and why, when its calibration no longer holds.
+
+Everything here compares the compass with something that does not come from it: the world magnetic model,
+the other compasses, the gyro, the GPS course, the battery's current.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from mavcompass.earth_field import EarthField
+from mavcompass.heading.live import Heading
+from mavcompass.service.config import WatchConfig
+
+Severity = Literal["warning", "bad"]
+
+_DEG = math.pi / 180.0
+# A value must be beyond its limit for so long before it counts, and so long well inside before it does not.
+_RAISE_S = 5.0
+_CLEAR_S = 10.0
+_CLEAR_BELOW = 0.7
+_BAD_ABOVE = 2.5  # times the limit
+_COURSE_SPEED_MPS = 1.5
+_AHEAD_KINDS = frozenset({"rover", "boat", "sub"})
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Hold one thing that is wrong with a compass in service.
+
+    Attributes:
+        id: what was compared: field, dip, agreement, gyro, course, current, age, device, parameters.
+        short: at most 50 letters, for STATUSTEXT. text: a sentence. remedy: what to do.
+        value, limit: what was measured and what is tolerated, in the unit that the text names.
+    """
+
+    id: str
+    instance: int
+    severity: Severity
+    short: str
+    text: str
+    remedy: str
+    value: float = math.nan
+    limit: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Glance:
+    """Hold what the watch looks at, ten times a second or less.
+
+    Attributes:
+        time_s: on the link's clock. headings: the latest of each compass.
+        turned_rad, rate_radps: by the gyro, about the vertical. kind: of vehicle.
+        course_rad, speed_mps: over ground by GPS; None without a fix. current_a: None where not measured.
+    """
+
+    time_s: float
+    headings: Mapping[int, Heading]
+    world: EarthField | None
+    turned_rad: float = 0.0
+    rate_radps: float = 0.0
+    kind: str = "unknown"
+    course_rad: float | None = None
+    speed_mps: float = 0.0
+    current_a: float | None = None
+
+
+@dataclass(slots=True)
+class _Latch:
+    """Remember whether a value counts as beyond its limit, with patience both ways."""
+
+    active: bool = False
+    _since_s: float | None = None
+
+    def update(self, time_s: float, value: float, limit: float) -> bool:
+        crossing = value < limit * _CLEAR_BELOW if self.active else value > limit
+        if not crossing:
+            self._since_s = None
+        elif self._since_s is None:
+            self._since_s = time_s
+        elif time_s - self._since_s >= (_CLEAR_S if self.active else _RAISE_S):
+            self.active, self._since_s = not self.active, None
+        return self.active
+
+
+@dataclass(slots=True)
+class _Average:
+    """Average over about `span` of whatever passes (seconds, radians turned)."""
+
+    span: float
+    value: float = 0.0
+    weight: float = 0.0
+
+    def add(self, sample: float, amount: float) -> None:
+        keep = math.exp(-amount / self.span)
+        self.weight = keep * self.weight + (1.0 - keep)
+        if self.weight > 0.0:
+            self.value += (1.0 - keep) / self.weight * (sample - self.value)
+
+    @property
+    def known(self) -> bool:
+        return self.weight > 0.3
+
+
+@dataclass(slots=True)
+class _GyroComparison:
+    """Compare the heading's change with the gyro's, per angle turned: standing still teaches nothing."""
+
+    mean: _Average = field(default_factory=lambda: _Average(2.0 * math.pi))
+    square: _Average = field(default_factory=lambda: _Average(math.pi))
+    _last: tuple[float, float] | None = None
+    _difference_rad: float = 0.0
+
+    def add(self, heading_rad: float, turned_rad: float) -> None:
+        if self._last is None:
+            self._last = (heading_rad, turned_rad)
+            return
+        step, turned = _wrap(heading_rad - self._last[0]), turned_rad - self._last[1]
+        self._last = (heading_rad, turned_rad)
+        self._difference_rad += _wrap(step - turned)
+        if abs(turned) < 0.003:
+            return
+        self.mean.add(self._difference_rad, abs(turned))
+        self.square.add((self._difference_rad - self.mean.value) ** 2, abs(turned))
+
+    @property
+    def rms_rad(self) -> float:
+        return math.sqrt(self.square.value) if self.square.known and self.mean.known else 0.0
+
+
+@dataclass(slots=True)
+class _CurrentCoupling:
+    """Find how the field's level and vertical parts, which no turn changes, go with the current."""
+
+    span_s: float = 60.0
+    _weight: float = 0.0
+    _means: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    _products: list[float] = field(default_factory=lambda: [0.0] * 5)  # ii, ih, iz, hh, zz
+
+    def add(self, current_a: float, horizontal: float, vertical: float, step_s: float) -> None:
+        keep = math.exp(-step_s / self.span_s)
+        self._weight = keep * self._weight + (1.0 - keep)
+        gain = (1.0 - keep) / self._weight
+        values = (current_a, horizontal, vertical)
+        before = [v - m for v, m in zip(values, self._means, strict=True)]
+        self._means = [m + gain * b for m, b in zip(self._means, before, strict=True)]
+        after = [v - m for v, m in zip(values, self._means, strict=True)]
+        pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (2, 2))
+        for n, (i, j) in enumerate(pairs):
+            self._products[n] += gain * (before[i] * after[j] - self._products[n])
+
+    def swing_mgauss(self) -> float:
+        """Return how far the field goes with the current, 0 where they are not seen to go together."""
+        ii, ih, iz, hh, zz = self._products
+        spread_a = math.sqrt(max(ii, 0.0))
+        if self._weight < 0.3 or spread_a < 0.7:
+            return 0.0
+        explained = (ih * ih + iz * iz) / (ii * max(hh + zz, 1e-9))
+        # Two standard deviations either side cover the range of the current.
+        return 4.0 * math.hypot(ih, iz) / ii * spread_a if explained > 0.4 else 0.0
+
+
+@dataclass(slots=True)
+class _CompassRecord:
+    """Hold what the watch knows of one compass."""
+
+    strength: _Average = field(default_factory=lambda: _Average(10.0))
+    dip: _Average = field(default_factory=lambda: _Average(10.0))
+    apart: _Average = field(default_factory=lambda: _Average(10.0))
+    course: _Average = field(default_factory=lambda: _Average(20.0))
+    gyro: _GyroComparison = field(default_factory=_GyroComparison)
+    current: _CurrentCoupling = field(default_factory=_CurrentCoupling)
+    latches: dict[str, _Latch] = field(default_factory=dict)
+
+
+class CompassWatch:
+    """Take glances, keep the findings."""
+
+    def __init__(self, limits: WatchConfig) -> None:
+        self.limits = limits
+        self.findings: tuple[Finding, ...] = ()
+        self._records: dict[int, _CompassRecord] = {}
+        self._latest_s = -math.inf
+
+    def restart(self) -> None:
+        """Forget everything: the vehicle was restarted or its calibration was changed."""
+        self.findings = ()
+        self._records.clear()
+        self._latest_s = -math.inf
+
+    def update(self, glance: Glance) -> tuple[Finding, ...]:
+        """Look once and return the findings in force."""
+        step_s = glance.time_s - self._latest_s
+        self._latest_s = glance.time_s
+        if not 0.0 < step_s < 5.0:  # the first, or after a silence: nothing has passed in between
+            return self.findings
+        findings: list[Finding] = []
+        for instance, heading in glance.headings.items():
+            if glance.time_s - heading.time_s > 1.0:
+                continue
+            record = self._records.setdefault(instance, _CompassRecord())
+            self._learn(record, heading, glance, step_s)
+            findings += self._judge(record, instance, glance)
+        self.findings = tuple(findings)
+        return self.findings
+
+    def _learn(self, record: _CompassRecord, heading: Heading, glance: Glance, step_s: float) -> None:
+        world = glance.world
+        if world is not None:
+            strength = 100.0 * (heading.total_mgauss / world.total_mgauss - 1.0)
+            record.strength.add(strength, step_s)
+            record.dip.add((heading.dip_rad - world.inclination_rad) / _DEG, step_s)
+        first = glance.headings.get(1)
+        if first is not None and heading.instance != 1 and glance.time_s - first.time_s < 1.0:
+            record.apart.add(_wrap(heading.magnetic_rad - first.magnetic_rad) / _DEG, step_s)
+        record.gyro.add(heading.magnetic_rad, glance.turned_rad)
+        course = glance.course_rad
+        if course is not None and heading.true_rad is not None and _drives_straight_ahead(glance):
+            off = _wrap(course - heading.true_rad) / _DEG
+            if abs(off) < 135.0:  # otherwise it drives backwards
+                record.course.add(off, step_s)
+        if glance.current_a is not None:
+            record.current.add(glance.current_a, heading.horizontal_mgauss, heading.level_mgauss[2], step_s)
+
+    def _judge(self, record: _CompassRecord, instance: int, glance: Glance) -> list[Finding]:
+        horizontal = glance.headings[instance].horizontal_mgauss
+        swing_deg = math.degrees(record.current.swing_mgauss() / max(horizontal, 1.0) / math.sqrt(2.0))
+        limits = self.limits
+        measured = {
+            "field": (record.strength.value, limits.field_percent),
+            "dip": (record.dip.value, limits.dip_deg),
+            "agreement": (record.apart.value, limits.agreement_deg),
+            "gyro": (record.gyro.rms_rad / _DEG, limits.gyro_deg),
+            "course": (record.course.value if record.course.known else 0.0, limits.course_deg),
+            "current": (swing_deg, limits.current_deg),
+        }
+        findings = []
+        for name, (value, limit) in measured.items():
+            latch = record.latches.setdefault(name, _Latch())
+            if latch.update(glance.time_s, abs(value), limit):
+                findings.append(_finding(name, instance, value, limit))
+        return findings
+
+
+_WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
+    "field": (
+        "field strength {value:+.0f} % off",
+        "The field at compass {i} is {value:+.0f} % off the world model's.",
+        "Move away from iron and current; if it stays, calibrate.",
+    ),
+    "dip": (
+        "field dip {value:+.0f} deg off",
+        "The field at compass {i} dips {value:+.1f} deg off the world model's.",
+        "Move away from iron and current; if it stays, calibrate.",
+    ),
+    "agreement": (
+        "{value:+.0f} deg from compass 1",
+        "Compass {i} points {value:+.0f} deg off compass 1.",
+        "Calibrate both; if they still differ, check the mounting orientation.",
+    ),
+    "gyro": (
+        "heading does not follow gyro",
+        "While turning, compass {i} departs from the gyro by {value:.0f} deg rms.",
+        "Calibrate: the iron around the compass has changed.",
+    ),
+    "course": (
+        "heading {value:+.0f} deg off course",
+        "Driving ahead, the GPS course is {value:+.0f} deg off the heading of compass {i}.",
+        "Check the mounting orientation, then calibrate.",
+    ),
+    "current": (
+        "heading swings with current",
+        "The field at compass {i} goes with the battery's current: about {value:.0f} deg of heading.",
+        "Move power leads away from the compass or calibrate its motor compensation.",
+    ),
+}
+
+
+def _finding(name: str, instance: int, value: float, limit: float) -> Finding:
+    short, text, remedy = (words.format(i=instance, value=value) for words in _WORDS[name])
+    severity: Severity = "bad" if abs(value) > _BAD_ABOVE * limit else "warning"
+    return Finding(name, instance, severity, f"Compass {instance}: {short}"[:50], text, remedy, value, limit)
+
+
+def _drives_straight_ahead(glance: Glance) -> bool:
+    straight = abs(glance.rate_radps) < 0.1
+    return straight and glance.speed_mps > _COURSE_SPEED_MPS and glance.kind in _AHEAD_KINDS
+
+
+def _wrap(angle_rad: float) -> float:
+    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi

@@ -1,0 +1,302 @@
+// The page: listens to the stream, draws, and asks the service to do things. No library, no build step.
+
+import { Circle, Rose } from "./draw.js";
+import * as show from "./show.js";
+
+const $ = (id) => document.getElementById(id);
+const rose = new Rose($("rose"));
+const circle = new Circle($("circle"));
+
+const page = { compass: 1, now: null, task: null, world: null, vehicle: null, drawn: null, oldest: null, positionsSeen: 0 };
+
+// --- the token ----------------------------------------------------------------------------------
+
+// It comes in the fragment, which browsers never send, and leaves the address bar at once.
+const fragment = new URLSearchParams(location.hash.slice(1));
+if (fragment.has("token")) {
+  localStorage.setItem("mavcompass-token", fragment.get("token"));
+  history.replaceState(null, "", location.pathname);
+}
+const token = () => localStorage.getItem("mavcompass-token") ?? "";
+
+function showTokenBox() {
+  $("token-box").hidden = Boolean(token());
+}
+
+$("token-form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  localStorage.setItem("mavcompass-token", $("token").value.trim());
+  $("token").value = "";
+  refuse("");
+  showTokenBox();
+});
+
+// --- asking the service -------------------------------------------------------------------------
+
+function refuse(words) {
+  $("refusal").textContent = words;
+  $("refusal").hidden = !words;
+}
+
+async function get(path) {
+  const response = await fetch(path);
+  const answer = await response.json();
+  if (!response.ok) throw new Error(answer.error ?? response.statusText);
+  return answer;
+}
+
+async function post(path, body = {}) {
+  refuse("");
+  try {
+    const response = await fetch(path, {
+      method: "POST",
+      headers: { "content-type": "application/json", authorization: `Bearer ${token()}` },
+      body: JSON.stringify(body),
+    });
+    const answer = await response.json();
+    if (response.status === 401) {
+      localStorage.removeItem("mavcompass-token");
+      showTokenBox();
+    }
+    if (!response.ok) throw new Error([answer.error, answer.remedy].filter(Boolean).join(" "));
+    return answer;
+  } catch (error) {
+    refuse(error.message);
+    return null;
+  }
+}
+
+async function begin(path, body) {
+  const task = await post(path, body);
+  if (task) takeTask(task);
+}
+
+$("calibrate").addEventListener("click", () => {
+  const chosen = $("compasses").value;
+  const body = { motion: $("motion").value, writing: $("writing").value, compasses: chosen ? [Number(chosen)] : [] };
+  begin("/api/calibration", body);
+});
+$("check").addEventListener("click", () => begin("/api/check", { turn: $("turn").value }));
+$("stop").addEventListener("click", () => post("/api/task/stop"));
+$("yes").addEventListener("click", () => post("/api/task/answer", { yes: true }));
+$("no").addEventListener("click", () => post("/api/task/answer", { yes: false }));
+$("more").addEventListener("click", () => loadHistory(page.oldest));
+
+// --- the stream ---------------------------------------------------------------------------------
+
+let socket = null, heardAt = 0, retryMs = 300;
+
+function listen() {
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/stream?rate_hz=15`);
+  socket.onmessage = (event) => {
+    heardAt = performance.now();
+    retryMs = 300;
+    const message = JSON.parse(event.data);
+    page.now = message.now;
+    if ("findings" in message) showFindings(message.findings);
+    if ("task" in message) takeTask(message.task);
+    requestAnimationFrame(showNow);
+  };
+  socket.onopen = loadState;
+  socket.onclose = () => {
+    setTimeout(listen, retryMs);
+    retryMs = Math.min(2 * retryMs, 2000);
+  };
+}
+
+setInterval(() => {
+  const heard = performance.now() - heardAt < 3000;
+  const connected = heard && page.now?.connected;
+  const kind = page.vehicle ? `${page.vehicle.autopilot} ${page.vehicle.kind}` : "vehicle";
+  const words = !heard ? "the service is not reached" : connected ? `${kind}${page.vehicle?.armed ? ", armed" : ""}` : "the vehicle is not heard";
+  $("status").textContent = words;
+  $("status").className = `status ${connected ? "on" : "off"}`;
+  $("live").style.opacity = connected ? "" : ".45";
+}, 300);
+
+async function loadState() {
+  try {
+    const state = await get("/api/state");
+    page.world = state.world;
+    page.vehicle = state.vehicle;
+    $("version").textContent = `mavcompass ${state.version}`;
+    const armed = state.vehicle?.armed;
+    $("motion-hint").textContent = !state.vehicle
+      ? "Waiting for the vehicle."
+      : armed
+        ? "The vehicle is armed: it turns itself, four times by 90°. Keep clear."
+        : "The vehicle is disarmed: you turn it by hand, four times by 90°.";
+    const count = state.vehicle?.compasses.length ?? 0;
+    if (count && $("compasses").options.length !== count + 1) {
+      const options = state.vehicle.compasses.map((c) => new Option(`compass ${c.instance}`, c.instance));
+      $("compasses").replaceChildren(new Option("all", ""), ...options);
+    }
+  } catch {
+    // The stream tells that the service is away.
+  }
+}
+setInterval(loadState, 2000);
+
+// --- what changes quickly -----------------------------------------------------------------------
+
+function showNow() {
+  const now = page.now;
+  const heading = now?.headings.find((h) => h.instance === page.compass) ?? now?.headings[0];
+  showChoice(now?.headings ?? []);
+  if (!heading) return;
+  const degrees = heading.true_deg ?? heading.magnetic_deg;
+  rose.show(degrees, heading.sigma_deg);
+  $("heading").textContent = String(Math.round(degrees) % 360).padStart(3, "0");
+  $("north").textContent = heading.true_deg === null ? "magnetic" : "true";
+  $("sigma").textContent = heading.sigma_deg.toFixed(heading.sigma_deg < 10 ? 1 : 0);
+  $("magnetic").textContent = `${heading.magnetic_deg.toFixed(1)}°`;
+  const [forward, right, down] = heading.level_mgauss;
+  const level = Math.hypot(forward, right), total = Math.hypot(level, down);
+  $("strength").textContent = `${total.toFixed(0)} mG`;
+  $("dip").textContent = `${((Math.atan2(down, level) * 180) / Math.PI).toFixed(1)}°`;
+  $("tilt").textContent = `${Math.round(now.roll_deg) || 0}°, ${Math.round(now.pitch_deg) || 0}°`;
+  if (page.task && isRunning(page.task)) {
+    $("turned").textContent = `${(now.turned_deg - (page.turnedAtStart ?? now.turned_deg)).toFixed(0)}°`;
+    $("still").classList.toggle("on", now.still);
+    circle.earth = page.world?.horizontal_mgauss ?? null;
+    circle.add(forward, right);
+    markPositions(page.task, forward, right);
+    circle.draw();
+  }
+}
+
+function showChoice(headings) {
+  const key = headings.map((h) => h.instance).sort().join();
+  const box = $("compass-choice");
+  if (box.dataset.key !== `${key}/${page.compass}`) {
+    box.dataset.key = `${key}/${page.compass}`;
+    box.hidden = headings.length < 2;
+    const instances = headings.map((h) => h.instance).sort();
+    box.replaceChildren(...instances.map((i) => show.node("button", {
+      text: `Compass ${i}`, "aria-pressed": String(i === page.compass), onclick: () => { page.compass = i; },
+    })));
+  }
+}
+
+function showFindings(findings) {
+  $("findings").hidden = !findings.length;
+  // One remedy often cures several findings: it is said once, below them.
+  const groups = new Map();
+  for (const finding of findings) groups.set(finding.remedy, [...(groups.get(finding.remedy) ?? []), finding]);
+  $("findings").replaceChildren(...[...groups].map(([remedy, group]) => {
+    const css = group.some((f) => f.severity === "bad") ? "finding worst" : "finding";
+    return show.node("div", { class: css }, ...group.map((f) => show.node("b", { text: f.text })), show.node("span", { text: remedy }));
+  }));
+}
+
+// --- the task -----------------------------------------------------------------------------------
+
+const isRunning = (task) => !["done", "failed"].includes(task.state);
+
+function takeTask(task) {
+  const before = page.task;
+  page.task = task;
+  if (!task) return;
+  if (!before || before.id !== task.id) {
+    circle.reset(4, page.world?.horizontal_mgauss ?? null);
+    page.turnedAtStart = page.now?.turned_deg ?? 0;
+    page.positionsSeen = 0;
+  }
+  const running = isRunning(task);
+  $("idle").hidden = running;
+  $("running").hidden = !running;
+  document.body.classList.toggle("busy", running);
+  if (running) showRunning(task);
+  else if (page.drawn !== task.id) {
+    page.drawn = task.id;
+    showEnd(task);
+    loadHistory();
+  }
+}
+
+function showRunning(task) {
+  const titles = { calibration: "Calibrating", check: "Checking", undo: "Putting back" };
+  $("running-title").textContent = titles[task.kind] ?? task.kind;
+  $("result").hidden = true;
+  const last = task.lines[task.lines.length - 1];
+  $("prompt").textContent = task.question ? "Write these parameters?" : last?.text ?? "Waiting for the vehicle.";
+  $("bar").style.width = `${Math.round(100 * task.fraction)}%`;
+  const told = task.lines.slice(0, -1).filter((line, k, all) => line.step !== all[k + 1]?.step);
+  $("steps").replaceChildren(...told.reverse().map((line) => show.node("li", { text: line.text })));
+  $("question").hidden = !task.question;
+  $("question-text").textContent = task.question?.split("\n").slice(1).join("\n") ?? "";
+}
+
+function markPositions(task, forward, right) {
+  for (const line of task.lines) {
+    if (line.step === "write") circle.written();
+    const position = line.data.position;
+    if (line.step !== "dwell" || !position || position <= page.positionsSeen) continue;
+    page.positionsSeen = position;
+    circle.positions = Math.max(circle.positions, position);
+    circle.reach(position, forward, right);
+  }
+}
+
+function showEnd(task) {
+  const box = $("result");
+  box.hidden = false;
+  if (task.state === "failed") {
+    box.replaceChildren(show.node("p", { class: "verdict bad", text: `The ${task.kind} came to nothing` }),
+      show.node("p", { text: task.error }), show.node("p", { class: "soft", text: task.remedy }));
+  } else {
+    showDocument(task.kind, task.document, task.history_entry);
+  }
+}
+
+function showDocument(kind, document, entry) {
+  const box = $("result");
+  const pieces = document.error
+    ? [show.node("p", { class: "verdict bad", text: document.error }), show.node("p", { class: "soft", text: document.remedy ?? "" })]
+    : kind === "undo"
+      ? [show.node("p", { class: "verdict good", text: `${Object.keys(document.values).length} parameters put back and read back` })]
+      : show[kind](document);
+  if (kind === "calibration" && !document.error && entry) {
+    pieces.push(show.node("p", {}, show.node("a", { href: `/api/history/${entry}/report`, target: "_blank", rel: "noopener", text: "Full report" })));
+  }
+  box.hidden = false;
+  box.replaceChildren(...pieces);
+}
+
+// --- the history --------------------------------------------------------------------------------
+
+const acts = {
+  async show(id) {
+    const entry = await get(`/api/history/${id}`);
+    showDocument(entry.kind, entry.document, entry.has_report ? entry.id : null);
+    $("result").scrollIntoView({ behavior: "smooth", block: "start" });
+  },
+  undo(id) {
+    if (confirm("Put back the parameters that this calibration replaced?")) begin("/api/undo", { entry: id });
+  },
+  async gap(id) {
+    if (!(await post("/api/gap", { entry: id }))) return;
+    refuse("Explaining the gap; this takes a while and does not touch the vehicle.");
+    const timer = setInterval(async () => {
+      const task = await get("/api/gap");
+      if (isRunning(task)) return;
+      clearInterval(timer);
+      refuse(task.state === "failed" ? `${task.error} ${task.remedy}` : "");
+      if (task.state === "done") showDocument("gap", task.document, task.history_entry);
+      loadHistory();
+    }, 1000);
+  },
+};
+
+async function loadHistory(before = null) {
+  const answer = await get(`/api/history?limit=8${before ? `&before=${before}` : ""}`).catch(() => ({ entries: [] }));
+  const lines = answer.entries.map((entry) => show.historyLine(entry, acts));
+  if (before) $("history").append(...lines);
+  else $("history").replaceChildren(...(lines.length ? lines : [show.node("li", { class: "soft", text: "Nothing was done yet." })]));
+  page.oldest = answer.entries.at(-1)?.id ?? null;
+  $("more").hidden = answer.entries.length < 8;
+}
+
+showTokenBox();
+loadHistory();
+listen();

@@ -1,0 +1,147 @@
+// Everything that is drawn: the rose, the field's circle, the deviation plot. SVG, no library.
+
+const NS = "http://www.w3.org/2000/svg";
+const RAD = Math.PI / 180;
+
+export function element(name, attributes = {}, text = null) {
+  const node = document.createElementNS(NS, name);
+  for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+  if (text !== null) node.textContent = text;
+  return node;
+}
+
+const at = (degrees, radius) => [radius * Math.sin(degrees * RAD), -radius * Math.cos(degrees * RAD)];
+
+// --- the rose: the card turns, the bow is always up ---------------------------------------------
+
+export class Rose {
+  constructor(svg) {
+    this.arc = element("path", { class: "r-arc" });
+    this.card = element("g");
+    for (const radius of [100, 74]) svg.append(element("circle", { r: radius, class: "r-ring" }));
+    svg.append(this.arc, this.card);
+    for (let degrees = 0; degrees < 360; degrees += 10) this.tick(degrees);
+    ["N", "NE", "E", "SE", "S", "SW", "W", "NW"].forEach((name, k) => this.name(name, 45 * k));
+    svg.append(element("path", { class: "r-boat", d: "M0-34C13-16 13 6 11 30L-11 30C-13 6-13-16 0-34Z" }));
+    svg.append(element("path", { class: "r-lubber", d: "M0-84L6-101L-6-101Z" }));
+    this.shown = null;
+  }
+
+  tick(degrees) {
+    const big = degrees % 30 === 0;
+    const [x1, y1] = at(degrees, 100), [x2, y2] = at(degrees, big ? 92 : 96);
+    this.card.append(element("line", { x1, y1, x2, y2, class: big ? "r-tick big" : "r-tick" }));
+    if (!big || degrees % 90 === 0) return;
+    const [x, y] = at(degrees, 106);
+    this.card.append(element("text", { x, y, class: "r-number", transform: `rotate(${degrees} ${x} ${y})` }, degrees));
+  }
+
+  name(name, degrees) {
+    const [x, y] = at(degrees, 83);
+    const css = name === "N" ? "r-name n" : name.length > 1 ? "r-name between" : "r-name";
+    this.card.append(element("text", { x, y, class: css, transform: `rotate(${degrees} ${x} ${y})` }, name));
+  }
+
+  show(heading, sigma) {
+    // Turn the short way round, also through north.
+    const before = this.shown ?? heading;
+    this.shown = before + (((heading - before) % 360) + 540) % 360 - 180;
+    this.card.setAttribute("transform", `rotate(${-this.shown.toFixed(2)})`);
+    const half = Math.min(Math.max(2 * sigma, 0.4), 179.9);
+    const [x1, y1] = at(-half, 100), [x2, y2] = at(half, 100), [x3, y3] = at(half, 40), [x4, y4] = at(-half, 40);
+    const large = half > 90 ? 1 : 0;
+    this.arc.setAttribute("d",
+      `M${x1} ${y1}A100 100 0 ${large} 1 ${x2} ${y2}L${x3} ${y3}A40 40 0 ${large} 0 ${x4} ${y4}Z`);
+  }
+}
+
+// --- the field as the vehicle turns -------------------------------------------------------------
+
+const MOST_POINTS = 900;
+
+export class Circle {
+  constructor(svg) {
+    this.svg = svg;
+    this.reset(4);
+  }
+
+  reset(positions, earth = null) {
+    this.positions = positions;
+    this.earth = earth;
+    this.points = [];
+    this.after = null; // index of the first point after the write
+    this.spots = [];
+    this.reached = 0;
+    this.dwelling = false;
+  }
+
+  add(forward, right) {
+    const last = this.points[this.points.length - 1];
+    if (last && Math.hypot(last[0] - forward, last[1] - right) < 1.5) return;
+    if (this.points.length < MOST_POINTS) this.points.push([forward, right]);
+  }
+
+  // A position counts as reached when its dwell begins; it is drawn where the field was then.
+  reach(position, forward, right) {
+    this.spots[position - 1] = [forward, right];
+    this.reached = Math.max(this.reached, position);
+  }
+
+  written() {
+    this.after ??= this.points.length;
+  }
+
+  draw() {
+    const all = [...this.points];
+    const farthest = Math.max(this.earth ?? 0, ...all.map(([f, r]) => Math.hypot(f, r)), 50);
+    const scale = 100 / farthest;
+    const place = ([forward, right]) => [right * scale, -forward * scale];
+    const path = (points) => points.map((p, k) => `${k ? "L" : "M"}${place(p).map((v) => v.toFixed(1)).join(" ")}`).join("");
+    const pieces = [
+      element("line", { x1: -112, x2: 112, y1: 0, y2: 0, class: "c-axis" }),
+      element("line", { y1: -112, y2: 112, x1: 0, x2: 0, class: "c-axis" }),
+    ];
+    if (this.earth) pieces.push(element("circle", { r: this.earth * scale, class: "c-earth" }));
+    const cut = this.after ?? all.length;
+    pieces.push(element("path", { d: path(all.slice(0, cut)), class: "c-trail" }));
+    pieces.push(element("path", { d: path(all.slice(cut)), class: "c-trail c-after" }));
+    if (all.length) {
+      const [cx, cy] = place(all[all.length - 1]);
+      pieces.push(element("circle", { cx, cy, r: 5, class: "c-now" }));
+    }
+    for (let k = 0; k < this.positions; k++) pieces.push(...this.spot(k, place));
+    this.svg.replaceChildren(...pieces);
+  }
+
+  spot(k, place) {
+    const spot = this.spots[k];
+    const lit = spot !== undefined;
+    // Until reached, it waits in a row below the circle.
+    const [cx, cy] = lit ? place(spot) : [-112 + 9 + 22 * k, 110];
+    const css = lit ? "c-spot lit" : k === this.reached ? "c-spot next" : "c-spot";
+    return [
+      element("circle", { cx, cy, r: 9, class: css }),
+      element("text", { x: cx, y: cy, class: lit ? "c-digit lit" : "c-digit" }, k + 1),
+    ];
+  }
+}
+
+// --- the deviation card as a line ---------------------------------------------------------------
+
+export function deviationPlot(rows, sigma) {
+  const svg = element("svg", { viewBox: "0 0 360 150", class: "card-plot", role: "img", "aria-label": "Deviation of the old calibration" });
+  const most = Math.max(...rows.map((row) => Math.abs(row.old_error_deg)), sigma ?? 0, 1);
+  const x = (degrees) => 30 + (degrees / 360) * 322, y = (error) => 68 - (error / most) * 56;
+  for (const degrees of [0, 90, 180, 270, 360]) {
+    svg.append(element("line", { x1: x(degrees), x2: x(degrees), y1: 10, y2: 126, class: "p-grid" }));
+    svg.append(element("text", { x: x(degrees), y: 142, class: "p-text" }, `${degrees}°`));
+  }
+  for (const error of [-most, 0, most]) {
+    svg.append(element("line", { x1: x(0), x2: x(360), y1: y(error), y2: y(error), class: error ? "p-grid" : "p-zero" }));
+    svg.append(element("text", { x: 26, y: y(error) + 3, class: "p-text p-side" }, `${error > 0 ? "+" : ""}${error.toFixed(most < 5 ? 1 : 0)}`));
+  }
+  if (sigma) svg.append(element("rect", { x: x(0), width: 322, y: y(sigma), height: y(-sigma) - y(sigma), class: "p-band" }));
+  const closed = [...rows, { ...rows[0], heading_deg: 360 }];
+  svg.append(element("path", { class: "p-old", d: closed.map((row, k) => `${k ? "L" : "M"}${x(row.heading_deg).toFixed(1)} ${y(row.old_error_deg).toFixed(1)}`).join("") }));
+  return svg;
+}

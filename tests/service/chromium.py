@@ -1,0 +1,158 @@
+"""Drive a headless Chromium over its DevTools protocol: enough for looking at a page and clicking on it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import ClientConnection, connect
+
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+_OPTIONS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",
+    "--remote-debugging-port=0",
+)
+
+
+def find_chromium() -> str | None:
+    """Find the program, None where there is none."""
+    return next((path for name in PROGRAMS if (path := shutil.which(name))), None)
+
+
+class Page:
+    """One page in a browser of its own; `errors` are what the page's own programs complain about."""
+
+    def __init__(self, program: str, width: int, height: int, dark: bool = False) -> None:
+        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        self._browser = subprocess.Popen(
+            [program, *_OPTIONS, f"--user-data-dir={self._folder.name}", "about:blank"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        self._number = 0
+        self.errors: list[str] = []
+        self._socket = self._connect()
+        target = self._call("Target.createTarget", {"url": "about:blank"})["targetId"]
+        attached = self._call("Target.attachToTarget", {"targetId": target, "flatten": True})
+        self._session: str | None = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Log"):
+            self._call(f"{domain}.enable", {})
+        self._call(
+            "Emulation.setDeviceMetricsOverride",
+            {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600},
+        )
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self._call("Emulation.setEmulatedMedia", {"features": [scheme]})
+
+    def _connect(self) -> ClientConnection:
+        self._session = None
+        told = Path(self._folder.name) / "DevToolsActivePort"
+        end = time.monotonic() + 30.0
+        while time.monotonic() < end:
+            if self._browser.poll() is not None:
+                raise RuntimeError("Chromium ended at once")
+            lines = told.read_text().split() if told.exists() else []
+            if len(lines) == 2:
+                return connect(f"ws://127.0.0.1:{lines[0]}{lines[1]}", max_size=None, compression=None)
+            time.sleep(0.05)
+        raise TimeoutError("Chromium did not open its DevTools port")
+
+    def _call(self, method: str, parameters: dict[str, Any]) -> dict[str, Any]:
+        self._number += 1
+        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
+        if self._session is not None:
+            message["sessionId"] = self._session
+        self._socket.send(json.dumps(message))
+        while True:
+            heard = json.loads(self._socket.recv(timeout=30.0))
+            if heard.get("id") == self._number:
+                if "error" in heard:
+                    raise RuntimeError(f"{method}: {heard['error']}")
+                return dict(heard["result"])
+            self._note(heard)
+
+    def _note(self, event: dict[str, Any]) -> None:
+        if event.get("method") == "Runtime.exceptionThrown":
+            details = event["params"]["exceptionDetails"]
+            self.errors.append(details.get("exception", {}).get("description") or details["text"])
+        elif event.get("method") == "Log.entryAdded" and event["params"]["entry"]["level"] == "error":
+            self.errors.append(event["params"]["entry"]["text"])
+
+    def open(self, url: str) -> None:
+        """Go to an address and wait until the page is there."""
+        self._call("Page.navigate", {"url": url})
+        self.wait("document.readyState === 'complete'")
+
+    def run(self, script: str) -> Any:
+        """Evaluate an expression in the page and return its value."""
+        result = self._call(
+            "Runtime.evaluate", {"expression": script, "returnByValue": True, "awaitPromise": True}
+        )
+        if "exceptionDetails" in result:
+            raise RuntimeError(f"{script}: {result['exceptionDetails']['text']}")
+        return result["result"].get("value")
+
+    def wait(self, condition: str, timeout_s: float = 20.0) -> Any:
+        """Wait until an expression is true in the page."""
+        end = time.monotonic() + timeout_s
+        while time.monotonic() < end:
+            if value := self.run(condition):
+                return value
+            time.sleep(0.05)
+        raise AssertionError(
+            f"{condition} stayed false; the page says: {self.run('document.body.innerText')}"
+        )
+
+    def click(self, selector: str) -> None:
+        """Press the mouse in the middle of an element, as a person would: what covers it gets the click."""
+        self.run(f"document.querySelector({selector!r}).scrollIntoView({{block: 'center'}})")
+        box = self.run(
+            f"(() => {{ const r = document.querySelector({selector!r}).getBoundingClientRect();"
+            " return [r.x + r.width / 2, r.y + r.height / 2, r.width]; })()"
+        )
+        assert box[2] > 0, f"{selector} is not shown"
+        for kind in ("mousePressed", "mouseReleased"):
+            self._call(
+                "Input.dispatchMouseEvent",
+                {"type": kind, "x": box[0], "y": box[1], "button": "left", "clickCount": 1},
+            )
+
+    def text(self, selector: str) -> str:
+        """Return what an element says."""
+        return str(self.run(f"document.querySelector({selector!r}).innerText"))
+
+    def screenshot(self, path: Path, whole: bool = False) -> None:
+        """Save what is seen, or the whole page."""
+        self.run("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        picture = self._call(
+            "Page.captureScreenshot", {"captureBeyondViewport": whole} if not whole else self._all()
+        )
+        path.write_bytes(base64.b64decode(picture["data"]))
+
+    def _all(self) -> dict[str, Any]:
+        size = self._call("Page.getLayoutMetrics", {})["cssContentSize"]
+        clip = {"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1}
+        return {"captureBeyondViewport": True, "clip": clip}
+
+    def close(self) -> None:
+        """End the browser."""
+        self._socket.close()
+        self._browser.terminate()
+        self._browser.wait(10.0)
+        self._folder.cleanup()

@@ -1,0 +1,162 @@
+"""What the watch over a compass in service finds, and what it lets pass."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from mavcompass.earth_field import EarthField
+from mavcompass.heading.live import Heading
+from mavcompass.service.config import WatchConfig
+from mavcompass.service.watch import CompassWatch, Glance
+
+WORLD = EarthField((206.155, 0.0, 400.0))
+DEG = math.pi / 180.0
+
+
+def heading(
+    time_s: float, magnetic_rad: float, instance: int = 1, scale: float = 1.0, dip_deg: float = 0.0
+) -> Heading:
+    dip = WORLD.inclination_rad + dip_deg * DEG
+    total = WORLD.total_mgauss * scale
+    level = (
+        total * math.cos(dip) * math.cos(magnetic_rad),
+        -total * math.cos(dip) * math.sin(magnetic_rad),
+        total * math.sin(dip),
+    )
+    wrapped = magnetic_rad % (2.0 * math.pi)
+    return Heading(time_s, time_s, instance, wrapped, wrapped, 0.01, level)
+
+
+def found(
+    see: Callable[[float], Glance], seconds: float = 60.0, watch: CompassWatch | None = None
+) -> set[str]:
+    watch = watch or CompassWatch(WatchConfig())
+    start = 0.0
+    for k in range(int(seconds * 10)):
+        watch.update(see(start + 0.1 * k))
+    return {f"{finding.id}{finding.instance}" for finding in watch.findings}
+
+
+def glance(time_s: float, *headings: Heading) -> Glance:
+    return Glance(time_s, {h.instance: h for h in headings}, WORLD)
+
+
+def test_a_good_compass_is_let_pass_standing_turning_and_driving() -> None:
+    def see(t: float) -> Glance:
+        turned = 0.3 * t
+        quiet = glance(t, heading(t, turned), heading(t, turned + 2.0 * DEG, 2))
+        return replace(
+            quiet,
+            turned_rad=turned,
+            rate_radps=0.3,
+            kind="boat",
+            speed_mps=3.0,
+            current_a=10 + 5 * math.sin(t),
+        )
+
+    assert found(see) == set()
+
+
+@pytest.mark.parametrize(
+    ("scale", "dip_deg", "expected"),
+    [(1.12, 0.0, {"field1"}), (0.85, 0.0, {"field1"}), (1.0, 6.0, {"dip1"}), (1.05, 3.0, set())],
+)
+def test_a_field_that_the_world_does_not_have_is_found(
+    scale: float, dip_deg: float, expected: set[str]
+) -> None:
+    assert found(lambda t: glance(t, heading(t, 1.0, 1, scale, dip_deg))) == expected
+
+
+def test_compasses_that_disagree_are_found() -> None:
+    assert found(lambda t: glance(t, heading(t, 6.2), heading(t, 0.2, 2))) == {"agreement2"}
+
+
+def test_a_heading_that_does_not_follow_the_gyro_is_found_after_a_turn() -> None:
+    def see(t: float) -> Glance:
+        turned = 0.3 * t
+        bent = turned + 20.0 * DEG * math.sin(turned)
+        return replace(glance(t, heading(t, bent)), turned_rad=turned, rate_radps=0.3)
+
+    assert found(see) == {"gyro1"}
+    assert found(lambda t: replace(see(t), turned_rad=0.0) if t < 0.1 else see(0.0), 30.0) == set()
+
+
+def test_a_slow_gyro_drift_is_not_blamed_on_the_compass() -> None:
+    def see(t: float) -> Glance:
+        turned = 0.3 * t
+        return replace(glance(t, heading(t, turned)), turned_rad=turned + 0.05 * DEG * t, rate_radps=0.3)
+
+    assert found(see, 120.0) == set()
+
+
+@pytest.mark.parametrize(
+    ("kind", "off_deg", "speed_mps", "expected"),
+    [
+        ("boat", 20.0, 3.0, {"course1"}),
+        ("boat", 5.0, 3.0, set()),
+        ("boat", 20.0, 0.5, set()),
+        ("boat", 180.0, 3.0, set()),  # it drives backwards
+        ("copter", 60.0, 8.0, set()),  # flies sideways as it likes
+    ],
+)
+def test_a_heading_off_the_course_of_a_vehicle_that_drives_ahead_is_found(
+    kind: str, off_deg: float, speed_mps: float, expected: set[str]
+) -> None:
+    def see(t: float) -> Glance:
+        course = 1.0 + off_deg * DEG
+        return replace(glance(t, heading(t, 1.0)), kind=kind, course_rad=course, speed_mps=speed_mps)
+
+    assert found(see) == expected
+
+
+@pytest.mark.parametrize(("mgauss_per_a", "expected"), [(2.5, {"current1"}), (0.2, set())])
+def test_a_field_that_goes_with_the_current_is_found(mgauss_per_a: float, expected: set[str]) -> None:
+    def see(t: float) -> Glance:
+        current = 15.0 + 10.0 * math.sin(0.8 * t)
+        h = heading(t, 1.0)
+        forward, right, down = h.level_mgauss
+        disturbed = replace(h, level_mgauss=(forward, right, down + mgauss_per_a * (current - 15.0)))
+        return replace(glance(t, disturbed), current_a=current)
+
+    assert found(see, 90.0) - {"dip1", "field1"} == expected
+
+
+def test_a_short_disturbance_is_not_a_finding_and_a_finding_goes_when_its_cause_goes() -> None:
+    watch = CompassWatch(WatchConfig())
+
+    def see(t: float) -> Glance:
+        bad = 10.0 <= t < 12.0 or 40.0 <= t < 100.0
+        return glance(t, heading(t, 1.0, scale=1.3 if bad else 1.0))
+
+    states = []
+    for k in range(2000):
+        watch.update(see(0.1 * k))
+        states.append(bool(watch.findings))
+    assert not any(states[:400])
+    assert all(states[600:1000])
+    assert not any(states[1600:])
+
+
+def test_a_finding_says_what_to_do_and_fits_a_statustext() -> None:
+    watch = CompassWatch(WatchConfig())
+    found(lambda t: glance(t, heading(t, 1.0, scale=1.5)), 60.0, watch)
+    finding = watch.findings[0]
+    assert finding.severity == "bad"
+    assert "+50 %" in finding.text
+    assert finding.remedy
+    assert len(finding.short) <= 50
+
+
+def test_nothing_is_learnt_across_a_silence() -> None:
+    watch = CompassWatch(WatchConfig())
+    watch.update(glance(0.0, heading(0.0, 1.0, scale=2.0)))
+    watch.update(glance(500.0, heading(500.0, 1.0, scale=2.0)))
+    assert watch.findings == ()
+
+
+def test_a_compass_that_fell_silent_is_not_judged_on_old_readings() -> None:
+    assert found(lambda t: glance(t, heading(0.0, 1.0, scale=2.0))) == set()

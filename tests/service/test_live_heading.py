@@ -1,0 +1,151 @@
+"""The heading, message by message."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.frames import euler_to_matrix, rotate_back, sensor_orientation_matrix, wrap_pi
+from mavcompass.heading.compute import tilt_compensated_heading
+from mavcompass.heading.live import Level, LiveCompass
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+G = STANDARD_GRAVITY_MPS2
+WORLD = EarthField((200.0, 50.0, 400.0))
+DEG = math.pi / 180.0
+
+
+def resting(roll: float, pitch: float) -> Level:
+    level = Level()
+    acc = rotate_back(euler_to_matrix(roll, pitch, 0.0), [0.0, 0.0, -G])
+    level.update(0.0, tuple(acc), (0.0, 0.0, 0.0))
+    return level
+
+
+def seen(roll: float, pitch: float, magnetic: float) -> tuple[float, float, float]:
+    """The field of a place without declination, in body axes."""
+    field = rotate_back(euler_to_matrix(roll, pitch, magnetic), [206.0, 0.0, 400.0])
+    return (float(field[0]), float(field[1]), float(field[2]))
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 45.0, 90.0, 180.0, 270.0, 359.0])
+def test_a_level_vehicle_shows_its_heading(heading_deg: float) -> None:
+    heading = LiveCompass(1).update(1.0, 1.0, seen(0.0, 0.0, heading_deg * DEG), resting(0.0, 0.0))
+    assert heading is not None
+    assert math.degrees(heading.magnetic_rad) % 360.0 == pytest.approx(heading_deg, abs=1e-9)
+    assert heading.level_mgauss[2] == pytest.approx(400.0)
+    assert heading.true_rad is None
+
+
+@given(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), st.floats(0.0, 2.0 * math.pi, exclude_max=True))
+def test_tilt_does_not_turn_it_and_it_agrees_with_the_array_form(
+    roll: float, pitch: float, magnetic: float
+) -> None:
+    field = seen(roll, pitch, magnetic)
+    heading = LiveCompass(1).update(0.0, 0.0, field, resting(roll, pitch))
+    assert heading is not None
+    assert float(wrap_pi(heading.magnetic_rad - magnetic)) == pytest.approx(0.0, abs=1e-9)
+    array_form = tilt_compensated_heading(field, roll_rad=roll, pitch_rad=pitch)
+    assert float(wrap_pi(heading.magnetic_rad - array_form)) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_true_heading_adds_the_declination() -> None:
+    compass = LiveCompass(1)
+    compass.set_world(WORLD)
+    heading = compass.update(0.0, 0.0, seen(0.0, 0.0, 6.2), resting(0.0, 0.0))
+    assert heading is not None and heading.true_rad is not None
+    assert float(wrap_pi(heading.true_rad - 6.2 - WORLD.declination_rad)) == pytest.approx(0.0, abs=1e-9)
+    assert 0.0 <= heading.true_rad < 2.0 * math.pi
+
+
+def test_a_raw_reading_in_sensor_axes_is_corrected_first() -> None:
+    """As PX4 reports it: turned into body axes, then offsets and matrix."""
+    rotation = sensor_orientation_matrix(6)  # yaw 270
+    correction = FieldCorrection((30.0, -20.0, 10.0), (1.1, 0.9, 1.0), (0.02, 0.0, -0.01))
+    field = np.array(seen(0.1, -0.2, 2.0))
+    raw_sensor = rotation.T @ correction.undo(field)
+    compass = LiveCompass(1)
+    compass.set_uncorrected(correction, rotation)
+    heading = compass.update(0.0, 0.0, tuple(raw_sensor), resting(0.1, -0.2))
+    assert heading is not None
+    assert heading.magnetic_rad == pytest.approx(2.0, abs=1e-9)
+
+
+def test_no_heading_where_the_field_or_the_vehicle_is_vertical() -> None:
+    assert LiveCompass(1).update(0.0, 0.0, (0.0, 0.0, 500.0), resting(0.0, 0.0)) is None
+    assert LiveCompass(1).update(0.0, 0.0, (1.0, 2.0, 3.0), resting(0.0, math.pi / 2.0)) is None
+
+
+def test_sigma_grows_with_what_speaks_against_the_compass() -> None:
+    level = resting(0.0, 0.0)
+
+    def sigma_deg(field: tuple[float, float, float], rate_radps: float = 0.0) -> float:
+        compass = LiveCompass(1)
+        compass.set_world(WORLD)
+        compass.calibration_sigma_rad = 0.5 * DEG
+        level.rate_radps = rate_radps
+        heading = compass.update(0.0, 0.0, field, level)
+        assert heading is not None
+        return math.degrees(heading.sigma_rad)
+
+    good = seen(0.0, 0.0, 1.0)
+    assert 0.5 < sigma_deg(good) < 1.0
+    stronger = tuple(1.2 * value for value in good)
+    assert sigma_deg(stronger) > 5.0
+    assert sigma_deg(good, rate_radps=1.0) > 4.0
+
+
+def test_sigma_covers_the_error_of_disturbed_compasses() -> None:
+    """A hard iron of unknown direction: errors stay within three sigmas for nearly all."""
+    rng = np.random.default_rng(5)
+    normalised = []
+    for _ in range(400):
+        iron = rng.normal(0.0, 15.0, 3)
+        magnetic = rng.uniform(0.0, 2.0 * math.pi)
+        compass = LiveCompass(1)
+        compass.set_world(EarthField((206.155, 0.0, 400.0)))
+        compass.calibration_sigma_rad = 1.0 * DEG
+        field = np.array(seen(0.0, 0.0, magnetic)) + iron
+        heading = compass.update(0.0, 0.0, tuple(field), resting(0.0, 0.0))
+        assert heading is not None
+        normalised.append(abs(float(wrap_pi(heading.magnetic_rad - magnetic))) / heading.sigma_rad)
+    assert np.mean(np.array(normalised) < 3.0) > 0.9
+    assert np.median(normalised) > 0.2  # nor is it absurdly large
+
+
+def test_the_turned_angle_follows_a_tilted_vehicle_around() -> None:
+    level, step_s, rate = Level(), 0.01, 0.6
+    for k in range(2000):
+        t = k * step_s
+        attitude = euler_to_matrix(0.2, -0.1, rate * t)
+        acc = rotate_back(attitude, [0.0, 0.0, -G])
+        gyro = rotate_back(attitude, [0.0, 0.0, rate])
+        level.update(t, tuple(acc), tuple(gyro))
+    assert level.turned_rad == pytest.approx(rate * 1999 * step_s, rel=0.002)
+    assert level.roll_rad == pytest.approx(0.2, abs=0.002)
+    assert level.pitch_rad == pytest.approx(-0.1, abs=0.002)
+
+
+def test_a_gyro_bias_is_learnt_at_rest() -> None:
+    level = Level()
+    for k in range(6000):
+        level.update(k * 0.01, (0.0, 0.0, -G), (0.0, 0.0, 0.01))
+    before = level.turned_rad
+    for k in range(6000, 7000):
+        level.update(k * 0.01, (0.0, 0.0, -G), (0.0, 0.0, 0.01))
+    assert abs(level.turned_rad - before) < 0.002
+
+
+def test_late_readings_and_gaps_do_no_harm() -> None:
+    level = Level()
+    level.update(1.0, (0.0, 0.0, -G), (0.0, 0.0, 1.0))
+    level.update(0.9, (G, 0.0, 0.0), (9.0, 9.0, 9.0))
+    assert level.down == (0.0, 0.0, 1.0)
+    level.update(30.0, (0.0, 0.0, -G), (0.0, 0.0, 1.0))
+    assert level.turned_rad == 0.0

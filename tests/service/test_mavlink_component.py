@@ -1,0 +1,205 @@
+"""What ground stations hear from component 191, and what it does when they command."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass import messages as mav
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.correction import FieldCorrection
+from mavcompass.enums import MagCalStatus, MavCmd, MavResult
+from mavcompass.errors import Refused
+from mavcompass.procedure.script import Show
+from mavcompass.service import component
+from mavcompass.service.tasks import Busy, CalibrationRequest, CheckRequest, Desk, Task
+from mavcompass.vehicle.codec import decode, encode
+
+CORRECTION = FieldCorrection((10.5, -20.25, 30.0), (1.1, 0.9, 1.0), (0.01, 0.02, 0.03), 1.05)
+
+
+def result(instance: int = 1, accepted: bool = True) -> CalibrationResult:
+    return CalibrationResult(
+        instance=instance,
+        method="four-positions",
+        accepted=accepted,
+        reasons=() if accepted else ("The field is far too strong here.",),
+        raw_offset_mgauss=np.zeros(3),
+        correction=CORRECTION,
+        residual_rms_mgauss=1.5,
+        heading_sigma_deg=0.7,
+    )
+
+
+def task(state: str = "running", **changes: Any) -> Task:
+    made = Task(1, CalibrationRequest(), "http", "2026-05-01T00:00:00+00:00")
+    made.state = state  # type: ignore[assignment]
+    for name, value in changes.items():
+        setattr(made, name, value)
+    return made
+
+
+def command(number: int, *params: float) -> mav.CommandLong:
+    return mav.CommandLong(1, 191, number, 0, *params)
+
+
+@pytest.mark.parametrize(("mask", "chosen"), [(0.0, (1, 2, 3)), (1.0, (1,)), (6.0, (2, 3)), (7.0, (1, 2, 3))])
+def test_a_calibration_starts_for_the_compasses_of_the_mask(mask: float, chosen: tuple[int, ...]) -> None:
+    reply = component.answer(command(MavCmd.DO_START_MAG_CAL, mask), None, (1, 2, 3), True)
+    assert reply.result == MavResult.ACCEPTED
+    assert reply.order is not None and reply.order.request is not None
+    assert reply.order.request.compasses == chosen
+    assert reply.order.request.writing == "ask"
+
+
+def test_autosave_writes_without_asking() -> None:
+    reply = component.answer(command(MavCmd.DO_START_MAG_CAL, 0, 1, 1), None, (1,), True)
+    assert reply.order is not None and reply.order.request is not None
+    assert reply.order.request.writing == "yes"
+
+
+@pytest.mark.parametrize(
+    ("params", "under_way", "allowed", "expected"),
+    [
+        ((0.0,), "running", True, MavResult.TEMPORARILY_REJECTED),
+        ((0.0,), None, False, MavResult.DENIED),
+        ((8.0,), None, True, MavResult.FAILED),
+        ((2.0,), None, True, MavResult.FAILED),
+        ((math.nan,), None, True, MavResult.DENIED),
+        ((-1.0,), None, True, MavResult.DENIED),
+        ((1e30,), None, True, MavResult.DENIED),
+    ],
+)
+def test_a_start_is_refused(
+    params: tuple[float, ...], under_way: str | None, allowed: bool, expected: MavResult
+) -> None:
+    current = None if under_way is None else task(under_way)
+    reply = component.answer(command(MavCmd.DO_START_MAG_CAL, *params), current, (1,), allowed)
+    assert (reply.result, reply.order) == (expected, None)
+
+
+def test_accept_and_cancel_do_what_they_say_when_there_is_something() -> None:
+    asking = task("asking", question="Write?")
+    accept = component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), asking, (1,), True)
+    assert accept.order is not None and accept.order.verb == "accept"
+    cancel = component.answer(command(MavCmd.DO_CANCEL_MAG_CAL), task(), (1,), True)
+    assert cancel.order is not None and cancel.order.verb == "cancel"
+    assert component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), task(), (1,), True).result == MavResult.FAILED
+    idle = component.answer(command(MavCmd.DO_CANCEL_MAG_CAL), None, (1,), True)
+    assert (idle.result, idle.order) == (MavResult.ACCEPTED, None)
+
+
+def test_other_commands_are_not_supported() -> None:
+    reply = component.answer(command(MavCmd.COMPONENT_ARM_DISARM, 1), None, (1,), True)
+    assert reply.result == MavResult.UNSUPPORTED
+
+
+def test_a_command_int_means_the_same() -> None:
+    long = component.as_long(mav.CommandInt(1, 191, 0, MavCmd.DO_START_MAG_CAL, param1=2.0, param3=1.0))
+    assert long == command(MavCmd.DO_START_MAG_CAL, 2.0, 0.0, 1.0)
+    assert component.as_long(mav.Heartbeat()) is None
+
+
+def test_progress_never_falls_and_is_complete_when_there_is_a_solution() -> None:
+    running = task()
+    seen = []
+    for fraction in (0.0, 0.3, 0.2, 0.8, 1.0):
+        running.show(Show("turn", "x", fraction))
+        message = component.progress(running, (1, 2))[1]
+        assert isinstance(message, mav.MagCalProgress)
+        assert (message.compass_id, message.cal_mask) == (1, 3)
+        seen.append(message.completion_pct)
+        assert sum(bin(byte).count("1") for byte in message.completion_mask) == round(0.8 * seen[-1])
+    assert seen == [0, 30, 30, 80, 99]
+    running.results = (result(),)
+    done = component.progress(running, (1,))[0]
+    assert isinstance(done, mav.MagCalProgress)
+    assert done.completion_pct == 100
+    assert set(done.completion_mask) == {255}
+
+
+def test_a_report_carries_the_correction_in_the_order_of_the_parameters() -> None:
+    finished = task("done", results=(result(),), ok=True, document={"written": True})
+    report = component.reports(finished, (1,))[0]
+    assert isinstance(report, mav.MagCalReport)
+    assert report.cal_status == MagCalStatus.SUCCESS
+    assert report.autosaved == 1
+    assert (report.ofs_x, report.ofs_y, report.ofs_z) == CORRECTION.offsets_mgauss
+    assert (report.diag_x, report.diag_y, report.diag_z) == CORRECTION.diagonals
+    assert (report.offdiag_x, report.offdiag_y, report.offdiag_z) == CORRECTION.off_diagonals
+    assert report.scale_factor == CORRECTION.scale
+    assert report.fitness == 1.5
+    form, payload = encode(report)
+    assert decode(form.id, payload) is not None
+
+
+@pytest.mark.parametrize(
+    ("made", "status", "saved"),
+    [
+        (task("asking", results=(result(),), question="Write?"), MagCalStatus.SUCCESS, 0),
+        (task("done", results=(result(),), ok=True, document={"written": False}), MagCalStatus.SUCCESS, 0),
+        (task("done", results=(result(accepted=False),), document={}), MagCalStatus.FAILED, 0),
+        (task("failed", error="lost"), MagCalStatus.FAILED, 0),
+        (task("failed", results=(result(),), error="could not be written"), MagCalStatus.FAILED, 0),
+    ],
+)
+def test_a_report_says_how_it_ended(made: Task, status: MagCalStatus, saved: int) -> None:
+    report = component.reports(made, (1,))[0]
+    assert isinstance(report, mav.MagCalReport)
+    assert (report.cal_status, report.autosaved) == (status, saved)
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (
+            task("done", results=(result(),), document={"written": True}),
+            "Compass 1 calibrated, heading +-0.7 deg",
+        ),
+        (task("done", results=(result(),), document={"written": False}), "Compass 1: solved, not written"),
+        (
+            task("done", results=(result(accepted=False),), document={}),
+            "Compass 1 not calibrated: The field is",
+        ),
+        (task("failed", error="The vehicle was disarmed."), "calibration failed: The vehicle was disarmed."),
+        (task("failed", error="word " * 60), "calibration failed: word"),
+    ],
+)
+def test_the_pilot_is_told_the_outcome_in_fifty_letters_a_line(made: Task, words: str) -> None:
+    texts = component.outcome_texts(made)
+    assert 1 <= len(texts) <= 3
+    assert all(isinstance(text, mav.Statustext) and len(text.text) <= 50 for text in texts)
+    first = texts[0]
+    assert isinstance(first, mav.Statustext) and first.text.startswith(words)
+
+
+def test_a_check_is_told_with_its_verdict() -> None:
+    made = Task(1, CheckRequest(), "http", "")
+    made.finish(True, {"verdict": "warn"}, None)
+    text = component.outcome_texts(made)[0]
+    assert isinstance(text, mav.Statustext) and text.text == "Compass check: warn"
+
+
+def test_names_of_values_fit_their_field() -> None:
+    for value in component.heading_values(70.5, 123.4, 1.5):
+        assert isinstance(value, mav.NamedValueFloat)
+        assert len(value.name) <= 10
+        assert value.time_boot_ms == 70500
+
+
+def test_one_request_at_a_time() -> None:
+    desk = Desk()
+    first = desk.submit(CalibrationRequest(), "http", "now")
+    with pytest.raises(Busy, match="under way"):
+        desk.submit(CheckRequest(), "mavlink", "now")
+    assert desk.take() is first
+    assert desk.take() is None
+    first.fail(ValueError("x"))
+    assert desk.submit(CheckRequest(), "http", "now").number == 2
+    desk.close("stopping")
+    assert desk.current is not None and desk.current.finished
+    with pytest.raises(Refused, match="stopping"):
+        desk.submit(CheckRequest(), "http", "now")

@@ -1,0 +1,93 @@
+"""What the service remembers."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from pathlib import Path
+
+import pytest
+
+from mavcompass.errors import MavCompassError
+from mavcompass.service.history import History
+
+
+def add(history: History, day: int = 1, ok: bool = True, device: int = 7, vehicle: str = "boat") -> int:
+    return history.add(
+        "calibration",
+        f"2026-05-{day:02d}T10:00:00+00:00",
+        vehicle,
+        ok,
+        "fine",
+        {"compasses": [{"instance": 1}]},
+        [(1, device)],
+        undo_file="/tmp/undo.json",
+    )
+
+
+def test_what_was_added_is_there_after_a_restart(tmp_path: Path) -> None:
+    history = History(tmp_path / "deep" / "history.db")
+    number = add(history)
+    history.attach_report(number, "/tmp/report.html")
+    history.close()
+    history = History(tmp_path / "deep" / "history.db")
+    entry = history.entry(number)
+    assert entry is not None
+    assert entry.document == {"compasses": [{"instance": 1}]}
+    assert entry.compasses == ((1, 7),)
+    assert entry.head()["has_report"]
+    assert entry.head()["undo_file"] == "/tmp/undo.json"
+    assert history.entry(99) is None
+    history.close()
+
+
+def test_lists_are_newest_first_and_can_be_narrowed_and_continued(tmp_path: Path) -> None:
+    history = History(tmp_path / "history.db")
+    numbers = [
+        add(history, day, device=day % 2, vehicle="boat" if day < 5 else "rover") for day in range(1, 8)
+    ]
+    history.add("check", "2026-06-01T00:00:00+00:00", "boat", False, "no", {})
+    assert [entry.id for entry in history.entries("calibration")] == numbers[::-1]
+    assert [entry.id for entry in history.entries(device=1)] == numbers[::2][::-1]
+    assert [entry.id for entry in history.entries(vehicle="rover")] == numbers[4:][::-1]
+    assert [entry.kind for entry in history.entries(limit=1)] == ["check"]
+    assert [entry.id for entry in history.entries(before=numbers[2])] == numbers[:2][::-1]
+    history.close()
+
+
+def test_the_latest_calibration_in_force_is_found_by_vehicle_and_device(tmp_path: Path) -> None:
+    history = History(tmp_path / "history.db")
+    good = add(history, 1)
+    add(history, 2, ok=False)
+    add(history, 3, device=8)
+    add(history, 4, vehicle="rover")
+    latest = history.latest_calibration("boat", 7)
+    assert latest is not None and latest.id == good
+    assert history.latest_calibration("boat", 9) is None
+    history.close()
+
+
+def test_a_database_of_a_newer_program_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "history.db"
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA user_version = 99")
+    database.close()
+    with pytest.raises(MavCompassError, match="newer mavcompass"):
+        History(path)
+
+
+def test_a_file_that_is_no_database_is_told(tmp_path: Path) -> None:
+    (tmp_path / "history.db").write_bytes(b"certainly not a database" * 100)
+    with pytest.raises(MavCompassError, match="cannot be used"):
+        History(tmp_path / "history.db")
+
+
+def test_several_threads_may_write(tmp_path: Path) -> None:
+    history = History(tmp_path / "history.db")
+    threads = [threading.Thread(target=lambda: [add(history) for _ in range(20)]) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len({entry.id for entry in history.entries(limit=200)}) == 80
+    history.close()

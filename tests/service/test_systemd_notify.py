@@ -1,0 +1,62 @@
+"""What the service manager hears."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mavcompass.service.systemd import Notifier
+
+
+@pytest.fixture
+def manager(tmp_path: Path) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(str(tmp_path / "notify"))
+        receiver.settimeout(5.0)
+        yield receiver
+
+
+def test_the_manager_hears_ready_alive_and_stopping(manager: socket.socket) -> None:
+    notifier = Notifier({"NOTIFY_SOCKET": manager.getsockname()})
+    assert notifier.active
+    notifier.ready("serving")
+    notifier.alive()
+    notifier.status("no vehicle heard")
+    notifier.stopping()
+    heard = [manager.recv(1000) for _ in range(4)]
+    assert heard == [b"READY=1\nSTATUS=serving", b"WATCHDOG=1", b"STATUS=no vehicle heard", b"STOPPING=1"]
+
+
+def test_an_abstract_name_is_understood() -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(f"\0mavcompass-test-{os.getpid()}")
+        receiver.settimeout(5.0)
+        Notifier({"NOTIFY_SOCKET": f"@mavcompass-test-{os.getpid()}"}).alive()
+        assert receiver.recv(100) == b"WATCHDOG=1"
+
+
+def test_without_a_manager_nothing_happens(tmp_path: Path) -> None:
+    notifier = Notifier({})
+    notifier.ready("x")
+    assert not notifier.active
+    assert notifier.watchdog_s is None
+    Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")}).alive()
+
+
+@pytest.mark.parametrize(
+    ("environment", "watchdog_s"),
+    [
+        ({"WATCHDOG_USEC": "30000000"}, 30.0),
+        ({"WATCHDOG_USEC": "30000000", "WATCHDOG_PID": str(os.getpid())}, 30.0),
+        ({"WATCHDOG_USEC": "30000000", "WATCHDOG_PID": "1"}, None),
+        ({"WATCHDOG_USEC": "soon"}, None),
+    ],
+)
+def test_the_watchdog_is_taken_from_the_environment(
+    environment: dict[str, str], watchdog_s: float | None
+) -> None:
+    assert Notifier(environment).watchdog_s == watchdog_s
