@@ -23,15 +23,19 @@ class SensorNoise:
         sigma: the innovations' standard deviation per axis, (3,).
         rms: the noise's own standard deviation per axis, (3,).
         samples: how many innovations they were estimated from (infinite: stated, not measured).
+        row_scale: how much larger the noise of each row is, (N, 3); None for even noise.
     """
 
     coefficients: FloatArray
     sigma: FloatArray
     rms: FloatArray
     samples: float
+    row_scale: FloatArray | None = None
 
     def whiten(self, error: FloatArray) -> FloatArray:
         """Return innovations in sigmas, (N, 3); the first p rows are those of an infinite past of zeros."""
+        if self.row_scale is not None:
+            error = error / self.row_scale
         out = error / self.sigma
         for lag, coefficient in enumerate(self.coefficients.tolist(), start=1):
             out[lag:] -= coefficient * error[:-lag] / self.sigma

@@ -25,7 +25,8 @@ MOST_EFFECTS = 4
 CHANCE = 2.0e-5
 _BEAM = 3
 _REFINED = 7
-_SHORT = 3
+_SHORT = 2
+_NEAR = 60.0
 _HOPEFUL = 0.6
 _SEARCHED_TWICE = frozenset({"on_s", "off_s", "frequency_hz", "threshold", "source", "orientation"})
 
@@ -121,15 +122,22 @@ class Search:
             if place == 0 and not self._hopeful(parent, starts):
                 # What the best parent cannot use, a worse one can only use to become the best's equal.
                 return []
-            for start in starts[:_REFINED]:
-                ids = parent.ids | {start.term.effect.id}
-                fit = self._extended(parent, start)
-                if ids not in children or fit.sse < children[ids].sse:
-                    children[ids] = fit
+            for fit in self._refined(parent, starts[:_REFINED]):
+                if fit.ids not in children or fit.sse < children[fit.ids].sse:
+                    children[fit.ids] = fit
         for ids, fit in children.items():
             if ids not in self.explored or fit.sse < self.explored[ids].sse:
                 self.explored[ids] = fit
         return sorted(children.values(), key=self.score)
+
+    def _refined(self, parent: Fit, starts: Sequence[_Start]) -> list[Fit]:
+        """Fit a few steps each; only those still near the best are fitted to the end."""
+        fits = [self._extended(parent, start, _SHORT) for start in starts]
+        near = min(self.score(f) for f in fits) + _NEAR if fits else 0.0
+        return [
+            self.problem.fit(f.terms, f.thetas, f.nuisance_thetas) if self.score(f) < near else f
+            for f in fits
+        ]
 
     def _hopeful(self, parent: Fit, starts: Sequence[_Start]) -> bool:
         return any(parent.sse - s.expected > _HOPEFUL * least_gain(s.term.dimension) for s in starts)

@@ -1,0 +1,423 @@
+"""Diagnose the sim-to-real gap of a recording: where it lies, which effect causes it, how far it shrinks."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mavcompass.errors import UsageError
+from mavcompass.gap import integrity
+from mavcompass.gap.adequacy import Adequacy, judge
+from mavcompass.gap.advise import next_flights
+from mavcompass.gap.blas import single_thread
+from mavcompass.gap.floor import (
+    Floor,
+    first_noise,
+    from_baseline,
+    from_recording,
+    rms,
+    stated_floor,
+    with_noise,
+)
+from mavcompass.gap.identify import Identified, identify
+from mavcompass.gap.locate import where
+from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.noise import Noise
+from mavcompass.gap.picture import picture
+from mavcompass.gap.reference import Choice
+from mavcompass.gap.replay import Replay, replay
+from mavcompass.gap.result import Bar, Cause, Closing, Diagnosis, Verdict
+from mavcompass.gap.scatter import Scatter, drift_gain, find_scatter, noise_with
+from mavcompass.gap.search import least_gain, make_term
+from mavcompass.gap.shrink import closings, waterfall
+from mavcompass.gap.split import split_blocks
+from mavcompass.simulation.effects import Effect, catalogue
+from mavcompass.track import Track
+
+_SURE = 0.90
+_WORTH_LISTING = 0.01
+_TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
+_NEED_WORDS = {
+    "turning": "the vehicle does not turn far enough",
+    "tilt": "the vehicle stays level",
+    "current": "no varying battery current was recorded",
+    "throttle": "no varying throttle was recorded",
+    "motors": "no varying motor outputs were recorded",
+    "temperature": "no varying temperature was recorded",
+    "position": "no precise position was recorded, or the vehicle did not move",
+    "reference": "the attitude reference was made from the vehicle's own sensors",
+    "throttle|current|motors": "neither throttle nor current nor motor outputs were recorded",
+}
+
+
+def diagnose_gap(
+    track: Track,
+    baseline: Track | None = None,
+    withhold: Iterable[str] = (),
+    compass: int = 1,
+    reference: Choice = "auto",
+) -> Diagnosis:
+    """Explain the gap between the simulation and a recording.
+
+    `baseline` is a recording of the same vehicle in a state that is accepted as good: it gives the
+    noise floor and tunes the simulator. `withhold` names effects that must not be used, together with
+    their aliases. Raises BadRecording where there is too little to compare, UsageError for an unknown
+    effect.
+    """
+    started = time.perf_counter()
+    withheld = withheld_effects(withhold)
+    with single_thread():
+        result = _diagnose(track, baseline, withheld, compass, reference)
+    return replace(result, seconds=time.perf_counter() - started)
+
+
+def withheld_effects(names: Iterable[str]) -> frozenset[str]:
+    """Return effects and all that can look like them. Raises UsageError for an unknown name."""
+    every = catalogue()
+    out: set[str] = set()
+    for name in names:
+        if name not in every:
+            raise UsageError(
+                f"There is no effect called {name!r} to withhold.", "`mavcompass gap catalogue` lists them."
+            )
+        out |= {name, *every[name].aliases}
+        out |= {other.id for other in every.values() if name in other.aliases}
+    return frozenset(out)
+
+
+@dataclass(slots=True)
+class _Verdict:
+    """Collect the parts of the answer."""
+
+    verdict: Verdict
+    named: Fit
+    flagged: bool
+    coordinate: str | None
+
+
+def _diagnose(
+    track: Track, baseline: Track | None, withheld: frozenset[str], compass: int, reference: Choice
+) -> Diagnosis:
+    every = catalogue()
+    replayed = replay(track, compass, reference)
+    before = (
+        replay(baseline, compass if compass in baseline.compasses else 1, reference) if baseline else None
+    )
+    trace = integrity.inspect(replayed)
+    nominal_trace = integrity.inspect(before) if before else None
+    stale = integrity.names_stale(trace, nominal_trace, replayed) and "stale_samples" not in withheld
+    if trace.stale_share > 0.0 and not replayed.telemetry and trace.step_mgauss == 0.0:
+        replayed = replace(replayed, valid=replayed.valid & ~trace.stale)
+    allowed = [e for e in every.values() if e.id not in withheld]
+    untestable = _untestable(replayed, every.values())
+    testable = [e for e in allowed if e.id not in untestable]
+    if before is not None:
+        floor = from_baseline(
+            replayed, before, [e for e in every.values() if e.id not in _untestable(before, [e])]
+        )
+    else:
+        floor = from_recording(replayed, first_noise(replayed))
+    split = split_blocks(replayed.time_s, replayed.valid)
+    identified, floor = identify(replayed, floor, split, testable)
+    names = frozenset(e.id for e in testable)
+    step = integrity.names_step(trace, nominal_trace, replayed, float(floor.noise["mag"].rms.mean()))
+    step = step and "quantisation" in names
+    noisy, refitted, scatter = _with_scatter(identified, floor, names, trace.step_mgauss if step else 0.0)
+    if scatter is not None and identified.fit.terms:
+        # Extra scatter makes every gain look larger than it is: choose again under it.
+        identified, _ = identify(replayed, with_noise(floor, noisy.noise), split, testable)
+        noisy, refitted, scatter = _with_scatter(identified, floor, names, 0.0)
+    if not floor.representative:
+        floor = _restated(replayed, floor)
+    adequacy = judge(noisy, refitted, floor.representative and scatter is None and not step)
+    drift = _drifts(identified)
+    answer = _decide(identified, floor, adequacy, drift, bool(scatter or stale or step), noisy, refitted)
+    return _assemble(
+        track, compass, replayed, floor, identified, answer, adequacy, scatter,
+        trace.stale_share if stale else 0.0, trace.step_mgauss if step else 0.0,
+        untestable, withheld, refitted,
+    )  # fmt: skip
+
+
+def _with_scatter(
+    identified: Identified, floor: Floor, names: frozenset[str], step_mgauss: float
+) -> tuple[Problem, Fit, Scatter | None]:
+    """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise."""
+    replayed = identified.problem.replay
+    everything = Problem(replayed, floor.noise, replayed.valid, floor.nuisances)
+    if step_mgauss > 0.0:
+        everything = _with_step(everything, step_mgauss)
+    chosen = identified.fit
+    fit = everything.fit(chosen.terms, chosen.thetas, chosen.nuisance_thetas)
+    scatter = find_scatter(everything, fit, names, floor.representative and step_mgauss == 0.0)
+    if scatter is None:
+        return everything, fit, None
+    noisy = Problem(replayed, noise_with(everything, fit, scatter), replayed.valid, floor.nuisances)
+    return noisy, noisy.fit(fit.terms, fit.thetas, fit.nuisance_thetas), scatter
+
+
+def _baseline_replay(baseline: Track | None, compass: int, reference: Choice) -> Replay | None:
+    if baseline is None:
+        return None
+    return replay(baseline, compass if compass in baseline.compasses else min(baseline.compasses), reference)
+
+
+def _untestable(replayed: Replay, effects: Iterable[Effect]) -> dict[str, str]:
+    """Say for each effect that this recording cannot test why not."""
+    out: dict[str, str] = {}
+    for effect in effects:
+        for need in sorted(effect.needs):
+            if not any(option in replayed.present for option in need.split("|")):
+                out[effect.id] = _NEED_WORDS[need]
+        if any(g not in replayed.groups for g in effect.groups) and effect.id not in out:
+            out[effect.id] = _NEED_WORDS["reference"]
+        if replayed.telemetry and effect.id in (
+            "stale_samples",
+            "transport_lag",
+            "low_pass",
+            "timestamp_jitter",
+        ):
+            out[effect.id] = (
+                "the autopilot reads its compass ten times a second and repeats it, late by nature"
+            )
+        if not replayed.field_known and effect.id in ("field_intensity", "inclination", "declination"):
+            out[effect.id] = "the recording does not say where it was made"
+        if replayed.reference.kind == "gyro" and effect.id == "declination":
+            out[effect.id] = "the initial yaw is solved with the field: a constant turn is part of it"
+        if effect.id == "bias_random_walk":
+            out[effect.id] = "a wandering offset can imitate any slow cause, so it is reported as unknown"
+    return out
+
+
+def _restated(replayed: Replay, floor: Floor) -> Floor:
+    field, heading = stated_floor(replayed, first_noise(replayed))
+    return replace(floor, field_rms_mgauss=field, heading_rms_deg=heading)
+
+
+def _with_step(problem: Problem, step_mgauss: float) -> Problem:
+    """Add the rounding's own noise, step^2 / 12, to the floor's."""
+    noise: Noise = dict(problem.noise)
+    mag = noise["mag"]
+    added = step_mgauss**2 / 12.0
+    noise["mag"] = replace(mag, sigma=np.sqrt(mag.sigma**2 + added), rms=np.sqrt(mag.rms**2 + added))
+    return Problem(problem.replay, noise, problem.rows, problem.nuisances)
+
+
+def _drifts(identified: Identified) -> bool:
+    """Tell whether a wandering offset explains the gap better than the named effects do.
+
+    It may stand beside any explored set that is smaller than the best one.
+    """
+    search, best = identified.search, identified.fit
+    problem = identified.problem
+    own = search.score(best)
+    rivals = [f for f in identified.found.explored.values() if len(f.terms) <= len(best.terms)]
+    rivals = sorted({f.ids: f for f in [*rivals, best]}.values(), key=search.score)[:6]
+    cost = search._log_n + 2.0 * search._log_c
+    for fit in rivals:
+        gain, size = drift_gain(problem, fit)
+        if size > 0.0 and gain > least_gain(4) and search.score(fit) - gain + cost < own - 6.0:
+            return True
+    return False
+
+
+def _decide(
+    identified: Identified,
+    floor: Floor,
+    adequacy: Adequacy,
+    drift: bool,
+    traces: bool,
+    problem: Problem,
+    refitted: Fit,
+) -> _Verdict:
+    fit = identified.fit
+    none = identified.found.null
+    flagged = adequacy.flagged
+    coordinate = adequacy.coordinate
+    if flagged and not floor.representative:
+        rows = problem.usable
+        left = rms((problem.replay.measured.mag_mgauss - problem.predict(refitted).mag_mgauss)[rows])
+        flagged = left > 1.5 * floor.field_rms_mgauss
+    if drift:
+        return _Verdict("unknown", none, True, coordinate if flagged else "time")
+    if not fit.terms and not traces:
+        return _Verdict("unknown" if flagged else "no_gap", none, flagged, coordinate if flagged else None)
+    if flagged:
+        confirmed = _confirmed(problem, refitted)
+        if confirmed or not fit.terms:
+            return _Verdict("named_with_remainder", fit, True, coordinate)
+        return _Verdict("unknown", none, True, coordinate)
+    weight = dict(identified.found.weights).get(fit.ids, 1.0)
+    sure = weight >= _SURE or not fit.terms
+    return _Verdict("named" if sure else "ambiguous", fit, False, None)
+
+
+def _confirmed(problem: Problem, fit: Fit) -> bool:
+    """Tell whether named effects stand although something is left.
+
+    They must hold nearly all of the gap: a look-alike of an unknown cause leaves much of it. What is left
+    is measured by the whitened sum of squares above its expectation.
+    """
+    null = problem.null()
+    r0, r1 = problem.residual(problem.predict(null)), problem.residual(problem.predict(fit))
+    excess_before = float(r0 @ r0) - r0.size
+    excess_after = float(r1 @ r1) - r1.size
+    return excess_before > 0.0 and excess_after < 0.05 * excess_before
+
+
+def _assemble(
+    track: Track, compass: int, replayed: Replay, floor: Floor, identified: Identified, answer: _Verdict,
+    adequacy: Adequacy, scatter: Scatter | None, stale_share: float, step_mgauss: float,
+    untestable: dict[str, str], withheld: frozenset[str], refitted: Fit,
+) -> Diagnosis:  # fmt: skip
+    problem, split = identified.problem, identified.split
+    named = answer.named
+    added = step_mgauss**2 / 12.0
+    if scatter is not None and answer.verdict != "unknown":
+        added += _added_variance(scatter, problem, named, split.test)
+    field, heading = closings(problem, named, split.test, floor, added)
+    if named.terms and field.after > field.nominal:
+        # A name that makes held-out data worse is no explanation.
+        answer = _Verdict("unknown", identified.found.null, True, adequacy.tests[0].coordinate)
+        named = answer.named
+        field, heading = closings(problem, named, split.test, floor)
+    heading = _never_worse(heading)
+    causes = _causes(identified, named)
+    if answer.verdict != "unknown":
+        causes += _trace_causes(scatter, stale_share, step_mgauss)
+    look_alikes = () if named.terms else _causes(identified, identified.fit)
+    bars: tuple[Bar, ...] = ()
+    if 1 <= len(named.terms) <= 4:
+        bars = waterfall(lambda ids: _subset(identified, ids), problem, named.ids, split.test)
+    rivals = _rivals(identified)
+    path = Path(track.source) if track.source else None
+    return Diagnosis(
+        path=track.source,
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest() if path and path.is_file() else None,
+        duration_s=float(replayed.time_s[-1] - replayed.time_s[0]),
+        samples=int(replayed.valid.sum()),
+        autopilot=track.autopilot,
+        compass=compass,
+        reference=replayed.reference.kind,
+        verdict=answer.verdict,
+        causes=causes,
+        look_alikes=look_alikes,
+        ambiguity_set=tuple((tuple(sorted(ids)), w) for ids, w in identified.found.weights if ids),
+        where=where(problem.with_rows(replayed.valid), named),
+        field=field,
+        heading=heading,
+        waterfall=bars,
+        unknown=answer.flagged,
+        unknown_coordinate=answer.coordinate,
+        tests=tuple((t.name, t.p) for t in adequacy.tests[:12]),
+        not_testable=tuple(sorted(untestable.items())),
+        next_flight=next_flights(rivals, replayed.signals.stimulus.field_ned_mgauss[0], floor.noise),
+        folded=floor.folded,
+        withheld=tuple(sorted(withheld)),
+        seconds=0.0,
+        notes=(
+            *replayed.notes,
+            *(f"{e} was considered and dropped: {why}." for e, why in identified.dropped),
+        ),
+        picture=picture(problem, named, split.test),
+    )
+
+
+def _never_worse(heading: Closing) -> Closing:
+    """The heading is judged with the field; where noise makes it look worse by a hair, say no change."""
+    if heading.after <= heading.nominal:
+        return heading
+    return replace(heading, after=heading.nominal, shrink=0.0)
+
+
+def _added_variance(scatter: Scatter, problem: Problem, fit: Fit, test: np.ndarray) -> float:
+    if scatter.effect == "noise_excess":
+        return scatter.size**2
+    field = problem.signals(fit).reading.mag_mgauss
+    change = np.gradient(field, problem.replay.time_s, axis=0)[test]
+    return float(np.mean((scatter.size * change) ** 2))
+
+
+def _causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
+    weights = dict(identified.found.weights)
+    own = weights.get(fit.ids, 1.0)
+    problem = identified.problem
+    measured = problem.replay.measured.mag_mgauss[problem.index]
+    after = rms(measured - problem.predict(fit).mag_mgauss[problem.index])
+    out = []
+    at = sum(n.mean.size for n in problem.nuisances)
+    for i, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
+        index = np.flatnonzero(term.free)
+        block = fit.covariance[at : at + index.size, at : at + index.size]
+        sigma = np.zeros(theta.size)
+        if block.shape == (index.size, index.size):
+            sigma[index] = np.sqrt(np.maximum(np.diag(block), 0.0))
+        at += index.size
+        keep = [j for j in range(len(fit.terms)) if j != i]
+        rest = Fit(
+            tuple(fit.terms[j] for j in keep), tuple(fit.thetas[j] for j in keep), fit.nuisance_thetas, 0.0
+        )
+        left = rms(measured - problem.predict(rest).mag_mgauss[problem.index])
+        others = sorted(
+            {e for ids, _ in identified.found.weights if term.effect.id not in ids for e in ids - fit.ids}
+        )
+        free = make_term(term.effect, problem.replay.signals).free
+        shown = [
+            (p.name, float(v), float(s))
+            for p, v, s, f in zip(term.effect.parameters, theta, sigma, free, strict=True)
+            if f or p.integer or p.scale == 0.0
+        ]
+        out.append(
+            Cause(
+                effect=term.effect.id,
+                parameters={name: value for name, value, _ in shown},
+                ci95={name: (value - 1.96 * s, value + 1.96 * s) for name, value, s in shown},
+                probability=sum(w for ids, w in weights.items() if term.effect.id in ids) or own,
+                ambiguous_with=tuple(others),
+                separation=_separation(identified, fit, term.effect.id),
+                removes_mgauss=float(np.sqrt(max(left**2 - after**2, 0.0))),
+            )
+        )
+    return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
+
+
+def _separation(identified: Identified, fit: Fit, effect_id: str) -> float | None:
+    """Return how far, in sigmas, the best explored set without the effect falls short."""
+    rivals = [
+        f.sse
+        for ids, f in identified.found.explored.items()
+        if effect_id not in ids and len(ids) <= len(fit.ids)
+    ]
+    return float(np.sqrt(max(min(rivals) - fit.sse, 0.0))) if rivals else None
+
+
+def _trace_causes(scatter: Scatter | None, stale_share: float, step_mgauss: float) -> tuple[Cause, ...]:
+    found = []
+    if scatter is not None:
+        name = "sigma_s" if scatter.effect == "timestamp_jitter" else "sigma_mgauss"
+        found.append((scatter.effect, name, scatter.size))
+    if stale_share > 0.0:
+        found.append(("stale_samples", "fraction", stale_share))
+    if step_mgauss > 0.0:
+        found.append(("quantisation", "step_mgauss", step_mgauss))
+    return tuple(Cause(e, {n: v}, {n: (v, v)}, 1.0, ()) for e, n, v in found)
+
+
+def _subset(identified: Identified, ids: frozenset[str]) -> Fit:
+    fit = identified.fit
+    if ids == fit.ids:
+        return fit
+    keep = [i for i, t in enumerate(fit.terms) if t.effect.id in ids]
+    return identified.problem.fit(
+        [fit.terms[i] for i in keep], [fit.thetas[i] for i in keep], fit.nuisance_thetas
+    )
+
+
+def _rivals(identified: Identified) -> Sequence[tuple[frozenset[str], Fit]]:
+    explored = identified.found.explored
+    return [(ids, explored[ids]) for ids, _ in identified.found.weights if ids in explored and ids]

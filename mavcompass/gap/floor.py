@@ -1,0 +1,204 @@
+"""The floor: what is left when nothing is wrong, and what a baseline teaches about the simulator.
+
+With a baseline recording of the same vehicle the floor is its residual after the simulator has been
+tuned to it: the world field, and effects that the baseline itself shows, are folded in with the
+uncertainty that the baseline leaves. Without one, the floor is the scatter between neighbouring
+readings, the numbers' resolution and the doubt in the attitude reference; the verdict is more careful.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.noise import Noise, estimate_noise, group_values, rough_sigma, white
+from mavcompass.gap.nuisance import WORLD_FIELD, Nuisance
+from mavcompass.gap.replay import Replay
+from mavcompass.gap.search import Search
+from mavcompass.simulation.effects.effect import Effect
+
+_LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
+_STATED_MGAUSS = 0.3
+_REFERENCE_DOUBT_RAD = {
+    "columns": math.radians(0.2),
+    "gps-yaw": math.radians(0.5),
+    "gyro": math.radians(0.4),
+    "attitude": math.radians(1.0),
+}
+_FOLD_WIDENING = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Floor:
+    """Hold the floor.
+
+    Attributes:
+        noise: for whitening, per sensor.
+        field_rms_mgauss: rms over samples and axes; heading_rms_deg: of the tilt-compensated heading.
+        error_mgauss: the baseline's residual, (N, 3), for intervals; empty without a baseline.
+        representative: True where a baseline gave it.
+        nuisances: those of the recording, with what the baseline taught.
+        folded: effects of the baseline, by id, that belong to the nominal simulation from now on.
+    """
+
+    noise: Noise
+    field_rms_mgauss: float
+    heading_rms_deg: float
+    error_mgauss: FloatArray
+    representative: bool
+    nuisances: tuple[Nuisance, ...]
+    folded: tuple[str, ...] = ()
+
+
+def first_noise(replay: Replay) -> Noise:
+    """State a first noise from the scatter between neighbouring readings."""
+    noise: Noise = {}
+    for group in replay.groups:
+        measured, ideal = group_values(replay.measured, group), group_values(replay.signals.reading, group)
+        sigma = rough_sigma(measured - ideal, replay.valid)
+        least = max(_LEAST[group], replay.resolution_mgauss if group == "mag" else 0.0)
+        if group == "mag":
+            least = max(least, _STATED_MGAUSS)
+        noise[group] = white(np.maximum(np.nan_to_num(sigma, nan=least), least))
+    return noise
+
+
+def measured_noise(problem: Problem, fit: Fit) -> Noise:
+    """Estimate the noise from what a fit leaves."""
+    predicted = problem.predict(fit)
+    replay = problem.replay
+    noise: Noise = {}
+    for group in replay.groups:
+        error = group_values(replay.measured, group) - group_values(predicted, group)
+        least = max(_LEAST[group], replay.resolution_mgauss if group == "mag" else 0.0)
+        noise[group] = estimate_noise(error, replay.valid, least)
+    return noise
+
+
+def heading_error_rad(replay: Replay, field_mgauss: FloatArray, other_mgauss: FloatArray) -> FloatArray:
+    """Return the tilt-compensated heading of one field (N, 3) less that of another, radians, (N,)."""
+    r = replay.signals.stimulus.rotation
+    # In world axes both fields are levelled; the yaw drops out of the angle between them.
+    a = np.einsum("nij,nj->ni", r, field_mgauss)
+    b = np.einsum("nij,nj->ni", r, other_mgauss)
+    cross = b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]
+    dot = b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1]
+    return np.asarray(-np.arctan2(cross, dot))
+
+
+def rms_deg(angle_rad: FloatArray) -> float:
+    """Return the root mean square of angles, in degrees."""
+    return math.degrees(math.sqrt(float(np.mean(angle_rad**2)))) if angle_rad.size else math.nan
+
+
+def rms(error: FloatArray) -> float:
+    """Return the root mean square over samples and axes together."""
+    return math.sqrt(float(np.mean(error**2))) if error.size else math.nan
+
+
+def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -> Floor:
+    """Tune the simulator to a baseline and measure what it leaves."""
+    first = Problem(baseline, first_noise(baseline), baseline.valid, baseline.nuisances)
+    null = first.null()
+    noise = _without_slow_causes(first, null)
+    problem = Problem(baseline, noise, baseline.valid, baseline.nuisances)
+    fit = problem.null()
+    if _has_gap(problem, fit):
+        mean_effects = [e for e in effects if e.kind == "mean" and e.id not in _NEVER_FOLDED]
+        fit = Search(problem, mean_effects).run().best
+        problem = Problem(baseline, measured_noise(problem, fit), baseline.valid, baseline.nuisances)
+        fit = problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+        if fit.terms:
+            fit = Search(problem, mean_effects).run().best
+    noise = measured_noise(problem, fit)
+    problem = Problem(baseline, noise, baseline.valid, baseline.nuisances)
+    fit = problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+    predicted = problem.predict(fit)
+    error = (baseline.measured.mag_mgauss - predicted.mag_mgauss)[baseline.valid]
+    heading = heading_error_rad(baseline, baseline.measured.mag_mgauss, predicted.mag_mgauss)
+    noise = {g: noise[g] for g in replay.groups if g in noise} | {
+        g: first_noise(replay)[g] for g in replay.groups if g not in noise
+    }
+    return Floor(
+        noise=noise,
+        field_rms_mgauss=rms(error),
+        heading_rms_deg=rms_deg(heading[baseline.valid]),
+        error_mgauss=error,
+        representative=True,
+        nuisances=_taught(replay, baseline, problem, fit),
+        folded=tuple(sorted(fit.ids)),
+    )
+
+
+_NEVER_FOLDED = frozenset({"hard_iron_step", "ac_interference", "relay_field", "orientation", "clipping"})
+
+
+def _without_slow_causes(problem: Problem, fit: Fit) -> Noise:
+    """Estimate the noise of the residual; where slow causes dominate, keep the scatter between neighbours."""
+    measured, stated = measured_noise(problem, fit), problem.noise
+    out: Noise = {}
+    for group, noise in measured.items():
+        dominated = float(np.max(noise.rms / stated[group].sigma)) > 1.6
+        out[group] = stated[group] if dominated else noise
+    return out
+
+
+def _has_gap(problem: Problem, fit: Fit) -> bool:
+    from mavcompass.gap.adequacy import judge
+
+    return judge(problem, fit, compare_scatter=False).flagged
+
+
+def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit) -> tuple[Nuisance, ...]:
+    """Carry the world field and the folded effects over, with the uncertainty that the baseline left."""
+    out: list[Nuisance] = []
+    covariance, at = fit.covariance, 0
+    for nuisance, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True):
+        size = theta.size
+        if nuisance.effect is WORLD_FIELD:
+            block = covariance[at : at + size, at : at + size]
+            field = baseline.signals.stimulus.field_ned_mgauss[0] + theta
+            mean = field - replay.signals.stimulus.field_ned_mgauss[0]
+            if baseline.field_known and replay.field_known:
+                mean = theta.copy()
+            precision = np.asarray(np.linalg.inv(_FOLD_WIDENING * block), dtype=np.float64)
+            out.append(Nuisance(WORLD_FIELD, mean, precision))
+        at += size
+    out.extend(n for n in replay.nuisances if n.effect is not WORLD_FIELD)
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        index = np.flatnonzero(term.free)
+        block = covariance[at : at + index.size, at : at + index.size]
+        precision = np.zeros((theta.size, theta.size))
+        np.fill_diagonal(precision, 1e12 / np.maximum(term.effect.scale, 1e-9) ** 2)
+        precision[np.ix_(index, index)] = np.linalg.pinv(_FOLD_WIDENING * block)
+        out.append(Nuisance(term.effect, theta.copy(), precision))
+        at += index.size
+    return tuple(out)
+
+
+def stated_floor(replay: Replay, noise: Noise) -> tuple[float, float]:
+    """Return the rms of field (mG) and heading (deg) that scatter and the reference's doubt make."""
+    field = replay.signals.stimulus.field_ned_mgauss[0]
+    total, level = float(np.linalg.norm(field)), float(np.hypot(field[0], field[1]))
+    doubt = _REFERENCE_DOUBT_RAD[replay.reference.kind]
+    # A small random rotation moves the field by doubt |B| in two of three directions.
+    turned = doubt * total * math.sqrt(2.0 / 3.0)
+    scatter = math.sqrt(float(np.mean(noise["mag"].sigma ** 2)))
+    heading = math.hypot(scatter / max(level, 1.0), doubt * total / max(level, 1.0))
+    return math.hypot(scatter, turned), math.degrees(heading)
+
+
+def from_recording(replay: Replay, noise: Noise) -> Floor:
+    """State a floor without a baseline."""
+    field, heading = stated_floor(replay, noise)
+    return Floor(noise, field, heading, np.zeros((0, 3)), False, replay.nuisances)
+
+
+def with_noise(floor: Floor, noise: Noise) -> Floor:
+    """Return the same floor with another noise for whitening."""
+    return replace(floor, noise=noise)

@@ -1,0 +1,167 @@
+"""Choose the effects: search, then the guards that keep a name from being given wrongly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.gap.floor import Floor, measured_noise, rms, with_noise
+from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.replay import Replay
+from mavcompass.gap.search import Found, Search, least_gain
+from mavcompass.gap.split import Split, without_held_block
+from mavcompass.simulation.effects.causes.step import NEVER_S
+from mavcompass.simulation.effects.effect import Effect
+
+_LEAST_RMS_MGAUSS = 1.0
+_LEAST_SHARE = 0.10
+_AT_THE_END = 1e-3
+_PASSES = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identified:
+    """Hold the chosen fit on the training rows of a split, and how it was found.
+
+    `dropped` tells which effects the guards took out, and why.
+    """
+
+    problem: Problem
+    split: Split
+    found: Found
+    fit: Fit
+    dropped: tuple[tuple[str, str], ...]
+    search: Search
+
+
+def identify(
+    replay: Replay, floor: Floor, split: Split, effects: Sequence[Effect]
+) -> tuple[Identified, Floor]:
+    """Search and guard; without a baseline estimate the noise again from what is left, and repeat."""
+    passes = 1 if floor.representative else _PASSES
+    previous: frozenset[str] | None = None
+    for turn in range(passes):
+        problem = Problem(replay, floor.noise, split.train, floor.nuisances)
+        search = Search(problem, effects)
+        found = search.run()
+        result = _guarded(Identified(problem, split, found, found.best, (), search), floor)
+        if turn + 1 == passes or (previous is not None and result.fit.ids == previous):
+            break
+        previous = result.fit.ids
+        noise = measured_noise(problem.with_rows(replay.valid), result.fit)
+        floor = with_noise(floor, noise)
+    return result, floor
+
+
+def _guarded(candidate: Identified, floor: Floor) -> Identified:
+    candidate = _moments_in_training(candidate)
+    dropped = list(candidate.dropped)
+    while candidate.fit.terms:
+        reason = _weakest(candidate, floor)
+        if reason is None:
+            break
+        effect_id, why = reason
+        dropped.append((effect_id, why))
+        rest = candidate.search._without(candidate.fit, effect_id)
+        candidate = replace(candidate, fit=rest)
+    return replace(candidate, dropped=tuple(dropped))
+
+
+def _moments_in_training(candidate: Identified) -> Identified:
+    """Where something changes inside a held-out block, move that block to the training rows and refit."""
+    moments = []
+    for term, theta in zip(candidate.fit.terms, candidate.fit.thetas, strict=True):
+        for parameter, value in zip(term.effect.parameters, theta, strict=True):
+            if parameter.unit == "s" and parameter.name in ("on_s", "off_s") and abs(value) < NEVER_S:
+                moments.append(float(value))
+    if not moments:
+        return candidate
+    replay = candidate.problem.replay
+    split = without_held_block(candidate.split, replay.time_s, replay.valid, moments)
+    if split is candidate.split:
+        return candidate
+    problem = candidate.problem.with_rows(split.train)
+    search = Search(problem, [])
+    search.terms = candidate.search.terms
+    start = problem.fit(candidate.fit.terms, candidate.fit.thetas, candidate.fit.nuisance_thetas)
+    fit = search.polished(start)
+    search.explored = {fit.ids: fit}
+    return replace(candidate, problem=problem, split=split, fit=fit, search=search)
+
+
+def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
+    """Return the first effect that a guard refuses, and why."""
+    fit = candidate.fit
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        width = term.effect.upper - term.effect.lower
+        near = (theta - term.effect.lower < _AT_THE_END * width) | (
+            term.effect.upper - theta < _AT_THE_END * width
+        )
+        outside = near & term.free & (np.abs(theta) > term.effect.scale) & (np.abs(theta) < NEVER_S)
+        if outside.any() and term.effect.id != "orientation":
+            return term.effect.id, "its best value lies at the end of the physical range"
+    if (worse := _vetoed(candidate)) is not None:
+        return worse, "one half of the training data does not confirm what the other half says"
+    if not floor.representative and (small := _immaterial(candidate, floor)) is not None:
+        return (
+            small,
+            "it removes less than 1 mG or a tenth of the gap, and no baseline makes that trustworthy",
+        )
+    return None
+
+
+def _vetoed(candidate: Identified) -> str | None:
+    """Fit on each half of the training rows; an effect must help on the other half."""
+    fit, problem = candidate.fit, candidate.problem
+    halves = candidate.split.halves()
+    gains = dict.fromkeys(sorted(fit.ids), 0.0)
+    for own, other in (halves, halves[::-1]):
+        trained = problem.with_rows(own & problem.rows).fit(
+            fit.terms, fit.thetas, fit.nuisance_thetas, iterations=3
+        )
+        judge = problem.with_rows(other & problem.rows)
+        full = judge.residual(judge.predict(trained))
+        for effect_id in gains:
+            keep = [i for i, t in enumerate(trained.terms) if t.effect.id != effect_id]
+            without = Fit(
+                tuple(trained.terms[i] for i in keep),
+                tuple(trained.thetas[i] for i in keep),
+                trained.nuisance_thetas,
+                0.0,
+            )
+            left = judge.residual(judge.predict(without))
+            gains[effect_id] += float(left @ left - full @ full)
+    worst = min(gains, key=gains.__getitem__)
+    return worst if gains[worst] <= 0.0 else None
+
+
+def _immaterial(candidate: Identified, floor: Floor) -> str | None:
+    """Name the effect that removes least, where that is too little to be named without a baseline."""
+    fit, problem = candidate.fit, candidate.problem
+    measured = problem.replay.measured.mag_mgauss[problem.index]
+    after = rms(measured - problem.predict(fit).mag_mgauss[problem.index])
+    nominal = rms(measured - problem.predict(fit, effects=False).mag_mgauss[problem.index])
+    excess = math.sqrt(max(nominal**2 - after**2, 0.0))
+    removed = {}
+    for effect_id in sorted(fit.ids):
+        rest = candidate.search._without(fit, effect_id)
+        left = rms(measured - problem.predict(rest).mag_mgauss[problem.index])
+        removed[effect_id] = math.sqrt(max(left**2 - after**2, 0.0))
+    if any(set(t.effect.groups) != {"mag"} for t in fit.terms):
+        removed = {i: r for i, r in removed.items() if i in _mag_only(fit)}
+    if not removed:
+        return None
+    least = min(removed, key=removed.__getitem__)
+    return least if removed[least] < max(_LEAST_RMS_MGAUSS, _LEAST_SHARE * excess) else None
+
+
+def _mag_only(fit: Fit) -> frozenset[str]:
+    return frozenset(t.effect.id for t in fit.terms if t.effect.groups == ("mag",))
+
+
+def significant(found: Found, fit: Fit) -> bool:
+    """Tell whether a fit beats the null by more than chance."""
+    return found.null.sse - fit.sse > least_gain(max(fit.dimension, 1))

@@ -1,0 +1,73 @@
+"""Exact traces in the numbers themselves: repeated readings and coarse steps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.replay import Replay
+
+_FEWEST_LEVELS = 6
+_REPEATS_WORTH_NAMING = 0.003
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """Hold what the numbers show: the share of repeats, which rows repeat, the step (0: none seen)."""
+
+    stale_share: float
+    stale: NDArray[np.bool_]
+    step_mgauss: float
+
+
+def inspect(replay: Replay) -> Trace:
+    """Look for repeats and a lattice in the raw readings."""
+    field = replay.measured.mag_mgauss
+    same = np.concatenate([[False], (np.diff(field, axis=0) == 0.0).all(axis=1)]) & replay.valid
+    step = _lattice(field[replay.valid])
+    share = float(same.sum()) / max(int(replay.valid.sum()), 1)
+    return Trace(share, same, step)
+
+
+def _lattice(field: FloatArray) -> float:
+    """Return the step whose multiples all differences are, per axis the same; 0 where there is none."""
+    steps = []
+    for axis in range(3):
+        levels = np.unique(np.round(field[:, axis], 9))
+        if levels.size < _FEWEST_LEVELS or levels.size > 0.5 * len(field):
+            return 0.0
+        gaps = np.diff(levels)
+        smallest = float(np.quantile(gaps, 0.05))
+        if smallest <= 0.0:
+            return 0.0
+        multiples = gaps / smallest
+        if np.abs(multiples - np.round(multiples)).max() > 0.02 * max(1.0, float(multiples.max()) ** 0.5):
+            return 0.0
+        steps.append(smallest)
+    return float(np.median(steps)) if max(steps) < 1.05 * min(steps) else 0.0
+
+
+def names_stale(found: Trace, nominal: Trace | None, replay: Replay) -> bool:
+    """Tell whether the repeats are an effect: more than by chance, than the baseline's, than telemetry's."""
+    if replay.telemetry or replay.resolution_mgauss > 0.0:
+        return False
+    expected = nominal.stale_share if nominal is not None else 0.0
+    if found.step_mgauss > 0.0:
+        # Coarse numbers repeat by chance.
+        return False
+    count = max(int(replay.valid.sum()), 1)
+    noise = math.sqrt(max(expected * (1.0 - expected), 1.0 / count) / count)
+    return found.stale_share > max(_REPEATS_WORTH_NAMING, expected + 5.0 * noise)
+
+
+def names_step(found: Trace, nominal: Trace | None, replay: Replay, noise_mgauss: float) -> bool:
+    """Tell whether the step of the numbers is an effect: coarse beside the noise, and not nominal."""
+    if found.step_mgauss <= 0.0 or replay.resolution_mgauss > 0.0:
+        return False
+    if nominal is not None and nominal.step_mgauss > 0.9 * found.step_mgauss:
+        return False
+    return found.step_mgauss > 0.5 * noise_mgauss

@@ -1,0 +1,134 @@
+"""Effects that do not shift readings but scatter them: more noise, jittering time stamps; slow drift."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.noise import Noise, estimate_noise
+from mavcompass.gap.search import least_gain
+
+_DRIFT_MODES = 80
+_DRIFT_SIZES = (0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 13.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Hold a named scatter effect, its size, and the gain of twice the log-likelihood."""
+
+    effect: str
+    size: float
+    gain: float
+
+
+def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], representative: bool) -> Scatter | None:
+    """Compare even and rate-dependent excess scatter of the magnetometer with the floor's.
+
+    Even excess needs a representative floor; the scatter of time stamps shows by its dependence on the
+    rate of change alone, and then competes against even excess of any size.
+    """
+    rows = problem.usable
+    noise = problem.noise["mag"]
+    error = (problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss)[rows] / noise.rms
+    field = problem.signals(fit).reading.mag_mgauss
+    change = np.gradient(field, problem.replay.time_s, axis=0)[rows] / noise.rms
+    x = change**2
+    y = error**2
+    fourth = float(np.mean(y * y)) / max(float(np.mean(y)), 1e-12) ** 2
+    kurtosis = max(fourth - 1.0, 2.0) / 2.0
+    if np.isfinite(noise.samples):
+        kurtosis *= 1.0 + len(y) / noise.samples
+    # Correlation makes fewer independent squares.
+    rho = float(noise.coefficients.sum())
+    inflation = kurtosis * (1.0 + rho * rho) / (1.0 - min(rho * rho, 0.95))
+    even, even_size = _even_gain(y)
+    late, late_size = _late_gain(y, x, 1.0)
+    candidates = []
+    if representative and "noise_excess" in allowed and even_size > 0.0:
+        size = math.sqrt(even_size) * float(np.sqrt(np.mean(noise.rms**2)))
+        candidates.append(Scatter("noise_excess", size, even / inflation))
+    if "timestamp_jitter" in allowed and late_size > 0.0:
+        gain = late if representative else _beyond_even(y, x)
+        candidates.append(Scatter("timestamp_jitter", math.sqrt(late_size), gain / inflation))
+    candidates = [c for c in candidates if c.gain > least_gain(1)]
+    return max(candidates, key=lambda c: c.gain) if candidates else None
+
+
+def _even_gain(y: FloatArray) -> tuple[float, float]:
+    mean = float(y.mean())
+    return y.size * (mean - 1.0 - math.log(max(mean, 1e-12))), mean - 1.0
+
+
+def _late_gain(y: FloatArray, x: FloatArray, base: float) -> tuple[float, float]:
+    """Maximise the likelihood of variances base + a x over a."""
+    sizes = np.exp(np.linspace(math.log(1e-7), math.log(0.04), 90))
+    gains = np.array([_log_ratio(y, x, base, float(a)) for a in sizes])
+    best = int(np.argmax(gains))
+    return float(gains[best]), float(sizes[best]) if gains[best] > 0.0 else 0.0
+
+
+def _log_ratio(y: FloatArray, x: FloatArray, base: float, a: float) -> float:
+    v = base + a * x
+    return float(np.sum(y / base - y / v - np.log(v / base)))
+
+
+def _beyond_even(y: FloatArray, x: FloatArray) -> float:
+    """Return what the dependence on the rate explains beyond even scatter of any size."""
+    even = max(float(y.mean()), 1e-12)
+    best = 0.0
+    for share in (0.2, 0.5, 0.8, 0.95):
+        best = max(best, _late_gain(y, x, share * even)[0] + _even_part(y, share * even))
+    return best - _even_part(y, even)
+
+
+def _even_part(y: FloatArray, variance: float) -> float:
+    return float(np.sum(y - y / variance) - y.size * math.log(variance))
+
+
+def noise_with(problem: Problem, fit: Fit, scatter: Scatter) -> Noise:
+    """Return the floor with a scatter effect added: what the simulator then makes."""
+    replay = problem.replay
+    error = replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
+    floor = problem.noise["mag"]
+    if scatter.effect == "noise_excess":
+        return {**problem.noise, "mag": estimate_noise(error, problem.usable, replay.resolution_mgauss)}
+    change = np.gradient(problem.signals(fit).reading.mag_mgauss, replay.time_s, axis=0)
+    scale = np.sqrt(1.0 + (scatter.size * change / floor.rms) ** 2)
+    scaled = estimate_noise(error / scale, problem.usable, replay.resolution_mgauss)
+    return {**problem.noise, "mag": replace(scaled, row_scale=scale)}
+
+
+def drift_gain(problem: Problem, fit: Fit) -> tuple[float, float]:
+    """Return how much a random walk of the offset adds to twice the log evidence of a fit, and its size.
+
+    The walk is expanded in its own (Karhunen and Loeve) modes sqrt(2) sin((k - 1/2) pi t / T), of
+    variance q^2 T^2 / ((k - 1/2) pi)^2 / T; their amplitudes are integrated out. Size in mG per sqrt(s).
+    """
+    replay = problem.replay
+    noise = problem.noise["mag"]
+    z = problem.innovations(problem.predict(fit))["mag"][problem.index]
+    span = float(replay.time_s[-1] - replay.time_s[0])
+    order = np.arange(1, _DRIFT_MODES + 1) - 0.5
+    modes = np.sqrt(2.0) * np.sin(np.pi * order * ((replay.time_s - replay.time_s[0]) / span)[:, None])
+    modes = modes * np.sqrt(span) / (np.pi * order)
+    modes = np.hstack([modes, np.ones((replay.time_s.size, 1)) * 10.0])
+    white = modes.copy()
+    for lag, coefficient in enumerate(noise.coefficients.tolist(), start=1):
+        white[lag:] -= coefficient * modes[:-lag]
+    white = white[problem.index]
+    values, vectors = np.linalg.eigh(white.T @ white)
+    values = np.maximum(values, 0.0)
+    projected = (vectors.T @ (white.T @ z)) ** 2
+    best, best_size = 0.0, 0.0
+    for size in _DRIFT_SIZES:
+        gain = 0.0
+        for axis in range(3):
+            q2 = (size / noise.sigma[axis]) ** 2
+            gain += float(np.sum(projected[:, axis] * q2 / (1.0 + q2 * values) - np.log1p(q2 * values)))
+        if gain > best:
+            best, best_size = gain, size
+    return best, best_size
