@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcompass.calibration.disturbance import weigh_disturbances
 from mavcompass.calibration.model import (
     GAIN,
     GYRO_BIAS,
@@ -33,13 +34,12 @@ from mavcompass.calibration.position_fit import Blend, PositionFit, fit_position
 from mavcompass.calibration.position_problem import DEFAULT_PRIOR, IronPrior, PositionProblem
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
-from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, wrap_two_pi
 
-# Below this probability of the agreement the covariance is widened and a disturbed dwell looked for.
+# Below this probability of the agreement the covariance is widened.
 WIDENED_BELOW = 0.01
-# With more positions than this the robust weights name the disturbed ones.
-_REFIT_AT_MOST = 10
+# A dwell with at least this probability of having been disturbed is named.
+_SUSPECT = 0.05
 
 # Sources of the heading's uncertainty, as the report names them.
 SOURCES = ("noise", "step_angle", "tilt", "world_model", "quantisation", "disturbance", "prior")
@@ -54,10 +54,11 @@ class FourPositionsResult:
         state, covariance: all parameters, named by `names`; headings are magnetic.
         residual_mgauss: measured less predicted mean field, (K, 3).
         residual_rms_mgauss: over dwells and axes.
-        chi_square, degrees_of_freedom, consistency: how well the K positions agree with one rigid
-            compass; `consistency` is the probability of a worse agreement by chance.
-        disturbance_mgauss: the size of a change in one dwell that would explain the disagreement.
-        suspects: dwells (from 0) of which one was disturbed, most likely first; empty if none was.
+        chi_square, degrees_of_freedom: how well the K positions agree with one rigid compass.
+        consistency: the probability of a worse agreement by chance, the likeliest disturbed dwell left out.
+        disturbed_probability: of each dwell having been disturbed, (K,).
+        disturbance_mgauss: how far the likeliest of them is from what the others predict.
+        suspects: dwells (from 0) of which one may have been disturbed, most likely first.
         budget_rad: the heading's rms sigma by source; the squares add up to the whole.
         world_model: True where the Earth's field at the place was used.
         mirrored: True where the field turns against the gyro: a compass mounted upside down.
@@ -73,6 +74,7 @@ class FourPositionsResult:
     chi_square: float
     degrees_of_freedom: int
     consistency: float
+    disturbed_probability: FloatArray
     disturbance_mgauss: float
     suspects: tuple[int, ...]
     budget_rad: dict[str, float]
@@ -121,12 +123,15 @@ def solve_four_positions(
     """
     problem = PositionProblem.of(data, in_force, earth, prior)
     fit = fit_positions(problem)
-    consistency = _chance(fit.chi_square, fit.freedom)
-    # A worse agreement than chance gives: whatever moved has bent the answer as much as the residuals.
-    excess = max(fit.chi_square / fit.freedom, 1.0) if consistency < WIDENED_BELOW else 1.0
-    blend = weigh_cross_terms(fit.state, excess * fit.covariance, prior)
-    budget = _budget(problem, fit, blend, excess)
+    undisturbed = weigh_disturbances(problem, fit)
+    consistency = _chance(undisturbed.chi_square, undisturbed.freedom)
+    # A worse agreement than chance gives, whichever dwell is blamed: the noise is not what it seemed.
+    excess = (
+        max(undisturbed.chi_square / max(undisturbed.freedom, 1), 1.0) if consistency < WIDENED_BELOW else 1.0
+    )
+    blend = weigh_cross_terms(undisturbed.state, excess * undisturbed.covariance, prior)
     residual = fit.residual
+    ranked = np.argsort(-undisturbed.probability)
     return FourPositionsResult(
         correction=_correction(blend.state, in_force, earth is not None),
         names=(*NAMES, *(f"heading_{k + 1}" for k in range(len(data.dwells)))),
@@ -137,19 +142,15 @@ def solve_four_positions(
         chi_square=fit.chi_square,
         degrees_of_freedom=fit.freedom,
         consistency=consistency,
-        disturbance_mgauss=_disturbance(residual, fit.freedom),
-        suspects=_suspects(data, in_force, earth, prior, fit) if consistency < WIDENED_BELOW else (),
-        budget_rad=budget,
+        disturbed_probability=undisturbed.probability,
+        disturbance_mgauss=float(undisturbed.size_mgauss[ranked[0]]),
+        suspects=tuple(int(i) for i in ranked if undisturbed.probability[i] > _SUSPECT),
+        budget_rad=_budget(problem, fit, blend),
         world_model=earth is not None,
         mirrored=problem.mirrored,
         cross_probability=blend.cross_probability,
         iterations=fit.iterations,
     )
-
-
-def _disturbance(residual: FloatArray, freedom: int) -> float:
-    """Estimate the change in one dwell from what the fit could not absorb of it, milligauss."""
-    return math.sqrt(float((residual**2).sum()) * residual.size / max(freedom, 1))
 
 
 def _chance(chi_square: float, freedom: int) -> float:
@@ -161,7 +162,7 @@ def _chance(chi_square: float, freedom: int) -> float:
     return float(gammaincc(freedom / 2.0, chi_square / 2.0))
 
 
-def _budget(problem: PositionProblem, fit: PositionFit, blend: Blend, excess: float) -> dict[str, float]:
+def _budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> dict[str, float]:
     """Split the heading's rms sigma by source: each source's covariance is carried through the fit."""
     k = len(problem.mean)
     circle = np.arange(36) * (2.0 * math.pi / 36)
@@ -183,11 +184,14 @@ def _budget(problem: PositionProblem, fit: PositionFit, blend: Blend, excess: fl
     for place, share in zip(held, rest[k - 1 : -1], strict=True):
         variance[_source_of(int(place))] += float(share)
     variance["prior"] += float(rest[-1])
+    # What the blends add (was a dwell disturbed? are there cross terms?) or save goes to the disturbance,
+    # or lowers all alike.
     whole = float(np.einsum("ni,ij,nj->n", gradient, blend.covariance, gradient).mean())
-    # The blend of the cross terms shifts the whole a little; the shares are kept.
-    factor = whole / (excess * max(sum(variance.values()), 1e-30))
-    variance["disturbance"] += (excess - 1.0) * sum(variance.values())
-    return {name: math.sqrt(value * factor) for name, value in variance.items()}
+    sum_of_parts = max(sum(variance.values()), 1e-30)
+    if whole >= sum_of_parts:
+        variance["disturbance"] += whole - sum_of_parts
+        sum_of_parts = whole
+    return {name: math.sqrt(value * whole / sum_of_parts) for name, value in variance.items()}
 
 
 def _source_of(place: int) -> str:
@@ -198,33 +202,6 @@ def _source_of(place: int) -> str:
     if MOTOR.start <= place < MOTOR.stop:
         return "disturbance"
     return "prior"
-
-
-def _suspects(
-    data: FourPositionData,
-    in_force: FieldCorrection,
-    earth: EarthField | None,
-    prior: IronPrior,
-    fit: PositionFit,
-) -> tuple[int, ...]:
-    """Name the dwells whose removal makes the others agree, best first.
-
-    With four positions the remaining three always agree; then only what the prior says of the irons
-    they would need tells the dwells apart, and all that it does not exclude are named.
-    """
-    if len(data.dwells) > _REFIT_AT_MOST:
-        return tuple(int(i) for i in np.argsort(fit.weights)[:3] if fit.weights[i] < 0.5)
-    costs = []
-    for index in range(len(data.dwells)):
-        try:
-            costs.append(fit_positions(PositionProblem.of(data.without(index), in_force, earth, prior)).cost)
-        except PoorCalibration:
-            costs.append(math.inf)
-    best = min(costs)
-    if not math.isfinite(best) or fit.cost - best < 6.0:
-        return ()
-    likely = [i for i in np.argsort(costs) if costs[int(i)] - best < 6.0]
-    return tuple(int(i) for i in likely)
 
 
 def _correction(state: FloatArray, in_force: FieldCorrection, world_model: bool) -> FieldCorrection:

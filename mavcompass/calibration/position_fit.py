@@ -25,6 +25,8 @@ from mavcompass.frames import FloatArray
 _ROBUST_FROM = 6
 _MANY_SIGMAS_3D = 11.34  # chi-square of three, 99 %
 _ITERATIONS = 40
+# Before the data: most compasses away from steel have no cross terms that matter.
+_CROSS_TERMS_BEFORE = 0.25
 
 # Whitened residuals (R,), their Jacobian (R, P), field residuals (K, 3).
 Evaluation = tuple[FloatArray, FloatArray, FloatArray]
@@ -156,7 +158,7 @@ def weigh_cross_terms(state: FloatArray, covariance: FloatArray, prior: IronPrio
     """Weigh 'there are cross terms' against 'there are none' and blend the two.
 
     Both are one Gaussian: without cross terms is the fit conditioned on their being 0. The odds are the
-    density of 0 after over that before the data (Savage and Dickey), even odds to begin with. Where the
+    density of 0 after over that before the data (Savage and Dickey), times the prior odds. Where the
     data cannot tell, the blend costs less than either: a cross term that is not there is not paid for.
     """
     horizontal, (state, covariance) = _spike_and_slab(state, covariance, [6], prior.cross_sigma)
@@ -173,7 +175,8 @@ def _spike_and_slab(
     gain = covariance[:, index] @ np.linalg.inv(block)
     posterior = -0.5 * float(value @ np.linalg.solve(block, value)) - 0.5 * float(np.linalg.slogdet(block)[1])
     before = -len(index) * math.log(sigma)
-    log_odds = min(max(posterior - before, -700.0), 700.0)
+    odds = math.log((1.0 - _CROSS_TERMS_BEFORE) / _CROSS_TERMS_BEFORE)
+    log_odds = min(max(posterior - before + odds, -700.0), 700.0)
     spike = 1.0 / (1.0 + math.exp(-log_odds))
     shift = -gain @ value
     blended = state + spike * shift

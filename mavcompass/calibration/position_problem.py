@@ -37,7 +37,7 @@ class IronPrior:
     Attributes:
         gain_sigma: of each horizontal gain about 1.
         vertical_gain_sigma: of the vertical gain about the mean of the horizontal ones.
-        cross_sigma: of the cross terms, where there are any; they are as likely to be exactly 0.
+        cross_sigma: of the cross terms, where there are any.
         site_sigma_mgauss: what rocks, buildings and parked cars add to the world model, each component.
         motor_sigma_mgauss_per_a: of the field of the battery current, each axis.
         vertical_offset_sigma_mgauss: of the offset in force on Z, where there is no world model.
@@ -115,6 +115,15 @@ class PositionProblem:
             start=start,
             mirrored=mirrored,
         )
+
+    def loosened(self, index: int, size_mgauss: float) -> PositionProblem:
+        """Let one dwell's field be off by an unknown amount of that size, each axis."""
+        noise = self.noise.copy()
+        noise[index] += size_mgauss**2 * np.eye(3)
+        whiten = self.whiten.copy()
+        covariance = noise[index] + self.quantisation[index] + self.tilt[index]
+        whiten[index] = np.linalg.inv(np.linalg.cholesky(covariance))
+        return replace(self, noise=noise, whiten=whiten)
 
     def with_pose(
         self, state: FloatArray, turn_rad: float, roll_rad: float, pitch_rad: float, step: Step

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.calibration.four_positions import FourPositionsResult
+from mavcompass.calibration.four_positions import WIDENED_BELOW, FourPositionsResult
 from mavcompass.calibration.model import GAIN, HORIZONTAL
 from mavcompass.calibration.observation import Dwell, FourPositionData
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi
@@ -158,17 +158,23 @@ def _judge_disturbance(
             )
     apart = fit.disturbance_mgauss
     degrees = math.atan2(apart, horizontal) * DEG_PER_RAD
-    if fit.consistency < _UNLIKELY and degrees > 0.25 * limits.heading_deg:
+    named = _name_positions(fit.suspects)
+    if fit.consistency < _UNLIKELY and fit.residual_rms_mgauss > math.radians(0.25) * horizontal:
         reasons.append(
-            f"The positions do not fit one rigid compass: {_name_positions(fit.suspects)} is off by about "
-            f"{apart:.0f} mG ({degrees:.1f} degrees). Something magnetic moved nearby, or the vehicle "
-            "slipped. Repeat it there."
+            f"The positions do not fit one rigid compass: they disagree by {fit.residual_rms_mgauss:.0f} mG. "
+            "Something magnetic moved nearby, the vehicle slipped, or a motor ran. Repeat."
         )
-    elif fit.consistency < 0.01:
-        warnings.append(
-            f"The positions fit worse than their noise explains ({_name_positions(fit.suspects)}); "
-            "the uncertainty is widened by that."
+    elif float(fit.disturbed_probability.sum()) > 0.5:
+        sentence = (
+            f"The field at {named} is off by about {apart:.0f} mG ({degrees:.1f} degrees): something "
+            "magnetic moved nearby, or the vehicle slipped"
         )
+        if fit.heading_sigma_rad * DEG_PER_RAD > limits.heading_deg:
+            reasons.append(f"{sentence}. Repeat it there.")
+        else:
+            warnings.append(f"{sentence}; the others agree and were believed.")
+    elif fit.consistency < WIDENED_BELOW:
+        warnings.append("The positions fit worse than their noise explains; the uncertainty is widened.")
 
 
 def current_range_a(dwells: tuple[Dwell, ...]) -> float:

@@ -210,8 +210,10 @@ def test_a_disturbed_dwell_is_named_where_five_positions_allow_it() -> None:
     )
     spoiled = type(data)(tuple(dwells), data.steps, data.gyro_scale_sigma, data.gyro_bias_sigma_radps)
     fit = solve_four_positions(spoiled, earth=FIELD)
-    assert fit.consistency < 1e-3
-    assert fit.suspects[0] == 2
+    assert fit.suspects == (2,)
+    assert fit.disturbed_probability[2] > 0.99
+    assert fit.disturbance_mgauss == pytest.approx(math.hypot(25.0, 15.0, 5.0), rel=0.3)
+    assert rms(heading_errors(fit.correction, iron_of(STRONG))) < 0.5
 
 
 @pytest.mark.parametrize("turns", [[], [90.0], [2.0, 3.0, 2.0]])
@@ -226,7 +228,7 @@ def test_one_compass_takes_less_than_five_milliseconds() -> None:
     solve_four_positions(data, earth=FIELD)
     spent = []
     for _ in range(10):
-        start = time.perf_counter()
+        start = time.process_time()
         solve_four_positions(data, earth=FIELD)
-        spent.append(time.perf_counter() - start)
+        spent.append(time.process_time() - start)
     assert min(spent) < 0.005

@@ -1,0 +1,255 @@
+"""Calibration of recordings: of real ArduPilot firmware, of real sensors, and of made-up vehicles."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turning_track
+
+from mavcompass.calibration import METHODS, calibrate_track, find_dwells
+from mavcompass.calibration.model import GAIN, HORIZONTAL, OFFSET, gain_matrix, level_to_body
+from mavcompass.calibration.turning import turn_record
+from mavcompass.correction import FieldCorrection
+from mavcompass.errors import BadRecording, PoorCalibration, UsageError
+from mavcompass.frames import matrix_to_euler, quaternion_to_matrix, wrap_pi
+from mavcompass.heading import earth_field_of, heading_of_track
+from mavcompass.heading.gravity import down_in_body
+from mavcompass.logs import read_track
+from mavcompass.track import InForce, Series, Track
+
+STRONG = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0))
+# The tlogs begin after the parameters were listed; their own notes give what was in force.
+FACTORY = FieldCorrection((5.0, 13.0, -18.0))
+NAMES = ("rover_plain", "rover_dist", "rover_dist_use2", "copter_dist_use2")
+
+
+def firmware_track(shared_data: Path, name: str, ending: str) -> Track:
+    track = read_track(shared_data / "ardupilot-4.6.3" / f"{name}.{ending}")
+    compasses = dict(track.compasses)
+    if not compasses[1].correction_known:
+        compasses[1] = replace(compasses[1], in_force=(InForce(-math.inf, FACTORY),), correction_known=True)
+    return replace(track, compasses=compasses)
+
+
+@pytest.mark.parametrize("ending", ["tlog", "BIN"])
+@pytest.mark.parametrize("name", ["rover_dist_use2", "copter_dist_use2", "rover_dist"])
+def test_firmware_distortion_is_cured(shared_data: Path, name: str, ending: str) -> None:
+    result = calibrate_track(firmware_track(shared_data, name, ending))
+    slack = 3.0 if name == "rover_dist" else 2.0
+    assert result.accepted, result.reasons
+    x, y, _ = result.correction.offsets_mgauss
+    assert abs(x - 120.0) < slack
+    assert abs(y + 80.0) < slack
+    dx, dy, _ = result.correction.diagonals
+    assert dx / dy == pytest.approx(1.1 / 0.9, rel=0.005)
+    assert result.heading_sigma_deg < 0.3
+    assert result.heading_change_deg > 20.0
+
+
+@pytest.mark.parametrize("ending", ["tlog", "BIN"])
+def test_a_good_calibration_is_left_nearly_alone(shared_data: Path, ending: str) -> None:
+    result = calibrate_track(firmware_track(shared_data, "rover_plain", ending))
+    assert result.accepted
+    x, y, _ = result.correction.offsets_mgauss
+    assert abs(x - 5.0) < 2.0 and abs(y - 13.0) < 2.0
+    assert result.correction.diagonals[0] / result.correction.diagonals[1] == pytest.approx(1.0, rel=0.005)
+    assert result.heading_change_deg < 0.2
+
+
+@pytest.mark.parametrize("ending", ["tlog", "BIN"])
+def test_the_true_heading_is_right_where_the_autopilots_yaw_is_bent(shared_data: Path, ending: str) -> None:
+    """In rover_dist the EKF is up to 32 degrees off; the simulator's truth judges."""
+    track = firmware_track(shared_data, "rover_dist", ending)
+    result = calibrate_track(track)
+    heading = heading_of_track(track, result.correction)
+    assert heading.true_rad is not None and track.truth_q is not None
+    yaw = matrix_to_euler(quaternion_to_matrix(track.truth_q.values))[2]
+    truth = np.interp(heading.time_s - 0.09, track.truth_q.time_s, np.unwrap(yaw))
+    error = np.degrees(wrap_pi(heading.true_rad - truth))
+    at_dwells = [
+        error[slice(*np.searchsorted(heading.time_s, [d.start_s, d.end_s]))].mean()
+        for d in find_dwells(track)
+    ]
+    assert rms(np.array(at_dwells)) < 0.5
+    assert track.attitude_rad is not None
+    ekf = track.attitude_rad.values[:, 2] - np.interp(track.attitude_rad.time_s, track.truth_q.time_s, yaw)
+    assert np.degrees(np.abs(wrap_pi(ekf))).max() > 10.0
+
+
+def test_the_truth_is_never_an_input(shared_data: Path) -> None:
+    track = firmware_track(shared_data, "rover_dist", "tlog")
+    with_truth = calibrate_track(track)
+    without = calibrate_track(replace(track, truth_q=None))
+    assert with_truth.correction == without.correction
+
+
+def test_four_positions_cut_from_a_continuous_turn_agree_with_the_whole_turn(shared_data: Path) -> None:
+    """The hand-held level turn never stands still and leans by up to nine degrees.
+
+    Cured by four positions per turn and levelled by gravity, all its readings must lie on a circle about
+    zero.
+    """
+    name = "real/hmc5883l-hand-rotation/rotate-ccw-around-z-pointing-up.csv"
+    track = read_track(shared_data / name)
+    result = calibrate_track(track)
+    assert result.accepted, result.reasons
+    assert len(result.positions) == 8
+    assert result.heading_error is not None
+    state = result.heading_error.state
+    cured = (track.compasses[1].reported.values - state[OFFSET]) @ np.linalg.inv(gain_matrix(state[GAIN])).T
+    down = down_in_body(track, track.compasses[1].time_s)
+    roll = np.arctan2(down[:, 1], down[:, 2])
+    pitch = np.arctan2(-down[:, 0], np.hypot(down[:, 1], down[:, 2]))
+    x, y, _ = np.einsum("nji,nj->in", level_to_body(roll, pitch), cured)
+    design = np.column_stack([2.0 * x, 2.0 * y, np.ones(x.size)])
+    a, b, c = np.linalg.lstsq(design, x**2 + y**2, rcond=None)[0]
+    radius = math.sqrt(c + a * a + b * b)
+    assert math.hypot(a, b) < 0.01 * radius
+    assert radius == pytest.approx(state[HORIZONTAL], rel=0.02)
+
+
+def test_the_full_sphere_fits_an_ellipsoid(shared_data: Path) -> None:
+    track = read_track(shared_data / "real/hmc5883l-hand-rotation/full-sphere.csv")
+    result = calibrate_track(track, "ellipsoid")
+    assert result.accepted
+    length = math.hypot(result.horizontal_mgauss, result.vertical_mgauss)
+    assert result.residual_rms_mgauss / length < 0.00461
+    sphere = calibrate_track(track, "sphere")
+    assert not sphere.accepted
+    assert sphere.residual_rms_mgauss > 10.0 * result.residual_rms_mgauss
+
+
+@pytest.mark.parametrize(
+    "name", ["real/px4-ulog/sample.ulg", "real/bluerov2-tlog/small.tlog"], ids=["px4", "bluerov"]
+)
+def test_too_little_turning_is_refused_by_name(shared_data: Path, name: str) -> None:
+    if name.endswith(".ulg"):
+        pytest.importorskip("pyulog")
+    with pytest.raises(PoorCalibration, match=r"turning|motion|circle"):
+        calibrate_track(read_track(shared_data / name))
+
+
+def test_an_optical_reference_gives_the_world_field_calibration(shared_data: Path) -> None:
+    track = read_track(shared_data / "real/broad/01_undisturbed_slow_rotation_A.csv")
+    result = calibrate_track(track, "world-field")
+    assert result.accepted
+    assert np.abs(np.asarray(result.correction.offsets_mgauss)).max() < 8.0
+    assert np.abs(np.asarray(result.correction.diagonals) - 1.0).max() < 0.03
+
+
+@pytest.mark.parametrize(
+    "method", ["four-positions", "four-positions-textbook", "min-max", "sensitivity-bias"]
+)
+def test_every_level_method_cures_clean_right_angles(method: str) -> None:
+    turns = (90.0, 90.0, 90.0, 90.0)
+    track = turning_track(iron_of(STRONG), turns_deg=turns, noise=0.5)
+    result = calibrate_track(track, method)
+    assert result.accepted, result.reasons
+    assert rms(heading_errors(result.correction, iron_of(STRONG))) < 0.6
+    assert result.parameters["COMPASS_OFS_X"] == pytest.approx(result.correction.offsets_mgauss[0])
+
+
+def test_the_correction_in_force_is_undone_from_every_sample() -> None:
+    wrong = FieldCorrection((-60.0, 45.0, 10.0), (1.2, 0.9, 1.1), (0.03, 0.0, 0.02), 1.1)
+    track = turning_track(iron_of(STRONG), turns_deg=(90.0,) * 4, in_force=wrong, whole_numbers=True)
+    result = calibrate_track(track, earth=FIELD)
+    assert rms(heading_errors(result.correction, iron_of(STRONG))) < 0.3
+    assert result.in_force == wrong
+
+
+def test_a_creeping_vehicle_is_still_enough() -> None:
+    track = turning_track(
+        iron_of(STRONG), dwell_s=6.0, creep_radps=math.radians(1.6), turns_deg=(80.0, 70.0, 95.0, 88.0)
+    )
+    result = calibrate_track(track, earth=FIELD)
+    assert result.accepted
+    assert rms(heading_errors(result.correction, iron_of(STRONG))) < 0.4
+
+
+def test_a_gyro_bias_is_found_while_still() -> None:
+    track = turning_track(iron_of(STRONG), gyro_bias=math.radians(1.5), turns_deg=(90.0,) * 4)
+    record = turn_record(track)
+    assert record is not None
+    assert record.bias_radps == pytest.approx(math.radians(1.5), abs=math.radians(0.15))
+    result = calibrate_track(track, earth=FIELD)
+    assert rms(heading_errors(result.correction, iron_of(STRONG))) < 0.4
+
+
+def test_a_dead_compass_is_refused() -> None:
+    track = turning_track(Iron())
+    compass = track.compasses[1]
+    silent = replace(
+        compass,
+        reported=Series.of(compass.time_s, np.tile([5.0, 13.0, -18.0], (len(compass.reported), 1))),
+        in_force=(InForce(-math.inf, FACTORY),),
+    )
+    with pytest.raises(PoorCalibration, match="only its offsets"):
+        calibrate_track(replace(track, compasses={1: silent}))
+    frozen = replace(
+        silent, reported=Series.of(compass.time_s, np.tile([200.0, 60.0, -400.0], (len(compass.reported), 1)))
+    )
+    with pytest.raises(PoorCalibration, match="frozen"):
+        calibrate_track(replace(track, compasses={1: frozen}))
+
+
+def test_a_field_that_is_not_the_earths_is_refused() -> None:
+    iron = Iron((30.0, 0.0, 0.0), np.eye(3) * 0.55)
+    result = calibrate_track(turning_track(iron, turns_deg=(90.0,) * 4), earth=FIELD)
+    assert not result.accepted
+    assert any("% of the Earth's field" in reason for reason in result.reasons)
+
+
+def test_an_upside_down_compass_is_refused() -> None:
+    iron = Iron((30.0, 0.0, 0.0), np.diag([1.0, -1.0, -1.0]))
+    result = calibrate_track(turning_track(iron, turns_deg=(90.0,) * 4), earth=FIELD)
+    assert any("upside down" in reason for reason in result.reasons)
+
+
+def test_a_compass_turned_by_ninety_degrees_is_refused_where_gps_yaw_shows_it() -> None:
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    track = turning_track(Iron((30.0, 0.0, 0.0), quarter), turns_deg=(90.0,) * 4)
+    record = turn_record(track)
+    assert record is not None
+    place = Series.of([0.0, 1.0], [[-35.36, 149.165, 584.0]] * 2)
+    track = replace(track, place=place)
+    earth = earth_field_of(track)
+    assert earth is not None
+    yaw = math.radians(25.0) + earth.declination_rad + record.angle_rad
+    track = replace(track, gps_yaw_rad=Series.of(record.time_s, wrap_pi(yaw)))
+    result = calibrate_track(track)
+    assert any("90 degrees" in reason for reason in result.reasons), result.reasons
+
+
+def test_a_missing_compass_and_an_unknown_method_say_what_to_do() -> None:
+    track = turning_track(Iron())
+    with pytest.raises(BadRecording, match="compass 2"):
+        calibrate_track(track, instance=2)
+    with pytest.raises(UsageError, match="four-positions"):
+        calibrate_track(track, "magic")
+
+
+def test_the_result_is_json() -> None:
+    result = calibrate_track(turning_track(iron_of(STRONG), turns_deg=(90.0,) * 4), earth=FIELD)
+    entry = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    assert {
+        "instance",
+        "accepted",
+        "reasons",
+        "raw_offset_mgauss",
+        "correction",
+        "covariance",
+        "not_observable",
+        "residual_rms_mgauss",
+        "heading_sigma_deg",
+        "heading_error_budget_deg",
+        "positions",
+        "parameters",
+    } <= set(entry)
+    assert len(entry["covariance"]["names"]) == len(entry["covariance"]["matrix"])
+    assert "offset_z" in entry["not_observable"] or entry["covariance"]["matrix"][2][2] < 100.0
+    assert set(METHODS) >= {"four-positions", "world-field"}

@@ -1,0 +1,197 @@
+"""Headings: known attitudes give known headings, in every form, with a sigma that holds."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField, earth_field
+from mavcompass.errors import BadRecording
+from mavcompass.frames import euler_to_matrix, rotate_back, wrap_pi
+from mavcompass.heading import (
+    heading_of_track,
+    level_heading,
+    tilt_compensated_heading,
+    two_axis_heading,
+)
+from mavcompass.heading.north import grid_convergence_rad
+from mavcompass.heading.two_axis import (
+    TwoAxisCompass,
+    paper_two_axis_azimuth,
+    paper_vertical,
+    vertical_error_bound_rad,
+)
+from mavcompass.track import MagSeries, Series, Track
+
+FIELD = np.array([200.0, 0.0, 430.0])
+angles = st.floats(-3.1, 3.1)
+tilts = st.floats(-1.2, 1.2)
+
+
+def body(roll: float, pitch: float, yaw: float, vector: np.ndarray) -> np.ndarray:
+    return rotate_back(euler_to_matrix(roll, pitch, yaw), vector)
+
+
+@given(yaw=angles)
+def test_a_level_vehicle_shows_its_heading(yaw: float) -> None:
+    assert abs(wrap_pi(level_heading(body(0.0, 0.0, yaw, FIELD)) - yaw)) < 1e-12
+
+
+@given(roll=tilts, pitch=tilts, yaw=angles)
+def test_tilt_compensation_is_exact_by_gravity_and_by_angles(roll: float, pitch: float, yaw: float) -> None:
+    field = body(roll, pitch, yaw, FIELD)
+    acc = body(roll, pitch, yaw, np.array([0.0, 0.0, -9.8]))
+    assert abs(wrap_pi(tilt_compensated_heading(field, acc) - yaw)) < 1e-9
+    by_angles = tilt_compensated_heading(field, roll_rad=roll, pitch_rad=pitch)
+    assert abs(wrap_pi(by_angles - yaw)) < 1e-9
+
+
+def test_upside_down_vehicles_have_a_heading_too() -> None:
+    field = body(math.radians(175.0), 0.1, 1.0, FIELD)
+    acc = body(math.radians(175.0), 0.1, 1.0, np.array([0.0, 0.0, -9.8]))
+    assert tilt_compensated_heading(field, acc) == pytest.approx(1.0)
+
+
+def test_rows_give_what_single_readings_give() -> None:
+    rng = np.random.default_rng(1)
+    field, acc = rng.normal(0, 300, (20001, 3)), rng.normal(0, 5, (20001, 3))
+    rows = tilt_compensated_heading(field, acc)
+    for k in (0, 8191, 8192, 20000):
+        assert rows[k] == pytest.approx(float(tilt_compensated_heading(field[k], acc[k])), abs=1e-12)
+    columns = tilt_compensated_heading(np.asfortranarray(field), np.asfortranarray(acc))
+    assert np.array_equal(rows, columns)
+
+
+def test_either_gravity_or_angles_are_needed() -> None:
+    with pytest.raises(ValueError, match="either"):
+        tilt_compensated_heading(FIELD)
+
+
+def textbook(field: np.ndarray, acc: np.ndarray) -> np.ndarray:
+    """The formula as it stands in every application note."""
+    roll = np.arctan2(-acc[:, 1], -acc[:, 2])
+    pitch = np.arctan2(acc[:, 0], np.sqrt(acc[:, 1] ** 2 + acc[:, 2] ** 2))
+    x = (
+        field[:, 0] * np.cos(pitch)
+        + field[:, 1] * np.sin(roll) * np.sin(pitch)
+        + field[:, 2] * np.cos(roll) * np.sin(pitch)
+    )
+    y = field[:, 1] * np.cos(roll) - field[:, 2] * np.sin(roll)
+    return np.arctan2(-y, x) % (2.0 * math.pi)
+
+
+def test_columns_are_several_times_faster_than_the_textbook() -> None:
+    rng = np.random.default_rng(2)
+    field = rng.normal(0, 300, (200000, 3))
+    acc = rng.normal((0.0, 0.0, -9.8), 1.0, (200000, 3))
+    columns = np.asfortranarray(field), np.asfortranarray(acc)
+    assert np.allclose(wrap_pi(tilt_compensated_heading(*columns) - textbook(field, acc)), 0.0, atol=1e-9)
+
+    def spent(function, *arguments) -> float:
+        best = math.inf
+        for _ in range(5):
+            start = time.process_time()
+            function(*arguments)
+            best = min(best, time.process_time() - start)
+        return best
+
+    assert spent(textbook, field, acc) > 2.0 * spent(tilt_compensated_heading, *columns)
+
+
+@pytest.mark.parametrize("dip", [0.9, -0.9])
+@given(roll=st.floats(-0.35, 0.35), pitch=st.floats(-0.35, 0.35), yaw=angles)
+def test_two_axes_do_where_the_field_is_known(dip: float, roll: float, pitch: float, yaw: float) -> None:
+    earth = 480.0 * np.array([math.cos(dip), 0.0, math.sin(dip)])
+    field = body(roll, pitch, yaw, earth)
+    heading = two_axis_heading(field[:2], roll, pitch, 480.0, dip)
+    assert abs(wrap_pi(heading - yaw)) < 1e-6
+
+
+def test_a_negative_root_means_the_field_lies_in_the_sensors_plane() -> None:
+    assert paper_vertical(300.0, 100.0, 300.0) == 0.0
+    assert math.isfinite(two_axis_heading((300.0, 100.0), 0.1, 0.1, 300.0, 0.2))
+
+
+def test_the_papers_own_axes_and_signs() -> None:
+    """X forward, Y left, Z up, with theta = -roll and phi = -pitch: the azimuth is the heading."""
+    yaw, roll, pitch = math.radians(45.0), math.radians(10.0), math.radians(-7.0)
+    x, y, z = body(roll, pitch, yaw, FIELD)
+    # From forward-right-down to forward-left-up: Y and Z change sign, and so does the sense of pitch.
+    azimuth = paper_two_axis_azimuth(x, -y, -roll, pitch, float(np.linalg.norm(FIELD)), sign=-1.0)
+    assert azimuth == pytest.approx(yaw)
+    assert z > 0.0
+
+
+def test_two_milligauss_of_z_are_worth_the_papers_bound() -> None:
+    assert math.degrees(vertical_error_bound_rad(2.0, 200.0)) == pytest.approx(0.81, abs=0.01)
+
+
+def test_the_fields_length_is_followed_while_level() -> None:
+    compass = TwoAxisCompass(480.0, 0.9)
+    horizontal = 480.0 * math.cos(0.9) * 1.05
+    for _ in range(400):
+        heading = compass.update(horizontal, 0.0, 0.0, 0.0)
+    assert heading == pytest.approx(0.0, abs=1e-9)
+    assert compass.total_mgauss == pytest.approx(math.hypot(horizontal, 480.0 * math.sin(0.9)), rel=1e-3)
+
+
+def test_grid_north_leaves_true_north_away_from_the_zones_middle() -> None:
+    assert grid_convergence_rad(45.0, 9.0) == pytest.approx(0.0, abs=1e-12)
+    assert math.degrees(grid_convergence_rad(45.0, 11.0)) == pytest.approx(1.414, abs=0.002)
+    assert grid_convergence_rad(-45.0, 11.0) < 0.0
+
+
+def track_at(yaw: np.ndarray, place: bool = True) -> tuple[Track, EarthField]:
+    earth = earth_field(-35.3633, 149.1652, 584.0, 2026.5)
+    time_s = np.arange(yaw.size) * 0.1
+    field = rotate_back(
+        euler_to_matrix(0.0 * yaw, 0.0 * yaw, yaw), np.broadcast_to(earth.vector_mgauss, (yaw.size, 3))
+    )
+    return (
+        Track(
+            source="made up",
+            vehicle="rover",
+            compasses={1: MagSeries(1, Series.of(time_s, field))},
+            acc_mps2=Series.of(time_s, np.tile([0.0, 0.0, -9.80665], (yaw.size, 1))),
+            place=Series.of([0.0], [[-35.3633, 149.1652, 584.0]]) if place else None,
+            utc_offset_s=1782000000.0,
+        ),
+        earth,
+    )
+
+
+def test_a_recording_gives_magnetic_true_and_grid_headings() -> None:
+    yaw = np.linspace(0.0, 6.2, 50)
+    track, earth = track_at(yaw)
+    result = heading_of_track(track)
+    assert result.true_rad is not None and result.grid_rad is not None
+    assert np.allclose(wrap_pi(result.true_rad - yaw), 0.0, atol=1e-3)
+    assert np.allclose(wrap_pi(result.magnetic_rad - yaw + earth.declination_rad), 0.0, atol=1e-3)
+    assert (result.sigma_rad > result.magnetic_sigma_rad).all()
+    assert (result.sigma_rad >= earth.declination_sigma_rad).all()
+
+
+def test_without_a_place_only_the_magnetic_heading_is_told() -> None:
+    track, _ = track_at(np.linspace(0.0, 6.2, 50), place=False)
+    result = heading_of_track(track)
+    assert result.true_rad is None and result.grid_rad is None
+    with pytest.raises(BadRecording, match="place"):
+        heading_of_track(track, two_axis=True)
+
+
+def test_a_bad_correction_shows_in_the_sigma() -> None:
+    track, _ = track_at(np.linspace(0.0, 6.2, 50))
+    good, bad = heading_of_track(track), heading_of_track(track, FieldCorrection((60.0, 0.0, 0.0)))
+    assert bad.magnetic_sigma_rad.mean() > 5.0 * good.magnetic_sigma_rad.mean()
+
+
+def test_a_missing_compass_is_named() -> None:
+    track, _ = track_at(np.linspace(0.0, 1.0, 5))
+    with pytest.raises(BadRecording, match="compass 3"):
+        heading_of_track(track, instance=3)
