@@ -12,7 +12,7 @@ same messages at the same times give the same bytes, however the calls to `advan
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, MutableMapping, Sequence
 
 from mavcompass.enums import COMPONENT_AUTOPILOT, MavAutopilot, MavSeverity, MavState, MavType
 from mavcompass.messages import Heartbeat, Message, Statustext
@@ -20,6 +20,7 @@ from mavcompass.simulation.ardupilot import ArduPilot
 from mavcompass.simulation.attitude_filter import AttitudeFilter
 from mavcompass.simulation.faults import Calibration, CompassSetup, draw_compasses
 from mavcompass.simulation.firmware import Firmware, Sender
+from mavcompass.simulation.hand import HandMove
 from mavcompass.simulation.motion import Body, Drive
 from mavcompass.simulation.noise import generator
 from mavcompass.simulation.outgoing import Outgoing
@@ -58,6 +59,7 @@ class SimulatedAutopilot:
         tilt_deg: float | None = None,
         system: int = 1,
         other_stations: Sequence[tuple[int, int]] = (GROUND_STATION,),
+        deaf_to: Collection[type[Message]] = (),
     ) -> None:
         """Build a vehicle.
 
@@ -78,12 +80,14 @@ class SimulatedAutopilot:
         calibration: "old" (wrong; the default) or "exact" (the default where effects are given).
         tilt_deg: steepness of the ground, height of the waves as tilt; by seed if not given.
         other_stations: (system, component) of those whose heartbeats this vehicle forwards.
+        deaf_to: messages that this firmware does not know, for trying what a client does then.
         """
         self.profile: VehicleProfile = profile(vehicle)
         self.seed = seed
         self.system, self.component = system, COMPONENT_AUTOPILOT
         self.ready_s = ready_s
         self.other_stations = tuple(other_stations)
+        self._deaf_to = frozenset(deaf_to)
         rng = generator(seed, "start")
         yaw_deg = rng.uniform(-180.0, 180.0) if start_yaw_deg is None else start_yaw_deg
         self.world = draw_world(self.profile, seed, place, utc_start_s, tilt_deg)
@@ -129,7 +133,7 @@ class SimulatedAutopilot:
     def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
         """Take a message from a station; the answer leaves with the next `advance`."""
         self._port(port)
-        if self.silent_until_us is not None:
+        if self.rebooting or type(message) in self._deaf_to:
             return
         if isinstance(message, Heartbeat):
             for other in self._ports:
@@ -193,6 +197,14 @@ class SimulatedAutopilot:
     def pilot_moves_stick(self, channel: int = 1, pwm: int = 1800, for_s: float = 3.0) -> None:
         """Let the pilot hold a stick (RC channel) away from its centre for a while."""
         self.firmware.pilot_moves_stick(channel, pwm, for_s)
+
+    def turn_by_hand(self, moves: Iterable[HandMove]) -> None:
+        """Let a person turn the vehicle, from now on or after the moves already planned."""
+        self.body.hand.add(moves, self.body.time_s)
+
+    def jam(self) -> None:
+        """Block what turns the vehicle: wheels in the mud, a rope in the propeller."""
+        self.body.jammed = True
 
     def battery_failsafe(self) -> None:
         """Let the battery run low."""

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 from mavcompass.correction import Vector
+from mavcompass.simulation.hand import Hand, HandMotion
 from mavcompass.simulation.noise import NoiseTape, generator
 from mavcompass.simulation.profiles import VehicleProfile
 from mavcompass.simulation.world import World
@@ -23,6 +24,8 @@ Rotation = tuple[float, float, float, float, float, float, float, float, float]
 _TILT_SEEN_BY_ACCELEROMETER = 0.3
 _CLIMB_LAG_S = 0.4
 _SPEED_ACCELERATION_MPS2 = 1.5
+_TREMOR_RAD, _TREMOR_PERIOD_S = math.radians(0.5), 0.8
+_STICTION_RADPS = math.radians(0.25)
 
 
 @dataclass(slots=True)
@@ -76,6 +79,9 @@ class Body:
         self.forward_acceleration_mps2 = 0.0
         self.time_s = 0.0
         self.motors_on = False
+        self.hand = Hand()
+        self.jammed = False
+        self._held = HandMotion()
         self._tape = NoiseTape(generator(seed, "motion"), 4)
         self._jitter = [0.0, 0.0, 0.0, 0.0]
         self._unrest_radps = 0.0
@@ -106,6 +112,7 @@ class Body:
         self.time_s += dt_s
         self.motors_on = drive.motors_on
         noise = self._tape.row()
+        self._held = self.hand.at(self.time_s)
         self._turn(dt_s, drive, measured_yaw_rate_radps, noise[0])
         self._translate(dt_s, drive)
         self._tilt(dt_s, noise)
@@ -114,7 +121,9 @@ class Body:
     def _turn(self, dt: float, drive: Drive, measured: float, noise: float) -> None:
         p = self.profile
         limit = p.yaw_acceleration_radps2
-        if drive.yaw_rate_radps is None:
+        if self._held.moving:
+            acceleration = (self._held.yaw_rate_radps - self.yaw_rate_radps) / dt
+        elif drive.yaw_rate_radps is None or self.jammed:
             acceleration = max(-p.coast_radps2, min(p.coast_radps2, -self.yaw_rate_radps / dt))
         else:
             wanted = max(-p.yaw_rate_max_radps, min(p.yaw_rate_max_radps, drive.yaw_rate_radps))
@@ -122,6 +131,10 @@ class Body:
                 most = abs(self.speed_mps) / p.turn_radius_m
                 wanted = max(-most, min(most, wanted))
             acceleration = max(-2.0 * limit, min(2.0 * limit, (wanted - measured) / p.yaw_lag_s))
+            slow = abs(wanted) < _STICTION_RADPS and abs(self.yaw_rate_radps) < _STICTION_RADPS
+            if slow and self.landed_on_ground:
+                # The tyres hold: the motors' little push does not move what stands.
+                acceleration = -self.yaw_rate_radps / dt
         if p.yaw_unrest_radps and not self.landed_on_ground:
             # Gusts and small waves: a first-order process with a time constant of two seconds.
             self._unrest_radps += -0.5 * dt * self._unrest_radps
@@ -159,18 +172,18 @@ class Body:
         self.velocity_ned_mps = (north, east, -self.climb_mps)
 
     def _tilt(self, dt: float, noise: list[float]) -> None:
-        """Let roll and pitch of a hovering vehicle swing: damped oscillators driven by noise."""
-        p = self.profile
-        if not p.jitter_rad:
-            return
-        j = self._jitter
-        if self.landed:
+        """Let roll and pitch swing, in the air or in trembling hands: damped oscillators driven by noise."""
+        p, j = self.profile, self._jitter
+        amplitude, period = p.jitter_rad, p.jitter_period_s
+        if self._held.moving:
+            amplitude, period = _TREMOR_RAD, _TREMOR_PERIOD_S
+        elif self.landed or not amplitude:
             j[0] = j[1] = j[2] = j[3] = 0.0
             return
-        omega = 2.0 * math.pi / p.jitter_period_s
+        omega = 2.0 * math.pi / period
         zeta = 0.5
         # The stationary variance of x of x'' + 2 z w x' + w^2 x = q n is q^2 / (4 z w^3).
-        drive = p.jitter_rad * math.sqrt(4.0 * zeta * omega**3) * math.sqrt(dt)
+        drive = amplitude * math.sqrt(4.0 * zeta * omega**3) * math.sqrt(dt)
         for i in (0, 1):
             rate = j[2 + i] + dt * (-2.0 * zeta * omega * j[2 + i] - omega * omega * j[i])
             j[2 + i] = rate + drive * noise[1 + i]
@@ -179,7 +192,7 @@ class Body:
     def _settle(self) -> None:
         """Bring attitude, rotation, body rate and specific force in line with the state."""
         if self.landed_on_ground:
-            tilt = self.world.ground_tilt(self.yaw_rad, self.yaw_rate_radps)
+            tilt = self._ground_tilt()
         elif self.profile.chassis == "boat":
             tilt = self.world.water_tilt(self.time_s)
         else:
@@ -188,6 +201,16 @@ class Body:
         self.rotation = rotation_matrix(self.roll_rad, self.pitch_rad, self.yaw_rad)
         self.rate_radps = self._body_rate()
         self.specific_force_mps2 = self._specific_force()
+
+    def _ground_tilt(self) -> tuple[float, float, float, float]:
+        roll, pitch, roll_rate, pitch_rate = self.world.ground_tilt(self.yaw_rad, self.yaw_rate_radps)
+        h, j = self._held, self._jitter
+        return (
+            roll + h.roll_rad + j[0],
+            pitch + h.pitch_rad + j[1],
+            roll_rate + h.roll_rate_radps + j[2],
+            pitch_rate + h.pitch_rate_radps + j[3],
+        )
 
     def _hover_tilt(self) -> tuple[float, float, float, float]:
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)

@@ -83,6 +83,16 @@ def test_yaw_rate_targets_turn_the_rover(station, message):
     assert math.degrees(s.vehicle.truth.yaw_rate_radps) == pytest.approx(30.0, abs=1.5)
 
 
+def test_a_rover_told_to_stand_stands_although_its_gyro_has_a_bias(station):
+    s = exact(station, seed=2, effects=["gyro_bias:z=0.003"])
+    s.send(target(RATE_ONLY, yaw_rate=0.4))
+    s.wait(1.0)
+    s.send(target(RATE_ONLY, yaw_rate=0.0))
+    s.wait(1.0)
+    moved = turned(s, lambda: s.send(target(RATE_ONLY, yaw_rate=0.0)), 2.0)
+    assert moved == 0.0
+
+
 def test_rover_stops_three_seconds_after_the_last_target(station):
     s = exact(station)
     s.send(target(RATE_ONLY, yaw_rate=0.5))
