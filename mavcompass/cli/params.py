@@ -77,7 +77,7 @@ def diff(source: str, file: Path, system: int | None, output: Output) -> None:
     """
     from mavcompass.cli.params_view import show_difference
     from mavcompass.vehicle.parameter_session import compass_part, read_wanted
-    from mavcompass.vehicle.parameter_wire import same_value
+    from mavcompass.vehicle.parameter_values import same_value
 
     wanted = read_wanted(file)
     held = _read(source, system)
@@ -142,6 +142,7 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     Example: mavcompass params backup udpin:0.0.0.0:14550 compass.param
     """
     from mavcompass.vehicle.parameter_files import parameter_form, parameter_text, write_parameter_file
+    from mavcompass.vehicle.transaction import counted
 
     if file is not None:
         parameter_form(file)  # a wrong suffix is told before the vehicle is asked
@@ -155,7 +156,7 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     else:
         types = {name: parameter.type for name, parameter in held.compass_typed.items()}
         write_parameter_file(file, values, comment, types)
-        output.say(f"{len(values)} parameters saved in {file}.")
+        output.say(f"{counted(len(values))} saved in {file}.")
     saved = {"file": None if file is None else str(file), "parameters": values}
     output.write_json({**_head("backup", source, held), **saved})
 
@@ -184,19 +185,20 @@ def _read(source: str, system: int | None) -> HeldParameters:
 
 
 def _run(source: str, script: Callable[[Context], Script[Any]]) -> Any:
-    from mavcompass.cli.terminal import ask_on_terminal, showing
+    from mavcompass.cli.terminal import PlainShow, ask_on_terminal
     from mavcompass.procedure.script import Machine
     from mavcompass.vehicle import open_link
     from mavcompass.vehicle.driver import run
 
-    with open_link(source) as link, showing() as progress:
-        return run(Machine(script), link, on_show=progress, on_ask=ask_on_terminal)
+    with open_link(source) as link:
+        return run(Machine(script), link, on_show=PlainShow(), on_ask=ask_on_terminal)
 
 
 def _write(
     action: str, source: str, file: Path, yes: bool, dry_run: bool, system: int | None, output: Output
 ) -> None:
     from mavcompass.vehicle.parameter_session import compass_part, read_wanted, write_values
+    from mavcompass.vehicle.transaction import counted
     from mavcompass.vehicle.undo import undo_saver
 
     _check_call(source, yes, dry_run)
@@ -206,7 +208,7 @@ def _write(
     def consent(held: HeldParameters, plan: ParameterPlan) -> str | None:
         document.update(_head(action, source, held), **_plan_part(plan))
         _say_plan(output, held, plan)
-        return None if dry_run else "" if yes else f"Write these {len(plan.changes)} parameters?"
+        return None if dry_run else "" if yes else f"Write {counted(len(plan.changes))}?"
 
     def script(context: Context) -> Script[WriteReport]:
         return write_values(
@@ -267,7 +269,7 @@ def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None
 
 
 def _say_outcome(output: Output, report: WriteReport, source: str, dry_run: bool) -> None:
-    from mavcompass.vehicle.transaction import restore_command
+    from mavcompass.vehicle.transaction import counted, restore_command
 
     outcome = report.outcome
     if outcome is None:
@@ -278,6 +280,6 @@ def _say_outcome(output: Output, report: WriteReport, source: str, dry_run: bool
         return
     for remark in outcome.remarks:
         output.say(f"Note: {remark}")
-    output.say(f"{len(outcome.values)} parameters written and read back.")
+    output.say(f"{counted(len(outcome.values))} written and read back.")
     if outcome.undo_file is not None:
         output.say(f"To undo: {restore_command(source, outcome.undo_file)}")

@@ -23,7 +23,7 @@ T = TypeVar("T")
 M = TypeVar("M", bound=Message)
 
 # After a stop a script has this long to put back what it changed.
-CLEAN_UP_S = 10.0
+CLEAN_UP_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from mavcompass.vehicle import parameter_wire as wire
 from mavcompass.vehicle.ardupilot_commit import commit_device_ids
 from mavcompass.vehicle.ardupilot_plan import plan_corrections, plan_values
 from mavcompass.vehicle.parameter_rules import ParameterRules, parameter_rules
+from mavcompass.vehicle.parameter_values import Encoding, Parameter
 from mavcompass.vehicle.transaction import Transaction
 
 COMPASSES = (1, 2, 3)
@@ -29,7 +30,7 @@ _SPELLING_PROBES = ("COMPASS_OFS_X", "COMPASS1_OFS_X")
 class ArduPilotDialect:
     """Speak ArduPilot's compass parameters; implements `procedure.dialect.Dialect`."""
 
-    encoding: wire.Encoding = "cast"
+    encoding: Encoding = "cast"
 
     def __init__(self, source: str = "SOURCE") -> None:
         """Take the vehicle's address, which error messages repeat in the command that restores."""
@@ -45,7 +46,7 @@ class ArduPilotDialect:
         """Return the limits and write rules of `params/ardupilot.toml`."""
         return parameter_rules("ardupilot")
 
-    def read_typed(self, context: Context, names: Sequence[str]) -> Script[dict[str, wire.Parameter]]:
+    def read_typed(self, context: Context, names: Sequence[str]) -> Script[dict[str, Parameter]]:
         """Read parameters with their types; a name that the vehicle does not know is left out."""
         return (yield from wire.read(context, names, self.encoding))
 
@@ -59,7 +60,7 @@ class ArduPilotDialect:
         held = yield from self.compass_parameters_typed(context)
         return {name: parameter.value for name, parameter in held.items()}
 
-    def compass_parameters_typed(self, context: Context) -> Script[dict[str, wire.Parameter]]:
+    def compass_parameters_typed(self, context: Context) -> Script[dict[str, Parameter]]:
         """Read everything about all compasses and what `rules.vehicle` adds, with types.
 
         The spelling of the names is found by two questions.

@@ -31,11 +31,12 @@ def commit_device_ids(context: Context, plan: ParameterPlan) -> Script[tuple[str
     Nothing is stored where the firmware does not ask for it: neither `plan.commit_instances` nor the
     arming checks say so.
     """
+    if not any(_offset_stem(change.name) for change in plan.changes):
+        return ()
+    if not plan.commit_instances and not (yield from _says_not_calibrated(context)):
+        return ()
     offsets = yield from _offsets_now(context, plan)
     if not offsets:
-        return ()
-    complaint = None if plan.commit_instances else (yield from _says_not_calibrated(context))
-    if not plan.commit_instances and not complaint:
         return ()
     context.show("write", "Having the autopilot store the compass's device id.")
     remarks: list[str] = []
@@ -100,11 +101,16 @@ def _offsets_now(context: Context, plan: ParameterPlan) -> Script[dict[int, tupl
     """Read the offsets, by compass, of which the plan wrote some; those that are all zero are left out."""
     offsets: dict[int, tuple[float, ...]] = {}
     for change in plan.changes:
-        instance = instance_of(change.name)
-        if instance is None or instance in offsets or "OFS" not in change.name:
+        instance, stem = instance_of(change.name), _offset_stem(change.name)
+        if instance is None or instance in offsets or not stem:
             continue
-        names = [change.name[:-1] + axis for axis in "XYZ"]
-        held = yield from wire.read(context, names, "cast")
+        names = [stem + axis for axis in "XYZ"]
+        held = yield from wire.read(context, names, "cast", exist=True)
         if len(held) == len(names) and any(held[name].value for name in names):
             offsets[instance] = tuple(held[name].value for name in names)
     return offsets
+
+
+def _offset_stem(name: str) -> str:
+    """Return an offset's name without its axis; empty for any other parameter."""
+    return name[:-1] if instance_of(name) is not None and "OFS" in name else ""

@@ -19,7 +19,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.dialect import Change, ParameterPlan
 from mavcompass.units import DEG_PER_RAD
 from mavcompass.vehicle.parameter_rules import ParameterRules, check_correction
-from mavcompass.vehicle.parameter_wire import is_single, same_value, tidy
+from mavcompass.vehicle.parameter_values import is_single, same_value, tidy
 
 _LEARN_OFF, _LEARN_INFLIGHT = 0, 3
 _MATRIX = tuple(f"{stem}_{axis}" for stem in ("DIA", "ODI") for axis in "XYZ")

@@ -16,7 +16,7 @@ from mavcompass.vehicle import ardupilot_plan, px4_plan
 from mavcompass.vehicle.ardupilot import ArduPilotDialect
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameter_files import read_parameter_file
-from mavcompass.vehicle.parameter_wire import Parameter, same_value
+from mavcompass.vehicle.parameter_values import Parameter, same_value
 from mavcompass.vehicle.px4 import PX4Dialect
 from mavcompass.vehicle.undo import load_record
 

@@ -12,6 +12,7 @@ from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle import parameter_wire as wire
 from mavcompass.vehicle.parameter_rules import ParameterRules, parameter_rules
+from mavcompass.vehicle.parameter_values import Encoding, Parameter
 from mavcompass.vehicle.px4_plan import plan_corrections, plan_values
 from mavcompass.vehicle.transaction import Transaction
 
@@ -21,7 +22,7 @@ COMPASSES = (1, 2, 3, 4)
 class PX4Dialect:
     """Speak PX4's compass parameters; implements `procedure.dialect.Dialect`."""
 
-    encoding: wire.Encoding = "bytewise"
+    encoding: Encoding = "bytewise"
 
     def __init__(self, source: str = "SOURCE") -> None:
         """Take the vehicle's address, which error messages repeat in the command that restores."""
@@ -37,7 +38,7 @@ class PX4Dialect:
         """Return the limits and write rules of `params/px4.toml`."""
         return parameter_rules("px4")
 
-    def read_typed(self, context: Context, names: Sequence[str]) -> Script[dict[str, wire.Parameter]]:
+    def read_typed(self, context: Context, names: Sequence[str]) -> Script[dict[str, Parameter]]:
         """Read parameters with their types; a name that the vehicle does not know is left out."""
         return (yield from wire.read(context, names, self.encoding))
 
@@ -51,7 +52,7 @@ class PX4Dialect:
         held = yield from self.compass_parameters_typed(context)
         return {name: parameter.value for name, parameter in held.items()}
 
-    def compass_parameters_typed(self, context: Context) -> Script[dict[str, wire.Parameter]]:
+    def compass_parameters_typed(self, context: Context) -> Script[dict[str, Parameter]]:
         """Read everything about all compasses, with types; unused slots are not asked for further."""
         names = [
             *self.rules.general,

@@ -14,7 +14,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.dialect import Change, ParameterPlan
 from mavcompass.units import MGAUSS_PER_GAUSS
 from mavcompass.vehicle.parameter_rules import ParameterRules, check_correction
-from mavcompass.vehicle.parameter_wire import is_single, same_value, tidy
+from mavcompass.vehicle.parameter_values import is_single, same_value, tidy
 
 # PX4 takes over a change of the offsets during the run only when it is longer than this.
 _SMALLEST_LIVE_CHANGE_MGAUSS = 1.0

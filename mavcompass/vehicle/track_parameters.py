@@ -11,7 +11,7 @@ from mavcompass.enums import MavParamType
 from mavcompass.messages import ParamValue
 from mavcompass.procedure.script import Context
 from mavcompass.track import Track
-from mavcompass.vehicle.parameter_wire import Parameter, encode
+from mavcompass.vehicle.parameter_values import Parameter, encode
 
 # A Track does not tell types; these are PX4's whole numbers among the parameters of compasses.
 _PX4_WHOLE_NUMBERS = re.compile(r"CAL_MAG\d_(ID|ROT|PRIO)|CAL_MAG_(COMP_TYP|SIDES|ROT_AUTO)|SENS_BOARD_ROT")

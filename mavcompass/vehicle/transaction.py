@@ -20,7 +20,7 @@ from mavcompass.errors import MavCompassError, Refused, WriteFailed
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle import parameter_wire as wire
-from mavcompass.vehicle.parameter_wire import Encoding, Parameter
+from mavcompass.vehicle.parameter_values import Encoding, Parameter, is_single, same_value
 
 # After a stop a script has `script.CLEAN_UP_S` to put things back; a silent vehicle is given up before.
 _UNDO_SILENCE_S = 5.0
@@ -56,30 +56,29 @@ class Transaction:
         new = {c.name: Parameter(c.new, old[c.name].type) for c in plan.changes}
         undo_file = save_undo(plan, {name: p.value for name, p in old.items()})
         command = restore_command(self.source, undo_file)
-        context.show("write", f"Writing {len(new)} parameters; to put the old ones back: {command}")
+        context.show("write", f"Writing {counted(len(new))}; to put the old values back: {command}")
         remarks: tuple[str, ...] = ()
         try:
-            yield from wire.write(context, new, self.encoding)
+            echoes_s = yield from wire.write(context, new, self.encoding)
             if self.commit is not None:
                 remarks = yield from self.commit(context)
-            yield from wire.read_back(context, new, self.encoding)
+            yield from wire.prove(context, new, self.encoding, echoes_s)
         except GeneratorExit:
             raise self._left(undo_file, "the procedure was ended") from None
         except Exception as why:
             yield from self._put_back(context, old, undo_file, why)
             if isinstance(why, MavCompassError) and not isinstance(why, Refused):
                 raise WriteFailed(
-                    f"{why.what} All {len(old)} parameters were put back and read back as before.",
+                    f"{why.what} What was written was put back, and {counted(len(old))} read back as before.",
                     why.remedy,
                     undo_file,
                 ) from why
             raise
-        context.show("write", f"{len(new)} parameters written and read back.", 1.0)
         return WriteOutcome(True, undo_file, {name: p.value for name, p in new.items()}, remarks)
 
     def _read_before(self, context: Context, plan: ParameterPlan) -> Script[dict[str, Parameter]]:
         """Read the parameters that will change; nothing is written where they are not as planned."""
-        old = yield from wire.read(context, [c.name for c in plan.changes], self.encoding)
+        old = yield from wire.read(context, [c.name for c in plan.changes], self.encoding, exist=True)
         for change in plan.changes:
             held = old.get(change.name)
             if held is None:
@@ -87,7 +86,7 @@ class Transaction:
                     f"The vehicle does not answer for {change.name}; nothing was written.",
                     "Check that its firmware has this parameter, then run again.",
                 )
-            if not wire.same_value(held.value, change.old):
+            if not same_value(held.value, change.old):
                 raise WriteFailed(
                     f"{change.name} is {held.value:g} now and was {change.old:g} when the write was planned;"
                     " nothing was written.",
@@ -99,12 +98,12 @@ class Transaction:
         self, context: Context, old: Mapping[str, Parameter], undo_file: Path, why: Exception
     ) -> Script[None]:
         """Write the old values, last change first, and prove them; raise WriteFailed where that fails."""
-        context.show("undo", f"{_sentence(why)} Putting {len(old)} parameters back.")
+        context.show("undo", f"{_sentence(why)} Putting {counted(len(old))} back.")
         back = {name: old[name] for name in reversed(list(old))}
         while True:
             try:
-                yield from wire.write(context, back, self.encoding, _UNDO_SILENCE_S)
-                yield from wire.read_back(context, back, self.encoding, _UNDO_SILENCE_S)
+                echoes_s = yield from wire.write(context, back, self.encoding, _UNDO_SILENCE_S)
+                yield from wire.prove(context, back, self.encoding, echoes_s, _UNDO_SILENCE_S)
             except Refused:
                 continue  # a stop, which comes once: the vehicle is still, and half a calibration is worse
             except GeneratorExit:
@@ -132,11 +131,16 @@ def refuse_unwritable(plan: ParameterPlan) -> None:
     reasons = list(plan.refusals)
     for change in plan.changes:
         for value in (change.old, change.new):
-            if not wire.is_single(value):
+            if not is_single(value):
                 reasons.append(f"{change.name} {change.old:g} -> {change.new:g} is not a number to write.")
                 break
     if reasons:
         raise Refused(" ".join(reasons), "Nothing was written.")
+
+
+def counted(parameters: int) -> str:
+    """Spell a number of parameters."""
+    return "1 parameter" if parameters == 1 else f"{parameters} parameters"
 
 
 def restore_command(source: str, undo_file: Path) -> str:

@@ -16,7 +16,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.dialect import ParameterPlan
 from mavcompass.vehicle.ardupilot_plan import instance_of
 from mavcompass.vehicle.dialects import make_dialect
-from mavcompass.vehicle.parameter_wire import same_value
+from mavcompass.vehicle.parameter_values import same_value
 
 DIALECT = make_dialect("ardupilot")
 GOOD = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0), (0.02, -0.01, 0.005), 1.02)

@@ -14,6 +14,8 @@ from parameter_vehicle import ParameterVehicle, PX4Vehicle, Radio, ardupilot_par
 from mavcompass.errors import NoReply, Refused
 from mavcompass.messages import ParamRequestRead, ParamSet, ParamValue
 from mavcompass.procedure.script import Context, Script
+from mavcompass.vehicle import parameter_exchange
+from mavcompass.vehicle import parameter_values as values
 from mavcompass.vehicle import parameter_wire as wire
 from mavcompass.vehicle.dialects import make_dialect
 
@@ -87,14 +89,14 @@ def test_only_as_many_requests_are_under_way_as_the_vehicles_queue_holds() -> No
     radio.run(make_dialect("ardupilot").compass_parameters)
     first_answer_s = 0.4
     asked = [m for m, t in zip(radio.sent, radio.sent_s, strict=True) if 0.4 <= t < 0.4 + first_answer_s]
-    assert len(asked) == wire.WINDOW
+    assert len(asked) == parameter_exchange.WINDOW
 
 
 def test_a_write_is_not_fooled_by_the_echo_of_its_neighbour() -> None:
     vehicle = ParameterVehicle()
     radio = Radio(vehicle, jitter_s=0.3, seed=3)
     offsets = {"X": 120.0, "Y": -80.0, "Z": 40.0}
-    wanted = {f"COMPASS_OFS_{axis}": wire.Parameter(value) for axis, value in offsets.items()}
+    wanted = {f"COMPASS_OFS_{axis}": values.Parameter(value) for axis, value in offsets.items()}
     radio.run(lambda context: wire.write(context, wanted, "cast"))
     assert [vehicle.values[name] for name in wanted] == [120.0, -80.0, 40.0]
 
@@ -104,7 +106,7 @@ def test_a_value_that_the_vehicle_will_not_take_is_told_with_what_it_keeps() -> 
     vehicle.stuck.add("COMPASS_OFS_Y")
     with pytest.raises(wire.ValueRefused, match=r"keeps COMPASS_OFS_Y at 13 instead of -80"):
         Radio(vehicle).run(
-            lambda context: wire.write(context, {"COMPASS_OFS_Y": wire.Parameter(-80.0)}, "cast")
+            lambda context: wire.write(context, {"COMPASS_OFS_Y": values.Parameter(-80.0)}, "cast")
         )
 
 
@@ -114,21 +116,21 @@ def test_px4_integers_survive_the_trip_bit_for_bit(whole: int) -> None:
     if (bits & 0x7F800000) == 0x7F800000 and bits & 0x007FFFFF and not bits & 0x00400000:
         return  # a signalling NaN, which the processor's float registers quieten
     context = Context(system=1, component=1)
-    sent = wire.encode("CAL_MAG0_ROT", wire.Parameter(float(whole), 6), "bytewise", context)
-    back = wire.decode(ParamValue("CAL_MAG0_ROT", sent.param_value, 6), "bytewise")
-    assert back == wire.Parameter(float(whole), 6)
+    sent = values.encode("CAL_MAG0_ROT", values.Parameter(float(whole), 6), "bytewise", context)
+    back = values.decode(ParamValue("CAL_MAG0_ROT", sent.param_value, 6), "bytewise")
+    assert back == values.Parameter(float(whole), 6)
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False))
 def test_the_tidy_decimal_is_the_same_32_bit_float(value: float) -> None:
-    assert np.float32(wire.tidy(value)) == np.float32(value)
-    assert wire.same_value(wire.tidy(value), value)
-    assert len(repr(wire.tidy(value))) <= len(repr(value)) + 1
+    assert np.float32(values.tidy(value)) == np.float32(value)
+    assert values.same_value(values.tidy(value), value)
+    assert len(repr(values.tidy(value))) <= len(repr(value)) + 1
 
 
 def test_an_odd_parameter_type_does_not_stop_the_reading() -> None:
-    assert wire.decode(ParamValue("A", 2.5, 77), "bytewise") == wire.Parameter(2.5, 77)
-    assert math.isnan(wire.decode(ParamValue("A", math.nan, 9), "cast").value)
+    assert values.decode(ParamValue("A", 2.5, 77), "bytewise") == values.Parameter(2.5, 77)
+    assert math.isnan(values.decode(ParamValue("A", math.nan, 9), "cast").value)
 
 
 def test_px4_is_read_and_written_with_its_types() -> None:
@@ -141,7 +143,7 @@ def test_px4_is_read_and_written_with_its_types() -> None:
         "CAL_MAG2_ID",
         "CAL_MAG3_ID",
     }
-    wanted = {"CAL_MAG0_ROT": wire.Parameter(4.0, 6), "CAL_MAG0_XOFF": wire.Parameter(0.1)}
+    wanted = {"CAL_MAG0_ROT": values.Parameter(4.0, 6), "CAL_MAG0_XOFF": values.Parameter(0.1)}
     radio = Radio(vehicle)
     radio.run(lambda context: wire.write(context, wanted, "bytewise"))
     assert vehicle.values["CAL_MAG0_ROT"] == 4.0

@@ -145,7 +145,7 @@ def test_on_a_terminal_the_person_is_asked(
     before = held(capsys)
     monkeypatch.setattr(sys, "stdin", Terminal(typed))
     assert main(["params", "write", SOURCE, str(compass_file)]) == code
-    assert "Write these 2 parameters?" in capsys.readouterr().err
+    assert "Write 2 parameters?" in capsys.readouterr().err
     assert held(capsys)["COMPASS_OFS_X"] == (before["COMPASS_OFS_X"] if offset is None else offset)
 
 

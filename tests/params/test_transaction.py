@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import random
 import re
 import shlex
@@ -18,7 +19,7 @@ from parameter_vehicle import COMPONENT, SYSTEM, ParameterVehicle, PX4Vehicle, R
 from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MavCmd
 from mavcompass.errors import LinkError, MavCompassError, Refused, WriteFailed
-from mavcompass.messages import Incoming, ParamSet
+from mavcompass.messages import Incoming, Message, ParamSet, ParamValue
 from mavcompass.procedure.dialect import Change, ParameterPlan
 from mavcompass.procedure.script import Machine, Stop, Tick
 from mavcompass.vehicle.dialects import make_dialect
@@ -75,18 +76,21 @@ def test_a_plan_is_written_and_read_back(kind: type[ParameterVehicle], tmp_path:
     assert vehicle.values == before
 
 
-def test_the_undo_file_is_on_disk_before_the_first_write(tmp_path: Path) -> None:
+def test_the_undo_file_is_on_disk_before_the_first_write(tmp_path: Path, flushed: list[int]) -> None:
     vehicle = ParameterVehicle()
-    seen: list[int] = []
+    seen: list[tuple[int, int, int]] = []
     original = vehicle.set
 
     def spying_set(message: ParamSet):
-        seen.append(len(list(tmp_path.glob("*.json"))))
+        (undo_file,) = tmp_path.glob("*.json")
+        seen.append((len(load_record(undo_file).before), len(list(tmp_path.iterdir())), len(flushed)))
         return original(message)
 
     vehicle.set = spying_set  # type: ignore[method-assign]
-    write(Radio(vehicle), plan_for(vehicle), tmp_path)
-    assert seen and set(seen) == {1}
+    plan = plan_for(vehicle)
+    write(Radio(vehicle), plan, tmp_path)
+    # both files whole, each flushed itself and in its folder
+    assert seen and set(seen) == {(len(plan.changes), 2, 4)}
 
 
 def test_the_undo_file_tells_all_and_other_tools_can_load_it(tmp_path: Path) -> None:
@@ -317,6 +321,46 @@ def test_a_link_that_comes_back_in_time_is_undone_by_itself(tmp_path: Path) -> N
     with pytest.raises(Refused):
         write(radio, plan, tmp_path)
     assert vehicle.values == before
+
+
+class ForgetfulVehicle(ParameterVehicle):
+    """Echo some writes without storing them, as a late echo of an older write looks."""
+
+    def __init__(self, forgets: int) -> None:
+        super().__init__()
+        self.forgets = forgets
+
+    def set(self, message: ParamSet) -> list[Message]:
+        if message.param_id == "COMPASS_OFS_Y" and message.param_value == -80.0 and self.forgets > 0:
+            self.forgets -= 1
+            return [ParamValue(message.param_id, message.param_value)]
+        return super().set(message)
+
+
+def test_a_late_echo_cannot_vouch_for_a_lost_write(tmp_path: Path) -> None:
+    vehicle = ForgetfulVehicle(forgets=2)
+    outcome = write(Radio(vehicle), plan_for(vehicle), tmp_path)
+    assert outcome.verified and vehicle.values["COMPASS_OFS_Y"] == -80.0
+
+
+def test_a_value_that_never_reads_back_is_undone(tmp_path: Path) -> None:
+    vehicle = ForgetfulVehicle(forgets=10**6)
+    before = dict(vehicle.values)
+    with pytest.raises(WriteFailed, match="keeps COMPASS_OFS_Y at 13 instead of -80"):
+        write(Radio(vehicle), plan_for(vehicle), tmp_path)
+    assert vehicle.values == before
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_stop_on_a_bad_radio_leaves_the_vehicle_as_before(seed: int, tmp_path: Path) -> None:
+    vehicle = ParameterVehicle()
+    before = dict(vehicle.values)
+    radio = Radio(
+        vehicle, seed=seed, loss=0.2, duplication=0.05, delay_s=0.1, jitter_s=0.2, silence_s=12.0, stop_s=3.0
+    )
+    with pytest.raises(Refused, match="Stopped"):
+        write(radio, plan_for(vehicle), tmp_path)
+    assert vehicle.writes and vehicle.values == before
 
 
 corrections = st.builds(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from pathlib import Path
 
@@ -20,6 +21,12 @@ from mavcompass.vehicle.undo import load_record, undo_saver
 
 SOURCE = "udpin:0.0.0.0:14550"
 NEW = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0), (0.02, -0.01, 0.005), 1.02)
+
+
+@pytest.fixture(autouse=True)
+def unflushed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do not wait for the disk, hundreds of times over."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 def read(autopilot: SimulatedAutopilot, faults: Faults | None = None, seed: int = 0) -> HeldParameters:

@@ -1,0 +1,70 @@
+"""Parameter values as they travel: 32-bit floats, and integers in two dress codes."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mavcompass.enums import MavParamType
+from mavcompass.messages import ParamSet, ParamValue
+from mavcompass.procedure.script import Context
+
+# ArduPilot sends an integer as the float of the same value; PX4 puts its four bytes into the float's place.
+Encoding = Literal["cast", "bytewise"]
+
+_INTEGER_FORMATS: dict[int, str] = {
+    MavParamType.UINT8: "<Bxxx",
+    MavParamType.INT8: "<bxxx",
+    MavParamType.UINT16: "<Hxx",
+    MavParamType.INT16: "<hxx",
+    MavParamType.UINT32: "<I",
+    MavParamType.INT32: "<i",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """Hold a parameter's value and its MAV_PARAM_TYPE, which a write must name."""
+
+    value: float
+    type: int = MavParamType.REAL32
+
+
+def is_single(value: float) -> bool:
+    """Tell whether a value is finite and fits the wire's 32-bit float."""
+    return math.isfinite(value) and abs(value) <= float(np.finfo(np.float32).max)
+
+
+def tidy(value: float) -> float:
+    """Return the shortest decimal number with the same 32-bit float: 0.1 for 0.10000000149011612.
+
+    A value that is not finite stays as it is.
+    """
+    return float(str(np.float32(value))) if is_single(value) else value
+
+
+def same_value(left: float, right: float) -> bool:
+    """Compare two values as the vehicle stores them, as 32-bit floats."""
+    return is_single(left) and is_single(right) and bool(np.float32(left) == np.float32(right))
+
+
+def decode(message: ParamValue, encoding: Encoding) -> Parameter:
+    """Read a PARAM_VALUE; a 32-bit float becomes its shortest decimal."""
+    form = _INTEGER_FORMATS.get(message.param_type) if encoding == "bytewise" else None
+    if form is None:
+        return Parameter(tidy(message.param_value), message.param_type)
+    (whole,) = struct.unpack(form, struct.pack("<f", message.param_value))
+    return Parameter(float(whole), message.param_type)
+
+
+def encode(name: str, parameter: Parameter, encoding: Encoding, context: Context) -> ParamSet:
+    """Build the PARAM_SET that writes a value."""
+    value = parameter.value
+    form = _INTEGER_FORMATS.get(parameter.type) if encoding == "bytewise" else None
+    if form is not None:
+        (value,) = struct.unpack("<f", struct.pack(form, round(value)))
+    return ParamSet(context.system, context.component, name, value, parameter.type)
