@@ -21,32 +21,36 @@ _INSTANCE = ("I", "Inst", "Instance", "C")
 _CENTI = 0.01
 
 
+_Part = tuple[Records, NDArray[np.bool_] | None]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
     """Hold one kind of records (one instance) from all logs of a file, in order of time.
 
     Attributes:
         time_s: (N,).
-        parts: the records, one part for each log.
+        parts: of each log the records, and which of them are this instance's (None: all).
         sort: the order of time where the file's order is another one.
     """
 
     time_s: FloatArray
-    parts: tuple[Records, ...]
+    parts: tuple[_Part, ...]
     sort: NDArray[np.intp] | None = None
 
     def __contains__(self, field: object) -> bool:
         """Tell whether every log has this field."""
-        return all(field in part for part in self.parts)
+        return all(field in records for records, _ in self.parts)
 
     def values(self, *fields: str, otherwise: float = 1.0) -> FloatArray:
         """Return one field as (N,), or several as (N, k), contiguous columns, in the units used inside."""
         out = np.empty((self.time_s.size, len(fields)), order="F")
         for column, field in enumerate(fields):
             first = 0
-            for part in self.parts:
-                out[first : first + len(part), column] = part.quantity(field, otherwise)
-                first += len(part)
+            for records, which in self.parts:
+                values = _some(records.quantity(field, otherwise), which)
+                out[first : first + values.size, column] = values
+                first += values.size
             if self.sort is not None:
                 out[:, column] = out[self.sort, column]
         return out[:, 0] if len(fields) == 1 else out
@@ -59,34 +63,37 @@ class Placed:
 
     def whole_numbers(self, field: str) -> bool:
         """Tell whether the log keeps a field as whole numbers."""
-        return all(part.fields[field].character not in "fdg" for part in self.parts)
+        return all(records.fields[field].character not in "fdg" for records, _ in self.parts)
+
+
+def _some(values: FloatArray, which: NDArray[np.bool_] | None) -> FloatArray:
+    return values if which is None else values[which]
 
 
 def take(logs: Sequence[Log], clock: BootClock, name: str) -> dict[int, Placed]:
     """Take one kind of records out of the logs, by instance (0 where the kind has none)."""
-    found: dict[int, list[Records]] = {}
+    found: dict[int, list[_Part]] = {}
     for log in logs:
         records = log.records.pop(name, None)
-        if records is None or boot_time_s(name, records) is None:
+        if records is None or not len(records) or boot_time_s(name, records) is None:
             continue
         field = next((field for field in _INSTANCE if field in records), None)
         numbers = None if field is None else records.rows[field]
         if numbers is None or not numbers.any():
-            found.setdefault(0, []).append(records)
+            found.setdefault(0, []).append((records, None))
             continue
         for number in np.unique(numbers).tolist():
-            found.setdefault(int(number), []).append(records.select(numbers == number))
+            found.setdefault(int(number), []).append((records, numbers == number))
     return {number: _place(name, parts, clock) for number, parts in sorted(found.items())}
 
 
-def _place(name: str, parts: list[Records], clock: BootClock) -> Placed:
-    time_s = np.empty(sum(map(len, parts)))
-    first = 0
-    for part in parts:
-        boot_s = boot_time_s(name, part)
+def _place(name: str, parts: list[_Part], clock: BootClock) -> Placed:
+    pieces = []
+    for records, which in parts:
+        boot_s = boot_time_s(name, records)
         assert boot_s is not None  # only kinds with a time come here
-        time_s[first : first + len(part)] = clock.from_boot(part.order, boot_s)
-        first += len(part)
+        pieces.append(_some(clock.from_boot(records.order, boot_s), which))
+    time_s = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
     if bool((time_s[1:] < time_s[:-1]).any()):
         sort = np.argsort(time_s, kind="stable")
         return Placed(time_s[sort], tuple(parts), sort)

@@ -63,7 +63,7 @@ class Records:
         """Tell whether the log has this field."""
         return name in self.fields
 
-    def select(self, which: NDArray[np.bool_] | IntArray) -> Records:
+    def select(self, which: NDArray[np.bool_] | IntArray | slice) -> Records:
         """Keep some of them."""
         return Records(self.rows[which], self.order[which], self.fields, self.scaled)
 
@@ -81,10 +81,13 @@ class Records:
 
 @dataclass(slots=True)
 class Log:
-    """Hold one log of the file, from one start of logging: its wanted records by name."""
+    """Hold one log of the file, from one start of logging: its wanted records by name.
+
+    `first_order` is its first record's place among those of the file.
+    """
 
     records: dict[str, Records] = field(default_factory=dict)
-    last_order: int = 0
+    first_order: int = 0
 
 
 @dataclass(slots=True)
@@ -143,7 +146,7 @@ class _LogReader:
     def __init__(
         self, contents: DataFlashContents, wanted: Mapping[str, tuple[str, ...]], records: int
     ) -> None:
-        self.records = records
+        self.records = self._first_order = records
         self._contents = contents
         self._wanted = {**wanted, "UNIT": (), "MULT": (), "FMTU": ()}
         self._formats: dict[int, Format] = {}
@@ -244,7 +247,7 @@ class _LogReader:
             for number, (rows, order) in self._growing.items()
         }
         units = _units({name: table[1] for name, table in tables.items() if name in _UNIT_TABLES})
-        log = Log(last_order=self.records)
+        log = Log(first_order=self._first_order)
         for name, (some, rows, order) in tables.items():
             if name not in _UNIT_TABLES:
                 log.records[name] = Records(rows, order, units.fields(some))

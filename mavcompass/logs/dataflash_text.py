@@ -38,6 +38,7 @@ class _TextReader:
         self._start()
 
     def _start(self) -> None:
+        self._first_order = self._order
         self._formats: dict[str, Format] = {}
         self._units = Units()
         self._rows: dict[str, list[tuple[Any, ...]]] = {}
@@ -101,7 +102,7 @@ class _TextReader:
 
     def finish(self) -> None:
         """Append the log read so far to the contents."""
-        log = Log(last_order=self._order)
+        log = Log(first_order=self._first_order)
         for name, rows in self._rows.items():
             some = self._formats[name]
             record = np.dtype(

@@ -14,7 +14,7 @@ _MICRO, _MILLI = 1.0e-6, 1.0e-3
 _GPS_EPOCH_UNIX_S = 315_964_800.0
 _WEEK_S = 604_800.0
 _LEAP_S = 18.0  # GPS minus UTC since 2017
-# A clock of so many records is as good as one of all of them, and spares memory.
+# A clock of so many records is as good as one of more, and spares memory.
 _ENOUGH = 1_000_000
 
 
@@ -47,29 +47,34 @@ def leave_out_impossible_times(logs: Sequence[Log]) -> int:
 
 def clock_of(logs: Sequence[Log]) -> BootClock:
     """Build the clock of a file from its logs, one power-up or more, with GPS time between them."""
+    densest = [_densest(log) for log in logs]
+    stride = 1 + sum(len(found[1]) for found in densest if found is not None) // _ENOUGH
     orders, boots, units = [], [], []
-    for log in logs:
-        offset_s = gps_unix_offset_s(log.records.get("GPS")) or 0.0
-        for name, records in _enough(log):
-            time_s = boot_time_s(name, records)
-            if time_s is not None:
-                orders.append(records.order)
-                boots.append(time_s)
-                units.append(time_s + offset_s)
+    for log, found in zip(logs, densest, strict=True):
+        if found is None:
+            continue
+        name, records = found
+        time_s = boot_time_s(name, records)
+        if time_s is None:
+            continue
+        order, time_s = records.order[::stride].copy(), time_s[::stride]
+        order[0] = log.first_order  # what the log holds before belongs to it as well
+        orders.append(order)
+        boots.append(time_s)
+        units.append(time_s + (gps_unix_offset_s(log.records.get("GPS")) or 0.0))
     if not orders:
         return build_clock(np.zeros(1, np.uint32), np.zeros(1), np.zeros(1))
     return build_clock(np.concatenate(orders), np.concatenate(units), np.concatenate(boots))
 
 
-def _enough(log: Log) -> list[tuple[str, Records]]:
-    """Take as many kinds as make up a clock, always the densest."""
-    out: list[tuple[str, Records]] = []
-    for name, records in sorted(log.records.items(), key=lambda item: -len(item[1])):
-        if out and sum(len(taken) for _, taken in out) + len(records) > _ENOUGH:
-            break
-        if len(records):
-            out.append((name, records))
-    return out
+def _densest(log: Log) -> tuple[str, Records] | None:
+    """Find the kind that comes most often: in one log every kind has the same clock."""
+    timed = [
+        (name, records)
+        for name, records in log.records.items()
+        if len(records) and boot_time_s(name, records.select(slice(0, 1))) is not None
+    ]
+    return max(timed, key=lambda found: len(found[1]), default=None)
 
 
 def gps_unix_offset_s(gps: Records | None) -> float | None:

@@ -2,8 +2,7 @@
 
 A CRC is affine over GF(2): it is the exclusive-or of one term per byte, which depends on the byte's
 distance from the end alone, and of a term for the start value, which depends on the length alone. So
-bytes of the same distance from the end are handled together for all frames, and zeros before a frame
-change nothing: frames of different lengths go together when their ends are in line.
+bytes of the same distance from the end are handled together for all frames.
 """
 
 from __future__ import annotations
@@ -13,9 +12,13 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.logs.intervals import IntArray, windows
+
 _POLYNOMIAL = 0x8408  # x^16 + x^12 + x^5 + 1, least significant bit first
 _START = 0xFFFF
 _LONGEST = 280
+# From so many frames of one length on, a look-up for each column of bytes is the faster way.
+_WORTH_COLUMNS = 400
 
 UInt16Array = NDArray[np.uint16]
 
@@ -47,18 +50,40 @@ def _start_terms() -> UInt16Array:
 
 
 def checksums(
-    columns: NDArray[np.uint8], lengths: NDArray[np.intp], crc_extras: NDArray[np.uint8]
+    data: NDArray[np.uint8], ends: IntArray, lengths: IntArray, crc_extras: NDArray[np.uint8]
 ) -> UInt16Array:
-    """Compute the checksums of N frames.
+    """Compute the checksums of N frames in `data`.
 
-    `columns` (W, N) holds one frame in each column, ends in line, zeros before the shorter ones;
-    `lengths` (N,) are the bytes from the length byte to the payload's end, `crc_extras` (N,) the
-    messages' extra bytes, which follow each frame's end.
+    `lengths` (N,) are the bytes of each from its length byte to its payload's end, `ends` (N,) the places
+    after the payload's end, `crc_extras` (N,) the messages' extra bytes, which follow each payload.
     """
-    terms = _byte_terms()
     crc = _start_terms()[lengths + 1]
-    crc ^= terms[0].take(crc_extras)
-    width = columns.shape[0]
-    for row in range(width):
-        crc ^= terms[width - row].take(columns[row])
+    crc ^= _byte_terms()[0].take(crc_extras)
+    counts = np.bincount(lengths)
+    common = counts >= _WORTH_COLUMNS
+    for length in np.flatnonzero(common).tolist():
+        group = np.flatnonzero(lengths == length)
+        crc[group] ^= _by_columns(windows(data, ends[group] - length, length))
+    rest = np.flatnonzero(~common[lengths])
+    if rest.size:
+        crc[rest] ^= _byte_by_byte(data, ends[rest], lengths[rest])
     return crc
+
+
+def _by_columns(frames: NDArray[np.uint8]) -> UInt16Array:
+    """Add up the terms of many frames of one length, (N, length): one look-up for each column."""
+    terms = _byte_terms()
+    length = frames.shape[1]
+    crc = np.zeros(len(frames), dtype=np.uint16)
+    for row, column in enumerate(np.ascontiguousarray(frames.T)):
+        crc ^= terms[length - row].take(column)
+    return crc
+
+
+def _byte_by_byte(data: NDArray[np.uint8], ends: IntArray, lengths: IntArray) -> UInt16Array:
+    """Add up the terms of a few frames of any lengths: one look-up for all of their bytes."""
+    total = np.cumsum(lengths)
+    distance = np.repeat(total, lengths) - np.arange(int(total[-1]))  # 1 for the last byte of each
+    place = np.repeat(ends, lengths) - distance
+    terms = _byte_terms().ravel().take(distance * 256 + data[place])
+    return np.asarray(np.bitwise_xor.reduceat(terms, total - lengths))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.logs.chunks import ByteArray, Chunk
-from mavcompass.logs.intervals import IntArray, not_overlapping, windows
+from mavcompass.logs.intervals import IntArray, not_overlapping
 from mavcompass.logs.mavlink_crc import checksums
 from mavcompass.logs.mavlink_layouts import UNKNOWN, crc_extras
 
@@ -24,8 +24,6 @@ _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
 _SIGNATURE_BYTES = 13
 _CHECKSUM_BYTES = 2
-# Frames whose lengths differ by less share one pass of the checksum.
-_LENGTH_STEP = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,53 +100,41 @@ def _candidates(chunk: Chunk, covered: int) -> Frames:
 
 def _checksum_fits(data: ByteArray, frames: Frames) -> NDArray[np.bool_]:
     """Tell which frames carry the checksum that their bytes have."""
-    fits = np.zeros(len(frames), dtype=bool)
     if not len(frames):
-        return fits
-    payload_end = frames.payload + frames.length
-    lengths = payload_end - frames.start - 1
+        return np.zeros(0, dtype=bool)
+    ends = frames.payload + frames.length
+    sent = data[ends].astype(np.uint16) | data[ends + 1].astype(np.uint16) << 8
     extras = crc_extras()[frames.message_id].astype(np.uint8)
-    sent = data[payload_end].astype(np.uint16) | data[payload_end + 1].astype(np.uint16) << 8
-    # At the file's very start there is no room to line up the ends: those go by their exact length.
-    steps = np.where(payload_end >= lengths + _LENGTH_STEP, lengths // _LENGTH_STEP, -lengths)
-    for step in np.unique(steps):
-        group = np.flatnonzero(steps == step)
-        columns = _end_aligned(data, payload_end[group], lengths[group])
-        fits[group] = checksums(columns, lengths[group], extras[group]) == sent[group]
-    return fits
-
-
-def _end_aligned(data: ByteArray, ends: IntArray, lengths: IntArray) -> NDArray[np.uint8]:
-    """Copy `lengths` bytes before each end into columns, ends in line, zeros before the shorter."""
-    width = int(lengths.max())
-    columns = np.ascontiguousarray(windows(data, ends - width, width).T)
-    shortest = int(lengths.min())
-    missing = width - lengths
-    for row in range(width - shortest):
-        columns[row, missing > row] = 0
-    return columns
+    return np.asarray(checksums(data, ends, ends - frames.start - 1, extras) == sent)
 
 
 def _unknown_between(unknown: Frames, good: Frames, chunk: Chunk, covered: int) -> Frames:
     """Keep the unknown frames that follow on a good one (or one another) and are followed by one."""
+    begins = unknown.start - TIMESTAMP_BYTES
+    opened = _among(good.end, begins) | (begins == covered)
+    # What follows a frame at the limit is seen only in the next chunk.
+    closed = _among(good.start - TIMESTAMP_BYTES, unknown.end) | (unknown.end >= chunk.limit)
     # Most candidates are chance bytes in payloads: they begin where no other frame ends.
-    follows = np.isin(unknown.start - TIMESTAMP_BYTES, np.concatenate([good.end, unknown.end, [covered]]))
-    unknown = unknown.select(follows)
-    if not len(unknown):
-        return unknown
-    opens = {covered, *good.end.tolist()}
-    closes = {chunk.size, *(good.start - TIMESTAMP_BYTES).tolist()}
-    begins = (unknown.start - TIMESTAMP_BYTES).tolist()
-    ends = unknown.end.tolist()
+    possible = np.flatnonzero(
+        (opened | np.isin(begins, unknown.end)) & (closed | np.isin(unknown.end, begins))
+    )
+    opens: set[int] = set()
+    for index in possible.tolist():
+        if opened[index] or int(begins[index]) in opens:
+            opened[index] = True
+            opens.add(int(unknown.end[index]))
+    closes: set[int] = set()
     chained = np.zeros(len(unknown), dtype=bool)
-    for index, (begin, end) in enumerate(zip(begins, ends, strict=True)):
-        if begin in opens:
+    for index in reversed(possible.tolist()):
+        if opened[index] and (closed[index] or int(unknown.end[index]) in closes):
             chained[index] = True
-            opens.add(end)
-    for index in range(len(unknown) - 1, -1, -1):
-        # What follows a frame at the limit is seen only in the next chunk.
-        if chained[index] and (ends[index] in closes or ends[index] >= chunk.limit):
-            closes.add(begins[index])
-        else:
-            chained[index] = False
+            closes.add(int(begins[index]))
     return unknown.select(chained)
+
+
+def _among(sorted_places: IntArray, places: IntArray) -> NDArray[np.bool_]:
+    """Tell which places are in a sorted list of them."""
+    if not sorted_places.size:
+        return np.zeros(places.size, dtype=bool)
+    index = np.minimum(np.searchsorted(sorted_places, places), sorted_places.size - 1)
+    return np.asarray(sorted_places[index] == places)

@@ -164,15 +164,13 @@ def make_dataflash(path: Path, records: int) -> Path:
 
     other = (30, "RATE", "Qffffff", "TimeUS,R,P,Y,A,B,C")
     log = Log(MAG, IMU, ATT, BAT, MSG, other).add("MSG", 0, "ArduRover V4.6.3")
+    body, rates = (0.1, 0.2, 0.3, 0.1, 0.2, -9.8), (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     for n in range(records // 8):
         now = n * 20_000
-        log.add("MAG", now, 0, 200 + n % 97, -50, -500, 5, 13, -18)
-        log.add("MAG", now, 1, 210 + n % 97, -50, -500, 5, 13, -18)
-        log.add("IMU", now, 0, 0.1, 0.2, 0.3, 0.1, 0.2, -9.8).add(
-            "IMU", now, 1, 0.1, 0.2, 0.3, 0.1, 0.2, -9.8
-        )
+        for instance in (0, 1):
+            log.add("MAG", now, instance, 200 + n % 97, -50, -500, 5, 13, -18)
+            log.add("IMU", now, instance, *body).add("RATE", now + instance, *rates)
         log.add("ATT", now, 0, 10, 0, -10, 0.0, 90.0, 1.0).add("BAT", now, 0, 12.0, 15.0)
-        log.add("RATE", now, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0).add("RATE", now + 1, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     return log.write(path)
 
 

@@ -42,15 +42,17 @@ def stamped(frames: list[bytes]) -> bytes:
     return b"".join((1_700_000_000_000_000 + n).to_bytes(8, "big") + one for n, one in enumerate(frames))
 
 
-@given(st.lists(st.tuples(st.binary(min_size=6, max_size=269), st.integers(0, 255)), min_size=1, max_size=9))
-def test_checksums_of_many_frames_are_those_of_each(frames: list[tuple[bytes, int]]) -> None:
-    lengths = np.array([len(content) for content, _ in frames])
-    columns = np.zeros((lengths.max(), len(frames)), dtype=np.uint8)
-    for index, (content, _) in enumerate(frames):
-        columns[lengths.max() - len(content) :, index] = np.frombuffer(content, dtype=np.uint8)
-    extras = np.array([extra for _, extra in frames], dtype=np.uint8)
+@given(
+    st.lists(st.tuples(st.binary(min_size=6, max_size=269), st.integers(0, 255)), min_size=1, max_size=9),
+    st.sampled_from([1, 500]),
+)
+def test_checksums_of_many_frames_are_those_of_each(frames: list[tuple[bytes, int]], copies: int) -> None:
+    data = np.frombuffer(b"".join(content for content, _ in frames) + b"\0", dtype=np.uint8)
+    lengths = np.repeat([len(content) for content, _ in frames], copies)
+    ends = np.repeat(np.cumsum([len(content) for content, _ in frames]), copies)
+    extras = np.repeat(np.array([extra for _, extra in frames], dtype=np.uint8), copies)
     expected = [mcrf4xx(content + bytes((extra,))) for content, extra in frames]
-    assert checksums(columns, lengths, extras).tolist() == expected
+    np.testing.assert_array_equal(checksums(data, ends, lengths, extras), np.repeat(expected, copies))
 
 
 def test_layouts_are_as_long_as_the_dialect_says() -> None:
