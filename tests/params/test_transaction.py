@@ -30,6 +30,14 @@ SOURCE = "udpin:0.0.0.0:14550"
 NEW = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0), (0.02, -0.01, 0.005), 1.02)
 
 
+@pytest.fixture(autouse=True)
+def flushed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Note what is flushed to the disk without waiting for it, hundreds of times over."""
+    flushed: list[int] = []
+    monkeypatch.setattr(os, "fsync", flushed.append)
+    return flushed
+
+
 def plan_for(
     vehicle: ParameterVehicle, correction: FieldCorrection = NEW, instance: int = 1
 ) -> ParameterPlan:
