@@ -97,6 +97,15 @@ class Body:
         self._settle()
 
     @property
+    def shaking(self) -> float:
+        """Return how much of the motors' vibration is felt, 0..1: wheels that stand do not shake."""
+        if not self.motors_on:
+            return 0.0
+        if self.profile.hovers:
+            return 1.0
+        return min(1.0, abs(self.yaw_rate_radps) / 0.5 + abs(self.speed_mps))
+
+    @property
     def landed(self) -> bool:
         """Tell whether the ground carries the vehicle."""
         return not self.profile.hovers or (self.profile.hover_m > 0.0 and self.height_m <= 0.0)

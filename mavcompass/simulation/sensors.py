@@ -112,7 +112,7 @@ class Imu:
             b[i] += drift * n[6 + i]
         (p, q, r), (x, y, z) = body.rate_radps, body.specific_force_mps2
         s = GYRO_NOISE_RADPS
-        e = ACCELEROMETER_NOISE_MPS2 + (self._vibration_mps2 if body.motors_on else 0.0)
+        e = ACCELEROMETER_NOISE_MPS2 + self._vibration_mps2 * body.shaking
         return ImuSample(
             (k * p + b[0] + s * n[0], k * q + b[1] + s * n[1], k * r + b[2] + s * n[2]),
             (x + a[0] + e * n[3], y + a[1] + e * n[4], z + a[2] + e * n[5]),
