@@ -1,25 +1,16 @@
-"""How each kind of vehicle is turned, read from `params/vehicles/*.toml`."""
+"""How each kind of vehicle is turned, read from `params/vehicles/*.toml`: plain numbers and words."""
 
 from __future__ import annotations
 
-import math
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 from mavcompass.data_files import params_path
 from mavcompass.errors import MavCompassError
-from mavcompass.procedure.positions import DwellSettings
-from mavcompass.procedure.safety import SafetyLimits
-from mavcompass.procedure.turning import (
-    STAND_AND_YAW_RATE,
-    YAW_RATE_ONLY,
-    ConditionYawTurn,
-    TurnStrategy,
-    YawRateTurn,
-)
+from mavcompass.units import RAD_PER_DEG
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,17 +20,28 @@ class VehicleProfile:
     Attributes:
         name: the file's name. autopilot: "ardupilot" or "px4". kinds: vehicles it is for, as in
             `procedure.vehicle_state`, with "ackermann-rover" for one that cannot pivot.
-        strategies: the ways to turn it, best first.
+        ways: the ways to turn it by the names that a person is told, best first.
+        turn_rate_radps: of the turn. slow_down_s: the rate is at most what is left divided by this.
+        coast_s: angle coasted after the last command, per rate at that moment.
+        dwell_s, settle_s, patience_s: how long it stands, rests before, and may hunt before.
         stream_rate_hz: at which the compass and the gyro are asked for.
+        tilt_limit_rad, rate_limit_radps, drift_limit_m: beyond these the motion is ended.
     """
 
     name: str
     autopilot: str
     kinds: tuple[str, ...]
-    strategies: tuple[TurnStrategy, ...]
-    dwell: DwellSettings
+    ways: tuple[str, ...]
+    turn_rate_radps: float
+    slow_down_s: float
+    coast_s: float
+    dwell_s: float
+    settle_s: float
+    patience_s: float
     stream_rate_hz: float
-    limits: SafetyLimits
+    tilt_limit_rad: float
+    rate_limit_radps: float
+    drift_limit_m: float
 
 
 def vehicle_profile(kind: str, autopilot: str, ackermann: bool = False) -> VehicleProfile | None:
@@ -67,55 +69,26 @@ def vehicle_profiles() -> tuple[VehicleProfile, ...]:
 
 
 def _profile(name: str, document: Mapping[str, Any]) -> VehicleProfile:
-    dwell, limits = document["dwell"], document["limits"]
+    turn, dwell, limits = document["turn"], document["dwell"], document["limits"]
     return VehicleProfile(
         name=name,
         autopilot=str(document["autopilot"]),
-        kinds=tuple(document["kinds"]),
-        strategies=tuple(_strategy(entry) for entry in document["turn"]["strategies"]),
-        dwell=DwellSettings(
-            dwell_s=float(dwell["dwell_s"]),
-            settle_s=float(dwell["settle_s"]),
-            patience_s=float(dwell["patience_s"]),
-        ),
-        stream_rate_hz=float(document["stream"]["rate_hz"]),
-        limits=SafetyLimits(
-            tilt_rad=math.radians(limits["tilt_deg"]),
-            rate_radps=math.radians(limits["rate_deg_s"]),
-            drift_m=float(limits["drift_m"]),
-        ),
+        kinds=tuple(map(str, document["kinds"])),
+        ways=tuple(map(str, turn["ways"])),
+        turn_rate_radps=_positive(turn["rate_deg_s"]) * RAD_PER_DEG,
+        slow_down_s=_positive(turn["slow_down_s"]),
+        coast_s=_positive(turn["coast_s"]),
+        dwell_s=_positive(dwell["dwell_s"]),
+        settle_s=_positive(dwell["settle_s"]),
+        patience_s=_positive(dwell["patience_s"]),
+        stream_rate_hz=_positive(document["stream"]["rate_hz"]),
+        tilt_limit_rad=_positive(limits["tilt_deg"]) * RAD_PER_DEG,
+        rate_limit_radps=_positive(limits["rate_deg_s"]) * RAD_PER_DEG,
+        drift_limit_m=_positive(limits["drift_m"]),
     )
 
 
-def _strategy(entry: Mapping[str, Any]) -> TurnStrategy:
-    return _WAYS[entry["way"]](entry)
-
-
-def _yaw_rate(entry: Mapping[str, Any]) -> TurnStrategy:
-    return YawRateTurn(YAW_RATE_ONLY, _radps(entry, "rate"), _radps(entry, "slowest"))
-
-
-def _standing_yaw_rate(entry: Mapping[str, Any]) -> TurnStrategy:
-    rate, slowest = _radps(entry, "rate"), _radps(entry, "slowest")
-    return YawRateTurn(STAND_AND_YAW_RATE, rate, slowest, name="yaw rate targets at a standstill")
-
-
-def _arcs(entry: Mapping[str, Any]) -> TurnStrategy:
-    rate, slowest = _radps(entry, "rate"), _radps(entry, "slowest")
-    return YawRateTurn(STAND_AND_YAW_RATE, rate, slowest, float(entry["forward_mps"]), "slow arcs")
-
-
-def _condition_yaw(entry: Mapping[str, Any]) -> TurnStrategy:
-    return ConditionYawTurn(_radps(entry, "rate"))
-
-
-def _radps(entry: Mapping[str, Any], which: str) -> float:
-    return math.radians(entry[f"{which}_deg_s"])
-
-
-_WAYS: dict[str, Callable[[Mapping[str, Any]], TurnStrategy]] = {
-    "yaw-rate": _yaw_rate,
-    "standing-yaw-rate": _standing_yaw_rate,
-    "arcs": _arcs,
-    "condition-yaw": _condition_yaw,
-}
+def _positive(value: float) -> float:
+    if not value > 0.0:
+        raise ValueError(f"{value} is not positive")
+    return float(value)

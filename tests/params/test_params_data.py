@@ -10,7 +10,6 @@ from parameter_vehicle import ardupilot_parameters
 
 from mavcompass.data_files import params_path
 from mavcompass.errors import MavCompassError
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.turning import strategies_for
 from mavcompass.vehicle import parameter_rules, vehicle_profiles
 from mavcompass.vehicle.dialects import make_dialect
@@ -63,13 +62,22 @@ def test_the_exact_cure_of_a_fault_may_be_written(name: str) -> None:
     ("kind", "ackermann"),
     [("rover", False), ("rover", True), ("boat", False), ("copter", False), ("sub", False)],
 )
-def test_a_profile_turns_its_vehicle_as_the_procedure_does(kind: str, ackermann: bool) -> None:
+def test_every_vehicle_that_can_turn_itself_has_its_profile(kind: str, ackermann: bool) -> None:
+    assert strategies_for(kind, "ardupilot", ackermann)
     profile = vehicle_profile(kind, "ardupilot", ackermann)
-    assert profile is not None
-    assert profile.strategies == strategies_for(kind, "ardupilot", ackermann)
-    settings = CalibrateSettings()
-    assert (profile.dwell, profile.stream_rate_hz) == (settings.dwell, settings.rate_hz)
-    assert profile.limits == settings.limits
+    assert profile is not None and profile.ways
+    assert profile.name == ("ackermann-rover" if ackermann else kind)
+    # A turn at the profile's rate is well inside its own limit.
+    assert profile.turn_rate_radps < 0.5 * profile.rate_limit_radps
+    # A dwell holds enough fresh readings of a compass that is read at 10 Hz.
+    assert profile.dwell_s >= 1.0 and profile.stream_rate_hz >= 10.0
+
+
+def test_profiles_are_told_apart_by_autopilot_and_kind() -> None:
+    keys = [(p.autopilot, kind) for p in vehicle_profiles.vehicle_profiles() for kind in p.kinds]
+    assert len(set(keys)) == len(keys)
+    px4 = vehicle_profile("copter", "px4")
+    assert px4 is not None and px4.name == "px4-copter"
 
 
 def test_what_only_a_person_can_turn_has_no_profile() -> None:
@@ -88,12 +96,18 @@ def test_a_damaged_rules_file_is_named(damage: str, tmp_path: Path, monkeypatch:
         parameter_rules.parameter_rules.__wrapped__("ardupilot")
 
 
-def test_a_damaged_profile_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("rate_deg_s = 45.0", "rate_deg_s = -45.0"), ("[dwell]", "[well]"), ("kinds", "kinds = 3 #")],
+)
+def test_a_damaged_profile_is_named(
+    old: str, new: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "vehicles").mkdir()
     whole = params_path("vehicles/rover.toml").read_text()
-    (tmp_path / "vehicles" / "tank.toml").write_text(whole.replace('"yaw-rate"', '"by-magic"'))
+    (tmp_path / "vehicles" / "tank.toml").write_text(whole.replace(old, new))
     monkeypatch.setattr(vehicle_profiles, "params_path", lambda name: tmp_path / name)
-    with pytest.raises(MavCompassError, match=r"tank\.toml cannot be used .*by-magic"):
+    with pytest.raises(MavCompassError, match=r"tank\.toml cannot be used"):
         vehicle_profiles.vehicle_profiles.__wrapped__()
 
 
