@@ -86,7 +86,8 @@ class FaultyLink(Link):
 
     def _next_event_s(self) -> float:
         due = [queue[0][0] for queue in (self._coming, self._going) if queue]
-        return min([*due, self.faults.cut_at_s if not self.faults.is_cut(self.now()) else math.inf])
+        cut_s = self.faults.cut_at_s
+        return min([*due, cut_s if cut_s > self.now() else math.inf])
 
     def _listen(self, timeout_s: float) -> None:
         incoming = self._link.receive(max(timeout_s, 0.0))

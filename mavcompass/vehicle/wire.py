@@ -14,6 +14,8 @@ from mavcompass.vehicle.transport import Peer, Transport
 
 # A vehicle that could speak version 2 does so soon after it heard it; one that has not by now cannot.
 _ANSWERS_IN_VERSION_2_S = 3.0
+# A system is sent to where it was heard within this time.
+_HOME_S = 10.0
 
 
 class _Channel:
@@ -43,7 +45,7 @@ class _Channel:
 class WireLink(Link):
     """Speak MAVLink over UDP, TCP or a serial port.
 
-    A message with a target system goes to the peer where that system was heard; any other to all peers.
+    A message with a target system goes to the peers where that system was heard lately; any other to all.
     """
 
     def __init__(
@@ -53,7 +55,7 @@ class WireLink(Link):
         self._transport = transport
         self._signing = signing
         self._channels: dict[Peer, _Channel] = {}
-        self._homes: dict[int, Peer] = {}
+        self._homes: dict[int, dict[Peer, float]] = {}
         self._heard: deque[Incoming] = deque()
 
     def now(self) -> float:
@@ -72,8 +74,12 @@ class WireLink(Link):
 
     def _peers_of(self, target_system: int) -> list[Peer]:
         peers = self._transport.peers()
-        home = self._homes.get(target_system) if target_system else None
-        return [home] if home in peers else peers
+        if not target_system or target_system not in self._homes:
+            return peers
+        # A vehicle forwards the heartbeats of stations that are also heard directly: both ways are theirs.
+        oldest_s = self.now() - _HOME_S
+        homes = [peer for peer, heard_s in self._homes[target_system].items() if heard_s >= oldest_s]
+        return [peer for peer in peers if peer in homes] or peers
 
     def receive(self, timeout_s: float) -> Incoming | None:
         """Return the next message; see Link."""
@@ -105,7 +111,7 @@ class WireLink(Link):
         channel = self._channel(peer)
         for frame in channel.parser.feed(data):
             self.statistics.count(frame.system, frame.component, frame.sequence)
-            self._homes[frame.system] = peer
+            self._homes.setdefault(frame.system, {})[peer] = now_s
             message = decode(frame.message_id, frame.payload)
             if message is None:
                 self.statistics.unknown += 1
