@@ -12,7 +12,7 @@ same messages at the same times give the same bytes, however the calls to `advan
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, MutableMapping, Sequence
+from collections.abc import Collection, Mapping, MutableMapping, Sequence
 
 from mavcompass.enums import COMPONENT_AUTOPILOT, MavAutopilot, MavSeverity, MavState, MavType
 from mavcompass.messages import Heartbeat, Message, Statustext
@@ -20,7 +20,7 @@ from mavcompass.simulation.ardupilot import ArduPilot
 from mavcompass.simulation.attitude_filter import AttitudeFilter
 from mavcompass.simulation.faults import Calibration, CompassSetup, draw_compasses
 from mavcompass.simulation.firmware import Firmware, Sender
-from mavcompass.simulation.hand import HandMove
+from mavcompass.simulation.happenings import Happenings
 from mavcompass.simulation.motion import Body, Drive
 from mavcompass.simulation.noise import generator
 from mavcompass.simulation.outgoing import Outgoing
@@ -38,7 +38,7 @@ _REBOOT_SILENCE_US = 1_500_000
 _UPTIME_AT_START_US = 60_000_000
 
 
-class SimulatedAutopilot:
+class SimulatedAutopilot(Happenings):
     """Behave as a vehicle's flight controller does, towards messages of `mavcompass.messages`."""
 
     def __init__(
@@ -183,44 +183,6 @@ class SimulatedAutopilot:
         """Fall silent and power up again; what was written to parameters stays."""
         self.silent_until_us = self.now_us + _REBOOT_SILENCE_US
         self.drive = Drive()
-
-    # --- what happens to a vehicle: hooks for tests and demonstrations -----------------------------
-
-    def disarm(self) -> None:
-        """Let the pilot disarm."""
-        self.firmware.pilot_disarms()
-
-    def pilot_switches_mode(self, mode: str) -> None:
-        """Let the pilot move the mode switch."""
-        self.firmware.pilot_switches_mode(mode)
-
-    def pilot_moves_stick(self, channel: int = 1, pwm: int = 1800, for_s: float = 3.0) -> None:
-        """Let the pilot hold a stick (RC channel) away from its centre for a while."""
-        self.firmware.pilot_moves_stick(channel, pwm, for_s)
-
-    def turn_by_hand(self, moves: Iterable[HandMove]) -> None:
-        """Let a person turn the vehicle, from now on or after the moves already planned."""
-        self.body.hand.add(moves, self.body.time_s)
-
-    def jam(self) -> None:
-        """Block what turns the vehicle: wheels in the mud, a rope in the propeller."""
-        self.body.jammed = True
-
-    def battery_failsafe(self) -> None:
-        """Let the battery run low."""
-        self.firmware.battery_failsafe()
-
-    def cut_sensor(self, instance: int = 1) -> None:
-        """Unplug a compass: its last value keeps streaming, its health falls."""
-        self.firmware.lose_compass(instance, healthy=False, value=None)
-
-    def freeze_compass(self, instance: int = 1) -> None:
-        """Let a compass repeat its last value for ever, and look healthy."""
-        self.firmware.lose_compass(instance, healthy=True, value=None)
-
-    def zero_compass(self, instance: int = 1) -> None:
-        """Let a compass deliver zeros: what is left are its offsets."""
-        self.firmware.lose_compass(instance, healthy=True, value=(0.0, 0.0, 0.0))
 
     # --- the works ---------------------------------------------------------------------------------
 

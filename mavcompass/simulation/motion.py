@@ -23,6 +23,7 @@ Rotation = tuple[float, float, float, float, float, float, float, float, float]
 # tilt that the drag balances does.
 _TILT_SEEN_BY_ACCELEROMETER = 0.3
 _CLIMB_LAG_S = 0.4
+_FALL_MPS, _BUOYANT_MPS = 8.0, 0.1
 _SPEED_ACCELERATION_MPS2 = 1.5
 _TREMOR_RAD, _TREMOR_PERIOD_S = math.radians(0.5), 0.8
 _STICTION_RADPS = math.radians(0.25)
@@ -172,13 +173,18 @@ class Body:
         self.north_m += north * dt
         self.east_m += east * dt
         if self.profile.hovers:
-            self.climb_mps += (drive.climb_mps - self.climb_mps) * dt / _CLIMB_LAG_S
+            climb = drive.climb_mps if drive.motors_on else self._climb_unpowered()
+            self.climb_mps += (climb - self.climb_mps) * dt / _CLIMB_LAG_S
             self.height_m += self.climb_mps * dt
             bottom, top = (0.0, math.inf) if self.profile.hover_m > 0.0 else (-100.0, 0.0)
             if not bottom < self.height_m < top:
                 self.height_m = max(bottom, min(top, self.height_m))
                 self.climb_mps = 0.0
         self.velocity_ned_mps = (north, east, -self.climb_mps)
+
+    def _climb_unpowered(self) -> float:
+        """Return the climb rate without motors: a copter falls, a sub rises slowly."""
+        return -_FALL_MPS if self.profile.hover_m > 0.0 else _BUOYANT_MPS
 
     def _tilt(self, dt: float, noise: list[float]) -> None:
         """Let roll and pitch swing, in the air or in trembling hands: damped oscillators driven by noise."""
@@ -194,9 +200,10 @@ class Body:
         # The stationary variance of x of x'' + 2 z w x' + w^2 x = q n is q^2 / (4 z w^3).
         drive = amplitude * math.sqrt(4.0 * zeta * omega**3) * math.sqrt(dt)
         for i in (0, 1):
-            rate = j[2 + i] + dt * (-2.0 * zeta * omega * j[2 + i] - omega * omega * j[i])
-            j[2 + i] = rate + drive * noise[1 + i]
-            j[i] += dt * j[2 + i]
+            before = j[2 + i]
+            pull = -2.0 * zeta * omega * before - omega * omega * j[i]
+            j[2 + i] = before + dt * pull + drive * noise[1 + i]
+            j[i] += 0.5 * dt * (before + j[2 + i])
 
     def _settle(self) -> None:
         """Bring attitude, rotation, body rate and specific force in line with the state."""

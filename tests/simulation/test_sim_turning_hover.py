@@ -200,3 +200,12 @@ def test_sub_holds_its_depth(station):
     s = exact(station, "sub")
     s.wait(10.0)
     assert s.vehicle.truth.position_ned_m[2] == pytest.approx(3.0, abs=0.2)
+
+
+def test_a_copter_disarmed_in_the_air_falls_and_a_sub_rises(station):
+    copter, sub = exact(station), exact(station, "sub")
+    for s in (copter, sub):
+        assert s.command(400, 0.0, 21196.0) == 0
+        s.wait(4.0)
+    assert copter.vehicle.truth.position_ned_m[2] == 0.0
+    assert 2.0 < sub.vehicle.truth.position_ned_m[2] < 2.9
