@@ -23,6 +23,7 @@ HEARTBEAT_EVERY_S = 1.0
 TICK_S = 0.05
 # Heartbeats alone come once a second; on a link that loses a third, five in a row are one case in 250.
 SILENCE_S = 5.0
+_LONGEST_TURN_S = 4.0 * TICK_S
 
 
 def run(
@@ -88,7 +89,8 @@ class _Drive:
         self.lost: LinkLost | None = None
         self._stopped = False
         self._last_s = self._next_heartbeat_s = link.now()
-        self._heard_vehicle_s = link.now()
+        self._listened_s = link.now()
+        self._silent_s = 0.0
 
     def turn(self) -> Incoming | None:
         """Take the next event to the procedure and do what it asks for."""
@@ -136,16 +138,19 @@ class _Drive:
     def _watch_silence(self, incoming: Incoming | None) -> None:
         context = self.machine.context
         now_s = self.link.now()
+        # Only time spent listening counts: what a busy or suspended computer slept through does not.
+        self._silent_s += min(now_s - self._listened_s, _LONGEST_TURN_S)
+        self._listened_s = now_s
         from_vehicle = incoming is not None and incoming.system == context.system
         if from_vehicle or not context.system:  # finding no vehicle at all is the procedure's to tell
-            self._heard_vehicle_s = now_s
-        silent_s = now_s - self._heard_vehicle_s
-        if silent_s > self.silence_s and self.lost is None and not self.machine.done:
+            self._silent_s = 0.0
+        if self._silent_s > self.silence_s and self.lost is None and not self.machine.done:
+            sentence = f"has said nothing for {self._silent_s:.0f} s."
             self.lost = LinkLost(
-                f"The vehicle on {self.link.name} has said nothing for {silent_s:.0f} s.",
+                f"The vehicle on {self.link.name} {sentence}",
                 "Bring the link back (power, cable, radio), then run again.",
             )
-            self._stop(f"The vehicle has said nothing for {silent_s:.0f} s.")
+            self._stop(f"The vehicle {sentence}")
 
     def _end_without_link(self, error: LinkLost) -> None:
         """Let the procedure find out that nothing gets through any more, without waiting for it."""

@@ -159,6 +159,24 @@ def test_a_vehicle_that_falls_silent_is_lost_and_the_undo_is_tried() -> None:
     assert caught.value.exit_code == 3 and caught.value.remedy
 
 
+def test_a_computer_that_was_asleep_does_not_take_the_vehicle_for_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    slept_s = [0.0]
+
+    def doze(context: Context) -> Script[str]:
+        context.system, context.component = 1, 1
+        yield from pause(context, 3.0)
+        slept_s[0] = 30.0
+        yield from pause(context, 40.0)
+        return "awake"
+
+    with SimulatedLink(MemoryVehicle()) as link:
+        awake = link.now
+        monkeypatch.setattr(link, "now", lambda: awake() + slept_s[0])
+        assert run(Machine(doze), link) == "awake"
+
+
 def test_a_link_that_breaks_for_good_ends_the_procedure_at_once() -> None:
     vehicle = MemoryVehicle()
     with FaultyLink(SimulatedLink(vehicle), Faults(cut_at_s=5.0, cut_is_final=True)) as link:
