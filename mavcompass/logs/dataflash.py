@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from mavcompass.compass_parameters import ardupilot_name
 from mavcompass.errors import BadRecording
@@ -88,6 +89,7 @@ def read_dataflash(path: Path, *, text: bool = False) -> Track:
             f"{path} holds only zeros as magnetic field: there was no compass.",
             "Check the compass's wiring and COMPASS_ENABLE, and record again.",
         )
+    measured: dict[str, Any] = dict(columns(logs, clock, parameters))
     return Track(
         source=str(path),
         autopilot="ardupilot",
@@ -96,7 +98,7 @@ def read_dataflash(path: Path, *, text: bool = False) -> Track:
         utc_offset_s=clock.utc_offset_s(),
         parameters=parameters,
         notes=tuple(notes),
-        **columns(logs, clock, parameters),
+        **measured,
     )
 
 
@@ -143,7 +145,9 @@ def _compasses(logs: Sequence[Log], clock: BootClock, history: Sequence[Change])
 def _vehicle(logs: Sequence[Log], frame_class: float | None) -> str:
     for log in logs:
         records = log.records.get("MSG")
-        for message in [] if records is None else records.rows["Message"].tolist():
+        if records is None or "Message" not in records:
+            continue
+        for message in records.rows["Message"].tolist():
             for firmware, vehicle in _FIRMWARES:
                 if message.startswith((f"Ardu{firmware}".encode(), f"APM{firmware}".encode())):
                     return "boat" if vehicle == "rover" and frame_class == _BOAT else vehicle

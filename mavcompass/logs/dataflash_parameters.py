@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.compass_parameters import ardupilot_name
 from mavcompass.logs.boot_clock import BootClock
@@ -27,7 +28,7 @@ def parameters_seen(logs: Sequence[Log], clock: BootClock) -> list[Seen]:
     for log in logs:
         for base, kind in enumerate(("MAG", "MAG2", "MAG3"), start=1):
             mag = log.records.get(kind)
-            if mag is not None and "OfsX" in mag:
+            if mag is not None and all(f"Ofs{axis}" in mag for axis in "XYZ"):
                 out += _offsets(mag, base, clock, names)
     return out
 
@@ -50,17 +51,28 @@ def _offsets(mag: Records, base: int, clock: BootClock, names: set[str]) -> Iter
     boot_s = boot_time_s("MAG", mag)
     if boot_s is None:
         return
-    offsets = np.stack([mag.quantity(f"Ofs{axis}") for axis in "XYZ"]).T
-    time_s = clock.from_boot(mag.order, boot_s)
-    instances = mag.rows["I"] if "I" in mag else np.zeros(len(mag), dtype=np.intp)
-    power_up = clock.segment(mag.order)
-    for number in np.unique(instances).tolist():
+    numbers = mag.rows["I"] if "I" in mag else np.zeros(len(mag), dtype=np.uint8)
+    for number in np.unique(numbers).tolist():
         instance = base + int(number)
         if names & {ardupilot_name("OFS_X", instance), ardupilot_name("OFS_X", instance, "COMPASS2_OFS_X")}:
             continue
-        rows = np.flatnonzero(instances == number)
-        fresh = np.concatenate([[True], np.diff(offsets[rows], axis=0).any(axis=1)])
-        for row in rows[fresh][:_MOST_OFFSET_STEPS].tolist():
-            for axis, value in zip("XYZ", offsets[row].tolist(), strict=True):
-                name = ardupilot_name(f"OFS_{axis}", instance)
-                yield Seen(float(time_s[row]), name, value, True, int(power_up[row]))
+        changes = _changes(mag, numbers == number)
+        some = mag.select(changes)
+        time_s = clock.from_boot(some.order, boot_s[changes])
+        power_up = clock.segment(some.order)
+        for axis in "XYZ":
+            name = ardupilot_name(f"OFS_{axis}", instance)
+            offsets = some.quantity(f"Ofs{axis}")
+            for moment, value, part in zip(time_s.tolist(), offsets.tolist(), power_up.tolist(), strict=True):
+                yield Seen(moment, name, value, True, part)
+
+
+def _changes(mag: Records, which: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Find the records, among one instance's, where the offsets are others than before."""
+    rows = np.flatnonzero(which)
+    fresh = np.zeros(rows.size, dtype=bool)
+    fresh[:1] = True
+    for axis in "XYZ":
+        offsets = mag.rows[f"Ofs{axis}"][rows]
+        fresh[1:] |= offsets[1:] != offsets[:-1]
+    return rows[fresh][:_MOST_OFFSET_STEPS]

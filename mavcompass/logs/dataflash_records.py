@@ -60,8 +60,8 @@ class Records:
         return int(self.order.size)
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether the log has this field."""
-        return name in self.fields
+        """Tell whether the log has this field (and it was wanted)."""
+        return name in self.rows.dtype.names
 
     def select(self, which: NDArray[np.bool_] | IntArray | slice) -> Records:
         """Keep some of them."""
@@ -207,7 +207,7 @@ class _LogReader:
     def _gather(self, chunk: Chunk, found: _Found) -> None:
         self._counts += np.bincount(found.kind, minlength=256)
         for number, some in self._formats.items():
-            if some.name not in self._wanted:
+            if not self._names(some):
                 continue
             which = np.flatnonzero(found.kind == number)
             if which.size:
@@ -222,13 +222,18 @@ class _LogReader:
 
     def _narrow(self, raw: NDArray[np.uint8], some: Format) -> Any:
         rows = raw.view(some.record)[:, 0]
-        names = [name for name in self._wanted[some.name] if name in some.fields]
-        if not names:
+        names = self._names(some)
+        if len(names) == len(some.fields):
             return rows
         out = np.empty(rows.size, np.dtype([(name, some.record[name]) for name in names]))
         for name in names:
             out[name] = rows[name]
         return out
+
+    def _names(self, some: Format) -> list[str]:
+        """Return which of the wanted fields the log has; all of them where none are named."""
+        wanted = self._wanted.get(some.name)
+        return [name for name in some.fields if wanted == () or (wanted and name in wanted)]
 
     def _count_gaps(self, chunk: Chunk, found: _Found, covered: int) -> int:
         if not found.start.size:

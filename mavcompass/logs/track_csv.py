@@ -44,6 +44,7 @@ _REMEDY = (
 class _Table:
     header: tuple[str, ...]
     values: FloatArray
+    notes: tuple[str, ...] = ()
 
     def columns(self, names: Sequence[str]) -> FloatArray | None:
         """Return the named columns, (N, k) with contiguous columns; None where one is not in the file."""
@@ -62,7 +63,8 @@ def read_track_csv(path: Path) -> Track:
     if TIME not in table.header:
         raise BadRecording(f"{path} has no column {TIME}.", _REMEDY)
     notes = [
-        f"Column {name} is not one of a Track CSV and was passed over." for name in _strange(table.header)
+        *table.notes,
+        *(f"Column {name} is not one of a Track CSV and was passed over." for name in _strange(table.header)),
     ]
     time_s = table.columns([TIME])[:, 0]  # type: ignore[index]
     table, time_s, sorting = _in_order(table, time_s, path)
@@ -133,22 +135,24 @@ def _read_table(path: Path) -> _Table:
     repeated = next((name for name in header if header.count(name) > 1), None)
     if repeated is not None:
         raise BadRecording(f"{path} has the column {repeated or '(without a name)'} twice.", _REMEDY)
+    rest, notes = _without_cut_off_line(rest, len(header))
     values = _parse_quickly(rest, len(header))
     if values is None:
         values = _parse_line_by_line(rest, header, path)
-    return _Table(header, values)
+    return _Table(header, values, notes)
+
+
+def _without_cut_off_line(text: str, width: int) -> tuple[str, tuple[str, ...]]:
+    """Leave out a last line that was not written to its end, as when the power fails."""
+    before, newline, last = text.rpartition("\n")
+    if last and last.count(",") + 1 < width:
+        return before + newline, ("The last line is cut off; it was left out.",)
+    return text, ()
 
 
 def _parse_quickly(text: str, width: int) -> FloatArray | None:
     """Parse well-formed rows in one go; None where that fails, for the parser that knows the line."""
-    if (
-        not text.strip()
-        or ",," in text
-        or ",\n" in text
-        or "\n," in text
-        or text.startswith(",")
-        or ",\r" in text
-    ):
+    if not text.strip() or text.startswith(",") or any(gap in text for gap in (",,", ",\n", "\n,")):
         return None
     try:
         values = np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2, comments=None)

@@ -37,6 +37,7 @@ def read_ulog(path: Path) -> Track:
             f"{path} holds no magnetometer: none of {', '.join(MAG_TOPICS)} has samples.",
             "Set SDLOG_PROFILE to include the sensors (bit 0 or 4) and record again.",
         )
+    measured: dict[str, Any] = dict(columns(topics, parameters))
     return Track(
         source=str(path),
         autopilot="px4",
@@ -45,7 +46,7 @@ def read_ulog(path: Path) -> Track:
         utc_offset_s=utc_offset_s(topics),
         parameters=parameters,
         notes=(*_notes_about_the_file(log), *notes),
-        **columns(topics, parameters),
+        **measured,
     )
 
 

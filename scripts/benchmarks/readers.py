@@ -175,11 +175,13 @@ def make_dataflash(path: Path, records: int) -> Path:
 
 
 def measure_memory(made: Path, megabytes: int) -> list[dict[str, Any]]:
-    """Repeat a made log up to the size and read it in a process of its own."""
+    """Repeat a made log's messages up to the size and read it in a process of its own."""
     content = made.read_bytes()
+    start = max(content.rfind(b"\xa3\x95\x80") + 89, 0) if made.suffix == ".bin" else 0
     with tempfile.NamedTemporaryFile(suffix=made.suffix, dir=made.parent) as file:
+        file.write(content[:start])
         for _ in range(max(1, megabytes * 1_000_000 // len(content))):
-            file.write(content)
+            file.write(content[start:])
         file.flush()
         command = [sys.executable, __file__, "--read-and-report-memory", file.name]
         figures: dict[str, Any] = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)

@@ -42,6 +42,7 @@ def stamped(frames: list[bytes]) -> bytes:
     return b"".join((1_700_000_000_000_000 + n).to_bytes(8, "big") + one for n, one in enumerate(frames))
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.tuples(st.binary(min_size=6, max_size=269), st.integers(0, 255)), min_size=1, max_size=9),
     st.sampled_from([1, 500]),

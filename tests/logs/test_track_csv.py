@@ -110,6 +110,12 @@ def test_errors_name_the_line_and_the_column(tmp_path: Path) -> None:
     assert "twice" in refused(path, f"time_s,{MAG},time_s\n0,1,2,3,4\n")
 
 
+def test_a_last_line_that_was_not_written_to_its_end_is_left_out_and_said(tmp_path: Path) -> None:
+    track = read_track(write(tmp_path / "a.csv", f"time_s,{MAG}\n0,1,2,3\n1,4,5"))
+    assert track.compasses[1].time_s.tolist() == [0.0]
+    assert any("cut off" in note for note in track.notes)
+
+
 def test_lines_are_counted_with_blank_ones_and_quoted_ones(tmp_path: Path) -> None:
     message = refused(tmp_path / "a.csv", f'time_s,{MAG}\n\n0,"1",2,3\n\n1,x,2,3\n')
     assert "line 5" in message

@@ -1,0 +1,33 @@
+"""A few hundred damaged recordings; scripts/campaigns/mutated_recordings.py reads tens of thousands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mutations import checked_rows, mutate, originals, read_or_refuse
+
+FILES = 80
+
+
+@pytest.mark.parametrize("suffix", [".tlog", ".bin", ".csv", ".ulg"])
+def test_damaged_recordings_are_read_as_far_as_they_go_or_refused(tmp_path: Path, suffix: str) -> None:
+    if suffix == ".ulg":
+        pytest.importorskip("pyulog")
+    content = originals(tmp_path / "originals")[suffix]
+    path = tmp_path / f"damaged{suffix}"
+    read = 0
+    for seed in range(FILES):
+        path.write_bytes(mutate(content, np.random.default_rng(seed)))
+        read += read_or_refuse(path) is not None
+    assert read > 0
+
+
+def test_no_message_is_read_that_was_not_sent(tmp_path: Path) -> None:
+    content = originals(tmp_path / "originals")[".tlog"]
+    sent = checked_rows(tmp_path / "originals" / "original.tlog")
+    path = tmp_path / "damaged.tlog"
+    for seed in range(FILES):
+        path.write_bytes(mutate(content, np.random.default_rng(1000 + seed)))
+        assert checked_rows(path) <= sent, seed
