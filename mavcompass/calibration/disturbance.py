@@ -23,6 +23,9 @@ DISTURBED_RUNS = 0.05
 SIZES_MGAUSS = (3.0, 10.0, 30.0, 100.0)
 REFIT_SIZES_MGAUSS = (5.0, 40.0)
 _LOOK_CLOSER = 0.2
+# A disturbance less likely than this is left out of the answer: its far tail would widen a sigma that is
+# meant to cover two thirds, not the rare exception.
+_NEGLIGIBLE = 0.1
 _FREE = 1e-7
 
 
@@ -79,8 +82,11 @@ def weigh_disturbances(problem: PositionProblem, fit: PositionFit) -> Disturbanc
     best = fit
     if float(hypotheses.probability(k).sum()) > _LOOK_CLOSER:
         hypotheses, best = _refitted(problem, fit)
-    share = hypotheses.shares()
-    state, covariance = _mixture(share, np.array(hypotheses.states), np.array(hypotheses.covariances))
+    if float(hypotheses.probability(k).sum()) < _NEGLIGIBLE:
+        state, covariance = fit.state, fit.covariance
+    else:
+        share = hypotheses.shares()
+        state, covariance = _mixture(share, np.array(hypotheses.states), np.array(hypotheses.covariances))
     return DisturbanceBlend(
         state=state,
         covariance=covariance,

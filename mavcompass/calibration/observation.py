@@ -357,8 +357,10 @@ def _mean_force(track: Track, time: FloatArray) -> tuple[FloatArray, float]:
         values = np.asarray(acc.between(float(time[0]), float(time[-1]) + 1e-9).values)
         values = values[np.isfinite(values).all(axis=1)]
         if len(values) >= 3:
-            noise = float(values.std(axis=0).max()) / STANDARD_GRAVITY_MPS2
-            return values.mean(axis=0), noise * math.sqrt(_shake_memory(time) / len(values))
+            spread = values.std(axis=0)
+            mean, hidden = unquantise(values.mean(axis=0), spread, track.acc_truncation_mps2, True)
+            shaking = float(spread.max()) * math.sqrt(_shake_memory(time) / len(values))
+            return mean, math.hypot(shaking, float(hidden[:2].max())) / STANDARD_GRAVITY_MPS2
     return np.full(3, np.nan), math.nan
 
 

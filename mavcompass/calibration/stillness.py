@@ -257,7 +257,7 @@ class StillnessDetector:
         ax, ay, az = (float(v) for v in np.asarray(acc_mps2, dtype=np.float64))
         mx, my, mz = (float(v) for v in np.asarray(mag_mgauss, dtype=np.float64))
         if self._last is not None and time_s <= self._last[0]:
-            return self._state(time_s)
+            return self._state(self._last[0])
         self._follow_gravity(time_s, (ax, ay, az))
         dx, dy, dz = self._down
         rate = gx * dx + gy * dy + gz * dz

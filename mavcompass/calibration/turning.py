@@ -91,6 +91,8 @@ def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
     time, rates = gyro.time_s[usable], np.asarray(gyro.values)[usable]
     if time.size < 3:
         return None
+    # Numbers that were cut toward zero are half a step too small on the average.
+    rates = rates + 0.5 * track.gyro_truncation_radps * np.sign(rates)
     down = down_in_body(track, time)
     vertical = np.einsum("ij,ij->i", rates, down)
     horizontal = np.linalg.norm(rates - vertical[:, np.newaxis] * down, axis=1)

@@ -20,6 +20,8 @@ _WIRE_LIMIT_MGAUSS = 32000.0
 _WORLD_MISMATCH = 0.3
 _TURNED_MOUNT = 0.35
 _UNLIKELY = 1e-3
+# Where it is not clear which position was disturbed, repeating one is cheaper than guessing.
+_AMBIGUOUS_SHARE = 0.15
 
 SOURCE_WORDS = {
     "noise": "noise of the compass (dwell longer)",
@@ -169,7 +171,11 @@ def _judge_disturbance(
             f"The field at {named} is off by about {apart:.0f} mG ({degrees:.1f} degrees): something "
             "magnetic moved nearby, or the vehicle slipped"
         )
-        if fit.heading_sigma_rad * DEG_PER_RAD > limits.heading_deg:
+        ambiguous = len(fit.suspects) > 1
+        if (
+            fit.heading_sigma_rad * DEG_PER_RAD
+            > (_AMBIGUOUS_SHARE if ambiguous else 1.0) * limits.heading_deg
+        ):
             reasons.append(f"{sentence}. Repeat it there.")
         else:
             warnings.append(f"{sentence}; the others agree and were believed.")

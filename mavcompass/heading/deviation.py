@@ -1,0 +1,133 @@
+"""The deviation card of a compass: by how much it is off on each heading, and why.
+
+deviation(psi) = A + B sin psi + C cos psi + D sin 2 psi + E cos 2 psi
+
+is the navigator's form: A from a compass turned about the vertical, B and C from permanent magnetism along
+and across the vehicle, D and E from soft iron. The deviation is what must be added to the compass's
+heading to get the magnetic one: magnetic = compass + deviation, east positive.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.frames import FloatArray, wrap_pi, wrap_two_pi
+from mavcompass.heading.compute import level_heading
+
+LETTERS = "ABCDE"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviationCard:
+    """Hold a deviation card, angles in degrees as on paper.
+
+    Attributes:
+        compass_deg: headings that the compass shows, (N,), evenly spaced from 0.
+        deviation_deg: to be added to them, (N,).
+        coefficients_deg: A, B, C, D, E. residual_deg: rms of what five coefficients leave.
+        sigma_deg: standard deviation of each deviation, (N,), nan where not known.
+    """
+
+    compass_deg: FloatArray
+    deviation_deg: FloatArray
+    coefficients_deg: dict[str, float]
+    residual_deg: float
+    sigma_deg: FloatArray
+
+    def magnetic_heading_deg(self, compass_deg: float) -> float:
+        """Correct a compass heading by the coefficients; degrees in [0, 360)."""
+        return float((compass_deg + _series(self.coefficients_deg, math.radians(compass_deg))) % 360.0)
+
+
+def _terms(heading_rad: ArrayLike) -> FloatArray:
+    heading_rad = np.asarray(heading_rad, dtype=np.float64)
+    one = np.ones_like(heading_rad)
+    return np.stack(
+        [
+            one,
+            np.sin(heading_rad),
+            np.cos(heading_rad),
+            np.sin(2.0 * heading_rad),
+            np.cos(2.0 * heading_rad),
+        ],
+        axis=-1,
+    )
+
+
+def _series(coefficients: dict[str, float], heading_rad: float) -> float:
+    return float(_terms(heading_rad) @ np.array([coefficients[letter] for letter in LETTERS]))
+
+
+def fit_deviation(
+    compass_rad: ArrayLike, magnetic_rad: ArrayLike, headings: int = 8, sigma_rad: ArrayLike | None = None
+) -> DeviationCard:
+    """Fit the five coefficients to compass headings and what they should have been, (N,) each.
+
+    The card is drawn for `headings` (8 or 16) evenly spaced compass headings.
+    Raises ValueError for fewer than five different headings.
+    """
+    compass, magnetic = np.asarray(compass_rad, dtype=np.float64), np.asarray(magnetic_rad, dtype=np.float64)
+    deviation = np.degrees(wrap_pi(magnetic - compass))
+    design = _terms(compass)
+    if np.linalg.matrix_rank(design, tol=1e-6) < 5:
+        raise ValueError("five coefficients need at least five different headings")
+    answer, *_ = np.linalg.lstsq(design, deviation, rcond=None)
+    residual = deviation - design @ answer
+    card = np.arange(headings, dtype=np.float64) * (2.0 * math.pi / headings)
+    sigma = np.full(headings, math.nan)
+    if sigma_rad is not None:
+        sigma = np.degrees(np.interp(card, compass, np.asarray(sigma_rad), period=2.0 * math.pi))
+    return DeviationCard(
+        compass_deg=np.degrees(card),
+        deviation_deg=_terms(card) @ answer,
+        coefficients_deg=dict(zip(LETTERS, (float(a) for a in answer), strict=True)),
+        residual_deg=math.sqrt(float((residual**2).mean())),
+        sigma_deg=sigma,
+    )
+
+
+def deviation_card(
+    used: FieldCorrection,
+    true: FieldCorrection,
+    horizontal_mgauss: float,
+    vertical_mgauss: float,
+    headings: int = 8,
+    sigma_rad: ArrayLike | None = None,
+) -> DeviationCard:
+    """Draw the card of a compass that uses one correction where another one is right.
+
+    With `used` in force before a calibration and `true` its result, it is the card of the uncalibrated
+    compass from the same turn. The deviations are computed exactly at the card's headings; the
+    coefficients summarise them. `sigma_rad` (72,) is the calibration's sigma at 72 even headings.
+    """
+    psi = np.arange(72) * (2.0 * math.pi / 72)
+    field = np.stack(
+        [
+            horizontal_mgauss * np.cos(psi),
+            -horizontal_mgauss * np.sin(psi),
+            np.full(72, vertical_mgauss),
+        ],
+        axis=1,
+    )
+    shown = np.asarray(level_heading(used.apply(true.undo(field))))
+    fitted = fit_deviation(shown, psi, headings)
+    card = np.radians(fitted.compass_deg)
+    order = np.argsort(shown)
+    exact = np.interp(card, shown[order], np.degrees(wrap_pi(psi - shown))[order], period=2.0 * math.pi)
+    sigma = np.full(headings, math.nan)
+    if sigma_rad is not None:
+        sigma = np.degrees(np.interp(card, shown[order], np.asarray(sigma_rad)[order], period=2.0 * math.pi))
+    return DeviationCard(fitted.compass_deg, exact, fitted.coefficients_deg, fitted.residual_deg, sigma)
+
+
+def compass_heading_for(card: DeviationCard, magnetic_rad: float) -> float:
+    """Return the compass heading to steer for a magnetic heading, [0, 2 pi): the card read backwards."""
+    compass = magnetic_rad
+    for _ in range(20):
+        compass = magnetic_rad - math.radians(_series(card.coefficients_deg, compass))
+    return float(wrap_two_pi(compass))
