@@ -108,6 +108,8 @@ class Track:
         autopilot: "ardupilot", "px4" or "unknown"; vehicle: "rover", "copter", ... or "unknown".
         compasses: what each compass reported, by instance (from 1).
         acc_mps2, gyro_radps: specific force and angular rate, body FRD, (N, 3).
+        acc_truncation_mps2, gyro_truncation_radps: the step of these numbers where they were cut toward
+            zero to whole ones (MAVLink's int16), 0 for floats.
         attitude_rad: the autopilot's own roll, pitch, yaw, (N, 3). Its yaw comes from a compass.
         reference_q: an independent attitude reference (optical, turntable), NED <- FRD, (N, 4).
         truth_q: a simulator's true attitude: for judging results, never an input of a method.
@@ -125,6 +127,8 @@ class Track:
     compasses: Mapping[int, MagSeries] = field(default_factory=dict)
     acc_mps2: Series | None = None
     gyro_radps: Series | None = None
+    acc_truncation_mps2: float = 0.0
+    gyro_truncation_radps: float = 0.0
     attitude_rad: Series | None = None
     reference_q: Series | None = None
     truth_q: Series | None = None

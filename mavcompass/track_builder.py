@@ -171,6 +171,8 @@ class TrackBuilder:
             compasses=dict(sorted(compasses.items())),
             acc_mps2=_scaled(body, slice(3, 6), MPS2_PER_MILLI_G),
             gyro_radps=_scaled(body, slice(6, 9), RADPS_PER_MILLIRADPS),
+            acc_truncation_mps2=MPS2_PER_MILLI_G,
+            gyro_truncation_radps=RADPS_PER_MILLIRADPS,
             attitude_rad=columns_by_name.get("attitude_rad"),
             truth_q=columns_by_name.get("truth_q"),
             position_ned_m=columns_by_name.get("position_ned_m"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from mavcompass.logs.tlog_messages import Messages
 from mavcompass.logs.tlog_parameters import parameters_seen
 from mavcompass.logs.tlog_time import Placer, clock_of
 from mavcompass.track import MagSeries, Series, Track
+from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
 _MILLI = 0.001
 
@@ -32,12 +34,15 @@ def track_of(messages: dict[str, Messages], source: str, notes: tuple[str, ...])
     placer = Placer(messages, clock)
     compasses, body, notes_about_compasses = _compasses(placer, autopilot, history, parameters)
     # The first compass's own thermometer is nearer to it than the barometer's.
-    measured = columns(placer, parameters) | body
+    measured: dict[str, Any] = {**columns(placer, parameters), **body}
+    cut = body and compasses and next(iter(compasses.values())).quantum_mgauss > 0.0
     return Track(
         source=source,
         autopilot=autopilot,
         vehicle=vehicle,
         compasses=compasses,
+        acc_truncation_mps2=MPS2_PER_MILLI_G if cut else 0.0,
+        gyro_truncation_radps=RADPS_PER_MILLIRADPS if cut else 0.0,
         utc_offset_s=utc_offset_s,
         parameters=parameters,
         notes=(*notes, *_notes_about_time(clock, placer), *notes_about_compasses),

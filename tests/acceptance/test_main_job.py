@@ -1,0 +1,159 @@
+"""The main job, as the first lines of the README promise it, and the figures it is held to."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavcompass.api import read_track
+from mavcompass.calibration import calibrate_track
+from mavcompass.calibration.stillness import find_dwells
+from mavcompass.cli.main import main
+from mavcompass.frames import matrix_to_euler, quaternion_to_matrix, wrap_pi
+from mavcompass.heading import heading_of_track
+from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.track import Track
+from mavcompass.vehicle.calibrating import calibrate_on
+from mavcompass.vehicle.simulated import SimulatedLink
+
+WRITE = CalibrateSettings(writing="yes")
+
+
+@pytest.fixture(autouse=True)
+def undo_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MAVCOMPASS_UNDO_DIR", str(tmp_path / "undo"))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_badly_calibrated_rover_ends_within_half_a_degree(seed: int) -> None:
+    with SimulatedLink.of("rover", seed=seed) as link:
+        before = heading_error_rms_deg(link.autopilot)
+        report = calibrate_on(link, "sim:rover", WRITE)
+        after = heading_error_rms_deg(link.autopilot)
+    assert before >= 15.0
+    assert report.written and report.proof is not None and report.proof.passed
+    assert after <= 0.5
+    assert report.duration_s <= 30.0
+
+
+def test_a_second_calibration_moves_the_offsets_by_less_than_two_milligauss() -> None:
+    with SimulatedLink.of("rover", seed=3) as link:
+        first, second = (calibrate_on(link, "sim:rover", WRITE).results[0] for _ in range(2))
+    moved = np.subtract(first.correction.offsets_mgauss, second.correction.offsets_mgauss)
+    assert np.abs(moved[:2]).max() < 2.0
+
+
+@pytest.mark.parametrize("vehicle", ["copter", "boat", "sub"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_other_vehicles_that_turn_on_the_spot_do_as_well(vehicle: str, seed: int) -> None:
+    with SimulatedLink.of(vehicle, seed=seed) as link:
+        report = calibrate_on(link, f"sim:{vehicle}", WRITE)
+        assert report.written
+        assert heading_error_rms_deg(link.autopilot) <= 0.5
+
+
+@pytest.mark.parametrize(("positions", "step_deg"), [(3, 120.0), (6, 60.0), (4, -90.0), (5, 72.0), (4, 80.0)])
+def test_other_numbers_of_positions_steps_and_directions_are_usable(positions: int, step_deg: float) -> None:
+    settings = CalibrateSettings(writing="yes", positions=positions, step_rad=math.radians(step_deg))
+    with SimulatedLink.of("rover", seed=5) as link:
+        report = calibrate_on(link, "sim:rover", settings)
+        assert report.written
+        assert heading_error_rms_deg(link.autopilot) <= 0.6
+
+
+def test_nothing_is_written_on_a_dry_run() -> None:
+    with SimulatedLink.of("rover", seed=1) as link:
+        before = dict(link.autopilot.firmware.store.storage)
+        report = calibrate_on(link, "sim:rover", CalibrateSettings(writing="never"))
+        assert report.accepted and not report.written
+        assert dict(link.autopilot.firmware.store.storage) == before
+
+
+def test_the_command_prints_the_error_before_and_after(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "sim:rover", "--yes"]) == 0
+    said = capsys.readouterr().out
+    assert "Heading error against the simulator's truth" in said
+    assert "To undo: mavcompass params restore sim:rover" in said
+
+
+def test_the_json_is_the_whole_of_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "sim:rover,seed=2", "--yes", "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["schema"] == "mavcompass.calibration/1"
+    assert document["written"] is True and document["verified"] is True
+    assert Path(document["undo_file"]).is_file()
+    compass = document["compasses"][0]
+    assert compass["accepted"] is True and compass["reasons"] == []
+    assert compass["parameters"]["COMPASS_OFS_X"] == pytest.approx(-compass["raw_offset_mgauss"][0])
+    assert len(compass["positions"]) == 4
+    names = {"noise", "step_angle", "tilt", "world_model", "quantisation", "disturbance"}
+    assert names <= set(compass["heading_error_budget_deg"])
+
+
+# --- recordings of the firmware ------------------------------------------------------------------
+
+DISTORTED = ("rover_dist_use2", "copter_dist_use2", "rover_dist")
+
+
+def true_yaw(track: Track, time_s: np.ndarray) -> np.ndarray:
+    assert track.truth_q is not None
+    _, _, yaw = matrix_to_euler(quaternion_to_matrix(track.truth_q.values))
+    return np.interp(time_s, track.truth_q.time_s, np.unwrap(yaw))
+
+
+@pytest.mark.parametrize("form", ["tlog", "BIN"])
+@pytest.mark.parametrize("name", DISTORTED)
+def test_recordings_of_a_distorted_compass_give_its_exact_cure(
+    shared_data: Path, name: str, form: str
+) -> None:
+    track = read_track(shared_data / "ardupilot-4.6.3" / f"{name}.{form}")
+    result = calibrate_track(track)
+    tolerance = 3.0 if name == "rover_dist" else 2.0
+    assert result.accepted
+    assert result.correction.offsets_mgauss[0] == pytest.approx(120.0, abs=tolerance)
+    assert result.correction.offsets_mgauss[1] == pytest.approx(-80.0, abs=tolerance)
+    ratio = result.correction.diagonals[0] / result.correction.diagonals[1]
+    assert ratio == pytest.approx(1.1 / 0.9, rel=0.005)
+
+
+@pytest.mark.parametrize("form", ["tlog", "BIN"])
+def test_headings_are_right_although_the_estimator_was_bent(shared_data: Path, form: str) -> None:
+    track = read_track(shared_data / "ardupilot-4.6.3" / f"rover_dist.{form}")
+    found = heading_of_track(track, calibrate_track(track).correction)
+    assert found.true_rad is not None
+    errors = []
+    for dwell in find_dwells(track):
+        rows = (found.time_s >= dwell.start_s) & (found.time_s <= dwell.end_s)
+        # The compass is 0.05 s old on the average; the rover creeps while it dwells.
+        error = wrap_pi(found.true_rad[rows] - true_yaw(track, found.time_s[rows] - 0.05))
+        errors.append(float(np.degrees(error.mean())))
+    assert len(errors) >= 4
+    # The world model's declination and the firmware's own coarser table differ by a constant.
+    table_less_model_deg = float(np.degrees(math.atan2(52.7, 232.0) - found.declination_rad))
+    errors_of_compass = np.array(errors) + table_less_model_deg
+    assert math.sqrt(float(np.mean(errors_of_compass**2))) <= 0.5
+    assert math.sqrt(float(np.mean(np.array(errors) ** 2))) <= 0.5
+
+
+@pytest.mark.parametrize("form", ["tlog", "BIN"])
+def test_a_good_calibration_is_found_as_it_is(shared_data: Path, form: str) -> None:
+    track = read_track(shared_data / "ardupilot-4.6.3" / f"rover_plain.{form}")
+    result = calibrate_track(track)
+    assert result.correction.offsets_mgauss[:2] == pytest.approx((5.0, 13.0), abs=2.0)
+    ratio = result.correction.diagonals[0] / result.correction.diagonals[1]
+    assert ratio == pytest.approx(1.0, abs=0.005)
+
+
+# --- recordings of other people's hardware -------------------------------------------------------
+
+
+def test_a_recording_that_hardly_turns_is_refused_with_the_reason(
+    shared_data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["calibrate", str(shared_data / "real" / "px4-ulog" / "sample.ulg")]) == 5
+    assert "Too little motion" in capsys.readouterr().err
