@@ -19,7 +19,7 @@ class StopRequest:
 
 @contextmanager
 def stop_signals(stop: StopRequest) -> Iterator[None]:
-    """Turn Ctrl-C and SIGTERM into a stop request; a second Ctrl-C interrupts at once.
+    """Turn Ctrl-C and SIGTERM into a stop request; a second one interrupts at once.
 
     Only the main thread can do that; elsewhere nothing is changed and `StopRequest` is the way.
     """
@@ -28,7 +28,7 @@ def stop_signals(stop: StopRequest) -> Iterator[None]:
         return
 
     def ask(number: int, frame: FrameType | None) -> None:
-        if stop.reason is not None and number == signal.SIGINT:
+        if stop.reason is not None:
             raise KeyboardInterrupt
         stop.reason = f"Stopped by {'Ctrl-C' if number == signal.SIGINT else 'the system (SIGTERM)'}."
 

@@ -131,6 +131,17 @@ def test_ctrl_c_and_sigterm_end_the_motion_and_put_back_what_was_changed(number:
     assert signal.getsignal(number) is before
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_signal_interrupts_whatever_hangs(number: int) -> None:
+    def hang(context: Context) -> Script[None]:
+        yield context.now
+        while True:
+            os.kill(os.getpid(), number)
+
+    with SimulatedLink(MemoryVehicle()) as link, pytest.raises(KeyboardInterrupt):
+        run(Machine(hang), link)
+
+
 def test_another_thread_can_stop_a_procedure_that_is_not_in_the_main_thread() -> None:
     stop = StopRequest()
     outcome: list[BaseException] = []
