@@ -17,11 +17,9 @@ from mavcompass.gap.advise import next_flights
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.floor import (
     Floor,
-    first_noise,
     from_baseline,
     from_recording,
     rms,
-    stated_floor,
     with_noise,
 )
 from mavcompass.gap.identify import Identified, identify
@@ -59,7 +57,7 @@ def diagnose_gap(
     track: Track,
     baseline: Track | None = None,
     withhold: Iterable[str] = (),
-    compass: int = 1,
+    instance: int = 1,
     reference: Choice = "auto",
 ) -> Diagnosis:
     """Explain the gap between the simulation and a recording.
@@ -72,7 +70,7 @@ def diagnose_gap(
     started = time.perf_counter()
     withheld = withheld_effects(withhold)
     with single_thread():
-        result = _diagnose(track, baseline, withheld, compass, reference)
+        result = _diagnose(track, baseline, withheld, instance, reference)
     return replace(result, seconds=time.perf_counter() - started)
 
 
@@ -121,7 +119,7 @@ def _diagnose(
             replayed, before, [e for e in every.values() if e.id not in _untestable(before, [e])]
         )
     else:
-        floor = from_recording(replayed, first_noise(replayed))
+        floor = from_recording(replayed)
     split = split_blocks(replayed.time_s, replayed.valid)
     identified, floor = identify(replayed, floor, split, testable)
     names = frozenset(e.id for e in testable)
@@ -132,8 +130,6 @@ def _diagnose(
         # Extra scatter makes every gain look larger than it is: choose again under it.
         identified, _ = identify(replayed, with_noise(floor, noisy.noise), split, testable)
         noisy, refitted, scatter = _with_scatter(identified, floor, names, 0.0)
-    if not floor.representative:
-        floor = _restated(replayed, floor)
     adequacy = judge(noisy, refitted, floor.representative and scatter is None and not step)
     drift = _drifts(identified)
     answer = _decide(identified, floor, adequacy, drift, bool(scatter or stale or step), noisy, refitted)
@@ -192,11 +188,6 @@ def _untestable(replayed: Replay, effects: Iterable[Effect]) -> dict[str, str]:
         if effect.id == "bias_random_walk":
             out[effect.id] = "a wandering offset can imitate any slow cause, so it is reported as unknown"
     return out
-
-
-def _restated(replayed: Replay, floor: Floor) -> Floor:
-    field, heading = stated_floor(replayed, first_noise(replayed))
-    return replace(floor, field_rms_mgauss=field, heading_rms_deg=heading)
 
 
 def _with_step(problem: Problem, step_mgauss: float) -> Problem:

@@ -193,10 +193,12 @@ def stated_floor(replay: Replay, noise: Noise) -> tuple[float, float]:
     return math.hypot(scatter, turned), math.degrees(heading)
 
 
-def from_recording(replay: Replay, noise: Noise) -> Floor:
-    """State a floor without a baseline."""
+def from_recording(replay: Replay) -> Floor:
+    """State a floor without a baseline: for a first look, all of it counts as scatter."""
+    noise = first_noise(replay)
     field, heading = stated_floor(replay, noise)
-    return Floor(noise, field, heading, np.zeros((0, 3)), False, replay.nuisances)
+    first = {**noise, "mag": white(np.maximum(noise["mag"].sigma, field))}
+    return Floor(first, field, heading, np.zeros((0, 3)), False, replay.nuisances)
 
 
 def with_noise(floor: Floor, noise: Noise) -> Floor:

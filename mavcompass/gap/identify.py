@@ -19,7 +19,7 @@ from mavcompass.simulation.effects.effect import Effect
 _LEAST_RMS_MGAUSS = 1.0
 _LEAST_SHARE = 0.10
 _AT_THE_END = 1e-3
-_PASSES = 3
+_PASSES = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

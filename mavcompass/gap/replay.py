@@ -28,6 +28,8 @@ _UNKNOWN_FIELD_SIGMA_MGAUSS = 300.0
 _COMPASS_PERIOD_S = 0.1
 _TURNING_RAD = math.radians(25.0)
 _TILT_RAD = math.radians(4.0)
+# What a load must at least vary by to be told from everything else that happens meanwhile.
+_LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
 _YEAR_WHERE_UNKNOWN = 2026.5
 
 
@@ -257,9 +259,9 @@ def _present(track: Track, stimulus: Stimulus, independent: bool, valid: NDArray
         ("throttle", stimulus.throttle),
         ("temperature", stimulus.temperature_degc),
     ):
-        if np.isfinite(values).any() and float(np.nanstd(values)) > 1e-3:
+        if np.isfinite(values).any() and float(np.ptp(values[np.isfinite(values)])) > _LEAST_RANGE[name]:
             present.add(name)
-    if stimulus.motors.size and float(stimulus.motors.std(axis=0).max()) > 1e-3:
+    if stimulus.motors.size and float(np.ptp(stimulus.motors, axis=0).max()) > _LEAST_RANGE["throttle"]:
         present.add("motors")
     position = stimulus.position_ned_m
     if independent and np.isfinite(position).all(axis=1).any():

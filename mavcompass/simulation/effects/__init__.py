@@ -19,7 +19,15 @@ from mavcompass.simulation.effects.effect import (
     Stage,
 )
 from mavcompass.simulation.effects.live import Distortion
-from mavcompass.simulation.effects.registry import catalogue, default, distortion, get, parse
+from mavcompass.simulation.effects.registry import (
+    catalogue,
+    default,
+    distortion,
+    get,
+    parse,
+    read_preset,
+    spell,
+)
 
 __all__ = [
     "Distortion",
@@ -35,4 +43,6 @@ __all__ = [
     "distortion",
     "get",
     "parse",
+    "read_preset",
+    "spell",
 ]

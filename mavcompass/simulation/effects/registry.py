@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import pkgutil
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from types import MappingProxyType
 
 from mavcompass.errors import UsageError
 from mavcompass.simulation.effects.effect import Effect, Setting
 from mavcompass.simulation.effects.live import Distortion
+
+
+PRESET_SCHEMA = "mavcompass.simulation-preset/1"
 
 
 @cache
@@ -63,6 +68,36 @@ def default(effect_id: str) -> Setting:
     return Setting.of(get(effect_id))
 
 
+def spell(setting: Setting) -> str:
+    """Write a setting as `parse` reads it."""
+    values = ",".join(f"{name}={value:.9g}" for name, value in setting.values.items())
+    return f"{setting.effect.id}:{values}"
+
+
+def read_preset(path: Path) -> list[Setting]:
+    """Read a simulation preset, as `mavcompass gap export --to mavcompass` writes it.
+
+    Raises UsageError for a file that is not one.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        texts = document["effects"]
+        if document["schema"] != PRESET_SCHEMA or not all(isinstance(text, str) for text in texts):
+            raise KeyError("schema")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UsageError(
+            f"{path} is not a simulation preset ({error}).",
+            "Make one with `mavcompass gap export LOG --to mavcompass FILE`.",
+        ) from error
+    return [parse(text) for text in texts]
+
+
 def distortion(texts: list[str] | tuple[str, ...]) -> Distortion:
-    """Compose the effects that a person named into one distortion of a live vehicle."""
-    return Distortion([parse(text) for text in texts])
+    """Compose the effects that a person named into one distortion of a live vehicle.
+
+    `@FILE` stands for all the effects of a preset.
+    """
+    settings: list[Setting] = []
+    for text in texts:
+        settings += read_preset(Path(text[1:])) if text.startswith("@") else [parse(text)]
+    return Distortion(settings)

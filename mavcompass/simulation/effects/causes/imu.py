@@ -73,8 +73,8 @@ EFFECTS = (
         aliases=("accel_bias",),
         separated_by="rest on all six faces: level, it is the bias exactly",
         source="0.1 to 2 %",
-        # The simulator holds the factor in per cent of the scale, with 0 meaning none.
-        sitl=lambda v: {f"SIM_ACC1_SCAL_{a.upper()}": 100.0 * v[a] for a in "xyz"},
+        # The simulator divides by its factor, so that the value equals the calibration that cures it.
+        sitl=lambda v: {f"SIM_ACC1_SCAL_{a.upper()}": 1.0 / (1.0 + v[a]) for a in "xyz"},
     ),
     Effect(
         id="linear_acceleration",

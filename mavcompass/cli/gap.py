@@ -1,0 +1,237 @@
+"""`mavcompass gap ...`: the gap between the simulation and a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from mavcompass.cli.options import Output, common_options
+from mavcompass.errors import UsageError
+
+if TYPE_CHECKING:
+    from mavcompass.gap.result import Closing, Diagnosis
+
+_WORDS = {
+    "no_gap": "no gap: the simulation agrees with the recording down to the noise floor",
+    "named": "explained",
+    "ambiguous": "explained, but not by one cause alone",
+    "named_with_remainder": "explained in part; something else is left",
+    "unknown": "unknown: none of the effects in the catalogue explains it",
+    "not_testable": "not testable",
+}
+_REFERENCES = ("auto", "gyro", "gps-yaw", "attitude", "columns")
+
+
+@click.group()
+def command() -> None:
+    """Explain the gap between the simulation and a recording.
+
+    \b
+    Example: mavcompass gap diagnose flight.tlog --report gap.html
+    """
+
+
+@command.command()
+@click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True)
+@click.option(
+    "--baseline",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="A recording of the same vehicle that is accepted as good: gives the noise floor.",
+)
+@click.option("--withhold", multiple=True, metavar="EFFECT", help="Do not use this effect and its aliases.")
+@click.option("--reference", type=click.Choice(_REFERENCES), default="auto", show_default=True)
+@click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
+@common_options
+def diagnose(
+    log: Path,
+    instance: int,
+    baseline: Path | None,
+    withhold: tuple[str, ...],
+    reference: str,
+    report: Path | None,
+    output: Output,
+) -> None:
+    """Say where the gap lies, which effect causes it, and how far it shrinks with that effect.
+
+    \b
+    Example: mavcompass gap diagnose flight.tlog --baseline good.tlog --json gap.json
+    """
+    diagnosis = _diagnosed(log, instance, baseline, withhold, reference)
+    for line in summary(diagnosis):
+        output.say(line)
+    output.write_json(diagnosis.to_json())
+    if report is not None:
+        from mavcompass.report.gap import write_gap_report
+
+        write_gap_report(diagnosis, report)
+        output.say(f"report: {report}")
+
+
+@command.command()
+@common_options
+def catalogue(output: Output) -> None:
+    """List the physical effects, their parameters and what tells them apart.
+
+    \b
+    Example: mavcompass gap catalogue
+    """
+    from mavcompass.simulation.effects import catalogue as every
+
+    for effect in every().values():
+        output.say(f"{effect.id}: {effect.title}")
+        shown = effect.parameters if len(effect.parameters) <= 9 else effect.parameters[:3]
+        for p in shown:
+            output.say(f"    {p.name} [{p.unit}] {p.low:g} .. {p.high:g}, typically {p.default:g}")
+        if len(shown) < len(effect.parameters):
+            output.say(f"    ... and {len(effect.parameters) - len(shown)} more of the same")
+        if effect.needs:
+            output.say(f"    needs: {', '.join(sorted(effect.needs))}")
+        if effect.aliases:
+            output.say(f"    can look like: {', '.join(effect.aliases)}")
+        output.say(f"    told apart by: {effect.separated_by}")
+    output.write_json({"schema": "mavcompass.effects/1", "effects": [_effect(e) for e in every().values()]})
+
+
+def _effect(effect: object) -> dict[str, object]:
+    from mavcompass.simulation.effects import Effect
+
+    assert isinstance(effect, Effect)
+    return {
+        "id": effect.id,
+        "title": effect.title,
+        "stage": effect.stage.name.lower(),
+        "kind": effect.kind,
+        "sensors": list(effect.groups),
+        "parameters": [
+            {"name": p.name, "unit": p.unit, "low": p.low, "high": p.high, "default": p.default}
+            for p in effect.parameters
+        ],
+        "needs": sorted(effect.needs),
+        "aliases": list(effect.aliases),
+        "separated_by": effect.separated_by,
+        "source": effect.source,
+    }
+
+
+@command.command()
+@click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--to", "target", type=click.Choice(("ardupilot-sitl", "mavcompass")), required=True)
+@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@click.option("--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True)
+@click.option("--baseline", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--reference", type=click.Choice(_REFERENCES), default="auto", show_default=True)
+@common_options
+def export(
+    log: Path,
+    target: str,
+    file: Path,
+    instance: int,
+    baseline: Path | None,
+    reference: str,
+    output: Output,
+) -> None:
+    """Write the effects found in LOG to FILE, for ArduPilot's simulator or ours.
+
+    \b
+    Example: mavcompass gap export flight.tlog --to ardupilot-sitl found.parm
+    """
+    from mavcompass.gap.export import ardupilot_sitl, parameter_file, preset, settings_of
+
+    diagnosis = _diagnosed(log, instance, baseline, (), reference)
+    settings = settings_of(diagnosis.causes)
+    exported = ardupilot_sitl(settings)
+    text = preset(settings, log.name) if target == "mavcompass" else parameter_file(exported, log.name)
+    try:
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(
+            f"{file} could not be written ({error.strerror}).",
+            "Name a file in a folder that you may write to.",
+        ) from error
+    output.say(
+        f"{diagnosis.verdict}: {', '.join(sorted(diagnosis.effects)) or 'no effect'} written to {file}"
+    )
+    if target == "ardupilot-sitl":
+        for sentence in exported.lacking:
+            output.say(f"not in the simulator: {sentence}")
+    output.write_json(
+        {
+            "schema": "mavcompass.gap-export/1",
+            "to": target,
+            "verdict": diagnosis.verdict,
+            "effects": sorted(diagnosis.effects),
+            "parameters": exported.parameters if target == "ardupilot-sitl" else {},
+            "lacking": list(exported.lacking) if target == "ardupilot-sitl" else [],
+        }
+    )
+
+
+@command.command("blind-trial")
+@click.option("--cases", type=click.IntRange(1, 100_000), default=40, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
+@click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
+@common_options
+def blind_trial(cases: int, seed: int, report: Path | None, output: Output) -> None:
+    """Examine the diagnosis on sealed cases: labels are hashed before it runs and opened after.
+
+    \b
+    Example: mavcompass gap blind-trial --cases 40 --seed 7
+    """
+    from mavcompass.gap.trial import run_trial
+
+    trial = run_trial(cases, seed)
+    for line in trial.lines():
+        output.say(line)
+    output.write_json(trial.to_json())
+    if report is not None:
+        from mavcompass.report.gap import write_trial_report
+
+        write_trial_report(trial, report)
+        output.say(f"report: {report}")
+
+
+def _diagnosed(
+    log: Path, instance: int, baseline: Path | None, withhold: tuple[str, ...], reference: str
+) -> Diagnosis:
+    from mavcompass.gap.diagnose import diagnose_gap, withheld_effects
+    from mavcompass.logs import read_track
+
+    withheld_effects(withhold)  # a wrong name is said before a long recording is read
+    track = read_track(log)
+    before = read_track(baseline) if baseline is not None else None
+    return diagnose_gap(track, before, withhold, instance, reference)  # type: ignore[arg-type]
+
+
+def summary(diagnosis: Diagnosis) -> list[str]:
+    """Put a diagnosis in a few lines for a terminal."""
+    lines = [f"{_WORDS[diagnosis.verdict]}  (attitude: {diagnosis.reference}, compass {diagnosis.compass})"]
+    for cause in diagnosis.causes:
+        values = ", ".join(f"{name} {value:.4g}" for name, value in cause.parameters.items())
+        lines.append(f"  {cause.effect} ({100.0 * cause.probability:.0f} %): {values}")
+        if cause.ambiguous_with:
+            lines.append(f"    may also be {', '.join(cause.ambiguous_with)}")
+    for cause in diagnosis.look_alikes:
+        lines.append(f"  looks most like {cause.effect}, which does not explain it")
+    lines.append(_closing_line("field", diagnosis.field, "mG"))
+    lines.append(_closing_line("heading", diagnosis.heading, "deg"))
+    places = [f"{p.channel} with {p.coordinate} ({100.0 * p.share:.0f} %)" for p in diagnosis.where[:3]]
+    if places:
+        lines.append(f"  where: {', '.join(places)}")
+    if diagnosis.unknown:
+        lines.append(f"  left unexplained: shows with {diagnosis.unknown_coordinate}")
+    if diagnosis.not_testable:
+        lines.append(f"  not testable here: {', '.join(e for e, _ in diagnosis.not_testable)}")
+    for flight in diagnosis.next_flight[:2]:
+        lines.append(f"  to decide, record: {flight.protocol} ({flight.predicted_separation:.0f} sigma)")
+    return lines
+
+
+def _closing_line(name: str, closing: Closing, unit: str) -> str:
+    low, high = closing.shrink_ci95
+    return (
+        f"  {name}: {closing.nominal:.2f} -> {closing.after:.2f} {unit} on held-out parts, floor"
+        f" {closing.floor:.2f}; shrinks by {100.0 * closing.shrink:.1f} % ({100.0 * low:.1f} .. {100.0 * high:.1f})"
+    )
