@@ -19,9 +19,6 @@ from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 Rotation = tuple[float, float, float, float, float, float, float, float, float]
 
-# A hovering vehicle's short tilts accelerate it, and so hardly show in its accelerometer; only the
-# tilt that the drag balances does.
-_TILT_SEEN_BY_ACCELEROMETER = 0.3
 _CLIMB_LAG_S = 0.4
 _FALL_MPS, _BUOYANT_MPS = 8.0, 0.1
 _SPEED_ACCELERATION_MPS2 = 1.5
@@ -254,5 +251,5 @@ class Body:
                 z,
             )
         j = self._jitter
-        unseen = 1.0 - _TILT_SEEN_BY_ACCELEROMETER
+        unseen = 1.0 - self.profile.tilt_seen
         return x - g * unseen * j[1], y + g * unseen * j[0], z
