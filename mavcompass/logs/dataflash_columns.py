@@ -12,6 +12,7 @@ from mavcompass.frames import FloatArray, euler_to_quaternion, wrap_pi
 from mavcompass.logs.boot_clock import BootClock
 from mavcompass.logs.dataflash_records import Log, Records
 from mavcompass.logs.dataflash_time import boot_time_s
+from mavcompass.logs.in_order import finite_series
 from mavcompass.logs.motor_outputs import motor_outputs
 from mavcompass.track import Series
 from mavcompass.units import RAD_PER_DEG
@@ -56,10 +57,10 @@ class Placed:
         return out[:, 0] if len(fields) == 1 else out
 
     def series(self, *fields: str, otherwise: float = 1.0) -> Series | None:
-        """Return fields as a series; None where a log lacks one."""
+        """Return fields as a series; None where a log lacks one, or nothing is a number."""
         if any(field not in self for field in fields):
             return None
-        return Series.of(self.time_s, self.values(*fields, otherwise=otherwise))
+        return finite_series(self.time_s, self.values(*fields, otherwise=otherwise))
 
     def whole_numbers(self, field: str) -> bool:
         """Tell whether the log keeps a field as whole numbers."""
@@ -167,7 +168,7 @@ def _gps(gps: Placed | None) -> dict[str, Series | None]:
     time_s = gps.time_s[fix]
     out: dict[str, Series | None] = {}
     if all(field in gps for field in ("Lat", "Lng", "Alt")):
-        out["place"] = Series.of(time_s, gps.values("Lat", "Lng", "Alt")[fix])
+        out["place"] = finite_series(time_s, gps.values("Lat", "Lng", "Alt")[fix])
     if "Spd" in gps and "GCrs" in gps:
         speed, course = gps.values("Spd")[fix], gps.values("GCrs", otherwise=RAD_PER_DEG)[fix]
         down = gps.values("VZ")[fix] if "VZ" in gps else np.full(speed.size, np.nan)
@@ -176,7 +177,7 @@ def _gps(gps: Placed | None) -> dict[str, Series | None]:
     if "Yaw" in gps:
         yaw = gps.values("Yaw", otherwise=RAD_PER_DEG)[fix]
         known = yaw != 0.0  # exactly zero stands for none
-        out["gps_yaw_rad"] = Series.of(time_s[known], wrap_pi(yaw[known]))
+        out["gps_yaw_rad"] = finite_series(time_s[known], wrap_pi(yaw[known]))
     return out
 
 

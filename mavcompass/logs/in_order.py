@@ -1,4 +1,4 @@
-"""Bring the samples of one quantity into the order of time."""
+"""Bring the samples of one quantity into the order of time, and leave out what is no number."""
 
 from __future__ import annotations
 
@@ -8,6 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.track import Series
+
+
+def finite_series(time_s: FloatArray, values: FloatArray) -> Series | None:
+    """Build a series of the samples that are numbers, in order of time; None where there is none.
+
+    `values` is (N,) or (N, k). An estimator that has not started, or a damaged byte, gives nan or inf.
+    """
+    finite = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
+    if not bool(finite.any()):
+        return None
+    if not bool(finite.all()):
+        time_s, values = time_s[finite], values[finite]
+    if bool((time_s[1:] < time_s[:-1]).any()):
+        order = np.argsort(time_s, kind="stable")
+        time_s, values = time_s[order], values[order]
+    return Series.of(time_s, values)
 
 
 def in_order(time_s: FloatArray, rows: Any, *, own_time: bool = True) -> tuple[FloatArray, Any, int]:

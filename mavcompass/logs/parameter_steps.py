@@ -75,11 +75,17 @@ def ardupilot_steps(history: Sequence[Change], instance: int) -> tuple[tuple[InF
 
 
 def px4_steps(history: Sequence[Change], instance: int) -> tuple[tuple[InForce, ...], bool]:
-    """Return PX4's corrections of one compass over time, and whether its offsets are known."""
+    """Return PX4's corrections of one compass over time, and whether its offsets are known.
+
+    They are not where CAL_MAGn_ROT is no rotation of the table: then the offsets' axes are not known.
+    """
     prefix = px4_name("", instance)
     names = {change.name for change in history if change.name.startswith(prefix)} | {"CAL_MAG_COMP_TYP"}
     known = all(px4_name(f"{axis}OFF", instance) in names for axis in "XYZ")
-    return _steps(history, names, lambda values: px4_correction(values, instance)), known
+    try:
+        return _steps(history, names, lambda values: px4_correction(values, instance)), known
+    except KeyError:
+        return (InForce(-math.inf, IDENTITY),), False
 
 
 def _steps(

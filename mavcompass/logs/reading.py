@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.track import Track
 
@@ -39,6 +41,12 @@ def read_tracks(path: str | Path) -> dict[int, Track]:
     """
     path = Path(path)
     kind = recognise(path)
+    # Damaged numbers overflow or are signalling nans: they are sorted out, not warned of.
+    with np.errstate(invalid="ignore", over="ignore"):
+        return _read(path, kind)
+
+
+def _read(path: Path, kind: str) -> dict[int, Track]:
     if kind == "tlog":
         from mavcompass.logs.companion import complete
         from mavcompass.logs.tlog import read_tlog

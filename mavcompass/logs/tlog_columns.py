@@ -9,6 +9,7 @@ import numpy as np
 
 from mavcompass import telemetry
 from mavcompass.frames import FloatArray, euler_to_quaternion, wrap_pi
+from mavcompass.logs.in_order import finite_series
 from mavcompass.logs.motor_outputs import motor_outputs
 from mavcompass.logs.tlog_compass import HIGHRES
 from mavcompass.logs.tlog_time import Placer, Samples
@@ -30,19 +31,23 @@ def body_columns(body: Samples) -> dict[str, Series]:
     else:
         acc, gyro = telemetry.acceleration_mps2(rows), telemetry.angular_rate_radps(rows)
         degc = rows.temperature * _CENTI
-    out = {"acc_mps2": Series.of(body.time_s, acc), "gyro_radps": Series.of(body.time_s, gyro)}
+    out = {"acc_mps2": finite_series(body.time_s, acc), "gyro_radps": finite_series(body.time_s, gyro)}
     if bool(degc.any()):  # zero stands for not measured
-        out["temperature_degc"] = Series.of(body.time_s, degc)
-    return out
+        out["temperature_degc"] = finite_series(body.time_s, degc)
+    return _present(out)
+
+
+def _present(columns: Mapping[str, Series | None]) -> dict[str, Series]:
+    return {name: series for name, series in columns.items() if series is not None}
 
 
 def columns(placer: Placer, parameters: Mapping[str, float]) -> dict[str, Series]:
     """Build every column of the vehicle as a whole that the messages give."""
-    out = _gps(placer) | _current(placer)
+    out: dict[str, Series | None] = {**_gps(placer), **_current(placer)}
     for name, column, read in _SIMPLE:
         found = placer.take(name)
         if found is not None:
-            out[column] = Series.of(found.time_s, read(found.rows))
+            out[column] = finite_series(found.time_s, read(found.rows))
     servo = placer.take("SERVO_OUTPUT_RAW")
     if servo is not None:
         main = servo.rows.port == 0
@@ -50,7 +55,7 @@ def columns(placer: Placer, parameters: Mapping[str, float]) -> dict[str, Series
         motors = motor_outputs(outputs, parameters)
         if motors is not None:
             out["motors"] = Series.of(servo.time_s[main], motors)
-    return out
+    return _present(out)
 
 
 def _velocity(rows: Any) -> FloatArray:

@@ -10,9 +10,10 @@ from mavcompass import telemetry
 from mavcompass.compass_parameters import ardupilot_name, px4_name, px4_rotation
 from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
+from mavcompass.logs.in_order import finite_series
 from mavcompass.logs.parameter_steps import Change, ardupilot_steps, px4_steps
 from mavcompass.logs.tlog_time import Samples
-from mavcompass.track import InForce, MagSeries, Series
+from mavcompass.track import InForce, MagSeries
 from mavcompass.units import MGAUSS_PER_GAUSS
 
 HIGHRES = "HIGHRES_IMU"
@@ -43,8 +44,11 @@ def compass_of(
     autopilot: str,
     history: Sequence[Change],
     parameters: Mapping[str, float],
-) -> tuple[MagSeries, tuple[str, ...]]:
-    """Build one compass's readings with the corrections inside them, and notes on what was supposed."""
+) -> tuple[MagSeries | None, tuple[str, ...]]:
+    """Build one compass's readings with the corrections inside them, and notes on what was supposed.
+
+    None where the message carries no magnetic field.
+    """
     notes: list[str] = []
     highres = samples.name == HIGHRES
     reported = _highres_mgauss(samples.rows, autopilot) if highres else telemetry.field_mgauss(samples.rows)
@@ -63,9 +67,12 @@ def compass_of(
             notes += more
     else:
         known = False
+    series = finite_series(samples.time_s, reported)
+    if series is None or not bool(series.values.any()):
+        return None, (f"{samples.name} carries no magnetic field: there is no compass {instance}.",)
     compass = MagSeries(
         instance=instance,
-        reported=Series.of(samples.time_s, reported),
+        reported=series,
         in_force=steps,
         correction_known=known,
         quantum_mgauss=0.0 if highres else 1.0,

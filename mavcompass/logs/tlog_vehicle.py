@@ -66,11 +66,10 @@ def _compasses(
             continue
         body = body or body_columns(samples)
         compass, more = compass_of(instance, samples, autopilot, history, parameters)
-        if not bool(compass.reported.values.any()):
-            notes.append(f"{name} carries no magnetic field: there is no compass {instance}.")
+        notes += more
+        if compass is None:
             continue
         compasses[instance] = compass
-        notes += more
         if not compass.correction_known:
             notes.append(_unknown_correction(instance, autopilot))
     return compasses, body, notes

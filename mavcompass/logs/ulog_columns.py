@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix, wrap_pi
+from mavcompass.logs.in_order import finite_series
 from mavcompass.logs.mavlink_kinds import VEHICLES
 from mavcompass.logs.motor_outputs import motor_outputs
-from mavcompass.logs.ulog_topics import has, indexed, series, time_s, vector
+from mavcompass.logs.ulog_topics import has, indexed, time_s, vector
 from mavcompass.track import Series
 
 TOPICS = (
@@ -89,7 +90,7 @@ def _first(topics: Topics, *choices: tuple[str, ...]) -> Series | None:
     for topic, *names in choices:
         for data in topics.get(topic, ())[:1]:
             if has(data, *names):
-                found = series(time_s(data), vector(data, *names))
+                found = finite_series(time_s(data), vector(data, *names))
                 if found is not None:
                     return found
     return None
@@ -113,7 +114,7 @@ def _gps(
         if has(data, *names, "fix_type"):
             values = vector(data, *names)
             fixed = np.asarray(data.data["fix_type"]) >= _GPS_FIX_3D
-            found = series(time_s(data)[fixed], convert(values[fixed]) if convert else values[fixed])
+            found = finite_series(time_s(data)[fixed], convert(values[fixed]) if convert else values[fixed])
             if found is not None:
                 return found
     return None

@@ -15,8 +15,9 @@ import numpy as np
 from mavcompass.compass_parameters import px4_name, px4_rotation
 from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
+from mavcompass.logs.in_order import finite_series
 from mavcompass.logs.parameter_steps import Change, px4_steps
-from mavcompass.logs.ulog_topics import has, indexed, series, time_s, vector
+from mavcompass.logs.ulog_topics import has, indexed, time_s, vector
 from mavcompass.track import InForce, MagSeries
 from mavcompass.units import MGAUSS_PER_GAUSS
 
@@ -45,7 +46,7 @@ def compasses(
                 f"{px4_name('ROT', instance)} is no known rotation: compass {instance} was left out."
             )
             continue
-        reported = series(time_s(data), field @ rotation.T)
+        reported = finite_series(time_s(data), field @ rotation.T)
         if reported is not None:
             found[instance] = MagSeries(
                 instance, reported, (InForce(-np.inf, IDENTITY),), True, device_id=device_id
@@ -84,15 +85,12 @@ def _add_corrected(
     parameters: Mapping[str, float],
 ) -> None:
     instance = _instance(device_id, parameters, found)
-    reported = series(
+    reported = finite_series(
         times, vector(data, *_FIELD) * np.where(np.isfinite(times), MGAUSS_PER_GAUSS, np.nan)[:, None]
     )
     if reported is None:
         return
-    try:
-        steps, known = px4_steps(history, instance)
-    except KeyError:
-        steps, known = (InForce(-np.inf, IDENTITY),), False  # a rotation that no PX4 has
+    steps, known = px4_steps(history, instance)
     found[instance] = MagSeries(instance, reported, steps, known, device_id=device_id)
 
 

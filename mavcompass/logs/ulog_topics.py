@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.track import Series
 
 _MICRO = 1.0e-6
 
@@ -35,16 +34,3 @@ def vector(data: Any, *names: str) -> FloatArray:
 def indexed(stem: str, count: int = 3) -> tuple[str, ...]:
     """Spell an array's fields: 'q' is q[0], q[1], ..."""
     return tuple(f"{stem}[{number}]" for number in range(count))
-
-
-def series(times: FloatArray, values: FloatArray) -> Series | None:
-    """Build a series of what is finite, in order of time; None where nothing is."""
-    finite = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
-    if not bool(finite.any()):
-        return None
-    if not bool(finite.all()):
-        times, values = times[finite], values[finite]
-    if bool((np.diff(times) < 0.0).any()):
-        order = np.argsort(times, kind="stable")
-        times, values = times[order], values[order]
-    return Series.of(times, values)

@@ -1,0 +1,69 @@
+"""From parameters seen to corrections in force."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mavcompass.logs.motor_outputs import motor_outputs
+from mavcompass.logs.parameter_steps import Seen, ardupilot_steps, changes, px4_steps
+
+
+def test_the_first_value_held_before_it_was_seen() -> None:
+    history = changes([Seen(9.0, "A", 1.0), Seen(12.0, "A", 1.0), Seen(15.0, "A", 2.0, True)], [0.0])
+    assert [(change.from_s, change.value) for change in history] == [(-math.inf, 1.0), (15.0, 2.0)]
+
+
+def test_a_value_read_after_a_restart_held_since_then_and_one_set_only_from_there() -> None:
+    seen = [Seen(9.0, "A", 1.0), Seen(9.0, "B", 1.0)]
+    seen += [Seen(130.0, "A", 2.0, False, 1), Seen(140.0, "B", 2.0, True, 1), Seen(150.0, "A", 3.0, False, 1)]
+    history = changes(seen, [0.0, 100.0])
+    assert [(c.from_s, c.name, c.value) for c in history[2:]] == [
+        (100.0, "A", 2.0),
+        (140.0, "B", 2.0),
+        (150.0, "A", 3.0),
+    ]
+
+
+def test_values_that_are_no_numbers_are_passed_over() -> None:
+    assert changes([Seen(1.0, "A", math.nan), Seen(2.0, "A", math.inf)], [0.0]) == ()
+
+
+def test_changes_that_do_not_touch_this_compass_make_no_step() -> None:
+    seen = [Seen(0.0, f"COMPASS_OFS_{axis}", 5.0) for axis in "XYZ"]
+    seen += [Seen(1.0, "COMPASS_OFS2_X", 9.0, True), Seen(2.0, "SERVO1_TRIM", 1.0, True)]
+    seen += [Seen(3.0, "COMPASS_OFS2_X", 8.0, True)]
+    steps, known = ardupilot_steps(changes(seen, [0.0]), 1)
+    assert known and len(steps) == 1
+    steps, known = ardupilot_steps(changes(seen, [0.0]), 2)
+    assert not known and [step.from_s for step in steps] == [-math.inf, 3.0]
+
+
+def test_the_newer_naming_is_understood() -> None:
+    seen = [
+        Seen(0.0, f"COMPASS1_OFS_{axis}", value) for axis, value in zip("XYZ", (1.0, 2.0, 3.0), strict=True)
+    ]
+    (step,), known = ardupilot_steps(changes(seen, [0.0]), 1)
+    assert known and step.correction.offsets_mgauss == (1.0, 2.0, 3.0)
+
+
+def test_a_rotation_that_nobody_knows_leaves_px4s_correction_unknown() -> None:
+    seen = [Seen(0.0, "CAL_MAG0_ROT", 99.0)] + [Seen(0.0, f"CAL_MAG0_{axis}OFF", 0.1) for axis in "XYZ"]
+    (step,), known = px4_steps(changes(seen, [0.0]), 1)
+    assert not known and step.correction.offsets_mgauss == (0.0, 0.0, 0.0)
+
+
+def test_outputs_become_fractions_of_their_own_range() -> None:
+    parameters = {"SERVO1_FUNCTION": 73.0, "SERVO1_MIN": 1100.0, "SERVO1_MAX": 1900.0}
+    parameters |= {"SERVO3_FUNCTION": 74.0, "SERVO3_REVERSED": 1.0}
+    pulses = np.array([[1100, 1500, 1250], [1900, 1500, 2000], [2000, 1500, 0]])
+    found = motor_outputs(pulses, parameters)
+    np.testing.assert_allclose(found, [[0.0, 0.75], [1.0, 0.0], [1.0, 0.0]])
+    assert motor_outputs(pulses, {"SERVO1_FUNCTION": 26.0}) is None
+
+
+def test_without_functions_every_output_in_use_counts() -> None:
+    found = motor_outputs(np.array([[1500, 0, 1000], [1500, 0, 2000]]), {})
+    assert found == pytest.approx(np.array([[0.5, 0.0], [0.5, 1.0]]))
