@@ -1,0 +1,57 @@
+"""What the documents tell people to type works."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from mavcompass.cli.main import main
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PROGRAM = "./scripts/mavcompass "
+# What waits for somebody or for ever is only checked for its options.
+ENDLESS = {"simulate", "serve", "replay"}
+
+
+def commands() -> list[tuple[str, str]]:
+    found = []
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        blocks = "\n".join(re.findall(r"```sh\n(.*?)```", text, flags=re.DOTALL)).splitlines()
+        inline = re.findall(r"`(\./scripts/mavcompass [^`]*)`", text)
+        found += [(page.name, line.strip()) for line in [*blocks, *inline] if line.startswith(PROGRAM)]
+    return sorted(set(found))
+
+
+def is_runnable(words: list[str]) -> bool:
+    return any(word.startswith("sim:") for word in words) and words[0] not in ENDLESS
+
+
+@pytest.mark.parametrize(("page", "line"), commands())
+def test_a_command_in_the_documents_is_one_that_works(
+    page: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = shlex.split(line.removeprefix(PROGRAM))
+    if "COMMAND" in words:
+        words = ["--help"]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MAVCOMPASS_UNDO_DIR", str(tmp_path))
+    if "--help" in words or is_runnable(words):
+        # A check finds the simulated rover's bad compass: that is its answer, not a failure.
+        assert main(words) in ((0, 5) if words[0] == "check" else (0,)), capsys.readouterr().err
+        return
+    options = [word for word in words if word.startswith("--")]
+    group = words[:2] if words[0] in ("params", "gap", "fleet") else words[:1]
+    assert main([*group, "--help"]) == 0
+    explained = capsys.readouterr().out
+    assert all(option in explained for option in options)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_between_the_documents_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), target
