@@ -21,6 +21,8 @@ Rotation = tuple[float, float, float, float, float, float, float, float, float]
 
 _CLIMB_LAG_S = 0.4
 _FALL_MPS, _BUOYANT_MPS = 8.0, 0.1
+# A sheltered harbour's stream at most.
+_STREAM_MPS = 0.06
 _SPEED_ACCELERATION_MPS2 = 1.5
 _TREMOR_RAD, _TREMOR_PERIOD_S = math.radians(0.5), 0.8
 _STICTION_RADPS = math.radians(0.25)
@@ -88,7 +90,7 @@ class Body:
         lean = 2.0 * profile.jitter_rad * strength
         self._lean_ned = (lean * math.cos(heading), lean * math.sin(heading))
         self._stream_mps = (
-            (0.12 * strength * math.cos(heading), 0.12 * strength * math.sin(heading))
+            (_STREAM_MPS * strength * math.cos(heading), _STREAM_MPS * strength * math.sin(heading))
             if profile.chassis == "boat"
             else (0.0, 0.0)
         )

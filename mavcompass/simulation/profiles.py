@@ -123,7 +123,7 @@ PROFILES: dict[str, VehicleProfile] = {
             coast_radps2=12.0 * _DEG,
             currents_a=(0.8, 6.0, 8.0),
             vibration_mps2=0.1,
-            wave_rad=2.5 * _DEG,
+            wave_rad=1.5 * _DEG,
             yaw_unrest_radps=0.6 * _DEG,
         ),
         VehicleProfile(
