@@ -54,6 +54,21 @@ def _instances(context: click.Context, parameter: click.Parameter, value: str) -
     help="Who turns the vehicle (auto: itself where it is armed, else a person).",
 )
 @click.option(
+    "--turn-by",
+    type=click.Choice(("auto", "rc-override", "manual-control")),
+    default="auto",
+    help="Turn by the pilot's own controls, in MANUAL, instead of by targets (auto).",
+)
+@click.option("--set-mode", is_flag=True, help="Allow changing the flight mode; it is put back afterwards.")
+@click.option("--arm", is_flag=True, help="Allow arming; it is disarmed afterwards.")
+@click.option(
+    "--takeoff",
+    "takeoff_m",
+    type=click.FloatRange(2.0, 100.0),
+    metavar="M",
+    help="Allow a copter to take off to M metres; it lands afterwards.",
+)
+@click.option(
     "--compass", "instances", default="1", callback=_instances, help="1, 2, 3, a list of them, or all."
 )
 @click.option("--yes", is_flag=True, help="Write without asking.")
@@ -95,6 +110,10 @@ def command(
     source: str,
     method: str,
     motion: str,
+    turn_by: str,
+    set_mode: bool,
+    arm: bool,
+    takeoff_m: float | None,
     instances: tuple[int, ...],
     yes: bool,
     dry_run: bool,
@@ -143,10 +162,13 @@ def command(
 
     from mavcompass.procedure.calibrate import CalibrateSettings
     from mavcompass.procedure.positions import DwellSettings
+    from mavcompass.procedure.readiness import Permissions
 
     settings = CalibrateSettings(
         instances=instances,
         motion=motion,  # type: ignore[arg-type]
+        turn_by=turn_by,  # type: ignore[arg-type]
+        permissions=Permissions(set_mode, arm, takeoff_m or 0.0),
         positions=positions,
         step_rad=math.radians(step_deg),
         writing="yes" if yes else "never" if dry_run else "ask",
@@ -246,7 +268,7 @@ def _live(
     from mavcompass.report.document import live_document
     from mavcompass.vehicle.calibrating import calibrate_on
 
-    with open_source(address, effects) as link:
+    with open_source(address, effects, as_ground_station=settings.turn_by != "auto") as link:
         before_deg = _true_error_deg(link, settings.instances)
         with showing() as show:
             report = calibrate_on(
@@ -277,13 +299,17 @@ def _live(
     return _exit_code(report)
 
 
-def open_source(address: Address, effects: Sequence[str]) -> Link:
-    """Open a live address; effects go to an embedded simulated vehicle only."""
+def open_source(address: Address, effects: Sequence[str], as_ground_station: bool = False) -> Link:
+    """Open a live address; effects go to an embedded simulated vehicle only.
+
+    The pilot's controls are taken from a ground station only (SYSID_MYGCS).
+    """
     from mavcompass.vehicle.address import Simulated
+    from mavcompass.vehicle.link import GROUND_STATION, ONBOARD_COMPUTER
     from mavcompass.vehicle.opening import open_link
 
     if not effects:
-        return open_link(address)
+        return open_link(address, GROUND_STATION if as_ground_station else ONBOARD_COMPUTER)
     if not isinstance(address, Simulated):
         raise UsageError("--effect is for sim:VEHICLE only.", "Leave it away for a real vehicle.")
     return open_link(Simulated(address.vehicle, address.seed, (*address.effects, *effects)))

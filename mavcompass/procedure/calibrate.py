@@ -18,27 +18,19 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import Refused
 from mavcompass.procedure.commands import MessageRates
-from mavcompass.procedure.dialect import Dialect, ParameterPlan, SaveUndo, WriteOutcome
+from mavcompass.procedure.dialect import Dialect, ParameterPlan, SaveUndo, WriteOutcome, describe_compasses
 from mavcompass.procedure.gyro_angle import GyroAngle
-from mavcompass.procedure.positions import (
-    DwellSettings,
-    HandMover,
-    Mover,
-    Rest,
-    VehicleMover,
-    Window,
-    dwell,
-    visit,
-)
+from mavcompass.procedure.mobility import Mobility, Motion, Wishes
+from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Window, dwell, visit
 from mavcompass.procedure.proof import Proof, prove
-from mavcompass.procedure.safety import MotionGuard, SafetyLimits
+from mavcompass.procedure.readiness import Permissions
+from mavcompass.procedure.safety import SafetyLimits
 from mavcompass.procedure.script import Context, Script, ask
-from mavcompass.procedure.turning import strategies_for
+from mavcompass.procedure.turning import TurnBy
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
 from mavcompass.track import Track
 from mavcompass.track_builder import TrackBuilder
 
-Motion = Literal["auto", "vehicle", "hand"]
 Writing = Literal["ask", "yes", "never"]
 
 # Solves one compass of a Track from the still stretches that the procedure chose.
@@ -52,6 +44,8 @@ class CalibrateSettings:
     Attributes:
         instances: compasses to calibrate, from 1; empty means all that the vehicle has.
         motion: who turns the vehicle; "auto" lets it turn itself where it is armed.
+        turn_by: "auto" by targets; else by the pilot's own controls, in a mode in which they steer.
+        permissions: what may be done to the vehicle so that it can turn itself.
         positions, step_rad: how many still positions, and the turn between them (negative: left).
         writing: "ask" the person, "yes" without asking, "never".
         system: MAVLink system id, where several vehicles share the link.
@@ -61,6 +55,8 @@ class CalibrateSettings:
 
     instances: tuple[int, ...] = (1,)
     motion: Motion = "auto"
+    turn_by: TurnBy = "auto"
+    permissions: Permissions = field(default_factory=Permissions)
     positions: int = 4
     step_rad: float = math.pi / 2.0
     writing: Writing = "ask"
@@ -122,26 +118,25 @@ def calibrate(context: Context, services: Services, settings: CalibrateSettings)
     """
     desk = yield from _Desk.open(context, services, settings)
     rates = MessageRates()
-    mover: Mover | None = None
+    mobility = desk.mobility()
+    finished = False
     try:
         yield from rates.ask(context, _wanted_rates(desk.identity, desk.instances, settings.rate_hz))
-        mover = yield from desk.choose_mover()
+        mover = yield from mobility.take_charge(context, desk.parameters)
         windows = yield from visit(
             context, desk.rest, desk.gyro, mover, settings.positions, settings.step_rad, settings.dwell
         )
         report = desk.solve(windows)
         for result in report.results:
             context.show("solve", summary(result), settings.positions / (settings.positions + 1.0))
-        if not report.accepted or settings.writing == "never":
-            return report
-        report = yield from desk.write(report)
-        if report.outcome is None:
-            return report
-        return (yield from desk.prove_or_undo(report, mover))
+        if report.accepted and settings.writing != "never":
+            report = yield from desk.write(report)
+            if report.outcome is not None:
+                report = yield from desk.prove_or_undo(report, mover)
+        finished = True
+        return report
     finally:
-        if mover is not None:
-            mover.halt(context)
-        desk.stop_guarding()
+        yield from mobility.end(context, in_a_hurry=not finished)
         yield from rates.restore(context)
 
 
@@ -181,7 +176,6 @@ class _Desk:
     began_s: float
     gyro: GyroAngle = field(default_factory=GyroAngle)
     rest: Rest = field(default_factory=Rest)
-    guard: MotionGuard | None = None
     notes: list[str] = field(default_factory=list)
 
     @classmethod
@@ -205,44 +199,18 @@ class _Desk:
             )
         builder = TrackBuilder(identity.autopilot, identity.kind)
         builder.parameters.update(parameters)
-        for instance in present:
-            builder.set_correction(instance, dialect.correction(parameters, instance))
+        describe_compasses(builder, dialect, parameters)
         desk = cls(
             context, services, settings, identity, dialect, parameters, instances, state, builder, began_s
         )
         context.listeners += [builder.add, desk.gyro.hear, desk.rest.hear]
         return desk
 
-    def choose_mover(self) -> Script[Mover]:
-        """Choose who turns the vehicle, and start to guard it where it turns itself."""
-        if self.state.heartbeat is None:
-            yield self.context.now
-        motion, armed = self.settings.motion, self.state.armed
-        if motion == "hand" and armed:
-            raise Refused("The vehicle is armed: turning it by hand is not safe.", "Disarm it and run again.")
-        if motion == "hand" or (motion == "auto" and not armed):
-            return HandMover(self.gyro, self.rest)
-        if not armed:
-            raise Refused(
-                "The vehicle is disarmed, so it cannot turn itself.",
-                "Arm it in GUIDED (a copter: take off), or turn it by hand with --motion hand.",
-            )
-        ackermann = self.parameters.get("SERVO1_FUNCTION") == 26.0
-        strategies = strategies_for(self.identity.kind, self.identity.autopilot, ackermann)
-        if not strategies:
-            raise Refused(
-                f"This {self.identity.autopilot} {self.identity.kind} cannot be made to turn on the spot.",
-                "Disarm it and turn it by hand with --motion hand.",
-            )
-        self.guard = MotionGuard(self.state, self.gyro, self.identity.kind, self.settings.limits)
-        self.guard.begin()
-        self.context.listeners.append(self.guard.hear)
-        self.context.watches.append(self.guard.check)
-        return VehicleMover(self.gyro, strategies)
-
-    def stop_guarding(self) -> None:
-        """End the watch: what follows no longer moves the vehicle."""
-        self.context.watches.clear()
+    def mobility(self) -> Mobility:
+        """Return what chooses who turns the vehicle."""
+        chosen = self.settings
+        wishes = Wishes(chosen.motion, chosen.turn_by, chosen.permissions, chosen.limits)
+        return Mobility(self.identity, self.state, self.gyro, self.rest, wishes)
 
     def solve(self, windows: list[Window]) -> CalibrationReport:
         """Solve and judge every compass on what was recorded."""
@@ -279,7 +247,8 @@ class _Desk:
         self.context.show("write", f"Writing {len(plan.changes)} parameters.")
         outcome = yield from self.dialect.write(self.context, plan, self.services.save_undo)
         for instance, correction in corrections.items():
-            self.builder.set_correction(instance, correction)
+            if self.dialect.raw_rotation(self.parameters, instance) is None:
+                self.builder.set_correction(instance, correction)
         return replace(report, outcome=outcome)
 
     def prove_or_undo(self, report: CalibrationReport, mover: Mover) -> Script[CalibrationReport]:

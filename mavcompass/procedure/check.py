@@ -23,11 +23,11 @@ from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.procedure import check_items as items
 from mavcompass.procedure.check_items import CheckItem, Reading, Verdict
 from mavcompass.procedure.commands import MessageRates
-from mavcompass.procedure.dialect import Dialect
+from mavcompass.procedure.dialect import Dialect, describe_compasses
 from mavcompass.procedure.gyro_angle import GyroAngle
+from mavcompass.procedure.hand import HandMover
 from mavcompass.procedure.positions import (
     DwellSettings,
-    HandMover,
     Mover,
     Rest,
     VehicleMover,
@@ -42,7 +42,7 @@ from mavcompass.track import Track
 from mavcompass.track_builder import TrackBuilder
 
 SCHEMA = "mavcompass.check/1"
-Turn = Literal["none", "vehicle", "hand"]
+Turn = Literal["none", "auto", "vehicle", "hand"]
 
 _STEP_RAD = math.pi / 2.0
 _ACKERMANN_STEERING = 26.0
@@ -53,7 +53,8 @@ class CheckSettings:
     """Hold what the person may choose.
 
     Attributes:
-        turn: "vehicle" lets it turn itself by 90 degrees where it is armed, "hand" asks a person.
+        turn: "vehicle" lets it turn itself by 90 degrees, "auto" only where it is armed and knows how,
+            "hand" asks a person.
         system: MAVLink system id, where several vehicles share the link.
         year: decimal year to use where the vehicle does not know the date.
     """
@@ -166,8 +167,7 @@ class _Checker:
         parameters = yield from dialect.compass_parameters(context)
         builder = TrackBuilder(identity.autopilot, identity.kind)
         builder.parameters.update(parameters)
-        for instance in dialect.instances(parameters):
-            builder.set_correction(instance, dialect.correction(parameters, instance))
+        describe_compasses(builder, dialect, parameters)
         checker = cls(context, settings, identity, dialect, parameters, state, builder, began_s)
         context.listeners += [builder.add, checker.gyro.hear, checker.rest.hear]
         return checker
@@ -266,7 +266,9 @@ class _Checker:
         """Turn once and compare every compass with the gyro; say so where it cannot be done."""
         why_not = self._choose_mover()
         if self.mover is None:
-            self._add(CheckItem("turn", "warn", f"No turn was made: {why_not}.", "Arm it, or turn by hand."))
+            if self.settings.turn != "auto":
+                text = f"No turn was made: {why_not}."
+                self._add(CheckItem("turn", "warn", text, "Arm it, or turn it by hand."))
             return
         self.context.show("turn", "Turning by 90 deg.", 0.6)
         yield from self.mover.next(self.context, _STEP_RAD, 1)

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from mavcompass.correction import FieldCorrection
+from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.frames import FloatArray
 from mavcompass.procedure.script import Context, Script
+from mavcompass.track_builder import TrackBuilder
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +83,13 @@ class Dialect(Protocol):
         """Return the correction in force."""
         ...
 
+    def raw_rotation(self, parameters: Mapping[str, float], instance: int) -> FloatArray | None:
+        """Return the sensor-to-body rotation where telemetry carries the uncorrected sensor's axes.
+
+        None where the autopilot applies its correction before it reports.
+        """
+        ...
+
     def plan(
         self, parameters: Mapping[str, float], corrections: Mapping[int, FieldCorrection]
     ) -> ParameterPlan:
@@ -93,3 +102,14 @@ class Dialect(Protocol):
         Raises WriteFailed where it could not be completed, saying what is left and what restores it.
         """
         ...
+
+
+def describe_compasses(builder: TrackBuilder, dialect: Dialect, parameters: Mapping[str, float]) -> None:
+    """Tell a recording what telemetry has done to each compass's readings: corrected, or raw and turned."""
+    for instance in dialect.instances(parameters):
+        rotation = dialect.raw_rotation(parameters, instance)
+        if rotation is None:
+            builder.set_correction(instance, dialect.correction(parameters, instance))
+        else:
+            builder.set_correction(instance, IDENTITY)
+            builder.set_rotation(instance, rotation)

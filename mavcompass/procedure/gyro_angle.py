@@ -37,6 +37,11 @@ class GyroAngle:
     _down: tuple[float, float, float] = (0.0, 0.0, 1.0)
     _source: type[mav.Message] | None = field(default=None)
 
+    @property
+    def tilt_rad(self) -> float:
+        """Return how far the vehicle's own down is from the vertical."""
+        return math.acos(max(-1.0, min(1.0, self._down[2])))
+
     def hear(self, heard: mav.Incoming) -> None:
         """Take one message; only one kind of IMU message is listened to."""
         message = heard.message
@@ -72,4 +77,6 @@ class GyroAngle:
             down = [d + blend * (-a / norm - d) for d, a in zip(self._down, (ax, ay, az), strict=True)]
             length = math.sqrt(sum(d * d for d in down)) or 1.0
             self._down = (down[0] / length, down[1] / length, down[2] / length)
-        return sum(w * d for w, d in zip(angular_rate_radps(message).tolist(), self._down, strict=True))
+        wx, wy, wz = angular_rate_radps(message).tolist()
+        dx, dy, dz = self._down
+        return float(wx * dx + wy * dy + wz * dz)

@@ -13,14 +13,14 @@ from typing import Protocol
 
 from mavcompass import messages as mav
 from mavcompass.calibration.stillness import StillnessDetector
-from mavcompass.errors import LinkLost, PoorCalibration, Refused
-from mavcompass.frames import wrap_pi
+from mavcompass.errors import LinkLost, Refused
 from mavcompass.procedure.gyro_angle import GyroAngle
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import TurnStrategy
 from mavcompass.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
 
 _HOLD_EVERY_S = 0.5
+_HOLD_WHILE_SETTLING_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +54,7 @@ class Rest:
 
     detector: StillnessDetector = field(default_factory=lambda: StillnessDetector(hold_s=0.0))
     time_s: float = -math.inf
+    heard_s: float = -math.inf
     still_since_s: float | None = None
     why_not: str = "nothing was heard yet"
 
@@ -65,7 +66,7 @@ class Rest:
         time_s = float(imu_time_s(message))
         if time_s <= self.time_s:
             return
-        self.time_s = time_s
+        self.time_s, self.heard_s = time_s, heard.time_s
         state = self.detector.update(
             time_s, angular_rate_radps(message), acceleration_mps2(message), field_mgauss(message)
         )
@@ -84,12 +85,24 @@ class Mover(Protocol):
         """Turn by about `angle_rad`; the gyro's angle tells what came of it."""
         ...
 
-    def hold(self, context: Context) -> None:
-        """Keep it there; called twice a second during a dwell."""
+    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
+        """Wait until the vehicle has rested for the settling time; False when it hunts on."""
+        ...
+
+    def hold(self, context: Context, left_s: float) -> None:
+        """Keep it there; called twice a second during a dwell that lasts another `left_s`."""
+        ...
+
+    def accept(self, context: Context, turned_rad: float) -> bool:
+        """Take the position where it dwelt; False where it does not count."""
         ...
 
     def halt(self, context: Context) -> None:
         """Stop any motion now."""
+        ...
+
+    def release(self, context: Context) -> Script[None]:
+        """Give the vehicle back as it was taken."""
         ...
 
 
@@ -100,12 +113,14 @@ class VehicleMover:
     gyro: GyroAngle
     strategies: Sequence[TurnStrategy]
     _current: int = 0
+    _used: bool = False
 
     def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
         """Turn by the current strategy, or by the next that moves the vehicle.
 
         Raises Refused when none does.
         """
+        self._used = True
         while self._current < len(self.strategies):
             strategy = self.strategies[self._current]
             if (yield from strategy.turn(context, self.gyro, angle_rad)):
@@ -119,70 +134,31 @@ class VehicleMover:
             "Put it into GUIDED, armed (a copter: flying), or turn it by hand with --motion hand.",
         )
 
-    def hold(self, context: Context) -> None:
+    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
+        """Wait for rest; see `wait_still`."""
+        return (yield from wait_still(context, rest, self, settings))
+
+    def hold(self, context: Context, left_s: float) -> None:
         """Hold by the strategy in use."""
-        if self._current < len(self.strategies):
+        if self._used and self._current < len(self.strategies):
             self.strategies[self._current].hold(context)
+
+    def accept(self, context: Context, turned_rad: float) -> bool:
+        """Take it: the gyro's angle is known, wherever it is."""
+        return True
 
     def halt(self, context: Context) -> None:
         """Halt by every strategy that was used."""
-        for strategy in self.strategies[: self._current + 1]:
+        for strategy in self._all_used():
             strategy.halt(context)
 
+    def release(self, context: Context) -> Script[None]:
+        """Release by every strategy that was used."""
+        for strategy in self._all_used():
+            yield from strategy.release(context)
 
-@dataclass(slots=True)
-class HandMover:
-    """Prompt a person who turns the vehicle; any order, either direction.
-
-    A position counts when the vehicle rests at least `apart_rad` from every one before it.
-    """
-
-    gyro: GyroAngle
-    rest: Rest
-    apart_rad: float = math.radians(50.0)
-    patience_s: float = 180.0
-    visited_rad: list[float] = field(default_factory=list)
-
-    def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
-        """Prompt until the vehicle rests somewhere new.
-
-        Raises PoorCalibration when it does not within the patience.
-        """
-        here = self.gyro.angle_rad
-        self.visited_rad.append(here)
-        end = context.now + self.patience_s
-        said, said_s = "", -math.inf
-        while context.now < end:
-            yield from pause(context, 0.1)
-            text = self._prompt(here + angle_rad)
-            if text is None:
-                return
-            if text != said and context.now - said_s > 0.5:
-                turned_deg = math.degrees(self.gyro.angle_rad - here)
-                context.show("turn", text, turned_deg=turned_deg, remaining=float(remaining))
-                said, said_s = text, context.now
-        raise PoorCalibration(
-            f"The vehicle was not turned to a new position within {self.patience_s:.0f} s.",
-            "Start again and turn it by about 90 degrees when asked.",
-        )
-
-    def _prompt(self, wanted_rad: float) -> str | None:
-        """Return what the person has to do, None when the vehicle rests at a new position."""
-        now = self.gyro.angle_rad
-        nearest = min(abs(float(wrap_pi(now - v))) for v in self.visited_rad)
-        left_deg = math.degrees(wanted_rad - now)
-        if nearest >= self.apart_rad and abs(left_deg) > 20.0 and self.rest.for_s() > 0.7:
-            return None
-        if abs(left_deg) <= 20.0 and nearest >= self.apart_rad:
-            return None if self.rest.for_s() > 0.3 else "Hold still."
-        side = "right" if left_deg > 0.0 else "left"
-        return f"Turn {side} {5 * round(abs(left_deg) / 5.0):.0f} deg more."
-
-    def hold(self, context: Context) -> None:
-        """Do nothing: the person holds it."""
-
-    def halt(self, context: Context) -> None:
-        """Do nothing: the person holds it."""
+    def _all_used(self) -> Sequence[TurnStrategy]:
+        return self.strategies[: self._current + 1] if self._used else ()
 
 
 def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettings) -> Script[bool]:
@@ -191,7 +167,7 @@ def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettin
     Raises LinkLost where no IMU messages come.
     """
     end, heard_at = context.now + settings.patience_s, rest.time_s
-    shown = False
+    shown, held_s = False, -math.inf
     while rest.for_s() < settings.settle_s:
         if context.now > end:
             if rest.time_s == heard_at:
@@ -200,11 +176,13 @@ def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettin
                     "Check that the vehicle streams them on this link (SRn_RAW_SENS, MAV_n_MODE).",
                 )
             return False
-        if not shown and context.now > end - settings.patience_s + 1.0:
+        if not shown and rest.why_not and context.now > end - settings.patience_s + 1.0:
             context.show("settle", f"Waiting for rest: {rest.why_not}.")
             shown = True
-        mover.hold(context)
-        yield from pause(context, 0.1)
+        if context.now - held_s >= _HOLD_WHILE_SETTLING_S:
+            mover.hold(context, settings.dwell_s)
+            held_s = context.now
+        yield from pause(context, 0.05)
     return True
 
 
@@ -213,14 +191,14 @@ def dwell(
 ) -> Script[Window]:
     """Stand still for a dwell; one that is disturbed begins anew, twice at the most."""
     for _ in range(3):
-        resting = yield from wait_still(context, rest, mover, settings)
+        resting = yield from mover.settle(context, rest, settings)
         start_s, angle, samples = rest.time_s, gyro.angle_rad, gyro.samples
         began, held_s = context.now, context.now
         while rest.time_s - start_s < settings.dwell_s:
             if context.now - began > 5.0 * settings.dwell_s + 5.0:
                 raise LinkLost("The IMU messages stopped coming.", "Bring the link back and run again.")
             if context.now - held_s >= _HOLD_EVERY_S:
-                mover.hold(context)
+                mover.hold(context, settings.dwell_s - (rest.time_s - start_s))
                 held_s = context.now
             yield from pause(context, 0.05)
             if resting and rest.still_since_s is None:
@@ -250,12 +228,13 @@ def visit(
 ) -> Script[list[Window]]:
     """Visit `count` positions, `step_rad` apart as well as the vehicle can; the first is where it is."""
     windows: list[Window] = []
-    for index in range(count):
+    while len(windows) < count:
+        index = len(windows)
         if index:
             context.show(
                 "turn", f"Turning to position {index + 1} of {count}.", (index - 0.5) / (count + 1.0)
             )
-            yield from mover.next(context, step_rad, count - index)
+            yield from mover.next(context, _next_turn(gyro, windows, step_rad), count - index)
         context.show(
             "dwell",
             f"Position {index + 1} of {count}: standing still for {settings.dwell_s:.0f} s.",
@@ -263,5 +242,14 @@ def visit(
             position=float(index + 1),
             turned_deg=math.degrees(gyro.angle_rad),
         )
-        windows.append((yield from dwell(context, rest, gyro, mover, settings)))
+        window = yield from dwell(context, rest, gyro, mover, settings)
+        if mover.accept(context, window.turned_rad):
+            windows.append(window)
     return windows
+
+
+def _next_turn(gyro: GyroAngle, windows: list[Window], step_rad: float) -> float:
+    """Return the turn to the next even step of the circle; what went too far or too short is made up."""
+    wanted = windows[0].turned_rad + len(windows) * step_rad
+    share = (wanted - gyro.angle_rad) / step_rad
+    return step_rad * max(0.5, min(1.5, share))

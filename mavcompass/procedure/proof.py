@@ -71,9 +71,15 @@ def prove(track: Track, before: Window, after: Window, results: Sequence[Calibra
     proofs = []
     for result in results:
         dwells = [dwell_between(track, result.instance, w.start_s, w.end_s) for w in (before, after)]
-        step = assemble(track, dwells, result.instance).steps[0]
+        data = assemble(track, dwells, result.instance)
+        step = data.steps[0]
         first, second = (_heading_rad(dwell, result) for dwell in dwells)
-        sigma_deg = math.hypot(math.sqrt(2.0) * result.heading_sigma_deg, math.degrees(step.sigma_rad), 0.2)
+        gyro_rad = math.hypot(
+            step.sigma_rad,
+            data.gyro_scale_sigma * step.angle_rad,
+            data.gyro_bias_sigma_radps * step.duration_s,
+        )
+        sigma_deg = math.hypot(math.sqrt(2.0) * result.heading_sigma_deg, math.degrees(gyro_rad), 0.2)
         proofs.append(
             CompassProof(
                 instance=result.instance,

@@ -7,12 +7,13 @@ the procedure, which then commands zero rate, puts back what it changed and writ
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mavcompass import messages as mav
 from mavcompass.enums import EkfFlag, MavState
 from mavcompass.errors import Refused
 from mavcompass.procedure.gyro_angle import GyroAngle
+from mavcompass.procedure.modes import ModeKeeper, mode_name
 from mavcompass.procedure.vehicle_state import Kind, VehicleState
 
 
@@ -36,15 +37,26 @@ class SafetyLimits:
     height_m: float = 1.5
     battery_percent: int = 10
 
+    def with_drift(self, drift_m: float) -> SafetyLimits:
+        """Return the same limits with another room to move in."""
+        return replace(self, drift_m=drift_m)
+
 
 @dataclass(slots=True)
 class MotionGuard:
-    """Watch a vehicle from the moment motion begins; `hear` is a listener, `check` a watch."""
+    """Watch a vehicle from the moment motion begins; `hear` is a listener, `check` a watch.
+
+    Attributes:
+        modes: knows which flight modes are ours; without it the one at the start is.
+        moved_by_us: RC channels that we move ourselves, so that they say nothing about the pilot.
+    """
 
     state: VehicleState
     gyro: GyroAngle
     kind: Kind
     limits: SafetyLimits = SafetyLimits()
+    modes: ModeKeeper | None = None
+    moved_by_us: frozenset[int] = frozenset()
     _mode: int = -1
     _sticks: tuple[int, ...] | None = None
     _place: mav.GlobalPositionInt | None = None
@@ -80,8 +92,8 @@ class MotionGuard:
             return "The vehicle fell silent: the link is lost."
         if not self.state.armed:
             return "The vehicle was disarmed."
-        if self.state.mode != self._mode:
-            return f"The flight mode was changed (from {self._mode} to {self.state.mode})."
+        if self._mode_is_foreign():
+            return f"The flight mode was changed to {self._mode_name()}."
         return (
             self._pilot()
             or self._power()
@@ -91,14 +103,23 @@ class MotionGuard:
             or self._strayed()
         )
 
+    def _mode_is_foreign(self) -> bool:
+        return self.state.mode != self._mode if self.modes is None else self.modes.is_foreign()
+
+    def _mode_name(self) -> str:
+        autopilot = "ardupilot" if self.modes is None else self.modes.autopilot
+        return mode_name(self.kind, autopilot, self.state.mode)
+
     def _pilot(self) -> str | None:
         now = _stick_values(self.state.sticks)
         if now is None:
             return None
         if self._sticks is None:
             self._sticks = now
-        moved = any(abs(a - b) > self.limits.stick_us for a, b in zip(now, self._sticks, strict=True))
-        return "The pilot moved a stick." if moved else None
+        for channel, (pwm, at_start) in enumerate(zip(now, self._sticks, strict=True), start=1):
+            if channel not in self.moved_by_us and abs(pwm - at_start) > self.limits.stick_us:
+                return "The pilot moved a stick."
+        return None
 
     def _power(self) -> str | None:
         beat, battery = self.state.heartbeat, self.state.battery

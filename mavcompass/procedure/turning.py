@@ -7,28 +7,30 @@ proves nothing: ArduCopter accepts CONDITION_YAW in every mode and moves only in
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
 
-from mavcompass import messages as mav
-from mavcompass.enums import MavCmd, MavFrame, MavResult
-from mavcompass.procedure.commands import command
 from mavcompass.procedure.gyro_angle import GyroAngle
 from mavcompass.procedure.script import Context, Script, pause
+from mavcompass.procedure.steering import (
+    STAND_AND_YAW_RATE,
+    AttitudeRate,
+    HeadingAhead,
+    ManualAxis,
+    Steer,
+    SteeringOverride,
+    YawRate,
+    YawStep,
+)
 
-# Autopilots stop 3 s after the last target; a lossy link wants several in that time.
-REPEAT_S = 0.2
+# How often a target is repeated: several in the time in which one that ends by itself ends.
+REPEAT_S = 0.1
+POLL_S = 0.05
 MOVES_WITHIN_S = 3.0
 MOVED_RAD = math.radians(6.0)
+_SLOW_RADPS = math.radians(5.0)
 
-# type_mask of SET_POSITION_TARGET_LOCAL_NED: what is to be ignored.
-_IGNORE_POSITION = 0x007
-_IGNORE_VELOCITY = 0x038
-_IGNORE_ACCELERATION = 0x1C0
-_IGNORE_YAW = 0x400
-_IGNORE_YAW_RATE = 0x800
-YAW_RATE_ONLY = _IGNORE_POSITION | _IGNORE_VELOCITY | _IGNORE_ACCELERATION | _IGNORE_YAW
-STAND_AND_YAW_RATE = _IGNORE_POSITION | _IGNORE_ACCELERATION | _IGNORE_YAW
+TurnBy = Literal["auto", "rc-override", "manual-control"]
 
 
 class TurnStrategy(Protocol):
@@ -51,141 +53,141 @@ class TurnStrategy(Protocol):
         """Leave messages that stop any rotation now."""
         ...
 
+    def release(self, context: Context) -> Script[None]:
+        """Give the vehicle back as it was taken, after `halt`."""
+        ...
+
 
 @dataclass(slots=True)
-class YawRateTurn:
-    """Turn by a commanded yaw rate, closed on the gyro: skid-steer rovers, boats, copters.
+class SteeredTurn:
+    """Turn by repeated commands, closed on the gyro.
 
-    No heading is held, so a yaw that the bad compass bends has nothing to hunt after. The rate falls
-    toward the end, so that late telemetry costs degrees, not quarter turns.
+    The rate falls toward the end, so that late telemetry costs degrees, not quarter turns. How far the
+    vehicle coasts after the last command is learned from one turn to the next.
+
+    Attributes:
+        steer: the message that turns it.
+        rate_radps, slowest_radps: the rate of turn, and that at which the turn ends.
+        slow_down_s: the rate is at most what is left divided by this.
+        coast_s: angle coasted after the last command per rate at that moment.
+        arrives: the commands name angles, and the vehicle comes to rest there by itself.
     """
 
-    type_mask: int = YAW_RATE_ONLY
-    rate_radps: float = math.radians(60.0)
+    steer: Steer
+    rate_radps: float
     slowest_radps: float = math.radians(15.0)
-    forward_mps: float = 0.0
-    name: str = "yaw rate targets"
-    _latency_s: float = 0.3
+    slow_down_s: float = 0.6
+    coast_s: float = 0.3
+    arrives: bool = False
+    _learned_s: float | None = field(default=None, compare=False)
+    _ended: tuple[float, float] | None = field(default=None, compare=False)
 
-    def _target(self, context: Context, rate_radps: float, forward_mps: float = 0.0) -> None:
-        context.send(
-            mav.SetPositionTargetLocalNed(
-                target_system=context.system,
-                target_component=context.component,
-                coordinate_frame=MavFrame.BODY_OFFSET_NED if forward_mps else MavFrame.BODY_NED,
-                type_mask=self.type_mask,
-                vx=forward_mps,
-                yaw_rate=rate_radps,
-            )
-        )
+    @property
+    def name(self) -> str:
+        """Return what the person is told."""
+        return self.steer.name
 
     def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
         """Command the rate until the gyro says that the rest is what stopping takes."""
+        self._learn_coasting(gyro)
         start_rad, start_s = gyro.angle_rad, context.now
         sign = math.copysign(1.0, angle_rad)
+        longest_s = MOVES_WITHIN_S + 3.0 * abs(angle_rad) / self.slowest_radps
+        said_s = -math.inf
         while True:
             turned = (gyro.angle_rad - start_rad) * sign
-            left = abs(angle_rad) - turned
-            speed = max(gyro.rate_radps * sign, 0.0)
-            if left <= speed * self._latency_s:
-                break
-            if context.now - start_s > MOVES_WITHIN_S and turned < MOVED_RAD:
+            left, speed, so_far_s = abs(angle_rad) - turned, gyro.rate_radps * sign, context.now - start_s
+            if so_far_s > MOVES_WITHIN_S and turned < MOVED_RAD:
                 self.halt(context)
                 return False
-            if context.now - start_s > MOVES_WITHIN_S + 4.0 * abs(angle_rad) / self.slowest_radps:
+            if self._is_there(left, speed, turned) or so_far_s > longest_s:
                 break
-            wanted = min(self.rate_radps, max(self.slowest_radps, left / 0.6))
-            self._target(context, sign * wanted, self.forward_mps)
-            yield from pause(context, REPEAT_S)
-        self.halt(context)
+            if context.now - said_s >= REPEAT_S - 1e-3:
+                wanted = min(self.rate_radps, max(self.slowest_radps, left / self.slow_down_s))
+                self.steer.turn(context, sign * wanted, left)
+                said_s = context.now
+            yield from pause(context, POLL_S)
+        self._ended = None if self.arrives else (gyro.angle_rad, gyro.rate_radps)
+        self._stand(context)
         return True
 
-    def hold(self, context: Context) -> None:
-        """Command no rate."""
-        self._target(context, 0.0)
+    def _is_there(self, left: float, speed: float, turned: float) -> bool:
+        if self.arrives:
+            return left < MOVED_RAD or (turned > 0.6 * (turned + left) and speed < _SLOW_RADPS)
+        coast_s = self.coast_s if self._learned_s is None else self._learned_s
+        return left <= max(speed, 0.0) * coast_s
 
-    def halt(self, context: Context) -> None:
-        """Command no rate, twice over: one may be lost."""
-        self._target(context, 0.0)
-        self._target(context, 0.0)
+    def _learn_coasting(self, gyro: GyroAngle) -> None:
+        """Compare where the vehicle came to rest with where the last turn's commands ended."""
+        if self._ended is not None and abs(self._ended[1]) > _SLOW_RADPS:
+            coasted_s = (gyro.angle_rad - self._ended[0]) / self._ended[1]
+            self._learned_s = max(0.1, min(2.5, coasted_s))
+        self._ended = None
 
-
-@dataclass(slots=True)
-class ConditionYawTurn:
-    """Turn by CONDITION_YAW, relative: flying copters and diving subs in GUIDED."""
-
-    rate_radps: float = math.radians(45.0)
-    name: str = "CONDITION_YAW"
-
-    def _command(self, context: Context, angle_rad: float) -> Script[MavResult]:
-        degrees = math.degrees(angle_rad)
-        return (
-            yield from command(
-                context,
-                MavCmd.CONDITION_YAW,
-                abs(degrees),
-                math.degrees(self.rate_radps),
-                math.copysign(1.0, degrees),
-                1.0,
-                what="CONDITION_YAW",
-            )
-        )
-
-    def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
-        """Command the whole angle once and wait for the gyro to agree."""
-        start_rad = gyro.angle_rad
-        sign = math.copysign(1.0, angle_rad)
-        if (yield from self._command(context, angle_rad)) != MavResult.ACCEPTED:
-            return False
-        start_s = context.now
-        longest_s = 4.0 + 2.5 * abs(angle_rad) / self.rate_radps
-        while context.now - start_s < longest_s:
-            yield from pause(context, 0.05)
-            turned = (gyro.angle_rad - start_rad) * sign
-            if turned >= 0.6 * abs(angle_rad) and abs(gyro.rate_radps) < 0.25 * self.rate_radps:
-                return True
-            if turned < MOVED_RAD and context.now - start_s > MOVES_WITHIN_S:
-                return False
-        return (gyro.angle_rad - start_rad) * sign >= MOVED_RAD
-
-    def hold(self, context: Context) -> None:
-        """Do nothing: the autopilot holds its own yaw."""
-
-    def halt(self, context: Context) -> None:
-        """Command standing still without yaw rate; it takes the place of the yaw command."""
+    def _stand(self, context: Context) -> None:
+        # Twice over: one may be lost.
         for _ in range(2):
-            context.send(
-                mav.SetPositionTargetLocalNed(
-                    target_system=context.system,
-                    target_component=context.component,
-                    coordinate_frame=MavFrame.BODY_OFFSET_NED,
-                    type_mask=STAND_AND_YAW_RATE,
-                )
-            )
+            self.steer.stand(context)
+
+    def hold(self, context: Context) -> None:
+        """Ask for no turn."""
+        self.steer.stand(context)
+
+    def halt(self, context: Context) -> None:
+        """Ask for no turn, and let go."""
+        self._stand(context)
+        for _ in range(2):
+            self.steer.let_go(context)
+
+    def release(self, context: Context) -> Script[None]:
+        """Do nothing: nothing was taken but what `halt` gives back."""
+        yield from ()
 
 
-def strategies_for(kind: str, autopilot: str, ackermann: bool = False) -> tuple[TurnStrategy, ...]:
-    """List the ways to turn a vehicle, best first; empty where only a person can turn it."""
+def strategies_for(
+    kind: str, autopilot: str, ackermann: bool = False, by: TurnBy = "auto"
+) -> tuple[TurnStrategy, ...]:
+    """List the ways to turn a vehicle, best first; empty where only a person can turn it.
+
+    `by` other than "auto" moves the pilot's own controls instead, in a mode in which they steer.
+    """
+    if autopilot == "px4":
+        from mavcompass.procedure.turning_px4 import OffboardTurn
+
+        return (OffboardTurn(),) if kind == "copter" and by == "auto" else ()
     if autopilot != "ardupilot":
         return ()
-    if kind in ("rover", "boat"):
-        if ackermann:
-            return (
-                YawRateTurn(
-                    type_mask=STAND_AND_YAW_RATE,
-                    rate_radps=math.radians(25.0),
-                    forward_mps=1.0,
-                    name="slow arcs",
-                ),
-            )
-        return (YawRateTurn(),)
+    if by != "auto":
+        return _by_the_pilots_controls(kind, by)
+    if kind == "rover" and ackermann:
+        arcs = YawRate(STAND_AND_YAW_RATE, forward_mps=1.0, name="slow arcs")
+        return (SteeredTurn(arcs, math.radians(25.0)),)
+    if kind == "rover":
+        return _pivots(math.radians(45.0), slow_down_s=0.6, coast_s=0.3)
+    if kind == "boat":
+        return _pivots(math.radians(30.0), slow_down_s=1.5, coast_s=0.8)
     if kind in ("copter", "sub"):
+        standing = YawRate(STAND_AND_YAW_RATE, name="yaw rate targets at a standstill")
         return (
-            ConditionYawTurn(),
-            YawRateTurn(
-                type_mask=STAND_AND_YAW_RATE,
-                rate_radps=math.radians(45.0),
-                name="yaw rate targets at a standstill",
-            ),
+            SteeredTurn(YawStep(), math.radians(45.0), slow_down_s=0.1, arrives=True),
+            SteeredTurn(standing, math.radians(45.0)),
         )
     return ()
+
+
+def _pivots(rate_radps: float, slow_down_s: float, coast_s: float) -> tuple[TurnStrategy, ...]:
+    steers: tuple[Steer, ...] = (HeadingAhead(), YawRate(), AttitudeRate())
+    return tuple(SteeredTurn(steer, rate_radps, slow_down_s=slow_down_s, coast_s=coast_s) for steer in steers)
+
+
+def _by_the_pilots_controls(kind: str, by: TurnBy) -> tuple[TurnStrategy, ...]:
+    steers: dict[tuple[str, TurnBy], Steer] = {
+        ("rover", "rc-override"): SteeringOverride(),
+        ("boat", "rc-override"): SteeringOverride(),
+        ("sub", "rc-override"): SteeringOverride(channel=4),
+        ("rover", "manual-control"): ManualAxis(),
+        ("boat", "manual-control"): ManualAxis(),
+        ("sub", "manual-control"): ManualAxis(axis="r", middle=500),
+    }
+    steer = steers.get((kind, by))
+    return () if steer is None else (SteeredTurn(steer, math.radians(40.0), coast_s=0.5),)

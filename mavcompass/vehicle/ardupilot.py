@@ -14,6 +14,7 @@ from mavcompass.compass_parameters import (
 )
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import NoReply
+from mavcompass.frames import FloatArray
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle import parameter_wire as wire
@@ -96,6 +97,10 @@ class ArduPilotDialect:
     def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
         """Return the correction in force."""
         return ardupilot_correction(parameters, instance)
+
+    def raw_rotation(self, parameters: Mapping[str, float], instance: int) -> FloatArray | None:
+        """Return None: RAW_IMU and SCALED_IMU carry the corrected field in body axes."""
+        return None
 
     def plan(
         self, parameters: Mapping[str, float], corrections: Mapping[int, FieldCorrection]

@@ -7,6 +7,7 @@ from types import TracebackType
 
 from mavcompass.messages import Incoming
 from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport
+from mavcompass.procedure.dialect import describe_compasses
 from mavcompass.procedure.script import Context, Machine, Script, Show
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
 from mavcompass.track import Track
@@ -74,8 +75,7 @@ class Vehicle:
         dialect = make_dialect(self.identity.autopilot, self._source)
         builder = TrackBuilder(self.identity.autopilot, self.identity.kind, self._source)
         builder.parameters.update(parameters)
-        for instance in dialect.instances(parameters):
-            builder.set_correction(instance, dialect.correction(parameters, instance))
+        describe_compasses(builder, dialect, parameters)
         for heard in self.messages(seconds):
             builder.add(heard)
         return builder.build()

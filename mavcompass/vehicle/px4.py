@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
-from mavcompass.compass_parameters import px4_correction, px4_name
+from mavcompass.compass_parameters import px4_correction, px4_name, px4_rotation
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import NoReply, Refused
+from mavcompass.frames import FloatArray
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle import parameter_wire as wire
@@ -83,6 +84,10 @@ class PX4Dialect:
                 f" offsets by ({px4_name('ROT', instance)}, or SENS_BOARD_ROT for an internal one).",
                 "Mount it at a multiple of 45 degrees, or calibrate it with PX4's own routine.",
             ) from None
+
+    def raw_rotation(self, parameters: Mapping[str, float], instance: int) -> FloatArray | None:
+        """Return how the sensor is mounted: SCALED_IMU carries its readings as they are."""
+        return px4_rotation(parameters, instance)
 
     def plan(
         self, parameters: Mapping[str, float], corrections: Mapping[int, FieldCorrection]

@@ -1,0 +1,133 @@
+"""Flight modes: which one turning needs, changing it where a person asked for that, putting it back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mavcompass import messages as mav
+from mavcompass.enums import CopterMode, MavCmd, MavResult, RoverMode, SubMode
+from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.vehicle_state import Kind, VehicleState
+
+_CUSTOM_MODE = 1.0
+PX4_OFFBOARD = 6 << 16
+_GUIDED: dict[str, int] = {
+    "rover": RoverMode.GUIDED,
+    "boat": RoverMode.GUIDED,
+    "copter": CopterMode.GUIDED,
+    "sub": SubMode.GUIDED,
+}
+_MANUAL: dict[str, int] = {"rover": RoverMode.MANUAL, "boat": RoverMode.MANUAL, "sub": SubMode.MANUAL}
+_NAMES: dict[str, type[RoverMode] | type[CopterMode] | type[SubMode]] = {
+    "rover": RoverMode,
+    "boat": RoverMode,
+    "copter": CopterMode,
+    "sub": SubMode,
+}
+_PX4_NAMES = {
+    1: "MANUAL",
+    2: "ALTCTL",
+    3: "POSCTL",
+    4: "AUTO",
+    5: "ACRO",
+    6: "OFFBOARD",
+    7: "STABILIZED",
+}
+
+
+def turning_mode(kind: Kind, autopilot: str, by_controls: bool = False) -> int | None:
+    """Return the mode in which a vehicle takes turns from us; None where any will do or none is known.
+
+    PX4's OFFBOARD is entered by its strategy, which has to stream targets first.
+    """
+    if autopilot != "ardupilot":
+        return None
+    return (_MANUAL if by_controls else _GUIDED).get(kind)
+
+
+def mode_name(kind: Kind, autopilot: str, mode: int) -> str:
+    """Return a mode's name for a person, its number where it has none here."""
+    if autopilot == "px4":
+        return _PX4_NAMES.get(mode >> 16 & 0xFF, f"mode {mode}")
+    names = _NAMES.get(kind)
+    return names(mode).name if names is not None and mode in list(names) else f"mode {mode}"
+
+
+def mode_command(context: Context, autopilot: str, mode: int) -> mav.CommandLong:
+    """Return the command that changes to a mode, given as in HEARTBEAT.custom_mode."""
+    main, sub = (mode >> 16 & 0xFF, mode >> 24 & 0xFF) if autopilot == "px4" else (mode, 0)
+    return mav.CommandLong(
+        context.system, context.component, MavCmd.DO_SET_MODE, 0, _CUSTOM_MODE, float(main), float(sub)
+    )
+
+
+@dataclass(slots=True)
+class ModeKeeper:
+    """Change a vehicle's mode, know which modes are ours, put back the one it had.
+
+    Attributes:
+        ours: modes that the vehicle may be in because of us. Any other is somebody else's doing.
+        before: the mode to put back; None while nothing was changed.
+    """
+
+    state: VehicleState
+    autopilot: str
+    ours: set[int] = field(default_factory=set)
+    before: int | None = None
+
+    def accept_present(self) -> None:
+        """Take the present mode as agreed upon."""
+        self.ours = {self.state.mode}
+
+    def is_foreign(self) -> bool:
+        """Tell whether the vehicle is in a mode that somebody else has put it into."""
+        if self.state.mode in self.ours:
+            if self.before is not None and self.state.mode != self.before:
+                # It has arrived: from now on the old mode would be somebody else's wish.
+                self.ours = {self.state.mode}
+            return False
+        return True
+
+    def change(self, context: Context, mode: int, timeout_s: float = 5.0) -> Script[bool]:
+        """Change to a mode and wait until the vehicle says that it is in it; False where it refuses."""
+        if self.state.mode == mode:
+            self.accept_present()
+            return True
+        if self.before is None:
+            self.before = self.state.mode
+        self.ours = {self.state.mode, mode}
+        if (yield from self._command_until_heard(context, mode, timeout_s)):
+            self.ours = {mode}
+            return True
+        return False
+
+    def restore(self, context: Context, timeout_s: float = 5.0) -> Script[bool]:
+        """Put the old mode back, unless somebody else has chosen another; False where it is not there."""
+        if self.before is None:
+            return True
+        if self.is_foreign():
+            self.before = None
+            return False
+        mode, self.before = self.before, None
+        self.ours = {self.state.mode, mode}
+        return (yield from self._command_until_heard(context, mode, timeout_s))
+
+    def _command_until_heard(self, context: Context, mode: int, timeout_s: float) -> Script[bool]:
+        end_s, ask_s, refusals = context.now + timeout_s, context.now, 0
+        while context.now < end_s:
+            if context.now >= ask_s:
+                context.send(mode_command(context, self.autopilot, mode))
+                ask_s = context.now + 0.7
+            heard = context.heard_from_vehicle((yield min(end_s, ask_s)))
+            if self.state.mode == mode:
+                return True
+            if heard is None or not isinstance(heard.message, mav.CommandAck):
+                continue
+            if heard.message.command == MavCmd.DO_SET_MODE:
+                if heard.message.result == MavResult.ACCEPTED:
+                    ask_s = max(ask_s, context.now + 1.5)  # the next heartbeat will tell
+                else:
+                    refusals += 1
+                    if refusals >= 2:
+                        return False
+        return False

@@ -1,0 +1,167 @@
+"""Make a vehicle ready to turn itself, as far as a person asked for it, and put it back afterwards.
+
+Nothing is armed, switched in mode or taken off without its own permission.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from mavcompass.enums import CopterMode, MavCmd, MavResult
+from mavcompass.errors import NoReply, Refused
+from mavcompass.procedure.commands import command
+from mavcompass.procedure.modes import ModeKeeper, mode_name, turning_mode
+from mavcompass.procedure.script import Context, Script, pause
+from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
+
+_CLIMB_PATIENCE_S = 40.0
+_LANDING_PATIENCE_S = 90.0
+# After a stop nothing is waited for: the autopilot lands by itself once told to.
+_HURRIED_S = 3.0
+_PX4_TAKEOFF, _PX4_HOLD, _PX4_LAND = (4 << 16 | sub << 24 for sub in (2, 3, 6))
+
+
+@dataclass(frozen=True, slots=True)
+class Permissions:
+    """Hold what a person allowed to be done to the vehicle.
+
+    Attributes:
+        set_mode: change the flight mode. arm: arm it. takeoff_m: take off to this height (0: never).
+    """
+
+    set_mode: bool = False
+    arm: bool = False
+    takeoff_m: float = 0.0
+
+
+@dataclass(slots=True)
+class Readiness:
+    """Make ready, and put back: the flight mode, the arming, the place on the ground."""
+
+    identity: VehicleIdentity
+    state: VehicleState
+    modes: ModeKeeper
+    permissions: Permissions = Permissions()
+    by_controls: bool = False
+    _armed_by_us: bool = field(default=False)
+    _in_the_air_by_us: bool = field(default=False)
+
+    def make(self, context: Context) -> Script[None]:
+        """Bring the vehicle into a state in which it can turn itself.
+
+        Raises Refused where that needs a permission that was not given, or the vehicle will not.
+        """
+        self.modes.accept_present()
+        yield from self._into_mode(context)
+        if not self.state.armed:
+            yield from self._arm(context)
+        if self.permissions.takeoff_m > 0.0 and self.identity.kind == "copter" and self._height_m() < 1.0:
+            yield from self._take_off(context)
+        self.modes.accept_present()
+
+    def put_back(self, context: Context, in_a_hurry: bool) -> Script[None]:
+        """Undo what `make` did, the last thing first; what a pilot has taken over is left to the pilot.
+
+        In a hurry, after a stop, a copter is told to land and not waited for.
+        """
+        if self.modes.is_foreign():
+            return
+        try:
+            if self._in_the_air_by_us:
+                yield from self._land(context, _HURRIED_S if in_a_hurry else _LANDING_PATIENCE_S)
+            elif self._armed_by_us:
+                yield from command(context, MavCmd.COMPONENT_ARM_DISARM, 0.0, what="disarming")
+            yield from self.modes.restore(context)
+        except NoReply as lost:
+            context.show("end", f"The vehicle may not be as it was: {lost.what}")
+
+    # --- steps --------------------------------------------------------------------------------------
+
+    def _into_mode(self, context: Context) -> Script[None]:
+        wanted = turning_mode(self.identity.kind, self.identity.autopilot, self.by_controls)
+        if wanted is None or self.state.mode == wanted:
+            return
+        there = mode_name(self.identity.kind, self.identity.autopilot, wanted)
+        if not self.permissions.set_mode:
+            here = mode_name(self.identity.kind, self.identity.autopilot, self.state.mode)
+            raise Refused(
+                f"The vehicle is in {here}; it turns itself in {there} only.",
+                f"Switch it to {there}, or allow that with --set-mode.",
+            )
+        context.show("ready", f"Changing the flight mode to {there}.")
+        if not (yield from self.modes.change(context, wanted)):
+            raise Refused(
+                f"The vehicle refused the flight mode {there}.{self._last_words()}",
+                "Wait until it knows its position, then run again.",
+            )
+
+    def _arm(self, context: Context) -> Script[None]:
+        if not self.permissions.arm:
+            raise Refused(
+                "The vehicle is disarmed, so it cannot turn itself.",
+                "Arm it (a copter: take off), allow that with --arm, or turn it by hand with --motion hand.",
+            )
+        context.show("ready", "Arming.")
+        result = yield from command(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
+        # The texts that say why come beside the answer.
+        end_s = context.now + 3.0
+        while context.now < end_s and not self.state.armed:
+            yield from pause(context, 0.1)
+        if result != MavResult.ACCEPTED or not self.state.armed:
+            raise Refused(
+                f"The vehicle refused to arm.{self._last_words()}",
+                "Put right what it names, then run again; turning it by hand needs no arming.",
+            )
+        self._armed_by_us = True
+
+    def _take_off(self, context: Context) -> Script[None]:
+        height_m = self.permissions.takeoff_m
+        context.show("ready", f"Taking off to {height_m:.0f} m.")
+        px4 = self.identity.autopilot == "px4"
+        place = self.state.place
+        ground_m = place.alt * 1e-3 if px4 and place is not None else 0.0
+        free = math.nan if px4 else 0.0
+        self._in_the_air_by_us = True
+        if px4:
+            self.modes.before = self.state.mode if self.modes.before is None else self.modes.before
+            self.modes.ours |= {_PX4_TAKEOFF, _PX4_HOLD}
+        result = yield from command(
+            context,
+            MavCmd.NAV_TAKEOFF,
+            *(0.0, 0.0, 0.0, free, free, free, ground_m + height_m),
+            what="the take-off",
+        )
+        end_s = context.now + _CLIMB_PATIENCE_S
+        if result == MavResult.ACCEPTED:
+            while context.now < end_s and self._height_m() < 0.93 * height_m:
+                if not self.state.armed:
+                    break
+                yield from pause(context, 0.1)
+        if self._height_m() < 0.93 * height_m:
+            raise Refused(
+                f"The copter did not take off.{self._last_words()}",
+                "Take off by hand and run again.",
+            )
+        yield from pause(context, 2.0)  # to come to rest
+
+    def _land(self, context: Context, patience_s: float) -> Script[None]:
+        """Land where it is; whatever ends the wait, the autopilot goes on landing."""
+        mode = _PX4_LAND if self.identity.autopilot == "px4" else CopterMode.LAND
+        before = self.modes.before
+        context.show("end", "Landing.")
+        if not (yield from self.modes.change(context, mode)):
+            context.show("end", "The copter did not take the command to land: land it by hand.")
+            self.modes.before = None
+            return
+        end_s = context.now + patience_s
+        while self.state.armed and context.now < end_s and not self.modes.is_foreign():
+            yield from pause(context, 0.2)
+        self.modes.before = None if self.state.armed else before
+
+    def _height_m(self) -> float:
+        return 0.0 if self.state.place is None else self.state.place.relative_alt * 1e-3
+
+    def _last_words(self) -> str:
+        """Return what the vehicle said last about it, if anything."""
+        return f" It said: {self.state.texts[-1]}." if self.state.texts else ""
