@@ -21,7 +21,7 @@ _WORLD_MISMATCH = 0.3
 _TURNED_MOUNT = 0.35
 _UNLIKELY = 1e-3
 # Where it is not clear which position was disturbed, repeating one is cheaper than guessing.
-_AMBIGUOUS_SHARE = 0.15
+_AMBIGUOUS_SHARE = 0.05
 
 SOURCE_WORDS = {
     "noise": "noise of the compass (dwell longer)",

@@ -72,7 +72,7 @@ SCENARIOS = {
         "steps closed on the bad compass", offset_of_h=0.5, gyro_sigma=0.3, noise=1.0
     ),
     "whole numbers": Scenario(
-        "int16 truncation, noise 0.1 to 1 mG", whole_numbers=True, noise=-1.0, step_error=3.0, gyro_sigma=0.3
+        "int16 truncation, noise 0.2 to 2 mG", whole_numbers=True, noise=-1.0, step_error=3.0, gyro_sigma=0.3
     ),
     "tilt": Scenario(
         "ground of 3 deg, tilt known to 0.2 deg",
@@ -99,6 +99,13 @@ SCENARIOS = {
     ),
     "disturbance": Scenario(
         "steel of 20 mG rms, each axis, near one position", disturbance=20.0, step_error=3.0, gyro_sigma=0.3
+    ),
+    "disturbance, 5 stops": Scenario(
+        "the same with a fifth stop back at the first heading",
+        positions=5,
+        disturbance=20.0,
+        step_error=3.0,
+        gyro_sigma=0.3,
     ),
     "current": Scenario(
         "0 to 10 A of 0.5 mG/A; judged at their mean current",
@@ -135,7 +142,7 @@ def draw(scenario: Scenario, rng: np.random.Generator) -> tuple[Truth, FourPosit
     k = scenario.positions
     psi = _headings(scenario, truth, rng)
     roll, pitch = np.radians(rng.normal(0.0, 1.0, (2, k)) * scenario.tilt)
-    noise = scenario.noise if scenario.noise >= 0.0 else 10.0 ** rng.uniform(-1.0, 0.0)
+    noise = scenario.noise if scenario.noise >= 0.0 else 10.0 ** rng.uniform(-0.7, 0.3)
     current = rng.uniform(0.0, 1.0, k) * scenario.current
     motor = rng.normal(0.0, 1.0, 3) * scenario.motor
     mean = truth.raw(psi, roll, pitch) + (current - current.mean())[:, np.newaxis] * motor
