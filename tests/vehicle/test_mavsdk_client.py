@@ -65,8 +65,9 @@ def test_it_sets_and_reads_parameters(kind: str) -> None:
         parameters = Param(system)
         parameters.set_param_float("COMPASS_OFS_X", 123.5)
         assert parameters.get_param_float("COMPASS_OFS_X") == 123.5
-        with pytest.raises(ParamError):
-            parameters.get_param_float("NO_SUCH_PARAM")
+        if kind == "rover":
+            with pytest.raises(ParamError):  # after MAVSDK's three seconds of patience
+                parameters.get_param_float("NO_SUCH_PARAM")
 
 
 def test_it_reads_all_parameters_at_once() -> None:
