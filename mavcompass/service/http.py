@@ -16,6 +16,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
+from mavcompass import __version__
 from mavcompass.errors import MavCompassError
 from mavcompass.service import bodies
 from mavcompass.service.clock import utc_now
@@ -53,6 +54,7 @@ def build_app(
         Route("/", _page),
         Route("/openapi.json", api.describe),
         Route("/metrics", api.metrics),
+        Route("/register_service", _register),
         Route("/healthz", api.health),
         Route("/readyz", api.ready),
         Route("/api/state", api.state),
@@ -91,6 +93,20 @@ async def _page(request: Request) -> Response:
 @cache
 def _page_text() -> bytes:
     return (WEB / "index.html").read_bytes()
+
+
+async def _register(request: Request) -> Response:
+    """Tell BlueOS, which asks every port of its host, what is served here."""
+    return JSONResponse(
+        {
+            "name": "mavcompass",
+            "description": "Compass calibration in four turns, heading with sigma, a watch over the compass.",
+            "icon": "mdi-compass-outline",
+            "company": "mavcompass",
+            "version": __version__,
+            "api": "/openapi.json",
+        }
+    )
 
 
 async def _http_error(request: Request, error: Exception) -> Response:
@@ -209,7 +225,7 @@ class _Api:
 
     def _in_force(self) -> dict[str, float]:
         view = self._station.view
-        if view is None or not view.parameters:
+        if view is None or not view.fresh:
             raise MavCompassError("The compass parameters were not read yet.", "Try again in a moment.")
         return dict(view.parameters)
 

@@ -103,13 +103,20 @@ class Jobs:
                 undo_folder,
             )
             self.recorder = recorder = Recorder()
-            self._results.calibrated(task, view, self._drive(link, machine, task, task.stop), recorder)
+            self._results.calibrated(task, view, self._carry_out(link, view, machine, task), recorder)
         elif isinstance(request, CheckRequest):
             checking = procedures.check(request, source, system, view.year, config.vehicle.rate_hz)
-            self._results.checked(task, view, self._drive(link, checking, task, task.stop))
+            self._results.checked(task, view, self._carry_out(link, view, checking, task))
         elif isinstance(request, UndoRequest):
             undoing = procedures.undo(self._results.undo_path(request), source, system, undo_folder)
-            self._results.undone(task, view, self._drive(link, undoing, task, task.stop))
+            self._results.undone(task, view, self._carry_out(link, view, undoing, task))
+
+    def _carry_out(self, link: Link, view: VehicleView, machine: Machine[Any], task: Task) -> Any:
+        """Run what a task asks for; what the parameters are is not known after it, however it ended."""
+        try:
+            return self._drive(link, machine, task, task.stop)
+        finally:
+            view.fresh = False
 
     def _drive(self, link: Link, machine: Machine[Any], task: Task | None, stop: StopRequest) -> Any:
         """Run a procedure; every message goes to the station, too."""

@@ -139,6 +139,7 @@ OPERATIONS = (
         "get", "/api/gap", "Tell how the latest diagnosis is getting on.", {200: "Task.", **_NOT_THERE}
     ),
     Operation("get", "/metrics", "Metrics for Prometheus.", {200: "Metrics."}, content="text/plain"),
+    Operation("get", "/register_service", "Tell BlueOS what is served here.", {200: "Registration."}),
     Operation("get", "/healthz", "Tell whether the service lives.", {200: "It does.", 503: "It is stuck."}),
     Operation(
         "get", "/readyz", "Tell whether the vehicle is heard.", {200: "It is.", 503: "It is not heard."}

@@ -72,9 +72,10 @@ class Service:
         asyncio.run(self._serve(on_ready))
 
     def stop(self) -> None:
-        """Ask it to end; any thread may."""
+        """Ask it to end; any thread may, and more than once."""
         if self._loop is not None and self._stopping is not None:
-            self._loop.call_soon_threadsafe(self._stopping.set)
+            with contextlib.suppress(RuntimeError):  # it has ended already
+                self._loop.call_soon_threadsafe(self._stopping.set)
 
     async def _serve(self, on_ready: Callable[[], None]) -> None:
         self._loop, self._stopping = asyncio.get_running_loop(), asyncio.Event()

@@ -137,8 +137,6 @@ class Station:
 
     def _after_work(self) -> None:
         """Read the parameters again, which may have changed, and judge the compass anew."""
-        if self.view is not None:
-            self.view.parameters = {}
         self.watch.restart()
         self._due.hurry("meet")
 
@@ -206,7 +204,7 @@ class Station:
             return
         for request in self._rates.due(now_s, view.identity.system):
             link.send(request)
-        if not view.parameters:
+        if not view.fresh:
             # A request that waits comes first: it reads the parameters itself.
             if not self.desk.busy and self._due.is_due("meet", now_s, _MEET_AGAIN_S):
                 self._jobs.meet(link, view, self._ending)

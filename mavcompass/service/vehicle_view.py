@@ -29,7 +29,8 @@ class VehicleView:
     """Keep the state of one vehicle; `hear` takes every message of it.
 
     Attributes:
-        key: of its history. parameters: of its compasses, empty until they were read.
+        key: of its history. parameters: of its compasses, empty until they were read; `fresh` tells
+            whether nothing has happened since that may have changed them.
         reconnects, reboots: counted since the service started.
         current_a: the latest battery current.
     """
@@ -41,6 +42,7 @@ class VehicleView:
     level: Level = field(default_factory=Level)
     compasses: dict[int, LiveCompass] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
+    fresh: bool = False
     world: EarthField | None = None
     heard_s: float = -math.inf
     boot_s: float = -math.inf
@@ -109,7 +111,7 @@ class VehicleView:
         """Forget what a reboot ends."""
         self.reboots += 1
         self.boot_s = -math.inf
-        self.parameters = {}
+        self.fresh = False
         self.level.restart()
 
     def _place(self, place: mav.GlobalPositionInt) -> None:
@@ -135,7 +137,7 @@ class VehicleView:
 
     def set_parameters(self, parameters: Mapping[str, float]) -> None:
         """Take the compass parameters in force."""
-        self.parameters = dict(parameters)
+        self.parameters, self.fresh = dict(parameters), True
         for compass in self.compasses.values():
             compass.restart()
             self._tell_correction(compass)

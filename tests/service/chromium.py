@@ -8,10 +8,11 @@ import shutil
 import subprocess
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 _OPTIONS = (
@@ -46,7 +47,10 @@ class Page:
         )
         self._number = 0
         self.errors: list[str] = []
-        self._socket = self._connect()
+        self._ending = ExitStack()
+        self._ending.callback(self._folder.cleanup)
+        self._ending.callback(self._end_browser)
+        self._socket = self._ending.enter_context(self._connect())
         target = self._call("Target.createTarget", {"url": "about:blank"})["targetId"]
         attached = self._call("Target.attachToTarget", {"targetId": target, "flatten": True})
         self._session: str | None = attached["sessionId"]
@@ -59,7 +63,7 @@ class Page:
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._call("Emulation.setEmulatedMedia", {"features": [scheme]})
 
-    def _connect(self) -> ClientConnection:
+    def _connect(self) -> Any:
         self._session = None
         told = Path(self._folder.name) / "DevToolsActivePort"
         end = time.monotonic() + 30.0
@@ -152,7 +156,8 @@ class Page:
 
     def close(self) -> None:
         """End the browser."""
-        self._socket.close()
+        self._ending.close()
+
+    def _end_browser(self) -> None:
         self._browser.terminate()
         self._browser.wait(10.0)
-        self._folder.cleanup()

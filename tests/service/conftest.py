@@ -42,7 +42,8 @@ class RunningService:
 
     def __enter__(self) -> RunningService:
         self._thread.start()
-        wait_for(lambda: self.service.station.view and self.service.station.view.parameters)
+        station = self.service.station
+        wait_for(lambda: station.view and station.view.fresh and station.view.world)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -92,6 +93,15 @@ def start_service(tmp_path: Path) -> Iterator[StartService]:
             return stack.enter_context(RunningService(service, vehicle))
 
         yield start
+
+
+@pytest.fixture(scope="module")
+def quiet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
+    """One service for all tests of a file that change nothing."""
+    link = SimulatedLink.of("rover", seed=3, speed=5.0)
+    service = Service(configured(tmp_path_factory.mktemp("quiet")), lambda: link)
+    with RunningService(service, link) as running:
+        yield running
 
 
 @pytest.fixture

@@ -1,0 +1,136 @@
+"""`mavcompass check SOURCE`: the pre-flight check, read in ten seconds."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mavcompass.cli.options import Output, common_options
+
+if TYPE_CHECKING:
+    from mavcompass.procedure.check import CheckReport, CheckSettings
+    from mavcompass.vehicle.link import Link
+
+NOT_FIT = 5
+_COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
+_RANK = {"fail": 0, "warn": 1, "pass": 2}
+
+
+@click.command()
+@click.argument("source")
+@click.option(
+    "--turn",
+    type=click.Choice(("auto", "vehicle", "hand", "none")),
+    default="auto",
+    show_default=True,
+    help="Who turns the vehicle by 90 degrees (auto: itself where it is armed, else nobody).",
+)
+@click.option("--strict", is_flag=True, help="Count a warning as a failure in the exit code.")
+@click.option(
+    "--offer", is_flag=True, help="Offer the calibration where it is the remedy; asks on the terminal."
+)
+@click.option("--all", "everything", is_flag=True, help="List what passed, too.")
+@click.option("--system", type=click.IntRange(1, 255), help="System id, where several vehicles are heard.")
+@click.option(
+    "--effect", "effects", multiple=True, metavar="NAME[:p=v,..]", help="An effect for sim:... only."
+)
+@common_options
+def command(
+    source: str,
+    turn: str,
+    strict: bool,
+    offer: bool,
+    everything: bool,
+    system: int | None,
+    effects: tuple[str, ...],
+    output: Output,
+) -> int:
+    """Check the compass before a flight: pass, warn or fail, with reasons and remedies.
+
+    It looks at parameters, field, dip, agreement of the compasses, gyro and estimator at rest, and turns
+    the vehicle once by 90 degrees where that is possible. It writes nothing. Exit code: 0 fit (or a
+    warning), 5 not fit, 3 no vehicle, 7 stopped.
+
+    \b
+    mavcompass check sim:rover
+    mavcompass check udpin:0.0.0.0:14550 --turn none --json check.json
+    """
+    from mavcompass.cli.calibrate import open_source
+    from mavcompass.cli.terminal import showing
+    from mavcompass.procedure.check import CheckSettings
+    from mavcompass.vehicle.address import parse_address
+
+    settings = CheckSettings(turn=turn, system=system, year=_this_year())  # type: ignore[arg-type]
+    with open_source(parse_address(source), effects) as link:
+        with showing(quiet=not sys.stderr.isatty()) as show:
+            report = _check(link, source, settings, show)
+        _say(report, output, everything)
+        output.write_json({"source": source} | report.to_json())
+        if offer and report.calibration_advised and sys.stdin.isatty():
+            return _calibrate(link, source, system, output)
+    passed = report.verdict == "pass" or (report.verdict == "warn" and not strict)
+    return 0 if passed else NOT_FIT
+
+
+def _this_year() -> float:
+    import time
+
+    from mavcompass.earth_field import decimal_year
+
+    return round(decimal_year(time.time()), 2)
+
+
+def _check(link: Link, source: str, settings: CheckSettings, show: Any) -> CheckReport:
+    from mavcompass.procedure.check import check
+    from mavcompass.procedure.script import Machine
+    from mavcompass.vehicle.dialects import make_dialect
+    from mavcompass.vehicle.driver import run
+
+    machine = Machine(lambda context: check(context, lambda make: make_dialect(make, source), settings))
+    return run(machine, link, on_show=show)
+
+
+def _say(report: CheckReport, output: Output, everything: bool) -> None:
+    """Print the list, the worst first; what passed only counted, unless asked for."""
+    shown = sorted(report.items, key=lambda item: _RANK[item.verdict])
+    for item in shown:
+        if item.verdict != "pass" or everything:
+            output.say(f"{_mark(item.verdict)}  {item.text}")
+            if item.remedy:
+                output.say(f"      {item.remedy}")
+    passed = sum(item.verdict == "pass" for item in report.items)
+    if passed and not everything:
+        output.say(f"{_mark('pass')}  {passed} of {len(report.items)} questions.")
+    turned = "" if report.turned else " No turn was made."
+    words = {"pass": "Fit to go.", "warn": "Go with care.", "fail": "Do not go."}[report.verdict]
+    output.say(f"{_mark(report.verdict)}  {words}{turned}")
+
+
+def _mark(verdict: str) -> str:
+    """Return PASS, WARN or FAIL, coloured on a terminal that has colours."""
+    word = verdict.upper()
+    if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
+        return click.style(word, fg=_COLOURS[verdict], bold=True)
+    return word
+
+
+def _calibrate(link: Link, source: str, system: int | None, output: Output) -> int:
+    """Offer the calibration and run it where the person says yes; its exit code is ours."""
+    if not click.confirm("Calibrate now? The vehicle will turn.", err=True):
+        return NOT_FIT
+    from mavcompass.cli.terminal import ask_on_terminal, showing
+    from mavcompass.procedure.calibrate import CalibrateSettings
+    from mavcompass.report.calibration import write_report
+    from mavcompass.vehicle.calibrating import calibrate_on
+
+    settings = CalibrateSettings(instances=(), system=system, year=_this_year())
+    with showing() as show:
+        report = calibrate_on(link, source, settings, on_show=show, on_ask=ask_on_terminal)
+    path = Path(f"compass-{report.identity.kind}-{report.identity.system}.html")
+    write_report(report, path)
+    output.say(f"{'Written.' if report.written else 'Nothing was written.'} Report: {path}")
+    return 0 if report.written else NOT_FIT

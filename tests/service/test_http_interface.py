@@ -1,0 +1,219 @@
+"""What programs get from the service over HTTP."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from conftest import RunningService, StartService, wait_for
+from websockets.sync.client import connect
+
+from mavcompass.service.config import HeadingConfig
+from mavcompass.simulation.truth import heading_error_rms_deg
+
+
+def test_a_calibration_from_request_to_undo(running: RunningService) -> None:
+    assert running.link is not None
+    before = running.client.get("/api/parameters").json()["parameters"]
+    assert heading_error_rms_deg(running.link.autopilot) > 10.0  # type: ignore[arg-type]
+
+    task = running.calibrate(writing="yes", compasses=[1])
+    assert (task["state"], task["ok"]) == ("done", True), task["error"]
+    document = task["document"]
+    assert document["schema"] == "mavcompass.calibration/1"
+    assert document["written"] and document["verified"]
+    assert heading_error_rms_deg(running.link.autopilot) < 1.0  # type: ignore[arg-type]
+    assert task["fraction"] == 1.0
+    fractions = [line["fraction"] for line in task["lines"]]
+    assert fractions == sorted(fractions)
+
+    head = running.client.get("/api/history").json()["entries"][0]
+    assert head["kind"] == "calibration" and head["ok"] and head["has_report"]
+    entry = running.client.get(f"/api/history/{head['id']}").json()
+    assert entry["document"] == document
+    old_and_new = document["old_and_new"][0]
+    assert old_and_new["old"]["offsets_mgauss"][0] == pytest.approx(before["COMPASS_OFS_X"], abs=1e-3)
+    assert len(old_and_new["deviation"]) == 24
+    report = running.stranger.get(f"/api/history/{head['id']}/report")
+    assert report.status_code == 200 and "Compass calibration" in report.text
+    recording = running.stranger.get(f"/api/history/{head['id']}/recording")
+    assert len(recording.content) > 10_000
+
+    after = wait_for(lambda: running.client.get("/api/parameters").json().get("parameters"))
+    assert after["COMPASS_OFS_X"] != pytest.approx(before["COMPASS_OFS_X"], abs=0.1)
+    body = {"parameters": {"COMPASS_OFS_X": before["COMPASS_OFS_X"], "NO_SUCH": 1.0}}
+    differences = running.client.post("/api/parameters/diff", json=body).json()["differences"]
+    assert [d["differs"] for d in differences] == [True, True]
+    assert differences[1]["now"] is None
+
+    undo = running.client.post("/api/undo", json={"entry": head["id"]})
+    assert undo.status_code == 202
+    undone = running.finish(undo.json())
+    assert undone["ok"], undone["error"]
+    restored = wait_for(lambda: running.client.get("/api/parameters").json().get("parameters"))
+    for name in document["compasses"][0]["parameters"]:
+        assert restored[name] == pytest.approx(before[name], abs=1e-5), name
+
+
+def test_the_recording_of_a_calibration_is_read_like_any_other(
+    running: RunningService, tmp_path: Path
+) -> None:
+    from mavcompass import api
+
+    task = running.calibrate(writing="never", compasses=[1])
+    path = tmp_path / "calibration.tlog"
+    path.write_bytes(running.client.get(f"/api/history/{task['history_entry']}/recording").content)
+    result = api.calibrate(api.read_track(path))
+    found = task["document"]["compasses"][0]["correction"]["offsets_mgauss"]
+    assert result.accepted
+    assert result.correction.offsets_mgauss[:2] == pytest.approx(found[:2], abs=2.0)
+
+
+def test_the_person_is_asked_before_anything_is_written(running: RunningService) -> None:
+    before = running.client.get("/api/parameters").json()["parameters"]
+    for yes in (False, True):
+        task = running.client.post("/api/calibration", json={"compasses": [1]}).json()
+        asking = wait_for(lambda: (t := running.client.get("/api/task").json())["state"] == "asking" and t)
+        assert "COMPASS_OFS_X" in asking["question"]
+        answered = running.client.post("/api/task/answer", json={"yes": yes})
+        assert answered.status_code == 200
+        ended = running.finish(task)
+        assert ended["document"]["written"] is yes
+        now = wait_for(lambda: running.client.get("/api/parameters").json().get("parameters"))
+        assert (now["COMPASS_OFS_X"] != before["COMPASS_OFS_X"]) is yes
+
+
+def test_a_check_fails_before_a_calibration_and_passes_after(running: RunningService) -> None:
+    def check() -> dict[str, object]:
+        task = running.client.post("/api/check", json={"turn": "vehicle"}).json()
+        return dict(running.finish(task)["document"])
+
+    first = check()
+    assert first["verdict"] == "fail" and first["calibration_advised"] and first["turned"]
+    assert running.calibrate(writing="yes")["ok"]
+    assert check()["verdict"] == "pass"
+
+
+def test_the_state_tells_vehicle_headings_and_world(quiet: RunningService) -> None:
+    state = quiet.stranger.get("/api/state").json()
+    assert state["vehicle"]["autopilot"] == "ardupilot"
+    assert state["vehicle"]["kind"] == "rover"
+    assert [c["instance"] for c in state["vehicle"]["compasses"]] == [1, 2, 3]
+    assert state["world"]["total_mgauss"] == pytest.approx(581, abs=10)
+    assert state["link"]["connected"]
+
+    def true_deg() -> float | None:
+        return quiet.stranger.get("/api/heading").json()["headings"][0]["true_deg"]  # type: ignore[no-any-return]
+
+    assert 0.0 <= wait_for(true_deg) < 360.0
+    assert quiet.stranger.get("/readyz").json() == {"ready": True}
+    assert quiet.stranger.get("/healthz").json() == {"alive": True}
+
+
+def test_a_good_calibration_makes_the_heading_surer(running: RunningService) -> None:
+    def sigma_deg() -> float:
+        return float(running.client.get("/api/heading").json()["headings"][0]["sigma_deg"])
+
+    before = sigma_deg()
+    running.calibrate(writing="yes")
+    wait_for(
+        lambda: (
+            running.client.get("/api/state").json()["vehicle"]["compasses"][0]["calibration_sigma_deg"] < 1
+        )
+    )
+    wait_for(lambda: sigma_deg() < 1.5)
+    assert before > 4.0
+    assert not [f for f in running.client.get("/api/state").json()["findings"] if f["compass"] == 1]
+
+
+def test_changed_parameters_are_found_to_differ_from_the_calibration(start_service: StartService) -> None:
+    running = start_service()
+    running.calibrate(writing="yes", compasses=[1])
+    assert running.link is not None
+    store = running.link.autopilot.firmware.store  # type: ignore[attr-defined]
+    store.set("COMPASS_OFS_X", 77.0)
+    running.client.post("/api/check", json={})  # after it the parameters are read again
+
+    def finding() -> dict[str, object] | None:
+        findings = running.client.get("/api/state").json()["findings"]
+        return next((f for f in findings if f["id"] == "parameters"), None)
+
+    assert "COMPASS_OFS_X" in str(wait_for(finding)["text"])
+
+
+def test_the_stream_sends_headings_and_progress(running: RunningService) -> None:
+    url = running.service.url.replace("http", "ws") + "api/stream?rate_hz=20"
+    with connect(url) as socket:
+        first = json.loads(socket.recv(timeout=10.0))
+        assert first["task"] is None and "findings" in first
+        assert first["now"]["headings"][0]["instance"] == 1
+        running.client.post("/api/check", json={})
+        seen = []
+        while not seen or seen[-1]["state"] not in ("done", "failed"):
+            message = json.loads(socket.recv(timeout=20.0))
+            if message.get("task"):
+                seen.append(message["task"])
+        assert seen[-1]["ok"] is False
+        assert len(seen) >= 2
+
+
+@pytest.mark.parametrize("rate", ["", "nan", "-3", "1e9", "many"])
+def test_any_rate_that_a_listener_asks_for_is_made_sensible(quiet: RunningService, rate: str) -> None:
+    url = quiet.service.url.replace("http", "ws") + f"api/stream?rate_hz={rate}"
+    with connect(url) as socket:
+        assert "now" in socket.recv(timeout=10.0)
+
+
+def test_metrics_are_in_prometheus_form(quiet: RunningService) -> None:
+    text = quiet.stranger.get("/metrics").text
+    values = dict(line.rsplit(" ", 1) for line in text.splitlines() if not line.startswith("#"))
+    assert float(values["mavcompass_connected"]) == 1.0
+    assert float(values["mavcompass_headings_total"]) > 10
+    assert 0.0 <= float(values['mavcompass_heading_magnetic_degrees{compass="1"}']) < 360.0
+
+
+def test_what_is_not_there_is_told(quiet: RunningService) -> None:
+    for path in ("/api/history/99", "/api/history/99/report", "/api/task", "/api/gap", "/nothing"):
+        answer = quiet.client.get(path)
+        assert answer.status_code == 404 and answer.json()["error"], path
+    for path in ("/api/history/x", "/api/history/-1", "/api/history?limit=0", "/api/history?kind=x"):
+        assert quiet.client.get(path).status_code == 422, path
+    for path in ("/api/undo", "/api/gap"):
+        assert quiet.client.post(path, json={"entry": 99}).status_code == 404
+    assert quiet.client.post("/api/state").status_code == 405
+
+
+def test_every_path_that_is_served_is_described(quiet: RunningService) -> None:
+    from starlette.routing import Route
+
+    from mavcompass.service.http import build_app
+
+    service = quiet.service
+    app = build_app(service.config, service.station, service.history, service.gaps, service.token)
+    served = {
+        (method.lower(), route.path)
+        for route in app.routes
+        if isinstance(route, Route)
+        for method in route.methods or ()
+        if method != "HEAD" and route.path not in ("/", "/openapi.json")
+    }
+    described = {
+        (method, path)
+        for path, operations in quiet.stranger.get("/openapi.json").json()["paths"].items()
+        for method in operations
+    }
+    assert served == described
+
+
+def test_every_heading_goes_out_as_a_datagram(start_service: StartService) -> None:
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(10.0)
+        start_service(heading=HeadingConfig(publish=f"udp:127.0.0.1:{listener.getsockname()[1]}"))
+        heading = json.loads(listener.recv(1000))
+    assert heading["compass"] in (1, 2, 3)
+    assert 0.0 <= heading["magnetic_deg"] < 360.0
+    assert heading["sigma_deg"] > 0.0

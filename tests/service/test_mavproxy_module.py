@@ -1,0 +1,98 @@
+"""The module inside the real MAVProxy, on the simulated vehicle's TCP port."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from mavcompass.simulation.autopilot import SimulatedAutopilot
+from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.vehicle.server import VehicleServer
+from mavcompass.vehicle.stopping import StopRequest
+from mavcompass.vehicle.tcp import TcpServerTransport
+
+MAVPROXY = Path(sys.executable).with_name("mavproxy.py")
+
+pytestmark = pytest.mark.skipif(
+    find_spec("MAVProxy") is None or not MAVPROXY.exists(), reason="MAVProxy is not installed"
+)
+
+
+@pytest.fixture
+def served() -> Iterator[tuple[SimulatedAutopilot, int]]:
+    vehicle, stop = SimulatedAutopilot("rover", seed=3), StopRequest()
+    transport = TcpServerTransport("127.0.0.1", 0)
+    thread = threading.Thread(
+        target=VehicleServer(vehicle, transport, speed=5.0).serve, args=(stop,), daemon=True
+    )
+    thread.start()
+    yield vehicle, transport.port
+    stop.reason = "the test is over"
+    thread.join(10.0)
+    transport.close()
+
+
+def mavproxy(port: int, folder: Path, command: str, until: str, timeout_s: float = 120.0) -> str:
+    """Run MAVProxy with a command until it says something; return all it said."""
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            str(MAVPROXY),
+            f"--master=tcp:127.0.0.1:{port}",
+            "--non-interactive",
+            "--default-modules=",
+            f"--state-basedir={folder}",
+            f"--cmd=module load mavcompass; {command}",
+        ],
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    alarm = threading.Timer(timeout_s, process.kill)
+    alarm.start()
+    told: list[str] = []
+    assert process.stdout is not None
+    try:
+        for line in process.stdout:
+            told.append(line)
+            if until in line:
+                break
+    finally:
+        alarm.cancel()
+        process.kill()
+        process.stdout.close()
+        process.wait()
+    return "".join(told)
+
+
+def test_mavproxy_loads_the_module_and_calibrates(
+    served: tuple[SimulatedAutopilot, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MAVCOMPASS_UNDO_DIR", str(tmp_path / "undo"))
+    vehicle, port = served
+    assert heading_error_rms_deg(vehicle) > 10.0
+    told = mavproxy(port, tmp_path, "mavcompass calibrate write", "written and read back\n")
+    assert "Loaded module mavcompass" in told
+    assert "calibrated, written and read back" in told, told
+    assert heading_error_rms_deg(vehicle) < 1.0
+    assert list((tmp_path / "undo").glob("*.param"))
+
+
+def test_the_module_states_its_licence_and_no_other_file_imports_mavproxy() -> None:
+    package = Path(__file__).parents[2] / "mavcompass"
+    importing = [
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if "from MAVProxy" in path.read_text() or "import MAVProxy" in path.read_text()
+    ]
+    assert importing == ["service/mavproxy_mavcompass.py"]
+    head = (package / importing[0]).read_text()[:1200]
+    assert "SPDX-License-Identifier: GPL-3.0-or-later" in head

@@ -1,0 +1,133 @@
+"""The page in a real browser: a calibration from the first look to written parameters.
+
+Pictures of every step are saved in the folder $MAVCOMPASS_SCREENSHOTS, by default build/screenshots.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from chromium import Page, find_chromium
+from conftest import RunningService, StartService, wait_for
+
+from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.vehicle.simulated import SimulatedLink
+
+SCREENSHOTS = Path(
+    os.environ.get("MAVCOMPASS_SCREENSHOTS") or Path(__file__).parents[2] / "build" / "screenshots"
+)
+PHONE, DESK = (390, 844), (1200, 900)
+
+OpenPage = Callable[..., Page]
+
+
+@pytest.fixture
+def open_page() -> Iterator[OpenPage]:
+    program = find_chromium()
+    if program is None:
+        pytest.skip("no Chromium here (Debian: apt install chromium)")
+    pages: list[Page] = []
+
+    def open_it(
+        running: RunningService, size: tuple[int, int] = PHONE, token: bool = True, **options: bool
+    ) -> Page:
+        page = Page(program, *size, **options)
+        pages.append(page)
+        page.open(running.service.url + (f"#token={running.service.token}" if token else ""))
+        page.wait("document.querySelector('#heading').innerText !== '–'")
+        return page
+
+    yield open_it
+    for page in pages:
+        page.close()
+
+
+def fits(page: Page) -> bool:
+    """Tell whether nothing sticks out sideways."""
+    return bool(page.run("document.documentElement.scrollWidth <= window.innerWidth"))
+
+
+def lit(page: Page) -> int:
+    return int(page.run("document.querySelectorAll('.c-spot.lit').length"))
+
+
+@pytest.mark.parametrize(("size", "dark"), [(PHONE, False), (DESK, True)], ids=["phone", "desk"])
+def test_a_calibration_from_the_page_to_written_parameters(
+    start_service: StartService, open_page: OpenPage, size: tuple[int, int], dark: bool
+) -> None:
+    running = start_service(speed=6.0)
+    assert running.link is not None
+    page = open_page(running, size, dark=dark)
+    name = f"{size[0]}x{size[1]}"
+    assert page.run("location.hash") == "", "the token stays out of the address bar"
+    assert page.run("document.querySelector('#token-box').hidden")
+    assert fits(page)
+    page.screenshot(SCREENSHOTS / f"{name}-1-heading.png")
+
+    page.click("#calibrate")
+    page.wait("!document.querySelector('#running').hidden")
+    page.wait("document.querySelectorAll('.c-spot.lit').length >= 2", 40.0)
+    assert fits(page)
+    page.screenshot(SCREENSHOTS / f"{name}-2-turning.png")
+    page.wait("!document.querySelector('#question').hidden", 60.0)
+    assert lit(page) == 4
+    assert "COMPASS_OFS_X" in page.text("#question-text")
+    page.screenshot(SCREENSHOTS / f"{name}-3-question.png")
+    before_deg = heading_error_rms_deg(running.link.autopilot)  # type: ignore[arg-type]
+
+    page.click("#yes")
+    page.wait("!document.querySelector('#result').hidden", 60.0)
+    assert "written, read back" in page.text("#result .verdict")
+    assert heading_error_rms_deg(running.link.autopilot) < 0.1 * before_deg  # type: ignore[arg-type]
+    page.wait("document.querySelectorAll('#history li[data-kind=calibration]').length === 1")
+    for part in ("Old and new", "Error budget", "Deviation card"):
+        assert part in page.text("#result")
+    assert fits(page)
+    page.screenshot(SCREENSHOTS / f"{name}-4-result.png", whole=True)
+    assert page.errors == []
+
+    page.open(f"{running.service.url}api/history/1/report")
+    assert "Compass calibration" in page.text("h1")
+    assert fits(page)
+    page.screenshot(SCREENSHOTS / f"{name}-5-report.png", whole=True)
+    assert page.errors == []
+
+
+def test_a_person_is_told_how_to_turn_and_can_stop(start_service: StartService, open_page: OpenPage) -> None:
+    link = SimulatedLink.of("rover", seed=5, speed=4.0)
+    link.autopilot.disarm()  # type: ignore[attr-defined]
+    page = open_page(start_service(link))
+    page.wait("document.querySelector('#motion-hint').innerText.includes('by hand')")
+    page.click("#calibrate")
+    page.wait("document.querySelector('#prompt').innerText.startsWith('Turn right')", 40.0)
+    page.screenshot(SCREENSHOTS / "390x844-6-by-hand.png")
+    page.click("#stop")
+    page.wait("!document.querySelector('#result').hidden")
+    assert "Stopped from the page" in page.text("#result")
+    assert page.errors == []
+
+
+def test_without_the_token_the_page_only_shows(running: RunningService, open_page: OpenPage) -> None:
+    page = open_page(running, token=False)
+    assert not page.run("document.querySelector('#token-box').hidden")
+    page.click("#calibrate")
+    page.wait("!document.querySelector('#refusal').hidden")
+    assert "needs the token" in page.text("#refusal")
+    assert running.service.station.desk.current is None
+    page.run(f"document.querySelector('#token').value = {running.service.token!r}")
+    page.click("#token-form button")
+    page.click("#check")
+    page.wait("!document.querySelector('#result').hidden", 40.0)
+    assert "Fail" in page.text("#result .verdict")
+    page.screenshot(SCREENSHOTS / "390x844-7-check.png", whole=True)
+
+
+def test_the_page_says_when_service_or_vehicle_are_away(running: RunningService, open_page: OpenPage) -> None:
+    page = open_page(running)
+    page.wait("document.querySelector('#status').className.includes('on')")
+    running.service.stop()
+    page.wait("document.querySelector('#status').innerText.includes('not reached')")
+    wait_for(lambda: not running._thread.is_alive())
