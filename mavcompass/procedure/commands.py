@@ -28,6 +28,8 @@ MESSAGE_IDS = {
     mav.EkfStatusReport: 193,
     mav.ExtendedSysState: 245,
 }
+# Where a third is lost each way half of the tries fail; twelve in a row are one case in 4000.
+TRIES = 12
 DISABLED_US = -1
 DEFAULT_US = 0
 
@@ -38,7 +40,7 @@ def command(
     *params: float,
     what: str = "",
     timeout_s: float = 0.8,
-    tries: int = 5,
+    tries: int = TRIES,
 ) -> Script[MavResult]:
     """Send COMMAND_LONG until acknowledged and return the answer, whatever it is.
 
@@ -48,7 +50,7 @@ def command(
     padded = [*(float(p) for p in params), *([0.0] * 7)][:7]
     for attempt in range(tries):
         context.send(mav.CommandLong(context.system, context.component, int(number), attempt, *padded))
-        patience = timeout_s * (1.0 + 0.5 * attempt)
+        patience = timeout_s * min(1.0 + 0.5 * attempt, 2.0)
         while True:
             ack = yield from expect(context, mav.CommandAck, lambda a: a.command == int(number), patience)
             if ack is None or ack.result != MavResult.IN_PROGRESS:
@@ -98,7 +100,7 @@ class MessageRates:
         while self._before_us:
             kind, before_us = self._before_us.popitem()
             try:
-                yield from self._set(context, kind, before_us, tries=4)
+                yield from self._set(context, kind, before_us, tries=8)
             except NoReply:
                 return
 
@@ -116,7 +118,7 @@ class MessageRates:
         return None
 
     def _set(
-        self, context: Context, kind: type[mav.Message], interval_us: int, tries: int = 5
+        self, context: Context, kind: type[mav.Message], interval_us: int, tries: int = TRIES
     ) -> Script[MavResult]:
         return (
             yield from command(
