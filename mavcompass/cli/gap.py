@@ -230,8 +230,8 @@ def summary(diagnosis: Diagnosis) -> list[str]:
 
 
 def _closing_line(name: str, closing: Closing, unit: str) -> str:
-    low, high = closing.shrink_ci95
+    low, high = (100.0 * end for end in closing.shrink_ci95)
     return (
-        f"  {name}: {closing.nominal:.2f} -> {closing.after:.2f} {unit} on held-out parts, floor"
-        f" {closing.floor:.2f}; shrinks by {100.0 * closing.shrink:.1f} % ({100.0 * low:.1f} .. {100.0 * high:.1f})"
+        f"  {name}: {closing.nominal:.2f} -> {closing.after:.2f} {unit} on held-out parts,"
+        f" floor {closing.floor:.2f}; shrinks by {100.0 * closing.shrink:.1f} % ({low:.1f} .. {high:.1f})"
     )

@@ -44,11 +44,13 @@ def settings_of(causes: Iterable[Cause]) -> list[Setting]:
 
 def affine_map(settings: Sequence[Setting]) -> tuple[FloatArray, FloatArray]:
     """Compose affine effects to raw = A field + b: A (3, 3), b (3,), by passing a basis through them."""
-    field = np.vstack([np.zeros(3), np.eye(3) * 100.0])
+    field: FloatArray = np.zeros((4, 3))
+    field[1:] = 100.0 * np.eye(3)
     n = len(field)
+    rotation: FloatArray = np.broadcast_to(np.eye(3), (n, 3, 3)).astype(np.float64)
     zero, none = np.zeros((n, 3)), np.zeros(n)
     stimulus = Stimulus(
-        np.arange(n) * 1.0, np.tile(np.eye(3), (n, 1, 1)), field, zero, zero, zero, zero, none, none, none,
+        np.arange(n, dtype=np.float64), rotation, field, zero, zero, zero, zero, none, none, none,
         np.zeros((n, 0)),
     )  # fmt: skip
     out = Chain(list(settings)).run(Signals(stimulus, Reading(field, zero, zero)), None)

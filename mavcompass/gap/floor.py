@@ -16,7 +16,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.model import Fit, Problem
-from mavcompass.gap.noise import Noise, estimate_noise, group_values, rough_sigma, white
+from mavcompass.gap.noise import Noise, SensorNoise, estimate_noise, group_values, rough_sigma, white
 from mavcompass.gap.nuisance import WORLD_FIELD, Nuisance
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Search
@@ -30,6 +30,8 @@ _REFERENCE_DOUBT_RAD = {
     "gyro": math.radians(0.4),
     "attitude": math.radians(1.0),
 }
+_DOUBT_LASTS_S = 5.0
+_TIME_DOUBT_S = {"telemetry": 0.03, "direct": 0.01}
 _FOLD_WIDENING = 4.0
 
 
@@ -194,11 +196,44 @@ def stated_floor(replay: Replay, noise: Noise) -> tuple[float, float]:
 
 
 def from_recording(replay: Replay) -> Floor:
-    """State a floor without a baseline: for a first look, all of it counts as scatter."""
+    """State a floor without a baseline: scatter, the reference's slow doubt, and the doubt in the times.
+
+    The doubt in the attitude wanders, as a first-order process of some seconds; the doubt in the times
+    grows with the field's rate of change.
+    """
     noise = first_noise(replay)
+    scatter = noise["mag"].sigma
     field, heading = stated_floor(replay, noise)
-    first = {**noise, "mag": white(np.maximum(noise["mag"].sigma, field))}
-    return Floor(first, field, heading, np.zeros((0, 3)), False, replay.nuisances)
+    step = float(np.median(np.diff(replay.time_s)))
+    rho = math.exp(-step / _DOUBT_LASTS_S)
+    slow = math.sqrt(max(field**2 - float(np.mean(scatter**2)), 0.0))
+    # White scatter counts twice in the innovations of a correlated model: careful, and simple.
+    sigma = np.sqrt(slow**2 * (1.0 - rho**2) + scatter**2 * (1.0 + rho**2))
+    late = _TIME_DOUBT_S["telemetry" if replay.telemetry else "direct"]
+    change = np.gradient(replay.signals.reading.mag_mgauss, replay.time_s, axis=0)
+    scale = np.sqrt(1.0 + (late * change / sigma) ** 2)
+    rms_axis = np.full(3, field)
+    mag = SensorNoise(np.array([rho]), sigma, rms_axis, np.inf, scale)
+    timing = float(np.mean((late * change[replay.valid]) ** 2))
+    level = max(float(np.hypot(*replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
+    return Floor(
+        {**noise, "mag": mag},
+        math.hypot(field, math.sqrt(timing)),
+        math.hypot(heading, math.degrees(math.sqrt(timing) / level)),
+        np.zeros((0, 3)),
+        False,
+        replay.nuisances,
+    )
+
+
+def widened(floor: Floor, problem: Problem, fit: Fit) -> Floor:
+    """Widen a stated noise where a fit leaves more than it: the doubt was larger than stated."""
+    z = problem.innovations(problem.predict(fit))["mag"][problem.index]
+    excess = math.sqrt(float(np.mean(z**2)))
+    if excess <= 1.05:
+        return floor
+    mag = floor.noise["mag"]
+    return with_noise(floor, {**floor.noise, "mag": replace(mag, sigma=mag.sigma * excess)})
 
 
 def with_noise(floor: Floor, noise: Noise) -> Floor:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.gap.floor import Floor, measured_noise, rms, with_noise
+from mavcompass.gap.floor import Floor, rms, widened
 from mavcompass.gap.model import Fit, Problem
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Found, Search, least_gain
@@ -51,8 +51,10 @@ def identify(
         if turn + 1 == passes or (previous is not None and result.fit.ids == previous):
             break
         previous = result.fit.ids
-        noise = measured_noise(problem.with_rows(replay.valid), result.fit)
-        floor = with_noise(floor, noise)
+        before = floor
+        floor = widened(floor, result.problem, result.fit)
+        if floor is before:
+            break
     return result, floor
 
 

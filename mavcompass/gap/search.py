@@ -27,7 +27,7 @@ _BEAM = 3
 _REFINED = 7
 _SHORT = 2
 _NEAR = 60.0
-_HOPEFUL = 0.6
+_HOPEFUL = 0.85
 _SEARCHED_TWICE = frozenset({"on_s", "off_s", "frequency_hz", "threshold", "source", "orientation"})
 
 
@@ -91,16 +91,36 @@ class Search:
             if not children:
                 break
             leader = children[0]
-            if size > 1:
-                leader = self._swapped(leader)
             if not self.grows(best, leader):
                 break
+            if size > 1:
+                leader = self._swapped(leader)
             best = leader
             beam = sorted({leader.ids: leader, **{c.ids: c for c in children}}.values(), key=self.score)
             beam = beam[:_BEAM]
         best = self.polished(best)
         self.explored[best.ids] = best
         return Found(null, best, self.explored, self._weights(best))
+
+    def nearest(self, most: int) -> Fit:
+        """Return the fit that comes nearest with up to `most` effects, needed or not.
+
+        On noiseless readings its sum of squares is the squared distance to all that these effects can make.
+        """
+        best = self.problem.null()
+        beam = [best]
+        for _ in range(most):
+            fits: dict[frozenset[str], Fit] = {}
+            for parent in beam:
+                starts = sorted(self._starts(parent), key=lambda s: s.expected)[:_REFINED]
+                for start in starts:
+                    fit = self._extended(parent, start)
+                    fits[fit.ids] = min(fit, fits.get(fit.ids, fit), key=lambda f: f.sse)
+            if not fits:
+                break
+            beam = sorted(fits.values(), key=lambda f: f.sse)[:2]
+            best = min(best, beam[0], key=lambda f: f.sse)
+        return self.polished(best) if best.terms else best
 
     def grows(self, smaller: Fit, larger: Fit) -> bool:
         """Tell whether the larger set is needed."""

@@ -13,7 +13,6 @@ from mavcompass.errors import UsageError
 from mavcompass.simulation.effects.effect import Effect, Setting
 from mavcompass.simulation.effects.live import Distortion
 
-
 PRESET_SCHEMA = "mavcompass.simulation-preset/1"
 
 

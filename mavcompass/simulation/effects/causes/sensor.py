@@ -162,11 +162,11 @@ EFFECTS = (
         title="the gain of an axis depends on the field across it",
         stage=Stage.MATRIX,
         parameters=tuple(
-            Parameter(f"{'xyz'[i]}{'xyz'[j]}", "1 at 1 G", -0.3, 0.3, d, 0.01)
+            Parameter(f"{'xyz'[i]}{'xyz'[j]}", "1 at 1 G", -0.1, 0.1, d, 0.01)
             for (i, j), d in zip(_NEXT, (0.03, -0.02, 0.02, 0.025, -0.03, 0.015), strict=True)
         ),
         forward=_cross_axis,
-        needs=frozenset({"turning"}),
+        needs=frozenset({"turning", "tilt"}),
         aliases=("soft_iron",),
         separated_by="tumble, better in a stronger field",
         source="raw_i = m_i (1 + sum of c_ij m_j / 1 G), magnetoresistive sensors; HMC1053 +/-3 %",
