@@ -1,0 +1,234 @@
+"""Hours of service in minutes: link cuts, reboots and calibrations, with memory and every reconnect watched.
+
+    python scripts/campaigns/service_soak.py [--hours 2] [--cuts 200] [--reboots 20] [--calibrations 12]
+
+The service's station runs on an embedded rover in virtual time, as fast as the machine can. Cuts lose
+everything both ways. A reconnect is counted from the moment the link works (or the rebooted vehicle speaks)
+to the first heading published after it; cuts during which the vehicle was silent anyway are counted from
+the end of the silence. Each calibration asked for must end, in the history and in a MAG_CAL_REPORT that
+left while the link worked. Memory is the whole process's, the simulated vehicle's included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import random
+import resource
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(PROJECT))
+
+from mavcompass.messages import Incoming, MagCalReport, Message  # noqa: E402
+from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfig  # noqa: E402
+from mavcompass.service.history import History  # noqa: E402
+from mavcompass.service.station import Station  # noqa: E402
+from mavcompass.service.tasks import CalibrationRequest, Task  # noqa: E402
+from mavcompass.simulation.autopilot import SimulatedAutopilot  # noqa: E402
+from mavcompass.vehicle.link import Link  # noqa: E402
+from mavcompass.vehicle.simulated import SimulatedLink  # noqa: E402
+
+_READY_AFTER_REBOOT_S = 10.0
+
+
+@dataclass(slots=True)
+class Figures:
+    """Hold what a soak showed; `faults` says in words what must not be."""
+
+    virtual_s: float = 0.0
+    wall_s: float = 0.0
+    cuts: int = 0
+    reboots: int = 0
+    reconnects: int = 0
+    slowest_reconnect_s: float = 0.0
+    calibrations: int = 0
+    written: int = 0
+    interrupted: int = 0
+    warm_mb: float = 0.0
+    end_mb: float = 0.0
+    growth_percent: float = 0.0
+    endings: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+
+
+class UnreliableLink(SimulatedLink):
+    """A link that is cut between given times; it notes what reports got through."""
+
+    def __init__(self, vehicle: SimulatedAutopilot, cuts: list[tuple[float, float]]) -> None:
+        super().__init__(vehicle, "sim:soak")
+        self.cuts = cuts
+        self.reports: list[tuple[float, MagCalReport]] = []
+
+    def is_cut(self, time_s: float) -> bool:
+        while self.cuts and self.cuts[0][1] <= time_s:
+            self.cuts.pop(0)
+        return bool(self.cuts) and self.cuts[0][0] <= time_s
+
+    def send(self, message: Message) -> None:
+        if self.is_cut(self.now()):
+            return
+        if isinstance(message, MagCalReport):
+            self.reports.append((self.now(), message))
+        super().send(message)
+
+    def receive(self, timeout_s: float) -> Incoming | None:
+        end_s = self.now() + timeout_s
+        while True:
+            heard = super().receive(max(end_s - self.now(), 0.0))
+            if heard is None or not self.is_cut(heard.time_s):
+                return heard
+
+
+class Soak:
+    """Run one soak."""
+
+    def __init__(self, hours: float, cuts: int, reboots: int, calibrations: int, seed: int = 1) -> None:
+        self.length_s = hours * 3600.0
+        chance = random.Random(seed)
+        begin, end = 60.0, self.length_s - 60.0
+        slot_s = (end - begin) / max(cuts, 1)
+        windows = []
+        for k in range(cuts):
+            start = begin + (k + chance.uniform(0.05, 0.5)) * slot_s
+            windows.append((start, start + chance.uniform(0.5, min(0.4 * slot_s, 12.0))))
+        self.ends = [stop for _, stop in windows]
+        self.reboots_at = sorted(chance.uniform(begin, end - 60.0) for _ in range(reboots))
+        self.calibrations_at = [
+            begin + (k + 0.3) * (end - begin) / max(calibrations, 1) for k in range(calibrations)
+        ]
+        self.vehicle = SimulatedAutopilot("rover", seed=seed)
+        self.link = UnreliableLink(self.vehicle, list(windows))
+        self.figures = Figures(cuts=cuts, reboots=reboots)
+        self._tasks: list[Task] = []
+        self._rearm_at: float | None = None
+        self._waiting_since: float | None = None
+        self._seen_boots = 0
+
+    def run(self) -> Figures:
+        """Run to the end and return the figures."""
+        with tempfile.TemporaryDirectory() as folder:
+            config = ServiceConfig(
+                vehicle=VehicleConfig(source="sim:rover", compasses=(1,)), storage=StorageConfig(folder)
+            )
+            history = History(Path(folder) / "history.db")
+            opened: list[Link] = [self.link]
+            station = Station(config, history, lambda: opened[0])
+            began = time.monotonic()
+            hear = station._hear
+
+            def watching_hear(link: Link, heard: Incoming) -> None:
+                before = station.headings
+                self._at(station, heard)
+                hear(link, heard)
+                if station.headings > before:
+                    self._heading_published(heard.time_s)
+
+            station._hear = watching_hear  # type: ignore[method-assign]
+            station.start()
+            self._watch(station)
+            station.stop()
+            self.figures.wall_s = time.monotonic() - began
+            self.figures.virtual_s = self.link.now()
+            self._judge(history)
+            history.close()
+        return self.figures
+
+    # --- on the station's thread, in virtual time ---------------------------------------------------
+
+    def _at(self, station: Station, heard: Incoming) -> None:
+        """Let happen what is due: the end of a cut, a reboot, a pilot who arms again, a calibration."""
+        now_s = heard.time_s
+        if self.ends and now_s >= self.ends[0]:
+            self._waiting_since = max(self.ends.pop(0), now_s - 0.5)
+        if self.vehicle.boots != self._seen_boots and heard.component == 1 and heard.system == 1:
+            self._seen_boots = self.vehicle.boots
+            self._waiting_since = now_s
+            self._rearm_at = now_s + _READY_AFTER_REBOOT_S
+        if self.reboots_at and now_s >= self.reboots_at[0]:
+            self.reboots_at.pop(0)
+            self.vehicle.reboot()
+        if self._rearm_at is not None and now_s >= self._rearm_at:
+            self._rearm_at = None
+            self.vehicle.firmware.set_mode("GUIDED")  # type: ignore[attr-defined]
+            self.vehicle.firmware.arm(forced=True)  # type: ignore[attr-defined]
+        if self.calibrations_at and now_s >= self.calibrations_at[0] and not station.desk.busy:
+            self.calibrations_at.pop(0)
+            request = CalibrationRequest(motion="vehicle", writing="yes")
+            self._tasks.append(station.desk.submit(request, "http", "2026-05-01T00:00:00+00:00"))
+
+    def _heading_published(self, now_s: float) -> None:
+        if self._waiting_since is not None:
+            self.figures.reconnects += 1
+            waited_s = now_s - self._waiting_since
+            self.figures.slowest_reconnect_s = max(self.figures.slowest_reconnect_s, waited_s)
+            self._waiting_since = None
+
+    # --- on the main thread -------------------------------------------------------------------------
+
+    def _watch(self, station: Station) -> None:
+        warm_s = 0.2 * self.length_s
+        stalled, last = 0, -1
+        while self.link.now() < self.length_s:
+            time.sleep(0.1)
+            if not self.figures.warm_mb and self.link.now() > warm_s:
+                self.figures.warm_mb = resident_mb()
+            stalled, last = (stalled + 1 if station.beat == last else 0), station.beat
+            if stalled > 600:
+                self.figures.faults.append(f"the station stood still at {self.link.now():.0f} s")
+                return
+        self.figures.end_mb = resident_mb()
+
+    def _judge(self, history: History) -> None:
+        figures = self.figures
+        entries = history.entries("calibration", limit=200)
+        figures.calibrations = len(self._tasks)
+        figures.written = sum(entry.ok for entry in entries)
+        figures.interrupted = sum(task.state == "failed" for task in self._tasks)
+        figures.endings = [task.error or ("written" if task.ok else "not accepted") for task in self._tasks]
+        if figures.warm_mb:
+            figures.growth_percent = 100.0 * (figures.end_mb / figures.warm_mb - 1.0)
+        if len(entries) != len(self._tasks):
+            figures.faults.append(f"{len(self._tasks)} calibrations, {len(entries)} in the history")
+        unfinished = [task.number for task in self._tasks if not task.finished]
+        if unfinished:
+            figures.faults.append(f"calibrations {unfinished} never ended")
+        if len(self.link.reports) < len(self._tasks):
+            figures.faults.append(f"{len(self._tasks)} calibrations, {len(self.link.reports)} reports sent")
+        if figures.slowest_reconnect_s >= 2.0:
+            figures.faults.append(f"a reconnect took {figures.slowest_reconnect_s:.1f} s")
+        if figures.growth_percent >= 5.0:
+            figures.faults.append(f"memory grew by {figures.growth_percent:.1f} %")
+
+
+def resident_mb() -> float:
+    """Return this process's resident memory."""
+    gc.collect()
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--hours", type=float, default=2.0)
+    parser.add_argument("--cuts", type=int, default=200)
+    parser.add_argument("--reboots", type=int, default=20)
+    parser.add_argument("--calibrations", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", type=Path, help="write the figures there")
+    options = parser.parse_args()
+    soak = Soak(options.hours, options.cuts, options.reboots, options.calibrations, options.seed)
+    figures = asdict(soak.run())
+    for name, value in figures.items():
+        print(f"{name:22} {value:.2f}" if isinstance(value, float) else f"{name:22} {value}")
+    if options.json:
+        options.json.write_text(json.dumps(figures, indent=2) + "\n")
+    return 1 if figures["faults"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,185 @@
+"""The pre-flight check as a person at the field sees it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from mavcompass import messages as mav
+from mavcompass.cli.check import command
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.enums import EkfFlag
+from mavcompass.procedure import check_items as items
+from mavcompass.procedure.check import CheckReport, CheckSettings, check
+from mavcompass.procedure.check_items import Reading
+from mavcompass.procedure.script import Machine
+from mavcompass.simulation.autopilot import SimulatedAutopilot
+from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.driver import run
+from mavcompass.vehicle.simulated import SimulatedLink
+
+WORLD = EarthField((206.155, 0.0, 400.0))
+
+
+def checked(vehicle: SimulatedAutopilot, turn: str = "auto") -> CheckReport:
+    settings = CheckSettings(turn=turn)  # type: ignore[arg-type]
+    machine = Machine(lambda context: check(context, make_dialect, settings))
+    return run(machine, SimulatedLink(vehicle))
+
+
+def verdicts(report: CheckReport, name: str, instance: int = 1) -> list[str]:
+    return [item.verdict for item in report.items if item.name == name and item.instance in (0, instance)]
+
+
+def test_a_well_calibrated_vehicle_passes_with_a_turn() -> None:
+    report = checked(SimulatedAutopilot("rover", seed=2, calibration="exact"))
+    assert report.turned
+    assert report.verdict == "pass", [i for i in report.items if i.verdict != "pass"]
+    assert not report.calibration_advised
+    assert report.summary().startswith("Pass")
+
+
+def test_a_badly_calibrated_vehicle_fails_and_the_turn_shows_it() -> None:
+    report = checked(SimulatedAutopilot("rover", seed=3))
+    assert report.verdict == "fail"
+    assert verdicts(report, "turn") == ["fail"]
+    assert report.calibration_advised
+
+
+def test_a_disarmed_vehicle_is_checked_without_a_turn() -> None:
+    vehicle = SimulatedAutopilot("rover", seed=2, calibration="exact")
+    vehicle.disarm()
+    assert not checked(vehicle).turned
+    asked_for = checked(vehicle, "vehicle")
+    assert verdicts(asked_for, "turn") == ["warn"]
+    assert "disarmed" in next(i.text for i in asked_for.items if i.name == "turn")
+
+
+def test_the_check_changes_nothing_on_the_vehicle() -> None:
+    vehicle = SimulatedAutopilot("rover", seed=3)
+    before = [vehicle.firmware.correction(i) for i in (1, 2, 3)]
+    checked(vehicle)
+    assert [vehicle.firmware.correction(i) for i in (1, 2, 3)] == before
+
+
+def test_a_copter_and_a_px4_vehicle_are_checked_too() -> None:
+    for kind in ("copter", "px4-copter"):
+        report = checked(SimulatedAutopilot(kind, seed=2, calibration="exact"), "none")
+        assert verdicts(report, "field") == ["pass"], kind
+        assert verdicts(report, "dip") == ["pass"], kind
+
+
+@pytest.mark.parametrize(
+    ("correction", "name", "verdict"),
+    [
+        (FieldCorrection(), "offsets", "fail"),
+        (FieldCorrection((20.0, -50.0, 100.0)), "offsets", "pass"),
+        (FieldCorrection((500.0, 0.0, 0.0)), "offsets", "warn"),
+        (FieldCorrection((1500.0, 1500.0, 0.0)), "offsets", "fail"),
+        (FieldCorrection((1.0, 0.0, 0.0), (1.1, 0.95, 1.0)), "matrix", "pass"),
+        (FieldCorrection((1.0, 0.0, 0.0), (1.6, 1.0, 1.0)), "matrix", "warn"),
+        (FieldCorrection((1.0, 0.0, 0.0), (1.0, 0.0, 1.0)), "matrix", "fail"),
+    ],
+)
+def test_parameters_are_judged(correction: FieldCorrection, name: str, verdict: str) -> None:
+    judge = items.judge_offsets if name == "offsets" else items.judge_matrix
+    item = judge(1, correction)
+    assert item.verdict == verdict
+    assert bool(item.remedy) == (verdict != "pass")
+
+
+@pytest.mark.parametrize(
+    ("scale", "tilted_deg", "expected"),
+    [
+        (1.0, 0.0, ["pass", "pass"]),
+        (1.1, 0.0, ["warn", "pass"]),
+        (0.8, 0.0, ["fail", "pass"]),
+        (1.0, 10.0, ["pass", "fail"]),
+    ],
+)
+def test_the_field_is_judged_against_the_world(scale: float, tilted_deg: float, expected: list[str]) -> None:
+    dip = WORLD.inclination_rad + np.radians(tilted_deg)
+    total = scale * WORLD.total_mgauss
+    reading = Reading(1, total * np.cos(dip), total * np.sin(dip), 0.0)
+    assert [item.verdict for item in items.judge_field(reading, WORLD)] == expected
+
+
+def test_without_a_place_only_an_absurd_field_fails() -> None:
+    assert items.judge_field(Reading(1, 200.0, 400.0, 0.0), None)[0].verdict == "pass"
+    assert items.judge_field(Reading(1, 900.0, 400.0, 0.0), None)[0].verdict == "fail"
+
+
+def test_agreement_is_judged_across_north() -> None:
+    first = Reading(1, 200.0, 400.0, np.radians(359.0))
+    assert items.judge_agreement(first, Reading(2, 200.0, 400.0, np.radians(1.0))).verdict == "pass"
+    assert items.judge_agreement(first, Reading(2, 200.0, 400.0, np.radians(10.0))).verdict == "warn"
+    assert items.judge_agreement(first, Reading(2, 200.0, 400.0, np.radians(90.0))).verdict == "fail"
+
+
+def test_the_estimator_and_its_words_are_judged() -> None:
+    assert items.judge_estimator(None) is None
+    good = items.judge_estimator(mav.EkfStatusReport(flags=EkfFlag.ATTITUDE, compass_variance=0.1))
+    assert good is not None and good.verdict == "pass"
+    bad = items.judge_estimator(mav.EkfStatusReport(flags=EkfFlag.ATTITUDE, compass_variance=0.9))
+    assert bad is not None and bad.verdict == "fail"
+    texts = [
+        "PreArm: Compass not calibrated",
+        "PreArm: Compass not calibrated",
+        "PreArm: Battery low",
+        "compass!",
+    ]
+    assert [item.text for item in items.judge_prearm(texts)] == [
+        'The autopilot says "PreArm: Compass not calibrated".'
+    ]
+
+
+@pytest.mark.parametrize(
+    ("field_deg", "gyro_deg", "verdict"), [(90.0, 88.0, "pass"), (85.0, 90.0, "warn"), (60.0, 90.0, "fail")]
+)
+def test_a_turn_is_judged(field_deg: float, gyro_deg: float, verdict: str) -> None:
+    assert items.judge_turn(1, field_deg, gyro_deg, 0.3).verdict == verdict
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def test_the_command_lists_what_is_wrong_and_says_so_to_scripts(tmp_path: Path) -> None:
+    result = CliRunner().invoke(
+        command, ["sim:rover,seed=3", "--json", str(tmp_path / "check.json")], standalone_mode=False
+    )
+    assert result.exception is None, result.exception
+    assert result.return_value == 5
+    lines = result.output.splitlines()
+    assert lines[-1].startswith("FAIL  Do not go.")
+    assert len(lines) <= 20, "readable in ten seconds"
+    marks = [line.split()[0] for line in lines if line and not line.startswith(" ")]
+    assert marks[:-2] == sorted(marks[:-2], key=["FAIL", "WARN", "PASS"].index)
+    document = json.loads((tmp_path / "check.json").read_text())
+    assert document["schema"] == "mavcompass.check/1"
+    assert document["verdict"] == "fail"
+    assert document["source"] == "sim:rover,seed=3"
+
+
+def test_the_json_alone_goes_to_standard_output() -> None:
+    result = CliRunner().invoke(
+        command, ["sim:rover,seed=3", "--turn", "none", "--json", "-"], standalone_mode=False
+    )
+    assert json.loads(result.stdout)["turned"] is False
+
+
+def test_preflight_keeps_its_report_and_passes_the_exit_code_on(tmp_path: Path) -> None:
+    script = Path(__file__).parents[2] / "scripts" / "preflight"
+    done = subprocess.run(
+        [script, "sim:rover,seed=3"], cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True
+    )
+    assert done.returncode == 5, done.stderr
+    assert "Do not go." in done.stdout
+    reports = list((tmp_path / "preflight").glob("*.json"))
+    assert len(reports) == 1
+    assert json.loads(reports[0].read_text())["verdict"] == "fail"
