@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mavcompass.calibration.calibrate import calibrate_compasses as calibrate_compasses
     from mavcompass.calibration.calibrate import calibrate_positions as calibrate_positions
     from mavcompass.calibration.calibrate import calibrate_track as calibrate_track
     from mavcompass.calibration.four_positions import FourPositionsResult as FourPositionsResult
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from mavcompass.calibration.verdict import Limits as Limits
 
 _PUBLIC = {
+    "calibrate_compasses": "calibrate",
     "calibrate_positions": "calibrate",
     "calibrate_track": "calibrate",
     "FourPositionsResult": "four_positions",

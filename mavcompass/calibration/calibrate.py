@@ -26,11 +26,13 @@ from mavcompass.compass_parameters import (
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, circular_mean
+from mavcompass.heading.stream import HeadingResult, heading_of_track
 from mavcompass.track import Track
 from mavcompass.units import DEG_PER_RAD
 
 _DEAD_SWING_MGAUSS = 3.0
+_TURNED_RAD = math.radians(30.0)
 
 
 def calibrate_track(
@@ -87,6 +89,54 @@ def observe_windows(track: Track, instance: int, windows: Sequence[tuple[float, 
     record = turn_record(track, instance)
     dwells = [dwell_between(track, instance, start, end, record) for start, end in windows]
     return assemble(track, dwells, instance, record)
+
+
+def calibrate_compasses(
+    track: Track,
+    method: str = "four-positions",
+    instances: tuple[int, ...] | None = None,
+    *,
+    limits: Limits = DEFAULT_LIMITS,
+    earth: EarthField | None = None,
+    use_world_model: bool = True,
+) -> dict[int, CalibrationResult]:
+    """Calibrate several compasses of one recording (None: all) and hold their headings against each other.
+
+    A compass whose heading is turned against that of the others, all of them calibrated, is refused: it is
+    mounted turned. With only two, both are told so.
+    Raises what `calibrate_track` raises.
+    """
+    chosen = tuple(sorted(track.compasses)) if instances is None else instances
+    results = {
+        i: calibrate_track(track, method, i, limits=limits, earth=earth, use_world_model=use_world_model)
+        for i in chosen
+    }
+    headings = {
+        i: heading_of_track(track, result.correction, i) for i, result in results.items() if result.accepted
+    }
+    return {i: _held_against(result, i, headings) for i, result in results.items()}
+
+
+def _held_against(
+    result: CalibrationResult, instance: int, headings: dict[int, HeadingResult]
+) -> CalibrationResult:
+    """Refuse a calibration whose heading is turned against all other accepted ones."""
+    mine = headings.get(instance)
+    others = {i: h for i, h in headings.items() if i != instance}
+    if mine is None or not others:
+        return result
+    turned = {}
+    for i, other in others.items():
+        nearest = np.clip(np.searchsorted(other.time_s, mine.time_s), 0, other.time_s.size - 1)
+        turned[i] = circular_mean(mine.magnetic_rad - other.magnetic_rad[nearest])
+    if min(abs(angle) for angle in turned.values()) < _TURNED_RAD:
+        return result
+    words = ", ".join(f"{math.degrees(a):+.0f} degrees against compass {i}" for i, a in turned.items())
+    reason = (
+        f"The heading of compass {instance} is turned by {words}: one of them is mounted turned, or its "
+        "orientation parameter is wrong."
+    )
+    return replace(result, accepted=False, reasons=(*result.reasons, reason))
 
 
 def calibrate_positions(

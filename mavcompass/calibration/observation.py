@@ -82,22 +82,12 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sweep:
-    """Hold the field on the way: raw readings (N, 3) at gyro angles (N,), counted as the dwells' are."""
-
-    time_s: FloatArray
-    mean_mgauss: FloatArray
-    turned_rad: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class FourPositionData:
     """Hold what a four-position calibration works on: K dwells and the K - 1 turns between them.
 
     Attributes:
         gyro_scale_sigma: relative, common to all steps.
         gyro_bias_sigma_radps: of the rate, common to all steps, in proportion to their duration.
-        sweep: readings taken while turning, where wanted.
         source: the recording's name, for messages.
     """
 
@@ -105,7 +95,6 @@ class FourPositionData:
     steps: tuple[Step, ...]
     gyro_scale_sigma: float = 0.01
     gyro_bias_sigma_radps: float = 0.0
-    sweep: Sweep | None = None
     source: str = ""
 
     def __post_init__(self) -> None:
@@ -133,7 +122,7 @@ class FourPositionData:
         else:
             del steps[0 if index == 0 else -1]
         return FourPositionData(
-            dwells, tuple(steps), self.gyro_scale_sigma, self.gyro_bias_sigma_radps, self.sweep, self.source
+            dwells, tuple(steps), self.gyro_scale_sigma, self.gyro_bias_sigma_radps, self.source
         )
 
 
