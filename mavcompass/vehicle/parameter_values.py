@@ -42,9 +42,12 @@ def is_single(value: float) -> bool:
 def tidy(value: float) -> float:
     """Return the shortest decimal number with the same 32-bit float: 0.1 for 0.10000000149011612.
 
-    A value that is not finite stays as it is.
+    A value that is not finite stays as it is, and so does the largest, whose decimal lies beyond it.
     """
-    return float(str(np.float32(value))) if is_single(value) else value
+    if not is_single(value):
+        return value
+    shortest = float(str(np.float32(value)))
+    return shortest if is_single(shortest) else value
 
 
 def same_value(left: float, right: float) -> bool:
