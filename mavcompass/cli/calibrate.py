@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mavcompass.cli.options import Output, common_options
-from mavcompass.errors import BadRecording, UsageError
+from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 
 if TYPE_CHECKING:
     from mavcompass.calibration.result import CalibrationResult
@@ -201,7 +201,7 @@ def _recording(
     output: Output,
 ) -> int:
     from mavcompass import api
-    from mavcompass.report.document import recording_document
+    from mavcompass.report.document import recording_document, refused_document
 
     track = api.read_track(source)
     if in_force_file is not None:
@@ -215,9 +215,12 @@ def _recording(
             f"{source} has no compass {missing[0]}; it has {', '.join(map(str, track.compasses)) or 'none'}.",
             "Choose with --compass.",
         )
-    results = [
-        api.calibrate(track, method, instance, max_error_deg) for instance in instances or track.compasses
-    ]
+    chosen = instances or tuple(track.compasses)
+    try:
+        results = [api.calibrate(track, method, instance, max_error_deg) for instance in chosen]
+    except PoorCalibration as error:
+        output.write_json(refused_document(source, method, chosen, str(error), track))
+        raise
     for note in track.notes:
         output.say(f"Note: {note}")
     for result in results:
@@ -265,15 +268,19 @@ def _live(
     output: Output,
 ) -> int:
     from mavcompass.cli.terminal import ask_on_terminal, showing
-    from mavcompass.report.document import live_document
+    from mavcompass.report.document import live_document, refused_document
     from mavcompass.vehicle.calibrating import calibrate_on
 
     with open_source(address, effects, as_ground_station=settings.turn_by != "auto") as link:
         before_deg = _true_error_deg(link, settings.instances)
         with showing() as show:
-            report = calibrate_on(
-                link, source, settings, method, max_error_deg, on_show=show, on_ask=ask_on_terminal
-            )
+            try:
+                report = calibrate_on(
+                    link, source, settings, method, max_error_deg, on_show=show, on_ask=ask_on_terminal
+                )
+            except PoorCalibration as error:
+                output.write_json(refused_document(source, method, settings.instances or (1,), str(error)))
+                raise
         after_deg = _true_error_deg(link, settings.instances)
     for result in report.results:
         _say_result(output, result)

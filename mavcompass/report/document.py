@@ -24,6 +24,28 @@ def recording_document(
     }
 
 
+def refused_document(
+    source: str, method: str, instances: Sequence[int], reason: str, track: Track | None = None
+) -> dict[str, object]:
+    """Put together the document of a calibration for which there is no solution at all."""
+    return {
+        "schema": SCHEMA,
+        "source": source,
+        "autopilot": track.autopilot if track is not None else "unknown",
+        "vehicle": track.vehicle if track is not None else "unknown",
+        "method": method,
+        "compasses": [
+            {"instance": i, "method": method, "accepted": False, "reasons": [reason], "positions": []}
+            for i in instances
+        ],
+        "written": False,
+        "verified": False,
+        "undo_file": None,
+        "duration_s": track.duration_s if track is not None else None,
+        "messages": list(track.notes) if track is not None else [],
+    }
+
+
 def live_document(source: str, report: CalibrationReport, method: str) -> dict[str, object]:
     """Put together the document of a live calibration."""
     outcome, proof = report.outcome, report.proof

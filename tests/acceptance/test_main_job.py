@@ -155,5 +155,9 @@ def test_a_good_calibration_is_found_as_it_is(shared_data: Path, form: str) -> N
 def test_a_recording_that_hardly_turns_is_refused_with_the_reason(
     shared_data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["calibrate", str(shared_data / "real" / "px4-ulog" / "sample.ulg")]) == 5
-    assert "Too little motion" in capsys.readouterr().err
+    recording = str(shared_data / "real" / "px4-ulog" / "sample.ulg")
+    assert main(["calibrate", recording, "--json", "-"]) == 5
+    said = capsys.readouterr()
+    assert "Too little motion" in said.err
+    compass = json.loads(said.out)["compasses"][0]
+    assert compass["accepted"] is False and "Too little motion" in compass["reasons"][0]
