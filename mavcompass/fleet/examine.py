@@ -1,0 +1,222 @@
+"""Examine one recording: a function of plain values, for any process on any machine."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any, Literal
+
+from mavcompass.errors import BadRecording, MavCompassError
+
+if TYPE_CHECKING:
+    from mavcompass.calibration.result import CalibrationResult
+    from mavcompass.correction import FieldCorrection
+    from mavcompass.gap.result import Diagnosis
+    from mavcompass.track import Track
+
+Row = dict[str, Any]
+Work = Literal["calibrate", "diagnose"]
+_AXES = ("x", "y", "z")
+_PAIRS = ("xy", "xz", "yz")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Say what is done with every recording.
+
+    Attributes:
+        instances: the compasses, from 1; empty for all. method, max_error_deg: of `calibrate`.
+        reference: of `diagnose`.
+        vehicle_pattern: a regular expression whose first group, found in the path, names the vehicle.
+    """
+
+    work: Work
+    instances: tuple[int, ...] = (1,)
+    method: str = "four-positions"
+    max_error_deg: float = 2.0
+    reference: str = "auto"
+    vehicle_pattern: str | None = None
+
+
+def examine(job: Job, path: str) -> list[Row]:
+    """Return the rows of one recording, one per compass, in the columns of `columns.columns_of`.
+
+    What cannot be read or calibrated gives a row with status "error"; nothing is raised for it.
+    """
+    from mavcompass.fleet.recordings import as_local_file
+    from mavcompass.logs import read_track
+
+    began = time.perf_counter()
+    try:
+        with as_local_file(path) as file:
+            track = read_track(file)
+    except (MavCompassError, OSError) as error:
+        return [error_row(job, path, type(error).__name__, str(error))]
+    rows = list(_rows(job, path, track))
+    each_s = (time.perf_counter() - began) / len(rows)
+    return [row | {"seconds": each_s} for row in rows]
+
+
+def error_row(job: Job, path: str, kind: str, text: str) -> Row:
+    """Make the row of a recording that gave no result."""
+    return {
+        "recording": path,
+        "status": "error",
+        "vehicle": _named_in(job, path) or _folder(path),
+        "error_kind": kind,
+        "error": text,
+    }
+
+
+def _rows(job: Job, path: str, track: Track) -> Iterator[Row]:
+    about = _about(job, path, track)
+    if not track.compasses:
+        yield about | _error(BadRecording("It has no magnetometer readings.", "Log the compass."))
+        return
+    for instance in job.instances or sorted(track.compasses):
+        row = about | {"compass": instance} | _about_compass(track, instance)
+        try:
+            yield row | (
+                _calibrated(job, track, instance)
+                if job.work == "calibrate"
+                else _diagnosed(job, track, instance)
+            )
+        except MavCompassError as error:
+            yield row | _error(error)
+
+
+def _error(error: MavCompassError) -> Row:
+    return {"status": "error", "error_kind": type(error).__name__, "error": str(error)}
+
+
+def _about(job: Job, path: str, track: Track) -> Row:
+    start = min((float(c.time_s[0]) for c in track.compasses.values() if len(c.reported)), default=0.0)
+    known = track.utc_offset_s is not None and math.isfinite(track.utc_offset_s + start)
+    return {
+        "recording": path,
+        "vehicle": _named_in(job, path) or _own_name(track, path),
+        "autopilot": track.autopilot,
+        "vehicle_kind": track.vehicle,
+        "recorded_unix_s": track.utc_offset_s + start if known and track.utc_offset_s is not None else None,
+        "duration_s": _number(track.duration_s),
+        "notes": " ".join(track.notes),
+    }
+
+
+def _named_in(job: Job, path: str) -> str | None:
+    found = re.search(job.vehicle_pattern, path) if job.vehicle_pattern else None
+    return found.group(1) if found else None
+
+
+def _folder(path: str) -> str:
+    return PurePosixPath(path).parent.name or "unnamed"
+
+
+def _own_name(track: Track, path: str) -> str:
+    """Name a vehicle by its serial number; few have one set, so else by its system id and folder."""
+    serial = track.parameters.get("BRD_SERIAL_NUM", 0.0)
+    if math.isfinite(serial) and serial:
+        return f"serial {serial:.0f}"
+    for name in ("MAV_SYSID", "SYSID_THISMAV", "MAV_SYS_ID"):
+        if math.isfinite(system := track.parameters.get(name, math.nan)):
+            return f"{_folder(path)}, system {system:.0f}"
+    return _folder(path)
+
+
+def _about_compass(track: Track, instance: int) -> Row:
+    compass = track.compasses.get(instance)
+    if compass is None:
+        return {}
+    row: Row = {"device_id": compass.device_id, "samples": len(compass.reported)}
+    if compass.correction_known:
+        row |= _numbers("in_force_offset_", "_mgauss", compass.in_force[-1].correction.offsets_mgauss)
+    return row
+
+
+def _calibrated(job: Job, track: Track, instance: int) -> Row:
+    from mavcompass import api
+
+    result = api.calibrate(track, job.method, instance, job.max_error_deg)
+    return {
+        "status": "ok" if result.accepted else "not_accepted",
+        "method": result.method,
+        "accepted": result.accepted,
+        "reasons": " ".join(result.reasons),
+        "warnings": " ".join(result.warnings),
+        "not_observable": ",".join(result.not_observable),
+        "heading_sigma_deg": _number(result.heading_sigma_deg),
+        "heading_change_deg": _number(result.heading_change_deg),
+        "heading_change_max_deg": _number(result.heading_change_max_deg),
+        "residual_rms_mgauss": _number(result.residual_rms_mgauss),
+        "field_horizontal_mgauss": _number(result.horizontal_mgauss),
+        "field_vertical_mgauss": _number(result.vertical_mgauss),
+        **_correction(result.correction),
+        **_offset_sigmas(result),
+    }
+
+
+def _correction(correction: FieldCorrection) -> Row:
+    return (
+        _numbers("offset_", "_mgauss", correction.offsets_mgauss)
+        | _numbers("diagonal_", "", correction.diagonals)
+        | _numbers("off_diagonal_", "", correction.off_diagonals, _PAIRS)
+        | {"scale": _number(correction.scale)}
+    )
+
+
+def _offset_sigmas(result: CalibrationResult) -> Row:
+    variances = {name: float(result.covariance[i, i]) for i, name in enumerate(result.covariance_names)}
+    return {
+        f"offset_{axis}_sigma_mgauss": _number(math.sqrt(variances[f"offset_{axis}"]))
+        for axis in _AXES
+        if variances.get(f"offset_{axis}", -1.0) >= 0.0
+    }
+
+
+def _diagnosed(job: Job, track: Track, instance: int) -> Row:
+    from mavcompass.gap import diagnose_gap
+
+    found = diagnose_gap(track, None, (), instance, job.reference)  # type: ignore[arg-type]
+    return {
+        "status": "ok",
+        "verdict": found.verdict,
+        "reference": found.reference,
+        "effects": ",".join(sorted(found.effects)),
+        "unknown": found.unknown,
+        "unknown_coordinate": found.unknown_coordinate,
+        **{f"effect_{cause.effect}_mgauss": _number(cause.removes_mgauss) for cause in found.causes},
+        **_gap("field", "mgauss", found),
+        **_gap("heading", "deg", found),
+        "causes_json": json.dumps(_finite(found.to_json()["causes"]), allow_nan=False),
+    }
+
+
+def _gap(name: Literal["field", "heading"], unit: str, found: Diagnosis) -> Row:
+    closing = found.field if name == "field" else found.heading
+    return {
+        f"{name}_gap_{unit}": _number(closing.nominal),
+        f"{name}_gap_after_{unit}": _number(closing.after),
+        f"{name}_gap_floor_{unit}": _number(closing.floor),
+        f"{name}_gap_shrink": _number(closing.shrink),
+    }
+
+
+def _numbers(before: str, after: str, values: Any, names: tuple[str, ...] = _AXES) -> Row:
+    return {f"{before}{name}{after}": _number(value) for name, value in zip(names, values, strict=True)}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return _number(value) if isinstance(value, float) else value

@@ -1,0 +1,161 @@
+"""Find the recordings that a person means: files, folders, globs, and the same in object stores."""
+
+from __future__ import annotations
+
+import glob
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from mavcompass.errors import UsageError
+
+SUFFIXES = frozenset({".tlog", ".bin", ".log", ".ulg", ".csv"})
+_MAGIC = frozenset("*?[")
+# What object stores and file systems call the mark that changes with the content.
+_CHANGE_MARKS = (
+    "ETag",
+    "etag",
+    "md5Hash",
+    "content_md5",
+    "LastModified",
+    "last_modified",
+    "mtime",
+    "updated",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """Name one recording.
+
+    Attributes:
+        path: absolute path, or URL of an object store.
+        size_bytes: None where the store does not tell. stamp: changes when the content does.
+        modified_unix_s: when the file was last written; None where unknown.
+    """
+
+    path: str
+    size_bytes: int | None = None
+    stamp: str = ""
+    modified_unix_s: float | None = None
+
+
+def find_recordings(paths: Iterable[str]) -> list[Recording]:
+    """Return the recordings behind files, folders, globs and URLs, each once, sorted by path.
+
+    Folders are searched to the bottom for the suffixes of recordings; a file that is named is taken as it
+    is. Raises UsageError for a name behind which there is nothing.
+    """
+    found: dict[str, Recording] = {}
+    for path in paths:
+        here = _remote(path) if "://" in path else _local(path)
+        if not here:
+            raise UsageError(
+                f"There are no recordings in {path}.",
+                f"Give files, or folders and patterns with {', '.join(sorted(SUFFIXES))}.",
+            )
+        found |= {recording.path: recording for recording in here}
+    return [found[path] for path in sorted(found)]
+
+
+def _is_recording(path: str) -> bool:
+    return PurePosixPath(path).suffix.lower() in SUFFIXES
+
+
+def _local(path: str) -> list[Recording]:
+    expanded = os.path.expanduser(path)
+    if os.path.isdir(expanded):
+        return _in_folder(expanded)
+    if os.path.lexists(expanded) or not _MAGIC & set(expanded):
+        return [_local_file(expanded)]
+    out: list[Recording] = []
+    for match in glob.iglob(expanded, recursive=True):
+        if os.path.isdir(match):
+            # "**" matches the folders as well as what is in them; found twice is taken once.
+            out += _in_folder(match)
+        elif _is_recording(match):
+            out.append(_local_file(match))
+    return out
+
+
+def _in_folder(folder: str) -> list[Recording]:
+    return [
+        _local_file(os.path.join(where, name))
+        for where, _, names in os.walk(folder)
+        for name in names
+        if _is_recording(name)
+    ]
+
+
+def _local_file(path: str) -> Recording:
+    try:
+        status = os.stat(path)
+    except OSError as error:
+        raise UsageError(f"There is no recording {path} ({error.strerror}).", "Check the name.") from error
+    stamp = f"{status.st_size}-{status.st_mtime_ns}"
+    return Recording(os.path.abspath(path), status.st_size, stamp, status.st_mtime)
+
+
+def _remote(url: str) -> list[Recording]:
+    filesystem, path = _store(url)
+    try:
+        if _MAGIC & set(path):
+            entries = filesystem.glob(path, detail=True)
+        elif filesystem.isdir(path):
+            entries = filesystem.find(path, detail=True)
+        else:
+            return [_remote_file(filesystem, path, filesystem.info(path))]
+    except Exception as error:  # each store has its own errors
+        raise UsageError(
+            f"{url} could not be looked at ({type(error).__name__}: {error}).",
+            "Check the address, and the credentials that its store expects.",
+        ) from error
+    return [
+        _remote_file(filesystem, name, info)
+        for name, info in entries.items()
+        if info.get("type") != "directory" and _is_recording(name)
+    ]
+
+
+def _remote_file(filesystem: Any, path: str, info: dict[str, Any]) -> Recording:
+    size = info.get("size")
+    marks = [str(size), *(str(info[name]) for name in _CHANGE_MARKS if info.get(name) is not None)]
+    return Recording(filesystem.unstrip_protocol(path), size, "-".join(marks))
+
+
+def _store(url: str) -> tuple[Any, str]:
+    """Return the file system of a URL and the path in it."""
+    try:
+        import fsspec.core
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"{url.partition('://')[0]}:// needs the package fsspec, which is not installed.",
+            "Install it with: pip install 'mavcompass[fleet]'",
+        ) from error
+    try:
+        filesystem, path = fsspec.core.url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        raise UsageError(
+            f"{url} cannot be opened: {error}.",
+            "Install what its store needs, e.g. pip install s3fs (s3://).",
+        ) from error
+    return filesystem, str(path)
+
+
+@contextmanager
+def as_local_file(path: str) -> Iterator[Path]:
+    """Give a recording as a file of this machine; what comes from a store is deleted afterwards."""
+    if "://" not in path:
+        yield Path(path)
+        return
+    filesystem, inside = _store(path)
+    with tempfile.TemporaryDirectory(prefix="mavcompass-") as folder:
+        copy = Path(folder) / PurePosixPath(inside).name
+        with filesystem.open(inside, "rb") as source, copy.open("wb") as target:
+            shutil.copyfileobj(source, target, 1 << 20)
+        yield copy

@@ -1,0 +1,137 @@
+"""Work through a fleet: find, examine, keep, and write the table."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from mavcompass.errors import UsageError
+from mavcompass.fleet.child import Answer
+from mavcompass.fleet.columns import require_parquet, write_parquet
+from mavcompass.fleet.examine import Job, Row, error_row, examine
+from mavcompass.fleet.journal import Journal
+from mavcompass.fleet.pool import Task, run_in_processes
+from mavcompass.fleet.recordings import Recording
+
+Examine = Callable[[Job, str], list[Row]]
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """Say who does the work: `workers` processes of this machine, or a Dask cluster's `scheduler`."""
+
+    workers: int = 1
+    scheduler: str | None = None
+    timeout_s: float = 600.0
+
+    def run(self, function: Examine, tasks: Iterable[Task]) -> Iterator[tuple[Task, Answer]]:
+        """Yield each task with its answer, as they are done."""
+        if self.scheduler is None:
+            return run_in_processes(function, tasks, self.workers, self.timeout_s)
+        from mavcompass.fleet.cluster import run_on_cluster
+
+        return run_on_cluster(function, tasks, self.scheduler, self.timeout_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Say how far a run is: recordings asked for, done (earlier runs included), and given errors."""
+
+    asked: int
+    done: int
+    errors: int
+
+
+@dataclass(frozen=True, slots=True)
+class FleetResult:
+    """Hold the outcome: rows of everything in the journal, and what this run did of it."""
+
+    rows: list[Row]
+    asked: int
+    examined: int
+    kept: int
+
+
+def journal_of(out: Path) -> Path:
+    """Return where the progress of an output is kept."""
+    return out.with_name(f"{out.name}.journal")
+
+
+def run_fleet(
+    job: Job,
+    recordings: Sequence[Recording],
+    out: Path,
+    engine: Engine = Engine(),
+    *,
+    fresh: bool = False,
+    retry_errors: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+    examine_one: Examine = examine,
+) -> FleetResult:
+    """Examine the recordings that the journal beside `out` does not have yet, and write the table.
+
+    Args:
+        fresh: forget the journal. retry_errors: do again what gave an error.
+        examine_one: what is done with one recording, in another process.
+
+    A recording whose process dies or is over its time gives one row with the error. An interrupt leaves
+    the journal, and the same call goes on from there. Raises UsageError for what cannot be begun.
+    """
+    require_parquet()
+    _check_pattern(job)
+    with Journal(journal_of(out), _question(job), fresh) as journal:
+        done = [r for r in recordings if journal.is_done(r) and not (retry_errors and journal.failed(r))]
+        kept = {recording.path for recording in done}
+        to_do = {recording.path: recording for recording in recordings if recording.path not in kept}
+        errors = sum(journal.failed(recording) for recording in done)
+        on_progress(Progress(len(recordings), len(kept), errors))
+        tasks = ((job, path) for path in to_do)
+        for number, (task, answer) in enumerate(engine.run(examine_one, tasks), start=1):
+            recording = to_do[task[1]]
+            journal.add(recording, _rows(job, recording, answer))
+            errors += journal.failed(recording)
+            on_progress(Progress(len(recordings), len(kept) + number, errors))
+        rows = journal.rows()
+        write_parquet(rows, job.work, out)
+    return FleetResult(rows, len(recordings), len(to_do), len(kept))
+
+
+def _question(job: Job) -> Mapping[str, object]:
+    """Return what makes rows comparable: the job; who does it and how fast does not matter."""
+    return {**asdict(job), "instances": list(job.instances)}
+
+
+def _rows(job: Job, recording: Recording, answer: Answer) -> list[Row]:
+    if answer.failure is not None:
+        rows = [error_row(job, recording.path, answer.failure.kind, answer.failure.text)]
+    else:
+        rows = answer.value
+    dated = "recorded_unix_s"
+    return [
+        {
+            **row,
+            "size_bytes": recording.size_bytes,
+            dated: recording.modified_unix_s if row.get(dated) is None else row[dated],
+            "recorded_at_is": "file" if row.get(dated) is None else "recording",
+        }
+        for row in rows
+    ]
+
+
+def _check_pattern(job: Job) -> None:
+    if job.vehicle_pattern is None:
+        return
+    try:
+        groups = re.compile(job.vehicle_pattern).groups
+    except re.error as error:
+        raise UsageError(
+            f"{job.vehicle_pattern!r} is no regular expression: {error}.",
+            "Example: --vehicle-pattern 'boat-(\\d+)'",
+        ) from error
+    if groups < 1:
+        raise UsageError(
+            f"{job.vehicle_pattern!r} has no group that names the vehicle.",
+            "Put it in parentheses: --vehicle-pattern 'boat-(\\d+)'",
+        )
