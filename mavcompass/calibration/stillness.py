@@ -38,6 +38,7 @@ _SETTLE_S = 0.25
 # coherence accounts for the width exactly.
 _CUT_HALF_WIDTH_RAD = math.radians(20.0)
 _MOST_DWELLS = 48
+_CURRENT_STEP_A = 4.0
 
 
 def find_dwells(
@@ -60,7 +61,11 @@ def find_dwells(
             "The recording has no gyro, so neither stillness nor the turned angles are known.",
             "Record the angular rate too (RAW_IMU, SCALED_IMU or IMU messages).",
         )
-    windows = _still_windows(record, shortest_s)
+    windows = [
+        part
+        for window in _still_windows(record, shortest_s)
+        for part in _steady_current(track, window, shortest_s)
+    ]
     if len(compass.time_s):
         windows = [
             w for w in windows if np.ptp(np.searchsorted(compass.time_s, w)) >= 4 and w[1] > compass.time_s[0]
@@ -96,6 +101,30 @@ def _still_windows(record: TurnRecord, shortest_s: float) -> list[tuple[float, f
                 windows.append((begins, ends))
             start = stop
     return windows
+
+
+def _steady_current(
+    track: Track, window: tuple[float, float], shortest_s: float
+) -> list[tuple[float, float]]:
+    """Split a still stretch where the battery current jumps (a take-off): the motors' field jumps with it."""
+    current = track.current_a
+    if current is None:
+        return [window]
+    rows = slice(*np.searchsorted(current.time_s, window))
+    time, load = current.time_s[rows], current.values[rows]
+    if time.size < 3 or not np.isfinite(load).all():
+        return [window]
+    parts: list[tuple[float, float]] = []
+    start, first = window[0], 0
+    for k in range(1, time.size + 1):
+        level = float(np.median(load[first:k]))
+        if k < time.size and abs(load[k] - level) <= max(_CURRENT_STEP_A, 0.25 * abs(level)):
+            continue
+        end = float(time[k]) if k < time.size else window[1]
+        if end - start >= shortest_s:
+            parts.append((start, end))
+        start, first = end, k
+    return parts
 
 
 def _centred_mean(time: FloatArray, values: FloatArray) -> FloatArray:

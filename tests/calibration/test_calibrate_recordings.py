@@ -172,6 +172,13 @@ def test_a_creeping_vehicle_is_still_enough() -> None:
     assert rms(heading_errors(result.correction, iron_of(STRONG))) < 0.4
 
 
+def test_a_take_off_divides_a_position(shared_data: Path) -> None:
+    """The copter stands on the ground and then hovers at the same heading, with 28 A through its motors."""
+    track = firmware_track(shared_data, "copter_dist_use2", "BIN")
+    currents = [d.current_a for d in find_dwells(track)]
+    assert all(value < 3.0 or value > 20.0 for value in currents)
+
+
 def test_a_gyro_bias_is_found_while_still() -> None:
     track = turning_track(iron_of(STRONG), gyro_bias=math.radians(1.5), turns_deg=(90.0,) * 4)
     record = turn_record(track)
