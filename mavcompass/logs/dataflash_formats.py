@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,6 +40,9 @@ _CHARACTERS: dict[str, tuple[str, float]] = {
     "Q": ("<u8", 1.0),
 }
 _ARRAY_LENGTH = 32
+_SIZES = {c: np.dtype(kind).itemsize for c, (kind, _) in _CHARACTERS.items()} | {"a": 2 * _ARRAY_LENGTH}
+TEXT = "nNZ"
+_TEXT_FIELDS = {"Name", "Message", "Label", "UnitIds", "MultIds"}
 _NAME = re.compile(rb"[A-Za-z0-9_]{1,4}\0*\Z")
 
 # Unit label in the log -> factor to the units used inside.
@@ -67,13 +69,41 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """Describe one kind of record: `record` is its bytes after the header, `length` with the header."""
+    """Describe one kind of record: `length` is its bytes with the header."""
 
     number: int
     name: str
     length: int
-    fields: Mapping[str, Field]
-    record: np.dtype[np.void]
+    characters: str
+    columns: tuple[str, ...]
+
+    @property
+    def fields(self) -> dict[str, Field]:
+        """Return the fields by name."""
+        pairs = zip(self.columns, self.characters, strict=True)
+        return {column: Field(column, c, _CHARACTERS[c][1]) for column, c in pairs}
+
+    @property
+    def record(self) -> np.dtype[np.void]:
+        """Return the bytes after the header as a record type."""
+        pairs = zip(self.columns, self.characters, strict=True)
+        return np.dtype(
+            [
+                (column, _CHARACTERS[c][0], (_ARRAY_LENGTH,)) if c == "a" else (column, _CHARACTERS[c][0])
+                for column, c in pairs
+            ]
+        )
+
+    def names(self, wanted: tuple[str, ...]) -> list[str]:
+        """Return which of the wanted fields there are, all if none are named.
+
+        A damaged character makes a text of a number: such a field is not the one that was wanted.
+        """
+        return [
+            column
+            for column, c in zip(self.columns, self.characters, strict=True)
+            if not wanted or (column in wanted and c != "a" and (c in TEXT) == (column in _TEXT_FIELDS))
+        ]
 
 
 def parse_fmt(content: bytes) -> Format | None:
@@ -92,22 +122,14 @@ def parse_fmt(content: bytes) -> Format | None:
 
 def make_format(number: int, length: int, name: str, characters: str, columns: list[str]) -> Format | None:
     """Build a format; None where characters, column names and length do not go together."""
-    columns = [column.strip() for column in columns if column.strip()]
-    if len(columns) != len(characters) or len(set(columns)) != len(columns):
+    names = tuple(stripped for column in columns if (stripped := column.strip()))
+    if len(names) != len(characters) or len(set(names)) != len(names):
         return None
-    if any(character not in _CHARACTERS for character in characters):
+    if any(character not in _SIZES for character in characters):
         return None
-    pairs = list(zip(columns, characters, strict=True))
-    record = np.dtype(
-        [
-            (column, _CHARACTERS[c][0], (_ARRAY_LENGTH,)) if c == "a" else (column, _CHARACTERS[c][0])
-            for column, c in pairs
-        ]
-    )
-    if record.itemsize + HEADER_BYTES != length:
+    if sum(_SIZES[character] for character in characters) + HEADER_BYTES != length:
         return None
-    fields = {column: Field(column, c, _CHARACTERS[c][1]) for column, c in pairs}
-    return Format(number, name, length, fields, record)
+    return Format(number, name, length, characters, names)
 
 
 @dataclass(slots=True)

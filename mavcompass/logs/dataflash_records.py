@@ -206,34 +206,34 @@ class _LogReader:
 
     def _gather(self, chunk: Chunk, found: _Found) -> None:
         self._counts += np.bincount(found.kind, minlength=256)
-        for number, some in self._formats.items():
-            if not self._names(some):
-                continue
+        for number in self._wanted_numbers():
             which = np.flatnonzero(found.kind == number)
             if which.size:
-                raw = windows(chunk.data, found.start[which] + HEADER_BYTES, some.record.itemsize)
-                order = (which + self.records).astype(np.uint32)
-                rows = self._narrow(raw, some)
+                record, narrow = self._types(number)
+                raw = windows(chunk.data, found.start[which] + HEADER_BYTES, record.itemsize).view(record)[
+                    :, 0
+                ]
+                rows = np.empty(which.size, narrow)
+                for name in narrow.names or ():
+                    rows[name] = raw[name]
                 if number not in self._growing:
-                    self._growing[number] = (GrowingArray(rows.dtype), GrowingArray(order.dtype))
+                    self._growing[number] = (GrowingArray(narrow), GrowingArray(np.dtype(np.uint32)))
                 self._growing[number][0].append(rows)
-                self._growing[number][1].append(order)
+                self._growing[number][1].append((which + self.records).astype(np.uint32))
         self.records += found.start.size
 
-    def _narrow(self, raw: NDArray[np.uint8], some: Format) -> Any:
-        rows = raw.view(some.record)[:, 0]
-        names = self._names(some)
-        if len(names) == len(some.fields):
-            return rows
-        out = np.empty(rows.size, np.dtype([(name, some.record[name]) for name in names]))
-        for name in names:
-            out[name] = rows[name]
-        return out
+    def _wanted_numbers(self) -> list[int]:
+        return [
+            number
+            for number, some in self._formats.items()
+            if some.name in self._wanted and self._formats[number].names(self._wanted[some.name])
+        ]
 
-    def _names(self, some: Format) -> list[str]:
-        """Return which of the wanted fields the log has; all of them where none are named."""
-        wanted = self._wanted.get(some.name)
-        return [name for name in some.fields if wanted == () or (wanted and name in wanted)]
+    def _types(self, number: int) -> tuple[np.dtype[np.void], np.dtype[np.void]]:
+        """Return a record's type as it stands in the file, and as it is kept: only the wanted fields."""
+        some = self._formats[number]
+        record = some.record
+        return record, np.dtype([(name, record[name]) for name in some.names(self._wanted[some.name])])
 
     def _count_gaps(self, chunk: Chunk, found: _Found, covered: int) -> int:
         if not found.start.size:

@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.logs.dataflash_formats import FMT_TYPE, Format, Units, make_format
+from mavcompass.logs.dataflash_formats import FMT_TYPE, TEXT, Field, Format, Units, make_format
 from mavcompass.logs.dataflash_records import DataFlashContents, Log, Records
-
-_TEXT = "nNZ"
 
 
 def read_text_records(path: Path, wanted: Mapping[str, tuple[str, ...]]) -> DataFlashContents:
@@ -39,7 +37,7 @@ class _TextReader:
 
     def _start(self) -> None:
         self._first_order = self._order
-        self._formats: dict[str, Format] = {}
+        self._formats: dict[str, tuple[Format, list[Field]]] = {}
         self._units = Units()
         self._rows: dict[str, list[tuple[Any, ...]]] = {}
         self._orders: dict[str, list[int]] = {}
@@ -51,23 +49,26 @@ class _TextReader:
             return True
         if name == "FMT":
             return self._format(rest)
-        some = self._formats.get(name)
-        if some is None:
+        if name not in self._formats:
             return False
+        fields = self._formats[name][1]
         # Only the last field may hold commas of its own (a message's text).
-        texts = [text.strip() for text in rest.split(",", len(some.fields) - 1)]
-        if len(texts) != len(some.fields):
+        texts = [text.strip() for text in rest.split(",", len(fields) - 1)]
+        if len(texts) != len(fields):
             return False
         try:
-            values = self._values(some, texts)
-        except (ValueError, OverflowError):
+            values = tuple(
+                text if field.character in TEXT else float(text)
+                for field, text in zip(fields, texts, strict=True)
+            )
+            if name in ("UNIT", "MULT", "FMTU"):
+                self._note_unit(name, values)
+        except (ValueError, OverflowError, IndexError, TypeError):
             return False
         self._order += 1
         counts = self._contents.counts
         counts[name] = counts.get(name, 0) + 1
-        if name in ("UNIT", "MULT", "FMTU"):
-            self._note_unit(name, values)
-        elif name in self._wanted:
+        if name in self._wanted:
             self._rows.setdefault(name, []).append(values)
             self._orders.setdefault(name, []).append(self._order - 1)
         return True
@@ -83,40 +84,29 @@ class _TextReader:
         if number == FMT_TYPE and self._formats:
             self.finish()  # another log begins here
             self._start()
-        self._formats[name] = some
-        return True
-
-    def _values(self, some: Format, texts: list[str]) -> tuple[Any, ...]:
-        return tuple(
-            text if field.character in _TEXT else float(text)
-            for field, text in zip(some.fields.values(), texts, strict=True)
-        )
+        known = self._formats.setdefault(name, (some, list(some.fields.values())))
+        return known[0] == some  # a log does not contradict itself: the later one is damaged
 
     def _note_unit(self, name: str, values: tuple[Any, ...]) -> None:
         if name == "UNIT":
-            self._units.labels[chr(int(values[1]))] = values[2]
+            self._units.labels[chr(int(values[1]))] = str(values[2])
         elif name == "MULT":
-            self._units.multipliers[chr(int(values[1]))] = values[2]
+            self._units.multipliers[chr(int(values[1]))] = float(values[2])
         else:
-            self._units.of_format[int(values[1])] = (values[2], values[3])
+            self._units.of_format[int(values[1])] = (str(values[2]), str(values[3]))
 
     def finish(self) -> None:
         """Append the log read so far to the contents."""
         log = Log(first_order=self._first_order)
         for name, rows in self._rows.items():
-            some = self._formats[name]
-            record = np.dtype(
-                [(field.name, "S64" if field.character in _TEXT else "f8") for field in some.fields.values()]
-            )
-            encoded = [
-                tuple(value.encode("utf-8") if isinstance(value, str) else value for value in row)
-                for row in rows
-            ]
-            log.records[name] = Records(
-                np.array(encoded, dtype=record),
-                np.array(self._orders[name], dtype=np.uint32),
-                self._units.fields(some),
-                scaled=True,
-            )
+            some, fields = self._formats[name]
+            wanted = some.names(self._wanted[name])
+            kinds = {field.name: "S64" if field.character in TEXT else "f8" for field in fields}
+            table = np.empty(len(rows), dtype=[(column, kinds[column]) for column in wanted])
+            for field, values in zip(fields, zip(*rows, strict=True), strict=True):
+                if field.name in wanted:
+                    table[field.name] = [v.encode() if isinstance(v, str) else v for v in values]
+            order = np.array(self._orders[name], dtype=np.uint32)
+            log.records[name] = Records(table, order, self._units.fields(some), scaled=True)
         if self._formats:
             self._contents.logs.append(log)

@@ -62,10 +62,11 @@ def find_frames(chunk: Chunk, covered: int) -> tuple[Frames, Frames]:
     """
     candidates = _candidates(chunk, covered)
     known = crc_extras()[np.minimum(candidates.message_id, crc_extras().size - 1)] != UNKNOWN
-    good = candidates.select(known)
-    good = good.select(_checksum_fits(chunk.data, good))
-    good = good.select(not_overlapping(good.start - TIMESTAMP_BYTES, good.end))
-    return good, _unknown_between(candidates.select(~known), good, chunk, covered)
+    checked = candidates.select(known)
+    good = np.flatnonzero(_checksum_fits(chunk.data, checked))
+    apart = not_overlapping(checked.start[good] - TIMESTAMP_BYTES, checked.end[good])
+    frames = checked.select(good[apart])
+    return frames, _unknown_between(candidates.select(~known), frames, chunk, covered)
 
 
 def _candidates(chunk: Chunk, covered: int) -> Frames:

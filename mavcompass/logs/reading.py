@@ -81,7 +81,7 @@ def recognise(path: Path) -> str:
         raise UsageError(f"{path} cannot be read: {error.strerror}.", "Check its permissions.") from None
     if not head:
         raise BadRecording(f"{path} is empty.", f"Give a {_FORMATS}.")
-    return _by_content(head) or _by_suffix(path)
+    return _by_content(head) or _by_suffix(path, head)
 
 
 def _by_content(head: bytes) -> str | None:
@@ -101,8 +101,15 @@ def _by_content(head: bytes) -> str | None:
     return None
 
 
-def _by_suffix(path: Path) -> str:
-    kinds = {".tlog": "tlog", ".bin": "dataflash", ".log": "dataflash", ".ulg": "ulog", ".csv": "csv"}
+def _by_suffix(path: Path, head: bytes) -> str:
+    text = _DATAFLASH_MAGIC not in head
+    kinds = {
+        ".tlog": "tlog",
+        ".bin": "dataflash",
+        ".log": "dataflash text" if text else "dataflash",
+        ".ulg": "ulog",
+        ".csv": "csv",
+    }
     kind = kinds.get(path.suffix.lower())
     if kind is None:
         raise BadRecording(f"{path} is no recording of a known format.", f"Give a {_FORMATS}.")

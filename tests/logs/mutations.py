@@ -20,7 +20,7 @@ CHECKED = ("RAW_IMU", "ATTITUDE", "PARAM_VALUE", "SYS_STATUS", "SCALED_IMU2", "H
 
 
 def originals(folder: Path) -> dict[str, bytes]:
-    """Make one small recording of each format; return their contents by suffix."""
+    """Make one small recording of each format, in a new folder; return their contents by suffix."""
     folder.mkdir(exist_ok=True)
     recording = Recording()
     for axis, value in zip("XYZ", (5.0, 13.0, -18.0), strict=True):
@@ -42,6 +42,13 @@ def originals(folder: Path) -> dict[str, bytes]:
         log.add("ATT", now, 0, 0, 0, 0, 0.0, 3.0 * n, 0.0).add("BAT", now, 0, 12.0, 0.1 * n)
         log.add("GPS", now, 3, 100 * n, 2300, 9, 100, 479_000_000, 80_000_000, 0, 0.0, 0.0, 0.0)
     log.write(folder / "original.bin")
+
+    lines = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns"]
+    lines += ["FMT, 10, 24, MAG, QBhhhhhh, TimeUS,I,MagX,MagY,MagZ,OfsX,OfsY,OfsZ"]
+    lines += ["FMT, 13, 31, PARM, QNf, TimeUS,Name,Value", "FMT, 21, 76, UNIT, QbZ, TimeUS,Id,Label"]
+    lines += ["UNIT, 0, 71, Gauss"] + [f"PARM, 1000000, COMPASS_OFS_{axis}, 5.0" for axis in "XYZ"]
+    lines += [f"MAG, {1_000_000 + n * 100_000}, 0, {200 + n}, {-n}, -500, 5, 5, 5" for n in range(80)]
+    (folder / "original.log").write_text("\n".join(lines) + "\n")
 
     ulog = ULogFile().topic("sensor_mag", "uint32_t device_id", "float x", "float y", "float z")
     ulog.topic("vehicle_attitude", "float[4] q").parameter("CAL_MAG0_ID", 9).parameter("CAL_MAG0_ROT", 0)

@@ -11,7 +11,7 @@ from mutations import checked_rows, mutate, originals, read_or_refuse
 FILES = 80
 
 
-@pytest.mark.parametrize("suffix", [".tlog", ".bin", ".csv", ".ulg"])
+@pytest.mark.parametrize("suffix", [".tlog", ".bin", ".log", ".csv", ".ulg"])
 def test_damaged_recordings_are_read_as_far_as_they_go_or_refused(tmp_path: Path, suffix: str) -> None:
     if suffix == ".ulg":
         pytest.importorskip("pyulog")
