@@ -33,6 +33,7 @@ _REFERENCE_DOUBT_RAD = {
 _DOUBT_LASTS_S = 5.0
 _TIME_DOUBT_S = {"telemetry": 0.03, "direct": 0.01}
 _FOLD_WIDENING = 4.0
+_MOST_FOLDED = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,11 +113,11 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -
     fit = problem.null()
     if _has_gap(problem, fit):
         mean_effects = [e for e in effects if e.kind == "mean" and e.id not in _NEVER_FOLDED]
-        fit = Search(problem, mean_effects).run().best
+        fit = Search(problem, mean_effects).run(_MOST_FOLDED).best
         problem = Problem(baseline, measured_noise(problem, fit), baseline.valid, baseline.nuisances)
         fit = problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
         if fit.terms:
-            fit = Search(problem, mean_effects).run().best
+            fit = Search(problem, mean_effects).run(_MOST_FOLDED).best
     noise = measured_noise(problem, fit)
     problem = Problem(baseline, noise, baseline.valid, baseline.nuisances)
     fit = problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)

@@ -69,7 +69,7 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
         dropped.append((effect_id, why))
         rest = candidate.search._without(candidate.fit, effect_id)
         candidate = replace(candidate, fit=rest)
-    return replace(candidate, dropped=tuple(dropped))
+    return replace(candidate, fit=candidate.search.pruned(candidate.fit), dropped=tuple(dropped))
 
 
 def _moments_in_training(candidate: Identified) -> Identified:

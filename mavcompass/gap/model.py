@@ -24,6 +24,8 @@ Mask = NDArray[np.bool_]
 _STEP = 1e-3
 _ITERATIONS = 12
 _CONVERGED = 0.02
+# A direction that the data do not tell stays near zero: amplitudes have priors of twenty natural sizes.
+_PRIOR_SIZES = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,11 +239,11 @@ class Problem:
         x = [np.array(t, dtype=np.float64) for t in (*nuisance_thetas, *thetas)]
         n = len(self.nuisances)
         n_dim = self._prior.size
-        lengths = [len(v) for v in x]
         free = [np.flatnonzero(self._free(terms, i)) for i in range(len(x))]
+        weak = _weak_precision(terms)
         states = self._states(terms, x[n:], x[:n])
         r = self.residual(states[-1].reading)
-        cost = float(r @ r) + self._prior_cost(x[:n])
+        cost = float(r @ r) + self._prior_cost(x[:n]) + _weak_cost(x[n:], free[n:], weak)
         damping = 1e-6
         normal = np.zeros((0, 0))
         exact_nuisances = n_dim > 0 and not terms
@@ -253,6 +255,10 @@ class Problem:
             if n_dim:
                 normal[:n_dim, :n_dim] += self._precision
                 gradient[:n_dim] += self._precision @ (self._prior - np.concatenate(x[:n]))
+            if terms:
+                amplitudes = np.concatenate([v[f] for v, f in zip(x[n:], free[n:], strict=True)])
+                normal[np.arange(n_dim, normal.shape[0]), np.arange(n_dim, normal.shape[0])] += weak
+                gradient[n_dim:] -= weak * amplitudes
             if not normal.size:
                 break
             improved = False
@@ -262,6 +268,7 @@ class Problem:
                 trial_states = self._states(terms, trial[n:], trial[:n])
                 trial_r = self.residual(trial_states[-1].reading)
                 trial_cost = float(trial_r @ trial_r) + self._prior_cost(trial[:n])
+                trial_cost += _weak_cost(trial[n:], free[n:], weak)
                 if trial_cost < cost:
                     improved = True
                     break
@@ -273,7 +280,6 @@ class Problem:
             damping *= 0.03
             if gained < _CONVERGED:
                 break
-        assert len(x) == len(lengths)
         covariance = _invert(normal) if normal.size else normal
         return Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
 
@@ -298,6 +304,25 @@ class Problem:
     def _bounds(self, terms: Sequence[Term]) -> list[tuple[FloatArray, FloatArray]]:
         effects = [*(n.effect for n in self.nuisances), *(t.effect for t in terms)]
         return [(e.lower, e.upper) for e in effects]
+
+
+def _weak_precision(terms: Sequence[Term]) -> FloatArray:
+    """Return the prior precision of each free parameter: none for those that are no amplitudes."""
+    return np.array(
+        [
+            1.0 / (_PRIOR_SIZES * p.scale) ** 2 if p.low < 0.0 < p.high and p.unit not in ("s", "m") else 0.0
+            for term in terms
+            for p, free in zip(term.effect.parameters, term.free, strict=True)
+            if free
+        ]
+    )
+
+
+def _weak_cost(x: Sequence[FloatArray], free: Sequence[NDArray[np.int64]], weak: FloatArray) -> float:
+    if not weak.size:
+        return 0.0
+    values = np.concatenate([v[f] for v, f in zip(x, free, strict=True)])
+    return float(weak @ values**2)
 
 
 def _moved(

@@ -23,13 +23,19 @@ from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 _FEWEST_ROWS = 60
-_MOST_ROWS = 12_000
+_MOST_ROWS = 4_000
 _UNKNOWN_FIELD_SIGMA_MGAUSS = 300.0
 _COMPASS_PERIOD_S = 0.1
+_LOCAL_SIGMA_MGAUSS = 0.7
+_STEADY_MGAUSS = 3.0
+_AGREES_MGAUSS = 8.0
+_UNKNOWN_MOTION_MPS2 = 0.3
 _TURNING_RAD = math.radians(25.0)
 _TILT_RAD = math.radians(4.0)
 # What a load must at least vary by to be told from everything else that happens meanwhile.
 _LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
+# Motors that turn both ways stand still at half of their output.
+_NEUTRAL_IN_THE_MIDDLE = frozenset({"rover", "ackermann-rover", "boat", "sub"})
 _YEAR_WHERE_UNKNOWN = 2026.5
 
 
@@ -78,16 +84,22 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
     compass = _compass(track, instance)
     time_s, keep = np.unique(compass.time_s, return_index=True)
     raw = _raw_field(track, compass)[keep]
-    if time_s.size > _MOST_ROWS:
-        stride = math.ceil(time_s.size / _MOST_ROWS)
-        time_s, raw = time_s[::stride], raw[::stride]
     if time_s.size < _FEWEST_ROWS:
         raise BadRecording(
             f"{track.source or 'The recording'} has {time_s.size} readings of compass {instance}, too few.",
             "Record at least half a minute of turning.",
         )
     reference = reference_attitude(track, time_s, choice)
-    field, sigma, field_notes = _world_field(track, reference, raw)
+    hold = _hold(time_s, compass.reported.values[keep], track.autopilot)
+    if (stride := math.ceil(time_s.size / _MOST_ROWS)) > 1:
+        time_s, raw, hold = time_s[::stride], raw[::stride], None if hold is None else hold[::stride]
+        reference = replace(
+            reference,
+            rotation=reference.rotation[::stride],
+            rate_radps=reference.rate_radps[::stride],
+            known=reference.known[::stride],
+        )
+    field, sigma, field_notes = _world_field(track, instance, time_s, reference, raw)
     stimulus = _stimulus(track, time_s, reference, field)
     acc, gyro = _column(track.acc_mps2, time_s), _column(track.gyro_radps, time_s)
     measured = Reading(raw, acc, gyro)
@@ -101,10 +113,14 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
     groups: tuple[Group, ...] = ("mag",)
     valid = reference.known & np.isfinite(raw).all(axis=1)
     inertial: tuple[tuple[Group, FloatArray], ...] = (("acc", acc), ("gyro", gyro))
+    motion_note: tuple[str, ...] = ()
     for name, values in inertial:
         if independent and np.isfinite(values[valid]).all() and np.abs(values).sum() > 0.0:
+            off = np.median(np.abs(values - (ideal.acc_mps2 if name == "acc" else ideal.gyro_radps))[valid])
+            if name == "acc" and off > _UNKNOWN_MOTION_MPS2:
+                motion_note = ("The accelerometer feels motion that the recording does not tell: left out.",)
+                continue
             groups = (*groups, name)
-    hold = _hold(time_s, compass.reported.values[keep][: time_s.size], track.autopilot)
     return Replay(
         signals=Signals(stimulus, ideal),
         measured=measured,
@@ -116,7 +132,7 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
         resolution_mgauss=compass.quantum_mgauss / math.sqrt(12.0),
         telemetry=hold is not None,
         field_known=sigma[0] < _UNKNOWN_FIELD_SIGMA_MGAUSS,
-        notes=(*track.notes, *reference.notes, *field_notes),
+        notes=(*track.notes, *reference.notes, *field_notes, *motion_note),
     )
 
 
@@ -154,7 +170,7 @@ def _scalar(series: Series | None, time_s: FloatArray) -> FloatArray:
 
 
 def _world_field(
-    track: Track, reference: Reference, raw: FloatArray
+    track: Track, instance: int, time_s: FloatArray, reference: Reference, raw: FloatArray
 ) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
     """Return the field in NED, its sigma, and what to say about it."""
     if track.place is not None and np.isfinite(track.place.values).all(axis=1).any():
@@ -162,6 +178,14 @@ def _world_field(
         lat, lon, alt = np.median(place, axis=0).tolist()
         year = decimal_year(track.utc_offset_s) if track.utc_offset_s else _YEAR_WHERE_UNKNOWN
         earth = earth_field(round(lat, 5), round(lon, 5), round(alt, 1), round(year, 3))
+        refined = _measured_by_others(track, instance, time_s, reference, earth.vector_mgauss)
+        if refined is not None:
+            note = "The vehicle's other compasses agree with the world model; they give the local field."
+            return (
+                refined,
+                np.array([_LOCAL_SIGMA_MGAUSS, earth.sigma_mgauss[1], _LOCAL_SIGMA_MGAUSS]),
+                (note,),
+            )
         return earth.vector_mgauss, np.array(earth.sigma_mgauss), ()
     rows = reference.known & np.isfinite(raw).all(axis=1)
     if not rows.any():
@@ -174,11 +198,42 @@ def _world_field(
     return field, np.full(3, _UNKNOWN_FIELD_SIGMA_MGAUSS), (note,)
 
 
+def _measured_by_others(
+    track: Track, instance: int, time_s: FloatArray, reference: Reference, model: FloatArray
+) -> FloatArray | None:
+    """Return the local field as at least two other, calibrated compasses measure it.
+
+    They count where each sees a constant field and its level and vertical parts agree with the model's;
+    the declination stays the model's, since yaw may come from a compass.
+    """
+    seen = []
+    level = float(np.hypot(model[0], model[1]))
+    for number, compass in track.compasses.items():
+        if number == instance or not compass.correction_known or len(compass.reported) < _FEWEST_ROWS:
+            continue
+        values = compass.reported.values + 0.5 * compass.quantum_mgauss * compass.truncated * np.sign(
+            compass.reported.values
+        )
+        world = rotate(
+            reference.rotation[reference.known], Series.of(compass.time_s, values).at(time_s)[reference.known]
+        )
+        parts = np.array([np.median(np.hypot(world[:, 0], world[:, 1])), np.median(world[:, 2])])
+        spread = 1.4826 * np.median(np.abs(np.hypot(world[:, 0], world[:, 1]) - parts[0]))
+        if spread < _STEADY_MGAUSS and np.abs(parts - (level, model[2])).max() < _AGREES_MGAUSS:
+            seen.append(parts)
+    if len(seen) < 2 or float(np.ptp(np.array(seen), axis=0).max()) > 2.0 * _LOCAL_SIGMA_MGAUSS:
+        return None
+    horizontal, down = np.mean(seen, axis=0)
+    return np.array([model[0] * horizontal / level, model[1] * horizontal / level, down])
+
+
 def _stimulus(track: Track, time_s: FloatArray, reference: Reference, field: FloatArray) -> Stimulus:
     n = time_s.size
     motors = np.empty((n, 0))
     if track.motors is not None and len(track.motors) > 1:
         motors = np.nan_to_num(track.motors.at(time_s))
+        if track.vehicle in _NEUTRAL_IN_THE_MIDDLE:
+            motors = 2.0 * np.abs(motors - 0.5)
     position = _column(track.position_ned_m, time_s)
     return Stimulus(
         time_s=time_s,

@@ -28,6 +28,8 @@ _REFINED = 7
 _SHORT = 2
 _NEAR = 60.0
 _HOPEFUL = 0.85
+# Twice the gain that a useless parameter has on average.
+_PRUNING = 2.0
 _SEARCHED_TWICE = frozenset({"on_s", "off_s", "frequency_hz", "threshold", "source", "orientation"})
 
 
@@ -81,12 +83,12 @@ class Search:
         """Return the EBIC of a fit."""
         return fit.sse + fit.dimension * self._log_n + 2.0 * len(fit.terms) * self._log_c
 
-    def run(self) -> Found:
-        """Search up to MOST_EFFECTS effects."""
+    def run(self, most: int = MOST_EFFECTS) -> Found:
+        """Search up to `most` effects."""
         null = self.problem.null()
         self.explored[frozenset()] = null
         best, beam = null, [null]
-        for size in range(1, MOST_EFFECTS + 1):
+        for size in range(1, most + 1):
             children = self._children(beam)
             if not children:
                 break
@@ -221,6 +223,32 @@ class Search:
                     best = _in_order(trial, best)
         return best
 
+    def pruned(self, fit: Fit) -> Fit:
+        """Hold parameters at zero that the data do not need beside the others, one after another.
+
+        Of several that could go, that one goes which leaves the smallest parameters in natural sizes.
+        """
+        if len(fit.terms) < 2:
+            return fit
+        while True:
+            options = []
+            for i, term in enumerate(fit.terms):
+                if not term.effect.affine or term.dimension < 2:
+                    continue
+                for j in np.flatnonzero(term.free):
+                    free = term.free.copy()
+                    free[j] = False
+                    theta = fit.thetas[i].copy()
+                    theta[j] = 0.0
+                    terms = (*fit.terms[:i], Term(term.effect, free), *fit.terms[i + 1 :])
+                    thetas = (*fit.thetas[:i], theta, *fit.thetas[i + 1 :])
+                    trial = self.problem.fit(terms, thetas, fit.nuisance_thetas, _SHORT)
+                    if trial.sse < fit.sse + _PRUNING:
+                        options.append(trial)
+            if not options:
+                return fit
+            fit = min(options, key=_natural_size)
+
     def _misfit(self, fit: Fit) -> Misfit:
         problem = self.problem
         signals = problem.signals(fit)
@@ -287,6 +315,14 @@ class Search:
             theta[term.free] += step / size
             theta = np.clip(theta, term.effect.lower, term.effect.upper)
         return _Start(term, theta, expected)
+
+
+def _natural_size(fit: Fit) -> float:
+    return sum(
+        float(np.sum((x / np.maximum(t.effect.scale, 1e-12))[t.free] ** 2))
+        for t, x in zip(fit.terms, fit.thetas, strict=True)
+        if t.effect.affine
+    )
 
 
 def make_term(effect: Effect, signals: Signals) -> Term:

@@ -107,7 +107,7 @@ def _interval(
     excess = nominal2 - floor2
     values = np.where(excess > 0.0, 1.0 - (after2 - floor2) / np.where(excess > 0.0, excess, 1.0), 0.0)
     low, high = np.quantile(values, [0.025, 0.975]).tolist()
-    return float(low), float(min(high, max(1.0, low)))
+    return float(low), float(high)
 
 
 def waterfall(

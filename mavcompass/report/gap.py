@@ -1,0 +1,130 @@
+"""The report of a gap diagnosis and of a blind trial: self-contained HTML files."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from mavcompass import __version__
+from mavcompass.errors import UsageError
+from mavcompass.gap.result import Cause, Diagnosis
+from mavcompass.gap.trial import Trial, wilson
+from mavcompass.report.calibration import render
+from mavcompass.report.gap_figures import ambiguity_figure, gap_figures, tests_figure, waterfall_figure
+from mavcompass.simulation.effects import catalogue
+
+_VERDICTS = {
+    "no_gap": ("no gap", "good", "The simulation agrees with the recording down to the noise floor."),
+    "named": ("explained", "good", "One explanation holds, on parts that were not used to find it."),
+    "ambiguous": ("ambiguous", "warn", "More than one explanation fits; the next recording can decide."),
+    "named_with_remainder": ("explained in part", "warn", "The named effects hold, and something is left."),
+    "unknown": ("unknown", "bad", "No effect of the catalogue explains this gap."),
+    "not_testable": ("not testable", "warn", "The recording cannot tell."),
+}
+
+
+def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
+    """Write the report of a diagnosis. Raises UsageError where the file cannot be written."""
+    word, css, sentence = _VERDICTS[diagnosis.verdict]
+    facts = {
+        "Recording": diagnosis.path or "unknown",
+        "Length": f"{diagnosis.duration_s:.0f} s, {diagnosis.samples} readings",
+        "Compass": str(diagnosis.compass),
+        "Attitude from": diagnosis.reference,
+    }
+    if diagnosis.folded:
+        facts["Known from the baseline"] = ", ".join(diagnosis.folded)
+    if diagnosis.withheld:
+        facts["Withheld"] = ", ".join(diagnosis.withheld)
+    html = render(
+        "gap.html",
+        made_at=_now(),
+        version=__version__,
+        verdict=word,
+        css=css,
+        sentence=sentence,
+        facts=facts,
+        notes=diagnosis.notes,
+        d=diagnosis,
+        causes=[_cause(c) for c in diagnosis.causes],
+        look_alikes=[c.effect for c in diagnosis.look_alikes],
+        figures=gap_figures(diagnosis),
+        waterfall=waterfall_figure(diagnosis.field, diagnosis.waterfall),
+        ambiguity=ambiguity_figure(diagnosis),
+        tests=tests_figure(diagnosis.tests),
+        field_ci=_interval(diagnosis.field.shrink_ci95),
+        heading_ci=_interval(diagnosis.heading.shrink_ci95),
+    )
+    _write(path, html)
+
+
+def write_trial_report(trial: Trial, path: Path) -> None:
+    """Write the scoreboard of a blind trial. Raises UsageError where the file cannot be written."""
+    rows = []
+    for name, (hits, of) in trial.figures().items():
+        low, high = wilson(hits, of)
+        share = f"{100 * hits / of:.1f} %" if of else "-"
+        rows.append((name, hits, of, share, f"{100 * low:.1f} to {100 * high:.1f}" if of else "-"))
+    html = render(
+        "gap_trial.html",
+        made_at=_now(),
+        version=__version__,
+        trial=trial,
+        rows=rows,
+        reliability=reliability(trial),
+    )
+    _write(path, html)
+
+
+def reliability(trial: Trial) -> list[tuple[str, int, str]]:
+    """Group single cases by separation: how many, and the share that was named exactly."""
+    edges = (0.0, 3.0, 5.0, 7.0, 9.0, 12.0, 20.0, math.inf)
+    rows = []
+    for low, high in pairwise(edges):
+        chosen = [c for c in trial.cases if c.label.tier != "none" and low <= c.separation < high]
+        exact = sum(c.exact for c in chosen)
+        share = f"{100 * exact / len(chosen):.0f} %" if chosen else "-"
+        rows.append((f"{low:g} to {high:g}", len(chosen), share))
+    return rows
+
+
+def _now() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _interval(ends: tuple[float, float]) -> str:
+    low, high = ends
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return "too short for an interval"
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    effect = catalogue()[cause.effect]
+    units = {p.name: p.unit for p in effect.parameters}
+    return {
+        "id": cause.effect,
+        "title": effect.title,
+        "probability": f"{100 * cause.probability:.0f} %",
+        "removes": f"{cause.removes_mgauss:.2f}",
+        "separation": "-" if cause.separation is None else f"{cause.separation:.0f}",
+        "separated_by": effect.separated_by,
+        "ambiguous_with": cause.ambiguous_with,
+        "parameters": [
+            (name, f"{value:.5g}", "{:.4g} to {:.4g}".format(*cause.ci95[name]), units[name])
+            for name, value in cause.parameters.items()
+        ],
+    }
+
+
+def _write(path: Path, html: str) -> None:
+    try:
+        path.write_text(html, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(
+            f"The report could not be written to {path} ({error.strerror}).",
+            "Name a file in a folder that you may write to.",
+        ) from error

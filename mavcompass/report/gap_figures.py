@@ -1,0 +1,225 @@
+"""The figures of a gap report: where the gap lies, how it closes, what is left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.locate import bin_means
+from mavcompass.gap.picture import Picture
+from mavcompass.gap.result import Bar, Closing, Diagnosis
+from mavcompass.report.svg import Plot, limits
+
+_MOST_POINTS = 1500
+_AXES = "xyz"
+
+
+def heading_tilt_map(picture: Picture, axis: int, after: bool) -> str:
+    """Draw the mean residual of one axis over heading (across) and tilt (up); empty cells are hatched."""
+    heading, tilt = picture.coordinates["heading"][0], picture.coordinates.get("tilt", (None, ""))[0]
+    rows = picture.valid
+    residual = (picture.after_mgauss if after else picture.before_mgauss)[rows, axis]
+    across = np.clip((heading[rows] // 30.0).astype(int), 0, 11)
+    top = float(np.max(tilt[rows])) if tilt is not None else 0.0
+    height = 5 if top > 3.0 else 1
+    up = np.zeros(across.size, dtype=int)
+    if tilt is not None and height > 1:
+        up = np.clip((tilt[rows] / (top + 1e-9) * height).astype(int), 0, height - 1)
+    scale = max(float(np.abs(picture.before_mgauss[rows]).max()) * 0.7, 1e-9)
+    cells = []
+    for i in range(12):
+        for j in range(height):
+            chosen = residual[(across == i) & (up == j)]
+            x, y = 34 + i * 22, 10 + (height - 1 - j) * 22
+            if chosen.size < 3:
+                cells.append(f'<rect x="{x}" y="{y}" width="21" height="21" class="empty"/>')
+                continue
+            mean = float(chosen.mean())
+            strength = min(abs(mean) / scale, 1.0) ** 0.6
+            css = "plus" if mean > 0 else "minus"
+            title = f"{30 * i} to {30 * i + 30} deg: {mean:.1f} mG ({chosen.size} readings)"
+            cells.append(
+                f'<rect x="{x}" y="{y}" width="21" height="21" class="{css}"'
+                f' fill-opacity="{0.06 + 0.94 * strength:.2f}"><title>{title}</title></rect>'
+            )
+    bottom = 10 + height * 22
+    ticks = "".join(
+        f'<text class="tick" x="{34 + k * 66}" y="{bottom + 13}">{90 * k}</text>' for k in range(5)
+    )
+    side = f'<text class="tick side" x="30" y="20">{top:.0f}°</text>' if height > 1 else ""
+    name = escape(f"mean residual of {_AXES[axis]} over heading and tilt")
+    return (
+        f'<svg viewBox="0 0 312 {bottom + 30}" role="img" aria-label="{name}">{"".join(cells)}{ticks}{side}'
+        f'<text class="label" x="166" y="{bottom + 27}">heading, deg</text></svg>'
+    )
+
+
+def strip(picture: Picture, coordinate: str) -> str:
+    """Draw the mean residual along one coordinate, before (lines per axis) and after."""
+    values, unit = picture.coordinates[coordinate]
+    rows = picture.valid
+    means = [bin_means(values[rows], picture.before_mgauss[rows, axis]) for axis in range(3)]
+    left = [bin_means(values[rows], picture.after_mgauss[rows, axis]) for axis in range(3)]
+    curves = [_drawn(m[1], m[2]) for m in (*means, *left)]
+    plot = Plot(
+        limits(values[rows]),
+        limits(*curves, [0.0], least=4.0),
+        f"{coordinate}{', ' + unit if unit else ''}",
+        "mean residual, mG",
+        f"mean residual along {coordinate}, before and after",
+        height=220.0,
+    )
+    for axis in range(3):
+        plot.line(means[axis][0], curves[axis], "old")
+        plot.line(left[axis][0], curves[3 + axis], "new")
+        known = np.flatnonzero(np.isfinite(curves[axis]))
+        if known.size:
+            plot.text(means[axis][0][known[-1]], curves[axis][known[-1]], _AXES[axis], dx=3.0, dy=3.0)
+    return plot.render()
+
+
+def _drawn(mean: FloatArray, count: FloatArray) -> FloatArray:
+    return np.asarray(np.where(count >= 3, mean, np.nan))
+
+
+def residual_overlay(picture: Picture, axis: int) -> str:
+    """Draw one axis's residual over time, before and after, on held-out parts only."""
+    rows = np.flatnonzero(picture.test)
+    rows = rows[:: max(1, rows.size // _MOST_POINTS)]
+    before, after = picture.before_mgauss[rows, axis], picture.after_mgauss[rows, axis]
+    plot = Plot(
+        limits(picture.time_s),
+        limits(before, after, least=4.0),
+        "time, s",
+        f"{_AXES[axis]}, mG",
+        f"residual of {_AXES[axis]} on held-out parts, before and after",
+        width=880.0,
+        height=180.0,
+    )
+    plot.dots(picture.time_s[rows], before, "old", 1.4)
+    plot.dots(picture.time_s[rows], after, "new", 1.4)
+    return plot.render()
+
+
+def waterfall_figure(closing: Closing, steps: Sequence[Bar]) -> str:
+    """Draw the gap as bars from nominal over each effect to after, and the floor as a line."""
+    levels = [("nominal", closing.nominal**2, 0.0, 0.0)]
+    levels += [(b.effect, b.part_mgauss2, b.lowest_mgauss2, b.highest_mgauss2) for b in steps]
+    levels.append(("after", closing.after**2, 0.0, 0.0))
+    top = max(closing.nominal, closing.floor, 1e-9) * 1.08
+    width, height, base = 110.0, 220.0, 190.0
+    total = width * len(levels) + 50.0
+
+    def y(rms: float) -> float:
+        return base - rms / top * (base - 14.0)
+
+    pieces, level = [], closing.nominal**2
+    for k, (name, part, low, high) in enumerate(levels):
+        x = 40.0 + k * width
+        if k in (0, len(levels) - 1):
+            rms = math.sqrt(part)
+            pieces.append(_bar(x, y(rms), base - y(rms), "old" if k == 0 else "new"))
+            words = f"{rms:.2f} mG"
+            above = y(rms)
+        else:
+            after = max(level - part, 0.0)
+            upper, lower = math.sqrt(max(level, 0.0)), math.sqrt(after)
+            pieces.append(_bar(x, y(upper), max(y(lower) - y(upper), 1.0), "step"))
+            words = f"{math.sqrt(max(part, 0.0)):.2f} mG"
+            if high - low > 1e-9:
+                words += f" ({math.sqrt(max(low, 0.0)):.1f} to {math.sqrt(max(high, 0.0)):.1f})"
+            level, above = after, y(upper)
+        pieces.append(f'<text class="mark mid" x="{x + 38}" y="{above - 4:.1f}">{escape(words)}</text>')
+        pieces.append(f'<text class="tick" x="{x + 38}" y="{base + 14}">{escape(name)}</text>')
+    floor = y(closing.floor)
+    pieces.append(f'<line class="floor" x1="34" x2="{total:.0f}" y1="{floor:.1f}" y2="{floor:.1f}"/>')
+    pieces.append(f'<text class="tick side" x="32" y="{floor:.1f}" dy="0.32em">floor</text>')
+    return (
+        f'<svg viewBox="0 0 {total:.0f} {height:.0f}" role="img" aria-label="waterfall of the gap">'
+        f"{''.join(pieces)}</svg>"
+    )
+
+
+def _bar(x: float, top: float, height: float, css: str) -> str:
+    return f'<rect class="fall {css}" x="{x}" y="{top:.1f}" width="76" height="{height:.1f}" rx="3"/>'
+
+
+def spectrum_figure(picture: Picture) -> str:
+    """Draw the spectrum of what is left, in units of the floor's (1: white noise at the floor)."""
+    step = float(np.median(np.diff(picture.time_s)))
+    z = np.where(picture.valid[:, None], picture.innovations, 0.0)
+    power = (np.abs(np.fft.rfft(z, axis=0)) ** 2 / len(z)).mean(axis=1)
+    frequency = np.fft.rfftfreq(len(z), step)
+    bins = max(1, power.size // 200)
+    cut = power.size // bins * bins
+    smooth = power[:cut].reshape(-1, bins).mean(axis=1)
+    centre = frequency[:cut].reshape(-1, bins).mean(axis=1)
+    plot = Plot(
+        limits(centre), limits(smooth, [0.0, 2.0]), "frequency, Hz", "power over floor",
+        "spectrum of what is left", height=220.0,
+    )  # fmt: skip
+    plot.line(centre, np.ones_like(centre), "truth")
+    plot.line(centre, smooth, "new")
+    return plot.render()
+
+
+def tests_figure(tests: Sequence[tuple[str, float]]) -> str:
+    """Draw the smallest p-values as bars of -log10 p."""
+    rows = [(name, min(-math.log10(max(p, 1e-30)), 30.0)) for name, p in tests[:10]]
+    top = max([value for _, value in rows] + [4.0])
+    pieces = []
+    for k, (name, value) in enumerate(rows):
+        y = 4 + 22 * k
+        pieces.append(
+            f'<text class="tick side" x="178" y="{y + 8}" dy="0.32em">{escape(name)}</text>'
+            f'<rect class="bar" x="184" y="{y}" width="{max(190 * value / top, 1):.1f}" height="15" rx="3"/>'
+            f'<text class="mark" x="{188 + 190 * value / top:.1f}" y="{y + 8}" dy="0.32em">{value:.1f}</text>'
+        )
+    return (
+        f'<svg viewBox="0 0 420 {10 + 22 * len(rows)}" role="img" aria-label="tests of what is left">'
+        f"{''.join(pieces)}</svg>"
+    )
+
+
+def ambiguity_figure(diagnosis: Diagnosis) -> str:
+    """Draw the explanations as discs by their probability, joined where the data hardly tell them apart."""
+    sets = diagnosis.ambiguity_set[:6]
+    if not sets:
+        return ""
+    pieces, places = [], []
+    for k, (names, weight) in enumerate(sets):
+        angle = 2.0 * math.pi * k / len(sets) - 0.5 * math.pi
+        x = 210.0 + (120.0 * math.cos(angle) if len(sets) > 1 else 0.0)
+        y = 105.0 + (66.0 * math.sin(angle) if len(sets) > 1 else 0.0)
+        places.append((x, y, weight, " + ".join(names)))
+    for x, y, _, _ in places[1:]:
+        pieces.append(
+            f'<line class="edge" x1="{places[0][0]}" y1="{places[0][1]}" x2="{x:.0f}" y2="{y:.0f}"/>'
+        )
+    for x, y, weight, name in places:
+        radius = 7.0 + 17.0 * math.sqrt(weight)
+        pieces.append(f'<circle class="disc" cx="{x:.0f}" cy="{y:.0f}" r="{radius:.1f}"/>')
+        words = escape(f"{name} {100 * weight:.0f} %")
+        pieces.append(f'<text class="mark mid" x="{x:.0f}" y="{y + radius + 12:.0f}">{words}</text>')
+    return f'<svg viewBox="0 0 420 220" role="img" aria-label="ambiguity">{"".join(pieces)}</svg>'
+
+
+def gap_figures(diagnosis: Diagnosis) -> Mapping[str, object]:
+    """Draw all the figures that the report needs."""
+    picture = diagnosis.picture
+    if picture is None:
+        return {"maps": [], "strips": [], "overlays": [], "spectrum": ""}
+    order = ["time", "current", "throttle", "temperature", "position", "rate"]
+    return {
+        "maps": [
+            (axis, heading_tilt_map(picture, i, False), heading_tilt_map(picture, i, True))
+            for i, axis in enumerate(_AXES)
+        ],
+        "strips": [(name, strip(picture, name)) for name in order if name in picture.coordinates],
+        "overlays": [(axis, residual_overlay(picture, i)) for i, axis in enumerate(_AXES)],
+        "spectrum": spectrum_figure(picture),
+    }
