@@ -1,0 +1,294 @@
+"""`mavcompass fleet ...`: many recordings, on one machine or a cluster."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from mavcompass.cli.calibrate import METHODS, _instances
+from mavcompass.cli.gap import _REFERENCES
+from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.terminal import is_live
+
+if TYPE_CHECKING:
+    from mavcompass.fleet.examine import Job
+    from mavcompass.fleet.run import Engine, FleetResult, Progress
+    from mavcompass.fleet.summary import Summary, Vehicle
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+NOTHING_USABLE = 4
+_SHOWN = 5
+
+
+@click.group()
+def command() -> None:
+    """Work through many recordings: a row for each in a Parquet file, and a summary page.
+
+    PATHS are files, folders, patterns ("flights/**/*.tlog") or the same in an object store (s3://...).
+    A recording that cannot be used, or that kills the process that reads it, costs only itself. A run that
+    was stopped goes on when the same command is given again: what is done is kept in FILE.parquet.journal.
+
+    \b
+    Example: mavcompass fleet calibrate flights/ --out fleet.parquet
+    """
+
+
+def fleet_options(function: Function) -> Function:
+    """Let a command take what all work on fleets shares; see `_run` for the names."""
+    options = (
+        click.argument("paths", nargs=-1, required=True),
+        click.option(
+            "--out",
+            type=click.Path(dir_okay=False, path_type=Path),
+            required=True,
+            metavar="FILE.parquet",
+            help="The table; its journal FILE.parquet.journal stands beside it.",
+        ),
+        click.option(
+            "--workers", type=click.IntRange(1, 1024), help="Processes here (default: one per processor)."
+        ),
+        click.option("--scheduler", metavar="ADDRESS", help="Use this Dask cluster, e.g. tcp://HOST:8786."),
+        click.option(
+            "--timeout",
+            "timeout_s",
+            type=click.FloatRange(0.1),
+            default=600.0,
+            show_default=True,
+            help="Give a recording up after so many seconds.",
+        ),
+        click.option(
+            "--compass", "instances", default="1", callback=_instances, help="1, 2, 3, a list, or all."
+        ),
+        click.option(
+            "--vehicle-pattern",
+            metavar="REGEX",
+            help="Its first group, found in a path, names the vehicle (default: serial number, or folder).",
+        ),
+        click.option("--fresh", is_flag=True, help="Forget the journal and begin anew."),
+        click.option("--retry-errors", is_flag=True, help="Do again what gave an error."),
+        click.option(
+            "--report",
+            "report_file",
+            type=click.Path(dir_okay=False, path_type=Path),
+            help="The summary page (default: FILE.html).",
+        ),
+    )
+    for option in (common_options, *reversed(options)):
+        function = option(function)
+    return function
+
+
+@command.command()
+@fleet_options
+@click.option("--method", type=click.Choice(METHODS), default="four-positions", show_default=True)
+@click.option(
+    "--max-error-deg",
+    type=click.FloatRange(0.1, 45.0),
+    default=2.0,
+    show_default=True,
+    help="Accept no calibration with a larger predicted heading error.",
+)
+def calibrate(
+    paths: tuple[str, ...],
+    out: Path,
+    workers: int | None,
+    scheduler: str | None,
+    timeout_s: float,
+    instances: tuple[int, ...],
+    vehicle_pattern: str | None,
+    fresh: bool,
+    retry_errors: bool,
+    report_file: Path | None,
+    method: str,
+    max_error_deg: float,
+    output: Output,
+) -> int:
+    """Calibrate every recording; see how each vehicle's calibration moves over time. Nothing is written
+    to a vehicle.
+
+    \b
+    Example: mavcompass fleet calibrate flights/ --out fleet.parquet --workers 8
+    """
+    from mavcompass.fleet.examine import Job
+
+    job = Job(
+        "calibrate", instances, method=method, max_error_deg=max_error_deg, vehicle_pattern=vehicle_pattern
+    )
+    engine = _engine(workers, scheduler, timeout_s)
+    return _run(job, paths, out, engine, fresh, retry_errors, report_file, output)
+
+
+@command.command()
+@fleet_options
+@click.option("--reference", type=click.Choice(_REFERENCES), default="auto", show_default=True)
+def diagnose(
+    paths: tuple[str, ...],
+    out: Path,
+    workers: int | None,
+    scheduler: str | None,
+    timeout_s: float,
+    instances: tuple[int, ...],
+    vehicle_pattern: str | None,
+    fresh: bool,
+    retry_errors: bool,
+    report_file: Path | None,
+    reference: str,
+    output: Output,
+) -> int:
+    """Diagnose the sim-to-real gap of every recording: which effects, how large, on which vehicles.
+
+    \b
+    Example: mavcompass fleet diagnose "flights/**/*.BIN" --out gaps.parquet --scheduler tcp://10.0.0.5:8786
+    """
+    from mavcompass.fleet.examine import Job
+
+    job = Job("diagnose", instances, reference=reference, vehicle_pattern=vehicle_pattern)
+    engine = _engine(workers, scheduler, timeout_s)
+    return _run(job, paths, out, engine, fresh, retry_errors, report_file, output)
+
+
+def _engine(workers: int | None, scheduler: str | None, timeout_s: float) -> Engine:
+    from mavcompass.fleet.run import Engine
+
+    if workers is not None and scheduler is not None:
+        raise click.UsageError("--workers and --scheduler exclude each other: a cluster has its own workers.")
+    return Engine(workers or len(os.sched_getaffinity(0)), scheduler, timeout_s)
+
+
+def _run(
+    job: Job,
+    paths: tuple[str, ...],
+    out: Path,
+    engine: Engine,
+    fresh: bool,
+    retry_errors: bool,
+    report_file: Path | None,
+    output: Output,
+) -> int:
+    from mavcompass.fleet.recordings import find_recordings
+    from mavcompass.fleet.run import journal_of, run_fleet
+    from mavcompass.fleet.summary import summarise
+    from mavcompass.report.fleet import require_templates, write_fleet_report
+
+    require_templates()
+    recordings = find_recordings(paths)
+    with _showing() as show:
+        try:
+            result = run_fleet(
+                job, recordings, out, engine, fresh=fresh, retry_errors=retry_errors, on_progress=show
+            )
+        except KeyboardInterrupt:
+            output.say(f"What is done is kept in {journal_of(out)}; the same command goes on from there.")
+            raise
+    summary = summarise(result.rows, job.work)
+    page = report_file or out.with_suffix(".html")
+    facts = {"Table": str(out), "Work": job.work, "Examined now": f"{result.examined}, kept: {result.kept}"}
+    write_fleet_report(summary, facts, page)
+    _say(output, result, summary, out, page)
+    output.write_json(_document(result, summary, out, page))
+    return NOTHING_USABLE if result.rows and all(row["status"] == "error" for row in result.rows) else 0
+
+
+@contextmanager
+def _showing() -> Iterator[Callable[[Progress], None]]:
+    """Show a bar on a terminal, nothing in a pipe."""
+    if not is_live():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True, no_color=bool(os.environ.get("NO_COLOR")))
+    columns = (
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TextColumn("{task.description}"),
+        TimeRemainingColumn(),
+    )
+    with Bar(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=None)
+
+        def show(progress: Progress) -> None:
+            words = f"{progress.errors} errors" if progress.errors else ""
+            bar.update(task, total=progress.asked, completed=progress.done, description=words)
+
+        yield show
+
+
+def _say(output: Output, result: FleetResult, summary: Summary, out: Path, page: Path) -> None:
+    kept = f", {result.kept} were done before" if result.kept else ""
+    output.say(
+        f"{result.examined} of {result.asked} recordings examined{kept}; {len(summary.errors)} errors."
+    )
+    for effect in summary.effects[:_SHOWN]:
+        output.say(
+            f"  {effect.effect}: in {effect.recordings} recordings of {effect.vehicles} vehicles,"
+            f" median {effect.median_mgauss:.1f} mG, largest {effect.largest_mgauss:.1f} mG"
+        )
+    for vehicle in summary.look_first[:_SHOWN]:
+        output.say(f"Look at {vehicle.name}: {'; '.join(vehicle.why)}.")
+    output.say(f"Table: {out}")
+    output.say(f"Summary: {page}")
+
+
+def _document(result: FleetResult, summary: Summary, out: Path, page: Path) -> dict[str, object]:
+    return {
+        "schema": "mavcompass.fleet/1",
+        "work": summary.work,
+        "asked": result.asked,
+        "examined": result.examined,
+        "kept": result.kept,
+        "recordings": summary.recordings,
+        "table": out,
+        "report": page,
+        "errors": [{"recording": recording, "error": error} for recording, error in summary.errors],
+        "effects": [
+            {
+                "effect": e.effect,
+                "recordings": e.recordings,
+                "vehicles": e.vehicles,
+                "median_mgauss": e.median_mgauss,
+                "largest_mgauss": e.largest_mgauss,
+                "largest_in": e.largest_in,
+            }
+            for e in summary.effects
+        ],
+        "vehicles": [_vehicle(vehicle) for vehicle in summary.vehicles],
+        "look_first": [vehicle.name for vehicle in summary.look_first],
+    }
+
+
+def _vehicle(vehicle: Vehicle) -> dict[str, object]:
+    return {
+        "name": vehicle.name,
+        "kind": vehicle.kind,
+        "recordings": vehicle.recordings,
+        "errors": vehicle.errors,
+        "not_accepted": vehicle.not_accepted,
+        "effects_mgauss": dict(vehicle.effects),
+        "why": list(vehicle.why),
+        "compasses": [
+            {
+                "compass": history.compass,
+                "device_id": history.device_id,
+                "rate_deg_per_30_days": history.rate_deg_per_30_days,
+                "history": [
+                    {
+                        "time_unix_s": p.time_unix_s,
+                        "recording": p.recording,
+                        "off_deg": p.off_deg,
+                        "drift_deg": p.drift_deg,
+                        "sigma_deg": p.sigma_deg,
+                    }
+                    for p in history.points
+                ],
+            }
+            for history in vehicle.histories
+        ],
+    }

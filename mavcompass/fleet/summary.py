@@ -1,0 +1,249 @@
+"""Sum up a fleet: which vehicles, which effects, how large, how each vehicle drifts, where to look first."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+
+from mavcompass.fleet.examine import Row, Work
+
+_AXES = ("x", "y", "z")
+_DAY_S = 86_400.0
+# A heading that is off by more than this, or that drifted by so many sigmas, is worth a person's time.
+NOTABLE_DEG = 2.0
+NOTABLE_SIGMAS = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """Hold one recording's place in a compass's history.
+
+    Attributes:
+        time_unix_s: when. recording: which.
+        off_deg: heading rms between the correction in force (or the simulation) and what was found.
+        drift_deg: heading rms between the first accepted correction and this one; None for diagnoses.
+        sigma_deg: 1 sigma of `drift_deg`.
+    """
+
+    time_unix_s: float
+    recording: str
+    off_deg: float | None
+    drift_deg: float | None = None
+    sigma_deg: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """Hold one compass of one vehicle over time, oldest first."""
+
+    compass: int
+    device_id: int | None
+    points: tuple[Point, ...]
+
+    @property
+    def rate_deg_per_30_days(self) -> float | None:
+        """Return how fast the measured quantity grows, by least squares; None for less than a day."""
+        known = [(p.time_unix_s, v) for p in self.points if (v := _measure(p)) is not None]
+        times = np.array([t for t, _ in known]) / _DAY_S
+        if len(known) < 2 or np.ptp(times) < 1.0:
+            return None
+        centred = times - times.mean()
+        return float(30.0 * (centred @ np.array([v for _, v in known])) / (centred @ centred))
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """Hold what is known of one vehicle; `why` says, worst first, what makes it worth a look."""
+
+    name: str
+    kind: str
+    recordings: int
+    errors: int
+    not_accepted: int
+    effects: tuple[tuple[str, float], ...]
+    histories: tuple[History, ...]
+    worst_deg: float
+    why: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class EffectSize:
+    """Hold how often an effect was found and how large it is, milligauss."""
+
+    effect: str
+    recordings: int
+    vehicles: int
+    median_mgauss: float
+    largest_mgauss: float
+    largest_in: str
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Hold the whole fleet. `vehicles`: the ones to look at first come first."""
+
+    work: Work
+    recordings: int
+    errors: tuple[tuple[str, str], ...]
+    vehicles: tuple[Vehicle, ...]
+    effects: tuple[EffectSize, ...]
+
+    @property
+    def look_first(self) -> tuple[Vehicle, ...]:
+        """Return the vehicles that give a reason to look at them, worst first."""
+        return tuple(vehicle for vehicle in self.vehicles if vehicle.why)
+
+
+def summarise(rows: Sequence[Row], work: Work) -> Summary:
+    """Sum up the rows of `examine`."""
+    by_vehicle: dict[str, list[Row]] = defaultdict(list)
+    for row in rows:
+        by_vehicle[row["vehicle"]].append(row)
+    vehicles = [_vehicle(name, by_vehicle[name]) for name in sorted(by_vehicle)]
+    vehicles.sort(key=lambda v: (-v.worst_deg, -len(v.why), v.name))
+    errors = [(row["recording"], row["error"]) for row in rows if row["status"] == "error"]
+    return Summary(work, _count(rows), tuple(errors), tuple(vehicles), _effects(rows))
+
+
+def effects_of(row: Row) -> dict[str, float]:
+    """Return the effects that one row shows, with their size in milligauss.
+
+    A diagnosis names them. A calibration shows the hard iron as it is, and scale and cross terms by what
+    they make of the Earth's horizontal field.
+    """
+    if row.get("verdict") is not None:
+        before, after = "effect_", "_mgauss"
+        return {
+            name[len(before) : -len(after)]: float(size)
+            for name, size in row.items()
+            if name.startswith(before) and name.endswith(after) and size is not None
+        }
+    if not row.get("accepted"):
+        return {}
+    horizontal = row["field_horizontal_mgauss"] or 0.0
+    return {
+        "hard_iron": math.dist((0.0, 0.0, 0.0), [row[f"offset_{axis}_mgauss"] for axis in _AXES]),
+        "axis_scale": 0.5 * abs(row["diagonal_x"] - row["diagonal_y"]) * horizontal,
+        "non_orthogonality": abs(row["off_diagonal_xy"]) * horizontal,
+    }
+
+
+def _count(rows: Iterable[Row]) -> int:
+    return len({row["recording"] for row in rows})
+
+
+def _effects(rows: Sequence[Row]) -> tuple[EffectSize, ...]:
+    found: dict[str, list[tuple[float, Row]]] = defaultdict(list)
+    for row in rows:
+        for effect, size in effects_of(row).items():
+            found[effect].append((size, row))
+    out = []
+    for effect, cases in found.items():
+        largest, where = max(cases, key=lambda case: case[0])
+        vehicles = len({row["vehicle"] for _, row in cases})
+        middle = median(size for size, _ in cases)
+        recordings = _count(row for _, row in cases)
+        out.append(EffectSize(effect, recordings, vehicles, middle, largest, where["recording"]))
+    return tuple(sorted(out, key=lambda e: (-e.recordings, -e.median_mgauss)))
+
+
+def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
+    histories = _histories(rows)
+    sizes: dict[str, float] = {}
+    for row in rows:
+        for effect, size in effects_of(row).items():
+            sizes[effect] = max(size, sizes.get(effect, 0.0))
+    errors = _count(row for row in rows if row["status"] == "error")
+    not_accepted = _count(row for row in rows if row["status"] == "not_accepted")
+    reasons = sorted(
+        [reason for history in histories for reason in _reasons(history)], key=lambda r: r[0], reverse=True
+    )
+    why = [text for _, text in reasons]
+    unexplained = _count(row for row in rows if row.get("unknown"))
+    if unexplained:
+        why.append(f"{unexplained} recordings show something that no effect explains")
+    if not_accepted:
+        why.append(f"{not_accepted} recordings gave no calibration worth writing")
+    if errors:
+        why.append(f"{errors} recordings could not be used")
+    kinds = [row["vehicle_kind"] for row in rows if row.get("vehicle_kind") not in (None, "unknown")]
+    return Vehicle(
+        name,
+        kinds[0] if kinds else "unknown",
+        _count(rows),
+        errors,
+        not_accepted,
+        tuple(sorted(sizes.items(), key=lambda item: -item[1])),
+        histories,
+        max((worst for worst, _ in reasons), default=0.0),
+        tuple(why),
+    )
+
+
+def _histories(rows: Sequence[Row]) -> tuple[History, ...]:
+    by_compass: dict[tuple[int, int | None], list[Row]] = defaultdict(list)
+    for row in rows:
+        if row["status"] == "ok" and row.get("recorded_unix_s") is not None and row.get("compass"):
+            by_compass[row["compass"], row.get("device_id")].append(row)
+    out = []
+    for (compass, device_id), own in sorted(by_compass.items(), key=lambda item: str(item[0])):
+        own.sort(key=lambda row: (row["recorded_unix_s"], row["recording"]))
+        out.append(History(compass, device_id, tuple(_point(row, own[0]) for row in own)))
+    return tuple(out)
+
+
+def _point(row: Row, first: Row) -> Point:
+    moment, recording = row["recorded_unix_s"], row["recording"]
+    if row.get("verdict") is not None:
+        return Point(moment, recording, row.get("heading_gap_deg"))
+    sigmas = (first["heading_sigma_deg"] or 0.0, row["heading_sigma_deg"] or 0.0)
+    return Point(
+        moment, recording, row["heading_change_deg"], heading_between_deg(first, row), math.hypot(*sigmas)
+    )
+
+
+def heading_between_deg(old: Row, new: Row) -> float | None:
+    """Return the heading rms over the circle between the corrections of two calibrated rows, degrees.
+
+    None where the field they are to be compared on is not known.
+    """
+    from mavcompass.calibration.result import heading_change_rad
+    from mavcompass.correction import FieldCorrection
+
+    horizontal, vertical = new["field_horizontal_mgauss"], new["field_vertical_mgauss"]
+    if horizontal is None or vertical is None:
+        return None
+    corrections = [
+        FieldCorrection(
+            offsets_mgauss=tuple(row[f"offset_{axis}_mgauss"] for axis in _AXES),
+            diagonals=tuple(row[f"diagonal_{axis}"] for axis in _AXES),
+            off_diagonals=tuple(row[f"off_diagonal_{pair}"] for pair in ("xy", "xz", "yz")),
+            scale=row["scale"],
+        )
+        for row in (old, new)
+    ]
+    change = heading_change_rad(corrections[0], corrections[1], horizontal, vertical)
+    return math.degrees(math.sqrt(float((change**2).mean())))
+
+
+def _measure(point: Point) -> float | None:
+    return point.off_deg if point.drift_deg is None else point.drift_deg
+
+
+def _reasons(history: History) -> list[tuple[float, str]]:
+    """Say what is notable in a compass's history, with how many degrees it is about."""
+    out = []
+    last, which = history.points[-1], f"compass {history.compass}"
+    if last.off_deg is not None and last.off_deg >= NOTABLE_DEG:
+        out.append((last.off_deg, f"{which}: heading off by {last.off_deg:.1f}° in its last recording"))
+    if last.drift_deg is not None and last.sigma_deg is not None and last.drift_deg >= NOTABLE_DEG:
+        days = (last.time_unix_s - history.points[0].time_unix_s) / _DAY_S
+        if last.drift_deg >= NOTABLE_SIGMAS * last.sigma_deg:
+            moved = f"{which}: its calibration moved by {last.drift_deg:.1f}° in {days:.0f} days"
+            out.append((last.drift_deg, moved))
+    return out

@@ -1,0 +1,105 @@
+"""The summary page of a fleet: one self-contained HTML file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from mavcompass import __version__
+from mavcompass.errors import UsageError
+from mavcompass.fleet.summary import NOTABLE_DEG, History, Summary, Vehicle
+from mavcompass.frames import FloatArray
+from mavcompass.report.calibration import render
+from mavcompass.report.svg import Plot, bars, limits
+
+_DAY_S = 86_400.0
+# A page stays one that a person can read; the Parquet file has everything.
+_MOST_VEHICLES, _MOST_DRIFTS, _MOST_ERRORS, _MOST_FIRST = 300, 24, 50, 12
+_LINES = ("new", "old", "iron")
+
+
+def write_fleet_report(summary: Summary, facts: Mapping[str, str], path: Path) -> None:
+    """Write the page. Raises UsageError where it cannot be written or jinja2 is missing."""
+    drifting = [v for v in summary.vehicles if any(len(h.points) > 1 for h in v.histories)]
+    html = render(
+        "fleet.html",
+        made_at=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        version=__version__,
+        summary=summary,
+        facts=facts,
+        notable_deg=NOTABLE_DEG,
+        first=summary.look_first[:_MOST_FIRST],
+        vehicles=[(v, _last_off_deg(v), _rate(v)) for v in summary.vehicles[:_MOST_VEHICLES]],
+        drifts=[(v, drift_figure(v, summary.work == "calibrate")) for v in drifting[:_MOST_DRIFTS]],
+        drifting=len(drifting),
+        errors=summary.errors[:_MOST_ERRORS],
+        effect_bars=bars(
+            sorted(((e.effect, e.median_mgauss) for e in summary.effects), key=lambda e: -e[1])[:12],
+            "mG",
+            "Median size of each effect",
+        ),
+    )
+    try:
+        path.write_text(html, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(
+            f"The summary page could not be written to {path} ({error.strerror}).",
+            "Name a file in a folder that you may write to.",
+        ) from error
+
+
+def drift_figure(vehicle: Vehicle, calibrated: bool) -> str:
+    """Draw a vehicle's compasses over time: drift of the calibration, or the heading gap, in degrees."""
+    drawn = [h for h in vehicle.histories if len(h.points) > 1]
+    start = min(h.points[0].time_unix_s for h in drawn)
+    curves = [_curve(history, start, calibrated) for history in drawn]
+    day = datetime.fromtimestamp(start, UTC).strftime("%Y-%m-%d")
+    plot = Plot(
+        x_range=limits(*(days for days, _, _ in curves), least=1.0),
+        y_range=limits([0.0], *(values + sigmas for _, values, sigmas in curves), least=1.0),
+        x_label=f"days since {day}",
+        y_label="moved since then, deg" if calibrated else "heading gap, deg",
+        title=f"{vehicle.name} over time",
+        height=220.0,
+    )
+    for number, (days, values, sigmas) in enumerate(curves):
+        css = _LINES[number % len(_LINES)]
+        if calibrated:
+            plot.band(days, (values - sigmas).clip(min=0.0), values + sigmas, css)
+        plot.line(days, values, css)
+        plot.dots(days, values, css, radius=2.4)
+    return plot.render()
+
+
+def _curve(history: History, start: float, calibrated: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def column(values: Sequence[float | None]) -> FloatArray:
+        return np.array([np.nan if value is None else value for value in values])
+
+    points = history.points
+    values = column([p.drift_deg if calibrated else p.off_deg for p in points])
+    sigmas = np.nan_to_num(column([p.sigma_deg for p in points]))
+    return (np.array([p.time_unix_s for p in points]) - start) / _DAY_S, values, sigmas
+
+
+def _last_off_deg(vehicle: Vehicle) -> float | None:
+    lasts = [h.points[-1].off_deg for h in vehicle.histories]
+    return max((value for value in lasts if value is not None), default=None)
+
+
+def _rate(vehicle: Vehicle) -> float | None:
+    rates = [rate for h in vehicle.histories if (rate := h.rate_deg_per_30_days) is not None]
+    return max(rates, key=abs, default=None)
+
+
+def require_templates() -> None:
+    """Raise UsageError where jinja2 is missing: better before a long run than after it."""
+    from importlib.util import find_spec
+
+    if find_spec("jinja2") is None:
+        raise UsageError(
+            "The summary page needs the package jinja2, which is not installed.",
+            "Install it with: pip install 'mavcompass[report]'",
+        )
