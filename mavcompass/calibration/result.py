@@ -13,6 +13,7 @@ from mavcompass.calibration.model import HeadingError
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.compute import level_heading
+from mavcompass.heading.deviation import DeviationCard, deviation_card
 
 METHODS = (
     "four-positions",
@@ -116,6 +117,7 @@ class CalibrationResult:
                 "horizontal": _number(self.horizontal_mgauss),
                 "vertical": _number(self.vertical_mgauss),
             },
+            "deviation_card": self._card_json(),
             "positions": [
                 {
                     "turned_deg": _number(p.turned_deg),
@@ -126,6 +128,24 @@ class CalibrationResult:
                 for p in self.positions
             ],
             "parameters": {name: _number(value) for name, value in self.parameters.items()},
+        }
+
+    def deviation_card(self, headings: int = 8) -> DeviationCard:
+        """Draw the deviation card of the correction that was in force, by this calibration."""
+        circle = np.arange(72) * (2.0 * math.pi / 72)
+        sigma = None if self.heading_error is None else self.heading_error.sigma_rad(circle)
+        return deviation_card(
+            self.in_force, self.correction, self.horizontal_mgauss, self.vertical_mgauss, headings, sigma
+        )
+
+    def _card_json(self) -> dict[str, Any] | None:
+        if not math.isfinite(self.horizontal_mgauss + self.vertical_mgauss):
+            return None
+        card = self.deviation_card()
+        return {
+            "compass_deg": _numbers(card.compass_deg),
+            "deviation_deg": _numbers(card.deviation_deg),
+            "coefficients_deg": {k: _number(v) for k, v in card.coefficients_deg.items()},
         }
 
 

@@ -289,4 +289,7 @@ def test_the_result_is_json() -> None:
     } <= set(entry)
     assert len(entry["covariance"]["names"]) == len(entry["covariance"]["matrix"])
     assert "offset_z" in entry["not_observable"] or entry["covariance"]["matrix"][2][2] < 100.0
+    card = entry["deviation_card"]
+    assert len(card["compass_deg"]) == len(card["deviation_deg"]) == 8
+    assert max(abs(d) for d in card["deviation_deg"]) > 20.0  # of the correction in force: none
     assert set(METHODS) >= {"four-positions", "world-field"}

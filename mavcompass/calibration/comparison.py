@@ -1,0 +1,34 @@
+"""What all methods share when they become a result: the motor term, and old against new."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.correction import FieldCorrection
+from mavcompass.units import DEG_PER_RAD
+
+UNCERTAIN = "The heading would be uncertain"
+
+
+def with_motor(correction: FieldCorrection, in_force: FieldCorrection) -> FieldCorrection:
+    """Carry the motor term in force into another matrix."""
+    x, y, z = (
+        correction.matrix @ np.linalg.solve(in_force.matrix, np.asarray(in_force.motor_mgauss))
+    ).tolist()
+    return replace(correction, motor_mgauss=(x, y, z), motor_source=in_force.motor_source)
+
+
+def compared(result: CalibrationResult) -> CalibrationResult:
+    """Add what changes in the heading from the correction in force."""
+    change = heading_change_rad(
+        result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss
+    )
+    return replace(
+        result,
+        heading_change_deg=math.sqrt(float((change**2).mean())) * DEG_PER_RAD,
+        heading_change_max_deg=float(np.abs(change).max()) * DEG_PER_RAD,
+    )
