@@ -20,6 +20,7 @@ from mavcompass.gap.floor import (
     from_baseline,
     from_recording,
     rms,
+    trusted_groups,
     with_noise,
 )
 from mavcompass.gap.identify import Identified, identify
@@ -106,6 +107,10 @@ def _diagnose(
     before = (
         replay(baseline, compass if compass in baseline.compasses else 1, reference) if baseline else None
     )
+    if before is not None:
+        trusted = trusted_groups(before, list(every.values()))
+        replayed = replace(replayed, groups=tuple(g for g in replayed.groups if g in trusted))
+        before = replace(before, groups=replayed.groups)
     trace = integrity.inspect(replayed)
     nominal_trace = integrity.inspect(before) if before else None
     stale = integrity.names_stale(trace, nominal_trace, replayed) and "stale_samples" not in withheld

@@ -15,12 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.adequacy import judge
 from mavcompass.gap.model import Fit, Problem
 from mavcompass.gap.noise import Noise, SensorNoise, estimate_noise, group_values, rough_sigma, white
 from mavcompass.gap.nuisance import WORLD_FIELD, Nuisance
 from mavcompass.gap.replay import Replay
-from mavcompass.gap.search import Search
-from mavcompass.simulation.effects.effect import Effect
+from mavcompass.gap.search import Search, make_term
+from mavcompass.simulation.effects.effect import Effect, Group
 
 _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
 _STATED_MGAUSS = 0.3
@@ -34,6 +35,8 @@ _DOUBT_LASTS_S = 5.0
 _TIME_DOUBT_S = {"telemetry": 0.03, "direct": 0.01}
 _FOLD_WIDENING = 4.0
 _MOST_FOLDED = 3
+# A baseline is a judge's witness, not the accused: only blatant structure disqualifies a sensor.
+_EXPLAINED_P = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +144,35 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -
 _NEVER_FOLDED = frozenset({"hard_iron_step", "ac_interference", "relay_field", "orientation", "clipping"})
 
 
+_INERTIAL: dict[Group, tuple[str, ...]] = {
+    "acc": ("accel_bias", "accel_scale", "linear_acceleration"),
+    "gyro": ("gyro_bias", "gyro_scale"),
+}
+
+
+def trusted_groups(baseline: Replay, effects: Sequence[Effect]) -> tuple[Group, ...]:
+    """Tell which sensors of a baseline the simulation explains, up to biases, gains and a lever arm.
+
+    A real accelerometer or gyro whose baseline is not explained (unknown motion, imperfect timing) cannot
+    tell anything about another recording; the compass always stays.
+    """
+    kept: list[Group] = ["mag"]
+    for group in baseline.groups:
+        if group == "mag":
+            continue
+        alone = replace(baseline, groups=(group,))
+        noise = first_noise(alone)
+        terms = [make_term(e, alone.signals) for e in effects if e.id in _INERTIAL[group]]
+        problem = Problem(alone, noise, alone.valid, ())
+        fit = problem.fit(terms, [t.effect.neutral() for t in terms], ())
+        problem = Problem(alone, measured_noise(problem, fit), alone.valid, ())
+        structure = judge(problem, fit, compare_scatter=False)
+        smallest = min((t.p for t in structure.tests), default=1.0)
+        if smallest > _EXPLAINED_P:
+            kept.append(group)
+    return tuple(kept)
+
+
 def _without_slow_causes(problem: Problem, fit: Fit) -> Noise:
     """Estimate the noise of the residual; where slow causes dominate, keep the scatter between neighbours."""
     measured, stated = measured_noise(problem, fit), problem.noise
@@ -152,8 +184,6 @@ def _without_slow_causes(problem: Problem, fit: Fit) -> Noise:
 
 
 def _has_gap(problem: Problem, fit: Fit) -> bool:
-    from mavcompass.gap.adequacy import judge
-
     return judge(problem, fit, compare_scatter=False).flagged
 
 
