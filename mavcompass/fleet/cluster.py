@@ -27,7 +27,7 @@ def run_on_cluster(
     waiting = iter(tasks)
     with _connect(distributed, scheduler) as client:
         under_way: dict[Any, Task] = {}
-        done = distributed.as_completed(raise_errors=False)
+        done = distributed.as_completed(loop=client.loop, raise_errors=False)
 
         def submit_next() -> bool:
             task = next(waiting, None)

@@ -1,0 +1,180 @@
+"""A fleet from recordings to the table: nothing lost, nothing done twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from fleet_samples import examine_or_die, mark_and_examine
+
+from mavcompass.errors import LinkError, UsageError
+from mavcompass.fleet.columns import columns_of
+from mavcompass.fleet.examine import Job
+from mavcompass.fleet.recordings import Recording, find_recordings
+from mavcompass.fleet.run import Engine, Progress, journal_of, run_fleet
+
+pq = pytest.importorskip("pyarrow.parquet", reason="pip install 'mavcompass[fleet]'")
+
+CALIBRATE = Job("calibrate")
+TWO = Engine(workers=2, timeout_s=120.0)
+
+
+@pytest.fixture
+def own_twelve(twelve: Path, tmp_path: Path) -> list[Recording]:
+    """The twelve as links in one folder, so that a test may add to it."""
+    for path in twelve.rglob("*.csv"):
+        os.link(path, tmp_path / f"{path.parent.name}-{path.name}")
+    return find_recordings([str(tmp_path)])
+
+
+def examined(folder: Path) -> Counter[str]:
+    return Counter((folder / "examined").read_text().split())
+
+
+def test_the_table_has_the_documented_columns_and_a_row_each(
+    own_twelve: list[Recording], tmp_path: Path
+) -> None:
+    seen: list[Progress] = []
+    out = tmp_path / "out.parquet"
+    result = run_fleet(CALIBRATE, own_twelve, out, TWO, on_progress=seen.append)
+    table = pq.read_table(out)
+    assert table.column_names == [column.name for column in columns_of("calibrate")]
+    assert table["recording"].to_pylist() == [recording.path for recording in own_twelve]
+    assert set(table["status"].to_pylist()) == {"ok"}
+    assert all(abs(offset - 10.0) < 3.0 for offset in table["offset_y_mgauss"].to_pylist())
+    assert (result.examined, result.kept) == (12, 0)
+    assert [p.done for p in seen] == list(range(13))
+
+
+def test_a_recording_that_kills_its_process_is_one_error_and_the_others_are_done(
+    own_twelve: list[Recording], tmp_path: Path
+) -> None:
+    deadly = tmp_path / "deadly.csv"
+    deadly.write_bytes(Path(own_twelve[0].path).read_bytes())
+    recordings = find_recordings([str(tmp_path)])
+    run_fleet(CALIBRATE, recordings, tmp_path / "out.parquet", TWO, examine_one=examine_or_die)
+    table = pq.read_table(tmp_path / "out.parquet")
+    assert Counter(table["status"].to_pylist()) == {"ok": 12, "error": 1}
+    row = next(row for row in table.to_pylist() if row["status"] == "error")
+    assert (row["recording"], row["error_kind"]) == (str(deadly), "WorkerDied")
+    assert "signal 11" in row["error"]
+
+
+def test_the_same_on_a_dask_cluster(own_twelve: list[Recording], tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    (tmp_path / "deadly.csv").write_bytes(Path(own_twelve[0].path).read_bytes())
+    recordings = find_recordings([str(tmp_path)])
+    here = str(Path(__file__).parent)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, env={"PYTHONPATH": here}
+    ) as cluster:
+        engine = Engine(scheduler=cluster.scheduler_address, timeout_s=120.0)
+        run_fleet(CALIBRATE, recordings, tmp_path / "out.parquet", engine, examine_one=examine_or_die)
+    table = pq.read_table(tmp_path / "out.parquet")
+    assert Counter(table["status"].to_pylist()) == {"ok": 12, "error": 1}
+    assert "WorkerDied" in table["error_kind"].to_pylist()
+
+
+def test_a_scheduler_that_is_not_there_is_said(
+    own_twelve: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("mavcompass.fleet.cluster._CONNECT_S", 0.5)
+    engine = Engine(scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(LinkError, match="No Dask scheduler answers"):
+        run_fleet(CALIBRATE, own_twelve, tmp_path / "out.parquet", engine)
+
+
+KILLED = """
+import sys
+from pathlib import Path
+from fleet_samples import mark_and_examine
+from mavcompass.fleet.examine import Job
+from mavcompass.fleet.recordings import find_recordings
+from mavcompass.fleet.run import Engine, run_fleet
+folder = Path(sys.argv[1])
+run_fleet(Job("calibrate"), find_recordings([str(folder)]), folder / "out.parquet", Engine(2),
+          examine_one=mark_and_examine)
+"""
+
+
+def test_a_run_that_was_killed_goes_on_and_does_nothing_twice(
+    own_twelve: list[Recording], tmp_path: Path
+) -> None:
+    out = tmp_path / "out.parquet"
+    journal = journal_of(out)
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    with subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], env=environment) as running:
+        until = time.monotonic() + 60.0
+        while time.monotonic() < until and running.poll() is None:
+            if journal.exists() and journal.read_bytes().count(b"\n") >= 4:
+                break
+            time.sleep(0.002)
+        running.kill()
+    kept = {json.loads(line)["recording"] for line in journal.read_bytes().splitlines(keepends=True)[1:]
+            if line.endswith(b"\n")}  # fmt: skip
+    assert 3 <= len(kept)
+    before = examined(tmp_path)
+    with journal.open("ab") as file:
+        file.write(b'{"recording": "/torn')
+    result = run_fleet(CALIBRATE, own_twelve, out, TWO, examine_one=mark_and_examine)
+    assert result.kept == len(kept) and result.examined == 12 - len(kept)
+    again = examined(tmp_path) - before
+    assert set(again) == {Path(r.path).name for r in own_twelve if r.path not in kept}
+    assert set(again.values()) <= {1}
+    assert pq.read_table(out).num_rows == 12
+
+
+def test_an_interrupt_leaves_a_state_to_go_on_from(own_twelve: list[Recording], tmp_path: Path) -> None:
+    out = tmp_path / "out.parquet"
+
+    def interrupt(progress: Progress) -> None:
+        if progress.done == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_fleet(CALIBRATE, own_twelve, out, TWO, on_progress=interrupt)
+    assert not out.exists()
+    result = run_fleet(CALIBRATE, own_twelve, out, TWO)
+    assert (result.kept, result.examined) == (5, 7)
+
+
+def test_only_what_changed_is_done_again(own_twelve: list[Recording], tmp_path: Path) -> None:
+    out = tmp_path / "out.parquet"
+    run_fleet(CALIBRATE, own_twelve, out, TWO)
+    path = Path(own_twelve[3].path)
+    content = path.read_bytes()
+    path.unlink()
+    path.write_bytes(content[: len(content) // 20])
+    result = run_fleet(CALIBRATE, find_recordings([str(tmp_path)]), out, TWO)
+    assert (result.kept, result.examined) == (11, 1)
+    rows = pq.read_table(out).to_pylist()
+    assert [row["status"] for row in rows].count("error") == 1 and len(rows) == 12
+    result = run_fleet(CALIBRATE, find_recordings([str(tmp_path)]), out, TWO, retry_errors=True)
+    assert result.examined == 1
+
+
+def test_another_question_to_the_same_output_is_refused_unless_fresh(
+    own_twelve: list[Recording], tmp_path: Path
+) -> None:
+    out = tmp_path / "out.parquet"
+    run_fleet(CALIBRATE, own_twelve[:1], out, TWO)
+    other = Job("calibrate", method="sphere")
+    with pytest.raises(UsageError, match="--fresh"):
+        run_fleet(other, own_twelve[:1], out, TWO)
+    assert run_fleet(other, own_twelve[:1], out, TWO, fresh=True).examined == 1
+
+
+def test_missing_pyarrow_is_said_before_the_work(
+    own_twelve: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(UsageError, match="pip install 'mavcompass\\[fleet\\]'"):
+        run_fleet(CALIBRATE, own_twelve, tmp_path / "out.parquet", TWO)
+    assert not journal_of(tmp_path / "out.parquet").exists()
