@@ -24,6 +24,8 @@ _NEIGHBOURS = 15
 _GLITCH_MESSAGES = 5
 _LONGEST_BREAK_S = 30.0 * 86400.0
 _OUTSIDE_S = 3600.0
+# So many are handled at a time, to spare memory.
+_BLOCK = 1 << 18
 
 OrderArray = NDArray[np.uint32]
 
@@ -63,13 +65,22 @@ class BootClock:
         return goes_forward and bool(low < time_s[0]) and bool(time_s.max() < high)
 
     def from_boot(self, order: OrderArray, boot_s: FloatArray) -> FloatArray:
-        """Place messages by the time since boot that they carry."""
-        if self.shift_s.size == 1:
-            return boot_s + self.shift_s[0]
-        return boot_s + self.shift_s[self.segment(order)]
+        """Place messages, in the file's order, by the time since boot that they carry."""
+        time_s = boot_s + self.shift_s[0]
+        edges = [*np.searchsorted(order, self.first_order).tolist(), order.size]
+        for shift, first, last in zip(self.shift_s[1:], edges[1:-1], edges[2:], strict=True):
+            time_s[first:last] = boot_s[first:last] + shift
+        return time_s
 
     def from_log(self, order: OrderArray, log_s: FloatArray) -> FloatArray:
         """Place messages by the time when they were logged."""
+        out = np.empty(order.size)
+        for first in range(0, order.size, _BLOCK):
+            block = slice(first, first + _BLOCK)
+            out[block] = self._between_neighbours(order[block], log_s[block])
+        return out
+
+    def _between_neighbours(self, order: OrderArray, log_s: FloatArray) -> FloatArray:
         last = self._order.size - 1
         after = np.searchsorted(self._order, order)
         before = np.maximum(after - 1, 0)
@@ -113,7 +124,7 @@ def build_clock(order: OrderArray, log_s: FloatArray, boot_s: FloatArray) -> Boo
         first_order=first_order,
         shift_s=shifts,
         start_s=np.array([float(time_s[first]) for first in edges]),
-        log_jumps=int(np.count_nonzero(np.abs(np.diff(log_s - time_s)) > _JUMP_S)),
+        log_jumps=int(_leaps(log_s - time_s).size),
         _order=order,
         _time_s=time_s,
         _log_s=log_s,
@@ -130,7 +141,7 @@ def _glitches(log_s: FloatArray | None, boot_s: FloatArray) -> tuple[NDArray[np.
     wrong = np.zeros(boot_s.size, dtype=bool)
     boot_wrong = wrong.copy()
     offset = boot_s if log_s is None else log_s - boot_s
-    steps = np.flatnonzero(np.abs(np.diff(offset)) > _JUMP_S)
+    steps = _leaps(offset)
     position = 0
     while position < steps.size - 1:
         last_good, last_wrong = int(steps[position]), int(steps[position + 1])
@@ -144,6 +155,15 @@ def _glitches(log_s: FloatArray | None, boot_s: FloatArray) -> tuple[NDArray[np.
         else:
             position += 1
     return wrong, boot_wrong
+
+
+def _leaps(times_s: FloatArray) -> NDArray[np.intp]:
+    """Return the places before which times go on, and after which they are more than a jump away."""
+    parts = [
+        np.flatnonzero(np.abs(np.diff(times_s[first : first + _BLOCK + 1])) > _JUMP_S) + first
+        for first in range(0, max(times_s.size - 1, 1), _BLOCK)
+    ]
+    return np.concatenate(parts)
 
 
 def _restarts(boot_s: FloatArray) -> list[int]:

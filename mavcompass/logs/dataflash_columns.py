@@ -49,7 +49,7 @@ class Placed:
         for column, field in enumerate(fields):
             first = 0
             for records, which in self.parts:
-                values = _some(records.quantity(field, otherwise), which)
+                values = records.quantity(field, otherwise, which)
                 out[first : first + values.size, column] = values
                 first += values.size
             if self.sort is not None:
@@ -65,10 +65,6 @@ class Placed:
     def whole_numbers(self, field: str) -> bool:
         """Tell whether the log keeps a field as whole numbers."""
         return all(records.fields[field].character not in "fdg" for records, _ in self.parts)
-
-
-def _some(values: FloatArray, which: NDArray[np.bool_] | None) -> FloatArray:
-    return values if which is None else values[which]
 
 
 def take(logs: Sequence[Log], clock: BootClock, name: str) -> dict[int, Placed]:
@@ -93,7 +89,8 @@ def _place(name: str, parts: list[_Part], clock: BootClock) -> Placed:
     for records, which in parts:
         boot_s = boot_time_s(name, records)
         assert boot_s is not None  # only kinds with a time come here
-        pieces.append(_some(clock.from_boot(records.order, boot_s), which))
+        time_s = clock.from_boot(records.order, boot_s)
+        pieces.append(time_s if which is None else time_s[which])
     time_s = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
     if bool((time_s[1:] < time_s[:-1]).any()):
         sort = np.argsort(time_s, kind="stable")
