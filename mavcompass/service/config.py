@@ -128,7 +128,7 @@ class VehicleConfig:
     source: str = _key("udpin:127.0.0.1:14571", _source)
     system: int = _key(0, _integer(0, 255))
     compasses: tuple[int, ...] = _key((), _list_of(_integer(1, 3), "compass numbers"))
-    rate_hz: float = _key(50.0, _number(1.0, 1000.0))
+    rate_hz: float = _key(40.0, _number(1.0, 1000.0))
     speed: float = _key(1.0, _number(0.01, 1000.0))
 
 

@@ -16,7 +16,7 @@ from mavcompass.procedure.commands import MESSAGE_IDS
 
 _JUDGE_EVERY_S = 1.0
 _ENOUGH = 0.6  # of the wanted rate: links lose messages, and autopilots round intervals
-_PATIENCE_S = (0.3, 1.0, 3.0, 10.0, 30.0)
+_PATIENCE_S = (0.3, 1.0, 1.0, 1.0, 3.0, 10.0, 30.0)
 
 
 @dataclass(slots=True)
@@ -25,6 +25,11 @@ class _Wanted:
     heard: int = 0
     asked: int = 0
     next_ask_s: float = -math.inf
+
+    @property
+    def asking_hz(self) -> float:
+        """Return the rate to ask for: lower after two refusals, as a slow autopilot keeps its old rate."""
+        return self.rate_hz / 2.0 ** min(max(self.asked - 1, 0) // 2, 3)
 
 
 class RateKeeper:
@@ -55,15 +60,13 @@ class RateKeeper:
         self._judged_s = now_s
         requests: list[mav.Message] = []
         for kind, wanted in self._wanted.items():
-            enough = span_s is not None and wanted.heard >= math.floor(_ENOUGH * wanted.rate_hz * span_s)
+            enough = span_s is not None and wanted.heard >= math.floor(_ENOUGH * wanted.asking_hz * span_s)
             wanted.heard = 0
-            if enough:
-                wanted.asked = 0
-            elif now_s >= wanted.next_ask_s:
+            if not enough and now_s >= wanted.next_ask_s:
                 patience = _PATIENCE_S[min(wanted.asked, len(_PATIENCE_S) - 1)]
                 wanted.asked, wanted.next_ask_s = wanted.asked + 1, now_s + patience
                 self._asked.add(kind)
-                requests.append(_set_interval(kind, round(1e6 / wanted.rate_hz), system))
+                requests.append(_set_interval(kind, round(1e6 / wanted.asking_hz), system))
         return requests
 
     def goodbye(self, system: int) -> list[mav.Message]:

@@ -91,17 +91,17 @@ class Soak:
     def __init__(self, hours: float, cuts: int, reboots: int, calibrations: int, seed: int = 1) -> None:
         self.length_s = hours * 3600.0
         chance = random.Random(seed)
-        begin, end = 60.0, self.length_s - 60.0
-        slot_s = (end - begin) / max(cuts, 1)
-        windows = []
-        for k in range(cuts):
-            start = begin + (k + chance.uniform(0.05, 0.5)) * slot_s
-            windows.append((start, start + chance.uniform(0.5, min(0.4 * slot_s, 12.0))))
+        # The first calibration is let alone: memory is compared with what a service weighs that has done one.
+        begin, end = 90.0, self.length_s - 60.0
+        starts = sorted(chance.uniform(begin, end) for _ in range(cuts))
+        windows: list[tuple[float, float]] = []
+        for start in starts:
+            start = max(start, windows[-1][1] + 3.0 if windows else begin)
+            windows.append((start, start + chance.uniform(0.5, 12.0)))
         self.ends = [stop for _, stop in windows]
         self.reboots_at = sorted(chance.uniform(begin, end - 60.0) for _ in range(reboots))
-        self.calibrations_at = [
-            begin + (k + 0.3) * (end - begin) / max(calibrations, 1) for k in range(calibrations)
-        ]
+        spacing_s = (end - begin) / max(calibrations, 1)
+        self.calibrations_at = [5.0, *(begin + (k + 0.3) * spacing_s for k in range(1, calibrations))]
         self.vehicle = SimulatedAutopilot("rover", seed=seed)
         self.link = UnreliableLink(self.vehicle, list(windows))
         self.figures = Figures(cuts=cuts, reboots=reboots)

@@ -19,8 +19,9 @@ def ask(keeper: RateKeeper, start_s: float, seconds: float, heard_hz: float = 0.
 
 def test_what_does_not_come_is_asked_for_again_more_and_more_patiently() -> None:
     asked = ask(RateKeeper({mav.RawImu: 50.0}), 0.0, 60.0)
-    assert 4 <= len(asked) <= 8
-    assert {(a.param1, a.param2) for a in asked} == {(27.0, 20000.0)}
+    assert 6 <= len(asked) <= 10
+    assert [a.param2 for a in asked[:5]] == [20000.0, 20000.0, 40000.0, 40000.0, 80000.0]
+    assert {a.param1 for a in asked} == {27.0}
 
 
 def test_what_comes_is_left_alone() -> None:
@@ -28,6 +29,14 @@ def test_what_comes_is_left_alone() -> None:
     assert len(ask(keeper, 0.0, 1.0, 50.0)) == 1
     assert ask(keeper, 1.0, 30.0, 50.0) == []
     assert ask(keeper, 31.0, 30.0, 40.0) == []  # losses are no reason
+
+
+def test_a_lower_rate_that_is_granted_is_settled_for() -> None:
+    """A rover denies 50 Hz and keeps its old rate; it grants 25."""
+    keeper = RateKeeper({mav.RawImu: 50.0})
+    assert [a.param2 for a in ask(keeper, 0.0, 3.0, 2.0)] == [20000.0, 20000.0, 40000.0]
+    ask(keeper, 3.0, 1.0, 25.0)
+    assert ask(keeper, 4.0, 30.0, 25.0) == []
 
 
 def test_a_vehicle_that_comes_back_is_asked_at_once() -> None:

@@ -1,0 +1,101 @@
+"""`mavcompass serve` as a process: what it prints, tells the service manager, weighs, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from mavcompass.cli.serve import command
+from mavcompass.errors import UsageError
+
+
+@pytest.fixture
+def manager(tmp_path: Path) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(str(tmp_path / "notify"))
+        receiver.settimeout(30.0)
+        yield receiver
+
+
+def test_it_serves_tells_the_manager_stays_small_and_ends_on_sigterm(
+    tmp_path: Path, manager: socket.socket
+) -> None:
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "mavcompass",
+            "serve",
+            "sim:rover,seed=3",
+            "--http",
+            "127.0.0.1:0",
+            "--storage",
+            str(tmp_path / "data"),
+        ],
+        env={**os.environ, "NOTIFY_SOCKET": manager.getsockname(), "WATCHDOG_USEC": "3000000"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        heard = [manager.recv(1000).decode()]
+        assert heard[0].startswith("READY=1\n")
+        assert process.stdout is not None
+        printed = [process.stdout.readline() for _ in range(3)]
+        page = re.search(r"(http://\S+/)#token=(\S+)", printed[1])
+        assert page is not None, printed
+        while not any(line.endswith(": vehicle heard") for line in heard):
+            heard.append(manager.recv(1000).decode())
+        assert "WATCHDOG=1" in heard
+        with urllib.request.urlopen(f"{page[1]}api/state", timeout=10) as answer:
+            assert json.load(answer)["vehicle"]["kind"] == "rover"
+        pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
+        assert pages * os.sysconf("SC_PAGE_SIZE") < 90e6
+        maps = Path(f"/proc/{process.pid}/maps").read_text()
+        assert "/scipy/" not in maps and "/matplotlib/" not in maps
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20.0) == 0
+        while heard[-1] != "STOPPING=1":
+            heard.append(manager.recv(1000).decode())
+    finally:
+        process.kill()
+        _, complaints = process.communicate()
+    assert "Traceback" not in complaints
+
+
+def test_the_command_line_goes_before_the_configuration(tmp_path: Path) -> None:
+    """A port that is taken shows which address was meant."""
+    (tmp_path / "boat.toml").write_text('[vehicle]\nsource = "sim:boat"\n[http]\nlisten = "127.0.0.1:1"\n')
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        arguments = ["--config", str(tmp_path / "boat.toml"), "--http", address, "--storage", str(tmp_path)]
+        result = CliRunner().invoke(command, arguments, standalone_mode=False)
+    assert isinstance(result.exception, UsageError)
+    assert address in result.exception.what
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "No vehicle was named"),
+        (["nowhere"], "vehicle.source is not an address"),
+        (["flight.tlog"], "not a recording"),
+        (["sim:rover", "--http", "8808"], "http.listen must be HOST:PORT"),
+        (["--config", "/nowhere.toml"], "cannot be read"),
+    ],
+)
+def test_wrong_usage_is_told(arguments: list[str], words: str) -> None:
+    result = CliRunner().invoke(command, arguments, standalone_mode=False)
+    assert isinstance(result.exception, UsageError), result.exception
+    assert words in result.exception.what

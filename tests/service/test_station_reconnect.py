@@ -1,0 +1,184 @@
+"""Cut links, reboots, and a service that starts before its vehicle."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from conftest import StartService, configured, wait_for
+
+from mavcompass.service.config import VehicleConfig
+from mavcompass.service.history import History
+from mavcompass.service.schedule import Schedule
+from mavcompass.service.station import Station
+from mavcompass.simulation.autopilot import SimulatedAutopilot
+from mavcompass.vehicle.server import VehicleServer
+from mavcompass.vehicle.stopping import StopRequest
+from mavcompass.vehicle.tcp import TcpServerTransport
+
+
+class Vehicle:
+    """A vehicle on a TCP port that can be switched off and on."""
+
+    def __init__(self) -> None:
+        self.autopilot = SimulatedAutopilot("rover", seed=3)
+        self.port = 0
+        self._stop = StopRequest("not started")
+        self._thread: threading.Thread | None = None
+
+    def switch_on(self) -> None:
+        transport = TcpServerTransport("127.0.0.1", self.port)
+        self.port = transport.port
+        self._stop = StopRequest()
+        server = VehicleServer(self.autopilot, transport, speed=2.0)
+
+        def serve() -> None:
+            server.serve(self._stop)
+            transport.close()
+
+        self._thread = threading.Thread(target=serve, daemon=True)
+        self._thread.start()
+
+    def switch_off(self) -> None:
+        self._stop.reason = "switched off"
+        if self._thread is not None:
+            self._thread.join(10.0)
+
+
+@pytest.fixture
+def tcp_station(tmp_path: Path) -> Callable[[int], Station]:
+    from mavcompass.service.run import link_opener
+
+    def make(port: int) -> Station:
+        config = configured(tmp_path, f"tcp:127.0.0.1:{port}")
+        station = Station(config, History(tmp_path / "history.db"), link_opener(config))
+        station.start()
+        return station
+
+    return make
+
+
+def test_a_connection_that_breaks_is_back_within_two_seconds(tcp_station: Callable[[int], Station]) -> None:
+    vehicle = Vehicle()
+    vehicle.switch_on()
+    station = tcp_station(vehicle.port)
+    try:
+        wait_for(lambda: station.view and station.view.fresh)
+        for _ in range(2):
+            vehicle.switch_off()
+            wait_for(lambda: not station.connected)
+            station.headings, began = 0, time.monotonic()
+            vehicle.switch_on()
+            wait_for(lambda: station.headings > 5)
+            assert time.monotonic() - began < 2.0
+        assert station.view is not None and station.view.reconnects == 2
+    finally:
+        assert station.stop()
+        vehicle.switch_off()
+
+
+def test_the_service_may_be_there_before_the_vehicle(tcp_station: Callable[[int], Station]) -> None:
+    vehicle = Vehicle()
+    vehicle.switch_on()
+    vehicle.switch_off()
+    station = tcp_station(vehicle.port)
+    try:
+        wait_for(lambda: station.link_error)
+        assert "could not be opened" in station.link_error
+        assert not station.connected
+        vehicle.switch_on()
+        wait_for(lambda: station.connected)
+        assert station.link_error == ""
+    finally:
+        assert station.stop()
+        vehicle.switch_off()
+
+
+def test_a_reboot_is_noticed_and_rates_and_parameters_are_asked_again(start_service: StartService) -> None:
+    running = start_service(speed=5.0)
+    station = running.service.station
+    assert running.link is not None and station.view is not None
+    wait_for(lambda: station.view.boot_s > 61.0)  # type: ignore[union-attr]
+    running.link.autopilot.reboot()  # type: ignore[attr-defined]
+    wait_for(lambda: station.view.reboots == 1)  # type: ignore[union-attr]
+    wait_for(lambda: station.view.fresh and 0.0 < station.view.boot_s < 60.0)  # type: ignore[union-attr]
+    before, boot_s = station.headings, station.view.boot_s
+    wait_for(lambda: station.view.boot_s > boot_s + 4.0)  # type: ignore[union-attr]
+    rate_hz = (station.headings - before) / (station.view.boot_s - boot_s)
+    assert rate_hz > 40.0, "RAW_IMU at 40 Hz, the others at 10"
+
+
+def test_a_calibration_on_a_link_that_dies_ends_with_the_reason(start_service: StartService) -> None:
+    running = start_service(speed=4.0)
+    assert running.link is not None
+    task = running.client.post("/api/calibration", json={"writing": "yes"}).json()
+    wait_for(lambda: len(running.client.get("/api/task").json()["lines"]) > 3)
+    running.link.autopilot.reboot()  # type: ignore[attr-defined]
+    ended = running.finish(task)
+    assert ended["state"] == "failed"
+    assert ended["error"]
+    entry = running.client.get("/api/history").json()["entries"][0]
+    assert (entry["kind"], entry["ok"], entry["summary"]) == ("calibration", False, ended["error"])
+
+
+def test_a_stop_of_the_service_halts_the_vehicle_first(start_service: StartService) -> None:
+    running = start_service(speed=4.0)
+    assert running.link is not None
+    running.client.post("/api/calibration", json={})
+    wait_for(lambda: abs(running.link.autopilot.truth.yaw_rate_radps) > 0.3)  # type: ignore[union-attr,attr-defined]
+    running.service.stop()
+    wait_for(lambda: not running._thread.is_alive(), 30.0)
+    running.link.autopilot.advance(running.link.autopilot.time_s + 1.0)
+    assert abs(running.link.autopilot.truth.yaw_rate_radps) < 0.05  # type: ignore[attr-defined]
+    task = running.service.station.desk.current
+    assert task is not None and "stopping" in task.error
+
+
+def test_only_the_vehicle_of_the_configured_system_is_served(tmp_path: Path) -> None:
+    from mavcompass.vehicle.simulated import SimulatedLink
+
+    link = SimulatedLink(SimulatedAutopilot("rover", seed=1, system=7), speed=20.0)
+    config = configured(tmp_path, vehicle=VehicleConfig(source="sim:rover", system=3))
+    station = Station(config, History(tmp_path / "history.db"), lambda: link)
+    station.start()
+    wait_for(lambda: link.statistics.received > 200)
+    assert station.view is None
+    assert station.stop()
+
+
+def soak_script() -> ModuleType:
+    path = Path(__file__).parents[2] / "scripts" / "campaigns" / "service_soak.py"
+    spec = importlib.util.spec_from_file_location("service_soak", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["service_soak"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_cuts_and_reboots_are_bridged_and_no_calibration_result_is_missed() -> None:
+    """Six minutes of the campaign `scripts/campaigns/service_soak.py`."""
+    figures = soak_script().Soak(hours=0.1, cuts=6, reboots=2, calibrations=2).run()
+    faults = [fault for fault in figures.faults if "memory" not in fault]  # too short for that
+    assert faults == []
+    assert figures.calibrations == 2
+    assert figures.written >= 1
+    assert figures.reconnects >= 6
+    assert figures.slowest_reconnect_s < 2.0
+
+
+def test_things_are_due_again_when_the_clock_begins_anew() -> None:
+    due = Schedule()
+    assert due.is_due("x", 100.0, 1.0)
+    assert not due.is_due("x", 100.5, 1.0)
+    assert due.is_due("x", 101.0, 1.0)
+    assert due.is_due("x", 3.0, 1.0)
+    assert due.next_s("x", 3.2, 1.0) == 4.0
+    due.hurry("x")
+    assert due.is_due("x", 3.3, 1.0)
