@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mavcompass.calibration.calibrate import calibrate_compasses as calibrate_compasses
-    from mavcompass.calibration.calibrate import calibrate_positions as calibrate_positions
     from mavcompass.calibration.calibrate import calibrate_track as calibrate_track
     from mavcompass.calibration.four_positions import FourPositionsResult as FourPositionsResult
     from mavcompass.calibration.four_positions import solve_four_positions as solve_four_positions
+    from mavcompass.calibration.judged_positions import calibrate_positions as calibrate_positions
     from mavcompass.calibration.observation import Dwell as Dwell
     from mavcompass.calibration.observation import FourPositionData as FourPositionData
     from mavcompass.calibration.observation import Step as Step
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "calibrate_compasses": "calibrate",
-    "calibrate_positions": "calibrate",
+    "calibrate_positions": "judged_positions",
     "calibrate_track": "calibrate",
     "FourPositionsResult": "four_positions",
     "solve_four_positions": "four_positions",

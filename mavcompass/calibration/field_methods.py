@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.calibration.calibrate import in_force_of
 from mavcompass.calibration.comparison import compared
+from mavcompass.calibration.judged_positions import in_force_of
 from mavcompass.calibration.model import (
     GAIN,
     HORIZONTAL,

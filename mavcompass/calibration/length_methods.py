@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from mavcompass.calibration.calibrate import in_force_of
 from mavcompass.calibration.comparison import compared, with_motor
 from mavcompass.calibration.ellipsoid import LengthFit, fit_ellipsoid, fit_sphere
+from mavcompass.calibration.judged_positions import in_force_of
 from mavcompass.calibration.model import (
     GAIN,
     HORIZONTAL,

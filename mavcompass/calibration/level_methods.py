@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.calibration.calibrate import calibrate_positions, in_force_of
 from mavcompass.calibration.comparison import UNCERTAIN, compared, with_motor
+from mavcompass.calibration.judged_positions import calibrate_positions, in_force_of
 from mavcompass.calibration.observation import FourPositionData, uncorrected_field
 from mavcompass.calibration.position_problem import IronPrior
 from mavcompass.calibration.result import CalibrationResult, Position, heading_change_rad
