@@ -81,7 +81,7 @@ def _instances(context: click.Context, parameter: click.Parameter, value: str) -
     show_default=True,
     help="Turn between positions; negative turns left.",
 )
-@click.option("--dwell", "dwell_s", type=click.FloatRange(0.5, 60.0), default=2.0, show_default=True)
+@click.option("--dwell", "dwell_s", type=click.FloatRange(0.5, 60.0), default=1.8, show_default=True)
 @click.option(
     "--max-error-deg",
     type=click.FloatRange(0.1, 45.0),
@@ -201,6 +201,7 @@ def _recording(
     output: Output,
 ) -> int:
     from mavcompass import api
+    from mavcompass.calibration import Limits, calibrate_compasses
     from mavcompass.report.document import recording_document, refused_document
 
     track = api.read_track(source)
@@ -217,10 +218,11 @@ def _recording(
         )
     chosen = instances or tuple(track.compasses)
     try:
-        results = [api.calibrate(track, method, instance, max_error_deg) for instance in chosen]
+        found = calibrate_compasses(track, method, chosen, limits=Limits(heading_deg=max_error_deg))
     except PoorCalibration as error:
         output.write_json(refused_document(source, method, chosen, str(error), track))
         raise
+    results = list(found.values())
     for note in track.notes:
         output.say(f"Note: {note}")
     for result in results:
