@@ -32,13 +32,14 @@ from mavcompass.gap.reference import Choice
 from mavcompass.gap.replay import Replay, replay
 from mavcompass.gap.result import Bar, Cause, Closing, Diagnosis, Verdict
 from mavcompass.gap.scatter import Scatter, drift_gain, find_scatter, noise_with
-from mavcompass.gap.search import least_gain, make_term
+from mavcompass.gap.search import Search, least_gain, make_term
 from mavcompass.gap.shrink import closings, waterfall
 from mavcompass.gap.split import split_blocks
 from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.track import Track
 
 _SURE = 0.90
+_FEWEST_TO_JUDGE = 150
 _WORTH_LISTING = 0.01
 _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
 _NEED_WORDS = {
@@ -155,11 +156,26 @@ def _with_scatter(
         everything = _with_step(everything, step_mgauss)
     chosen = identified.fit
     fit = everything.fit(chosen.terms, chosen.thetas, chosen.nuisance_thetas)
+    everything = _without_plateaus(everything, fit)
+    fit = everything.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
     scatter = find_scatter(everything, fit, names, floor.representative and step_mgauss == 0.0)
     if scatter is None:
         return everything, fit, None
-    noisy = Problem(replayed, noise_with(everything, fit, scatter), replayed.valid, floor.nuisances)
+    noisy = Problem(everything.replay, noise_with(everything, fit, scatter), everything.rows, floor.nuisances)
     return noisy, noisy.fit(fit.terms, fit.thetas, fit.nuisance_thetas), scatter
+
+
+def _without_plateaus(problem: Problem, fit: Fit) -> Problem:
+    """Leave out readings at the limit of a saturated sensor: they have no noise to be judged by."""
+    if "clipping" not in fit.ids:
+        return problem
+    limit = float(fit.theta("clipping")[0])
+    near = limit - 4.0 * float(problem.noise["mag"].rms.max())
+    free = (np.abs(problem.replay.measured.mag_mgauss) < near).all(axis=1)
+    valid = problem.replay.valid & free
+    if valid.sum() < _FEWEST_TO_JUDGE:
+        return problem
+    return Problem(replace(problem.replay, valid=valid), problem.noise, valid, problem.nuisances)
 
 
 def _baseline_replay(baseline: Track | None, compass: int, reference: Choice) -> Replay | None:
@@ -209,12 +225,13 @@ def _drifts(identified: Identified) -> bool:
 
     It may stand beside any explored set that is smaller than the best one.
     """
-    search, best = identified.search, identified.fit
-    problem = identified.problem
+    best, problem = identified.found.best, identified.first
+    search = Search(problem, [])
+    search.terms = identified.search.terms
     own = search.score(best)
     rivals = [f for f in identified.found.explored.values() if len(f.terms) <= len(best.terms)]
     rivals = sorted({f.ids: f for f in [*rivals, best]}.values(), key=search.score)[:6]
-    cost = search._log_n + 2.0 * search._log_c
+    cost = search.cost(1)
     for fit in rivals:
         gain, size = drift_gain(problem, fit)
         if size > 0.0 and gain > least_gain(4) and search.score(fit) - gain + cost < own - 6.0:
@@ -277,12 +294,12 @@ def _assemble(
     if scatter is not None and answer.verdict != "unknown":
         added += _added_variance(scatter, problem, named, split.test)
     field, heading = closings(problem, named, split.test, floor, added)
-    if named.terms and field.after > field.nominal:
+    if named.terms and _worse_on(problem, named, split.test):
         # A name that makes held-out data worse is no explanation.
         answer = _Verdict("unknown", identified.found.null, True, adequacy.tests[0].coordinate)
         named = answer.named
         field, heading = closings(problem, named, split.test, floor)
-    heading = _never_worse(heading)
+    field, heading = _never_worse(field), _never_worse(heading)
     causes = _causes(identified, named)
     if answer.verdict != "unknown":
         causes += _trace_causes(scatter, stale_share, step_mgauss)
@@ -324,11 +341,21 @@ def _assemble(
     )
 
 
-def _never_worse(heading: Closing) -> Closing:
-    """The heading is judged with the field; where noise makes it look worse by a hair, say no change."""
-    if heading.after <= heading.nominal:
-        return heading
-    return replace(heading, after=heading.nominal, shrink=0.0)
+def _worse_on(problem: Problem, fit: Fit, test: np.ndarray) -> bool:
+    """Tell whether the effects make held-out readings of all sensors less likely."""
+    held = problem.with_rows(test)
+    before, after = held.residual(held.predict(fit, effects=False)), held.residual(held.predict(fit))
+    return float(after @ after) > float(before @ before)
+
+
+def _never_worse(closing: Closing) -> Closing:
+    """Say no change where effects that show elsewhere (accelerometer, gyro) leave one figure as it was.
+
+    All sensors together became better; one that has no part in it differs by its noise.
+    """
+    if closing.after <= closing.nominal:
+        return closing
+    return replace(closing, after=closing.nominal, shrink=0.0)
 
 
 def _added_variance(scatter: Scatter, problem: Problem, fit: Fit, test: np.ndarray) -> float:

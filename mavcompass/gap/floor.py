@@ -47,7 +47,8 @@ class Floor:
         noise: for whitening, per sensor.
         field_rms_mgauss: rms over samples and axes; heading_rms_deg: of the tilt-compensated heading.
         error_mgauss: the baseline's residual, (N, 3), for intervals; empty without a baseline.
-        representative: True where a baseline gave it.
+        representative: True where a baseline gave it, and the simulation explains that baseline.
+        measured: True where a baseline gave it.
         nuisances: those of the recording, with what the baseline taught.
         folded: effects of the baseline, by id, that belong to the nominal simulation from now on.
     """
@@ -59,6 +60,7 @@ class Floor:
     representative: bool
     nuisances: tuple[Nuisance, ...]
     folded: tuple[str, ...] = ()
+    measured: bool = False
 
 
 def first_noise(replay: Replay) -> Noise:
@@ -135,9 +137,10 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -
         field_rms_mgauss=rms(error),
         heading_rms_deg=rms_deg(heading[baseline.valid]),
         error_mgauss=error,
-        representative=True,
+        representative=not judge(problem, fit, compare_scatter=False).flagged,
         nuisances=_taught(replay, baseline, problem, fit),
         folded=tuple(sorted(fit.ids)),
+        measured=True,
     )
 
 

@@ -26,7 +26,8 @@ _PASSES = 2
 class Identified:
     """Hold the chosen fit on the training rows of a split, and how it was found.
 
-    `dropped` tells which effects the guards took out, and why.
+    `dropped` tells which effects the guards took out, and why; `first` is the problem that `found` was
+    found on (a change inside a held-out block moves rows afterwards).
     """
 
     problem: Problem
@@ -35,19 +36,20 @@ class Identified:
     fit: Fit
     dropped: tuple[tuple[str, str], ...]
     search: Search
+    first: Problem
 
 
 def identify(
     replay: Replay, floor: Floor, split: Split, effects: Sequence[Effect]
 ) -> tuple[Identified, Floor]:
     """Search and guard; without a baseline estimate the noise again from what is left, and repeat."""
-    passes = 1 if floor.representative else _PASSES
+    passes = 1 if floor.measured else _PASSES
     previous: frozenset[str] | None = None
     for turn in range(passes):
         problem = Problem(replay, floor.noise, split.train, floor.nuisances)
         search = Search(problem, effects)
         found = search.run()
-        result = _guarded(Identified(problem, split, found, found.best, (), search), floor)
+        result = _guarded(Identified(problem, split, found, found.best, (), search, problem), floor)
         if turn + 1 == passes or (previous is not None and result.fit.ids == previous):
             break
         previous = result.fit.ids

@@ -103,7 +103,7 @@ def scaled(setting: Setting, factor: float) -> Setting:
     for i, p in enumerate(setting.effect.parameters):
         amplitude = p.low < 0.0 < p.high and p.name not in ("on_s", "off_s", "reference_degc", "threshold")
         place = setting.effect.id == "spatial_dipole" and i < 3
-        late = p.name in ("lag_s", "time_constant_s")
+        late = p.name in ("lag_s", "time_constant_s") or setting.effect.id == "eddy_current"
         if (amplitude and not place) or late:
             theta[i] *= factor
     return Setting(setting.effect, np.clip(theta, setting.effect.lower, setting.effect.upper))

@@ -24,6 +24,7 @@ from mavcompass.simulation.signals import Reading
 MOST_EFFECTS = 4
 CHANCE = 2.0e-5
 _BEAM = 3
+_CATALOGUE_SIZE = 39
 _REFINED = 7
 _SHORT = 2
 _NEAR = 60.0
@@ -76,12 +77,16 @@ class Search:
             if effect.kind in ("mean", "discrete") and (term := make_term(effect, signals)).dimension >= 0
         ]
         self._log_n = math.log(max(problem.count, 2))
-        self._log_c = math.log(max(len(self.terms), 2))
+        self._log_c = math.log(_CATALOGUE_SIZE)
         self.explored: dict[frozenset[str], Fit] = {}
 
     def score(self, fit: Fit) -> float:
         """Return the EBIC of a fit."""
-        return fit.sse + fit.dimension * self._log_n + 2.0 * len(fit.terms) * self._log_c
+        return fit.sse + self.cost(fit.dimension, len(fit.terms))
+
+    def cost(self, dimension: int, effects: int = 1) -> float:
+        """Return EBIC's penalty for so many parameters and effects."""
+        return dimension * self._log_n + 2.0 * effects * self._log_c
 
     def run(self, most: int = MOST_EFFECTS) -> Found:
         """Search up to `most` effects."""
