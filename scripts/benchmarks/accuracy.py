@@ -1,6 +1,6 @@
 """Calibrate the same recordings by mavcompass and by the tools people use today; judge by the truth.
 
-    python scripts/benchmarks/accuracy.py [--data FOLDER] [--files NAME]... [--timeout S] [--json FILE]
+    scripts/bench accuracy [-- --data FOLDER --files NAME... --timeout S --json FILE]
 
 For each ArduPilot recording of the shared data: heading rms against the simulator's true yaw while the
 vehicle dwells, before and after, and the time from start to result with one process each. Peers are
@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,15 +40,18 @@ _NUMBER = r"(-?\d+(?:\.\d+)?(?:e-?\d+)?)"
 _VECTOR = rf"Vector3\({_NUMBER}, {_NUMBER}, {_NUMBER}\)"
 
 
-def main() -> int:
-    """Run the comparison and print the table."""
+QUICK = ("--files", "rover_dist.BIN", "--timeout", "60")
+
+
+def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
+    """Run the comparison, print the table and return it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     shared = os.environ.get("MAVCOMPASS_SHARED_DATA") or PROJECT.parent / "shared" / "data"
     parser.add_argument("--data", type=Path, default=Path(shared))
     parser.add_argument("--files", nargs="*", default=None, help="e.g. rover_dist.BIN; default: all")
     parser.add_argument("--timeout", type=float, default=300.0, help="seconds for each peer")
     parser.add_argument("--json", type=Path, default=None)
-    options = parser.parse_args()
+    options = parser.parse_args(argv)
     files = options.files or [f"{name}.{end}" for name in RECORDINGS for end in ("BIN", "tlog")]
     table: list[dict[str, Any]] = []
     print(f"{'file':24} {'tool':26} {'seconds':>8} {'heading rms, deg':>17}")
@@ -66,7 +70,7 @@ def main() -> int:
             )
     if options.json:
         options.json.write_text(json.dumps(table, indent=1) + "\n")
-    return 0
+    return {"table": table}
 
 
 class Judge:
@@ -169,4 +173,4 @@ def correction_in(text: str) -> FieldCorrection | None:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

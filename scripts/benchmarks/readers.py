@@ -1,6 +1,6 @@
 """Measure the readers of recordings beside pymavlink's and pyulog's, in one run on the same files.
 
-    python scripts/benchmarks/readers.py [--messages N] [--megabytes M] [--json FILE]
+    scripts/bench readers [-- --messages N --megabytes M --json FILE]
 
 The telemetry log and the DataFlash log are made here, with the mix of messages that a vehicle sends;
 recordings of the shared data are measured too where they are there. The best of three runs counts, for
@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +27,21 @@ RUNS = 3
 STEP_MESSAGES = 12  # of one step of the made telemetry log
 
 
-def main() -> None:
+QUICK = ("--messages", "60000")
+WANTED_RATIO = {"telemetry log": 20.0, "DataFlash": 15.0}
+
+
+def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
+    """Measure every reader; return the figures of each file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--messages", type=int, default=240_000, help="size of the made logs")
     parser.add_argument("--megabytes", type=int, default=0, help="also measure memory on logs of this size")
     parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument("--read-and-report-memory", type=Path, help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    options = parser.parse_args(argv)
     if options.read_and_report_memory:
         report_memory(options.read_and_report_memory)
-        return
+        return {}
     figures: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         made_tlog = make_tlog(Path(folder) / "made.tlog", options.messages)
@@ -51,6 +56,23 @@ def main() -> None:
             figures += measure_memory(made_bin, options.megabytes)
     if options.json:
         options.json.write_text(json.dumps(figures, indent=1) + "\n")
+    return {"files": figures, "checks": checks(figures)}
+
+
+def checks(figures: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Put what is wanted beside what was measured: on the logs made here, and of memory."""
+    out: list[dict[str, Any]] = []
+    for figure in figures:
+        if figure["what"] == "memory":
+            what = f"peak MB for {figure['file_mb']:.0f} MB {figure['suffix']}"
+            out.append({"what": what, "value": figure["peak_mb"], "at_most": figure["allowed_mb"]})
+        elif figure["file"].startswith("made.") and figure["what"] in WANTED_RATIO:
+            seconds = figure["seconds"]
+            ours = seconds["mavcompass: Track of all needed columns"]
+            theirs = next(taken for name, taken in seconds.items() if name.startswith("pymavlink"))
+            what = f"{figure['what']}, times pymavlink's recv_match()"
+            out.append({"what": what, "value": theirs / ours, "at_least": WANTED_RATIO[figure["what"]]})
+    return out
 
 
 def best_s(work: Callable[[], object], runs: int = RUNS) -> float:

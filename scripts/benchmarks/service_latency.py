@@ -1,6 +1,6 @@
 """Measure the service's way from an IMU message to a published heading beside a bare pymavlink loop.
 
-    python scripts/benchmarks/service_latency.py [--seconds 20] [--rate 400] [--json FILE]
+    scripts/bench service_latency [-- --seconds 20 --rate 400 --json FILE]
 
 One process plays the vehicle and sends each RAW_IMU to both at the same moment, stamped with the monotonic
 clock. One process receives with pymavlink's `recv_match` and does nothing. One is the whole service, its
@@ -19,6 +19,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +28,21 @@ sys.path.insert(0, str(PROJECT))
 WARM_UP_S = 4.0
 
 
-def main() -> None:
+QUICK = ("--seconds", "5")
+
+
+def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
+    """Measure both; return their figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--rate", type=float, default=400.0)
     parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument("--role", choices=("bare", "service"), help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    options = parser.parse_args(argv)
     if options.role:
         {"bare": bare, "service": service}[options.role](options.port, options.seconds)
-        return
+        return {}
     figures = measure(options.rate, options.seconds)
     for name in ("bare", "service"):
         print(
@@ -48,6 +53,7 @@ def main() -> None:
     print(f"service / bare: median {figures['median_ratio']:.2f}, CPU {figures['cpu_ratio']:.2f}")
     if options.json:
         options.json.write_text(json.dumps(figures, indent=2) + "\n")
+    return figures
 
 
 def measure(rate_hz: float, seconds: float) -> dict[str, Any]:

@@ -14,19 +14,20 @@ from mavcompass.fleet.examine import Job, Row, examine
 from mavcompass.logs import write_track_csv
 from mavcompass.track import InForce, MagSeries, Series, Track
 
-RATE_HZ = 20.0
 PLACE = (47.3977, 8.5456, 488.0)
 FIELD_MGAUSS = (210.0, 12.0, 430.0)  # about what the world model has there: north, east, down
 
 
-def write_recording(path: Path, offset_mgauss: tuple[float, float, float], seed: int = 0) -> Path:
+def write_recording(
+    path: Path, offset_mgauss: tuple[float, float, float], seed: int = 0, rate_hz: float = 20.0
+) -> Path:
     """Write a level vehicle that turns in four steps of 90 degrees, as a Track CSV."""
     noise = np.random.default_rng(seed)
-    dwell, turn = int(4 * RATE_HZ), int(3 * RATE_HZ)
+    dwell, turn = int(4 * rate_hz), int(3 * rate_hz)
     rate = np.concatenate([np.r_[np.zeros(dwell), np.full(turn, np.pi / 2 / 3.0)] for _ in range(4)])
     rate = np.r_[rate, np.zeros(dwell)]
-    time_s = np.arange(rate.size) / RATE_HZ
-    yaw = np.concatenate([[0.0], np.cumsum(rate[:-1]) / RATE_HZ])
+    time_s = np.arange(rate.size) / rate_hz
+    yaw = np.concatenate([[0.0], np.cumsum(rate[:-1]) / rate_hz])
     north, east, down = FIELD_MGAUSS
     field = np.stack(
         [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,6 +14,8 @@ from pathlib import Path
 import pytest
 
 from mavcompass.cli.main import main
+from mavcompass.fleet.columns import columns_of
+from mavcompass.fleet.examine import Work
 from mavcompass.fleet.recordings import as_local_file, find_recordings
 from mavcompass.fleet.run import journal_of
 
@@ -131,3 +134,11 @@ def test_control_c_stops_at_once_and_the_same_command_goes_on(twelve: Path, tmp_
     done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
     assert done.returncode == 0, done.stderr
     assert "0 of 12 recordings examined, 12 were done before" in done.stdout
+
+
+@pytest.mark.parametrize("work", ["calibrate", "diagnose"])
+def test_the_document_explains_every_column(work: Work) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text(encoding="utf-8")
+    for column in columns_of(work):
+        if not column.name.startswith("effect_"):
+            assert re.search(rf"\| `{column.name}` \| .* \| {re.escape(column.about)} \|", page), column.name
