@@ -46,7 +46,7 @@ class Gaps:
         report = self._config.folder / "reports" / f"gap-{entry.id}.html"
         task.show(Show("diagnose", "Replaying the recording through the simulation.", 0.1))
         try:
-            document, has_report = self._worker.call("diagnose", path, report, timeout_s=DIAGNOSE_S)
+            document = self._worker.call("diagnose", path, report, timeout_s=DIAGNOSE_S)
             summary = f"{document.get('verdict', 'unknown')}: {_causes(document) or 'nothing is named'}"
             number = self._history.add(
                 "gap",
@@ -56,7 +56,7 @@ class Gaps:
                 summary,
                 document,
                 entry.compasses,
-                str(report) if has_report else None,
+                str(report),
             )
             task.finish(True, document, number)
         except Exception as error:
