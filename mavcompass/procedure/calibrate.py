@@ -7,7 +7,7 @@ neither sleeps nor reads a clock nor touches a socket or a file.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -16,10 +16,11 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.summary import summary
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, earth_field_of
-from mavcompass.errors import Refused
+from mavcompass.errors import LinkError, LinkLost, Refused, WriteFailed
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.dialect import Dialect, ParameterPlan, SaveUndo, WriteOutcome, describe_compasses
 from mavcompass.procedure.gyro_angle import GyroAngle
+from mavcompass.procedure.hand import HandMover
 from mavcompass.procedure.mobility import Mobility, Motion, Wishes
 from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Window, dwell, visit
 from mavcompass.procedure.proof import Proof, prove
@@ -30,6 +31,9 @@ from mavcompass.procedure.turning import TurnBy
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
 from mavcompass.track import Track
 from mavcompass.track_builder import TrackBuilder
+
+# Silent for so long after a stop, the vehicle was not stopped but lost.
+_LOST_S = 2.5
 
 Writing = Literal["ask", "yes", "never"]
 
@@ -47,6 +51,8 @@ class CalibrateSettings:
         turn_by: "auto" by targets; else by the pilot's own controls, in a mode in which they steer.
         permissions: what may be done to the vehicle so that it can turn itself.
         positions, step_rad: how many still positions, and the turn between them (negative: left).
+        enough_deg, most_positions: a vehicle that turns itself visits more positions, up to so many,
+            while the predicted heading error is larger.
         writing: "ask" the person, "yes" without asking, "never".
         system: MAVLink system id, where several vehicles share the link.
         rate_hz: at which IMU messages are asked for.
@@ -59,6 +65,8 @@ class CalibrateSettings:
     permissions: Permissions = field(default_factory=Permissions)
     positions: int = 4
     step_rad: float = math.pi / 2.0
+    enough_deg: float = 0.3
+    most_positions: int = 8
     writing: Writing = "ask"
     system: int | None = None
     rate_hz: float = 25.0
@@ -117,16 +125,26 @@ def calibrate(context: Context, services: Services, settings: CalibrateSettings)
     A solution that is not good enough is in the report, not accepted, and nothing is written.
     """
     desk = yield from _Desk.open(context, services, settings)
+    try:
+        return (yield from _calibrate(context, desk, settings))
+    except Refused as why:
+        if context.now - desk.state.heard_s > _LOST_S:
+            remedy = "Bring the link back (power, cable, radio), then run again."
+            raise LinkLost(why.what, remedy) from why
+        raise
+
+
+def _calibrate(context: Context, desk: _Desk, settings: CalibrateSettings) -> Script[CalibrationReport]:
+    """Do the work, and put everything back however it ends."""
     rates = MessageRates()
     mobility = desk.mobility()
     finished = False
     try:
         yield from rates.ask(context, _wanted_rates(desk.identity, desk.instances, settings.rate_hz))
         mover = yield from mobility.take_charge(context, desk.parameters)
-        windows = yield from visit(
-            context, desk.rest, desk.gyro, mover, settings.positions, settings.step_rad, settings.dwell
-        )
-        report = desk.solve(windows)
+        report = desk.solve((yield from desk.visit(mover)))
+        while desk.wants_more(report, mover):
+            report = desk.solve((yield from desk.visit(mover, report.windows)))
         for result in report.results:
             context.show("solve", summary(result), settings.positions / (settings.positions + 1.0))
         if report.accepted and settings.writing != "never":
@@ -153,7 +171,8 @@ def _wanted_rates(
     # The first compass's message brings the gyro along, so it is wanted in any case.
     wanted = {kinds[i]: rate_hz for i in sorted({1, *instances}) if i in kinds}
     wanted[mav.Attitude] = min(rate_hz, 10.0)
-    wanted |= dict.fromkeys((mav.GlobalPositionInt, mav.RcChannels, mav.SysStatus), 4.0)
+    # The mode and the arming are told by heartbeats only: one a second is late for ending a motion.
+    wanted |= dict.fromkeys((mav.GlobalPositionInt, mav.RcChannels, mav.SysStatus, mav.Heartbeat), 4.0)
     wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime), 2.0)
     if px4:
         del wanted[mav.EkfStatusReport]
@@ -231,6 +250,32 @@ class _Desk:
             messages=tuple(self.notes),
         )
 
+    def visit(self, mover: Mover, seen: Sequence[Window] = ()) -> Script[list[Window]]:
+        """Visit the positions, or one more than were seen."""
+        chosen = self.settings
+        return (
+            yield from visit(
+                self.context,
+                self.rest,
+                self.gyro,
+                mover,
+                chosen.positions,
+                chosen.step_rad,
+                chosen.dwell,
+                seen,
+            )
+        )
+
+    def wants_more(self, report: CalibrationReport, mover: Mover) -> bool:
+        """Tell whether further positions are worth their time: a person is not asked for them."""
+        if isinstance(mover, HandMover) or len(report.windows) >= self.settings.most_positions:
+            return False
+        worst_deg = max(result.heading_sigma_deg for result in report.results)
+        if worst_deg <= self.settings.enough_deg:
+            return False
+        self.context.show("turn", f"Heading within {worst_deg:.1f} deg so far: one more position.")
+        return True
+
     def write(self, report: CalibrationReport) -> Script[CalibrationReport]:
         """Plan, ask where wanted, write and read back."""
         corrections = {result.instance: result.correction for result in report.results}
@@ -252,18 +297,39 @@ class _Desk:
         return replace(report, outcome=outcome)
 
     def prove_or_undo(self, report: CalibrationReport, mover: Mover) -> Script[CalibrationReport]:
-        """Turn once more: the field's own heading must follow the gyro; otherwise undo."""
+        """Turn once more: the field's own heading must follow the gyro; otherwise undo.
+
+        A proof that is cut short is none: the old values are put back.
+        """
         self.context.show("prove", "One more turn proves the new values.")
-        yield from mover.next(self.context, self.settings.step_rad, 1)
-        window = yield from dwell(self.context, self.rest, self.gyro, mover, self.settings.dwell)
+        try:
+            yield from mover.next(self.context, self.settings.step_rad, 1)
+            window = yield from dwell(self.context, self.rest, self.gyro, mover, self.settings.dwell)
+        except Exception as why:
+            mover.halt(self.context)
+            yield from self._take_back(report, f"The proof was cut short ({why}).")
+            raise
         track = self.builder.build()
         proof = prove(track, report.windows[-1], window, report.results)
         report = replace(report, proof=proof, track=track, duration_s=self.context.now - self.began_s)
         if proof.passed:
             self.context.show("prove", proof.summary(), 1.0)
             return replace(report, messages=tuple(self.notes))
-        self.context.show("undo", f"{proof.summary()} Putting the old values back.")
-        assert report.plan is not None
-        yield from self.dialect.write(self.context, report.plan.reversed(), self.services.save_undo)
+        yield from self._take_back(report, proof.summary())
         self.notes.append(f"{proof.summary()} The old values were put back.")
         return replace(report, undone=True, messages=tuple(self.notes))
+
+    def _take_back(self, report: CalibrationReport, why: str) -> Script[None]:
+        """Write the old values again. Raises WriteFailed, with the way back, where that fails."""
+        assert report.plan is not None and report.outcome is not None
+        self.context.show("undo", f"{why} Putting the old values back.")
+        try:
+            yield from self.dialect.write(self.context, report.plan.reversed(), self.services.save_undo)
+        except (WriteFailed, LinkError) as trouble:
+            outcome = report.outcome
+            raise WriteFailed(
+                f"{why} The new values could not be taken back: {trouble.what}",
+                f"Bring the link back, then put the old values back with: {outcome.restore_command}",
+                outcome.undo_file,
+                outcome.restore_command,
+            ) from trouble

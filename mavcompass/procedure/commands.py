@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -11,7 +12,8 @@ from mavcompass.errors import NoReply
 from mavcompass.procedure.script import Context, Script, expect
 
 # Ids of the messages whose rates are asked for.
-MESSAGE_IDS = {
+MESSAGE_IDS: dict[type[mav.Message], int] = {
+    mav.Heartbeat: 0,
     mav.SysStatus: 1,
     mav.SystemTime: 2,
     mav.GpsRawInt: 24,
@@ -31,6 +33,8 @@ MESSAGE_IDS = {
 # Where a third is lost each way half of the tries fail; twelve in a row are one case in 4000.
 TRIES = 12
 DISABLED_US = -1
+# A vehicle that says nothing for so long is not asked any more.
+_SILENCE_S = 4.0
 DEFAULT_US = 0
 
 
@@ -69,6 +73,8 @@ class MessageRates:
     """Ask for message rates, remember what they were, and put them back."""
 
     _before_us: dict[type[mav.Message], int] = field(default_factory=dict)
+    _tells_intervals: bool = True
+    _heard_s: float = -math.inf
 
     def ask(
         self, context: Context, rates_hz: Mapping[type[mav.Message], float]
@@ -78,35 +84,65 @@ class MessageRates:
         Returns which were granted. Vehicles that do not know SET_MESSAGE_INTERVAL grant none; what
         they stream by themselves may still be enough.
         """
-        granted: dict[type[mav.Message], bool] = {}
+        granted: dict[type[mav.Message], bool | None] = {}
         for kind, rate_hz in rates_hz.items():
             before = yield from self._interval_us(context, kind)
             if before is not None and 0 < before <= 1e6 / rate_hz * 1.02:
                 granted[kind] = True
                 continue
-            result = MavResult.DENIED
-            # ArduPilot denies more than 0.8 of its loop rate and keeps the old rate.
-            for hz in (rate_hz, rate_hz / 2.0, rate_hz / 4.0):
+            # Kept before it is changed: an answer may be lost and the rate set all the same.
+            self._before_us.setdefault(kind, DEFAULT_US if before is None else before)
+            granted[kind] = yield from self._ask_one(context, kind, rate_hz)
+            if granted[kind] is False:
+                del self._before_us[kind]
+            if not any(yes is not None for yes in granted.values()):
+                break  # it does not know the command at all
+        return {kind: yes is True for kind, yes in granted.items()}
+
+    def _ask_one(self, context: Context, kind: type[mav.Message], rate_hz: float) -> Script[bool | None]:
+        """Ask for one rate; None where no answer came, whatever that means."""
+        result = MavResult.DENIED
+        # ArduPilot denies more than 0.8 of its loop rate and keeps the old rate.
+        for hz in (rate_hz, rate_hz / 2.0, rate_hz / 4.0):
+            try:
                 result = yield from self._set(context, kind, round(1e6 / hz))
-                if result not in (MavResult.DENIED, MavResult.FAILED):
-                    break
-            granted[kind] = result == MavResult.ACCEPTED
-            if granted[kind]:
-                self._before_us.setdefault(kind, DEFAULT_US if before is None else before)
-        return granted
+            except NoReply:
+                return None
+            if result not in (MavResult.DENIED, MavResult.FAILED):
+                break
+        return result == MavResult.ACCEPTED
 
     def restore(self, context: Context) -> Script[None]:
-        """Put back every rate that was changed; a vehicle that no longer answers is left."""
-        while self._before_us:
-            kind, before_us = self._before_us.popitem()
-            try:
-                yield from self._set(context, kind, before_us, tries=8)
-            except NoReply:
-                return
+        """Put back every rate that was changed; a vehicle that no longer says anything is left."""
+        context.listeners.append(self._hear)
+        self._heard_s = context.now
+        while self._before_us and context.now - self._heard_s < _SILENCE_S:
+            kind, before_us = next(reversed(self._before_us.items()))
+            if (yield from self._put_back(context, kind, before_us)):
+                del self._before_us[kind]
+        context.listeners.remove(self._hear)
+        if self._before_us:
+            context.show("end", "The vehicle no longer answers: its message rates were not put back.")
+
+    def _put_back(self, context: Context, kind: type[mav.Message], before_us: int) -> Script[bool]:
+        """Put one rate back; False where no answer came."""
+        try:
+            # An answer may be a late one to the message before: ask what came of it.
+            for _ in range(3):
+                yield from self._set(context, kind, before_us, tries=2)
+                is_now = None if before_us == DEFAULT_US else (yield from self._interval_us(context, kind))
+                if is_now in (None, before_us):
+                    break
+        except NoReply:
+            return False
+        return True
+
+    def _hear(self, heard: mav.Incoming) -> None:
+        self._heard_s = heard.time_s
 
     def _interval_us(self, context: Context, kind: type[mav.Message]) -> Script[int | None]:
         number = MESSAGE_IDS[kind]
-        for _ in range(3):
+        for _ in range(6 if self._tells_intervals else 2):
             context.send(
                 mav.CommandLong(
                     context.system, context.component, MavCmd.GET_MESSAGE_INTERVAL, 0, float(number)
@@ -114,6 +150,7 @@ class MessageRates:
             )
             answer = yield from expect(context, mav.MessageInterval, lambda m: m.message_id == number, 0.5)
             if answer is not None:
+                self._tells_intervals = True
                 return answer.interval_us
         return None
 

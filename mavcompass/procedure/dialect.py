@@ -46,12 +46,16 @@ class ParameterPlan:
 
 @dataclass(frozen=True, slots=True)
 class WriteOutcome:
-    """Say how a write ended: every value read back equal, where its undo lies, what else to know."""
+    """Say how a write ended: every value read back equal, where its undo lies, what else to know.
+
+    `restore_command` is what a person types to put the old values back.
+    """
 
     verified: bool
     undo_file: Path | None
     values: Mapping[str, float]
     remarks: tuple[str, ...] = ()
+    restore_command: str = ""
 
 
 # Puts an undo record on disk before the first write and returns its path; injected, as procedures

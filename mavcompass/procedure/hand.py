@@ -53,9 +53,9 @@ class HandMover:
         """
         if not self.visited_rad:
             self.visited_rad.append(self.gyro.angle_rad)
-        began_rad, end_s = self.gyro.angle_rad, context.now + self.patience_s
-        while context.now < end_s:
-            self._need_telemetry(context)
+        began_rad, began_s = self.gyro.angle_rad, context.now
+        while context.now < began_s + self.patience_s:
+            self._need_telemetry(context, began_s)
             left_rad = self._left(angle_rad)
             if abs(left_rad) <= self.near_rad:
                 context.show("turn", "Here.", cue=1.0)
@@ -77,9 +77,9 @@ class HandMover:
 
         Raises PoorCalibration when it does not within the patience, LinkLost where telemetry ends.
         """
-        end_s = context.now + self.patience_s
-        while context.now < end_s:
-            self._need_telemetry(context)
+        began_s = context.now
+        while context.now < began_s + self.patience_s:
+            self._need_telemetry(context, began_s)
             tilt_rad, still_s = self.gyro.tilt_rad, rest.for_s()
             level = tilt_rad <= self.level_rad
             if still_s >= settings.settle_s and (level or still_s > self.slope_patience_s):
@@ -153,8 +153,8 @@ class HandMover:
             context.show("turn", text, live=1.0, **data)
             self._said, self._said_s = text, context.now
 
-    def _need_telemetry(self, context: Context) -> None:
-        if context.now - self.rest.heard_s > _SILENCE_S and context.now > _SILENCE_S:
+    def _need_telemetry(self, context: Context, began_s: float) -> None:
+        if context.now - max(self.rest.heard_s, began_s) > _SILENCE_S:
             raise LinkLost(
                 f"No RAW_IMU or SCALED_IMU message came for {_SILENCE_S:.0f} s.",
                 "Check that the vehicle streams them on this link (SRn_RAW_SENS, MAV_n_MODE).",

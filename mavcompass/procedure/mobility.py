@@ -21,8 +21,8 @@ from mavcompass.procedure.vehicle_state import Kind, VehicleIdentity, VehicleSta
 Motion = Literal["auto", "vehicle", "hand"]
 
 _ACKERMANN_STEERING = 26.0
-# An arc takes room that a turn on the spot does not.
-_ARC_DRIFT_M = 15.0
+# An arc takes room that a turn on the spot does not, and water carries what it holds along.
+_ROOMY_DRIFT_M = 15.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +88,8 @@ class Mobility:
 
     def _watch(self, context: Context, parameters: Mapping[str, float]) -> None:
         limits = self.wishes.limits
-        if self._is_ackermann(parameters):
-            limits = limits.with_drift(max(limits.drift_m, _ARC_DRIFT_M))
+        if self._is_ackermann(parameters) or self.identity.kind in ("boat", "sub"):
+            limits = limits.with_drift(max(limits.drift_m, _ROOMY_DRIFT_M))
         ours = _channels_moved(self.wishes.turn_by, self.identity.kind)
         self._guard = MotionGuard(self.state, self.gyro, self.identity.kind, limits, self._modes, ours)
         self._guard.begin()
@@ -103,7 +103,10 @@ class Mobility:
     def end(self, context: Context, in_a_hurry: bool) -> Script[None]:
         """Stop any motion, end the watch, and give the vehicle back as it was taken."""
         if self.mover is not None:
-            self.mover.halt(context)
+            # In a mode that somebody else chose our commands would only disturb, a mission for one;
+            # the pilot's own controls are given back in any.
+            if self.wishes.turn_by != "auto" or not self._modes.is_foreign():
+                self.mover.halt(context)
             yield from self.mover.release(context)
         context.watches.clear()
         if self._readiness is not None:

@@ -11,6 +11,8 @@ from mavcompass.procedure.vehicle_state import Kind, VehicleState
 
 _CUSTOM_MODE = 1.0
 PX4_OFFBOARD = 6 << 16
+# A vehicle that says nothing for so long is not asked any more.
+_SILENCE_S = 3.0
 _GUIDED: dict[str, int] = {
     "rover": RoverMode.GUIDED,
     "boat": RoverMode.GUIDED,
@@ -67,54 +69,59 @@ class ModeKeeper:
 
     Attributes:
         ours: modes that the vehicle may be in because of us. Any other is somebody else's doing.
-        before: the mode to put back; None while nothing was changed.
+        before: the modes to put back, the latest last.
     """
 
     state: VehicleState
     autopilot: str
     ours: set[int] = field(default_factory=set)
-    before: int | None = None
+    before: list[int] = field(default_factory=list)
+    _coming: int | None = None
 
     def accept_present(self) -> None:
         """Take the present mode as agreed upon."""
-        self.ours = {self.state.mode}
+        self.ours, self._coming = {self.state.mode}, None
 
     def is_foreign(self) -> bool:
         """Tell whether the vehicle is in a mode that somebody else has put it into."""
-        if self.state.mode in self.ours:
-            if self.before is not None and self.state.mode != self.before:
-                # It has arrived: from now on the old mode would be somebody else's wish.
-                self.ours = {self.state.mode}
-            return False
-        return True
+        if self.state.mode == self._coming:
+            # It has arrived: from now on the mode before would be somebody else's wish.
+            self.accept_present()
+        return self.state.mode not in self.ours
 
     def change(self, context: Context, mode: int, timeout_s: float = 5.0) -> Script[bool]:
-        """Change to a mode and wait until the vehicle says that it is in it; False where it refuses."""
-        if self.state.mode == mode:
-            self.accept_present()
+        """Change to a mode and wait until the vehicle says that it is in it; False where it refuses.
+
+        `restore` leads back from it.
+        """
+        self.before.append(self.state.mode)
+        return (yield from self.go_to(context, mode, timeout_s))
+
+    def restore(self, context: Context, timeout_s: float = 5.0) -> Script[bool]:
+        """Put the mode before the last change back; False where that is not what it came to.
+
+        Nothing is done where somebody else has chosen another mode.
+        """
+        if not self.before:
             return True
-        if self.before is None:
-            self.before = self.state.mode
-        self.ours = {self.state.mode, mode}
+        mode = self.before.pop()
+        if self.is_foreign():
+            return False
+        return (yield from self.go_to(context, mode, timeout_s))
+
+    def go_to(self, context: Context, mode: int, timeout_s: float = 5.0) -> Script[bool]:
+        """Change to a mode for good; False where the vehicle refuses."""
+        self.ours, self._coming = {self.state.mode, mode}, mode
         if (yield from self._command_until_heard(context, mode, timeout_s)):
-            self.ours = {mode}
+            self.accept_present()
             return True
         return False
 
-    def restore(self, context: Context, timeout_s: float = 5.0) -> Script[bool]:
-        """Put the old mode back, unless somebody else has chosen another; False where it is not there."""
-        if self.before is None:
-            return True
-        if self.is_foreign():
-            self.before = None
-            return False
-        mode, self.before = self.before, None
-        self.ours = {self.state.mode, mode}
-        return (yield from self._command_until_heard(context, mode, timeout_s))
-
     def _command_until_heard(self, context: Context, mode: int, timeout_s: float) -> Script[bool]:
         end_s, ask_s, refusals = context.now + timeout_s, context.now, 0
-        while context.now < end_s:
+        if self.state.mode == mode:
+            return True
+        while context.now < end_s and context.now - self.state.heard_s < _SILENCE_S:
             if context.now >= ask_s:
                 context.send(mode_command(context, self.autopilot, mode))
                 ask_s = context.now + 0.7

@@ -37,14 +37,15 @@ class DwellSettings:
     """Hold how long to stand still.
 
     Attributes:
-        dwell_s: length of a dwell; twenty fresh readings of a compass read at 10 Hz.
-        settle_s: rest before a dwell begins: the compass's 100 ms average and the chassis settle.
+        dwell_s: length of a dwell; eighteen fresh readings of a compass read at 10 Hz.
+        settle_s: rest before a dwell begins. Rest is judged by the mean of half a second, so by then
+            the chassis and the compass's average of 100 ms have settled.
         patience_s: a vehicle that hunts longer than this is dwelt upon as it is; the sway is then in
             the data, where the gyro explains it.
     """
 
-    dwell_s: float = 2.0
-    settle_s: float = 0.4
+    dwell_s: float = 1.8
+    settle_s: float = 0.1
     patience_s: float = 6.0
 
 
@@ -114,13 +115,14 @@ class VehicleMover:
     strategies: Sequence[TurnStrategy]
     _current: int = 0
     _used: bool = False
+    _moving: bool = False
 
     def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
         """Turn by the current strategy, or by the next that moves the vehicle.
 
         Raises Refused when none does.
         """
-        self._used = True
+        self._used = self._moving = True
         while self._current < len(self.strategies):
             strategy = self.strategies[self._current]
             if (yield from strategy.turn(context, self.gyro, angle_rad)):
@@ -148,9 +150,11 @@ class VehicleMover:
         return True
 
     def halt(self, context: Context) -> None:
-        """Halt by every strategy that was used."""
-        for strategy in self._all_used():
-            strategy.halt(context)
+        """Halt by every strategy that was used; once, until the next turn."""
+        if self._moving:
+            self._moving = False
+            for strategy in self._all_used():
+                strategy.halt(context)
 
     def release(self, context: Context) -> Script[None]:
         """Release by every strategy that was used."""
@@ -225,20 +229,25 @@ def visit(
     count: int,
     step_rad: float,
     settings: DwellSettings,
+    seen: Sequence[Window] = (),
 ) -> Script[list[Window]]:
-    """Visit `count` positions, `step_rad` apart as well as the vehicle can; the first is where it is."""
-    windows: list[Window] = []
-    while len(windows) < count:
+    """Visit positions, `step_rad` apart as well as the vehicle can; the first is where it is.
+
+    With `count` positions `seen` already, one more is visited, half a step between those.
+    """
+    windows, wanted = list(seen), max(count, len(seen) + 1)
+    while len(windows) < wanted:
         index = len(windows)
         if index:
             context.show(
-                "turn", f"Turning to position {index + 1} of {count}.", (index - 0.5) / (count + 1.0)
+                "turn", f"Turning to position {index + 1} of {wanted}.", (index - 0.5) / (wanted + 1.0)
             )
-            yield from mover.next(context, _next_turn(gyro, windows, step_rad), count - index)
+            angle_rad = _next_turn(gyro, windows, count, step_rad)
+            yield from mover.next(context, angle_rad, wanted - index)
         context.show(
             "dwell",
-            f"Position {index + 1} of {count}: standing still for {settings.dwell_s:.0f} s.",
-            index / (count + 1.0),
+            f"Position {index + 1} of {wanted}: standing still for {settings.dwell_s:.0f} s.",
+            index / (wanted + 1.0),
             position=float(index + 1),
             turned_deg=math.degrees(gyro.angle_rad),
         )
@@ -248,8 +257,9 @@ def visit(
     return windows
 
 
-def _next_turn(gyro: GyroAngle, windows: list[Window], step_rad: float) -> float:
+def _next_turn(gyro: GyroAngle, windows: list[Window], count: int, step_rad: float) -> float:
     """Return the turn to the next even step of the circle; what went too far or too short is made up."""
-    wanted = windows[0].turned_rad + len(windows) * step_rad
+    steps = len(windows) if len(windows) < count else len(windows) - 0.5
+    wanted = windows[0].turned_rad + steps * step_rad
     share = (wanted - gyro.angle_rad) / step_rad
     return step_rad * max(0.5, min(1.5, share))

@@ -72,7 +72,8 @@ class Readiness:
                 yield from self._land(context, _HURRIED_S if in_a_hurry else _LANDING_PATIENCE_S)
             elif self._armed_by_us:
                 yield from command(context, MavCmd.COMPONENT_ARM_DISARM, 0.0, what="disarming")
-            yield from self.modes.restore(context)
+            while self.modes.before:
+                yield from self.modes.restore(context)
         except NoReply as lost:
             context.show("end", f"The vehicle may not be as it was: {lost.what}")
 
@@ -124,7 +125,7 @@ class Readiness:
         free = math.nan if px4 else 0.0
         self._in_the_air_by_us = True
         if px4:
-            self.modes.before = self.state.mode if self.modes.before is None else self.modes.before
+            self.modes.before.append(self.state.mode)
             self.modes.ours |= {_PX4_TAKEOFF, _PX4_HOLD}
         result = yield from command(
             context,
@@ -148,16 +149,16 @@ class Readiness:
     def _land(self, context: Context, patience_s: float) -> Script[None]:
         """Land where it is; whatever ends the wait, the autopilot goes on landing."""
         mode = _PX4_LAND if self.identity.autopilot == "px4" else CopterMode.LAND
-        before = self.modes.before
         context.show("end", "Landing.")
-        if not (yield from self.modes.change(context, mode)):
+        if not (yield from self.modes.go_to(context, mode)):
             context.show("end", "The copter did not take the command to land: land it by hand.")
-            self.modes.before = None
+            self.modes.before.clear()
             return
         end_s = context.now + patience_s
         while self.state.armed and context.now < end_s and not self.modes.is_foreign():
             yield from pause(context, 0.2)
-        self.modes.before = None if self.state.armed else before
+        if self.state.armed:
+            self.modes.before.clear()
 
     def _height_m(self) -> float:
         return 0.0 if self.state.place is None else self.state.place.relative_alt * 1e-3

@@ -16,6 +16,10 @@ from mavcompass.procedure.gyro_angle import GyroAngle
 from mavcompass.procedure.modes import ModeKeeper, mode_name
 from mavcompass.procedure.vehicle_state import Kind, VehicleState
 
+# Sticks that rest in the middle, by kind; throttles need not.
+_CENTRED: dict[Kind, tuple[int, ...]] = {"rover": (1,), "boat": (1,), "copter": (1, 2, 4), "sub": (4,)}
+_CENTRE_US, _HELD_US = 1500, 150
+
 
 @dataclass(frozen=True, slots=True)
 class SafetyLimits:
@@ -68,9 +72,16 @@ class MotionGuard:
         Raises Refused where the vehicle is not fit to be turned.
         """
         self._mode = self.state.mode
-        self._sticks = _stick_values(self.state.sticks)
+        self._sticks = None
         self._place = self.state.place
-        for reason in (self._power(), self._estimator(), self._posture(), self._fence(), self._too_low()):
+        for reason in (
+            self._pilot(),
+            self._power(),
+            self._estimator(),
+            self._posture(),
+            self._fence(),
+            self._too_low(),
+        ):
             if reason is not None:
                 raise Refused(reason, "Nothing was moved or written.")
 
@@ -116,6 +127,9 @@ class MotionGuard:
             return None
         if self._sticks is None:
             self._sticks = now
+            held = [c for c in _CENTRED.get(self.kind, ()) if abs(now[c - 1] - _CENTRE_US) > _HELD_US]
+            if set(held) - self.moved_by_us:
+                return "The pilot holds a stick."
         for channel, (pwm, at_start) in enumerate(zip(now, self._sticks, strict=True), start=1):
             if channel not in self.moved_by_us and abs(pwm - at_start) > self.limits.stick_us:
                 return "The pilot moved a stick."

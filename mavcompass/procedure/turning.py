@@ -163,20 +163,23 @@ def strategies_for(
         arcs = YawRate(STAND_AND_YAW_RATE, forward_mps=1.0, name="slow arcs")
         return (SteeredTurn(arcs, math.radians(25.0)),)
     if kind == "rover":
-        return _pivots(math.radians(45.0), slow_down_s=0.6, coast_s=0.3)
+        return _pivots(math.radians(26.0), slow_down_s=0.3, coast_s=0.25)
     if kind == "boat":
-        return _pivots(math.radians(30.0), slow_down_s=1.5, coast_s=0.8)
+        # Boats turn more slowly after a heading, so that the same rate wants a heading farther ahead.
+        return _pivots(math.radians(30.0), slow_down_s=1.5, coast_s=0.8, gain_per_s=1.0)
     if kind in ("copter", "sub"):
         standing = YawRate(STAND_AND_YAW_RATE, name="yaw rate targets at a standstill")
         return (
-            SteeredTurn(YawStep(), math.radians(45.0), slow_down_s=0.1, arrives=True),
+            SteeredTurn(YawStep(), math.radians(40.0), slow_down_s=0.1, arrives=True),
             SteeredTurn(standing, math.radians(45.0)),
         )
     return ()
 
 
-def _pivots(rate_radps: float, slow_down_s: float, coast_s: float) -> tuple[TurnStrategy, ...]:
-    steers: tuple[Steer, ...] = (HeadingAhead(), YawRate(), AttitudeRate())
+def _pivots(
+    rate_radps: float, slow_down_s: float, coast_s: float, gain_per_s: float = 2.0
+) -> tuple[TurnStrategy, ...]:
+    steers: tuple[Steer, ...] = (HeadingAhead(gain_per_s), YawRate(), AttitudeRate())
     return tuple(SteeredTurn(steer, rate_radps, slow_down_s=slow_down_s, coast_s=coast_s) for steer in steers)
 
 

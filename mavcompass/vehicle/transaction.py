@@ -74,7 +74,7 @@ class Transaction:
                     undo_file,
                 ) from why
             raise
-        return WriteOutcome(True, undo_file, {name: p.value for name, p in new.items()}, remarks)
+        return WriteOutcome(True, undo_file, {name: p.value for name, p in new.items()}, remarks, command)
 
     def _read_before(self, context: Context, plan: ParameterPlan) -> Script[dict[str, Parameter]]:
         """Read the parameters that will change; nothing is written where they are not as planned."""

@@ -5,7 +5,8 @@
 Events: the pilot moves a stick, switches the mode or disarms; the battery fails; the program gets a stop
 signal; the link falls silent, breaks for good, or is away for two seconds. Judged by the simulator's truth:
 when the turning ended, when the last command to move arrived, whether parameters, mode and message rates
-are what they were, and what the person is told. Runs that were over before the event are left out.
+are what they were, and what the person is told. Runs that were over, or as good as over, before the event
+are left out.
 """
 
 from __future__ import annotations
@@ -38,9 +39,12 @@ OTHER_MODE = {
     "ackermann-rover": "HOLD",
     "copter": "LOITER",
     "sub": "POSHOLD",
+    "px4-copter": "POSCTL",
 }
 TURNING_RADPS = math.radians(5.0)
 LONGEST_S = 40.0
+# What happens this shortly before the end of a run may go unnoticed: nothing moves any more.
+TOO_LATE_S = 1.0
 
 
 class Witness:
@@ -128,11 +132,15 @@ def interrupt(kind: str, event: str, seed: int, duration_s: float) -> Outcome | 
         error: MavCompassError | None = None
         try:
             calibrate_on(
-                link, f"sim:{kind}", CalibrateSettings(writing="yes"), stop=stop, undo_directory=Path(folder)
+                link,
+                f"sim:{kind}",
+                CalibrateSettings(motion="vehicle", writing="yes"),
+                stop=stop,
+                undo_directory=Path(folder),
             )
         except MavCompassError as caught:
             error = caught
-        if not witness.happened:
+        if not witness.happened or (error is None and witness.time_s - at_s < TOO_LATE_S):
             return None
         witness.advance(witness.time_s + 0.01)
         end_s = witness.time_s + 5.0
@@ -155,12 +163,13 @@ def judge(
     wrong = outcome.wrong
     link_lives = outcome.event not in ("silence", "broken")
     if error is None:
-        if outcome.event not in ("two-seconds", "battery"):
+        # A link that dies while rates are put back comes too late to spoil anything.
+        if outcome.event not in ("two-seconds", "battery", "silence", "broken"):
             wrong.append("was not noticed")
         return
     if outcome.command_s > 1.0:
         wrong.append("commanded motion more than 1 s after")
-    if link_lives and outcome.turning_s > 1.0:
+    if outcome.turning_s > 1.0:
         wrong.append("turned more than 1 s after")
     changed = {name for name in before[0] if before[0][name] != after[0].get(name)}
     compass = {name for name in changed if name.startswith(("COMPASS_", "CAL_"))}
@@ -168,7 +177,9 @@ def judge(
         wrong.append("left new parameters without an undo file")
     if link_lives and compass:
         wrong.append("left new parameters although the link lives")
-    if link_lives and outcome.event in ("stick", "signal", "two-seconds") and before[1] != after[1]:
+    pilot_flies = outcome.event == "stick" and outcome.vehicle == "px4-copter"  # PX4 hands over by itself
+    kept = outcome.event in ("stick", "signal", "two-seconds") and not pilot_flies
+    if link_lives and kept and before[1] != after[1]:
         wrong.append("left another mode")
     if link_lives and before[2] != after[2]:
         wrong.append("left other rates")

@@ -1,0 +1,86 @@
+"""Simulated vehicles whose compass is as wrong as a compass can be and still be cured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+from mavcompass.messages import Incoming
+from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport
+from mavcompass.procedure.script import Context, Machine, Script, Show
+from mavcompass.procedure.vehicle_state import VehicleState, find_vehicle
+from mavcompass.simulation.autopilot import SimulatedAutopilot
+from mavcompass.simulation.faults import draw_compasses
+from mavcompass.simulation.noise import generator
+from mavcompass.vehicle.calibrating import calibrate_on
+from mavcompass.vehicle.driver import run
+from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
+from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.stopping import StopRequest
+
+T = TypeVar("T")
+KINDS = ("rover", "ackermann-rover", "boat", "copter", "sub", "px4-copter")
+
+
+def bent_vehicle(kind: str, seed: int, share: float = 1.0) -> SimulatedAutopilot:
+    """Make a vehicle whose steering compass is wrong by `share` of the horizontal field."""
+    horizontal_mgauss = SimulatedAutopilot(kind, seed=seed).world.horizontal_mgauss
+    setups = list(draw_compasses(seed, horizontal_mgauss, "old"))
+    toward = float(generator(seed, "bent").uniform(0.0, 2.0 * math.pi))
+    iron = setups[0].model.iron
+    x, y, z = iron.offsets_mgauss
+    wrong = share * horizontal_mgauss
+    bent = (x + wrong * math.cos(toward), y + wrong * math.sin(toward), z + 20.0)
+    setups[0] = replace(setups[0], in_force=replace(iron, offsets_mgauss=bent))
+    return SimulatedAutopilot(kind, seed=seed, compasses=setups)
+
+
+def calibrated(
+    vehicle: SimulatedAutopilot,
+    folder: Path,
+    settings: CalibrateSettings | None = None,
+    link: Link | None = None,
+    shown: list[str] | None = None,
+    stop: StopRequest | None = None,
+    identity: Identity = ONBOARD_COMPUTER,
+) -> CalibrationReport:
+    """Calibrate a vehicle in virtual time, and write."""
+
+    def show(what: Show) -> None:
+        if shown is not None:
+            shown.append(what.text)
+
+    return calibrate_on(
+        link or SimulatedLink(vehicle, identity=identity),
+        "sim:test",
+        settings or CalibrateSettings(writing="yes"),
+        on_show=show,
+        stop=stop,
+        undo_directory=folder,
+    )
+
+
+def perform(
+    vehicle: SimulatedAutopilot,
+    script: Callable[[Context, VehicleState], Script[T]],
+    listeners: tuple[Callable[[Incoming], None], ...] = (),
+    identity: Identity = ONBOARD_COMPUTER,
+    shown: list[str] | None = None,
+) -> T:
+    """Run a script on a vehicle that has been found and whose state is known."""
+    texts = [] if shown is None else shown
+
+    def whole(context: Context) -> Script[T]:
+        state = VehicleState()
+        context.listeners += [state.hear, *listeners]
+        yield from find_vehicle(context)
+        return (yield from script(context, state))
+
+    return run(
+        Machine(whole),
+        SimulatedLink(vehicle, identity=identity),
+        on_show=lambda show: texts.append(show.text),
+    )

@@ -1,0 +1,78 @@
+"""One command calibrates each kind of vehicle, however wrong its compass and however bad the link."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bent_vehicles import KINDS, bent_vehicle, calibrated
+
+from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.simulation.autopilot import SimulatedAutopilot
+from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.vehicle.faults import Faults, FaultyLink
+from mavcompass.vehicle.simulated import SimulatedLink
+
+BAD_LINK = Faults(loss=0.3, duplicate=0.05, reorder=0.1, latency_s=0.3)
+
+
+def untouched(vehicle: SimulatedAutopilot) -> tuple[object, ...]:
+    """Return everything that a calibration of compass 1 leaves as it was."""
+    # STAT_RUNTIME counts seconds.
+    ours = ("COMPASS_OFS_", "COMPASS_DIA_", "COMPASS_ODI_", "COMPASS_SCALE", "CAL_MAG0_", "STAT_")
+    streams = vehicle.streams(0)
+    return (
+        {name: value for name, value in vehicle.firmware.store.values.items() if not name.startswith(ours)},
+        vehicle.firmware.heartbeat().custom_mode,
+        vehicle.firmware.heartbeat().base_mode,
+        {number: streams.interval_us(number) for number in vehicle.firmware.available},
+    )
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_command_brings_the_heading_within_half_a_degree(kind: str, seed: int, tmp_path: Path) -> None:
+    vehicle = bent_vehicle(kind, seed)
+    before = untouched(vehicle)
+    assert heading_error_rms_deg(vehicle) > 30.0
+    report = calibrated(vehicle, tmp_path)
+    assert report.written and report.proof is not None and report.proof.passed
+    assert heading_error_rms_deg(vehicle) <= 0.5
+    assert untouched(vehicle) == before
+
+
+@pytest.mark.parametrize("kind", ["rover", "copter"])
+def test_four_dwells_and_the_proof_turn_take_half_a_minute(kind: str, tmp_path: Path) -> None:
+    vehicle = SimulatedAutopilot(kind, seed=11)
+    report = calibrated(vehicle, tmp_path, CalibrateSettings(writing="yes", most_positions=4))
+    time_s = report.track.compasses[1].time_s
+    assert len(report.windows) == 4
+    assert float(time_s[-1]) - report.windows[0].start_s <= 30.0
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("kind", ["rover", "copter"])
+def test_a_bad_link_gives_the_same_result_within_its_sigma(kind: str, seed: int, tmp_path: Path) -> None:
+    clean = calibrated(bent_vehicle(kind, seed, 0.6), tmp_path).results[0]
+    vehicle = bent_vehicle(kind, seed, 0.6)
+    before = untouched(vehicle)
+    link = FaultyLink(SimulatedLink(vehicle), BAD_LINK, seed=seed)
+    report = calibrated(vehicle, tmp_path, link=link)
+    assert report.written and report.proof is not None and report.proof.passed
+    assert untouched(vehicle) == before
+    lossy = report.results[0]
+    sigma_deg = math.hypot(clean.heading_sigma_deg, lossy.heading_sigma_deg)
+    errors = [heading_error_rms_deg(vehicle, 1, result.correction) for result in (clean, lossy)]
+    assert abs(errors[1] - errors[0]) < 3.0 * sigma_deg
+    assert errors[1] <= 0.5
+
+
+def test_more_positions_are_visited_where_four_leave_too_much_in_doubt(tmp_path: Path) -> None:
+    settings = CalibrateSettings(writing="never", enough_deg=0.01, most_positions=6)
+    report = calibrated(bent_vehicle("rover", 1), tmp_path, settings)
+    assert len(report.windows) == 6
+    turned = np.degrees([window.turned_rad for window in report.windows]) % 360.0
+    gaps = np.diff(np.sort(np.append(turned, turned.min() + 360.0)))
+    assert gaps.min() > 25.0

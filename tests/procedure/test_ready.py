@@ -1,0 +1,141 @@
+"""What may be done to a vehicle so that it can turn itself: nothing without leave, all of it undone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from bent_vehicles import calibrated
+
+from mavcompass.enums import MavCmd
+from mavcompass.errors import Refused
+from mavcompass.messages import CommandLong, Message
+from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.readiness import Permissions
+from mavcompass.simulation.autopilot import SimulatedAutopilot
+from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.vehicle.stopping import StopRequest
+
+ARMING = {"ARMING_MAGTHRESH": 0.0, "ARMING_CHECK": 0.0}
+
+
+def on_the_ground(kind: str, seed: int = 1) -> SimulatedAutopilot:
+    """Make a disarmed vehicle that knows its place and would arm with a bent compass."""
+    parameters = {"COM_ARM_MAG_ANG": 0.0} if kind == "px4-copter" else ARMING
+    vehicle = SimulatedAutopilot(kind, seed=seed, armed=False, parameters=parameters)
+    vehicle.advance(10.0)
+    return vehicle
+
+
+def allow(permissions: Permissions) -> CalibrateSettings:
+    return CalibrateSettings(motion="vehicle", writing="yes", permissions=permissions)
+
+
+def commands_heard(vehicle: SimulatedAutopilot) -> list[int]:
+    """Return a list that fills with the numbers of the commands the vehicle is sent."""
+    numbers: list[int] = []
+    receive = vehicle.receive
+
+    def witness(message: Message, *sender: int) -> None:
+        if isinstance(message, CommandLong):
+            numbers.append(message.command)
+        receive(message, *sender)
+
+    vehicle.receive = witness  # type: ignore[method-assign, assignment]
+    return numbers
+
+
+@pytest.mark.parametrize(
+    ("kind", "mode", "permissions", "sentence"),
+    [
+        ("rover", "GUIDED", Permissions(), "disarmed, so it cannot turn itself"),
+        (
+            "rover",
+            "MANUAL",
+            Permissions(arm=True),
+            "The vehicle is in MANUAL; it turns itself in GUIDED only",
+        ),
+        ("copter", "GUIDED", Permissions(set_mode=True), "disarmed, so it cannot turn itself"),
+    ],
+)
+def test_what_was_not_allowed_is_refused_and_not_tried(
+    kind: str, mode: str, permissions: Permissions, sentence: str, tmp_path: Path
+) -> None:
+    vehicle = on_the_ground(kind)
+    vehicle.pilot_switches_mode(mode)
+    numbers = commands_heard(vehicle)
+    with pytest.raises(Refused, match=sentence):
+        calibrated(vehicle, tmp_path, allow(permissions))
+    forbidden: set[int] = {MavCmd.NAV_TAKEOFF}
+    forbidden |= set() if permissions.arm else {int(MavCmd.COMPONENT_ARM_DISARM)}
+    forbidden |= set() if permissions.set_mode else {int(MavCmd.DO_SET_MODE)}
+    assert not forbidden & set(numbers)
+
+
+def test_a_copter_on_the_ground_is_not_turned_even_when_armed(tmp_path: Path) -> None:
+    vehicle = on_the_ground("copter")
+    vehicle.pilot_switches_mode("GUIDED")
+    with pytest.raises(Refused, match="too low to be turned"):
+        calibrated(vehicle, tmp_path, allow(Permissions(arm=True)))
+    assert not vehicle.firmware.heartbeat().base_mode & 128
+
+
+def test_a_rover_is_switched_armed_calibrated_disarmed_and_switched_back(tmp_path: Path) -> None:
+    vehicle = on_the_ground("rover")
+    before = vehicle.firmware.heartbeat()
+    report = calibrated(vehicle, tmp_path, allow(Permissions(set_mode=True, arm=True)))
+    assert report.written and heading_error_rms_deg(vehicle) < 0.5
+    assert vehicle.firmware.heartbeat() == before
+
+
+@pytest.mark.parametrize("kind", ["copter", "px4-copter"])
+def test_a_copter_takes_off_is_calibrated_and_lands_where_it_was(kind: str, tmp_path: Path) -> None:
+    vehicle = on_the_ground(kind)
+    before = vehicle.firmware.heartbeat()
+    shown: list[str] = []
+    permissions = Permissions(set_mode=True, arm=True, takeoff_m=5.0)
+    report = calibrated(vehicle, tmp_path, allow(permissions), shown=shown)
+    assert report.written and heading_error_rms_deg(vehicle) < 0.5
+    assert "Taking off to 5 m." in shown and "Landing." in shown
+    assert vehicle.body.landed
+    assert vehicle.firmware.heartbeat() == before
+
+
+def test_a_vehicle_that_will_not_arm_says_why_and_keeps_its_mode(tmp_path: Path) -> None:
+    never_calibrated = {f"COMPASS_OFS_{axis}": 0.0 for axis in "XYZ"}
+    vehicle = SimulatedAutopilot("rover", seed=1, armed=False, parameters=never_calibrated)
+    vehicle.advance(10.0)
+    before = vehicle.firmware.heartbeat()
+    with pytest.raises(Refused, match=r"refused to arm\. It said: Arm: .+"):
+        calibrated(vehicle, tmp_path, allow(Permissions(set_mode=True, arm=True)))
+    assert vehicle.firmware.heartbeat() == before
+
+
+def test_a_stop_in_the_air_tells_the_copter_to_land(tmp_path: Path) -> None:
+    vehicle = on_the_ground("copter")
+    stop = StopRequest()
+
+    class StopAtTheSecondTurn(list[str]):
+        def append(self, text: str) -> None:
+            super().append(text)
+            if text == "Turning to position 3 of 4.":
+                stop.reason = "Stopped by Ctrl-C."
+
+    permissions = Permissions(set_mode=True, arm=True, takeoff_m=5.0)
+    shown = StopAtTheSecondTurn()
+    with pytest.raises(Refused, match="Stopped by Ctrl-C"):
+        calibrated(vehicle, tmp_path, allow(permissions), shown=shown, stop=stop)
+    vehicle.advance(vehicle.time_s + 40.0)
+    assert vehicle.body.landed and not vehicle.firmware.heartbeat().base_mode & 128
+
+
+@pytest.mark.parametrize("by", [("rc-override", "MANUAL"), ("manual-control", "MANUAL")])
+def test_the_pilots_controls_are_used_only_when_asked_for(by: Sequence[str], tmp_path: Path) -> None:
+    from mavcompass.vehicle.link import GROUND_STATION
+
+    vehicle = SimulatedAutopilot("rover", seed=1)
+    vehicle.pilot_switches_mode(by[1])
+    settings = CalibrateSettings(motion="vehicle", writing="yes", turn_by=by[0])  # type: ignore[arg-type]
+    report = calibrated(vehicle, tmp_path, settings, identity=GROUND_STATION)
+    assert report.written and heading_error_rms_deg(vehicle) < 0.5
