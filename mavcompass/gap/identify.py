@@ -12,7 +12,7 @@ from mavcompass.gap.floor import Floor, rms, widened
 from mavcompass.gap.model import Fit, Problem
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Found, Search, least_gain
-from mavcompass.gap.split import Split, without_held_block
+from mavcompass.gap.split import Split, bracketed, with_windows
 from mavcompass.simulation.effects.causes.step import NEVER_S
 from mavcompass.simulation.effects.effect import Effect
 
@@ -20,6 +20,7 @@ _LEAST_RMS_MGAUSS = 1.0
 _LEAST_SHARE = 0.10
 _AT_THE_END = 1e-3
 _PASSES = 2
+_CLOSINGS_IN = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,25 +76,30 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
 
 
 def _moments_in_training(candidate: Identified) -> Identified:
-    """Where something changes inside a held-out block, move that block to the training rows and refit."""
-    moments = []
-    for term, theta in zip(candidate.fit.terms, candidate.fit.thetas, strict=True):
-        for parameter, value in zip(term.effect.parameters, theta, strict=True):
-            if parameter.unit == "s" and parameter.name in ("on_s", "off_s") and abs(value) < NEVER_S:
-                moments.append(float(value))
-    if not moments:
-        return candidate
+    """Where something changes inside a held-out block, close in on it with narrow training windows."""
     replay = candidate.problem.replay
-    split = without_held_block(candidate.split, replay.time_s, replay.valid, moments)
-    if split is candidate.split:
-        return candidate
-    problem = candidate.problem.with_rows(split.train)
-    search = Search(problem, [])
-    search.terms = candidate.search.terms
-    start = problem.fit(candidate.fit.terms, candidate.fit.thetas, candidate.fit.nuisance_thetas)
-    fit = search.polished(start)
-    search.explored = {fit.ids: fit}
-    return replace(candidate, problem=problem, split=split, fit=fit, search=search)
+    for _ in range(_CLOSINGS_IN):
+        loose = [m for m in _moments(candidate.fit) if not bracketed(candidate.split, replay.time_s, m)]
+        if not loose:
+            break
+        split = with_windows(candidate.split, replay.time_s, replay.valid, loose)
+        problem = candidate.problem.with_rows(split.train)
+        search = Search(problem, [])
+        search.terms = candidate.search.terms
+        start = problem.fit(candidate.fit.terms, candidate.fit.thetas, candidate.fit.nuisance_thetas)
+        fit = search.polished(start)
+        search.explored = {fit.ids: fit}
+        candidate = replace(candidate, problem=problem, split=split, fit=fit, search=search)
+    return candidate
+
+
+def _moments(fit: Fit) -> list[float]:
+    return [
+        float(value)
+        for term, theta in zip(fit.terms, fit.thetas, strict=True)
+        for parameter, value in zip(term.effect.parameters, theta, strict=True)
+        if parameter.unit == "s" and parameter.name in ("on_s", "off_s") and abs(value) < NEVER_S
+    ]
 
 
 def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:

@@ -23,7 +23,7 @@ from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 _FEWEST_ROWS = 60
-_MOST_ROWS = 12_000
+_MOST_ROWS = 4_000
 _UNKNOWN_FIELD_SIGMA_MGAUSS = 300.0
 _COMPASS_PERIOD_S = 0.1
 _LOCAL_SIGMA_MGAUSS = 0.7

@@ -11,6 +11,7 @@ from mavcompass.frames import FloatArray
 
 BLOCK_S = 5.0
 GUARD_S = 0.5
+WINDOW_S = 0.3
 _HELD_OUT_OF = 4
 _FEWEST_BLOCKS = 12
 _SEED = 20260101
@@ -56,18 +57,27 @@ def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
     return _masks(time_s, valid, block, held, min(GUARD_S, length / 5.0))
 
 
-def without_held_block(split: Split, time_s: FloatArray, valid: Mask, moments_s: list[float]) -> Split:
-    """Give the held-out blocks in which something changes to the training rows.
+def with_windows(split: Split, time_s: FloatArray, valid: Mask, moments_s: list[float]) -> Split:
+    """Give a narrow window about each moment to the training rows, where it lies in a held-out block.
 
-    The training rows alone tell that the change lies there; where exactly, only the block itself can.
+    The training rows alone tell that something changes inside the block; the window halves the stretch in
+    which it may be. A guard on both sides of the window leaves the held-out rows.
     """
-    held = split.held.copy()
+    train, test = split.train.copy(), split.test.copy()
     for moment in moments_s:
-        near = np.abs(time_s - moment) < 1.5 * GUARD_S
-        held[np.unique(split.block[near])] = False
-    if held.sum() < 2 or np.array_equal(held, split.held):
-        return split
-    return _masks(time_s, valid, split.block, held, GUARD_S)
+        distance = np.abs(time_s - moment)
+        train |= (distance < WINDOW_S) & valid
+        test &= distance > WINDOW_S + 0.3 * GUARD_S
+    return replace(split, train=train, test=test)
+
+
+def bracketed(split: Split, time_s: FloatArray, moment_s: float) -> bool:
+    """Tell whether training rows stand close on both sides of a moment."""
+    rows = time_s[split.train]
+    at = int(np.searchsorted(rows, moment_s))
+    if at in (0, rows.size):
+        return True
+    return float(rows[at] - rows[at - 1]) < 0.5 * GUARD_S + 3.0 * float(np.median(np.diff(time_s)))
 
 
 def _masks(time_s: FloatArray, valid: Mask, block: NDArray[np.int64], held: Mask, guard_s: float) -> Split:
@@ -78,8 +88,3 @@ def _masks(time_s: FloatArray, valid: Mask, block: NDArray[np.int64], held: Mask
         boundary = 0.5 * (time_s[edge] + time_s[edge + 1])
         train &= ~((np.abs(time_s - boundary) < guard_s) & ~test)
     return Split(block, held, train & valid, test & valid)
-
-
-def whole(split: Split, valid: Mask) -> Split:
-    """Return a split that fits on every valid row: for what is measured on another recording."""
-    return replace(split, train=valid, test=np.zeros_like(valid))
