@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from mavcompass.procedure.script import Show
 
-_MARKS = {"connect": "·", "turn": "↻", "dwell": "■", "solve": "=", "write": ">", "prove": "✓", "undo": "!"}
+_PROMPT_EVERY_S = 1.0
+_MARKS = {
+    "connect": "·",
+    "turn": "↻",
+    "dwell": "■",
+    "solve": "=",
+    "write": ">",
+    "prove": "✓",
+    "undo": "!",
+    "taken": "✓",
+}
 
 
 def is_live() -> bool:
@@ -19,17 +31,32 @@ def is_live() -> bool:
     return sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
 
 
-class PlainShow:
-    """Print one line per step on standard error; the same step twice in a row only once."""
+def _has(show: Show, name: str) -> bool:
+    return any(key == name and value for key, value in show.data)
 
-    def __init__(self) -> None:
+
+class PlainShow:
+    """Print one line per step on standard error; the same step twice in a row only once.
+
+    Prompts that change all the time ("Turn right 34 deg more.") are printed once a second.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._last = ""
+        self._clock = clock
+        self._prompted_s = -math.inf
 
     def __call__(self, show: Show) -> None:
         """Print a line."""
-        if show.text != self._last:
-            self._last = show.text
-            print(show.text, file=sys.stderr, flush=True)
+        if show.text == self._last:
+            return
+        if _has(show, "live"):
+            now_s = self._clock()
+            if now_s - self._prompted_s < _PROMPT_EVERY_S:
+                return
+            self._prompted_s = now_s
+        self._last = show.text
+        print(show.text, file=sys.stderr, flush=True)
 
 
 class LiveShow:
@@ -41,7 +68,9 @@ class LiveShow:
         self._last: Show | None = None
 
     def __call__(self, show: Show) -> None:
-        """Show a step."""
+        """Show a step; ring the terminal's bell where a person who turns the vehicle should look up."""
+        if _has(show, "cue"):
+            self._progress.console.bell()
         if self._last is not None and self._last.step != show.step:
             self._progress.console.print(
                 f"[dim]{_MARKS.get(self._last.step, '·')} {self._last.text}[/dim]", highlight=False

@@ -154,8 +154,18 @@ def _calibrate(context: Context, desk: _Desk, settings: CalibrateSettings) -> Sc
         finished = True
         return report
     finally:
-        yield from mobility.end(context, in_a_hurry=not finished)
-        yield from rates.restore(context)
+        yield from _put_back(context, mobility, rates, in_a_hurry=not finished)
+
+
+def _put_back(context: Context, mobility: Mobility, rates: MessageRates, in_a_hurry: bool) -> Script[None]:
+    """Give the vehicle back; a stop that comes now finds nothing moving and is no reason to leave it."""
+    for _ in range(2):
+        try:
+            yield from mobility.end(context, in_a_hurry)
+            yield from rates.restore(context)
+            return
+        except Refused:
+            in_a_hurry = True
 
 
 def _wanted_rates(

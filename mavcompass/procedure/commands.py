@@ -116,11 +116,13 @@ class MessageRates:
         """Put back every rate that was changed; a vehicle that no longer says anything is left."""
         context.listeners.append(self._hear)
         self._heard_s = context.now
-        while self._before_us and context.now - self._heard_s < _SILENCE_S:
-            kind, before_us = next(reversed(self._before_us.items()))
-            if (yield from self._put_back(context, kind, before_us)):
-                del self._before_us[kind]
-        context.listeners.remove(self._hear)
+        try:
+            while self._before_us and context.now - self._heard_s < _SILENCE_S:
+                kind, before_us = next(reversed(self._before_us.items()))
+                if (yield from self._put_back(context, kind, before_us)):
+                    del self._before_us[kind]
+        finally:
+            context.listeners.remove(self._hear)
         if self._before_us:
             context.show("end", "The vehicle no longer answers: its message rates were not put back.")
 

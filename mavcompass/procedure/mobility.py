@@ -102,13 +102,13 @@ class Mobility:
 
     def end(self, context: Context, in_a_hurry: bool) -> Script[None]:
         """Stop any motion, end the watch, and give the vehicle back as it was taken."""
+        context.watches.clear()
         if self.mover is not None:
             # In a mode that somebody else chose our commands would only disturb, a mission for one;
             # the pilot's own controls are given back in any.
             if self.wishes.turn_by != "auto" or not self._modes.is_foreign():
                 self.mover.halt(context)
             yield from self.mover.release(context)
-        context.watches.clear()
         if self._readiness is not None:
             yield from self._readiness.put_back(context, in_a_hurry)
 
