@@ -32,7 +32,7 @@ METHODS = (
 NOT_ACCEPTED = 5
 
 
-def _instances(context: click.Context, parameter: click.Parameter, value: str) -> tuple[int, ...]:
+def chosen_instances(context: click.Context, parameter: click.Parameter, value: str) -> tuple[int, ...]:
     if value == "all":
         return ()
     try:
@@ -69,7 +69,7 @@ def _instances(context: click.Context, parameter: click.Parameter, value: str) -
     help="Allow a copter to take off to M metres; it lands afterwards.",
 )
 @click.option(
-    "--compass", "instances", default="1", callback=_instances, help="1, 2, 3, a list of them, or all."
+    "--compass", "instances", default="1", callback=chosen_instances, help="1, 2, 3, a list of them, or all."
 )
 @click.option("--yes", is_flag=True, help="Write without asking.")
 @click.option("--dry-run", is_flag=True, help="Never write.")

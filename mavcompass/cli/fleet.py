@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from mavcompass.cli.calibrate import METHODS, _instances
-from mavcompass.cli.gap import _REFERENCES
+from mavcompass.cli.calibrate import METHODS, chosen_instances
+from mavcompass.cli.gap import REFERENCES
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.terminal import is_live
 
@@ -62,7 +62,7 @@ def fleet_options(function: Function) -> Function:
             help="Give a recording up after so many seconds.",
         ),
         click.option(
-            "--compass", "instances", default="1", callback=_instances, help="1, 2, 3, a list, or all."
+            "--compass", "instances", default="1", callback=chosen_instances, help="1, 2, 3, a list, or all."
         ),
         click.option(
             "--vehicle-pattern",
@@ -125,7 +125,7 @@ def calibrate(
 
 @command.command()
 @fleet_options
-@click.option("--reference", type=click.Choice(_REFERENCES), default="auto", show_default=True)
+@click.option("--reference", type=click.Choice(REFERENCES), default="auto", show_default=True)
 def diagnose(
     paths: tuple[str, ...],
     out: Path,

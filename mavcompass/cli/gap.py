@@ -21,7 +21,7 @@ _WORDS = {
     "unknown": "unknown: none of the effects in the catalogue explains it",
     "not_testable": "not testable",
 }
-_REFERENCES = ("auto", "gyro", "gps-yaw", "attitude", "columns")
+REFERENCES = ("auto", "gyro", "gps-yaw", "attitude", "columns")
 
 
 @click.group()
@@ -42,7 +42,7 @@ def command() -> None:
     help="A recording of the same vehicle that is accepted as good: gives the noise floor.",
 )
 @click.option("--withhold", multiple=True, metavar="EFFECT", help="Do not use this effect and its aliases.")
-@click.option("--reference", type=click.Choice(_REFERENCES), default="auto", show_default=True)
+@click.option("--reference", type=click.Choice(REFERENCES), default="auto", show_default=True)
 @click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
 @common_options
 def diagnose(
@@ -122,7 +122,7 @@ def _effect(effect: object) -> dict[str, object]:
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 @click.option("--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True)
 @click.option("--baseline", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--reference", type=click.Choice(_REFERENCES), default="auto", show_default=True)
+@click.option("--reference", type=click.Choice(REFERENCES), default="auto", show_default=True)
 @common_options
 def export(
     log: Path,

@@ -18,7 +18,8 @@ from mavcompass.report.svg import Plot, bars, limits
 _DAY_S = 86_400.0
 # A page stays one that a person can read; the Parquet file has everything.
 _MOST_VEHICLES, _MOST_DRIFTS, _MOST_ERRORS, _MOST_FIRST = 300, 24, 50, 12
-_LINES = ("new", "old", "iron")
+# Classes of the style sheet for the first, second and third compass: line and band, dots.
+_CURVES = (("new", "new"), ("old", "old"), ("truth", "axis-z"))
 
 
 def write_fleet_report(summary: Summary, facts: Mapping[str, str], path: Path) -> None:
@@ -66,11 +67,11 @@ def drift_figure(vehicle: Vehicle, calibrated: bool) -> str:
         height=220.0,
     )
     for number, (days, values, sigmas) in enumerate(curves):
-        css = _LINES[number % len(_LINES)]
+        css, dots_css = _CURVES[number % len(_CURVES)]
         if calibrated:
             plot.band(days, (values - sigmas).clip(min=0.0), values + sigmas, css)
         plot.line(days, values, css)
-        plot.dots(days, values, css, radius=2.4)
+        plot.dots(days, values, dots_css, radius=2.4)
     return plot.render()
 
 

@@ -28,7 +28,7 @@ from mavcompass.fleet.run import Engine, run_fleet
 
 PROJECT = Path(__file__).resolve().parents[2]
 DEADLY = "deadly"
-RATE_HZ = 100.0  # a logging rate of autopilots; the files are then half a megabyte
+RATE_HZ = 200.0  # the files are then a megabyte, as a telemetry log of two minutes
 QUICK = ("--recordings", "60", "--rounds", "1")
 
 
