@@ -9,7 +9,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from conftest import RunningService
+from running_service import RunningService
 
 from mavcompass import __version__
 from mavcompass.service.config import ServiceConfig, load_config

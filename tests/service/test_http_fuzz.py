@@ -6,7 +6,7 @@ import warnings
 from typing import Any
 
 import pytest
-from conftest import RunningService
+from running_service import RunningService
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of the tool's own making

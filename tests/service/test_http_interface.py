@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from conftest import RunningService, StartService, wait_for
+from running_service import RunningService, StartService, wait_for
 from websockets.sync.client import connect
 
 from mavcompass.service.config import HeadingConfig

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from conftest import RunningService, StartService, wait_for
+from running_service import RunningService, StartService, wait_for
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import RunningService, configured, wait_for
 from pymavlink.dialects.v20 import ardupilotmega as wire
+from running_service import RunningService, configured, wait_for
 
 from mavcompass.service.run import Service
 from mavcompass.simulation.autopilot import SimulatedAutopilot

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from conftest import StartService, configured, wait_for
+from running_service import StartService, configured, wait_for
 
 from mavcompass.service.config import VehicleConfig
 from mavcompass.service.history import History
@@ -163,13 +163,13 @@ def soak_script() -> ModuleType:
 
 
 def test_cuts_and_reboots_are_bridged_and_no_calibration_result_is_missed() -> None:
-    """Six minutes of the campaign `scripts/campaigns/service_soak.py`."""
-    figures = soak_script().Soak(hours=0.1, cuts=6, reboots=2, calibrations=2).run()
+    """Four minutes of the campaign `scripts/campaigns/service_soak.py`."""
+    figures = soak_script().Soak(hours=0.07, cuts=5, reboots=1, calibrations=1).run()
     faults = [fault for fault in figures.faults if "memory" not in fault]  # too short for that
     assert faults == []
-    assert figures.calibrations == 2
-    assert figures.written >= 1
-    assert figures.reconnects >= 6
+    assert figures.calibrations == 1
+    assert figures.written == 1
+    assert figures.reconnects >= 4
     assert figures.slowest_reconnect_s < 2.0
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from chromium import Page, find_chromium
-from conftest import RunningService, StartService, wait_for
+from running_service import RunningService, StartService, wait_for
 
 from mavcompass.simulation.truth import heading_error_rms_deg
 from mavcompass.vehicle.simulated import SimulatedLink
@@ -58,7 +58,7 @@ def lit(page: Page) -> int:
 def test_a_calibration_from_the_page_to_written_parameters(
     start_service: StartService, open_page: OpenPage, size: tuple[int, int], dark: bool
 ) -> None:
-    running = start_service(speed=6.0)
+    running = start_service(speed=8.0)
     assert running.link is not None
     page = open_page(running, size, dark=dark)
     name = f"{size[0]}x{size[1]}"

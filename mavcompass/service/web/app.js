@@ -206,6 +206,7 @@ function takeTask(task) {
   $("idle").hidden = running;
   $("running").hidden = !running;
   document.body.classList.toggle("busy", running);
+  if (running && before?.id !== task.id) $("work").scrollIntoView({ block: "start" });
   if (running) showRunning(task);
   else if (page.drawn !== task.id) {
     page.drawn = task.id;
