@@ -107,21 +107,25 @@ def read_parameters(path: Path) -> tuple[tuple[Change, ...], float | None]:
 
     Raises BadRecording where the file holds no DataFlash record.
     """
-    contents = read_records(path, {name: WANTED[name] for name in _OF_PARAMETERS})
+    contents = read_records(path, _OF_PARAMETERS)
     if not contents.counts:
         raise BadRecording(f"{path} holds no DataFlash record.", "Give the .bin as it comes from the card.")
     clock = clock_of(contents.logs)
     return changes(parameters_seen(contents.logs, clock), clock.start_s.tolist()), clock.utc_offset_s()
 
 
-_OF_PARAMETERS = ("PARM", "GPS", "MAG", "MAG2", "MAG3")
+_OFFSETS = (*_TIME, "I", "OfsX", "OfsY", "OfsZ")
+_OF_PARAMETERS = {
+    **{name: WANTED[name] for name in ("PARM", "GPS")},
+    **dict.fromkeys(("MAG", "MAG2", "MAG3"), _OFFSETS),
+}
 
 
 def _compasses(logs: Sequence[Log], clock: BootClock, history: Sequence[Change]) -> dict[int, MagSeries]:
     """Build all compasses: MAG's instances count from 0, MAG2 of old firmware is the second."""
     out: dict[int, MagSeries] = {}
     for name, base in (("MAG", 1), ("MAG2", 2), ("MAG3", 3)):
-        for number, placed in take(logs, clock, name).items():
+        for number, placed in take(logs, clock, name):
             instance = base + number
             reported = placed.series("MagX", "MagY", "MagZ")
             if reported is None or not bool(reported.values.any()) or instance in out:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,34 +22,31 @@ _INSTANCE = ("I", "Inst", "Instance", "C")
 _CENTI = 0.01
 
 
-_Part = tuple[Records, NDArray[np.bool_] | None]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
     """Hold one kind of records (one instance) from all logs of a file, in order of time.
 
     Attributes:
         time_s: (N,).
-        parts: of each log the records, and which of them are this instance's (None: all).
+        parts: the records, one part for each log.
         sort: the order of time where the file's order is another one.
     """
 
     time_s: FloatArray
-    parts: tuple[_Part, ...]
+    parts: tuple[Records, ...]
     sort: NDArray[np.intp] | None = None
 
     def __contains__(self, field: object) -> bool:
         """Tell whether every log has this field."""
-        return all(field in records for records, _ in self.parts)
+        return all(field in records for records in self.parts)
 
     def values(self, *fields: str, otherwise: float = 1.0) -> FloatArray:
         """Return one field as (N,), or several as (N, k), contiguous columns, in the units used inside."""
         out = np.empty((self.time_s.size, len(fields)), order="F")
         for column, field in enumerate(fields):
             first = 0
-            for records, which in self.parts:
-                values = records.quantity(field, otherwise, which)
+            for records in self.parts:
+                values = records.quantity(field, otherwise)
                 out[first : first + values.size, column] = values
                 first += values.size
             if self.sort is not None:
@@ -64,33 +61,40 @@ class Placed:
 
     def whole_numbers(self, field: str) -> bool:
         """Tell whether the log keeps a field as whole numbers."""
-        return all(records.fields[field].character not in "fdg" for records, _ in self.parts)
+        return all(records.fields[field].character not in "fdg" for records in self.parts)
 
 
-def take(logs: Sequence[Log], clock: BootClock, name: str) -> dict[int, Placed]:
-    """Take one kind of records out of the logs, by instance (0 where the kind has none)."""
-    found: dict[int, list[_Part]] = {}
+def take(
+    logs: Sequence[Log], clock: BootClock, name: str, only: int | None = None
+) -> Iterator[tuple[int, Placed]]:
+    """Take one kind of records out of the logs; yield each instance (0 where the kind has none).
+
+    With `only`, the other instances are dropped. What was yielded is not kept, to spare memory.
+    """
+    found: dict[int, list[Records]] = {}
     for log in logs:
         records = log.records.pop(name, None)
-        if records is None or not len(records) or boot_time_s(name, records) is None:
+        if records is None or not len(records) or boot_time_s(name, records.select(slice(0, 1))) is None:
             continue
         field = next((field for field in _INSTANCE if field in records), None)
         numbers = None if field is None else records.rows[field]
         if numbers is None or not numbers.any():
-            found.setdefault(0, []).append((records, None))
+            found.setdefault(0, []).append(records)
             continue
         for number in np.unique(numbers).tolist():
-            found.setdefault(int(number), []).append((records, numbers == number))
-    return {number: _place(name, parts, clock) for number, parts in sorted(found.items())}
+            if only is None or number == only:
+                found.setdefault(int(number), []).append(records.select(numbers == number))
+    records = numbers = None
+    for number in sorted(found):
+        yield number, _place(name, found.pop(number), clock)
 
 
-def _place(name: str, parts: list[_Part], clock: BootClock) -> Placed:
+def _place(name: str, parts: list[Records], clock: BootClock) -> Placed:
     pieces = []
-    for records, which in parts:
+    for records in parts:
         boot_s = boot_time_s(name, records)
         assert boot_s is not None  # only kinds with a time come here
-        time_s = clock.from_boot(records.order, boot_s)
-        pieces.append(time_s if which is None else time_s[which])
+        pieces.append(clock.from_boot(records.order, boot_s))
     time_s = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
     if bool((time_s[1:] < time_s[:-1]).any()):
         sort = np.argsort(time_s, kind="stable")
@@ -106,7 +110,7 @@ def columns(logs: Sequence[Log], clock: BootClock, parameters: Mapping[str, floa
     """Build every column other than the compasses; the records are taken out of the logs on the way."""
 
     def first(name: str) -> Placed | None:
-        return take(logs, clock, name).get(0)
+        return next((placed for _, placed in take(logs, clock, name, only=0)), None)
 
     estimate = first("XKF1") or first("NKF1")
     place = first("POS")

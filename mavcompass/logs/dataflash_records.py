@@ -67,20 +67,17 @@ class Records:
         """Keep some of them."""
         return Records(self.rows[which], self.order[which], self.fields, self.scaled)
 
-    def decoded(self, name: str, which: NDArray[np.bool_] | None = None) -> FloatArray:
-        """Return a field (of some of the records) as the log's own format characters mean it, (N,)."""
-        stored = self.rows[name] if which is None else self.rows[name][which]
-        values = np.asarray(stored, dtype=np.float64)
+    def decoded(self, name: str) -> FloatArray:
+        """Return a field as the log's own format characters mean it, (N,)."""
+        values = np.asarray(self.rows[name], dtype=np.float64)
         divisor = self.fields[name].divisor
         return values if divisor == 1.0 or self.scaled else values / divisor
 
-    def quantity(
-        self, name: str, otherwise: float = 1.0, which: NDArray[np.bool_] | None = None
-    ) -> FloatArray:
+    def quantity(self, name: str, otherwise: float = 1.0) -> FloatArray:
         """Return a field in the units used inside, (N,); `otherwise`: the factor where the log has none."""
         own = self.fields[name].factor
         factor = otherwise if own is None else own
-        values = self.decoded(name, which)
+        values = self.decoded(name)
         return values if factor == 1.0 else values * factor
 
 

@@ -23,15 +23,11 @@ def boot_time_s(name: str, records: Records) -> FloatArray | None:
 
     TimeMS of an old GPS record is the time in the week; its time since boot is T.
     """
-    if "TimeUS" in records:
-        return _scaled(records, "TimeUS", _MICRO)
-    if name == "GPS":
-        return _scaled(records, "T", _MILLI) if "T" in records else None
-    return _scaled(records, "TimeMS", _MILLI) if "TimeMS" in records else None
-
-
-def _scaled(records: Records, field: str, factor: float) -> FloatArray:
-    return np.asarray(records.rows[field] * factor, dtype=np.float64)
+    milliseconds = "T" if name == "GPS" else "TimeMS"
+    for field, factor in (("TimeUS", _MICRO), (milliseconds, _MILLI)):
+        if field in records:
+            return np.asarray(records.rows[field] * factor, dtype=np.float64)
+    return None
 
 
 def leave_out_impossible_times(logs: Sequence[Log]) -> int:

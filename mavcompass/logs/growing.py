@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 _FIRST_ROWS = 1024
-_GROWTH = 1.5
+# What is not yet filled is kept in memory as zeros, so a large array grows in smaller steps.
+_GROWTH, _LARGE_GROWTH = 1.5, 1.1
+_LARGE_ROWS = 1 << 17
 
 
 class GrowingArray:
     """Collect rows of one type, of which nobody knows beforehand how many will come.
 
-    A large block grows by the system's remapping of its pages, and what is not yet filled takes no
-    memory; a list of parts would need everything twice when it is joined.
+    A large block grows by the system's remapping of its pages; a list of parts would need everything
+    twice when it is joined.
     """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
@@ -27,7 +29,8 @@ class GrowingArray:
         end = self._filled + rows.size
         if end > self._array.size:
             # Nobody else holds the array before `finish`, so no reference needs to be checked.
-            self._array.resize(max(end, int(self._array.size * _GROWTH)), refcheck=False)
+            growth = _GROWTH if end < _LARGE_ROWS else _LARGE_GROWTH
+            self._array.resize(max(end, int(self._array.size * growth)), refcheck=False)
         self._array[self._filled : end] = rows
         self._filled = end
 

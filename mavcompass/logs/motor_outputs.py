@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mavcompass.frames import FloatArray
 
@@ -20,7 +20,7 @@ def motor_outputs(pulse_us: ArrayLike, parameters: Mapping[str, float]) -> Float
     The parameters tell which outputs are motors and their range; where they do not, every output that
     is in use counts, from 1000 to 2000. An output without pulses (0) is at rest. None without motors.
     """
-    pulses = np.asarray(pulse_us, dtype=np.float64)
+    pulses = np.asarray(pulse_us)
     numbers = range(1, pulses.shape[1] + 1)
     functions = {n: int(parameters.get(f"SERVO{n}_FUNCTION", -1)) for n in numbers}
     if any(f >= 0 for f in functions.values()):
@@ -30,15 +30,19 @@ def motor_outputs(pulse_us: ArrayLike, parameters: Mapping[str, float]) -> Float
         wanted = [n for n in numbers if bool(pulses[:, n - 1].any())]
     if not wanted or not len(pulses):
         return None
-    return np.stack([_fraction(pulses[:, n - 1], n, parameters) for n in wanted]).T
+    out = np.empty((len(pulses), len(wanted)), order="F")
+    for column, n in enumerate(wanted):
+        out[:, column] = _fraction(pulses[:, n - 1], n, parameters)
+    return out
 
 
-def _fraction(pulse_us: FloatArray, number: int, parameters: Mapping[str, float]) -> FloatArray:
+def _fraction(pulse_us: NDArray[np.generic], number: int, parameters: Mapping[str, float]) -> FloatArray:
     low = float(parameters.get(f"SERVO{number}_MIN", _LOWEST_US))
     high = float(parameters.get(f"SERVO{number}_MAX", _HIGHEST_US))
     if not high > low:
         low, high = _LOWEST_US, _HIGHEST_US
-    fraction = np.clip((pulse_us - low) / (high - low), 0.0, 1.0)
+    pulses = pulse_us.astype(np.float64)
+    fraction = np.clip((pulses - low) / (high - low), 0.0, 1.0)
     if parameters.get(f"SERVO{number}_REVERSED", 0.0):
         fraction = 1.0 - fraction
-    return np.where(pulse_us > 0.0, fraction, 0.0)
+    return np.where(pulses > 0.0, fraction, 0.0)
