@@ -34,7 +34,7 @@ _REFERENCE_DOUBT_RAD = {
 _DOUBT_LASTS_S = 5.0
 _TIME_DOUBT_S = {"telemetry": 0.03, "direct": 0.01}
 _FOLD_WIDENING = 4.0
-_MOST_FOLDED = 3
+_MOST_FOLDED = 4
 # A baseline is a judge's witness, not the accused: only blatant structure disqualifies a sensor.
 _EXPLAINED_P = 1e-9
 

@@ -91,17 +91,22 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
         )
     reference = reference_attitude(track, time_s, choice)
     hold = _hold(time_s, compass.reported.values[keep], track.autopilot)
-    if (stride := math.ceil(time_s.size / _MOST_ROWS)) > 1:
-        time_s, raw, hold = time_s[::stride], raw[::stride], None if hold is None else hold[::stride]
+    thinned = _stride(time_s.size)
+    if thinned > 1:
+        # Averages of an odd number of neighbours, at the time of the middle one.
+        raw = _averaged(raw, thinned)
+        rows = slice(thinned // 2, time_s.size - thinned // 2, thinned)
+        time_s, raw, hold = time_s[rows], raw[rows], None if hold is None else hold[rows]
         reference = replace(
             reference,
-            rotation=reference.rotation[::stride],
-            rate_radps=reference.rate_radps[::stride],
-            known=reference.known[::stride],
+            rotation=reference.rotation[rows],
+            rate_radps=reference.rate_radps[rows],
+            known=reference.known[rows],
         )
     field, sigma, field_notes = _world_field(track, instance, time_s, reference, raw)
     stimulus = _stimulus(track, time_s, reference, field)
-    acc, gyro = _column(track.acc_mps2, time_s), _column(track.gyro_radps, time_s)
+    acc = _column(track.acc_mps2, time_s, thinned)
+    gyro = _column(track.gyro_radps, time_s, thinned)
     measured = Reading(raw, acc, gyro)
     stimulus = _with_linear_acceleration(stimulus, acc, reference)
     ideal = Reading(
@@ -156,9 +161,25 @@ def _raw_field(track: Track, compass: MagSeries) -> FloatArray:
     return track.raw_field(compass.instance)
 
 
-def _column(series: Series | None, time_s: FloatArray) -> FloatArray:
+def _stride(count: int) -> int:
+    """Return how many neighbours are averaged so that at most _MOST_ROWS remain: an odd number."""
+    stride = math.ceil(count / _MOST_ROWS)
+    return stride + 1 if stride > 1 and stride % 2 == 0 else stride
+
+
+def _averaged(values: FloatArray, width: int) -> FloatArray:
+    """Return centred running means of columns (N, k); the ends are held."""
+    half = width // 2
+    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(padded, axis=0)])
+    return np.asarray((total[width:] - total[:-width]) / width)
+
+
+def _column(series: Series | None, time_s: FloatArray, averaged: int = 1) -> FloatArray:
     if series is None or len(series) < 2:
         return np.full((time_s.size, 3), np.nan)
+    if averaged > 1 and np.isfinite(series.values).all():
+        series = Series.of(series.time_s, _averaged(series.values, averaged))
     return np.ascontiguousarray(series.at(time_s))
 
 
