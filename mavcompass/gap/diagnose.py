@@ -27,6 +27,7 @@ from mavcompass.gap.identify import Identified, identify
 from mavcompass.gap.locate import where
 from mavcompass.gap.model import Fit, Problem
 from mavcompass.gap.noise import Noise
+from mavcompass.gap.nuisance import Nuisance
 from mavcompass.gap.picture import picture
 from mavcompass.gap.reference import Choice
 from mavcompass.gap.replay import Replay, replay
@@ -40,6 +41,7 @@ from mavcompass.track import Track
 
 _SURE = 0.90
 _FEWEST_TO_JUDGE = 150
+_REMAINDER = 0.05
 _WORTH_LISTING = 0.01
 _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
 _NEED_WORDS = {
@@ -261,7 +263,7 @@ def _decide(
     if not fit.terms and not traces:
         return _Verdict("unknown" if flagged else "no_gap", none, flagged, coordinate if flagged else None)
     if flagged:
-        confirmed = _confirmed(problem, refitted)
+        confirmed = _confirmed(problem, refitted, floor)
         if confirmed or not fit.terms:
             return _Verdict("named_with_remainder", fit, True, coordinate)
         return _Verdict("unknown", none, True, coordinate)
@@ -270,17 +272,22 @@ def _decide(
     return _Verdict("named" if sure else "ambiguous", fit, False, None)
 
 
-def _confirmed(problem: Problem, fit: Fit) -> bool:
+def _confirmed(problem: Problem, fit: Fit, floor: Floor) -> bool:
     """Tell whether named effects stand although something is left.
 
     They must hold nearly all of the gap: a look-alike of an unknown cause leaves much of it. What is left
-    is measured by the whitened sum of squares above its expectation.
+    is measured above the floor, by the whitened sum of squares where the floor can be trusted in detail,
+    otherwise by the field's mean square.
     """
-    null = problem.null()
-    r0, r1 = problem.residual(problem.predict(null)), problem.residual(problem.predict(fit))
-    excess_before = float(r0 @ r0) - r0.size
-    excess_after = float(r1 @ r1) - r1.size
-    return excess_before > 0.0 and excess_after < 0.05 * excess_before
+    nominal, after = problem.predict(fit, effects=False), problem.predict(fit)
+    if floor.representative:
+        r0, r1 = problem.residual(nominal), problem.residual(after)
+        before_excess, after_excess = float(r0 @ r0) - r0.size, float(r1 @ r1) - r1.size
+    else:
+        measured, rows = problem.replay.measured.mag_mgauss, problem.usable
+        before_excess = rms((measured - nominal.mag_mgauss)[rows]) ** 2 - floor.field_rms_mgauss**2
+        after_excess = rms((measured - after.mag_mgauss)[rows]) ** 2 - floor.field_rms_mgauss**2
+    return before_excess > 0.0 and after_excess < _REMAINDER * before_excess
 
 
 def _assemble(
@@ -436,9 +443,14 @@ def _subset(identified: Identified, ids: frozenset[str]) -> Fit:
     if ids == fit.ids:
         return fit
     keep = [i for i, t in enumerate(fit.terms) if t.effect.id in ids]
-    return identified.problem.fit(
-        [fit.terms[i] for i in keep], [fit.thetas[i] for i in keep], fit.nuisance_thetas
-    )
+    problem = identified.problem
+    # What is not an effect stays as the whole explanation has it, so that steps add up from the nominal.
+    held = [
+        Nuisance(n.effect, theta, np.eye(theta.size) * 1e14 / np.square(n.effect.scale))
+        for n, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True)
+    ]
+    steady = Problem(problem.replay, problem.noise, problem.rows, held)
+    return steady.fit([fit.terms[i] for i in keep], [fit.thetas[i] for i in keep], fit.nuisance_thetas)
 
 
 def _rivals(identified: Identified) -> Sequence[tuple[frozenset[str], Fit]]:

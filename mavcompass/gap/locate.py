@@ -95,7 +95,8 @@ def bin_means(values: FloatArray, residual: FloatArray) -> tuple[FloatArray, Flo
 
 
 def _between(values: FloatArray, residual: FloatArray, unit: str) -> tuple[float, str]:
-    centres, mean, count = bin_means(values, residual)
+    # A constant offset belongs to the axis, not to every coordinate.
+    centres, mean, count = bin_means(values, residual - residual.mean())
     squares = count * mean**2
     used = int((count > 0).sum())
     top = int(np.argmax(np.where(count >= 5, np.abs(mean), 0.0)))

@@ -21,11 +21,12 @@ from mavcompass.gap.noise import group_values
 from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
 from mavcompass.simulation.signals import Reading
 
-MOST_EFFECTS = 4
+MOST_EFFECTS = 3
 CHANCE = 2.0e-5
 _BEAM = 3
 _CATALOGUE_SIZE = 39
 _REFINED = 7
+_REFINED_LATER = 4
 _SHORT = 2
 _NEAR = 60.0
 _HOPEFUL = 0.85
@@ -149,7 +150,7 @@ class Search:
             if place == 0 and not self._hopeful(parent, starts):
                 # What the best parent cannot use, a worse one can only use to become the best's equal.
                 return []
-            for fit in self._refined(parent, starts[:_REFINED]):
+            for fit in self._refined(parent, starts[: _REFINED if not parent.terms else _REFINED_LATER]):
                 if fit.ids not in children or fit.sse < children[fit.ids].sse:
                     children[fit.ids] = fit
         for ids, fit in children.items():
@@ -183,7 +184,7 @@ class Search:
             before = self.score(fit)
             for out in sorted(fit.ids):
                 rest = self._without(fit, out)
-                for start in self._starts(rest)[:4]:
+                for start in self._starts(rest)[:3]:
                     rival = self._extended(rest, start)
                     if rival.ids not in self.explored or rival.sse < self.explored[rival.ids].sse:
                         self.explored[rival.ids] = rival
