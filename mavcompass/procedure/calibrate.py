@@ -212,9 +212,10 @@ class _Desk:
         """Find the vehicle, read the parameters in force, start recording."""
         began_s = context.now
         context.show("connect", "Waiting for the vehicle's heartbeat.", 0.0)
+        identity = yield from find_vehicle(context, settings.system)
+        # Only now: before, every vehicle on the link is heard.
         state = VehicleState()
         context.listeners.append(state.hear)
-        identity = yield from find_vehicle(context, settings.system)
         context.show("connect", f"Found {identity.autopilot} {identity.kind} (system {identity.system}).")
         dialect = services.dialect_for(identity.autopilot)
         parameters = yield from dialect.compass_parameters(context)

@@ -17,7 +17,7 @@ from mavcompass import messages as mav
 from mavcompass.calibration.observation import Dwell, dwell_between
 from mavcompass.calibration.stillness import assemble
 from mavcompass.earth_field import EarthField, decimal_year, earth_field
-from mavcompass.errors import PoorCalibration
+from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.procedure import check_items as items
@@ -25,7 +25,7 @@ from mavcompass.procedure.check_items import CheckItem, Reading, Verdict
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.dialect import Dialect, describe_compasses
 from mavcompass.procedure.gyro_angle import GyroAngle
-from mavcompass.procedure.hand import HandMover
+from mavcompass.procedure.mobility import Mobility, Wishes
 from mavcompass.procedure.positions import (
     DwellSettings,
     Mover,
@@ -34,7 +34,7 @@ from mavcompass.procedure.positions import (
     Window,
     dwell,
 )
-from mavcompass.procedure.safety import MotionGuard, SafetyLimits
+from mavcompass.procedure.safety import SafetyLimits
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.turning import strategies_for
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
@@ -45,7 +45,6 @@ SCHEMA = "mavcompass.check/1"
 Turn = Literal["none", "auto", "vehicle", "hand"]
 
 _STEP_RAD = math.pi / 2.0
-_ACKERMANN_STEERING = 26.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +128,7 @@ def check(
             yield from checker.turn()
         return checker.report()
     finally:
-        checker.halt()
+        yield from checker.end()
         yield from rates.restore(context)
 
 
@@ -148,6 +147,7 @@ class _Checker:
     gyro: GyroAngle = field(default_factory=GyroAngle)
     rest: Rest = field(default_factory=Rest)
     mover: Mover | None = None
+    mobility: Mobility | None = None
     windows: list[Window] = field(default_factory=list)
     items: list[CheckItem] = field(default_factory=list)
     turned: bool = False
@@ -159,9 +159,10 @@ class _Checker:
         """Find the vehicle, read its parameters, start recording."""
         began_s = context.now
         context.show("connect", "Waiting for the vehicle's heartbeat.", 0.0)
+        identity = yield from find_vehicle(context, settings.system)
+        # Only now: before, every vehicle on the link is heard.
         state = VehicleState()
         context.listeners.append(state.hear)
-        identity = yield from find_vehicle(context, settings.system)
         context.show("connect", f"Found {identity.autopilot} {identity.kind}. Reading its parameters.", 0.1)
         dialect = dialect_for(identity.autopilot)
         parameters = yield from dialect.compass_parameters(context)
@@ -192,7 +193,7 @@ class _Checker:
     def look_at_rest(self) -> Script[None]:
         """Dwell, and answer every question that needs no turn."""
         self.context.show("dwell", "Looking at the compasses at rest.", 0.3)
-        mover = HandMover(self.gyro, self.rest)
+        mover = VehicleMover(self.gyro, ())  # nobody moves it yet
         window = yield from dwell(self.context, self.rest, self.gyro, mover, self.settings.dwell)
         self.windows.append(window)
         track = self.builder.build()
@@ -264,7 +265,7 @@ class _Checker:
 
     def turn(self) -> Script[None]:
         """Turn once and compare every compass with the gyro; say so where it cannot be done."""
-        why_not = self._choose_mover()
+        why_not = yield from self._choose_mover()
         if self.mover is None:
             if self.settings.turn != "auto":
                 text = f"No turn was made: {why_not}."
@@ -282,24 +283,23 @@ class _Checker:
             if instance in track.compasses:
                 self._add(self._compare_turn(track, instance))
 
-    def _choose_mover(self) -> str:
+    def _choose_mover(self) -> Script[str]:
         """Choose who turns; returns why nobody does."""
         if self.settings.turn == "hand":
             if self.state.armed:
                 return "it is armed, and turning it by hand is not safe"
-            self.mover = HandMover(self.gyro, self.rest)
-            return ""
-        if not self.state.armed:
+        elif not self.state.armed:
             return "it is disarmed"
-        ackermann = self.parameters.get("SERVO1_FUNCTION") == _ACKERMANN_STEERING
-        strategies = strategies_for(self.identity.kind, self.identity.autopilot, ackermann)
-        if not strategies:
+        elif not strategies_for(self.identity.kind, self.identity.autopilot):
             return f"a {self.identity.autopilot} {self.identity.kind} cannot turn on the spot"
-        guard = MotionGuard(self.state, self.gyro, self.identity.kind, self.settings.limits)
-        guard.begin()
-        self.context.listeners.append(guard.hear)
-        self.context.watches.append(guard.check)
-        self.mover = VehicleMover(self.gyro, strategies)
+        wishes = Wishes("hand" if self.settings.turn == "hand" else "vehicle", limits=self.settings.limits)
+        self.mobility = Mobility(self.identity, self.state, self.gyro, self.rest, wishes)
+        try:
+            self.mover = yield from self.mobility.take_charge(self.context, self.parameters)
+        except Refused as why:
+            if self.settings.turn == "auto":
+                return why.what.rstrip(".")
+            raise
         return ""
 
     def _compare_turn(self, track: Track, instance: int) -> CheckItem:
@@ -311,11 +311,10 @@ class _Checker:
             instance, math.degrees(field_turned), math.degrees(step.angle_rad), math.degrees(step.sigma_rad)
         )
 
-    def halt(self) -> None:
-        """Stop any motion, and the watch over it."""
-        self.context.watches.clear()
-        if self.mover is not None:
-            self.mover.halt(self.context)
+    def end(self) -> Script[None]:
+        """Stop any motion and the watch over it, and give the vehicle back."""
+        if self.mobility is not None:
+            yield from self.mobility.end(self.context, in_a_hurry=not self.turned)
 
     def report(self) -> CheckReport:
         """Put the list together."""

@@ -86,7 +86,7 @@ class MessageRates:
         """
         granted: dict[type[mav.Message], bool | None] = {}
         for kind, rate_hz in rates_hz.items():
-            before = yield from self._interval_us(context, kind)
+            before = yield from self.interval_us(context, kind)
             if before is not None and 0 < before <= 1e6 / rate_hz * 1.02:
                 granted[kind] = True
                 continue
@@ -132,7 +132,7 @@ class MessageRates:
             # An answer may be a late one to the message before: ask what came of it.
             for _ in range(3):
                 yield from self._set(context, kind, before_us, tries=2)
-                is_now = None if before_us == DEFAULT_US else (yield from self._interval_us(context, kind))
+                is_now = None if before_us == DEFAULT_US else (yield from self.interval_us(context, kind))
                 if is_now in (None, before_us):
                     break
         except NoReply:
@@ -142,7 +142,8 @@ class MessageRates:
     def _hear(self, heard: mav.Incoming) -> None:
         self._heard_s = heard.time_s
 
-    def _interval_us(self, context: Context, kind: type[mav.Message]) -> Script[int | None]:
+    def interval_us(self, context: Context, kind: type[mav.Message]) -> Script[int | None]:
+        """Ask how often a message is sent, in microseconds; None where no answer comes."""
         number = MESSAGE_IDS[kind]
         for _ in range(6 if self._tells_intervals else 2):
             context.send(

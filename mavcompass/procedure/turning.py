@@ -28,6 +28,9 @@ REPEAT_S = 0.1
 POLL_S = 0.05
 MOVES_WITHIN_S = 3.0
 MOVED_RAD = math.radians(6.0)
+# How long a vehicle takes to gather way, and how its rate is then brought to what was asked for.
+_GATHERS_WAY_S = 0.5
+_BOOST_GAIN, _MOST_BOOST = 0.15, 1.6
 _SLOW_RADPS = math.radians(5.0)
 
 TurnBy = Literal["auto", "rc-override", "manual-control"]
@@ -93,7 +96,7 @@ class SteeredTurn:
         start_rad, start_s = gyro.angle_rad, context.now
         sign = math.copysign(1.0, angle_rad)
         longest_s = MOVES_WITHIN_S + 3.0 * abs(angle_rad) / self.slowest_radps
-        said_s = -math.inf
+        said_s, boost = -math.inf, 1.0
         while True:
             turned = (gyro.angle_rad - start_rad) * sign
             left, speed, so_far_s = abs(angle_rad) - turned, gyro.rate_radps * sign, context.now - start_s
@@ -104,7 +107,8 @@ class SteeredTurn:
                 break
             if context.now - said_s >= REPEAT_S - 1e-3:
                 wanted = min(self.rate_radps, max(self.slowest_radps, left / self.slow_down_s))
-                self.steer.turn(context, sign * wanted, left)
+                boost = self._boosted(boost, wanted, speed, so_far_s)
+                self.steer.turn(context, sign * wanted * boost, left)
                 said_s = context.now
             yield from pause(context, POLL_S)
         self._ended = None if self.arrives else (gyro.angle_rad, gyro.rate_radps)
@@ -116,6 +120,12 @@ class SteeredTurn:
             return left < MOVED_RAD or (turned > 0.6 * (turned + left) and speed < _SLOW_RADPS)
         coast_s = self.coast_s if self._learned_s is None else self._learned_s
         return left <= max(speed, 0.0) * coast_s
+
+    def _boosted(self, boost: float, wanted: float, speed: float, so_far_s: float) -> float:
+        """Ask for more where the vehicle turns more slowly than it is asked to."""
+        if self.arrives or so_far_s < _GATHERS_WAY_S or wanted < self.rate_radps:
+            return boost
+        return max(1.0, min(_MOST_BOOST, boost + _BOOST_GAIN * (wanted - speed) / wanted))
 
     def _learn_coasting(self, gyro: GyroAngle) -> None:
         """Compare where the vehicle came to rest with where the last turn's commands ended."""
@@ -163,7 +173,7 @@ def strategies_for(
         arcs = YawRate(STAND_AND_YAW_RATE, forward_mps=1.0, name="slow arcs")
         return (SteeredTurn(arcs, math.radians(25.0)),)
     if kind == "rover":
-        return _pivots(math.radians(26.0), slow_down_s=0.3, coast_s=0.25)
+        return _pivots(math.radians(25.0), slow_down_s=0.3, coast_s=0.25)
     if kind == "boat":
         # Boats turn more slowly after a heading, so that the same rate wants a heading farther ahead.
         return _pivots(math.radians(30.0), slow_down_s=1.5, coast_s=0.8, gain_per_s=1.0)

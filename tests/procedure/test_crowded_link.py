@@ -1,0 +1,74 @@
+"""Several vehicles, cameras and ground stations on one link: only the one meant is touched."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from bent_vehicles import bent_vehicle, calibrated
+
+from mavcompass.messages import Message
+from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.simulation.autopilot import SimulatedAutopilot
+from mavcompass.simulation.faults import draw_compasses
+from mavcompass.simulation.outgoing import Outgoing
+from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.vehicle.simulated import SimulatedLink
+
+
+class Crowd:
+    """Put several vehicles on one radio."""
+
+    def __init__(self, *vehicles: SimulatedAutopilot) -> None:
+        self.vehicles = vehicles
+
+    @property
+    def time_s(self) -> float:
+        return self.vehicles[0].time_s
+
+    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
+        for vehicle in self.vehicles:
+            vehicle.receive(message, system, component, port)
+
+    def advance(self, until_s: float) -> Sequence[Outgoing]:
+        said = [out for vehicle in self.vehicles for out in vehicle.advance(until_s)]
+        return sorted(said, key=lambda out: out.time_s)
+
+
+def vehicle(kind: str, system: int) -> SimulatedAutopilot:
+    like = bent_vehicle(kind, seed=system)
+    setups = draw_compasses(system, like.world.horizontal_mgauss, "old")
+    return SimulatedAutopilot(
+        kind, seed=system, system=system, compasses=setups, other_stations=((255, 190), (system, 100))
+    )
+
+
+def test_the_vehicle_that_was_named_is_calibrated_and_the_other_is_left_alone(tmp_path: Path) -> None:
+    one, seven = vehicle("rover", 1), vehicle("copter", 7)
+    before = dict(one.firmware.store.values)
+    yaw_rad = one.body.yaw_rad
+    link = SimulatedLink(Crowd(one, seven))
+    report = calibrated(one, tmp_path, CalibrateSettings(writing="yes", system=7), link)
+    assert report.identity.system == 7 and report.identity.kind == "copter"
+    assert report.written
+    assert heading_error_rms_deg(seven) < 0.5
+    changed = {name for name, value in one.firmware.store.values.items() if before[name] != value}
+    assert changed <= {"STAT_RUNTIME"}
+    assert one.body.yaw_rad == yaw_rad
+
+
+def test_a_pilot_who_takes_the_other_vehicle_stops_nothing(tmp_path: Path) -> None:
+    one, seven = vehicle("rover", 1), vehicle("rover", 7)
+    shown: list[str] = []
+
+    class Meanwhile(list[str]):
+        def append(self, text: str) -> None:
+            super().append(text)
+            if text.startswith("Turning to position 2"):
+                seven.pilot_switches_mode("MANUAL")
+                seven.pilot_moves_stick(1, for_s=20.0)
+
+    shown = Meanwhile()
+    settings = CalibrateSettings(writing="yes", system=1)
+    report = calibrated(one, tmp_path, settings, SimulatedLink(Crowd(one, seven)), shown)
+    assert report.written and heading_error_rms_deg(one) < 0.5
