@@ -1,0 +1,194 @@
+"""What a person learns from a diagnosis: causes, honest doubt, shrink on held-out parts."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavcompass.errors import BadRecording, UsageError
+from mavcompass.gap import Diagnosis, diagnose_gap
+from mavcompass.gap.cases import Recipe, make_track
+from mavcompass.gap.export import affine_map, ardupilot_sitl, preset, settings_of
+from mavcompass.simulation import effects
+from mavcompass.track import Track
+
+RICH = Recipe("rich", duration_s=60.0, rate_hz=20.0, seed=21)
+
+
+@pytest.fixture(scope="module")
+def baseline() -> Track:
+    return make_track(Recipe("rich", duration_s=60.0, seed=22))
+
+
+def diagnose(text: str, baseline: Track | None, withhold: tuple[str, ...] = ()) -> Diagnosis:
+    settings = [effects.parse(part) for part in text.split("+") if part]
+    return diagnose_gap(make_track(RICH, settings), baseline, withhold)
+
+
+def test_nothing_wrong_is_called_no_gap(baseline: Track) -> None:
+    diagnosis = diagnose("", baseline)
+    assert diagnosis.verdict == "no_gap" and not diagnosis.causes and not diagnosis.unknown
+    assert diagnosis.field.nominal == pytest.approx(3.0, rel=0.15)
+
+
+def test_hard_iron_is_named_with_its_values_and_closes_the_gap(baseline: Track) -> None:
+    diagnosis = diagnose("hard_iron:x=40,y=-25,z=10", baseline)
+    assert diagnosis.verdict == "named" and diagnosis.effects == {"hard_iron"}
+    cause = diagnosis.causes[0]
+    for name, true in (("x", 40.0), ("y", -25.0), ("z", 10.0)):
+        low, high = cause.ci95[name]
+        assert low - 0.3 < true < high + 0.3
+    assert diagnosis.field.after < 1.15 * diagnosis.field.floor
+    assert diagnosis.field.shrink == pytest.approx(1.0, abs=0.02)
+    assert diagnosis.heading.after < 0.3 * diagnosis.heading.nominal
+
+
+def test_two_causes_are_both_named_and_share_the_waterfall(baseline: Track) -> None:
+    diagnosis = diagnose("motor_current:x=1.5,y=-1+soft_iron:xx=0.04,xy=0.03,zz=-0.03", baseline)
+    assert diagnosis.effects == {"motor_current", "soft_iron"}
+    total = sum(bar.part_mgauss2 for bar in diagnosis.waterfall)
+    assert total == pytest.approx(diagnosis.field.nominal**2 - diagnosis.field.after**2, rel=1e-6)
+    for bar in diagnosis.waterfall:
+        assert bar.lowest_mgauss2 <= bar.part_mgauss2 <= bar.highest_mgauss2
+
+
+def test_withheld_cause_is_called_unknown_and_named_when_restored(baseline: Track) -> None:
+    text = "motor_current:x=1.5,y=-1,z=0.8"
+    withheld = diagnose(text, baseline, ("motor_current",))
+    assert withheld.verdict in ("unknown", "ambiguous", "named_with_remainder") and withheld.unknown
+    assert withheld.field.after <= withheld.field.nominal
+    restored = diagnose(text, baseline)
+    assert restored.effects == {"motor_current"} and restored.verdict == "named"
+    assert restored.field.shrink > 0.97
+
+
+def test_step_inside_a_held_out_block_is_placed_exactly(baseline: Track) -> None:
+    for on in (21.0, 23.5):
+        diagnosis = diagnose(f"hard_iron_step:x=30,y=20,on_s={on},off_s=45", baseline)
+        assert diagnosis.effects == {"hard_iron_step"}
+        assert diagnosis.causes[0].parameters["on_s"] == pytest.approx(on, abs=0.15)
+        assert diagnosis.field.shrink > 0.97
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "parameter", "true"),
+    [
+        ("noise_excess:sigma_mgauss=5", "noise_excess", "sigma_mgauss", 5.0),
+        ("timestamp_jitter:sigma_s=0.02", "timestamp_jitter", "sigma_s", 0.02),
+        ("quantisation:step_mgauss=6", "quantisation", "step_mgauss", 6.0),
+        ("stale_samples:fraction=0.2", "stale_samples", "fraction", 0.2),
+    ],
+)
+def test_effects_that_only_scatter_or_repeat_are_named(
+    baseline: Track, text: str, name: str, parameter: str, true: float
+) -> None:
+    diagnosis = diagnose(text, baseline)
+    assert diagnosis.effects == {name} and diagnosis.verdict == "named"
+    assert diagnosis.causes[0].parameters[parameter] == pytest.approx(true, rel=0.3)
+
+
+def test_wandering_offset_is_unknown_and_never_a_cause(baseline: Track) -> None:
+    diagnosis = diagnose("bias_random_walk:sigma_mgauss_per_sqrt_s=1.5", baseline)
+    assert diagnosis.verdict == "unknown" and diagnosis.unknown and not diagnosis.causes
+
+
+def test_shape_outside_the_catalogue_is_flagged(baseline: Track) -> None:
+    """A chirp and a ring of the field's square: nothing in the registry makes these."""
+    clean = make_track(RICH)
+    time_s = clean.compasses[1].time_s
+    field = clean.compasses[1].reported.values
+    chirp = 6.0 * np.sin(0.25 * time_s**2 / 2.0)[:, None] * (1.0, 0.5, -0.7)
+    ring = 12.0 * np.sin(field[:, [1, 2, 0]] / 40.0)
+    for strange in (chirp, ring):
+        diagnosis = diagnose_gap(with_field(clean, field + strange), baseline)
+        assert diagnosis.unknown and diagnosis.verdict in ("unknown", "named_with_remainder")
+        assert diagnosis.field.after <= diagnosis.field.nominal
+
+
+def with_field(track: Track, field: np.ndarray) -> Track:
+    from dataclasses import replace
+
+    from mavcompass.track import MagSeries, Series
+
+    return replace(track, compasses={1: MagSeries(1, Series.of(track.compasses[1].time_s, field))})
+
+
+def test_document_has_the_promised_form(baseline: Track) -> None:
+    document = json.loads(json.dumps(diagnose("hard_iron:x=40", baseline).to_json()))
+    assert document["schema"] == "mavcompass.gap/1"
+    assert set(document["gap"]) == {"field_rms_mgauss", "heading_rms_deg"}
+    for part in document["gap"].values():
+        assert set(part) == {"nominal", "after", "floor", "shrink", "shrink_ci95"}
+    cause = document["causes"][0]
+    assert cause["effect"] == "hard_iron" and set(cause["ci95"]) == {"x", "y", "z"}
+    assert {"effect": "bias_random_walk"}.items() <= {
+        k: v for entry in document["not_testable"] for k, v in entry.items() if v == "bias_random_walk"
+    }.items()
+    assert all(0.0 <= place["share"] <= 1.0 for place in document["where"])
+
+
+def test_preset_in_our_simulator_closes_the_gap_as_claimed(baseline: Track, tmp_path: Path) -> None:
+    diagnosis = diagnose("hard_iron:x=40,y=-25+misalignment:x=0.03,z=0.02", baseline)
+    path = tmp_path / "found.json"
+    path.write_text(preset(settings_of(diagnosis.causes), "case"), encoding="utf-8")
+    distortion = effects.Distortion(effects.read_preset(path))
+    truth = effects.distortion(["hard_iron:x=40,y=-25", "misalignment:x=0.03,z=0.02"])
+    from mavcompass.gap.cases import ideal, stimulus_of
+
+    stimulus = stimulus_of(RICH)
+    rng = np.random.default_rng(0)
+    made = distortion.apply(stimulus, ideal(stimulus), rng).mag_mgauss
+    true = truth.apply(stimulus, ideal(stimulus), rng).mag_mgauss
+    nominal = ideal(stimulus).mag_mgauss
+    left = np.mean((made - true) ** 2) / np.mean((nominal - true) ** 2)
+    assert 1.0 - left > 0.99
+    assert 1.0 - left == pytest.approx(diagnosis.field.shrink, abs=0.03)
+
+
+def test_export_inverts_what_the_firmware_simulates() -> None:
+    """ArduPilot's simulator: raw = E^-1 field - OFS."""
+    E = np.array([[1.1, 0.03, -0.02], [0.03, 0.9, 0.01], [-0.02, 0.01, 1.02]])
+    soft = np.linalg.inv(E) - np.eye(3)
+    settings = [
+        effects.Setting(
+            effects.get("soft_iron"),
+            np.array([soft[0, 0], soft[1, 1], soft[2, 2], soft[0, 1], soft[0, 2], soft[1, 2]]),
+        ),
+        effects.parse("hard_iron:x=-120,y=80,z=-40"),
+        effects.parse("low_pass"),
+    ]
+    exported = ardupilot_sitl(settings)
+    names = [f"SIM_MAG1_{kind}_{axis}" for kind in ("OFS", "DIA", "ODI") for axis in "XYZ"]
+    expected = [120.0, -80.0, 40.0, 1.1, 0.9, 1.02, 0.03, -0.02, 0.01]
+    np.testing.assert_allclose([exported.parameters[n] for n in names], expected, rtol=1e-6)
+    assert len(exported.lacking) == 1 and exported.lacking[0].startswith("low_pass")
+
+
+def test_rotation_is_said_to_be_lacking_in_the_firmware_simulator() -> None:
+    exported = ardupilot_sitl([effects.parse("misalignment:z=0.1")])
+    assert "5.73 degrees" in exported.lacking[0]
+    matrix, offset = affine_map([effects.parse("misalignment:z=0.1")])
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
+    assert not offset.any()
+
+
+def test_person_is_told_what_is_missing(baseline: Track) -> None:
+    with pytest.raises(UsageError, match="to withhold"):
+        diagnose("", baseline, ("hard_irn",))
+    with pytest.raises(BadRecording, match="no compass 3"):
+        diagnose_gap(baseline, instance=3)
+    with pytest.raises(BadRecording, match="too few"):
+        diagnose_gap(baseline.between(0.0, 1.0))
+
+
+def test_level_turns_cannot_test_what_needs_tilt_or_loads() -> None:
+    track = make_track(Recipe("yaw-steps", duration_s=60.0, seed=5))
+    diagnosis = diagnose_gap(track, make_track(Recipe("yaw-steps", duration_s=60.0, seed=6)))
+    missing = dict(diagnosis.not_testable)
+    assert {"soft_iron", "motor_current", "temperature_bias", "spatial_dipole"} <= set(missing)
+    assert "current" in missing["motor_current"]
+    assert math.isfinite(diagnosis.seconds)
