@@ -6,8 +6,10 @@ exist. A module or package that the table does not name belongs to the ground fl
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import grimp
@@ -69,7 +71,20 @@ def broken_arrows(package: str, tmp_path: Path) -> bool:
             ]
     file = tmp_path / "importlinter.ini"
     file.write_text("\n".join(settings))
-    return lint_imports(config_filename=str(file), no_cache=True) != 0
+    with loggers_left_alone():
+        return lint_imports(config_filename=str(file), no_cache=True) != 0
+
+
+@contextmanager
+def loggers_left_alone() -> Iterator[None]:
+    """The linter sets up logging for a program of its own, which switches every other logger off."""
+    loggers = [item for item in logging.root.manager.loggerDict.values() if isinstance(item, logging.Logger)]
+    before = {logger: logger.disabled for logger in loggers}
+    try:
+        yield
+    finally:
+        for logger, disabled in before.items():
+            logger.disabled = disabled
 
 
 def strangers_on_the_ground_floor(package: str) -> set[tuple[str, str]]:
