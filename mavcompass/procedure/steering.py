@@ -163,7 +163,7 @@ class YawStep:
     A repeated relative command starts from the present yaw, so the steps do not add up.
     """
 
-    step_rad: float = math.radians(10.0)
+    step_rad: float = math.radians(8.0)
     name: str = "CONDITION_YAW"
 
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
