@@ -139,7 +139,7 @@ def _diagnose(
         identified, _ = identify(replayed, with_noise(floor, noisy.noise), split, testable)
         noisy, refitted, scatter = _with_scatter(identified, floor, names, 0.0)
     adequacy = judge(noisy, refitted, floor.representative and scatter is None and not step)
-    drift = _drifts(identified)
+    drift = floor.representative and _drifts(identified)
     answer = _decide(identified, floor, adequacy, drift, bool(scatter or stale or step), noisy, refitted)
     return _assemble(
         track, compass, replayed, floor, identified, answer, adequacy, scatter,

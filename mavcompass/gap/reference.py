@@ -19,6 +19,7 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
 from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.track import Series, Track
+from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 ReferenceKind = Literal["columns", "gps-yaw", "gyro", "attitude"]
 Choice = Literal["auto", "gyro", "gps-yaw", "attitude", "columns"]
@@ -193,52 +194,59 @@ def _smoothed(track: Track) -> tuple[FloatArray, FloatArray, FloatArray, float] 
     resting = float(np.diff(clock, append=clock[-1])[still].sum())
     rate = raw - (np.median(raw[still], axis=0) if resting > 1.0 else 0.0)
     drift = math.radians(0.02) if resting > 1.0 else math.radians(0.5)
-    up = -acc / np.maximum(np.linalg.norm(acc, axis=1, keepdims=True), 1e-6)
-    steady = np.abs(np.linalg.norm(acc, axis=1) - 9.80665) < _GRAVITY_TOLERANCE_MPS2
-    forward = _levelled(clock, rate, up, steady)
-    backward = _levelled(-clock[::-1], -rate[::-1], up[::-1], steady[::-1])[::-1]
-    # Down in body axes, averaged over both directions of time; yaw from the pure integral.
-    down = forward[:, 2, :] + backward[:, 2, :]
-    down /= np.linalg.norm(down, axis=1, keepdims=True)
-    return clock, _with_down(clock, rate, down), rate, drift
+    down = acc / -np.maximum(np.linalg.norm(acc, axis=1, keepdims=True), 1e-6)
+    steady = np.abs(np.linalg.norm(acc, axis=1) - STANDARD_GRAVITY_MPS2) < _GRAVITY_TOLERANCE_MPS2
+    return clock, _with_down(clock, rate, _smoothed_down(clock, rate, down, steady)), rate, drift
+
+
+def _smoothed_down(
+    clock: FloatArray, rate: FloatArray, down: FloatArray, steady: NDArray[np.bool_]
+) -> FloatArray:
+    """Return the down vector in body axes, (N, 3), from gyro and accelerometer over both sides of each time.
+
+    Turned by the integrated gyro into the axes of the start, down stands still but for the gyro's drift:
+    there it is averaged over some seconds before and after, and turned back.
+    """
+    rotation = _integrated(clock, rate)
+    there = np.einsum("nij,nj->ni", rotation, down) * steady[:, None]
+    step = max(float(np.median(np.diff(clock))), 1e-3)
+    half = max(1, round(_LEVELLING_S / step))
+    kernel = np.concatenate([np.arange(1, half + 1), np.arange(half - 1, 0, -1)]).astype(np.float64)
+    total = np.stack([_convolved(there[:, i], kernel) for i in range(3)], axis=1)
+    # Where nothing was steady nearby, the average of all is the best there is.
+    total += 1e-3 * there.sum(axis=0)
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+    return np.asarray(np.einsum("nji,nj->ni", rotation, total))
+
+
+def _convolved(values: FloatArray, kernel: FloatArray) -> FloatArray:
+    """Return the centred convolution, as long as the values, by the Fourier transform."""
+    size = 1 << (values.size + kernel.size).bit_length()
+    product = np.fft.irfft(np.fft.rfft(values, size) * np.fft.rfft(kernel, size), size)
+    first = (kernel.size - 1) // 2
+    return np.asarray(product[first : first + values.size])
+
+
+def _integrated(clock: FloatArray, rate: FloatArray) -> FloatArray:
+    """Integrate body rates to rotations (N, 3, 3) from the identity."""
+    step = np.diff(clock, prepend=clock[0])
+    increments = _exponentials(0.5 * (rate + np.vstack([rate[:1], rate[:-1]])) * step[:, None])
+    out = np.empty((clock.size, 3, 3))
+    rotation = np.eye(3)
+    for i in range(clock.size):
+        rotation = rotation @ increments[i]
+        out[i] = rotation
+    return out
 
 
 def _still(clock: FloatArray, raw: FloatArray) -> NDArray[np.bool_]:
     window = max(3, int(0.7 / max(float(np.median(np.diff(clock))), 1e-3)))
     kernel = np.ones(window) / window
     smooth = np.stack([np.convolve(raw[:, i], kernel, mode="same") for i in range(3)], axis=1)
-    level = np.quantile(np.abs(smooth - np.median(smooth, axis=0)).max(axis=1), 0.1)
-    limit = max(2.0 * float(level), 0.0)
-    speed = np.abs(
-        smooth
-        - np.median(
-            smooth[np.abs(smooth).max(axis=1) <= np.abs(smooth).max(axis=1).min() + _STILL_RATE_RADPS], axis=0
-        )
-    ).max(axis=1)
-    return np.asarray(speed < min(_STILL_RATE_RADPS, limit + math.radians(0.3)))
-
-
-def _levelled(clock: FloatArray, rate: FloatArray, up: FloatArray, steady: NDArray[np.bool_]) -> FloatArray:
-    """Integrate the rate, pulled towards the accelerometer's level with a slow time constant."""
-    step = np.diff(clock, prepend=clock[0])
-    increments = _exponentials(0.5 * (rate + np.vstack([rate[:1], rate[:-1]])) * step[:, None])
-    roll = math.atan2(up[:20, 1].mean(), up[:20, 2].mean())
-    pitch = math.atan2(-up[:20, 0].mean(), math.hypot(up[:20, 1].mean(), up[:20, 2].mean()))
-    rotation = euler_to_matrix(roll, pitch, 0.0)
-    out = np.empty((clock.size, 3, 3))
-    for i in range(clock.size):
-        rotation = rotation @ increments[i]
-        if steady[i]:
-            seen = rotation @ up[i]
-            gain = min(float(step[i]) / _LEVELLING_S, 0.2)
-            # Turn `seen` towards (0, 0, 1): the small rotation seen x down.
-            tilt = np.array([seen[1] * gain, -seen[0] * gain, 0.0])
-            rotation = rotation + np.cross(tilt, rotation, axisb=0, axisc=0)
-            if i % 50 == 0:
-                u, _, vt = np.linalg.svd(rotation)
-                rotation = u @ vt
-        out[i] = rotation
-    return out
+    size = np.abs(smooth).max(axis=1)
+    # The quietest stretch tells the bias; whatever turns no faster than that is still.
+    bias = np.median(smooth[size <= size.min() + _STILL_RATE_RADPS], axis=0)
+    return np.asarray(np.abs(smooth - bias).max(axis=1) < _STILL_RATE_RADPS)
 
 
 def _with_down(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArray:

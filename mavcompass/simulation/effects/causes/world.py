@@ -11,6 +11,7 @@ from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Paramet
 
 _Rng = np.random.Generator | None
 _NEAREST_M = 0.03
+_NEAR_PEAK_M = 0.4
 
 
 def _intensity(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
@@ -55,14 +56,20 @@ def _dipole(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> S
 
 def _dipole_starts(misfit: Misfit) -> list[FloatArray]:
     """Scan a grid of places around the path; the moment is linear in each."""
-    rows = np.flatnonzero(misfit.rows)
-    rows = rows[:: max(1, rows.size // 300)]
+    everywhere = np.flatnonzero(misfit.rows)
+    size = np.linalg.norm(misfit.residual.mag_mgauss[everywhere], axis=1)
+    # A short passage must not slip through: half of the rows are those with the largest residuals.
+    strongest = everywhere[np.argsort(-size)[:200]]
+    rows = np.union1d(everywhere[:: max(1, everywhere.size // 200)], strongest)
     position = np.nan_to_num(misfit.signals.stimulus.position_ned_m[rows])
     residual = rotate(misfit.signals.stimulus.rotation[rows], misfit.residual.mag_mgauss[rows])
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(0.5 * float((high - low).max()), 0.3)
     axes = [np.linspace(a - reach, b + reach, 7) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    peak = np.nan_to_num(misfit.signals.stimulus.position_ned_m[strongest[:40]]).mean(axis=0)
+    near = np.linspace(-_NEAR_PEAK_M, _NEAR_PEAK_M, 5)
+    grid = np.vstack([grid, peak + np.stack(np.meshgrid(near, near, near), axis=-1).reshape(-1, 3)])
     gains = _grid_gains(position, residual, grid)
     best = np.argsort(-gains)[:3]
     starts = []

@@ -1,0 +1,163 @@
+"""The parts of the diagnosis, each against a closed form or a property."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mavcompass.cli.main import main
+from mavcompass.frames import euler_to_matrix, rotate_back
+from mavcompass.gap.adequacy import ALPHA
+from mavcompass.gap.cases import Recipe, make_track, stimulus_of
+from mavcompass.gap.noise import estimate_noise, rough_sigma, white
+from mavcompass.gap.reference import body_rate, reference_attitude
+from mavcompass.gap.sealed import draw_label, read_case, seal
+from mavcompass.gap.search import CHANCE, least_gain
+from mavcompass.gap.split import bracketed, split_blocks, with_windows
+from mavcompass.gap.trial import wilson
+from mavcompass.logs import write_track_csv
+from mavcompass.simulation import effects
+from mavcompass.track import Series, Track
+
+
+def test_rate_of_a_steady_turn_is_exact() -> None:
+    t = np.arange(200) * 0.05
+    rate = body_rate(t, euler_to_matrix(0.0, 0.0, 0.8 * t))
+    np.testing.assert_allclose(rate, np.tile([0.0, 0.0, 0.8], (200, 1)), atol=1e-9)
+
+
+def test_rate_of_a_swing_is_right_to_fourth_order() -> None:
+    t = np.arange(400) * 0.05
+    angle, rate = 0.5 * np.sin(3.0 * t), 1.5 * np.cos(3.0 * t)
+    found = body_rate(t, euler_to_matrix(angle, 0.0, 0.0))[:, 0]
+    # The error of five points is h^4 w^4 / 30 of the amplitude.
+    assert np.abs(found - rate)[4:-4].max() < 1.1 * 1.5 * (0.15**4) / 30.0
+
+
+def test_correlated_noise_is_estimated_and_whitened() -> None:
+    rng = np.random.default_rng(1)
+    white_noise = rng.standard_normal((20_000, 3))
+    error = np.empty_like(white_noise)
+    error[0] = white_noise[0]
+    for i in range(1, len(error)):
+        error[i] = 0.6 * error[i - 1] + 2.0 * white_noise[i]
+    noise = estimate_noise(error, np.ones(len(error), dtype=bool), 0.0)
+    np.testing.assert_allclose(noise.coefficients[0], 0.6, atol=0.02)
+    np.testing.assert_allclose(noise.sigma, 2.0, rtol=0.02)
+    z = noise.whiten(error)[1:]
+    assert abs(np.mean(z[1:] * z[:-1])) < 0.02 and abs(z.std() - 1.0) < 0.02
+
+
+def test_scatter_is_seen_behind_a_slow_cause() -> None:
+    rng = np.random.default_rng(2)
+    t = np.arange(4000) * 0.05
+    error = 50.0 * np.sin(0.3 * t)[:, None] + 2.0 * rng.standard_normal((4000, 3))
+    np.testing.assert_allclose(rough_sigma(error, np.ones(4000, dtype=bool)), 2.0, rtol=0.1)
+    assert white(np.full(3, 2.0)).whiten(error).std() > 10.0
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(20.0, 400.0), st.floats(5.0, 50.0))
+def test_training_and_held_out_rows_never_touch(duration_s: float, rate_hz: float) -> None:
+    t = np.arange(0.0, duration_s, 1.0 / rate_hz)
+    split = split_blocks(t, np.ones(t.size, dtype=bool))
+    assert not (split.train & split.test).any()
+    guard = min(0.5, duration_s / 60.0) * 0.9
+    distance = np.abs(t[split.train][:, None] - t[split.test][None, :: max(1, t.size // 200)])
+    assert distance.min() > guard - 1.0 / rate_hz
+    one, other = split.halves()
+    assert not (one & other).any() and (one | other).sum() == split.train.sum()
+
+
+def test_narrow_window_brings_a_change_between_training_rows() -> None:
+    t = np.arange(0.0, 100.0, 0.05)
+    valid = np.ones(t.size, dtype=bool)
+    split = split_blocks(t, valid)
+    moment = float(t[split.test][len(t[split.test]) // 2]) + 0.7
+    narrowed = with_windows(split, t, valid, [moment])
+    assert bracketed(narrowed, t, moment) and not (narrowed.train & narrowed.test).any()
+    assert narrowed.test.sum() > 0.9 * split.test.sum() - 20
+
+
+def test_chance_of_one_more_effect_is_what_is_said() -> None:
+    rng = np.random.default_rng(3)
+    gains = rng.chisquare(3, 2_000_000)
+    assert np.mean(gains > least_gain(3)) < 2.5 * CHANCE
+    assert ALPHA <= 0.003
+
+
+def test_gyro_reference_follows_a_tumbling_vehicle_without_its_compass() -> None:
+    recipe = Recipe("rich", duration_s=60.0, seed=9)
+    track = make_track(recipe)
+    without = Track(
+        compasses=track.compasses, acc_mps2=track.acc_mps2, gyro_radps=track.gyro_radps, place=track.place
+    )
+    t = track.compasses[1].time_s
+    reference = reference_attitude(without, t)
+    assert reference.kind == "gyro" and reference.yaw_sigma_rad > 0.5
+    truth = stimulus_of(recipe).rotation
+    # Down in body axes is known; yaw but for a constant.
+    tilt = np.degrees(np.arccos(np.clip(np.sum(reference.rotation[:, 2] * truth[:, 2], axis=1), -1, 1)))
+    assert np.sqrt(np.mean(tilt**2)) < 0.5
+    yaw = np.unwrap(np.arctan2(reference.rotation[:, 1, 0], reference.rotation[:, 0, 0]))
+    true_yaw = np.unwrap(np.arctan2(truth[:, 1, 0], truth[:, 0, 0]))
+    off = yaw - true_yaw
+    assert np.degrees(np.std(off - np.polyval(np.polyfit(t, off, 1), t))) < 1.0
+
+
+def test_sealed_cases_tell_nothing_of_their_labels(tmp_path: Path) -> None:
+    digest = seal(tmp_path, 3, 5)
+    assert (tmp_path / "seal").read_text().strip() == digest
+    labels = json.loads((tmp_path / "labels.json").read_text())["labels"]
+    track, baseline = read_case(tmp_path / "0001.npz")
+    assert isinstance(track.acc_mps2, Series) and isinstance(baseline.gyro_radps, Series)
+    with np.load(tmp_path / "0001.npz") as archive:
+        assert not any("label" in name or "effect" in name for name in archive.files)
+    again = draw_label(5, 1)
+    assert list(again.effects) == labels[1]["effects"]
+
+
+def test_interval_of_a_share_holds_it() -> None:
+    low, high = wilson(8, 1100)
+    assert math.isclose(low, 0.0037, abs_tol=3e-4) and math.isclose(high, 0.0143, abs_tol=3e-4)
+
+
+def test_person_diagnoses_and_exports_a_csv(tmp_path: Path, capsys: object) -> None:
+    log, good = tmp_path / "log.csv", tmp_path / "good.csv"
+    recipe = Recipe("figure-8", duration_s=40.0, seed=31)
+    write_track_csv(make_track(recipe, [effects.parse("hard_iron:x=50,y=-30,z=5")]), log)
+    write_track_csv(make_track(Recipe("figure-8", duration_s=40.0, seed=32)), good)
+    answer, report, parm = tmp_path / "gap.json", tmp_path / "gap.html", tmp_path / "found.parm"
+    arguments = ["gap", "diagnose", str(log), "--baseline", str(good), "--json", str(answer)]
+    assert main([*arguments, "--report", str(report)]) == 0
+    document = json.loads(answer.read_text())
+    assert [c["effect"] for c in document["causes"]] == ["hard_iron"]
+    assert len(document["log"]["sha256"]) == 64
+    html = report.read_text()
+    assert "hard_iron" in html and "<svg" in html and "http" not in html.replace("http-equiv", "")
+    export = ["gap", "export", str(log), "--baseline", str(good), "--to", "ardupilot-sitl", str(parm)]
+    assert main(export) == 0
+    values = dict(line.split(",") for line in parm.read_text().splitlines() if not line.startswith("#"))
+    assert math.isclose(float(values["SIM_MAG1_OFS_X"]), -50.0, abs_tol=1.0)
+
+
+def test_catalogue_is_machine_readable(tmp_path: Path) -> None:
+    file = tmp_path / "catalogue.json"
+    assert main(["gap", "catalogue", "--json", str(file)]) == 0
+    listed = {e["id"] for e in json.loads(file.read_text())["effects"]}
+    assert listed == set(effects.catalogue())
+
+
+def test_field_of_a_replay_is_that_of_the_place() -> None:
+    from mavcompass.gap.replay import replay
+
+    track = make_track(Recipe("yaw-steps", duration_s=30.0, seed=3))
+    replayed = replay(track)
+    nominal = rotate_back(replayed.signals.stimulus.rotation, replayed.signals.stimulus.field_ned_mgauss)
+    error = replayed.measured.mag_mgauss - nominal
+    assert np.abs(error.mean(axis=0)).max() < 0.5 and 2.5 < error.std() < 3.5
