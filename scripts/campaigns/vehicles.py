@@ -1,0 +1,109 @@
+"""Does one command calibrate every kind of vehicle? All simulated vehicles, many seeds, compasses badly bent.
+
+    python scripts/campaigns/vehicles.py [--seeds 20] [--share 1.0] [--vehicle rover]...
+
+The steering compass is wrong by `share` of the horizontal field, in a direction drawn by the seed, so that
+the autopilot's own yaw is bent while it turns. Judged by the simulator's truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import random
+import statistics
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mavcompass.errors import MavCompassError
+from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.simulation.autopilot import SimulatedAutopilot
+from mavcompass.simulation.faults import draw_compasses
+from mavcompass.simulation.profiles import PROFILES
+from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.vehicle.calibrating import calibrate_on
+from mavcompass.vehicle.simulated import SimulatedLink
+
+TARGET_DEG = 0.5
+
+
+@dataclass(frozen=True)
+class Run:
+    """Hold one run: what was left of the heading error, what was claimed, what went wrong."""
+
+    before_deg: float
+    after_deg: float
+    sigma_deg: float
+    positions: int
+    vehicle_s: float
+    trouble: str = ""
+
+
+def bent_vehicle(kind: str, seed: int, share: float) -> SimulatedAutopilot:
+    """Make a vehicle whose first compass is wrong by a share of the horizontal field."""
+    horizontal_mgauss = SimulatedAutopilot(kind, seed=seed).world.horizontal_mgauss
+    setups = list(draw_compasses(seed, horizontal_mgauss, "old"))
+    toward = random.Random(f"bent {seed}").uniform(0.0, 2.0 * math.pi)
+    iron = setups[0].model.iron
+    x, y, z = iron.offsets_mgauss
+    wrong = share * horizontal_mgauss
+    bent = (x + wrong * math.cos(toward), y + wrong * math.sin(toward), z + 20.0)
+    setups[0] = replace(setups[0], in_force=replace(iron, offsets_mgauss=bent))
+    return SimulatedAutopilot(kind, seed=seed, compasses=setups)
+
+
+def run(kind: str, seed: int, share: float) -> Run:
+    """Calibrate one vehicle."""
+    vehicle = bent_vehicle(kind, seed, share)
+    before_deg = heading_error_rms_deg(vehicle)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            report = calibrate_on(
+                SimulatedLink(vehicle),
+                f"sim:{kind}",
+                CalibrateSettings(writing="yes"),
+                undo_directory=Path(folder),
+            )
+        except MavCompassError as error:
+            return Run(before_deg, heading_error_rms_deg(vehicle), math.nan, 0, vehicle.time_s, str(error))
+    trouble = "" if report.written else "; ".join(report.results[0].reasons or report.messages)
+    return Run(
+        before_deg,
+        heading_error_rms_deg(vehicle),
+        report.results[0].heading_sigma_deg,
+        len(report.windows),
+        report.duration_s,
+        trouble,
+    )
+
+
+def main() -> None:
+    """Run the campaign and print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first-seed", type=int, default=100)
+    parser.add_argument("--share", type=float, default=1.0)
+    parser.add_argument("--vehicle", action="append", choices=[*PROFILES])
+    arguments = parser.parse_args()
+    print("vehicle          runs  within  before deg  after deg median / max  positions  vehicle s median")
+    for kind in arguments.vehicle or PROFILES:
+        seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+        runs = [run(kind, seed, arguments.share) for seed in seeds]
+        good = [r for r in runs if not r.trouble and r.after_deg <= TARGET_DEG]
+        print(
+            f"{kind:15} {len(runs):5} {len(good):7} {statistics.mean(r.before_deg for r in runs):11.1f}"
+            f" {statistics.median(r.after_deg for r in runs):17.2f} / {max(r.after_deg for r in runs):.2f}"
+            f" {statistics.mean(r.positions for r in runs):9.1f}"
+            f" {statistics.median(r.vehicle_s for r in runs):17.1f}",
+            flush=True,
+        )
+        for seed, one in zip(seeds, runs, strict=True):
+            if one.trouble or one.after_deg > TARGET_DEG:
+                print(f"    seed {seed}: {one.after_deg:.2f} deg left. {one.trouble}")
+
+
+if __name__ == "__main__":
+    main()
