@@ -32,7 +32,9 @@ def test_one_power_up_keeps_the_vehicles_own_time() -> None:
 @given(
     st.lists(
         # A power-up lasts four seconds at least: no autopilot boots and speaks in less.
-        st.tuples(st.floats(1.0, 500.0), st.integers(45, 90), st.floats(3.0, 900.0)), min_size=1, max_size=5
+        st.tuples(st.floats(1.0, 500.0), st.integers(45, 90), st.floats(3.0, 900.0)),
+        min_size=1,
+        max_size=5,
     ),
     st.integers(0, 2**32 - 1),
 )

@@ -59,8 +59,15 @@ class GroundStation:
 
     def command(self, number: int, *params: float) -> int:
         """Send a command to component 191 and return the result of its acknowledgement."""
-        self.mav.command_long_send(1, 191, number, 0, *[*params, *[0.0] * 7][:7])
-        ack = self.listen(lambda m: m.get_type() == "COMMAND_ACK" and m.command == number, 10.0)
+        ack = None
+        for confirmation in range(4):  # as the protocol has it: datagrams may be lost
+            self.mav.command_long_send(1, 191, number, confirmation, *[*params, *[0.0] * 7][:7])
+            try:
+                ack = self.listen(lambda m: m.get_type() == "COMMAND_ACK" and m.command == number, 5.0)
+                break
+            except AssertionError:
+                continue
+        assert ack is not None
         assert (ack.target_system, ack.target_component) == (255, 190)
         return int(ack.result)
 
