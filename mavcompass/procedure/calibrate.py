@@ -149,6 +149,7 @@ def _calibrate(context: Context, desk: _Desk, settings: CalibrateSettings) -> Sc
             report = desk.solve((yield from desk.visit(mover, report.windows)))
         for result in report.results:
             context.show("solve", summary(result), settings.positions / (settings.positions + 1.0))
+        mover.halt(context)  # nothing is asked of the vehicle while values are written
         if report.accepted and settings.writing != "never":
             report = yield from desk.write(report)
             if report.outcome is not None:

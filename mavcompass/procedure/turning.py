@@ -173,7 +173,7 @@ def strategies_for(
         arcs = YawRate(STAND_AND_YAW_RATE, forward_mps=1.0, name="slow arcs")
         return (SteeredTurn(arcs, math.radians(25.0)),)
     if kind == "rover":
-        return _pivots(math.radians(22.0), slow_down_s=0.3, coast_s=0.25)
+        return _pivots(math.radians(21.0), slow_down_s=0.3, coast_s=0.25)
     if kind == "boat":
         # Boats turn more slowly after a heading, so that the same rate wants a heading farther ahead.
         return _pivots(math.radians(30.0), slow_down_s=1.5, coast_s=0.8, gain_per_s=1.0)
