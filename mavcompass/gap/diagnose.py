@@ -138,7 +138,9 @@ def _diagnose(
         # Extra scatter makes every gain look larger than it is: choose again under it.
         identified, _ = identify(replayed, with_noise(floor, noisy.noise), split, testable)
         noisy, refitted, scatter = _with_scatter(identified, floor, names, 0.0)
-    adequacy = judge(noisy, refitted, floor.representative and scatter is None and not step)
+    # A saturated reading has no scatter, a rounded one another than the floor's.
+    comparable = scatter is None and not step and "clipping" not in refitted.ids
+    adequacy = judge(noisy, refitted, floor.representative and comparable)
     drift = floor.representative and _drifts(identified)
     answer = _decide(identified, floor, adequacy, drift, bool(scatter or stale or step), noisy, refitted)
     return _assemble(

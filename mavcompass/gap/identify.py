@@ -12,15 +12,15 @@ from mavcompass.gap.floor import Floor, rms, widened
 from mavcompass.gap.model import Fit, Problem
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Found, Search, least_gain
-from mavcompass.gap.split import Split, bracketed, with_windows
-from mavcompass.simulation.effects.causes.step import NEVER_S
-from mavcompass.simulation.effects.effect import Effect
+from mavcompass.gap.split import Split, probe, with_windows
+from mavcompass.simulation.effects.effect import NEVER_S, Effect
 
 _LEAST_RMS_MGAUSS = 1.0
 _LEAST_SHARE = 0.10
 _AT_THE_END = 1e-3
 _PASSES = 2
-_CLOSINGS_IN = 5
+_CLOSINGS_IN = 6
+_NEAREST_MAGNET_M = 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +79,8 @@ def _moments_in_training(candidate: Identified) -> Identified:
     """Where something changes inside a held-out block, close in on it with narrow training windows."""
     replay = candidate.problem.replay
     for _ in range(_CLOSINGS_IN):
-        loose = [m for m in _moments(candidate.fit) if not bracketed(candidate.split, replay.time_s, m)]
+        probes = [probe(candidate.split, replay.time_s, m) for m in _moments(candidate.fit)]
+        loose = [p for p in probes if p is not None]
         if not loose:
             break
         split = with_windows(candidate.split, replay.time_s, replay.valid, loose)
@@ -107,12 +108,16 @@ def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
     fit = candidate.fit
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
         width = term.effect.upper - term.effect.lower
-        near = (theta - term.effect.lower < _AT_THE_END * width) | (
-            term.effect.upper - theta < _AT_THE_END * width
-        )
+        reach = np.minimum(_AT_THE_END * width, term.effect.scale)
+        near = (theta - term.effect.lower < reach) | (term.effect.upper - theta < reach)
         outside = near & term.free & (np.abs(theta) > term.effect.scale) & (np.abs(theta) < NEVER_S)
         if outside.any() and term.effect.id != "orientation":
             return term.effect.id, "its best value lies at the end of the physical range"
+    if (touching := _touched(candidate)) is not None:
+        return (
+            touching,
+            "its place lies on the path itself, where it could explain any reading",
+        )
     if (worse := _vetoed(candidate)) is not None:
         return worse, "one half of the training data does not confirm what the other half says"
     if not floor.representative and (small := _immaterial(candidate, floor)) is not None:
@@ -121,6 +126,16 @@ def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
             "it removes less than 1 mG or a tenth of the gap, and no baseline makes that trustworthy",
         )
     return None
+
+
+def _touched(candidate: Identified) -> str | None:
+    """Refuse a magnet so near the path that its field is a spike of its own at a few readings."""
+    if "spatial_dipole" not in candidate.fit.ids:
+        return None
+    position = candidate.problem.replay.signals.stimulus.position_ned_m
+    place = candidate.fit.theta("spatial_dipole")[:3]
+    nearest = float(np.nanmin(np.linalg.norm(position - place, axis=1)))
+    return "spatial_dipole" if nearest < _NEAREST_MAGNET_M else None
 
 
 def _vetoed(candidate: Identified) -> str | None:

@@ -13,6 +13,8 @@ from mavcompass.gap.noise import Noise, estimate_noise
 from mavcompass.gap.search import least_gain
 
 _DRIFT_MODES = 80
+# The scatter's own distribution is only known from the recording: be slower to name it.
+_SCATTER_TRIALS = 50
 _DRIFT_SIZES = (0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 13.0)
 
 
@@ -54,7 +56,7 @@ def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], representa
     if "timestamp_jitter" in allowed and late_size > 0.0:
         gain = late if representative else _beyond_even(y, x)
         candidates.append(Scatter("timestamp_jitter", math.sqrt(late_size), gain / inflation))
-    candidates = [c for c in candidates if c.gain > least_gain(1)]
+    candidates = [c for c in candidates if c.gain > least_gain(1, _SCATTER_TRIALS)]
     return max(candidates, key=lambda c: c.gain) if candidates else None
 
 

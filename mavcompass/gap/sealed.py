@@ -89,7 +89,7 @@ def draw_setting(effect: Effect, stimulus: Stimulus, rng: np.random.Generator) -
         theta[6] = rng.uniform(0.5, 9.0)
     elif effect.id == "spatial_dipole":
         theta[:3] = rng.normal(0.0, 2.5, 3)
-        theta[3:] = rng.normal(0.0, 60.0, 3)
+        theta[3:6] = rng.normal(0.0, 60.0, 3)
     elif effect.id == "clipping":
         theta[0] = rng.uniform(0.75, 0.95) * float(np.abs(ideal(stimulus).mag_mgauss).max())
     elif effect.id == "relay_field":
@@ -102,7 +102,7 @@ def scaled(setting: Setting, factor: float) -> Setting:
     theta = setting.theta.copy()
     for i, p in enumerate(setting.effect.parameters):
         amplitude = p.low < 0.0 < p.high and p.name not in ("on_s", "off_s", "reference_degc", "threshold")
-        place = setting.effect.id == "spatial_dipole" and i < 3
+        place = setting.effect.id == "spatial_dipole" and p.unit in ("m", "s")
         late = p.name in ("lag_s", "time_constant_s") or setting.effect.id == "eddy_current"
         if (amplitude and not place) or late:
             theta[i] *= factor

@@ -1,9 +1,9 @@
 """Search the set of effects that explains a gap: beam search under a penalised likelihood.
 
 Two questions have two criteria. *How many* effects: one more is taken only where the whitened sum of
-squares falls by more than chance allows once in 50 000 (chi-squared tail, moments of change and
-frequencies counted twice). *Which*: sets of equal size compete by EBIC, SSE + k ln n + 2 m ln C, and the
-weights exp(-EBIC / 2) tell how sure that is.
+squares falls by more than chance allows once in 50 000 (chi-squared tail, corrected for the moments of
+change and frequencies that were tried). *Which*: sets of equal size compete by EBIC,
+SSE + k ln n + 2 m ln C, and the weights exp(-EBIC / 2) tell how sure that is.
 """
 
 from __future__ import annotations
@@ -32,15 +32,18 @@ _NEAR = 60.0
 _HOPEFUL = 0.85
 # Twice the gain that a useless parameter has on average.
 _PRUNING = 2.0
-_SEARCHED_TWICE = frozenset({"on_s", "off_s", "frequency_hz", "threshold", "source", "orientation"})
+_SEARCHED = frozenset({"on_s", "off_s", "frequency_hz", "threshold", "source", "orientation"})
 
 
-@lru_cache(maxsize=256)
-def least_gain(dimension: int) -> float:
-    """Return the fall of the sum of squares that chance reaches with probability CHANCE."""
+@lru_cache(maxsize=1024)
+def least_gain(dimension: int, trials: int = 1) -> float:
+    """Return the fall of the sum of squares that chance reaches with probability CHANCE.
+
+    `trials` is how many places (moments, frequencies, thresholds) were tried for it.
+    """
     from scipy.special import chdtri
 
-    return float(chdtri(max(dimension, 1), CHANCE))
+    return float(chdtri(max(dimension, 1), CHANCE / max(trials, 1)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,8 +135,10 @@ class Search:
 
     def grows(self, smaller: Fit, larger: Fit) -> bool:
         """Tell whether the larger set is needed."""
-        extra = max(_tested_dimension(larger) - _tested_dimension(smaller), 1)
-        return smaller.sse - larger.sse > least_gain(extra)
+        rows = self.problem.count
+        extra = max(_linear_dimension(larger) - _linear_dimension(smaller), 1)
+        trials = max(_log_trials(larger, rows) - _log_trials(smaller, rows), 0.0)
+        return smaller.sse - larger.sse > least_gain(extra, round(math.exp(trials)))
 
     def _weights(self, best: Fit) -> tuple[tuple[frozenset[str], float], ...]:
         rivals = {ids: self.score(f) for ids, f in self.explored.items() if len(ids) == len(best.terms)}
@@ -339,17 +344,28 @@ def make_term(effect: Effect, signals: Signals) -> Term:
     return Term(effect, free)
 
 
-def _tested_dimension(fit: Fit) -> int:
-    """Count parameters for the test against chance: those searched over a wide range count twice."""
-    total = 0
-    for term, theta in zip(fit.terms, fit.thetas, strict=True):
-        total += active_dimension(term, theta)
-        total += sum(
-            1
-            for p, v in zip(term.effect.parameters, theta, strict=True)
-            if p.name in _SEARCHED_TWICE and not (p.name in term.effect.optional and v >= p.high)
-        )
-    return total
+def _searched(fit: Fit) -> list[str]:
+    """List the parameters of a fit that were searched over a range, not fitted from nothing."""
+    return [
+        p.name
+        for term, theta in zip(fit.terms, fit.thetas, strict=True)
+        for p, v in zip(term.effect.parameters, theta, strict=True)
+        if p.name in _SEARCHED and not (p.name in term.effect.optional and not p.low < v < p.high)
+    ]
+
+
+def _linear_dimension(fit: Fit) -> int:
+    total = sum(active_dimension(t, x) for t, x in zip(fit.terms, fit.thetas, strict=True))
+    return total - len(_searched(fit))
+
+
+def _log_trials(fit: Fit, rows: int) -> float:
+    """Return the logarithm of how many independent places were tried.
+
+    Neighbouring moments are hardly independent: about a third of the rows counts.
+    """
+    each = {"on_s": rows / 3.0, "off_s": rows / 3.0, "frequency_hz": 2.0 * rows}
+    return sum(math.log(max(each.get(name, 24.0), 1.0)) for name in _searched(fit))
 
 
 def _orthonormal(columns: FloatArray) -> FloatArray:

@@ -71,13 +71,18 @@ def with_windows(split: Split, time_s: FloatArray, valid: Mask, moments_s: list[
     return replace(split, train=train, test=test)
 
 
-def bracketed(split: Split, time_s: FloatArray, moment_s: float) -> bool:
-    """Tell whether training rows stand close on both sides of a moment."""
+def probe(split: Split, time_s: FloatArray, moment_s: float) -> float | None:
+    """Return the middle of the gap between training rows at a moment, or beside it; None where there is none.
+
+    A change found right beside a gap may as well lie inside it: the rows at the edge are few.
+    """
     rows = time_s[split.train]
-    at = int(np.searchsorted(rows, moment_s))
-    if at in (0, rows.size):
-        return True
-    return float(rows[at] - rows[at - 1]) < 0.5 * GUARD_S + 3.0 * float(np.median(np.diff(time_s)))
+    step = float(np.median(np.diff(time_s)))
+    gaps = np.flatnonzero(np.diff(rows) > 0.5 * GUARD_S + 3.0 * step)
+    for gap in gaps:
+        if rows[gap] - WINDOW_S < moment_s < rows[gap + 1] + WINDOW_S:
+            return float(0.5 * (rows[gap] + rows[gap + 1]))
+    return None
 
 
 def _masks(time_s: FloatArray, valid: Mask, block: NDArray[np.int64], held: Mask, guard_s: float) -> Split:

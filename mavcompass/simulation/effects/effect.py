@@ -23,6 +23,8 @@ from mavcompass.simulation.signals import Reading, Stimulus
 Memory = dict[str, Any]
 Kind = Literal["mean", "discrete", "random", "integrity"]
 Group = Literal["mag", "acc", "gyro"]
+# Moments of change that lie outside every recording.
+NEVER_S = 1.0e7
 GROUPS: tuple[Group, ...] = ("mag", "acc", "gyro")
 
 
@@ -144,7 +146,7 @@ class Effect:
         free: which parameters a recording can tell at all (default: all).
         affine: True for a linear map plus offset of the field in body axes.
         sitl: the parameters of ArduPilot's simulator for a fitted setting.
-        optional: parameters that cost nothing in a fit when they stay at their upper end.
+        optional: parameters that cost nothing in a fit while they stay at an end of their range.
     """
 
     id: str
@@ -190,8 +192,10 @@ class Effect:
         return tuple(p.name for p in self.parameters)
 
     def neutral(self) -> FloatArray:
-        """Return parameters near which the effect does nothing: zero, or the nearest end of the range."""
-        return np.clip(np.zeros(len(self.parameters)), self.lower, self.upper)
+        """Return parameters near which the effect does nothing: amplitudes are zero, or as near as may be."""
+        zero = np.clip(np.zeros(len(self.parameters)), self.lower, self.upper)
+        always = np.array([p.name in self.optional for p in self.parameters], dtype=np.bool_)
+        return np.where(always, self.default, zero)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,7 +236,7 @@ def _value(parameter: Parameter, values: Mapping[str, float]) -> float:
     if parameter.name in values:
         return float(values[parameter.name])
     # A range that holds zero on both sides is an amplitude: not named, it is absent.
-    amplitude = parameter.low < 0.0 < parameter.high
+    amplitude = parameter.low < 0.0 < parameter.high and parameter.unit != "s"
     return 0.0 if values and amplitude else parameter.default
 
 

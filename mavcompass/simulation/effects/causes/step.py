@@ -5,9 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage, xyz
-
-NEVER_S = 1.0e7
+from mavcompass.simulation.effects.effect import (
+    NEVER_S,
+    Effect,
+    Memory,
+    Misfit,
+    Parameter,
+    Signals,
+    Stage,
+    xyz,
+)
 
 
 def _forward(signals: Signals, theta: FloatArray, memory: Memory, rng: np.random.Generator | None) -> Signals:

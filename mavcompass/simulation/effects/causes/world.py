@@ -5,12 +5,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, rotate
-from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage
+from mavcompass.simulation.effects.effect import (
+    NEVER_S,
+    Effect,
+    Memory,
+    Misfit,
+    Parameter,
+    Signals,
+    Stage,
+)
 
 _Rng = np.random.Generator | None
-_NEAREST_M = 0.03
+_NEAREST_M = 0.05
 _NEAR_PEAK_M = 0.4
 
 
@@ -51,12 +60,51 @@ def dipole_field(position_m: FloatArray, source_m: FloatArray, moment_mgauss_m3:
 
 def _dipole(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
     position = np.nan_to_num(signals.stimulus.position_ned_m)
-    return signals.in_field(signals.stimulus.field_ned_mgauss + dipole_field(position, theta[:3], theta[3:]))
+    field = dipole_field(position, theta[:3], theta[3:6])
+    time = signals.stimulus.time_s
+    if theta[6] > -NEVER_S or theta[7] < NEVER_S:
+        field = field * ((time >= theta[6]) & (time < theta[7]))[:, None]
+    return signals.in_field(signals.stimulus.field_ned_mgauss + field)
 
 
 def _dipole_starts(misfit: Misfit) -> list[FloatArray]:
     """Scan a grid of places around the path; the moment is linear in each."""
     everywhere = np.flatnonzero(misfit.rows)
+    if everywhere.size < 40:
+        return []
+    starts = _placed(misfit, everywhere, -NEVER_S)
+    # The magnet may have been put there while the recording ran: try the moments of the largest jumps.
+    for moment in _jumps(misfit, everywhere):
+        starts += _placed(misfit, everywhere[misfit.time_s[everywhere] >= moment], moment)[:1]
+    return starts
+
+
+def _jumps(misfit: Misfit, rows: NDArray[np.int64]) -> list[float]:
+    """Return the two moments at which the mean residual of the second before and after differs most."""
+    time = misfit.time_s[rows]
+    half = max(4, int(1.0 / max(float(np.median(np.diff(time))), 1e-3)))
+    if rows.size < 4 * half:
+        return []
+    total = np.vstack([np.zeros(3), np.cumsum(misfit.residual.mag_mgauss[rows], axis=0)])
+    middle = np.arange(half, rows.size - half)
+    mean_after = (total[middle + half] - total[middle]) / half
+    mean_before = (total[middle] - total[middle - half]) / half
+    # Quiet before: what passes by is no jump.
+    jump = np.linalg.norm(mean_after, axis=1) - 3.0 * np.linalg.norm(mean_before, axis=1)
+    found = []
+    for _ in range(2):
+        best = int(np.argmax(jump))
+        if jump[best] <= 0.0:
+            break
+        found.append(float(time[middle[best]]))
+        jump[max(0, best - 3 * half) : best + 3 * half] = 0.0
+    return found
+
+
+def _placed(misfit: Misfit, everywhere: NDArray[np.int64], on_s: float) -> list[FloatArray]:
+    """Find places and moments of a dipole that is there from a moment on."""
+    if everywhere.size < 40:
+        return []
     size = np.linalg.norm(misfit.residual.mag_mgauss[everywhere], axis=1)
     # A short passage must not slip through: half of the rows are those with the largest residuals.
     strongest = everywhere[np.argsort(-size)[:200]]
@@ -76,7 +124,7 @@ def _dipole_starts(misfit: Misfit) -> list[FloatArray]:
     for i in best:
         gain, source, moment = _polish(position, residual, grid[i], reach / 3.0)
         if gain > 0.0:
-            starts.append(np.array([*source, *np.clip(moment, -1e4, 1e4)]))
+            starts.append(np.array([*source, *np.clip(moment, -1e4, 1e4), on_s, NEVER_S]))
     return starts[:2]
 
 
@@ -101,7 +149,7 @@ def _polish(
 def _grid_gains(position: FloatArray, residual: FloatArray, grid: FloatArray) -> FloatArray:
     """Return `_dipole_gain`'s gain for many places at once, (M,)."""
     offset = position[None] - grid[:, None]
-    distance = np.sqrt((offset**2).sum(axis=2) + 0.05**2)
+    distance = np.sqrt((offset**2).sum(axis=2) + _NEAREST_M**2)
     unit = offset / distance[:, :, None]
     w3 = distance**-3
     w6 = w3 * w3
@@ -116,7 +164,7 @@ def _grid_gains(position: FloatArray, residual: FloatArray, grid: FloatArray) ->
 def _dipole_gain(position: FloatArray, residual: FloatArray, source: FloatArray) -> tuple[float, FloatArray]:
     """Return how much of the sum of squares a dipole at a place takes away, and its moment."""
     offset = position - source
-    distance = np.sqrt(np.einsum("ij,ij->i", offset, offset) + 0.05**2)
+    distance = np.sqrt(np.einsum("ij,ij->i", offset, offset) + _NEAREST_M**2)
     unit = offset / distance[:, None]
     w3 = distance**-3
     # A_i = (3 u u^T - I) / r^3 is symmetric: A^T A = (3 u u^T + I) / r^6.
@@ -186,6 +234,8 @@ EFFECTS = (
                 Parameter(f"moment_{n}", "mG m^3", -1e4, 1e4, d, 5.0)
                 for n, d in zip(("north", "east", "down"), (40.0, -25.0, 60.0), strict=True)
             ),
+            Parameter("on_s", "s", -NEVER_S, NEVER_S, -NEVER_S, 1.0),
+            Parameter("off_s", "s", -NEVER_S, NEVER_S, NEVER_S, 1.0),
         ),
         forward=_dipole,
         needs=frozenset({"position"}),
@@ -193,6 +243,6 @@ EFFECTS = (
         separated_by="pass the place again on another heading",
         source="(3 u (u . m) - m) / r^3",
         starts=_dipole_starts,
-        sitl=None,
+        optional=frozenset({"on_s", "off_s"}),
     ),
 )
