@@ -42,6 +42,8 @@ from mavcompass.track import Track
 _SURE = 0.90
 _FEWEST_TO_JUDGE = 150
 _REMAINDER = 0.05
+# Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
+_REMAINDER_UNTRUSTED = 0.3
 _WORTH_LISTING = 0.01
 _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
 _NEED_WORDS = {
@@ -282,6 +284,7 @@ def _confirmed(problem: Problem, fit: Fit, floor: Floor) -> bool:
     otherwise by the field's mean square.
     """
     nominal, after = problem.predict(fit, effects=False), problem.predict(fit)
+    share = _REMAINDER if floor.representative else _REMAINDER_UNTRUSTED
     if floor.representative:
         r0, r1 = problem.residual(nominal), problem.residual(after)
         before_excess, after_excess = float(r0 @ r0) - r0.size, float(r1 @ r1) - r1.size
@@ -289,7 +292,7 @@ def _confirmed(problem: Problem, fit: Fit, floor: Floor) -> bool:
         measured, rows = problem.replay.measured.mag_mgauss, problem.usable
         before_excess = rms((measured - nominal.mag_mgauss)[rows]) ** 2 - floor.field_rms_mgauss**2
         after_excess = rms((measured - after.mag_mgauss)[rows]) ** 2 - floor.field_rms_mgauss**2
-    return before_excess > 0.0 and after_excess < _REMAINDER * before_excess
+    return before_excess > 0.0 and after_excess < share * before_excess
 
 
 def _assemble(

@@ -74,18 +74,31 @@ def _dipole_starts(misfit: Misfit) -> list[FloatArray]:
         return []
     starts = _placed(misfit, everywhere, -NEVER_S)
     # The magnet may have been put there while the recording ran: try the moments of the largest jumps.
-    for moment in _jumps(misfit, everywhere):
+    residual = misfit.residual.mag_mgauss
+    for moment in _jumps(misfit, everywhere, residual):
         starts += _placed(misfit, everywhere[misfit.time_s[everywhere] >= moment], moment)[:1]
-    return starts
+    return starts + [
+        taken for start in starts if (taken := _taken_away(misfit, everywhere, start)) is not None
+    ]
 
 
-def _jumps(misfit: Misfit, rows: NDArray[np.int64]) -> list[float]:
+def _taken_away(misfit: Misfit, rows: NDArray[np.int64], start: FloatArray) -> FloatArray | None:
+    """Let a dipole end where the residual without it jumps from nothing to much; None where it does not."""
+    before = misfit.signals
+    made = _dipole(before, start, {}, None).reading.mag_mgauss - before.reading.mag_mgauss
+    moments = [m for m in _jumps(misfit, rows, misfit.residual.mag_mgauss - made) if m > start[6]]
+    if not moments:
+        return None
+    return np.array([*start[:7], moments[0]])
+
+
+def _jumps(misfit: Misfit, rows: NDArray[np.int64], residual: FloatArray) -> list[float]:
     """Return the two moments at which the mean residual of the second before and after differs most."""
     time = misfit.time_s[rows]
     half = max(4, int(1.0 / max(float(np.median(np.diff(time))), 1e-3)))
     if rows.size < 4 * half:
         return []
-    total = np.vstack([np.zeros(3), np.cumsum(misfit.residual.mag_mgauss[rows], axis=0)])
+    total = np.vstack([np.zeros(3), np.cumsum(residual[rows], axis=0)])
     middle = np.arange(half, rows.size - half)
     mean_after = (total[middle + half] - total[middle]) / half
     mean_before = (total[middle] - total[middle - half]) / half
