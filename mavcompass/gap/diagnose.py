@@ -37,6 +37,7 @@ from mavcompass.gap.search import Search, least_gain, make_term
 from mavcompass.gap.shrink import closings, waterfall
 from mavcompass.gap.split import split_blocks
 from mavcompass.simulation.effects import Effect, catalogue
+from mavcompass.simulation.effects.effect import Group
 from mavcompass.track import Track
 
 _SURE = 0.90
@@ -46,6 +47,7 @@ _REMAINDER = 0.05
 _REMAINDER_UNTRUSTED = 0.3
 _WORTH_LISTING = 0.01
 _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
+_SENSOR_WORDS: dict[Group, str] = {"mag": "compass", "acc": "accelerometer", "gyro": "gyro"}
 _NEED_WORDS = {
     "turning": "the vehicle does not turn far enough",
     "tilt": "the vehicle stays level",
@@ -112,10 +114,11 @@ def _diagnose(
     before = (
         replay(baseline, compass if compass in baseline.compasses else 1, reference) if baseline else None
     )
-    if before is not None:
-        trusted = trusted_groups(before, list(every.values()))
-        replayed = replace(replayed, groups=tuple(g for g in replayed.groups if g in trusted))
-        before = replace(before, groups=replayed.groups)
+    witness = before if before is not None else replayed
+    out_of_reach = _untestable(witness, every.values())
+    trusted = trusted_groups(witness, [e for e in every.values() if e.id not in out_of_reach])
+    replayed = _only(replayed, trusted)
+    before = _only(before, trusted) if before is not None else None
     trace = integrity.inspect(replayed)
     nominal_trace = integrity.inspect(before) if before else None
     stale = integrity.names_stale(trace, nominal_trace, replayed) and "stale_samples" not in withheld
@@ -150,6 +153,14 @@ def _diagnose(
         trace.stale_share if stale else 0.0, trace.step_mgauss if step else 0.0,
         untestable, withheld, refitted,
     )  # fmt: skip
+
+
+def _only(replayed: Replay, trusted: tuple[Group, ...]) -> Replay:
+    """Leave out sensors that the simulation cannot explain where nothing is wrong, and say so."""
+    kept = tuple(g for g in replayed.groups if g in trusted)
+    left_out = [_SENSOR_WORDS[g] for g in replayed.groups if g not in trusted]
+    notes = [f"The {word} does not fit the attitude reference in detail: left out." for word in left_out]
+    return replace(replayed, groups=kept, notes=(*replayed.notes, *notes))
 
 
 def _with_scatter(

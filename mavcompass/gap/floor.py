@@ -147,17 +147,23 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -
 _NEVER_FOLDED = frozenset({"hard_iron_step", "ac_interference", "relay_field", "orientation", "clipping"})
 
 
+# fmt: off
 _INERTIAL: dict[Group, tuple[str, ...]] = {
-    "acc": ("accel_bias", "accel_scale", "linear_acceleration"),
-    "gyro": ("gyro_bias", "gyro_scale"),
+    "acc": (
+        "accel_bias", "accel_scale", "linear_acceleration", "vibration_rectification", "platform_tilt",
+        "attitude_reference_error", "yaw_step_error",
+    ),
+    "gyro": ("gyro_bias", "gyro_scale", "yaw_step_error", "attitude_reference_error"),
 }
+# fmt: on
 
 
 def trusted_groups(baseline: Replay, effects: Sequence[Effect]) -> tuple[Group, ...]:
-    """Tell which sensors of a baseline the simulation explains, up to biases, gains and a lever arm.
+    """Tell which sensors of a recording the simulation explains, with all that it knows of them.
 
-    A real accelerometer or gyro whose baseline is not explained (unknown motion, imperfect timing) cannot
-    tell anything about another recording; the compass always stays.
+    A real accelerometer or gyro that is not explained (unknown motion, imperfect timing against the
+    reference) cannot bear witness about the compass; the compass always stays. `effects` are those that
+    the recording can test.
     """
     kept: list[Group] = ["mag"]
     for group in baseline.groups:
