@@ -330,7 +330,7 @@ def _assemble(
     bars: tuple[Bar, ...] = ()
     if 1 <= len(named.terms) <= 4:
         bars = waterfall(lambda ids: _subset(identified, ids), problem, named.ids, split.test)
-    rivals = _rivals(identified)
+    rivals = _rivals(identified) if identified.found.best.terms else ()
     path = Path(track.source) if track.source else None
     return Diagnosis(
         path=track.source,

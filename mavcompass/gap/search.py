@@ -141,7 +141,15 @@ class Search:
         return smaller.sse - larger.sse > least_gain(extra, round(math.exp(trials)))
 
     def _weights(self, best: Fit) -> tuple[tuple[frozenset[str], float], ...]:
-        rivals = {ids: self.score(f) for ids, f in self.explored.items() if len(ids) == len(best.terms)}
+        if best.terms:
+            rivals = {i: self.score(f) for i, f in self.explored.items() if len(i) == len(best.terms)}
+        else:
+            # Nothing is named; what it would most likely be is weighed by Akaike's criterion.
+            rivals = {
+                i: f.sse + 2.0 * f.dimension + self.cost(0, len(i))
+                for i, f in self.explored.items()
+                if len(i) <= 1
+            }
         lowest = min(rivals.values())
         raw = {ids: math.exp(-0.5 * min(score - lowest, 1400.0)) for ids, score in rivals.items()}
         total = sum(raw.values())
