@@ -81,7 +81,7 @@ def chosen_instances(context: click.Context, parameter: click.Parameter, value: 
     show_default=True,
     help="Turn between positions; negative turns left.",
 )
-@click.option("--dwell", "dwell_s", type=click.FloatRange(0.5, 60.0), default=1.8, show_default=True)
+@click.option("--dwell", "dwell_s", type=click.FloatRange(0.5, 60.0), default=1.7, show_default=True)
 @click.option(
     "--max-error-deg",
     type=click.FloatRange(0.1, 45.0),

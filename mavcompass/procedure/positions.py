@@ -44,7 +44,7 @@ class DwellSettings:
             the data, where the gyro explains it.
     """
 
-    dwell_s: float = 1.8
+    dwell_s: float = 1.7
     settle_s: float = 0.1
     patience_s: float = 6.0
 

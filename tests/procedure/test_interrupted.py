@@ -29,7 +29,7 @@ def test_motion_ends_within_a_second_and_everything_is_put_back(
     campaign: ModuleType, kind: str, event: str
 ) -> None:
     # Other seeds than the campaign's; moments before the end of every run.
-    outcomes = [campaign.interrupt(kind, event, seed, 28.0) for seed in range(1000, 1005)]
+    outcomes = [campaign.interrupt(kind, event, seed, 25.0) for seed in range(1000, 1005)]
     happened = [outcome for outcome in outcomes if outcome is not None]
     assert len(happened) >= 4
     assert [(o.seed, o.at_s, o.told, o.wrong) for o in happened if o.wrong] == []
@@ -40,7 +40,7 @@ def test_motion_ends_within_a_second_and_everything_is_put_back(
 def test_the_other_vehicles_stop_commanding_and_are_put_back_too(
     campaign: ModuleType, kind: str, event: str
 ) -> None:
-    outcome = campaign.interrupt(kind, event, 1000, 28.0)
+    outcome = campaign.interrupt(kind, event, 1000, 25.0)
     assert outcome is not None
     # Water carries a turn on for longer than a second: there the commands are judged alone.
     assert set(outcome.wrong) <= {"turned more than 1 s after"}, (outcome.at_s, outcome.told)

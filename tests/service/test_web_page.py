@@ -73,7 +73,8 @@ def test_a_calibration_from_the_page_to_written_parameters(
     assert fits(page)
     page.screenshot(SCREENSHOTS / f"{name}-2-turning.png")
     page.wait("!document.querySelector('#question').hidden", 60.0)
-    assert lit(page) == 4
+    # Four, and further ones where four left doubt: whatever was visited is lit.
+    assert lit(page) == page.run("document.querySelectorAll('.c-spot').length") >= 4
     assert "COMPASS_OFS_X" in page.text("#question-text")
     page.screenshot(SCREENSHOTS / f"{name}-3-question.png")
     before_deg = heading_error_rms_deg(running.link.autopilot)  # type: ignore[arg-type]
