@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcompass.frames import FloatArray
 from mavcompass.gap.floor import Floor, rms, widened
-from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.model import Fit, Problem, Term
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Found, Search, least_gain
 from mavcompass.gap.split import Split, probe, with_windows
@@ -18,6 +19,7 @@ from mavcompass.simulation.effects.effect import NEVER_S, Effect
 _LEAST_RMS_MGAUSS = 1.0
 _LEAST_SHARE = 0.10
 _AT_THE_END = 1e-3
+_TOLD = 0.15
 _PASSES = 2
 _CLOSINGS_IN = 6
 _NEAREST_MAGNET_M = 0.03
@@ -110,7 +112,9 @@ def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
         width = term.effect.upper - term.effect.lower
         reach = np.minimum(_AT_THE_END * width, term.effect.scale)
         near = (theta - term.effect.lower < reach) | (term.effect.upper - theta < reach)
-        outside = near & term.free & (np.abs(theta) > term.effect.scale) & (np.abs(theta) < NEVER_S)
+        # A parameter that the recording does not tell may end anywhere.
+        told = _sigmas(candidate, term) < _TOLD * width
+        outside = near & told & term.free & (np.abs(theta) > term.effect.scale) & (np.abs(theta) < NEVER_S)
         if outside.any() and term.effect.id != "orientation":
             return term.effect.id, "its best value lies at the end of the physical range"
     if (touching := _touched(candidate)) is not None:
@@ -126,6 +130,20 @@ def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
             "it removes less than 1 mG or a tenth of the gap, and no baseline makes that trustworthy",
         )
     return None
+
+
+def _sigmas(candidate: Identified, wanted: Term) -> FloatArray:
+    """Return the standard deviations of one effect's parameters, zero for those that are not fitted."""
+    fit = candidate.fit
+    at = sum(n.mean.size for n in candidate.problem.nuisances)
+    out = np.zeros(len(wanted.effect.parameters))
+    for term in fit.terms:
+        index = np.flatnonzero(term.free)
+        block = fit.covariance[at : at + index.size, at : at + index.size]
+        if term is wanted and block.shape == (index.size, index.size):
+            out[index] = np.sqrt(np.maximum(np.diag(block), 0.0))
+        at += index.size
+    return out
 
 
 def _touched(candidate: Identified) -> str | None:

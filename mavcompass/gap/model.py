@@ -17,7 +17,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.noise import Noise, group_values
 from mavcompass.gap.nuisance import Nuisance
 from mavcompass.gap.replay import Replay
-from mavcompass.simulation.effects.effect import Effect, Signals
+from mavcompass.simulation.effects.effect import Effect, Parameter, Signals
 from mavcompass.simulation.signals import Reading
 
 Mask = NDArray[np.bool_]
@@ -310,12 +310,18 @@ def _weak_precision(terms: Sequence[Term]) -> FloatArray:
     """Return the prior precision of each free parameter: none for those that are no amplitudes."""
     return np.array(
         [
-            1.0 / (_PRIOR_SIZES * p.scale) ** 2 if p.low < 0.0 < p.high and p.unit not in ("s", "m") else 0.0
+            1.0 / (_PRIOR_SIZES * p.scale) ** 2 if _is_amplitude(p) else 0.0
             for term in terms
             for p, free in zip(term.effect.parameters, term.free, strict=True)
             if free
         ]
     )
+
+
+def _is_amplitude(parameter: Parameter) -> bool:
+    """Tell amplitudes, for which zero means nothing happens, from places, moments and frequencies."""
+    within = parameter.low <= 0.0 < parameter.high
+    return within and parameter.unit != "m" and parameter.name not in ("on_s", "off_s", "reference_degc")
 
 
 def _weak_cost(x: Sequence[FloatArray], free: Sequence[NDArray[np.int64]], weak: FloatArray) -> float:

@@ -296,13 +296,21 @@ class Search:
         for term in self.terms:
             if term.effect.id in parent.ids:
                 continue
-            guesses = [term.effect.neutral()] if term.effect.starts is None else term.effect.starts(misfit)
+            guesses = self._guesses(parent, term, misfit)
             judged = (self._judged(parent, term, guess, residual, basis) for guess in guesses)
             options = [option for option in judged if option is not None]
             if options:
                 found.append(min(options, key=lambda option: option.expected))
         penalty = {id(s): s.term.dimension * self._log_n for s in found}
         return sorted(found, key=lambda s: s.expected + penalty[id(s)])
+
+    def _guesses(self, parent: Fit, term: Term, misfit: Misfit) -> list[FloatArray]:
+        if term.effect.starts is None:
+            return [term.effect.neutral()]
+        if term.effect.kind == "discrete":
+            means = tuple(n.mean for n in self.problem.nuisances)
+            misfit = self._misfit(Fit(parent.terms, parent.thetas, means, np.inf))
+        return term.effect.starts(misfit)
 
     def _judged(
         self, parent: Fit, term: Term, guess: FloatArray, residual: FloatArray, basis: FloatArray
@@ -311,6 +319,10 @@ class Search:
         problem = self.problem
         terms, thetas = (*parent.terms, term), (*parent.thetas, guess)
         states = problem._states(terms, thetas, parent.nuisance_thetas)
+        if term.effect.kind == "discrete":
+            # Far from the parent, whose nuisances were bent to make up for it: fit those again.
+            means = tuple(n.mean for n in problem.nuisances)
+            return _Start(term, guess, problem.fit(terms, thetas, means, _SHORT).sse)
         neutral = term.effect.starts is None
         r = residual if neutral else problem.residual(states[-1].reading)
         place = len(problem.nuisances) + len(parent.terms)
