@@ -59,7 +59,7 @@ def judge(problem: Problem, fit: Fit, compare_scatter: bool) -> Adequacy:
 
 def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
     z = problem.innovations(problem.predict(fit))
-    states = problem._states(fit.terms, fit.thetas, fit.nuisance_thetas)
+    states = problem.states(fit.terms, fit.thetas, fit.nuisance_thetas)
     count = len(problem.nuisances) + len(fit.terms)
     J = problem.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, range(count))
     n = problem.index.size

@@ -26,17 +26,19 @@ from mavcompass.gap.floor import (
 from mavcompass.gap.identify import Identified, identify
 from mavcompass.gap.locate import where
 from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.naming import named_causes, trace_causes
 from mavcompass.gap.noise import Noise
 from mavcompass.gap.nuisance import Nuisance
 from mavcompass.gap.picture import picture
 from mavcompass.gap.reference import Choice
 from mavcompass.gap.replay import Replay, replay
-from mavcompass.gap.result import Bar, Cause, Closing, Diagnosis, Verdict
+from mavcompass.gap.result import Bar, Closing, Diagnosis, Verdict
 from mavcompass.gap.scatter import Scatter, drift_gain, find_scatter, noise_with
-from mavcompass.gap.search import Search, least_gain, make_term
+from mavcompass.gap.search import Search, least_gain
 from mavcompass.gap.shrink import closings, waterfall
 from mavcompass.gap.split import split_blocks
-from mavcompass.simulation.effects import Effect, catalogue
+from mavcompass.gap.testable import untestable_effects
+from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Group
 from mavcompass.track import Track
 
@@ -46,19 +48,7 @@ _REMAINDER = 0.05
 # Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
 _REMAINDER_UNTRUSTED = 0.3
 _WORTH_LISTING = 0.01
-_TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
 _SENSOR_WORDS: dict[Group, str] = {"mag": "compass", "acc": "accelerometer", "gyro": "gyro"}
-_NEED_WORDS = {
-    "turning": "the vehicle does not turn far enough",
-    "tilt": "the vehicle stays level",
-    "current": "no varying battery current was recorded",
-    "throttle": "no varying throttle was recorded",
-    "motors": "no varying motor outputs were recorded",
-    "temperature": "no varying temperature was recorded",
-    "position": "no precise position was recorded, or the vehicle did not move",
-    "reference": "the attitude reference was made from the vehicle's own sensors",
-    "throttle|current|motors": "neither throttle nor current nor motor outputs were recorded",
-}
 
 
 def diagnose_gap(
@@ -115,7 +105,7 @@ def _diagnose(
         replay(baseline, compass if compass in baseline.compasses else 1, reference) if baseline else None
     )
     witness = before if before is not None else replayed
-    out_of_reach = _untestable(witness, every.values())
+    out_of_reach = untestable_effects(witness, every.values())
     trusted = trusted_groups(witness, [e for e in every.values() if e.id not in out_of_reach])
     replayed = _only(replayed, trusted)
     before = _only(before, trusted) if before is not None else None
@@ -125,11 +115,11 @@ def _diagnose(
     if trace.stale_share > 0.0 and not replayed.telemetry and trace.step_mgauss == 0.0:
         replayed = replace(replayed, valid=replayed.valid & ~trace.stale)
     allowed = [e for e in every.values() if e.id not in withheld]
-    untestable = _untestable(replayed, every.values())
+    untestable = untestable_effects(replayed, every.values())
     testable = [e for e in allowed if e.id not in untestable]
     if before is not None:
         floor = from_baseline(
-            replayed, before, [e for e in every.values() if e.id not in _untestable(before, [e])]
+            replayed, before, [e for e in every.values() if e.id not in untestable_effects(before, [e])]
         )
     else:
         floor = from_recording(replayed)
@@ -199,33 +189,6 @@ def _baseline_replay(baseline: Track | None, compass: int, reference: Choice) ->
     if baseline is None:
         return None
     return replay(baseline, compass if compass in baseline.compasses else min(baseline.compasses), reference)
-
-
-def _untestable(replayed: Replay, effects: Iterable[Effect]) -> dict[str, str]:
-    """Say for each effect that this recording cannot test why not."""
-    out: dict[str, str] = {}
-    for effect in effects:
-        for need in sorted(effect.needs):
-            if not any(option in replayed.present for option in need.split("|")):
-                out[effect.id] = _NEED_WORDS[need]
-        if any(g not in replayed.groups for g in effect.groups) and effect.id not in out:
-            out[effect.id] = _NEED_WORDS["reference"]
-        if replayed.telemetry and effect.id in (
-            "stale_samples",
-            "transport_lag",
-            "low_pass",
-            "timestamp_jitter",
-        ):
-            out[effect.id] = (
-                "the autopilot reads its compass ten times a second and repeats it, late by nature"
-            )
-        if not replayed.field_known and effect.id in ("field_intensity", "inclination", "declination"):
-            out[effect.id] = "the recording does not say where it was made"
-        if replayed.reference.kind == "gyro" and effect.id == "declination":
-            out[effect.id] = "the initial yaw is solved with the field: a constant turn is part of it"
-        if effect.id == "bias_random_walk":
-            out[effect.id] = "a wandering offset can imitate any slow cause, so it is reported as unknown"
-    return out
 
 
 def _with_step(problem: Problem, step_mgauss: float) -> Problem:
@@ -323,10 +286,10 @@ def _assemble(
         named = answer.named
         field, heading = closings(problem, named, split.test, floor)
     field, heading = _never_worse(field), _never_worse(heading)
-    causes = _causes(identified, named)
+    causes = named_causes(identified, named)
     if answer.verdict != "unknown":
-        causes += _trace_causes(scatter, stale_share, step_mgauss)
-    look_alikes = () if named.terms else _causes(identified, identified.fit)
+        causes += trace_causes(scatter, stale_share, step_mgauss)
+    look_alikes = () if named.terms else named_causes(identified, identified.fit)
     bars: tuple[Bar, ...] = ()
     if 1 <= len(named.terms) <= 4:
         bars = waterfall(lambda ids: _subset(identified, ids), problem, named.ids, split.test)
@@ -387,71 +350,6 @@ def _added_variance(scatter: Scatter, problem: Problem, fit: Fit, test: np.ndarr
     field = problem.signals(fit).reading.mag_mgauss
     change = np.gradient(field, problem.replay.time_s, axis=0)[test]
     return float(np.mean((scatter.size * change) ** 2))
-
-
-def _causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
-    weights = dict(identified.found.weights)
-    own = weights.get(fit.ids, 1.0)
-    problem = identified.problem
-    measured = problem.replay.measured.mag_mgauss[problem.index]
-    after = rms(measured - problem.predict(fit).mag_mgauss[problem.index])
-    out = []
-    at = sum(n.mean.size for n in problem.nuisances)
-    for i, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
-        index = np.flatnonzero(term.free)
-        block = fit.covariance[at : at + index.size, at : at + index.size]
-        sigma = np.zeros(theta.size)
-        if block.shape == (index.size, index.size):
-            sigma[index] = np.sqrt(np.maximum(np.diag(block), 0.0))
-        at += index.size
-        keep = [j for j in range(len(fit.terms)) if j != i]
-        rest = Fit(
-            tuple(fit.terms[j] for j in keep), tuple(fit.thetas[j] for j in keep), fit.nuisance_thetas, 0.0
-        )
-        left = rms(measured - problem.predict(rest).mag_mgauss[problem.index])
-        others = sorted(
-            {e for ids, _ in identified.found.weights if term.effect.id not in ids for e in ids - fit.ids}
-        )
-        free = make_term(term.effect, problem.replay.signals).free
-        shown = [
-            (p.name, float(v), float(s))
-            for p, v, s, f in zip(term.effect.parameters, theta, sigma, free, strict=True)
-            if f or p.integer or p.scale == 0.0
-        ]
-        out.append(
-            Cause(
-                effect=term.effect.id,
-                parameters={name: value for name, value, _ in shown},
-                ci95={name: (value - 1.96 * s, value + 1.96 * s) for name, value, s in shown},
-                probability=sum(w for ids, w in weights.items() if term.effect.id in ids) or own,
-                ambiguous_with=tuple(others),
-                separation=_separation(identified, fit, term.effect.id),
-                removes_mgauss=float(np.sqrt(max(left**2 - after**2, 0.0))),
-            )
-        )
-    return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
-
-
-def _separation(identified: Identified, fit: Fit, effect_id: str) -> float | None:
-    """Return how far, in sigmas, the best explored set without the effect falls short."""
-    rivals = [
-        f.sse
-        for ids, f in identified.found.explored.items()
-        if effect_id not in ids and len(ids) <= len(fit.ids)
-    ]
-    return float(np.sqrt(max(min(rivals) - fit.sse, 0.0))) if rivals else None
-
-
-def _trace_causes(scatter: Scatter | None, stale_share: float, step_mgauss: float) -> tuple[Cause, ...]:
-    found = []
-    if scatter is not None:
-        name = "sigma_s" if scatter.effect == "timestamp_jitter" else "sigma_mgauss"
-        found.append((scatter.effect, name, scatter.size))
-    if stale_share > 0.0:
-        found.append(("stale_samples", "fraction", stale_share))
-    if step_mgauss > 0.0:
-        found.append(("quantisation", "step_mgauss", step_mgauss))
-    return tuple(Cause(e, {n: v}, {n: (v, v)}, 1.0, ()) for e, n, v in found)
 
 
 def _subset(identified: Identified, ids: frozenset[str]) -> Fit:

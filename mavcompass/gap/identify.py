@@ -72,7 +72,7 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
             break
         effect_id, why = reason
         dropped.append((effect_id, why))
-        rest = candidate.search._without(candidate.fit, effect_id)
+        rest = candidate.search.without(candidate.fit, effect_id)
         candidate = replace(candidate, fit=rest)
     return replace(candidate, fit=candidate.search.pruned(candidate.fit), dropped=tuple(dropped))
 
@@ -190,7 +190,7 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     excess = math.sqrt(max(nominal**2 - after**2, 0.0))
     removed = {}
     for effect_id in sorted(fit.ids):
-        rest = candidate.search._without(fit, effect_id)
+        rest = candidate.search.without(fit, effect_id)
         left = rms(measured - problem.predict(rest).mag_mgauss[problem.index])
         removed[effect_id] = math.sqrt(max(left**2 - after**2, 0.0))
     if any(set(t.effect.groups) != {"mag"} for t in fit.terms):

@@ -125,11 +125,11 @@ class Problem:
         """Return what the simulation says under a hypothesis, or under its nuisances alone."""
         terms = fit.terms if effects else ()
         thetas = fit.thetas if effects else ()
-        return self._states(terms, thetas, fit.nuisance_thetas)[-1].reading
+        return self.states(terms, thetas, fit.nuisance_thetas)[-1].reading
 
     def signals(self, fit: Fit) -> Signals:
         """Return the simulated signals under a hypothesis."""
-        return self._states(fit.terms, fit.thetas, fit.nuisance_thetas)[-1]
+        return self.states(fit.terms, fit.thetas, fit.nuisance_thetas)[-1]
 
     def innovations(self, reading: Reading) -> dict[str, FloatArray]:
         """Return measured minus predicted, whitened, (N, 3) per sensor."""
@@ -163,9 +163,10 @@ class Problem:
         # Sorting is stable: a nuisance acts before the effects of its stage.
         return sorted(members, key=lambda member: member[0].stage)
 
-    def _states(
+    def states(
         self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray]
     ) -> list[Signals]:
+        """Return the signals after each member of the composition, the replay's own first."""
         everything = [*nuisance_thetas, *thetas]
         states = [self.replay.signals]
         for effect, place in self._ordered(terms):
@@ -221,7 +222,7 @@ class Problem:
     def nuisance_columns(self, fit: Fit) -> FloatArray:
         """Return the derivatives by the nuisances (computed once: they hardly change)."""
         if self._nuisance_columns is None:
-            states = self._states((), (), fit.nuisance_thetas)
+            states = self.states((), (), fit.nuisance_thetas)
             self._nuisance_columns = self.columns(
                 (), (), fit.nuisance_thetas, states, range(len(self.nuisances))
             )
@@ -241,7 +242,7 @@ class Problem:
         n_dim = self._prior.size
         free = [np.flatnonzero(self._free(terms, i)) for i in range(len(x))]
         weak = _weak_precision(terms)
-        states = self._states(terms, x[n:], x[:n])
+        states = self.states(terms, x[n:], x[:n])
         r = self.residual(states[-1].reading)
         cost = float(r @ r) + self._prior_cost(x[:n]) + _weak_cost(x[n:], free[n:], weak)
         damping = 1e-6
@@ -265,7 +266,7 @@ class Problem:
             for _ in range(6):
                 step = _solve(normal, gradient, damping)
                 trial = _moved(x, step, free, self._bounds(terms))
-                trial_states = self._states(terms, trial[n:], trial[:n])
+                trial_states = self.states(terms, trial[n:], trial[:n])
                 trial_r = self.residual(trial_states[-1].reading)
                 trial_cost = float(trial_r @ trial_r) + self._prior_cost(trial[:n])
                 trial_cost += _weak_cost(trial[n:], free[n:], weak)

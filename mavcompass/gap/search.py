@@ -196,7 +196,7 @@ class Search:
         for _ in range(2):
             before = self.score(fit)
             for out in sorted(fit.ids):
-                rest = self._without(fit, out)
+                rest = self.without(fit, out)
                 for start in self._starts(rest)[:3]:
                     rival = self._extended(rest, start)
                     if rival.ids not in self.explored or rival.sse < self.explored[rival.ids].sse:
@@ -210,7 +210,8 @@ class Search:
                 break
         return fit
 
-    def _without(self, fit: Fit, effect_id: str) -> Fit:
+    def without(self, fit: Fit, effect_id: str) -> Fit:
+        """Return the fit of the same set without one effect."""
         keep = [i for i, t in enumerate(fit.terms) if t.effect.id != effect_id]
         terms = [fit.terms[i] for i in keep]
         known = self.explored.get(frozenset(t.effect.id for t in terms))
@@ -285,7 +286,7 @@ class Search:
         """Guess every effect's parameters beside a fit; sort by the sum of squares to expect."""
         problem = self.problem
         n = len(problem.nuisances)
-        states = problem._states(parent.terms, parent.thetas, parent.nuisance_thetas)
+        states = problem.states(parent.terms, parent.thetas, parent.nuisance_thetas)
         residual = problem.residual(states[-1].reading)
         known = problem.columns(
             parent.terms, parent.thetas, parent.nuisance_thetas, states, range(n + len(parent.terms))
@@ -318,7 +319,7 @@ class Search:
         """Linearise an effect at a guess; solve for its parameters beside the parent's."""
         problem = self.problem
         terms, thetas = (*parent.terms, term), (*parent.thetas, guess)
-        states = problem._states(terms, thetas, parent.nuisance_thetas)
+        states = problem.states(terms, thetas, parent.nuisance_thetas)
         if term.effect.kind == "discrete":
             # Far from the parent, whose nuisances were bent to make up for it: fit those again.
             means = tuple(n.mean for n in problem.nuisances)

@@ -1,0 +1,48 @@
+"""Which effects a recording cannot tell at all, and why: not testable is not absent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from mavcompass.gap.replay import Replay
+from mavcompass.simulation.effects import Effect
+
+_TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
+_NEED_WORDS = {
+    "turning": "the vehicle does not turn far enough",
+    "tilt": "the vehicle stays level",
+    "current": "no varying battery current was recorded",
+    "throttle": "no varying throttle was recorded",
+    "motors": "no varying motor outputs were recorded",
+    "temperature": "no varying temperature was recorded",
+    "position": "no precise position was recorded, or the vehicle did not move",
+    "reference": "the attitude reference was made from the vehicle's own sensors",
+    "throttle|current|motors": "neither throttle nor current nor motor outputs were recorded",
+}
+
+
+def untestable_effects(replayed: Replay, effects: Iterable[Effect]) -> dict[str, str]:
+    """Say for each effect that this recording cannot test why not."""
+    out: dict[str, str] = {}
+    for effect in effects:
+        for need in sorted(effect.needs):
+            if not any(option in replayed.present for option in need.split("|")):
+                out[effect.id] = _NEED_WORDS[need]
+        if any(g not in replayed.groups for g in effect.groups) and effect.id not in out:
+            out[effect.id] = _NEED_WORDS["reference"]
+        if replayed.telemetry and effect.id in (
+            "stale_samples",
+            "transport_lag",
+            "low_pass",
+            "timestamp_jitter",
+        ):
+            out[effect.id] = (
+                "the autopilot reads its compass ten times a second and repeats it, late by nature"
+            )
+        if not replayed.field_known and effect.id in ("field_intensity", "inclination", "declination"):
+            out[effect.id] = "the recording does not say where it was made"
+        if replayed.reference.kind == "gyro" and effect.id == "declination":
+            out[effect.id] = "the initial yaw is solved with the field: a constant turn is part of it"
+        if effect.id == "bias_random_walk":
+            out[effect.id] = "a wandering offset can imitate any slow cause, so it is reported as unknown"
+    return out
