@@ -34,21 +34,28 @@ def inspect(replay: Replay) -> Trace:
 
 
 def _lattice(field: FloatArray) -> float:
-    """Return the step whose multiples all differences are, per axis the same; 0 where there is none."""
-    steps = []
+    """Return the step whose multiples all differences are, the same on all axes; 0 where there is none.
+
+    An axis that hardly changes (the vertical one in level turns) has too few levels to tell a step, but
+    enough to refute one.
+    """
+    gaps, steps = [], []
     for axis in range(3):
         levels = np.unique(np.round(field[:, axis], 9))
-        if levels.size < _FEWEST_LEVELS or levels.size > 0.5 * len(field):
+        if levels.size > 0.5 * len(field):
             return 0.0
-        gaps = np.diff(levels)
-        smallest = float(np.quantile(gaps, 0.05))
-        if smallest <= 0.0:
-            return 0.0
-        multiples = gaps / smallest
-        if np.abs(multiples - np.round(multiples)).max() > 0.02 * max(1.0, float(multiples.max()) ** 0.5):
-            return 0.0
-        steps.append(smallest)
-    return float(np.median(steps)) if max(steps) < 1.05 * min(steps) else 0.0
+        gaps.append(np.diff(levels))
+        if levels.size >= _FEWEST_LEVELS:
+            steps.append(float(np.quantile(gaps[-1], 0.05)))
+    if not steps or min(steps) <= 0.0 or max(steps) > 1.05 * min(steps):
+        return 0.0
+    step = float(np.median(steps))
+    multiples = np.concatenate(gaps) / step
+    off = np.abs(multiples - np.round(multiples))
+    allowed = 0.02 * np.maximum(
+        1.0, np.sqrt(np.concatenate([np.full(g.size, g.max(initial=0.0)) for g in gaps]) / step)
+    )
+    return step if bool((off <= allowed).all()) else 0.0
 
 
 def names_stale(found: Trace, nominal: Trace | None, replay: Replay) -> bool:

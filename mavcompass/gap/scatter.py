@@ -10,6 +10,7 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.model import Fit, Problem
 from mavcompass.gap.noise import Noise, estimate_noise
+from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import least_gain
 
 _DRIFT_MODES = 80
@@ -58,6 +59,34 @@ def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], representa
         candidates.append(Scatter("timestamp_jitter", math.sqrt(late_size), gain / inflation))
     candidates = [c for c in candidates if c.gain > least_gain(1, _SCATTER_TRIALS)]
     return max(candidates, key=lambda c: c.gain) if candidates else None
+
+
+def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:
+    """Return how much larger than the baseline's the scatter between neighbours is, per row (N, 3).
+
+    Second differences hold next to nothing of slow causes, so that this can be told before any search.
+    None where the scatter is the baseline's.
+    """
+    own, nominal = _neighbours(replay), _neighbours(baseline)
+    size = np.sqrt(np.mean(nominal[baseline.valid] ** 2, axis=0))
+    y = (own / size)[replay.valid] ** 2
+    change = np.gradient(replay.signals.reading.mag_mgauss, replay.time_s, axis=0) / size
+    # Second differences of neighbours are correlated: a third of them counts.
+    even, even_size = _even_gain(y)
+    late, late_size = _late_gain(y, (change**2)[replay.valid], 1.0)
+    if max(even, late) / 3.0 < least_gain(1, _SCATTER_TRIALS) or max(even_size, late_size) <= 0.0:
+        return None
+    if late > even:
+        return np.asarray(np.sqrt(1.0 + late_size * change**2))
+    return np.full(change.shape, math.sqrt(1.0 + even_size))
+
+
+def _neighbours(replay: Replay) -> FloatArray:
+    """Return second differences of measured minus ideal, scaled to the deviation of white noise, (N, 3)."""
+    error = replay.measured.mag_mgauss - replay.signals.reading.mag_mgauss
+    out = np.zeros_like(error)
+    out[1:-1] = (error[2:] - 2.0 * error[1:-1] + error[:-2]) / math.sqrt(6.0)
+    return out
 
 
 def _even_gain(y: FloatArray) -> tuple[float, float]:

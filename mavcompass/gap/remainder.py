@@ -1,0 +1,124 @@
+"""What the chosen effects leave on all rows, with the noise that this recording shows.
+
+Numbers that are rounded, saturated or scattered more than the floor's have another noise than the
+floor's. What is left is judged under that noise; otherwise each of these would look like an unknown cause.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.floor import Floor, measured_noise, with_noise
+from mavcompass.gap.identify import Identified
+from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.noise import Noise
+from mavcompass.gap.replay import Replay
+from mavcompass.gap.scatter import Scatter, early_scale, find_scatter, noise_with
+from mavcompass.simulation.signals import Reading
+
+_FEWEST_TO_JUDGE = 150
+_SEED = 20260102
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Remainder:
+    """Hold the chosen effects refitted on all rows, and extra scatter if there is some.
+
+    `comparable` is False where the readings' own noise cannot be compared with the floor's.
+    """
+
+    problem: Problem
+    fit: Fit
+    scatter: Scatter | None
+    comparable: bool
+
+
+def floor_to_start(floor: Floor, replay: Replay, baseline: Replay | None, step_mgauss: float) -> Floor:
+    """Add to the floor what the numbers tell before any search: their steps, and scatter between neighbours.
+
+    With too small a noise everything looks like an effect, and the search for it is long and vain.
+    """
+    if step_mgauss > 0.0:
+        return with_noise(floor, with_steps(floor.noise, step_mgauss))
+    if baseline is None or not floor.representative:
+        return floor
+    scale = early_scale(replay, baseline)
+    if scale is None:
+        return floor
+    return with_noise(floor, {**floor.noise, "mag": replace(floor.noise["mag"], row_scale=scale)})
+
+
+def with_steps(noise: Noise, step_mgauss: float) -> Noise:
+    """Add the rounding's own noise, step^2 / 12, to the floor's."""
+    mag, added = noise["mag"], step_mgauss**2 / 12.0
+    return {
+        **noise,
+        "mag": replace(mag, sigma=np.sqrt(mag.sigma**2 + added), rms=np.sqrt(mag.rms**2 + added)),
+    }
+
+
+def what_is_left(
+    identified: Identified, floor: Floor, names: frozenset[str], step_mgauss: float
+) -> Remainder:
+    """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise."""
+    replay, chosen = identified.problem.replay, identified.fit
+    noise = with_steps(floor.noise, step_mgauss) if step_mgauss > 0.0 else floor.noise
+    problem = Problem(replay, noise, replay.valid, floor.nuisances)
+    fit = problem.fit(chosen.terms, chosen.thetas, chosen.nuisance_thetas)
+    problem = _without_plateaus(problem, fit)
+    fit = problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+    if step_mgauss > 0.0:
+        return _unrounded(problem, fit, floor, step_mgauss)
+    scatter = find_scatter(problem, fit, names, floor.representative)
+    if scatter is None:
+        # A saturated reading has no scatter.
+        return Remainder(problem, fit, None, "clipping" not in fit.ids)
+    noisy = Problem(problem.replay, noise_with(problem, fit, scatter), problem.rows, floor.nuisances)
+    return Remainder(noisy, noisy.fit(fit.terms, fit.thetas, fit.nuisance_thetas), scatter, False)
+
+
+def _without_plateaus(problem: Problem, fit: Fit) -> Problem:
+    """Leave out readings at the limit of a saturated sensor: they have no noise to be judged by."""
+    if "clipping" not in fit.ids:
+        return problem
+    limit = float(fit.theta("clipping")[0])
+    near = limit - 4.0 * float(problem.noise["mag"].rms.max())
+    free = (np.abs(problem.replay.measured.mag_mgauss) < near).all(axis=1)
+    valid = problem.replay.valid & free
+    if valid.sum() < _FEWEST_TO_JUDGE:
+        return problem
+    return Problem(replace(problem.replay, valid=valid), problem.noise, valid, problem.nuisances)
+
+
+def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> Remainder:
+    """Draw what coarse numbers may have been before they were rounded, given the model and the floor.
+
+    If the model is true, the drawn errors are exactly the floor's (randomised quantile residuals, Dunn and
+    Smyth 1996), however coarse the steps are; errors of rounding themselves go with the field.
+    """
+    replay = problem.replay
+    measured = replay.measured
+    drawn = _before_rounding(
+        measured.mag_mgauss, problem.predict(fit).mag_mgauss, floor.noise["mag"].rms, step_mgauss
+    )
+    fine = replace(replay, measured=Reading(drawn, measured.acc_mps2, measured.gyro_radps))
+    fresh = Problem(fine, problem.noise, problem.rows, problem.nuisances)
+    noise = {**floor.noise, "mag": measured_noise(fresh, fit)["mag"]}
+    judged = Problem(fine, noise, problem.rows, problem.nuisances)
+    return Remainder(judged, judged.fit(fit.terms, fit.thetas, fit.nuisance_thetas), None, False)
+
+
+def _before_rounding(
+    rounded: FloatArray, predicted: FloatArray, sigma: FloatArray, step_mgauss: float
+) -> FloatArray:
+    """Draw normal values about a prediction, each inside the step that its rounded value stands for."""
+    from scipy.special import ndtr, ndtri
+
+    low, high = rounded - 0.5 * step_mgauss, rounded + 0.5 * step_mgauss
+    p_low, p_high = ndtr((low - predicted) / sigma), ndtr((high - predicted) / sigma)
+    share = np.random.default_rng(_SEED).random(rounded.shape)
+    p = np.clip(p_low + share * (p_high - p_low), 1e-12, 1.0 - 1e-12)
+    return np.asarray(np.clip(predicted + sigma * ndtri(p), low, high))
