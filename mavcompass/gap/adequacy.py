@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.hypothesis import Fit
+from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import group_values
 from mavcompass.simulation.effects.effect import Group, Signals
 
@@ -41,6 +42,11 @@ class Adequacy:
     flagged: bool
 
     @property
+    def p(self) -> float:
+        """Return the probability that chance alone makes the smallest p this small (Bonferroni)."""
+        return min(1.0, self.tests[0].p * len(self.tests)) if self.tests else 1.0
+
+    @property
     def coordinate(self) -> str | None:
         """Return where the unexplained structure shows most, None where there is none."""
         return self.tests[0].coordinate if self.flagged and self.tests else None
@@ -53,8 +59,7 @@ def judge(problem: Problem, fit: Fit, compare_scatter: bool) -> Adequacy:
     """
     tests = [*_structure(problem, fit), *_scatter(problem, fit, compare_scatter)]
     tests.sort(key=lambda test: test.p)
-    flagged = bool(tests) and tests[0].p * len(tests) < ALPHA
-    return Adequacy(tuple(tests), flagged)
+    return Adequacy(tuple(tests), bool(tests) and tests[0].p * len(tests) < ALPHA)
 
 
 def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:

@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.model import Fit, Term
+from mavcompass.gap.hypothesis import Fit, Term, make_term
 from mavcompass.gap.noise import Noise
 from mavcompass.gap.reference import body_rate
 from mavcompass.gap.result import Flight
-from mavcompass.gap.search import make_term
 from mavcompass.simulation.effects import Setting, catalogue
 from mavcompass.simulation.effects.effect import Chain, Signals
 from mavcompass.simulation.signals import Reading, Stimulus

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from mavcompass.gap.adequacy import Adequacy
 from mavcompass.gap.advise import next_flights
 from mavcompass.gap.floor import Floor
+from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.identify import Identified
 from mavcompass.gap.locate import where
-from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.model import Problem
 from mavcompass.gap.naming import named_causes, trace_causes
 from mavcompass.gap.nuisance import Nuisance
 from mavcompass.gap.picture import picture

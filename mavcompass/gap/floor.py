@@ -16,11 +16,12 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.adequacy import judge
-from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.hypothesis import Fit, make_term
+from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import Noise, SensorNoise, estimate_noise, group_values, rough_sigma, white
 from mavcompass.gap.nuisance import WORLD_FIELD, Nuisance
 from mavcompass.gap.replay import Replay
-from mavcompass.gap.search import Search, make_term
+from mavcompass.gap.search import Search
 from mavcompass.simulation.effects.effect import Effect, Group
 
 _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
@@ -37,6 +38,8 @@ _FOLD_WIDENING = 4.0
 _MOST_FOLDED = 4
 # A baseline is a judge's witness, not the accused: only blatant structure disqualifies a sensor.
 _EXPLAINED_P = 1e-9
+# One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
+_REPRESENTATIVE_P = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +140,7 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -
         field_rms_mgauss=rms(error),
         heading_rms_deg=rms_deg(heading[baseline.valid]),
         error_mgauss=error,
-        representative=not judge(problem, fit, compare_scatter=False).flagged,
+        representative=judge(problem, fit, compare_scatter=False).p > _REPRESENTATIVE_P,
         nuisances=_taught(replay, baseline, problem, fit),
         folded=tuple(sorted(fit.ids)),
         measured=True,

@@ -10,7 +10,8 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.floor import Floor, rms, widened
-from mavcompass.gap.model import Fit, Problem, Term
+from mavcompass.gap.hypothesis import Fit, Term
+from mavcompass.gap.model import Problem
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Found, Search, least_gain
 from mavcompass.gap.split import Split, probe, with_windows
@@ -109,9 +110,9 @@ def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
     """Return the first effect that a guard refuses, and why."""
     fit = candidate.fit
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
-        width = term.effect.upper - term.effect.lower
+        width = term.upper - term.lower
         reach = np.minimum(_AT_THE_END * width, term.effect.scale)
-        near = (theta - term.effect.lower < reach) | (term.effect.upper - theta < reach)
+        near = (theta - term.lower < reach) | (term.upper - theta < reach)
         # A parameter that the recording does not tell may end anywhere.
         told = _sigmas(candidate, term) < _TOLD * width
         outside = near & told & term.free & (np.abs(theta) > term.effect.scale) & (np.abs(theta) < NEVER_S)

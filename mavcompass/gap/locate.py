@@ -8,7 +8,8 @@ import numpy as np
 
 from mavcompass.frames import FloatArray, matrix_to_euler
 from mavcompass.gap.floor import heading_error_rad
-from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.hypothesis import Fit
+from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import group_values
 from mavcompass.gap.result import Place
 

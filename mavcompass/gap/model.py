@@ -1,4 +1,4 @@
-"""A hypothesis (nuisances and effects with values) and its fit to a replay by Gauss and Newton.
+"""Fit hypotheses (nuisances and effects with values) to a replay by Gauss and Newton.
 
 The residual is whitened by the noise floor, so that its sum of squares is minus twice the logarithm of
 the likelihood, up to a constant. Derivatives are differences of the forward models: each parameter runs
@@ -8,83 +8,23 @@ the composition again from its own stage on.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
 from mavcompass.gap.noise import Noise, group_values
 from mavcompass.gap.nuisance import Nuisance
 from mavcompass.gap.replay import Replay
-from mavcompass.simulation.effects.effect import Effect, Parameter, Signals
+from mavcompass.simulation.effects.effect import Effect, Signals
 from mavcompass.simulation.signals import Reading
 
-Mask = NDArray[np.bool_]
 _STEP = 1e-3
 _ITERATIONS = 12
 _CONVERGED = 0.02
-# A direction that the data do not tell stays near zero: amplitudes have priors of twenty natural sizes.
-_PRIOR_SIZES = 20.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Term:
-    """Be one effect of a hypothesis: `free` (k,) tells which parameters a fit may move."""
-
-    effect: Effect
-    free: Mask
-
-    @property
-    def dimension(self) -> int:
-        """Count the parameters that are fitted."""
-        return int(self.free.sum())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """Hold a fitted hypothesis.
-
-    Attributes:
-        terms: its effects, without the nuisances.
-        thetas: their parameters; nuisance_thetas: those of the nuisances.
-        sse: whitened sum of squares on the fitted rows plus what the priors of the nuisances cost.
-        covariance: of the free parameters, nuisances first, then the terms in order.
-    """
-
-    terms: tuple[Term, ...]
-    thetas: tuple[FloatArray, ...]
-    nuisance_thetas: tuple[FloatArray, ...]
-    sse: float
-    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-
-    @property
-    def ids(self) -> frozenset[str]:
-        """Return the effects' ids."""
-        return frozenset(term.effect.id for term in self.terms)
-
-    @property
-    def dimension(self) -> int:
-        """Count the fitted parameters of the effects; an optional one at its end is not one."""
-        return sum(active_dimension(t, x) for t, x in zip(self.terms, self.thetas, strict=True))
-
-    def theta(self, effect_id: str) -> FloatArray:
-        """Return the parameters of one effect."""
-        for term, theta in zip(self.terms, self.thetas, strict=True):
-            if term.effect.id == effect_id:
-                return theta
-        raise KeyError(effect_id)
-
-
-def active_dimension(term: Term, theta: FloatArray) -> int:
-    """Count the parameters that a fitted term uses: integers and moments of change count too."""
-    unused = sum(
-        1
-        for parameter, value in zip(term.effect.parameters, theta, strict=True)
-        if parameter.name in term.effect.optional and not parameter.low < value < parameter.high
-    )
-    fixed = sum(1 for p in term.effect.parameters if p.integer or p.scale == 0.0)
-    return term.dimension + fixed - unused
+# The first nuisance, the world field, is linear; of the others a derivative serves as far as this.
+_FAR = 0.3
 
 
 class Problem:
@@ -110,7 +50,6 @@ class Problem:
         self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
         self._precision = _block_diagonal([n.precision for n in self.nuisances])
         self._prior = np.concatenate([n.mean for n in self.nuisances]) if self.nuisances else np.zeros(0)
-        self._nuisance_columns: FloatArray | None = None
 
     @property
     def count(self) -> int:
@@ -215,18 +154,28 @@ class Problem:
             return np.ones(len(self.nuisances[place].effect.parameters), dtype=np.bool_)
         return terms[place - n].free
 
+    def prior_root(self, terms: Sequence[Term]) -> FloatArray:
+        """Return L^T with L L^T the prior precision of nuisances and terms: rows to put under the columns."""
+        n_dim, weak = self._prior.size, weak_precision(terms)
+        root = np.zeros((n_dim + weak.size, n_dim + weak.size))
+        if n_dim:
+            values, vectors = np.linalg.eigh(self._precision)
+            root[:n_dim, :n_dim] = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        root[np.arange(n_dim, len(root)), np.arange(n_dim, len(root))] = np.sqrt(weak)
+        return root
+
+    def prior_offset(
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray]
+    ) -> FloatArray:
+        """Return the prior means less the values, nuisances first, then the free parameters of the terms."""
+        free = [theta[term.free] for term, theta in zip(terms, thetas, strict=True)]
+        return np.concatenate([self._prior, *(-f for f in free)]) - np.concatenate(
+            [*nuisance_thetas, *(np.zeros(f.size) for f in free)]
+        )
+
     def null(self) -> Fit:
         """Fit the nuisances alone."""
         return self.fit((), (), tuple(n.mean.copy() for n in self.nuisances))
-
-    def nuisance_columns(self, fit: Fit) -> FloatArray:
-        """Return the derivatives by the nuisances (computed once: they hardly change)."""
-        if self._nuisance_columns is None:
-            states = self.states((), (), fit.nuisance_thetas)
-            self._nuisance_columns = self.columns(
-                (), (), fit.nuisance_thetas, states, range(len(self.nuisances))
-            )
-        return self._nuisance_columns
 
     def fit(
         self,
@@ -241,15 +190,16 @@ class Problem:
         n = len(self.nuisances)
         n_dim = self._prior.size
         free = [np.flatnonzero(self._free(terms, i)) for i in range(len(x))]
-        weak = _weak_precision(terms)
+        weak = weak_precision(terms)
         states = self.states(terms, x[n:], x[:n])
         r = self.residual(states[-1].reading)
-        cost = float(r @ r) + self._prior_cost(x[:n]) + _weak_cost(x[n:], free[n:], weak)
+        cost = float(r @ r) + self._prior_cost(x[:n]) + weak_cost(x[n:], free[n:], weak)
         damping = 1e-6
         normal = np.zeros((0, 0))
-        exact_nuisances = n_dim > 0 and not terms
+        first, made_at = None, x[:n]
         for _ in range(iterations):
-            first = self._columns_for(terms, x, states, exact_nuisances)
+            if first is None or not terms or self._moved_far(x[:n], made_at):
+                first, made_at = self.columns(terms, x[n:], x[:n], states, range(n)), x[:n]
             J = np.hstack([first, self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))])
             normal = J.T @ J
             gradient = J.T @ r
@@ -269,7 +219,7 @@ class Problem:
                 trial_states = self.states(terms, trial[n:], trial[:n])
                 trial_r = self.residual(trial_states[-1].reading)
                 trial_cost = float(trial_r @ trial_r) + self._prior_cost(trial[:n])
-                trial_cost += _weak_cost(trial[n:], free[n:], weak)
+                trial_cost += weak_cost(trial[n:], free[n:], weak)
                 if trial_cost < cost:
                     improved = True
                     break
@@ -284,17 +234,13 @@ class Problem:
         covariance = _invert(normal) if normal.size else normal
         return Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
 
-    def _columns_for(
-        self, terms: tuple[Term, ...], x: list[FloatArray], states: list[Signals], exact: bool
-    ) -> FloatArray:
-        n = len(self.nuisances)
-        if exact or self._nuisance_columns is None or self._far(x[:n]):
-            return self.columns(terms, x[n:], x[:n], states, range(n))
-        return self._nuisance_columns
-
-    def _far(self, thetas: Sequence[FloatArray]) -> bool:
-        """Tell whether a nuisance with a strong non-linearity (yaw, age) is being solved for."""
-        return any(n.effect.stage != self.nuisances[0].effect.stage for n in self.nuisances)
+    def _moved_far(self, thetas: Sequence[FloatArray], made_at: Sequence[FloatArray]) -> bool:
+        """Tell whether nuisances moved a third of a natural size: their derivatives have changed."""
+        return any(
+            bool((np.abs(now - then) > _FAR * nuisance.effect.scale).any())
+            for nuisance, now, then in zip(self.nuisances, thetas, made_at, strict=True)
+            if nuisance.effect is not self.nuisances[0].effect
+        )
 
     def _prior_cost(self, thetas: Sequence[FloatArray]) -> float:
         if not thetas:
@@ -303,33 +249,8 @@ class Problem:
         return float(off @ self._precision @ off)
 
     def _bounds(self, terms: Sequence[Term]) -> list[tuple[FloatArray, FloatArray]]:
-        effects = [*(n.effect for n in self.nuisances), *(t.effect for t in terms)]
-        return [(e.lower, e.upper) for e in effects]
-
-
-def _weak_precision(terms: Sequence[Term]) -> FloatArray:
-    """Return the prior precision of each free parameter: none for those that are no amplitudes."""
-    return np.array(
-        [
-            1.0 / (_PRIOR_SIZES * p.scale) ** 2 if _is_amplitude(p) else 0.0
-            for term in terms
-            for p, free in zip(term.effect.parameters, term.free, strict=True)
-            if free
-        ]
-    )
-
-
-def _is_amplitude(parameter: Parameter) -> bool:
-    """Tell amplitudes, for which zero means nothing happens, from places, moments and frequencies."""
-    within = parameter.low <= 0.0 < parameter.high
-    return within and parameter.unit != "m" and parameter.name not in ("on_s", "off_s", "reference_degc")
-
-
-def _weak_cost(x: Sequence[FloatArray], free: Sequence[NDArray[np.int64]], weak: FloatArray) -> float:
-    if not weak.size:
-        return 0.0
-    values = np.concatenate([v[f] for v, f in zip(x, free, strict=True)])
-    return float(weak @ values**2)
+        known = [(n.effect.lower, n.effect.upper) for n in self.nuisances]
+        return [*known, *((t.lower, t.upper) for t in terms)]
 
 
 def _moved(

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.gap.floor import rms
+from mavcompass.gap.hypothesis import Fit, make_term
 from mavcompass.gap.identify import Identified
-from mavcompass.gap.model import Fit
 from mavcompass.gap.result import Cause
 from mavcompass.gap.scatter import Scatter
-from mavcompass.gap.search import make_term
 
 
 def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:

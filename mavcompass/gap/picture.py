@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.locate import coordinates
-from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.model import Problem
 
 
 @dataclass(frozen=True, slots=True, eq=False)

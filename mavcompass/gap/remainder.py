@@ -12,8 +12,9 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.floor import Floor, measured_noise, with_noise
+from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.identify import Identified
-from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import Noise
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.scatter import Scatter, early_scale, find_scatter, noise_with

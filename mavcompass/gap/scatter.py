@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.hypothesis import Fit
+from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import Noise, estimate_noise
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import least_gain

@@ -31,6 +31,7 @@ from mavcompass.track import Track
 Tier = Literal["none", "single", "pair", "withheld"]
 _SHARES: dict[Tier, float] = {"none": 0.35, "single": 0.35, "pair": 0.15, "withheld": 0.15}
 _SIZES = (6.0, 150.0)
+_CLEAR = 0.9
 _FOUND_BY_TRACE = frozenset({"quantisation", "stale_samples", "noise_excess", "timestamp_jitter"})
 _NEVER_NAMED = frozenset({"bias_random_walk"})
 
@@ -94,7 +95,7 @@ def draw_setting(effect: Effect, stimulus: Stimulus, rng: np.random.Generator) -
         theta[0] = rng.uniform(0.75, 0.95) * float(np.abs(ideal(stimulus).mag_mgauss).max())
     elif effect.id == "relay_field":
         theta[3], theta[4] = 0.0, float(np.quantile(stimulus.throttle, rng.uniform(0.3, 0.7)))
-    return Setting(effect, np.clip(theta, effect.lower, effect.upper))
+    return _inside(effect, theta)
 
 
 def scaled(setting: Setting, factor: float) -> Setting:
@@ -106,7 +107,15 @@ def scaled(setting: Setting, factor: float) -> Setting:
         late = p.name in ("lag_s", "time_constant_s") or setting.effect.id == "eddy_current"
         if (amplitude and not place) or late:
             theta[i] *= factor
-    return Setting(setting.effect, np.clip(theta, setting.effect.lower, setting.effect.upper))
+    return _inside(setting.effect, theta)
+
+
+def _inside(effect: Effect, theta: FloatArray) -> Setting:
+    """Keep amplitudes clear of the ends of their ranges, where no diagnosis may name them."""
+    moved = np.array([p.scale > 0.0 and p.name not in effect.optional for p in effect.parameters])
+    clear = np.where(moved, _CLEAR, 1.0)
+    low = np.where(effect.lower < 0.0, effect.lower * clear, effect.lower)
+    return Setting(effect, np.clip(theta, low, effect.upper * clear))
 
 
 def size_sigma(stimulus: Stimulus, settings: list[Setting]) -> float:

@@ -10,16 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
-from mavcompass.frames import FloatArray
-from mavcompass.gap.model import Fit, Problem, Term, active_dimension
-from mavcompass.gap.noise import group_values
-from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
-from mavcompass.simulation.signals import Reading
+from mavcompass.gap.guess import Guesser, Start
+from mavcompass.gap.hypothesis import Fit, active_dimension, make_term
+from mavcompass.gap.model import Problem
+from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 3
 CHANCE = 2.0e-5
@@ -62,13 +61,6 @@ class Found:
     weights: tuple[tuple[frozenset[str], float], ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Start:
-    term: Term
-    theta: FloatArray
-    expected: float
-
-
 class Search:
     """Search sets of effects on one problem."""
 
@@ -80,6 +72,7 @@ class Search:
             for effect in effects
             if effect.kind in ("mean", "discrete") and (term := make_term(effect, signals)).dimension >= 0
         ]
+        self.guesser = Guesser(problem, self.terms)
         self._log_n = math.log(max(problem.count, 2))
         self._log_c = math.log(_CATALOGUE_SIZE)
         self.explored: dict[frozenset[str], Fit] = {}
@@ -123,7 +116,7 @@ class Search:
         for _ in range(most):
             fits: dict[frozenset[str], Fit] = {}
             for parent in beam:
-                starts = sorted(self._starts(parent), key=lambda s: s.expected)[:_REFINED]
+                starts = sorted(self.guesser.starts(parent), key=lambda s: s.expected)[:_REFINED]
                 for start in starts:
                     fit = self._extended(parent, start)
                     fits[fit.ids] = min(fit, fits.get(fit.ids, fit), key=lambda f: f.sse)
@@ -159,7 +152,7 @@ class Search:
     def _children(self, beam: Sequence[Fit]) -> list[Fit]:
         children: dict[frozenset[str], Fit] = {}
         for place, parent in enumerate(beam):
-            starts = self._starts(parent)
+            starts = self.guesser.starts(parent)
             if place == 0 and not self._hopeful(parent, starts):
                 # What the best parent cannot use, a worse one can only use to become the best's equal.
                 return []
@@ -171,7 +164,7 @@ class Search:
                 self.explored[ids] = fit
         return sorted(children.values(), key=self.score)
 
-    def _refined(self, parent: Fit, starts: Sequence[_Start]) -> list[Fit]:
+    def _refined(self, parent: Fit, starts: Sequence[Start]) -> list[Fit]:
         """Fit a few steps each; only those still near the best are fitted to the end."""
         fits = [self._extended(parent, start, _SHORT) for start in starts]
         near = min(self.score(f) for f in fits) + _NEAR if fits else 0.0
@@ -180,10 +173,10 @@ class Search:
             for f in fits
         ]
 
-    def _hopeful(self, parent: Fit, starts: Sequence[_Start]) -> bool:
+    def _hopeful(self, parent: Fit, starts: Sequence[Start]) -> bool:
         return any(parent.sse - s.expected > _HOPEFUL * least_gain(s.term.dimension) for s in starts)
 
-    def _extended(self, parent: Fit, start: _Start, iterations: int = 8) -> Fit:
+    def _extended(self, parent: Fit, start: Start, iterations: int = 8) -> Fit:
         return self.problem.fit(
             (*parent.terms, start.term),
             (*parent.thetas, start.theta),
@@ -197,7 +190,7 @@ class Search:
             before = self.score(fit)
             for out in sorted(fit.ids):
                 rest = self.without(fit, out)
-                for start in self._starts(rest)[:3]:
+                for start in self.guesser.starts(rest)[:3]:
                     rival = self._extended(rest, start)
                     if rival.ids not in self.explored or rival.sse < self.explored[rival.ids].sse:
                         self.explored[rival.ids] = rival
@@ -236,7 +229,7 @@ class Search:
                 best.nuisance_thetas,
                 np.inf,
             )
-            for start in term.effect.starts(self._misfit(rest)):
+            for start in term.effect.starts(self.guesser.misfit(rest)):
                 terms = (*rest.terms, term)
                 trial = self.problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas)
                 if self.score(trial) < self.score(best) - 1e-6:
@@ -260,7 +253,7 @@ class Search:
                     free[j] = False
                     theta = fit.thetas[i].copy()
                     theta[j] = 0.0
-                    terms = (*fit.terms[:i], Term(term.effect, free), *fit.terms[i + 1 :])
+                    terms = (*fit.terms[:i], replace(term, free=free), *fit.terms[i + 1 :])
                     thetas = (*fit.thetas[:i], theta, *fit.thetas[i + 1 :])
                     trial = self.problem.fit(terms, thetas, fit.nuisance_thetas, _SHORT)
                     if trial.sse < fit.sse + _PRUNING:
@@ -269,85 +262,6 @@ class Search:
                 return fit
             fit = min(options, key=_natural_size)
 
-    def _misfit(self, fit: Fit) -> Misfit:
-        problem = self.problem
-        signals = problem.signals(fit)
-        residual = Reading(
-            *(
-                group_values(problem.replay.measured, g) - group_values(signals.reading, g)
-                for g in ("mag", "acc", "gyro")
-            )
-        )
-        rows = np.zeros(problem.rows.size, dtype=np.bool_)
-        rows[problem.index] = True
-        return Misfit(signals, residual, rows, problem.noise["mag"].rms)
-
-    def _starts(self, parent: Fit) -> list[_Start]:
-        """Guess every effect's parameters beside a fit; sort by the sum of squares to expect."""
-        problem = self.problem
-        n = len(problem.nuisances)
-        states = problem.states(parent.terms, parent.thetas, parent.nuisance_thetas)
-        residual = problem.residual(states[-1].reading)
-        known = problem.columns(
-            parent.terms, parent.thetas, parent.nuisance_thetas, states, range(n + len(parent.terms))
-        )
-        basis = _orthonormal(known)
-        misfit = self._misfit(parent)
-        found = []
-        for term in self.terms:
-            if term.effect.id in parent.ids:
-                continue
-            guesses = self._guesses(parent, term, misfit)
-            judged = (self._judged(parent, term, guess, residual, basis) for guess in guesses)
-            options = [option for option in judged if option is not None]
-            if options:
-                found.append(min(options, key=lambda option: option.expected))
-        penalty = {id(s): s.term.dimension * self._log_n for s in found}
-        return sorted(found, key=lambda s: s.expected + penalty[id(s)])
-
-    def _guesses(self, parent: Fit, term: Term, misfit: Misfit) -> list[FloatArray]:
-        if term.effect.starts is None:
-            return [term.effect.neutral()]
-        if term.effect.kind == "discrete":
-            means = tuple(n.mean for n in self.problem.nuisances)
-            misfit = self._misfit(Fit(parent.terms, parent.thetas, means, np.inf))
-        return term.effect.starts(misfit)
-
-    def _judged(
-        self, parent: Fit, term: Term, guess: FloatArray, residual: FloatArray, basis: FloatArray
-    ) -> _Start | None:
-        """Linearise an effect at a guess; solve for its parameters beside the parent's."""
-        problem = self.problem
-        terms, thetas = (*parent.terms, term), (*parent.thetas, guess)
-        states = problem.states(terms, thetas, parent.nuisance_thetas)
-        if term.effect.kind == "discrete":
-            # Far from the parent, whose nuisances were bent to make up for it: fit those again.
-            means = tuple(n.mean for n in problem.nuisances)
-            return _Start(term, guess, problem.fit(terms, thetas, means, _SHORT).sse)
-        neutral = term.effect.starts is None
-        r = residual if neutral else problem.residual(states[-1].reading)
-        place = len(problem.nuisances) + len(parent.terms)
-        J = problem.columns(terms, thetas, parent.nuisance_thetas, states, [place])
-        if not np.isfinite(r).all() or not np.isfinite(J).all():
-            return None
-        left = r - basis @ (basis.T @ r)
-        # The parent is fitted, so what its columns still take away is not this effect's merit alone.
-        expected = parent.sse - float(residual @ residual) + float(left @ left)
-        theta = guess
-        if J.shape[1]:
-            J = J - basis @ (basis.T @ J)
-            normal = J.T @ J
-            size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-            scaled = normal / np.outer(size, size)
-            scaled[np.diag_indices_from(scaled)] += 1e-7
-            right = (J.T @ left) / size
-            step = np.linalg.solve(scaled, right)
-            expected -= float(2.0 * right @ step - step @ (normal / np.outer(size, size)) @ step)
-            theta = guess.copy()
-            theta[term.free] += step / size
-            theta = np.clip(theta, term.effect.lower, term.effect.upper)
-        return _Start(term, theta, expected)
-
 
 def _natural_size(fit: Fit) -> float:
     return sum(
@@ -355,14 +269,6 @@ def _natural_size(fit: Fit) -> float:
         for t, x in zip(fit.terms, fit.thetas, strict=True)
         if t.effect.affine
     )
-
-
-def make_term(effect: Effect, signals: Signals) -> Term:
-    """Say which parameters of an effect a fit may move."""
-    free = np.array([not p.integer and p.scale > 0.0 for p in effect.parameters], dtype=np.bool_)
-    if effect.free is not None:
-        free &= effect.free(signals)
-    return Term(effect, free)
 
 
 def _searched(fit: Fit) -> list[str]:
@@ -387,14 +293,6 @@ def _log_trials(fit: Fit, rows: int) -> float:
     """
     each = {"on_s": rows / 3.0, "off_s": rows / 3.0, "frequency_hz": 2.0 * rows}
     return sum(math.log(max(each.get(name, 24.0), 1.0)) for name in _searched(fit))
-
-
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    if not columns.shape[1]:
-        return columns
-    size = np.sqrt(np.maximum((columns**2).sum(axis=0), 1e-300))
-    u, s, _ = np.linalg.svd(columns / size, full_matrices=False)
-    return np.asarray(u[:, s > 1e-6 * max(float(s[0]), 1e-300)])
 
 
 def _in_order(fit: Fit, like: Fit) -> Fit:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.floor import Floor, heading_error_rad, rms, rms_deg
-from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.hypothesis import Fit
+from mavcompass.gap.model import Problem
 from mavcompass.gap.result import Bar, Closing
 from mavcompass.simulation.signals import Reading
 

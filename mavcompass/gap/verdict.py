@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 from mavcompass.gap.adequacy import Adequacy
 from mavcompass.gap.floor import Floor, rms
+from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.identify import Identified
-from mavcompass.gap.model import Fit, Problem
+from mavcompass.gap.model import Problem
 from mavcompass.gap.remainder import Remainder
 from mavcompass.gap.result import Verdict
 from mavcompass.gap.scatter import drift_gain

@@ -123,6 +123,7 @@ class Misfit:
 
 Starts = Callable[[Misfit], list[FloatArray]]
 Freedom = Callable[[Signals], NDArray[np.bool_]]
+Limits = Callable[[Signals], tuple[FloatArray, FloatArray]]
 Export = Callable[[Mapping[str, float]], dict[str, float]]
 
 
@@ -146,6 +147,8 @@ class Effect:
         free: which parameters a recording can tell at all (default: all).
         affine: True for a linear map plus offset of the field in body axes.
         sitl: the parameters of ArduPilot's simulator for a fitted setting.
+        limits: how far a recording lets the parameters go (lower, upper), where that is less than the
+            physical range.
         optional: parameters that cost nothing in a fit while they stay at an end of their range.
     """
 
@@ -165,6 +168,7 @@ class Effect:
     affine: bool = False
     sitl: Export | None = None
     optional: frozenset[str] = frozenset()
+    limits: Limits | None = None
 
     @property
     def lower(self) -> FloatArray:

@@ -9,6 +9,7 @@ from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Paramet
 
 _Rng = np.random.Generator | None
 _REFERENCE = Parameter("reference_degc", "degC", -40.0, 85.0, 25.0, 2.0)
+_ROOM_DEGC = 25.0
 
 
 def _bias(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
@@ -37,6 +38,21 @@ def _starts(misfit: Misfit, carrier: FloatArray, limit: float) -> list[FloatArra
     return [np.array([*np.clip(slope, -limit, limit), reference]) for reference in references]
 
 
+def _limits(signals: Signals) -> tuple[FloatArray, FloatArray]:
+    """Keep the reference near the recorded temperatures or at room temperature.
+
+    Far from both, what follows the temperature is hardly more than a constant, which has its own name.
+    """
+    temperature = signals.stimulus.temperature_degc
+    finite = temperature[np.isfinite(temperature)]
+    if not finite.size:
+        return np.full(4, -np.inf), np.full(4, np.inf)
+    span = float(np.ptp(finite))
+    low = min(float(finite.min()) - span, _ROOM_DEGC)
+    high = max(float(finite.max()) + span, _ROOM_DEGC)
+    return np.array([-np.inf, -np.inf, -np.inf, low]), np.array([np.inf, np.inf, np.inf, high])
+
+
 EFFECTS = (
     Effect(
         id="temperature_bias",
@@ -49,6 +65,7 @@ EFFECTS = (
         separated_by="warm up and cool down again",
         source="raw = field + k (T - T0), 0.1 to 2 mG/degC",
         starts=lambda misfit: _starts(misfit, np.ones_like(misfit.residual.mag_mgauss), 10.0),
+        limits=_limits,
     ),
     Effect(
         id="temperature_sensitivity",
@@ -61,5 +78,6 @@ EFFECTS = (
         separated_by="warm up and cool down while tumbling",
         source="raw = (1 + a (T - T0)) field; HMC1053: -2700 ppm/degC",
         starts=lambda misfit: _starts(misfit, misfit.signals.reading.mag_mgauss, 0.01),
+        limits=_limits,
     ),
 )

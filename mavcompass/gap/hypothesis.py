@@ -1,0 +1,118 @@
+"""A hypothesis: which effects, with which values; and the weak priors that every effect has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.simulation.effects.effect import Effect, Parameter, Signals
+
+Mask = NDArray[np.bool_]
+# A direction that the data do not tell stays near zero: amplitudes have priors of twenty natural sizes.
+_PRIOR_SIZES = 20.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Term:
+    """Be one effect of a hypothesis.
+
+    `free` (k,) tells which parameters a fit may move; `lower` and `upper` (k,) how far: the physical
+    range, or less where the recording itself sets a limit.
+    """
+
+    effect: Effect
+    free: Mask
+    lower: FloatArray
+    upper: FloatArray
+
+    @property
+    def dimension(self) -> int:
+        """Count the parameters that are fitted."""
+        return int(self.free.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Hold a fitted hypothesis.
+
+    Attributes:
+        terms: its effects, without the nuisances.
+        thetas: their parameters; nuisance_thetas: those of the nuisances.
+        sse: whitened sum of squares on the fitted rows plus what the priors of the nuisances cost.
+        covariance: of the free parameters, nuisances first, then the terms in order.
+    """
+
+    terms: tuple[Term, ...]
+    thetas: tuple[FloatArray, ...]
+    nuisance_thetas: tuple[FloatArray, ...]
+    sse: float
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def ids(self) -> frozenset[str]:
+        """Return the effects' ids."""
+        return frozenset(term.effect.id for term in self.terms)
+
+    @property
+    def dimension(self) -> int:
+        """Count the fitted parameters of the effects; an optional one at its end is not one."""
+        return sum(active_dimension(t, x) for t, x in zip(self.terms, self.thetas, strict=True))
+
+    def theta(self, effect_id: str) -> FloatArray:
+        """Return the parameters of one effect."""
+        for term, theta in zip(self.terms, self.thetas, strict=True):
+            if term.effect.id == effect_id:
+                return theta
+        raise KeyError(effect_id)
+
+
+def active_dimension(term: Term, theta: FloatArray) -> int:
+    """Count the parameters that a fitted term uses: integers and moments of change count too."""
+    unused = sum(
+        1
+        for parameter, value in zip(term.effect.parameters, theta, strict=True)
+        if parameter.name in term.effect.optional and not parameter.low < value < parameter.high
+    )
+    fixed = sum(1 for p in term.effect.parameters if p.integer or p.scale == 0.0)
+    return term.dimension + fixed - unused
+
+
+def make_term(effect: Effect, signals: Signals) -> Term:
+    """Say which parameters of an effect a fit may move on these signals, and how far."""
+    free = np.array([not p.integer and p.scale > 0.0 for p in effect.parameters], dtype=np.bool_)
+    if effect.free is not None:
+        free &= effect.free(signals)
+    lower, upper = effect.lower, effect.upper
+    if effect.limits is not None:
+        low, high = effect.limits(signals)
+        lower, upper = np.maximum(lower, low), np.minimum(upper, high)
+    return Term(effect, free, lower, upper)
+
+
+def weak_precision(terms: Sequence[Term]) -> FloatArray:
+    """Return the prior precision of each free parameter: none for those that are no amplitudes."""
+    return np.array(
+        [
+            1.0 / (_PRIOR_SIZES * p.scale) ** 2 if _is_amplitude(p) else 0.0
+            for term in terms
+            for p, free in zip(term.effect.parameters, term.free, strict=True)
+            if free
+        ]
+    )
+
+
+def _is_amplitude(parameter: Parameter) -> bool:
+    """Tell amplitudes, for which zero means nothing happens, from places, moments and frequencies."""
+    within = parameter.low <= 0.0 < parameter.high
+    return within and parameter.unit != "m" and parameter.name not in ("on_s", "off_s", "reference_degc")
+
+
+def weak_cost(x: Sequence[FloatArray], free: Sequence[NDArray[np.int64]], weak: FloatArray) -> float:
+    if not weak.size:
+        return 0.0
+    values = np.concatenate([v[f] for v, f in zip(x, free, strict=True)])
+    return float(weak @ values**2)
