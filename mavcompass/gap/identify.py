@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.frames import FloatArray
 from mavcompass.gap.floor import Floor, rms, widened
-from mavcompass.gap.hypothesis import Fit, Term
+from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.model import Problem
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Found, Search, least_gain
@@ -20,7 +19,7 @@ from mavcompass.simulation.effects.effect import NEVER_S, Effect
 _LEAST_RMS_MGAUSS = 1.0
 _LEAST_SHARE = 0.10
 _AT_THE_END = 1e-3
-_TOLD = 0.15
+_NEEDED = 10.0
 _PASSES = 2
 _CLOSINGS_IN = 6
 _NEAREST_MAGNET_M = 0.03
@@ -109,14 +108,12 @@ def _moments(fit: Fit) -> list[float]:
 def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
     """Return the first effect that a guard refuses, and why."""
     fit = candidate.fit
-    for term, theta in zip(fit.terms, fit.thetas, strict=True):
-        width = term.upper - term.lower
-        reach = np.minimum(_AT_THE_END * width, term.effect.scale)
+    for place, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
+        reach = np.minimum(_AT_THE_END * (term.upper - term.lower), term.effect.scale)
         near = (theta - term.lower < reach) | (term.upper - theta < reach)
-        # A parameter that the recording does not tell may end anywhere.
-        told = _sigmas(candidate, term) < _TOLD * width
-        outside = near & told & term.free & (np.abs(theta) > term.effect.scale) & (np.abs(theta) < NEVER_S)
-        if outside.any() and term.effect.id != "orientation":
+        outside = near & term.free & (np.abs(theta) > term.effect.scale) & (np.abs(theta) < NEVER_S)
+        # What the recording does not tell may end anywhere: only what is needed there counts.
+        if any(_needed(candidate, place, int(j)) for j in np.flatnonzero(outside)):
             return term.effect.id, "its best value lies at the end of the physical range"
     if (touching := _touched(candidate)) is not None:
         return (
@@ -133,18 +130,17 @@ def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
     return None
 
 
-def _sigmas(candidate: Identified, wanted: Term) -> FloatArray:
-    """Return the standard deviations of one effect's parameters, zero for those that are not fitted."""
+def _needed(candidate: Identified, place: int, parameter: int) -> bool:
+    """Tell whether a fit becomes worse when one parameter is held where its effect is least."""
     fit = candidate.fit
-    at = sum(n.mean.size for n in candidate.problem.nuisances)
-    out = np.zeros(len(wanted.effect.parameters))
-    for term in fit.terms:
-        index = np.flatnonzero(term.free)
-        block = fit.covariance[at : at + index.size, at : at + index.size]
-        if term is wanted and block.shape == (index.size, index.size):
-            out[index] = np.sqrt(np.maximum(np.diag(block), 0.0))
-        at += index.size
-    return out
+    term = fit.terms[place]
+    free, theta = term.free.copy(), fit.thetas[place].copy()
+    free[parameter] = False
+    theta[parameter] = np.clip(term.effect.neutral(), term.lower, term.upper)[parameter]
+    terms = (*fit.terms[:place], replace(term, free=free), *fit.terms[place + 1 :])
+    thetas = (*fit.thetas[:place], theta, *fit.thetas[place + 1 :])
+    held = candidate.problem.fit(terms, thetas, fit.nuisance_thetas, iterations=4)
+    return held.sse - fit.sse > _NEEDED
 
 
 def _touched(candidate: Identified) -> str | None:

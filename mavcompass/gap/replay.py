@@ -37,6 +37,10 @@ _LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
 # Motors that turn both ways stand still at half of their output.
 _NEUTRAL_IN_THE_MIDDLE = frozenset({"rover", "ackermann-rover", "boat", "sub"})
 _YEAR_WHERE_UNKNOWN = 2026.5
+_NO_TURN = (
+    "The vehicle hardly turns: a constant offset cannot be told from the field, so that it counts as the"
+    " field's."
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +119,11 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
         stimulus.rate_radps,
     )
     independent = reference.kind == "columns"
+    present = _present(track, stimulus, independent, reference.known & np.isfinite(raw).all(axis=1))
+    if "turning" not in present:
+        # A constant offset in body axes is then a constant field: its size can be anything.
+        sigma = np.maximum(sigma, _UNKNOWN_FIELD_SIGMA_MGAUSS)
+        field_notes = (*field_notes, _NO_TURN)
     groups: tuple[Group, ...] = ("mag",)
     valid = reference.known & np.isfinite(raw).all(axis=1)
     inertial: tuple[tuple[Group, FloatArray], ...] = (("acc", acc), ("gyro", gyro))
@@ -132,7 +141,7 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
         valid=valid,
         groups=groups,
         nuisances=_nuisances(reference, stimulus, raw, sigma, hold, valid),
-        present=_present(track, stimulus, independent, valid),
+        present=present,
         reference=reference,
         resolution_mgauss=compass.quantum_mgauss / math.sqrt(12.0),
         telemetry=hold is not None,

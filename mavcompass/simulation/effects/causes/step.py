@@ -16,6 +16,8 @@ from mavcompass.simulation.effects.effect import (
     xyz,
 )
 
+_ALWAYS = 0.98
+
 
 def _forward(signals: Signals, theta: FloatArray, memory: Memory, rng: np.random.Generator | None) -> Signals:
     time = signals.stimulus.time_s
@@ -52,6 +54,9 @@ def _starts(misfit: Misfit) -> list[FloatArray]:
         if end - first < 4:
             continue
         first, end = _refine(y, first, end, stride, to_the_end)
+        if end - first > _ALWAYS * rows.size:
+            # Hard iron that is there all the time is no step.
+            continue
         level = misfit.residual.mag_mgauss[rows[first:end]].mean(axis=0)
         on = _between(time, rows, first)
         off = NEVER_S if to_the_end or end >= rows.size else _between(time, rows, end)
