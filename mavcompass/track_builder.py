@@ -21,6 +21,9 @@ _IMU_MESSAGES: dict[type[mav.Message], str] = {
     mav.ScaledImu3: "SCALED_IMU3",
 }
 
+_FIX_3D, _UNKNOWN_U16 = 3, 65535
+_OTHER_CLOCK_S = 30.0
+
 
 @dataclass(slots=True)
 class _Rows:
@@ -94,6 +97,14 @@ class TrackBuilder:
             self._column("place").add(time_s, *telemetry.place(message).tolist())
         elif isinstance(message, mav.LocalPositionNed):
             self._column("position_ned_m").add(message.time_boot_ms * 1e-3, message.x, message.y, message.z)
+        elif isinstance(message, mav.GpsRawInt):
+            # The receiver's own velocity: the one in GLOBAL_POSITION_INT is bent by a bent compass.
+            if message.fix_type >= _FIX_3D and _UNKNOWN_U16 not in (message.vel, message.cog):
+                time_s = message.time_usec * 1e-6
+                if abs(time_s - self.latest_s) > _OTHER_CLOCK_S:  # some send the time of day here
+                    time_s = self.vehicle_time_s(heard.time_s)
+                velocity = telemetry.ground_velocity_mps(message)
+                self._column("gps_velocity_mps").add(time_s, *velocity.tolist())
         elif isinstance(message, mav.SystemTime):
             if message.time_unix_usec and message.time_boot_ms:
                 offset = message.time_unix_usec * 1e-6 - message.time_boot_ms * 1e-3
@@ -174,6 +185,7 @@ class TrackBuilder:
             acc_truncation_mps2=MPS2_PER_MILLI_G,
             gyro_truncation_radps=RADPS_PER_MILLIRADPS,
             attitude_rad=columns_by_name.get("attitude_rad"),
+            gps_velocity_mps=columns_by_name.get("gps_velocity_mps"),
             truth_q=columns_by_name.get("truth_q"),
             position_ned_m=columns_by_name.get("position_ned_m"),
             place=columns_by_name.get("place"),

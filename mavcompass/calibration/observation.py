@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.calibration.tilt import TILT_FLOOR_RAD, tilt_during
 from mavcompass.calibration.turning import TurnRecord, turn_record
 from mavcompass.calibration.wire import effective_count, unquantise
 from mavcompass.correction import FieldCorrection
@@ -15,18 +16,11 @@ from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.heading.gravity import down_in_body
 from mavcompass.track import MagSeries, Track
-from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.
 ARDUPILOT_LAG_S = 0.09
 LAG_SIGMA_S = 0.03
-# What the ground, the suspension and the accelerometer's vibration add to a tilt averaged over a dwell.
-_TILT_FLOOR_RAD = math.radians(0.02)
-# What an autopilot's attitude estimate is off by while it stands or hovers.
-_ESTIMATOR_SIGMA_RAD = math.radians(0.15)
 _OUTLIER_SIGMAS = 5.0
-# A mean specific force further from g than this is not gravity alone.
-_GRAVITY_SLACK = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +55,7 @@ class Dwell:
     acc_mps2: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     roll_rad: float = 0.0
     pitch_rad: float = 0.0
-    tilt_sigma_rad: float = _TILT_FLOOR_RAD
+    tilt_sigma_rad: float = TILT_FLOOR_RAD
     samples: int = 1
     turned_rad: float = math.nan
     turned_sigma_rad: float = 0.0
@@ -216,7 +210,7 @@ def _dwell(
     middle = float(np.median(angles))
     turned = middle + float(np.angle(phasor * np.exp(-1j * middle)))
     turning = abs(float(np.mean(record.rate_at(time)))) if record is not None else 0.0
-    roll, pitch, tilt_sigma, acc = _tilt(track, time)
+    roll, pitch, tilt_sigma, acc = tilt_during(track, time)
     current = track.current_a
     return Dwell(
         start_s=float(time[0]),
@@ -310,57 +304,6 @@ def _wander(
     apart -= length * leaning
     chance = 4.0 * noise * math.sqrt(4.0 / max(len(residual), 2)) + quantum
     return apart if apart > chance else 0.0
-
-
-def _tilt(track: Track, time: FloatArray) -> tuple[float, float, float, FloatArray]:
-    """Return roll, pitch, their sigma and the mean specific force over a stretch.
-
-    Two witnesses, weighed by their variance. The accelerometer's mean is gravity wherever the velocity is
-    the same at both ends, in steady flight too, but motors shake it. The autopilot's roll and pitch are
-    smooth and carry an error of their own that no averaging removes. Level where neither was recorded.
-    """
-    force, shaking = _mean_force(track, time)
-    witnesses: list[tuple[FloatArray, float]] = []
-    if abs(float(np.linalg.norm(force)) / STANDARD_GRAVITY_MPS2 - 1.0) < _GRAVITY_SLACK:
-        witnesses.append((-force / np.linalg.norm(force), shaking))
-    attitude = track.attitude_rad
-    if attitude is not None:
-        during = attitude.between(float(time[0]), float(time[-1]) + 1e-9).values[:, :2]
-        during = during[np.isfinite(during).all(axis=1)]
-        if len(during) >= 3:
-            down = _down(during[:, 0], during[:, 1])
-            swing = float(np.linalg.norm(down - down.mean(axis=0), axis=1).std())
-            sampling = swing / math.sqrt(len(during))
-            witnesses.append((down.mean(axis=0), math.hypot(_ESTIMATOR_SIGMA_RAD, sampling)))
-    if not witnesses:
-        witnesses.append((down_in_body(track, time).mean(axis=0), _TILT_FLOOR_RAD))
-    weights = np.array([1.0 / (sigma**2 + _TILT_FLOOR_RAD**2) for _, sigma in witnesses])
-    x, y, z = np.average([direction for direction, _ in witnesses], axis=0, weights=weights)
-    return math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), 1.0 / math.sqrt(float(weights.sum())), force
-
-
-def _mean_force(track: Track, time: FloatArray) -> tuple[FloatArray, float]:
-    """Return the mean specific force (3,) over a stretch and the direction sigma of it; nan for none."""
-    acc = track.acc_mps2
-    if acc is not None and len(acc):
-        values = np.asarray(acc.between(float(time[0]), float(time[-1]) + 1e-9).values)
-        values = values[np.isfinite(values).all(axis=1)]
-        if len(values) >= 3:
-            spread = values.std(axis=0)
-            mean, hidden = unquantise(values.mean(axis=0), spread, track.acc_truncation_mps2, True)
-            shaking = float(spread.max()) * math.sqrt(_shake_memory(time) / len(values))
-            return mean, math.hypot(shaking, float(hidden[:2].max())) / STANDARD_GRAVITY_MPS2
-    return np.full(3, np.nan), math.nan
-
-
-def _down(roll: FloatArray, pitch: FloatArray) -> FloatArray:
-    return np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
-
-
-def _shake_memory(time: FloatArray) -> float:
-    """Return how many consecutive accelerations make one independent: shaking lasts about 50 ms."""
-    interval = float(time[-1] - time[0]) / max(time.size - 1, 1)
-    return max(1.0, 0.05 / max(interval, 1e-4))
 
 
 def step_between(

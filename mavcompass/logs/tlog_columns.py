@@ -86,7 +86,9 @@ def _gps(placer: Placer) -> dict[str, Series]:
             out["place"] = Series.of(receiver.time_s[fix], telemetry.place(rows[fix]))
         moves = fix & (rows.vel != _UNKNOWN_U16) & (rows.cog != _UNKNOWN_U16)
         if bool(moves.any()):
-            out["gps_velocity_mps"] = Series.of(receiver.time_s[moves], _ground_velocity(rows[moves]))
+            out["gps_velocity_mps"] = Series.of(
+                receiver.time_s[moves], telemetry.ground_velocity_mps(rows[moves])
+            )
     estimate = placer.take("GLOBAL_POSITION_INT")
     if estimate is not None:
         rows = estimate.rows
@@ -97,12 +99,6 @@ def _gps(placer: Placer) -> dict[str, Series]:
             out["place"] = Series.of(time_s, telemetry.place(rows))
             out["gps_velocity_mps"] = Series.of(time_s, _velocity(rows))
     return out
-
-
-def _ground_velocity(rows: Any) -> FloatArray:
-    """Turn speed and course over ground into north, east and an unknown down."""
-    speed, course = rows.vel * _CENTI, rows.cog * (_CENTI * RAD_PER_DEG)
-    return np.stack([speed * np.cos(course), speed * np.sin(course), np.full(speed.size, np.nan)]).T
 
 
 def _current(placer: Placer) -> dict[str, Series]:

@@ -187,6 +187,9 @@ def _wanted_rates(
     # The mode and the arming are told by heartbeats only: one a second is late for ending a motion.
     wanted |= dict.fromkeys((mav.GlobalPositionInt, mav.RcChannels, mav.SysStatus, mav.Heartbeat), 4.0)
     wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime), 2.0)
+    if identity.kind == "copter":
+        # What hovers sways: its tilt is told by the receiver's velocity, see `calibration.sway`.
+        wanted[mav.GpsRawInt] = 5.0
     if px4:
         del wanted[mav.EkfStatusReport]
     return wanted

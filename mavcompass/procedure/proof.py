@@ -79,7 +79,12 @@ def prove(track: Track, before: Window, after: Window, results: Sequence[Calibra
             data.gyro_scale_sigma * step.angle_rad,
             data.gyro_bias_sigma_radps * step.duration_s,
         )
-        sigma_deg = math.hypot(math.sqrt(2.0) * result.heading_sigma_deg, math.degrees(gyro_rad), 0.2)
+        # A tilt that is not known turns the field by the dip's tangent.
+        dip = result.vertical_mgauss / max(result.horizontal_mgauss, 1.0)
+        tilt_rad = dip * math.hypot(*(dwell.tilt_sigma_rad for dwell in dwells))
+        sigma_deg = math.hypot(
+            math.sqrt(2.0) * result.heading_sigma_deg, math.degrees(math.hypot(gyro_rad, tilt_rad)), 0.2
+        )
         proofs.append(
             CompassProof(
                 instance=result.instance,

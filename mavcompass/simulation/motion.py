@@ -26,6 +26,8 @@ _STREAM_MPS = 0.06
 _SPEED_ACCELERATION_MPS2 = 1.5
 _TREMOR_RAD, _TREMOR_PERIOD_S = math.radians(0.5), 0.8
 _STICTION_RADPS = math.radians(0.25)
+# A position controller leans a copter back by so much acceleration per metre and per metre per second.
+_HOLD_PER_S2, _HOLD_PER_S = 0.3, 1.0
 
 
 @dataclass(slots=True)
@@ -85,6 +87,8 @@ class Body:
         self._tape = NoiseTape(generator(seed, "motion"), 4)
         self._jitter = [0.0, 0.0, 0.0, 0.0]
         self._unrest_radps = 0.0
+        # How far, how fast and with what acceleration a hover sways; north and east.
+        self._sway = [(0.0, 0.0), (0.0, 0.0), (0.0, 0.0)]
         rng = generator(seed, "wind")
         heading, strength = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.3, 1.0)
         lean = 2.0 * profile.jitter_rad * strength
@@ -123,6 +127,7 @@ class Body:
         noise = self._tape.row()
         self._held = self.hand.at(self.time_s)
         self._turn(dt_s, drive, measured_yaw_rate_radps, noise[0])
+        self._sway_on(dt_s)
         self._translate(dt_s, drive)
         self._tilt(dt_s, noise)
         self._settle()
@@ -166,9 +171,9 @@ class Body:
         change = max(-most, min(most, wanted - self.speed_mps))
         self.speed_mps += change
         self.forward_acceleration_mps2 = change / dt
-        stream = self._stream_mps
-        north = self.speed_mps * math.cos(self.yaw_rad) + stream[0]
-        east = self.speed_mps * math.sin(self.yaw_rad) + stream[1]
+        stream, sway = self._stream_mps, self._sway[1]
+        north = self.speed_mps * math.cos(self.yaw_rad) + stream[0] + sway[0]
+        east = self.speed_mps * math.sin(self.yaw_rad) + stream[1] + sway[1]
         self.north_m += north * dt
         self.east_m += east * dt
         if self.profile.hovers:
@@ -180,6 +185,24 @@ class Body:
                 self.height_m = max(bottom, min(top, self.height_m))
                 self.climb_mps = 0.0
         self.velocity_ned_mps = (north, east, -self.climb_mps)
+
+    def _sway_on(self, dt: float) -> None:
+        """Let a copter be pushed by its own lean, and its position controller lean it back."""
+        if not self.profile.leans_to_move or self.landed:
+            self._sway = [(0.0, 0.0), (0.0, 0.0), (0.0, 0.0)]
+            return
+        (north, east), (v_north, v_east), _ = self._sway
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        g = STANDARD_GRAVITY_MPS2
+        right, ahead = g * self._jitter[0], -g * self._jitter[1]
+        a_north = ahead * c - right * s - _HOLD_PER_S2 * north - _HOLD_PER_S * v_north
+        a_east = ahead * s + right * c - _HOLD_PER_S2 * east - _HOLD_PER_S * v_east
+        v_north, v_east = v_north + a_north * dt, v_east + a_east * dt
+        self._sway = [
+            (north + v_north * dt, east + v_east * dt),
+            (v_north, v_east),
+            (a_north, a_east),
+        ]
 
     def _climb_unpowered(self) -> float:
         """Return the climb rate without motors: a copter falls, a sub rises slowly."""
@@ -228,11 +251,20 @@ class Body:
         )
 
     def _hover_tilt(self) -> tuple[float, float, float, float]:
-        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        ahead = self._lean_ned[0] * c + self._lean_ned[1] * s
-        right = -self._lean_ned[0] * s + self._lean_ned[1] * c
-        j, w = self._jitter, self.yaw_rate_radps
-        return right + j[0], -ahead + j[1], -ahead * w + j[2], -right * w + j[3]
+        """Lean into the wind, back to the place, and as the gusts will."""
+        c, s, w = math.cos(self.yaw_rad), math.sin(self.yaw_rad), self.yaw_rate_radps
+        g, (place, velocity, acceleration) = STANDARD_GRAVITY_MPS2, self._sway
+        lean = [
+            wind - (_HOLD_PER_S2 * x + _HOLD_PER_S * v) / g
+            for wind, x, v in zip(self._lean_ned, place, velocity, strict=True)
+        ]
+        rate = [
+            -(_HOLD_PER_S2 * v + _HOLD_PER_S * a) / g for v, a in zip(velocity, acceleration, strict=True)
+        ]
+        ahead, right = lean[0] * c + lean[1] * s, -lean[0] * s + lean[1] * c
+        ahead_rate, right_rate = rate[0] * c + rate[1] * s + right * w, -rate[0] * s + rate[1] * c - ahead * w
+        j = self._jitter
+        return right + j[0], -ahead + j[1], right_rate + j[2], -ahead_rate + j[3]
 
     def _body_rate(self) -> Vector:
         sr, cr = math.sin(self.roll_rad), math.cos(self.roll_rad)
@@ -252,6 +284,5 @@ class Body:
                 y + self.speed_mps * self.yaw_rate_radps,
                 z,
             )
-        j = self._jitter
-        unseen = 1.0 - self.profile.tilt_seen
-        return x - g * unseen * j[1], y + g * unseen * j[0], z
+        north, east = self._sway[2]
+        return x + m[0] * north + m[3] * east, y + m[1] * north + m[4] * east, z + m[2] * north + m[5] * east

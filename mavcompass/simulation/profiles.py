@@ -34,8 +34,6 @@ class VehicleProfile:
         hover_m: height at which it waits in the air (positive) or the water (negative).
         currents_a: battery current at rest, when moving or hovering, and more per rad/s of turn.
         jitter_rad: standard deviation of roll and pitch of a hovering vehicle.
-        tilt_seen: the share of that which the accelerometer shows. A copter's short tilts accelerate it
-            and hardly show; the drag balances the rest. A sub is held upright by its buoyancy: all shows.
         vibration_mps2: accelerometer noise that the running motors add.
         slope_rad, wave_rad: how much the ground or the water tilts it, at most.
     """
@@ -61,11 +59,18 @@ class VehicleProfile:
     currents_a: tuple[float, float, float] = (0.6, 3.0, 2.5)
     jitter_rad: float = 0.0
     jitter_period_s: float = 2.0
-    tilt_seen: float = 0.3
     vibration_mps2: float = 0.0
     slope_rad: float = 0.0
     wave_rad: float = 0.0
     yaw_unrest_radps: float = 0.0
+
+    @property
+    def leans_to_move(self) -> bool:
+        """Tell whether a tilt pushes the vehicle sideways, so that its accelerometer hardly shows it.
+
+        A sub is held upright by its buoyancy and shows its whole tilt.
+        """
+        return self.chassis == "copter"
 
     @property
     def hovers(self) -> bool:
@@ -168,7 +173,6 @@ PROFILES: dict[str, VehicleProfile] = {
             currents_a=(1.2, 7.0, 6.0),
             jitter_rad=0.6 * _DEG,
             jitter_period_s=4.0,
-            tilt_seen=1.0,
             vibration_mps2=0.05,
             slope_rad=0.5 * _DEG,
             yaw_unrest_radps=0.3 * _DEG,
