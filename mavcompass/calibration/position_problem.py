@@ -27,7 +27,7 @@ from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 
 # What no error model names: the sensor's own bends and steps of its converter.
-_FLOOR_MGAUSS = 0.03
+_FLOOR_MGAUSS = 0.01
 
 
 @dataclass(frozen=True, slots=True)

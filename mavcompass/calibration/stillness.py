@@ -8,6 +8,7 @@ because the gyro knows the creep and a dwell's average accounts for it.
 from __future__ import annotations
 
 import math
+from bisect import insort
 from collections import deque
 from dataclasses import dataclass
 
@@ -115,15 +116,16 @@ def _steady_current(
     if time.size < 3 or not np.isfinite(load).all():
         return [window]
     parts: list[tuple[float, float]] = []
-    start, first = window[0], 0
+    start, ordered = window[0], [float(load[0])]  # kept in order, so that the median is at hand
     for k in range(1, time.size + 1):
-        level = float(np.median(load[first:k]))
+        level = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
         if k < time.size and abs(load[k] - level) <= max(_CURRENT_STEP_A, 0.25 * abs(level)):
+            insort(ordered, float(load[k]))
             continue
         end = float(time[k]) if k < time.size else window[1]
         if end - start >= shortest_s:
             parts.append((start, end))
-        start, first = end, k
+        start, ordered = end, load[k : k + 1].tolist()
     return parts
 
 

@@ -8,6 +8,7 @@ recordings round. Both hide the average inside a step unless noise moves the rea
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,8 +74,12 @@ def _noise_before(variance: float) -> float:
     """
     if variance > 1.0:
         return math.sqrt(variance - 1.0 / 12.0)
-    seen = [s * s + 1.0 / 12.0 - _hidden_variance(float(s)) for s in _NOISE_GRID]
-    return float(np.interp(variance, seen, _NOISE_GRID))
+    return float(np.interp(variance, _seen_variances(), _NOISE_GRID))
+
+
+@cache
+def _seen_variances() -> FloatArray:
+    return np.array([s * s + 1.0 / 12.0 - _hidden_variance(float(s)) for s in _NOISE_GRID])
 
 
 def effective_count(values: FloatArray) -> tuple[NDArray[np.bool_], int]:
