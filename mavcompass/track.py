@@ -83,6 +83,8 @@ class MagSeries:
         quantum_mgauss: the step of the numbers, 0 for floats.
         truncated: True where the step was made by truncation toward zero (MAVLink's int16 of ArduPilot).
         device_id: the autopilot's id of the sensor, None where unknown.
+        not_applied: the correction that the autopilot has in force but keeps out of `reported` (PX4's
+            SCALED_IMU); None where what it has in force is inside.
     """
 
     instance: int
@@ -92,6 +94,7 @@ class MagSeries:
     quantum_mgauss: float = 0.0
     truncated: bool = False
     device_id: int | None = None
+    not_applied: FieldCorrection | None = None
 
     @property
     def time_s(self) -> FloatArray:

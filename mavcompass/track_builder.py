@@ -62,6 +62,7 @@ class TrackBuilder:
         self.restarts = 0
         self._in_force: dict[int, list[InForce]] = {}
         self._rotations: dict[int, FloatArray] = {}
+        self._not_applied: dict[int, FieldCorrection] = {}
         self._start_anew()
 
     def _start_anew(self) -> None:
@@ -75,9 +76,10 @@ class TrackBuilder:
         steps = self._in_force.setdefault(instance, [])
         steps.append(InForce(self.latest_s if steps else -np.inf, correction))
 
-    def set_rotation(self, instance: int, sensor_to_body: FloatArray) -> None:
-        """Say how to turn what is reported into body axes, where the autopilot has not done so."""
+    def set_raw(self, instance: int, sensor_to_body: FloatArray, in_force: FieldCorrection) -> None:
+        """Say that a compass is reported raw: how to turn it into body axes, and what is in force."""
         self._rotations[instance] = sensor_to_body
+        self._not_applied[instance] = in_force
 
     def vehicle_time_s(self, link_time_s: float) -> float:
         """Turn a time of the link's clock into the vehicle's; the link's while none is known."""
@@ -159,6 +161,7 @@ class TrackBuilder:
             correction_known=steps is not None,
             quantum_mgauss=1.0,
             truncated=True,
+            not_applied=self._not_applied.get(instance),
         )
 
     def build(self) -> Track:

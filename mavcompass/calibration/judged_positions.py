@@ -99,4 +99,6 @@ def _result(
 def in_force_of(track: Track, instance: int) -> FieldCorrection:
     """Return the correction in force at the end of a recording."""
     compass = track.compasses[instance]
+    if compass.not_applied is not None:
+        return compass.not_applied
     return correction_at(compass, float(compass.time_s[-1]))

@@ -27,7 +27,7 @@ from mavcompass.units import STANDARD_GRAVITY_MPS2
 # What is looked at before and after a dwell: several periods of a position loop.
 _MARGIN_S = 10.0
 _LONGEST_GAP_S = 0.5
-_KNOT_S = 0.5
+_KNOT_S = 1.0
 _FEWEST = 20
 # Of one velocity of a satellite receiver; its error lasts for about a second. And its delay.
 _RECEIVER_SIGMA_MPS, _RECEIVER_MEMORY_S, _RECEIVER_LAG_S = 0.1, 1.0, 0.11

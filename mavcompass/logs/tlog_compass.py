@@ -8,7 +8,7 @@ import numpy as np
 
 from mavcompass import telemetry
 from mavcompass.compass_parameters import ardupilot_name, px4_name, px4_rotation
-from mavcompass.correction import IDENTITY
+from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.logs.in_order import finite_series
 from mavcompass.logs.parameter_steps import Change, ardupilot_steps, px4_steps
@@ -55,14 +55,17 @@ def compass_of(
     steps: tuple[InForce, ...] = (InForce(-np.inf, IDENTITY),)
     known = True
     device_id: float | None = None
+    not_applied: FieldCorrection | None = None
     if autopilot == "ardupilot":
         steps, known = ardupilot_steps(history, instance)
         device_id = parameters.get(ardupilot_name("DEV_ID", instance))
     elif autopilot == "px4":
         device_id = parameters.get(px4_name("ID", instance))
+        in_force, in_force_known = px4_steps(history, instance)
         if highres:
-            steps, known = px4_steps(history, instance)
+            steps, known = in_force, in_force_known
         else:
+            not_applied = in_force[-1].correction if in_force_known else None
             reported, more = _px4_body_axes(reported, parameters, instance)
             notes += more
     else:
@@ -78,6 +81,7 @@ def compass_of(
         quantum_mgauss=0.0 if highres else 1.0,
         truncated=not highres,
         device_id=None if device_id is None else int(device_id),
+        not_applied=not_applied,
     )
     return compass, tuple(notes)
 

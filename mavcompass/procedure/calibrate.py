@@ -34,6 +34,7 @@ from mavcompass.track_builder import TrackBuilder
 
 # Two thirds of a step prove as much as a whole one and take less of the vehicle's time.
 _PROOF_SHARE = 2.0 / 3.0
+_PLACELESS = "The vehicle does not know its place: nothing was taken from the world's magnetic model."
 # Silent for so long after a stop, the vehicle was not stopped but lost.
 _LOST_S = 2.5
 
@@ -252,10 +253,8 @@ class _Desk:
         """Solve and judge every compass on what was recorded."""
         track = self.builder.build()
         world = earth_field_of(track, self.settings.year)
-        if world is None:
-            self.notes.append(
-                "The vehicle does not know its place: nothing was taken from the world's magnetic model."
-            )
+        if world is None and _PLACELESS not in self.notes:
+            self.notes.append(_PLACELESS)
         results = tuple(self.services.solve(track, i, windows, world) for i in self.instances)
         return CalibrationReport(
             identity=self.identity,
@@ -323,13 +322,13 @@ class _Desk:
             share = 1.0 if isinstance(mover, HandMover) else _PROOF_SHARE
             yield from mover.next(self.context, share * self.settings.step_rad, 1)
             window = yield from dwell(self.context, self.rest, self.gyro, mover, self.settings.dwell)
+            with_it = self.solve([*report.windows, window])
         except Exception as why:
             mover.halt(self.context)
             yield from self._take_back(report, f"The proof was cut short ({why}).")
             raise
-        track = self.builder.build()
-        proof = prove(track, report.windows[-1], window, report.results)
-        report = replace(report, proof=proof, track=track, duration_s=self.context.now - self.began_s)
+        proof = prove(with_it.track, report.windows[-1], window, report.results, with_it.results)
+        report = replace(report, proof=proof, track=with_it.track, duration_s=with_it.duration_s)
         if proof.passed:
             self.context.show("prove", proof.summary(), 1.0)
             return replace(report, messages=tuple(self.notes))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.errors import Refused
 from mavcompass.frames import FloatArray
 from mavcompass.procedure.script import Context, Script
 from mavcompass.track_builder import TrackBuilder
@@ -111,9 +112,13 @@ class Dialect(Protocol):
 def describe_compasses(builder: TrackBuilder, dialect: Dialect, parameters: Mapping[str, float]) -> None:
     """Tell a recording what telemetry has done to each compass's readings: corrected, or raw and turned."""
     for instance in dialect.instances(parameters):
+        try:
+            in_force = dialect.correction(parameters, instance)
+        except Refused:
+            continue  # mounted as nobody can tell; who wants that compass is told so
         rotation = dialect.raw_rotation(parameters, instance)
         if rotation is None:
-            builder.set_correction(instance, dialect.correction(parameters, instance))
+            builder.set_correction(instance, in_force)
         else:
             builder.set_correction(instance, IDENTITY)
-            builder.set_rotation(instance, rotation)
+            builder.set_raw(instance, rotation, in_force)

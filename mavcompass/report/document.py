@@ -64,6 +64,9 @@ def live_document(source: str, report: CalibrationReport, method: str) -> dict[s
                 "field_turned_deg": compass.field_turned_deg,
                 "gyro_turned_deg": compass.gyro_turned_deg,
                 "tolerance_deg": compass.tolerance_deg,
+                "change_deg": compass.change_deg,
+                "change_allowed_deg": compass.change_allowed_deg,
+                "doubts": list(compass.doubts),
                 "passed": compass.passed,
             }
             for compass in proof.compasses

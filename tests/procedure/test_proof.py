@@ -1,0 +1,68 @@
+"""The proof: one more turn, and the solution with the position that it adds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bent_vehicles import bent_vehicle, calibrated
+
+from mavcompass.calibration import calibrate_track
+from mavcompass.correction import FieldCorrection
+from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport
+from mavcompass.procedure.proof import Proof, prove
+from mavcompass.simulation.truth import heading_error_rms_deg
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> CalibrationReport:
+    """Return a calibration of five positions: the fifth serves as the proof's."""
+    settings = CalibrateSettings(writing="never", positions=5)
+    return calibrated(bent_vehicle("rover", 3), tmp_path_factory.mktemp("proof"), settings)
+
+
+def proof_of(report: CalibrationReport, doubts: tuple[str, ...] = (), off_mgauss: float = 0.0) -> Proof:
+    """Prove what the first four positions gave, its offset to the right wrong by `off_mgauss`."""
+    spans = [(window.start_s, window.end_s) for window in report.windows]
+    four = calibrate_track(report.track, windows=spans[:4])
+    five = calibrate_track(report.track, windows=spans)
+    x, y, z = four.correction.offsets_mgauss
+    four = replace(four, correction=replace(four.correction, offsets_mgauss=(x, y + off_mgauss, z)))
+    five = replace(five, reasons=doubts)
+    return prove(report.track, report.windows[3], report.windows[4], [four], [five])
+
+
+def test_a_right_calibration_is_proven(report: CalibrationReport) -> None:
+    proof = proof_of(report)
+    assert proof.passed and proof.summary().startswith("Proven: compass 1 turned ")
+    assert proof.compasses[0].change_deg < 0.3
+
+
+def test_a_bend_that_the_turn_does_not_show_is_seen_by_solving_anew(report: CalibrationReport) -> None:
+    proofs = [proof_of(report, off_mgauss=off) for off in (-8.0, 8.0)]
+    # The bend of an offset is steep at some headings and flat at others.
+    assert min(abs(p.compasses[0].difference_deg) for p in proofs) < 2.5
+    for proof in proofs:
+        assert not proof.passed
+        assert "the heading of compass 1 would be" in proof.summary()
+
+
+def test_a_position_that_contradicts_the_others_proves_nothing(report: CalibrationReport) -> None:
+    proof = proof_of(report, doubts=("The positions do not fit one rigid compass.",))
+    assert not proof.passed
+    assert proof.summary().startswith("Not proven: ")
+    assert proof.summary().endswith("The positions do not fit one rigid compass.")
+
+
+def test_the_old_values_of_px4_are_judged_by_what_was_in_force(tmp_path: Path) -> None:
+    vehicle = bent_vehicle("px4-copter", 3)
+    before_deg = heading_error_rms_deg(vehicle)
+    settings = CalibrateSettings(writing="never", positions=4, most_positions=4)
+    result = calibrated(vehicle, tmp_path, settings).results[0]
+    in_force = vehicle.firmware.correction(1)
+    assert isinstance(in_force, FieldCorrection)
+    assert result.in_force.offsets_mgauss == pytest.approx(in_force.offsets_mgauss, abs=0.1)
+    assert np.allclose(result.in_force.matrix, in_force.matrix, atol=1e-3)
+    assert result.heading_change_deg == pytest.approx(before_deg, abs=1.0)
