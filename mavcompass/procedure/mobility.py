@@ -16,13 +16,12 @@ from mavcompass.procedure.safety import MotionGuard, SafetyLimits
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.turning import TurnBy, TurnStrategy, strategies_for
 from mavcompass.procedure.turning_px4 import OffboardTurn
+from mavcompass.procedure.vehicle_profiles import vehicle_profile
 from mavcompass.procedure.vehicle_state import Kind, VehicleIdentity, VehicleState
 
 Motion = Literal["auto", "vehicle", "hand"]
 
 _ACKERMANN_STEERING = 26.0
-# An arc takes room that a turn on the spot does not, and water carries what it holds along.
-_ROOMY_DRIFT_M = 15.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +87,12 @@ class Mobility:
 
     def _watch(self, context: Context, parameters: Mapping[str, float]) -> None:
         limits = self.wishes.limits
-        if self._is_ackermann(parameters) or self.identity.kind in ("boat", "sub"):
-            limits = limits.with_drift(max(limits.drift_m, _ROOMY_DRIFT_M))
-        ours = _channels_moved(self.wishes.turn_by, self.identity.kind)
-        self._guard = MotionGuard(self.state, self.gyro, self.identity.kind, limits, self._modes, ours)
+        kind, autopilot = self.identity.kind, self.identity.autopilot
+        profile = vehicle_profile(kind, autopilot, self._is_ackermann(parameters))
+        if profile is not None:
+            limits = limits.with_drift(max(limits.drift_m, profile.drift_m))
+        ours = _channels_moved(self.wishes.turn_by, kind)
+        self._guard = MotionGuard(self.state, self.gyro, kind, limits, self._modes, ours)
         self._guard.begin()
         context.listeners.append(self._guard.hear)
         context.watches.append(self._guard.check)

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+from mavcompass.errors import MavCompassError
 from mavcompass.procedure.gyro_angle import GyroAngle
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.steering import (
@@ -22,6 +23,7 @@ from mavcompass.procedure.steering import (
     YawRate,
     YawStep,
 )
+from mavcompass.procedure.vehicle_profiles import TurnWay, vehicle_profile
 
 # How often a target is repeated: several in the time in which one that ends by itself ends.
 REPEAT_S = 0.1
@@ -34,6 +36,7 @@ _BOOST_GAIN, _MOST_BOOST = 0.15, 1.6
 _SLOW_RADPS = math.radians(5.0)
 
 TurnBy = Literal["auto", "rc-override", "manual-control"]
+OFFBOARD_YAW_RATES = "yaw rate setpoints in OFFBOARD"
 
 
 class TurnStrategy(Protocol):
@@ -159,38 +162,42 @@ def strategies_for(
 ) -> tuple[TurnStrategy, ...]:
     """List the ways to turn a vehicle, best first; empty where only a person can turn it.
 
-    `by` other than "auto" moves the pilot's own controls instead, in a mode in which they steer.
+    Which and how fast stands in `params/vehicles`. `by` other than "auto" moves the pilot's own controls
+    instead, in a mode in which they steer.
     """
-    if autopilot == "px4":
+    if by != "auto":
+        return _by_the_pilots_controls(kind, by) if autopilot == "ardupilot" else ()
+    profile = vehicle_profile(kind, autopilot, ackermann)
+    return () if profile is None else tuple(_strategy(way) for way in profile.ways)
+
+
+def _strategy(way: TurnWay) -> TurnStrategy:
+    """Build the strategy behind a way's name. Raises MavCompassError for a name that means nothing."""
+    if way.name == OFFBOARD_YAW_RATES:
         from mavcompass.procedure.turning_px4 import OffboardTurn
 
-        return (OffboardTurn(),) if kind == "copter" and by == "auto" else ()
-    if autopilot != "ardupilot":
-        return ()
-    if by != "auto":
-        return _by_the_pilots_controls(kind, by)
-    if kind == "rover" and ackermann:
-        arcs = YawRate(STAND_AND_YAW_RATE, forward_mps=1.0, name="slow arcs")
-        return (SteeredTurn(arcs, math.radians(25.0)),)
-    if kind == "rover":
-        return _pivots(math.radians(21.0), slow_down_s=0.3, coast_s=0.25)
-    if kind == "boat":
-        # Boats turn more slowly after a heading, so that the same rate wants a heading farther ahead.
-        return _pivots(math.radians(30.0), slow_down_s=1.5, coast_s=0.8, gain_per_s=1.0)
-    if kind in ("copter", "sub"):
-        standing = YawRate(STAND_AND_YAW_RATE, name="yaw rate targets at a standstill")
-        return (
-            SteeredTurn(YawStep(), math.radians(36.0), slow_down_s=0.1, arrives=True),
-            SteeredTurn(standing, math.radians(45.0)),
+        return OffboardTurn(way.rate_radps, way.slow_down_s, way.coast_s)
+    steers: dict[str, Steer] = {
+        "heading targets": HeadingAhead(way.gain_per_s),
+        "yaw rate targets": YawRate(),
+        "attitude targets": AttitudeRate(),
+        "slow arcs": YawRate(STAND_AND_YAW_RATE, forward_mps=way.forward_mps, name=way.name),
+        "CONDITION_YAW": YawStep(),
+        "yaw rate targets at a standstill": YawRate(STAND_AND_YAW_RATE, name=way.name),
+    }
+    if way.name not in steers:
+        raise MavCompassError(
+            f"A vehicle profile names a way to turn that does not exist: {way.name!r}.",
+            f"Choose from: {', '.join([*steers, OFFBOARD_YAW_RATES])}.",
         )
-    return ()
-
-
-def _pivots(
-    rate_radps: float, slow_down_s: float, coast_s: float, gain_per_s: float = 2.0
-) -> tuple[TurnStrategy, ...]:
-    steers: tuple[Steer, ...] = (HeadingAhead(gain_per_s), YawRate(), AttitudeRate())
-    return tuple(SteeredTurn(steer, rate_radps, slow_down_s=slow_down_s, coast_s=coast_s) for steer in steers)
+    steer = steers[way.name]
+    return SteeredTurn(
+        steer,
+        way.rate_radps,
+        slow_down_s=way.slow_down_s,
+        coast_s=way.coast_s,
+        arrives=isinstance(steer, YawStep),
+    )
 
 
 def _by_the_pilots_controls(kind: str, by: TurnBy) -> tuple[TurnStrategy, ...]:

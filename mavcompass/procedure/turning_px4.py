@@ -13,7 +13,7 @@ from mavcompass.procedure.gyro_angle import GyroAngle
 from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.steering import STAND_AND_YAW_RATE, YawRate
-from mavcompass.procedure.turning import SteeredTurn
+from mavcompass.procedure.turning import OFFBOARD_YAW_RATES, SteeredTurn
 
 _STREAM_S = 0.1
 _STREAM_BEFORE_S = 1.2
@@ -24,19 +24,24 @@ class OffboardTurn:
     """Turn by yaw rate setpoints at a standstill, in OFFBOARD from the first turn to the release.
 
     Attributes:
+        rate_radps, slow_down_s, coast_s: as in `SteeredTurn`.
         modes: knows the mode before and puts it back; without it OFFBOARD must already be there.
     """
 
-    rate_radps: float = math.radians(45.0)
+    rate_radps: float
+    slow_down_s: float
+    coast_s: float
     modes: ModeKeeper | None = field(default=None, compare=False)
-    name: str = "yaw rate setpoints in OFFBOARD"
+    name: str = OFFBOARD_YAW_RATES
     _steered: SteeredTurn = field(init=False, compare=False)
     _wanted_radps: float = field(default=0.0, compare=False)
     _next_s: float = field(default=-math.inf, compare=False)
     _streaming: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
-        self._steered = SteeredTurn(_Wish(self), self.rate_radps, coast_s=0.35)
+        self._steered = SteeredTurn(
+            _Wish(self), self.rate_radps, slow_down_s=self.slow_down_s, coast_s=self.coast_s
+        )
 
     def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
         """Turn; on the first turn start the stream and switch to OFFBOARD."""

@@ -10,11 +10,13 @@ from parameter_vehicle import ardupilot_parameters
 
 from mavcompass.data_files import params_path
 from mavcompass.errors import MavCompassError
-from mavcompass.procedure.turning import strategies_for
-from mavcompass.vehicle import parameter_rules, vehicle_profiles
+from mavcompass.procedure import vehicle_profiles
+from mavcompass.procedure.safety import SafetyLimits
+from mavcompass.procedure.turning import SteeredTurn, strategies_for
+from mavcompass.procedure.vehicle_profiles import vehicle_profile
+from mavcompass.vehicle import parameter_rules
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameter_files import read_parameter_file
-from mavcompass.vehicle.vehicle_profiles import vehicle_profile
 
 FAULTS = sorted(params_path("sitl-faults").glob("*.parm"))
 
@@ -63,14 +65,26 @@ def test_the_exact_cure_of_a_fault_may_be_written(name: str) -> None:
     [("rover", False), ("rover", True), ("boat", False), ("copter", False), ("sub", False)],
 )
 def test_every_vehicle_that_can_turn_itself_has_its_profile(kind: str, ackermann: bool) -> None:
-    assert strategies_for(kind, "ardupilot", ackermann)
+    ways = strategies_for(kind, "ardupilot", ackermann)
     profile = vehicle_profile(kind, "ardupilot", ackermann)
-    assert profile is not None and profile.ways
+    assert profile is not None
     assert profile.name == ("ackermann-rover" if ackermann else kind)
-    # A turn at the profile's rate is well inside its own limit.
-    assert profile.turn_rate_radps < 0.5 * profile.rate_limit_radps
-    # A dwell holds enough fresh readings of a compass that is read at 10 Hz.
-    assert profile.dwell_s >= 1.0 and profile.stream_rate_hz >= 10.0
+    # What the procedure turns by is what the file says.
+    assert ways and [way.name for way in ways] == [way.name for way in profile.ways]
+    for strategy, way in zip(ways, profile.ways, strict=True):
+        assert isinstance(strategy, SteeredTurn)
+        assert strategy.rate_radps == way.rate_radps and strategy.coast_s == way.coast_s
+        # A turn at the profile's rate is well inside the limit.
+        assert way.rate_radps < 0.5 * SafetyLimits().rate_radps
+
+
+def test_a_way_that_does_not_exist_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    profile = vehicle_profiles.VehicleProfile(
+        "tank", "ardupilot", ("rover",), (vehicle_profiles.TurnWay("tracks", 1.0),)
+    )
+    monkeypatch.setattr(vehicle_profiles, "vehicle_profiles", lambda: (profile,))
+    with pytest.raises(MavCompassError, match="'tracks'"):
+        strategies_for("rover", "ardupilot")
 
 
 def test_profiles_are_told_apart_by_autopilot_and_kind() -> None:
@@ -98,7 +112,12 @@ def test_a_damaged_rules_file_is_named(damage: str, tmp_path: Path, monkeypatch:
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [("rate_deg_s = 45.0", "rate_deg_s = -45.0"), ("[dwell]", "[well]"), ("kinds", "kinds = 3 #")],
+    [
+        ("rate_deg_s = 21.0", "rate_deg_s = -21.0"),
+        ("[[turn]]", "[[tern]]"),
+        ("coast_s", "cost_s"),
+        ("kinds", "kinds = 3 #"),
+    ],
 )
 def test_a_damaged_profile_is_named(
     old: str, new: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

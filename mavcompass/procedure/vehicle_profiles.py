@@ -14,34 +14,41 @@ from mavcompass.units import RAD_PER_DEG
 
 
 @dataclass(frozen=True, slots=True)
+class TurnWay:
+    """Hold one way to turn a vehicle.
+
+    Attributes:
+        name: as a person is told; `turning` knows the message behind it.
+        rate_radps: of the turn. slow_down_s: the rate is at most what is left divided by this.
+        coast_s: angle coasted after the last command, per rate at that moment.
+        gain_per_s: rate of turn per radian of heading error, for ways that name a heading.
+        forward_mps: speed while turning, for what cannot turn on the spot.
+    """
+
+    name: str
+    rate_radps: float
+    slow_down_s: float = 0.6
+    coast_s: float = 0.3
+    gain_per_s: float = 2.0
+    forward_mps: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleProfile:
     """Hold how one kind of vehicle is turned.
 
     Attributes:
         name: the file's name. autopilot: "ardupilot" or "px4". kinds: vehicles it is for, as in
-            `procedure.vehicle_state`, with "ackermann-rover" for one that cannot pivot.
-        ways: the ways to turn it by the names that a person is told, best first.
-        turn_rate_radps: of the turn. slow_down_s: the rate is at most what is left divided by this.
-        coast_s: angle coasted after the last command, per rate at that moment.
-        dwell_s, settle_s, patience_s: how long it stands, rests before, and may hunt before.
-        stream_rate_hz: at which the compass and the gyro are asked for.
-        tilt_limit_rad, rate_limit_radps, drift_limit_m: beyond these the motion is ended.
+            `vehicle_state`, with "ackermann-rover" for one that cannot pivot.
+        ways: best first; the next is tried where the gyro sees no motion.
+        drift_m: the room that its turning takes, where that is more than usual; else 0.
     """
 
     name: str
     autopilot: str
     kinds: tuple[str, ...]
-    ways: tuple[str, ...]
-    turn_rate_radps: float
-    slow_down_s: float
-    coast_s: float
-    dwell_s: float
-    settle_s: float
-    patience_s: float
-    stream_rate_hz: float
-    tilt_limit_rad: float
-    rate_limit_radps: float
-    drift_limit_m: float
+    ways: tuple[TurnWay, ...]
+    drift_m: float = 0.0
 
 
 def vehicle_profile(kind: str, autopilot: str, ackermann: bool = False) -> VehicleProfile | None:
@@ -69,23 +76,25 @@ def vehicle_profiles() -> tuple[VehicleProfile, ...]:
 
 
 def _profile(name: str, document: Mapping[str, Any]) -> VehicleProfile:
-    turn, dwell, limits = document["turn"], document["dwell"], document["limits"]
+    known = {"autopilot", "kinds", "turn", "drift_m"}
+    if not known.issuperset(document):
+        raise ValueError(f"unknown: {', '.join(sorted(set(document) - known))}")
+    ways = tuple(_way(table) for table in document["turn"])
+    if not ways:
+        raise ValueError("no way to turn")
     return VehicleProfile(
         name=name,
         autopilot=str(document["autopilot"]),
         kinds=tuple(map(str, document["kinds"])),
-        ways=tuple(map(str, turn["ways"])),
-        turn_rate_radps=_positive(turn["rate_deg_s"]) * RAD_PER_DEG,
-        slow_down_s=_positive(turn["slow_down_s"]),
-        coast_s=_positive(turn["coast_s"]),
-        dwell_s=_positive(dwell["dwell_s"]),
-        settle_s=_positive(dwell["settle_s"]),
-        patience_s=_positive(dwell["patience_s"]),
-        stream_rate_hz=_positive(document["stream"]["rate_hz"]),
-        tilt_limit_rad=_positive(limits["tilt_deg"]) * RAD_PER_DEG,
-        rate_limit_radps=_positive(limits["rate_deg_s"]) * RAD_PER_DEG,
-        drift_limit_m=_positive(limits["drift_m"]),
+        ways=ways,
+        drift_m=_positive(document["drift_m"]) if "drift_m" in document else 0.0,
     )
+
+
+def _way(table: Mapping[str, Any]) -> TurnWay:
+    numbers = {key: _positive(value) for key, value in table.items() if key != "way"}
+    rate_radps = numbers.pop("rate_deg_s") * RAD_PER_DEG
+    return TurnWay(str(table["way"]), rate_radps, **numbers)
 
 
 def _positive(value: float) -> float:
