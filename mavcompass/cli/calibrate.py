@@ -89,6 +89,7 @@ def chosen_instances(context: click.Context, parameter: click.Parameter, value: 
     show_default=True,
     help="Accept no calibration with a larger predicted heading error.",
 )
+@click.option("--speak", is_flag=True, help="Say the prompts aloud (spd-say, espeak-ng or say).")
 @click.option("--system", type=click.IntRange(1, 255), help="System id, where several vehicles are heard.")
 @click.option(
     "--effect",
@@ -121,6 +122,7 @@ def command(
     step_deg: float,
     dwell_s: float,
     max_error_deg: float,
+    speak: bool,
     system: int | None,
     effects: tuple[str, ...],
     in_force_file: Path | None,
@@ -176,7 +178,9 @@ def command(
         year=_this_year(),
         dwell=DwellSettings(dwell_s=dwell_s),
     )
-    return _live(source, address, effects, method, max_error_deg, settings, params_out, report_file, output)
+    return _live(
+        source, address, effects, method, max_error_deg, settings, speak, params_out, report_file, output
+    )
 
 
 def _this_year() -> float:
@@ -265,17 +269,19 @@ def _live(
     method: str,
     max_error_deg: float,
     settings: Any,
+    speak: bool,
     params_out: Path | None,
     report_file: Path | None,
     output: Output,
 ) -> int:
+    from mavcompass.cli.speech import speaking
     from mavcompass.cli.terminal import ask_on_terminal, showing
     from mavcompass.report.document import live_document, refused_document
     from mavcompass.vehicle.calibrating import calibrate_on
 
     with open_source(address, effects, as_ground_station=settings.turn_by != "auto") as link:
         before_deg = _true_error_deg(link, settings.instances)
-        with showing() as show:
+        with showing() as shown, speaking(shown, speak) as show:
             try:
                 report = calibrate_on(
                     link, source, settings, method, max_error_deg, on_show=show, on_ask=ask_on_terminal
