@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.heading.gravity import down_in_body
+from mavcompass.heading.gravity import down_in_body, moving_average
 from mavcompass.track import Track
 
 # Autopilots zero their gyros at power-up; what is left drifts with temperature.
@@ -26,6 +26,10 @@ _WINDOW_S = 3.0
 # Windows share their errors (a creep below the compass's resolution): no more than two count as independent.
 _INDEPENDENT_WINDOWS = 2.0
 _GAP_S = 0.5
+# A gyro that turns faster than so many sigmas of what its bias may be is turning.
+_TURNING_SIGMAS = 5.0
+_STEADY_RADPS = math.radians(1.0)
+_SHORTEST_S, _SMOOTHING_S = 1.0, 0.5
 # A field that moves by more than this many sigmas shows a vehicle that turns.
 _MOVING_SIGMAS = 4.0
 
@@ -130,9 +134,10 @@ def _vertical_bias(
     field_time, field = compass.time_s, np.asarray(compass.reported.values)
     swing = np.percentile(field, 98, axis=0) - np.percentile(field, 2, axis=0)
     amplitude = max(0.5 * float(np.sort(swing)[-2:].max()), 50.0)
-    edges = np.arange(time[0], time[-1] + 1e-9, _WINDOW_S)
+    # Autopilots take the bias out at power-up: what turns much faster than that leaves is a turn.
+    turning = _TURNING_SIGMAS * prior_sigma
     weight, total, best = 1.0 / prior_sigma**2, 0.0, prior_sigma
-    for start, end in pairwise(edges):
+    for start, end in _quiet_stretches(time, vertical, turning):
         rows = slice(*np.searchsorted(time, [start, end]))
         mags = slice(*np.searchsorted(field_time, [start, end]))
         if rows.stop - rows.start < 4 or mags.stop - mags.start < 4:
@@ -148,6 +153,31 @@ def _vertical_bias(
         weight += 1.0 / sigma**2
         total += float(rate.mean()) / sigma**2
     return total / weight, max(1.0 / math.sqrt(weight), best / math.sqrt(_INDEPENDENT_WINDOWS))
+
+
+def _quiet_stretches(time: FloatArray, rate: FloatArray, limit_radps: float) -> list[tuple[float, float]]:
+    """List stretches of at most `_WINDOW_S` in which the gyro shows what it shows most, below a limit.
+
+    A window across the end of a turn would show a turn as bias: its field moves too, but a few readings of
+    noise hide that. What is shown most, by the shortest half of the readings, is standing.
+    """
+    mean = moving_average(time, rate[:, np.newaxis], _SMOOTHING_S)[:, 0]
+    slow = np.sort(mean[np.abs(mean) < limit_radps])
+    if slow.size < 4:
+        return []
+    half = slow.size // 2
+    narrowest = int(np.argmin(slow[half:] - slow[:-half]))
+    usual = float(slow[narrowest : narrowest + half + 1].mean())
+    quiet = (np.abs(mean - usual) < _STEADY_RADPS) & (np.abs(mean) < limit_radps)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
+    out: list[tuple[float, float]] = []
+    for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
+        start, length = float(time[first]), float(time[last] - time[first])
+        if length < _SHORTEST_S:
+            continue
+        cuts = np.linspace(start, start + length, max(math.ceil(length / _WINDOW_S - 1e-6), 1) + 1)
+        out += [(float(a), float(b)) for a, b in pairwise(cuts)]
+    return out
 
 
 def _slope(time: FloatArray, field: FloatArray, quantum: float) -> tuple[FloatArray, float]:

@@ -46,7 +46,7 @@ class DwellSettings:
 
     dwell_s: float = 1.7
     settle_s: float = 0.1
-    patience_s: float = 6.0
+    patience_s: float = 3.0
 
 
 @dataclass(slots=True)
