@@ -1,0 +1,93 @@
+"""A vehicle that speaks and understands MAVLink 1 only is calibrated like any other."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import pytest
+from bent_vehicles import bent_vehicle, calibrated
+
+from mavcompass.simulation.autopilot import SimulatedAutopilot
+from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.vehicle.codec import decode
+from mavcompass.vehicle.framing import FrameParser, FrameWriter
+from mavcompass.vehicle.link import LinkStatistics
+from mavcompass.vehicle.transport import Peer
+from mavcompass.vehicle.wire import WireLink
+
+
+class OldVehicle:
+    """Be the bytes of a vehicle in virtual time: everything goes over the wire's own frames.
+
+    Attributes:
+        heard, not_understood: how many frames came in version 1 and in version 2.
+    """
+
+    name = "old vehicle"
+
+    def __init__(self, vehicle: SimulatedAutopilot) -> None:
+        self.vehicle = vehicle
+        self.heard = self.not_understood = 0
+        self._parser = FrameParser(LinkStatistics(), None)
+        self._writer = FrameWriter(version=1)
+        self._said = bytearray()
+
+    def wait(self, timeout_s: float) -> None:
+        """Let the vehicle live on for a moment."""
+        for said in self.vehicle.advance(self.vehicle.time_s + min(max(timeout_s, 1e-5), 0.01)):
+            if said.port in (None, 0):
+                # What has no number in version 1 cannot be said.
+                with contextlib.suppress(ValueError):
+                    self._said += self._writer.write(said.message, said.system, said.component)
+
+    def read(self) -> list[tuple[Peer, bytes]]:
+        """Return what the vehicle said."""
+        data, self._said = bytes(self._said), bytearray()
+        return [("vehicle", data)] if data else []
+
+    def write(self, data: bytes, peer: Peer) -> bool:
+        """Let the vehicle hear what it understands."""
+        for frame in self._parser.feed(data):
+            if frame.version != 1:
+                self.not_understood += 1
+                continue
+            self.heard += 1
+            message = decode(frame.message_id, frame.payload)
+            assert message is not None
+            self.vehicle.receive(message, frame.system, frame.component, 0)
+        return True
+
+    def peers(self) -> list[Peer]:
+        """Name the one vehicle."""
+        return ["vehicle"]
+
+    def hang_up(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class VirtualWireLink(WireLink):
+    """Speak over a wire on the vehicle's own clock."""
+
+    def __init__(self, wire: OldVehicle) -> None:
+        super().__init__(wire)
+        self._wire = wire
+
+    def now(self) -> float:
+        """Return the vehicle's time."""
+        return self._wire.vehicle.time_s
+
+
+@pytest.mark.parametrize("kind", ["rover", "copter", "px4-copter"])
+def test_a_vehicle_of_version_1_is_calibrated(kind: str, tmp_path: Path) -> None:
+    vehicle = bent_vehicle(kind, 2)
+    wire = OldVehicle(vehicle)
+    report = calibrated(vehicle, tmp_path, link=VirtualWireLink(wire))
+    assert report.written and report.proof is not None and report.proof.passed
+    assert heading_error_rms_deg(vehicle) <= 0.5
+    assert wire.heard > 100
+    # Once it has not answered in version 2 for three seconds, nothing is said in that any more.
+    assert wire.not_understood < 0.2 * wire.heard
