@@ -19,6 +19,10 @@ from mavcompass.procedure.vehicle_state import Kind, VehicleState
 # Sticks that rest in the middle, by kind; throttles need not.
 _CENTRED: dict[Kind, tuple[int, ...]] = {"rover": (1,), "boat": (1,), "copter": (1, 2, 4), "sub": (4,)}
 _CENTRE_US, _HELD_US = 1500, 150
+_CIRCLING = (
+    "A copter whose compass is far off circles instead of holding its place: calibrate it on the ground, "
+    "turned by hand."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +190,8 @@ class MotionGuard:
         east_m = (place.lon - start.lon) * 1e-7 * 111_319.5 * math.cos(math.radians(start.lat * 1e-7))
         drift_m = math.hypot(north_m, east_m)
         if drift_m > self.limits.drift_m:
-            return f"The vehicle moved {drift_m:.1f} m away from where it started."
+            reason = f"The vehicle moved {drift_m:.1f} m away from where it started."
+            return f"{reason} {_CIRCLING}" if self.kind == "copter" else reason
         return self._too_low()
 
 
