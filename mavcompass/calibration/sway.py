@@ -1,4 +1,4 @@
-"""Which way is down for something that sways: a hovering copter, a diving sub.
+"""Which way is down for something that sways: a hovering copter.
 
 A hovering copter's accelerometer shows its thrust, which leans exactly as the vehicle does: it reads level
 whatever the tilt. The autopilot's own tilt is fused with the compass that is being calibrated and with
@@ -238,7 +238,7 @@ def _velocity(track: Track, time: FloatArray) -> _Velocity | None:
         if when.size >= 4 and when.size > 0.8 * span:
             crowd = max(when.size * _RECEIVER_MEMORY_S / span, 1.0)
             return _Velocity(when, horizontal, _RECEIVER_SIGMA_MPS * math.sqrt(crowd))
-    if track.vehicle not in ("copter", "sub"):
+    if track.vehicle != "copter":
         return None
     when = np.arange(float(time[0]), float(time[-1]), 1.0)
     return _Velocity(when, np.zeros((when.size, 2)), _HOVER_SIGMA_MPS)

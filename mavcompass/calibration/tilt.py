@@ -19,8 +19,9 @@ TILT_FLOOR_RAD = math.radians(0.02)
 _ESTIMATOR_SIGMA_RAD = math.radians(0.15)
 # A mean specific force further from g than this is not gravity alone.
 _GRAVITY_SLACK = 0.06
-# What stands on the ground, or is taken to: a box of sensors of which nothing is known.
-_STANDING = frozenset({"rover", "ackermann-rover", "boat", "unknown"})
+# What stands, floats or is held upright by its buoyancy, and a box of sensors of which nothing is known:
+# there the accelerometer shows gravity.
+_UPHELD = frozenset({"rover", "ackermann-rover", "boat", "sub", "unknown"})
 
 
 def tilt_during(track: Track, time_s: FloatArray) -> tuple[float, float, float, FloatArray]:
@@ -34,7 +35,7 @@ def tilt_during(track: Track, time_s: FloatArray) -> tuple[float, float, float, 
     """
     start, end = float(time_s[0]), float(time_s[-1])
     force, shaking = _mean_force(track, start, end)
-    moved = None if track.vehicle in _STANDING else sway(track, start, end)
+    moved = None if track.vehicle in _UPHELD else sway(track, start, end)
     witnesses: list[tuple[FloatArray, float]] = []
     if abs(float(np.linalg.norm(force)) / STANDARD_GRAVITY_MPS2 - 1.0) < _GRAVITY_SLACK:
         swing = 0.0 if moved is None else moved.swing_rad
