@@ -69,7 +69,7 @@ class Gaps:
     def stop(self) -> None:
         """End a diagnosis that is under way."""
         self.desk.close("The service is stopping.")
-        self._worker.end()
+        self._worker.close()
 
 
 def _causes(document: dict[str, Any]) -> str:

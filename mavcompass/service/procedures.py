@@ -82,7 +82,8 @@ def calibration(
         result: CalibrationResult = worker.call(
             "solve", track, instance, windows, earth, request.method, MAX_HEADING_ERROR_DEG
         )
-        task.results = (*task.results, result)
+        others = (other for other in task.results if other.instance != instance)
+        task.results = (*others, result)
         return result
 
     autopilot = ""

@@ -43,6 +43,7 @@ class Results:
     ) -> None:
         """Record a calibration, accepted or not."""
         assert isinstance(task.request, CalibrationRequest)
+        task.results = report.results  # the proof solves anew, but what counts is what was written
         document = live_document(self._config.vehicle.source, report, task.request.method)
         document["old_and_new"] = [_old_and_new(result) for result in report.results]
         ok = report.accepted and not report.undone

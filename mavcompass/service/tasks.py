@@ -79,7 +79,7 @@ class Task:
         fraction: of the whole, 0..1, never falling.
         question: what the person is asked now, None while nothing.
         document: the machine-readable result. entry: its number in the history.
-        results: the solutions of a calibration, as soon as there are any.
+        results: the latest solution for each compass of a calibration, as soon as there is one.
     """
 
     number: int

@@ -29,10 +29,16 @@ class Worker:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._child: subprocess.Popen[bytes] | None = None
+        self._closed = False
 
     def start(self) -> None:
-        """Start the child, whose imports then run beside whatever comes first."""
+        """Start the child, whose imports then run beside whatever comes first.
+
+        Raises MavCompassError after `close`.
+        """
         with self._lock:
+            if self._closed:
+                raise MavCompassError("The service is stopping.", "Start it again, then try once more.")
             if self._child is None or self._child.poll() is not None:
                 self._child = subprocess.Popen(
                     [sys.executable, "-m", "mavcompass.service.worker"],
@@ -65,8 +71,14 @@ class Worker:
             raise value
         return value
 
+    def close(self) -> None:
+        """End the child for good."""
+        with self._lock:
+            self._closed = True
+        self.end()
+
     def end(self) -> None:
-        """End the child."""
+        """End the child; the next job starts another."""
         with self._lock:
             child, self._child = self._child, None
         if child is None:
