@@ -69,6 +69,17 @@ def test_the_recording_of_a_calibration_is_read_like_any_other(
     assert result.accepted
     assert result.correction.offsets_mgauss[:2] == pytest.approx(found[:2], abs=2.0)
 
+    asked = running.client.post("/api/gap", json={"entry": task["history_entry"]})
+    assert asked.status_code == 202
+    explained = wait_for(
+        lambda: (t := running.client.get("/api/gap").json())["state"] in ("done", "failed") and t, 60.0
+    )
+    assert explained["ok"], explained["error"]
+    assert explained["document"]["schema"] == "mavcompass.gap/1"
+    page = running.stranger.get(f"/api/history/{explained['history_entry']}/report")
+    assert page.status_code == 200 and "gap" in page.text
+    assert running.client.get("/api/history?kind=gap").json()["entries"][0]["summary"]
+
 
 def test_the_person_is_asked_before_anything_is_written(running: RunningService) -> None:
     before = running.client.get("/api/parameters").json()["parameters"]
