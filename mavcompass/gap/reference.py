@@ -17,18 +17,16 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
+from mavcompass.gap.kinematics import exponentials
+from mavcompass.gap.levelling import levelled
 from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.track import Series, Track
-from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 ReferenceKind = Literal["columns", "gps-yaw", "gyro", "attitude"]
 Choice = Literal["auto", "gyro", "gps-yaw", "attitude", "columns"]
 
 # Integrating the gyro needs samples closer together than this; slower recordings use ATTITUDE.
 SLOWEST_GYRO_S = 0.15
-_LEVELLING_S = 12.0
-_STILL_RATE_RADPS = math.radians(1.0)
-_GRAVITY_TOLERANCE_MPS2 = 0.6
 _REMEDY = "Record RAW_IMU or IMU messages at 10 Hz or more, or an attitude (ATTITUDE, ATT)."
 
 
@@ -43,6 +41,7 @@ class Reference:
         yaw_sigma_rad: a priori standard deviation of a constant yaw error (0: none is solved for).
         drift_sigma_radps: the same of a yaw error that grows evenly.
         bent_sigma_rad: the same of a yaw error that goes with the heading (a compass made the yaw).
+        tilt_sigma_rad: what roll and pitch show themselves to be off by; 0 where nothing tells.
         notes: what a reader of the result must know.
     """
 
@@ -53,6 +52,7 @@ class Reference:
     yaw_sigma_rad: float = 0.0
     drift_sigma_radps: float = 0.0
     bent_sigma_rad: float = 0.0
+    tilt_sigma_rad: float = 0.0
     notes: tuple[str, ...] = ()
 
 
@@ -141,20 +141,21 @@ def _rotation_vectors(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def _gyro(track: Track, time_s: FloatArray) -> Reference | None:
-    smoothed = _smoothed(track)
+    smoothed = levelled(track)
     if smoothed is None:
         return None
-    clock, rotation, rate, drift = smoothed
+    clock = smoothed.clock
     notes = (
         "The attitude is the smoothed gyro and accelerometer; its initial yaw is solved with the field.",
     )
     return Reference(
         "gyro",
-        _rotations_at(clock, rotation, rate, time_s),
-        at_times(clock, rate, time_s),
+        _rotations_at(clock, smoothed.rotation, smoothed.rate_radps, time_s),
+        at_times(clock, smoothed.rate_radps, time_s),
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
         yaw_sigma_rad=math.radians(60.0),
-        drift_sigma_radps=drift,
+        drift_sigma_radps=smoothed.drift_sigma_radps,
+        tilt_sigma_rad=smoothed.tilt_sigma_rad,
         notes=notes,
     )
 
@@ -165,124 +166,14 @@ def _rotations_at(
     """Carry rotations to other times with the rate at the nearest sample before."""
     left = np.clip(np.searchsorted(clock, time_s, side="right") - 1, 0, clock.size - 1)
     middle_rate = at_times(clock, rate, 0.5 * (time_s + clock[left]))
-    return np.asarray(rotation[left] @ _exponentials(middle_rate * (time_s - clock[left])[:, None]))
-
-
-def _exponentials(vectors: FloatArray) -> FloatArray:
-    """Return the rotations (N, 3, 3) by rotation vectors (N, 3)."""
-    angle = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
-    safe = np.where(angle > 1e-9, angle, 1.0)
-    k = np.zeros((len(vectors), 3, 3))
-    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -vectors[:, 2], vectors[:, 1], -vectors[:, 0]
-    k[:, 1, 0], k[:, 2, 0], k[:, 2, 1] = vectors[:, 2], -vectors[:, 1], vectors[:, 0]
-    first = np.where(angle > 1e-9, np.sin(safe) / safe, 1.0)[:, None, None]
-    second = np.where(angle > 1e-9, (1.0 - np.cos(safe)) / safe**2, 0.5)[:, None, None]
-    return np.asarray(np.eye(3) + first * k + second * (k @ k))
-
-
-def _smoothed(track: Track) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
-    """Integrate the gyro and level it; return times, rotations, rates, and the yaw drift's sigma."""
-    if track.gyro_radps is None or track.acc_mps2 is None or len(track.gyro_radps) < 20:
-        return None
-    finite = np.isfinite(track.gyro_radps.values).all(axis=1)
-    clock, raw = track.gyro_radps.time_s[finite], track.gyro_radps.values[finite]
-    clock, first = np.unique(clock, return_index=True)
-    raw = raw[first]
-    acc = track.acc_mps2.at(clock)
-    still = _still(clock, raw)
-    # At rest the median is the bias; without rest it stays in, and the drift is solved with the field.
-    resting = float(np.diff(clock, append=clock[-1])[still].sum())
-    rate = raw - (np.median(raw[still], axis=0) if resting > 1.0 else 0.0)
-    drift = math.radians(0.02) if resting > 1.0 else math.radians(0.5)
-    down = acc / -np.maximum(np.linalg.norm(acc, axis=1, keepdims=True), 1e-6)
-    steady = np.abs(np.linalg.norm(acc, axis=1) - STANDARD_GRAVITY_MPS2) < _GRAVITY_TOLERANCE_MPS2
-    return clock, _with_down(clock, rate, _smoothed_down(clock, rate, down, steady)), rate, drift
-
-
-def _smoothed_down(
-    clock: FloatArray, rate: FloatArray, down: FloatArray, steady: NDArray[np.bool_]
-) -> FloatArray:
-    """Return the down vector in body axes, (N, 3), from gyro and accelerometer over both sides of each time.
-
-    Turned by the integrated gyro into the axes of the start, down stands still but for the gyro's drift:
-    there it is averaged over some seconds before and after, and turned back.
-    """
-    rotation = _integrated(clock, rate)
-    there = np.einsum("nij,nj->ni", rotation, down) * steady[:, None]
-    step = max(float(np.median(np.diff(clock))), 1e-3)
-    half = max(1, round(_LEVELLING_S / step))
-    kernel = np.concatenate([np.arange(1, half + 1), np.arange(half - 1, 0, -1)]).astype(np.float64)
-    total = np.stack([_convolved(there[:, i], kernel) for i in range(3)], axis=1)
-    # Where nothing was steady nearby, the average of all is the best there is.
-    total += 1e-3 * there.sum(axis=0)
-    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
-    return np.asarray(np.einsum("nji,nj->ni", rotation, total))
-
-
-def _convolved(values: FloatArray, kernel: FloatArray) -> FloatArray:
-    """Return the centred convolution, as long as the values, by the Fourier transform."""
-    size = 1 << (values.size + kernel.size).bit_length()
-    product = np.fft.irfft(np.fft.rfft(values, size) * np.fft.rfft(kernel, size), size)
-    first = (kernel.size - 1) // 2
-    return np.asarray(product[first : first + values.size])
-
-
-def _integrated(clock: FloatArray, rate: FloatArray) -> FloatArray:
-    """Integrate body rates to rotations (N, 3, 3) from the identity."""
-    step = np.diff(clock, prepend=clock[0])
-    increments = _exponentials(0.5 * (rate + np.vstack([rate[:1], rate[:-1]])) * step[:, None])
-    out = np.empty((clock.size, 3, 3))
-    rotation = np.eye(3)
-    for i in range(clock.size):
-        rotation = rotation @ increments[i]
-        out[i] = rotation
-    return out
-
-
-def _still(clock: FloatArray, raw: FloatArray) -> NDArray[np.bool_]:
-    window = max(3, int(0.7 / max(float(np.median(np.diff(clock))), 1e-3)))
-    kernel = np.ones(window) / window
-    smooth = np.stack([np.convolve(raw[:, i], kernel, mode="same") for i in range(3)], axis=1)
-    size = np.abs(smooth).max(axis=1)
-    # The quietest stretch tells the bias; whatever turns no faster than that is still.
-    bias = np.median(smooth[size <= size.min() + _STILL_RATE_RADPS], axis=0)
-    return np.asarray(np.abs(smooth - bias).max(axis=1) < _STILL_RATE_RADPS)
-
-
-def _with_down(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArray:
-    """Build rotations with the given down vector (body axes) and the yaw that the rate integrates to."""
-    roll = np.arctan2(down[:, 1], down[:, 2])
-    pitch = np.arcsin(np.clip(-down[:, 0], -1.0, 1.0))
-    cosine = np.maximum(np.cos(pitch), 0.05)
-    yaw_rate = (rate[:, 1] * np.sin(roll) + rate[:, 2] * np.cos(roll)) / cosine
-    if float(cosine.min()) > 0.3:
-        middle = 0.5 * (yaw_rate[1:] + yaw_rate[:-1])
-        yaw = np.concatenate([[0.0], np.cumsum(middle * np.diff(clock))])
-        return euler_to_matrix(roll, pitch, yaw)
-    return _without_euler(clock, rate, down)
-
-
-def _without_euler(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArray:
-    """Do the same where the vehicle points straight up: carry the whole attitude, then set its level."""
-    step = np.diff(clock, prepend=clock[0])
-    increments = _exponentials(0.5 * (rate + np.vstack([rate[:1], rate[:-1]])) * step[:, None])
-    rotation = euler_to_matrix(math.atan2(down[0, 1], down[0, 2]), math.asin(-float(down[0, 0])), 0.0)
-    out = np.empty((clock.size, 3, 3))
-    for i in range(clock.size):
-        rotation = rotation @ increments[i]
-        # The smallest rotation that takes the third row to the known down vector adds no yaw.
-        x = rotation[0] - down[i] * float(rotation[0] @ down[i])
-        x /= math.sqrt(float(x @ x))
-        rotation = np.stack([x, np.cross(down[i], x), down[i]])
-        out[i] = rotation
-    return out
+    return np.asarray(rotation[left] @ exponentials(middle_rate * (time_s - clock[left])[:, None]))
 
 
 def _gps_yaw(track: Track, time_s: FloatArray) -> Reference | None:
-    smoothed = _smoothed(track)
+    smoothed = levelled(track)
     if smoothed is None or track.gps_yaw_rad is None:
         return None
-    clock, rotation, rate, _ = smoothed
+    clock, rotation, rate = smoothed.clock, smoothed.rotation, smoothed.rate_radps
     finite = np.isfinite(track.gps_yaw_rad.values)
     heard, yaw = track.gps_yaw_rad.time_s[finite], np.unwrap(track.gps_yaw_rad.values[finite])
     if heard.size < 8:
@@ -300,6 +191,7 @@ def _gps_yaw(track: Track, time_s: FloatArray) -> Reference | None:
         at_times(clock, rate, time_s),
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
         yaw_sigma_rad=math.radians(1.0),
+        tilt_sigma_rad=smoothed.tilt_sigma_rad,
         notes=(
             "The yaw is that of the two-antenna receiver; a mounting error of about 1 degree is allowed.",
         ),

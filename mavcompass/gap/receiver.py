@@ -1,0 +1,108 @@
+"""The acceleration that a satellite receiver shows, and how it lies in a frame of unknown yaw."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.track import Series, Track
+
+_STEP_S = 0.2
+# Accelerations are compared smoothed over some seconds (the noise of a second derivative falls with the
+# square of it), and taken away less smooth.
+_COMPARED_S, _TAKEN_S = 3.0, 1.0
+_FEWEST_FIXES = 50
+_LONGEST_GAP_S = 3.0
+# The receiver is believed where it explains this share of what is felt, with a yaw that drifts by less.
+_BELIEVED_SHARE = 0.3
+_MOST_DRIFT_RADPS = math.radians(1.0)
+_TURN_STEP_RAD = 0.25
+_EARTH_RADIUS_M = 6_371_000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """Hold accelerations north, east, down, (N, 3) each: smooth enough to compare, and to take away."""
+
+    compared_mps2: FloatArray
+    taken_mps2: FloatArray
+
+    def turned_like(self, clock: FloatArray, rotation: FloatArray, force: FloatArray) -> FloatArray | None:
+        """Turn the acceleration by the yaw, and its even drift, that fit forces (N, 3) in body axes.
+
+        `rotation` (N, 3, 3) goes from body axes to a level frame. None where no yaw explains what is felt.
+        """
+        level = np.einsum("nij,nj->ni", rotation, force)
+        width = max(round(_COMPARED_S / max(float(np.median(np.diff(clock))), 1e-3)), 1)
+        smooth = _running(_running(level, width), width)
+        felt = smooth[:, 0] + 1j * smooth[:, 1]
+        said = self.compared_mps2[:, 0] + 1j * self.compared_mps2[:, 1]
+        middle = clock - 0.5 * (clock[0] + clock[-1])
+        step = _TURN_STEP_RAD / max(float(np.ptp(clock)), 1.0)
+        drifts = step * np.arange(
+            -math.ceil(_MOST_DRIFT_RADPS / step), math.ceil(_MOST_DRIFT_RADPS / step) + 1
+        )
+        product = np.conj(said) * felt
+        sums = np.array([np.sum(product * np.exp(-1j * drift * middle)) for drift in drifts])
+        best = int(np.argmax(np.abs(sums)))
+        turn = np.exp(1j * (drifts[best] * middle + np.angle(sums[best])))
+        left, whole = float(np.mean(np.abs(felt - said * turn) ** 2)), float(np.mean(np.abs(felt) ** 2))
+        if left > (1.0 - _BELIEVED_SHARE) * whole:
+            return None
+        taken = (self.taken_mps2[:, 0] + 1j * self.taken_mps2[:, 1]) * turn
+        return np.stack([taken.real, taken.imag, self.taken_mps2[:, 2]], axis=1)
+
+
+def receiver_path(track: Track, clock: FloatArray) -> Path | None:
+    """Differentiate what a receiver says; None where it does not speak all the time.
+
+    The accelerations are exact derivatives of smooth curves: averaged over T, their noise falls with T.
+    """
+    for series, order in ((track.gps_velocity_mps, 1), (track.position_ned_m, 2), (_local(track.place), 2)):
+        if series is None:
+            continue
+        finite = np.isfinite(series.values).all(axis=1)
+        when, values = series.time_s[finite], series.values[finite]
+        if when.size < _FEWEST_FIXES or float(np.max(np.diff(when))) > _LONGEST_GAP_S:
+            continue
+        if when[0] > clock[0] + _LONGEST_GAP_S or when[-1] < clock[-1] - _LONGEST_GAP_S:
+            continue
+        grid = np.arange(clock[0], clock[-1] + _STEP_S, _STEP_S)
+        curve = np.stack([np.interp(grid, when, column) for column in values.T], axis=1)
+        if len(curve) < _FEWEST_FIXES:
+            continue
+        return Path(*(_derivative(grid, curve, order, s, clock) for s in (_COMPARED_S, _TAKEN_S)))
+    return None
+
+
+def _derivative(
+    grid: FloatArray, curve: FloatArray, order: int, smoothing_s: float, clock: FloatArray
+) -> FloatArray:
+    width = round(smoothing_s / _STEP_S)
+    curve = _running(_running(curve, width), width)
+    for _ in range(order):
+        curve = np.gradient(curve, _STEP_S, axis=0)
+    return np.stack([np.interp(clock, grid, column) for column in curve.T], axis=1)
+
+
+def _local(place: Series | None) -> Series | None:
+    """Return north, east, down in metres about the middle of some places."""
+    if place is None or not np.isfinite(place.values).all(axis=1).any():
+        return None
+    lat, lon, alt = place.values.T
+    lat_0, lon_0 = float(np.nanmedian(lat)), float(np.nanmedian(lon))
+    north = np.radians(lat - lat_0) * _EARTH_RADIUS_M
+    east = np.radians(lon - lon_0) * _EARTH_RADIUS_M * math.cos(math.radians(lat_0))
+    return Series.of(place.time_s, np.stack([north, east, -alt], axis=1))
+
+
+def _running(values: FloatArray, width: int) -> FloatArray:
+    """Return centred means of columns over an odd number of rows; straight lines go on at the ends."""
+    half = min(max(width // 2, 1), len(values) - 1)
+    left = 2.0 * values[:1] - values[half:0:-1]
+    right = 2.0 * values[-1:] - values[-2 : -half - 2 : -1]
+    total = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), left, values, right]), axis=0)
+    return np.asarray((total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1))
