@@ -210,7 +210,7 @@ def _dwell(
     middle = float(np.median(angles))
     turned = middle + float(np.angle(phasor * np.exp(-1j * middle)))
     turning = abs(float(np.mean(record.rate_at(time)))) if record is not None else 0.0
-    roll, pitch, tilt_sigma, acc = tilt_during(track, time)
+    roll, pitch, tilt_sigma, acc = tilt_during(track, time - field_lag_s(track), LAG_SIGMA_S)
     current = track.current_a
     return Dwell(
         start_s=float(time[0]),
@@ -299,7 +299,7 @@ def _wander(
     if half < 2:
         return 0.0
     apart = float(np.linalg.norm(residual[half:].mean(axis=0) - residual[:half].mean(axis=0)))
-    down = down_in_body(track, time)
+    down = down_in_body(track, time - field_lag_s(track))
     leaning = float(np.linalg.norm(down[half:].mean(axis=0) - down[:half].mean(axis=0)))
     apart -= length * leaning
     chance = 4.0 * noise * math.sqrt(4.0 / max(len(residual), 2)) + quantum

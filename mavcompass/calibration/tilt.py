@@ -24,8 +24,12 @@ _GRAVITY_SLACK = 0.06
 _UPHELD = frozenset({"rover", "ackermann-rover", "boat", "sub", "unknown"})
 
 
-def tilt_during(track: Track, time_s: FloatArray) -> tuple[float, float, float, FloatArray]:
+def tilt_during(
+    track: Track, time_s: FloatArray, lag_sigma_s: float = 0.0
+) -> tuple[float, float, float, FloatArray]:
     """Return roll, pitch, their sigma and the mean specific force over the stretch of some readings.
+
+    `lag_sigma_s` is what is not known of the readings' times: it matters while the tilt changes.
 
     Three witnesses, weighed by their variance. The accelerometer's mean is gravity wherever the velocity is
     the same at both ends, but motors shake it and what hovers sways. Newton's law (`sway`) holds for
@@ -47,6 +51,7 @@ def tilt_during(track: Track, time_s: FloatArray) -> tuple[float, float, float, 
         witnesses.append((down_in_body(track, time_s).mean(axis=0), TILT_FLOOR_RAD))
     down, sigma = _weighed(witnesses)
     x, y, z = down
+    sigma = math.hypot(sigma, *_swinging(down_in_body(track, time_s), end - start, lag_sigma_s))
     return math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), sigma, force
 
 
@@ -58,6 +63,13 @@ def _weighed(witnesses: list[tuple[FloatArray, float]]) -> tuple[FloatArray, flo
     apart = ((directions - mean) ** 2).sum(axis=1) / 2.0
     excess = float(weights @ apart) / max(len(witnesses) - 1, 1)
     return mean, math.sqrt(max(excess, 1.0) / float(weights.sum()))
+
+
+def _swinging(down: FloatArray, length_s: float, lag_sigma_s: float) -> tuple[float, float]:
+    """Return what a swing of the tilt leaves unknown of its mean: by being no small angle, and by the lag."""
+    bend = 0.5 * float(((down - down.mean(axis=0)) ** 2).sum(axis=1).mean())
+    moved = float(np.linalg.norm(down[-1] - down[0]))
+    return bend, moved * lag_sigma_s / max(length_s, 1e-3)
 
 
 def _add_estimator(

@@ -42,11 +42,14 @@ class DwellSettings:
             the chassis and the compass's average of 100 ms have settled.
         patience_s: a vehicle that hunts longer than this is dwelt upon as it is; the sway is then in
             the data, where the gyro explains it.
+        tilting_patience_s: the same for one that tilts to and fro, as a copter does until its estimator has
+            made up its mind about a bent compass. That costs more than time.
     """
 
     dwell_s: float = 1.7
     settle_s: float = 0.1
     patience_s: float = 3.0
+    tilting_patience_s: float = 10.0
 
 
 @dataclass(slots=True)
@@ -170,17 +173,18 @@ def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettin
 
     Raises LinkLost where no IMU messages come.
     """
-    end, heard_at = context.now + settings.patience_s, rest.time_s
+    began_s, heard_at = context.now, rest.time_s
     shown, held_s = False, -math.inf
     while rest.for_s() < settings.settle_s:
-        if context.now > end:
+        tilting = rest.why_not == "tilting"
+        if context.now > began_s + (settings.tilting_patience_s if tilting else settings.patience_s):
             if rest.time_s == heard_at:
                 raise LinkLost(
                     "No RAW_IMU or SCALED_IMU message came.",
                     "Check that the vehicle streams them on this link (SRn_RAW_SENS, MAV_n_MODE).",
                 )
             return False
-        if not shown and rest.why_not and context.now > end - settings.patience_s + 1.0:
+        if not shown and rest.why_not and context.now > began_s + 1.0:
             context.show("settle", f"Waiting for rest: {rest.why_not}.")
             shown = True
         if context.now - held_s >= _HOLD_WHILE_SETTLING_S:
