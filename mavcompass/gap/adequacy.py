@@ -80,15 +80,8 @@ def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
         part = J[at * 3 * n : (at + 1) * 3 * n].reshape(n, 3, -1) if J.shape[1] else np.zeros((n, 3, 0))
         whitener = problem.noise[group]
         for name, coordinate, regressors in _blocks(group, states[-1]):
-            T = _whiten_columns(regressors, whitener.coefficients)[problem.index]
+            T = whitener.decorrelated(regressors)[problem.index]
             yield _score_test(name, coordinate, T, rest[at], part, root)
-
-
-def _whiten_columns(regressors: FloatArray, coefficients: FloatArray) -> FloatArray:
-    out = regressors.copy()
-    for lag, coefficient in enumerate(coefficients.tolist(), start=1):
-        out[lag:] -= coefficient * regressors[:-lag]
-    return out
 
 
 def _score_test(

@@ -18,7 +18,6 @@ from mavcompass.gap.identify import Identified
 from mavcompass.gap.locate import where
 from mavcompass.gap.model import Problem
 from mavcompass.gap.naming import named_causes, trace_causes
-from mavcompass.gap.nuisance import Nuisance
 from mavcompass.gap.picture import picture
 from mavcompass.gap.remainder import Remainder
 from mavcompass.gap.replay import Replay
@@ -144,13 +143,8 @@ def _subset(identified: Identified, ids: frozenset[str]) -> Fit:
     if ids == fit.ids:
         return fit
     keep = [i for i, t in enumerate(fit.terms) if t.effect.id in ids]
-    problem = identified.problem
     # What is not an effect stays as the whole explanation has it, so that steps add up from the nominal.
-    held = [
-        Nuisance(n.effect, theta, np.eye(theta.size) * 1e14 / np.square(n.effect.scale))
-        for n, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True)
-    ]
-    steady = Problem(problem.replay, problem.noise, problem.rows, held)
+    steady = identified.problem.steady(fit)
     return steady.fit([fit.terms[i] for i in keep], [fit.thetas[i] for i in keep], fit.nuisance_thetas)
 
 

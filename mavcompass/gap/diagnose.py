@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from mavcompass.errors import UsageError
 from mavcompass.gap import integrity
@@ -18,7 +18,7 @@ from mavcompass.gap.remainder import Remainder, floor_to_start, what_is_left
 from mavcompass.gap.replay import Replay, replay
 from mavcompass.gap.result import Diagnosis
 from mavcompass.gap.split import split_blocks
-from mavcompass.gap.testable import untestable_effects
+from mavcompass.gap.testable import half_testable, untestable_effects
 from mavcompass.gap.verdict import decide
 from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.simulation.effects.effect import Group
@@ -62,34 +62,24 @@ def withheld_effects(names: Iterable[str]) -> frozenset[str]:
     return frozenset(out)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Prepared:
-    """Hold the replays with the sensors that can bear witness, and the exact traces in the numbers."""
-
-    replay: Replay
-    baseline: Replay | None
-    trace: integrity.Trace
-    nominal_trace: integrity.Trace | None
-
-
 def _diagnose(
     track: Track, baseline: Track | None, withheld: frozenset[str], compass: int, reference: Choice
 ) -> Diagnosis:
     every = catalogue().values()
-    prepared = _prepared(track, baseline, compass, reference)
-    replayed, before = prepared.replay, prepared.baseline
+    replayed, before = _replays(track, baseline, compass, reference)
     untestable = untestable_effects(replayed, every)
-    testable = [e for e in every if e.id not in withheld and e.id not in untestable]
+    half = half_testable(replayed, every)
+    testable = [e for e in every if e.id not in withheld and (e.id in half or e.id not in untestable)]
     if before is None:
         floor = from_recording(replayed)
     else:
         unseen = untestable_effects(before, every)
         floor = from_baseline(replayed, before, [e for e in every if e.id not in unseen])
-    stale_share, step_mgauss = _traces(prepared, floor, frozenset(e.id for e in testable))
+    stale_share, step_mgauss = _traces(replayed, before, floor, frozenset(e.id for e in testable))
     identified, remainder, floor = _explained(replayed, before, floor, testable, step_mgauss)
     adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
     traces = remainder.scatter is not None or stale_share > 0.0 or step_mgauss > 0.0
-    answer = decide(identified, floor, remainder, adequacy, traces)
+    answer = decide(identified, floor, remainder, adequacy, traces, half)
     evidence = Evidence(
         track, compass, replayed, floor, identified, remainder, adequacy, stale_share, step_mgauss,
         untestable, withheld,
@@ -97,7 +87,10 @@ def _diagnose(
     return describe(evidence, answer)
 
 
-def _prepared(track: Track, baseline: Track | None, compass: int, reference: Choice) -> _Prepared:
+def _replays(
+    track: Track, baseline: Track | None, compass: int, reference: Choice
+) -> tuple[Replay, Replay | None]:
+    """Replay the recording and its baseline, with the sensors that can bear witness."""
     replayed = replay(track, compass, reference)
     before = None
     if baseline is not None:
@@ -106,13 +99,7 @@ def _prepared(track: Track, baseline: Track | None, compass: int, reference: Cho
     every = catalogue().values()
     out_of_reach = untestable_effects(witness, every)
     trusted = trusted_groups(witness, [e for e in every if e.id not in out_of_reach])
-    replayed = _only(replayed, trusted)
-    before = _only(before, trusted) if before is not None else None
-    trace = integrity.inspect(replayed)
-    nominal_trace = integrity.inspect(before) if before is not None else None
-    if trace.stale_share > 0.0 and not replayed.telemetry and trace.step_mgauss == 0.0:
-        replayed = replace(replayed, valid=replayed.valid & ~trace.stale)
-    return _Prepared(replayed, before, trace, nominal_trace)
+    return _only(replayed, trusted), _only(before, trusted) if before is not None else None
 
 
 def _only(replayed: Replay, trusted: tuple[Group, ...]) -> Replay:
@@ -123,13 +110,14 @@ def _only(replayed: Replay, trusted: tuple[Group, ...]) -> Replay:
     return replace(replayed, groups=kept, notes=(*replayed.notes, *notes))
 
 
-def _traces(prepared: _Prepared, floor: Floor, names: frozenset[str]) -> tuple[float, float]:
+def _traces(
+    replayed: Replay, before: Replay | None, floor: Floor, names: frozenset[str]
+) -> tuple[float, float]:
     """Return the share of repeats and the step of the numbers, zero where they are not to be named."""
-    trace, nominal, replayed = prepared.trace, prepared.nominal_trace, prepared.replay
-    stale = "stale_samples" in names and integrity.names_stale(trace, nominal, replayed)
+    stale = "stale_samples" in names and integrity.names_stale(replayed, before)
     noise_mgauss = float(floor.noise["mag"].rms.mean())
-    step = "quantisation" in names and integrity.names_step(trace, nominal, replayed, noise_mgauss)
-    return trace.stale_share if stale else 0.0, trace.step_mgauss if step else 0.0
+    step = "quantisation" in names and integrity.names_step(replayed, before, noise_mgauss)
+    return replayed.trace.stale_share if stale else 0.0, replayed.trace.step_mgauss if step else 0.0
 
 
 def _explained(

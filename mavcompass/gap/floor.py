@@ -18,7 +18,17 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.adequacy import judge
 from mavcompass.gap.hypothesis import Fit, make_term
 from mavcompass.gap.model import Problem
-from mavcompass.gap.noise import Noise, SensorNoise, estimate_noise, group_values, rough_sigma, white
+from mavcompass.gap.noise import (
+    USUAL_SCATTER_MGAUSS,
+    WORST_SCATTER_MGAUSS,
+    Noise,
+    SensorNoise,
+    estimate_noise,
+    group_values,
+    rough_sigma,
+    wandering,
+    white,
+)
 from mavcompass.gap.nuisance import WORLD_FIELD, Nuisance
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Search
@@ -53,6 +63,7 @@ class Floor:
         representative: True where a baseline gave it, and the simulation explains that baseline.
         measured: True where a baseline gave it.
         nuisances: those of the recording, with what the baseline taught.
+        doubt_mgauss: the part of it that the doubt in the attitude makes, where it is only stated.
         folded: effects of the baseline, by id, that belong to the nominal simulation from now on.
     """
 
@@ -64,6 +75,7 @@ class Floor:
     nuisances: tuple[Nuisance, ...]
     folded: tuple[str, ...] = ()
     measured: bool = False
+    doubt_mgauss: float = 0.0
 
 
 def first_noise(replay: Replay) -> Noise:
@@ -226,46 +238,38 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit) -> tup
     return tuple(out)
 
 
-def stated_floor(replay: Replay, noise: Noise) -> tuple[float, float]:
-    """Return the rms of field (mG) and heading (deg) that scatter and the reference's doubt make."""
-    field = replay.signals.stimulus.field_ned_mgauss[0]
-    total, level = float(np.linalg.norm(field)), float(np.hypot(field[0], field[1]))
-    doubt = _REFERENCE_DOUBT_RAD[replay.reference.kind]
-    # A small random rotation moves the field by doubt |B| in two of three directions.
-    turned = doubt * total * math.sqrt(2.0 / 3.0)
-    scatter = math.sqrt(float(np.mean(noise["mag"].sigma ** 2)))
-    heading = math.hypot(scatter / max(level, 1.0), doubt * total / max(level, 1.0))
-    return math.hypot(scatter, turned), math.degrees(heading)
-
-
 def from_recording(replay: Replay) -> Floor:
     """State a floor without a baseline: scatter, the reference's slow doubt, and the doubt in the times.
 
     The doubt in the attitude wanders, as a first-order process of some seconds; the doubt in the times
-    grows with the field's rate of change.
+    grows with the field's rate of change. Scatter that no data sheet allows is not the floor's.
     """
     noise = first_noise(replay)
     scatter = noise["mag"].sigma
-    field, heading = stated_floor(replay, noise)
+    world = replay.signals.stimulus.field_ned_mgauss[0]
+    total, level = float(np.linalg.norm(world)), max(float(np.hypot(world[0], world[1])), 1.0)
+    doubt = _REFERENCE_DOUBT_RAD[replay.reference.kind]
+    # A small random rotation moves the field by doubt |B| in two of three directions.
+    slow = doubt * total * math.sqrt(2.0 / 3.0)
+    white_rms = math.sqrt(float(np.mean(scatter**2)))
+    usual = white_rms if white_rms < WORST_SCATTER_MGAUSS else USUAL_SCATTER_MGAUSS
     step = float(np.median(np.diff(replay.time_s)))
     rho = math.exp(-step / _DOUBT_LASTS_S)
-    slow = math.sqrt(max(field**2 - float(np.mean(scatter**2)), 0.0))
-    # White scatter counts twice in the innovations of a correlated model: careful, and simple.
-    sigma = np.sqrt(slow**2 * (1.0 - rho**2) + scatter**2 * (1.0 + rho**2))
+    sigma, moving = wandering(scatter, slow, rho)
     late = _TIME_DOUBT_S["telemetry" if replay.telemetry else "direct"]
     change = np.gradient(replay.signals.reading.mag_mgauss, replay.time_s, axis=0)
+    whole = math.hypot(white_rms, slow)
     scale = np.sqrt(1.0 + (late * change / sigma) ** 2)
-    rms_axis = np.full(3, field)
-    mag = SensorNoise(np.array([rho]), sigma, rms_axis, np.inf, scale)
-    timing = float(np.mean((late * change[replay.valid]) ** 2))
-    level = max(float(np.hypot(*replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
+    mag = SensorNoise(np.array([rho]), sigma, np.full(3, whole), np.inf, scale, moving)
+    timing = late * math.sqrt(float(np.mean(change[replay.valid] ** 2)))
     return Floor(
         {**noise, "mag": mag},
-        math.hypot(field, math.sqrt(timing)),
-        math.hypot(heading, math.degrees(math.sqrt(timing) / level)),
+        math.hypot(usual, slow, timing),
+        math.degrees(math.hypot(usual, doubt * total, timing) / level),
         np.zeros((0, 3)),
         False,
         replay.nuisances,
+        doubt_mgauss=slow,
     )
 
 

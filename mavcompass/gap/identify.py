@@ -11,13 +11,17 @@ import numpy as np
 from mavcompass.gap.floor import Floor, rms, widened
 from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.model import Problem
+from mavcompass.gap.noise import group_values
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Found, Search, least_gain
 from mavcompass.gap.split import Split, probe, with_windows
-from mavcompass.simulation.effects.effect import NEVER_S, Effect
+from mavcompass.simulation.effects.effect import NEVER_S, Effect, Group
 
-_LEAST_RMS_MGAUSS = 1.0
+# What healthy sensors may be off by, in mG, m/s^2 and rad/s.
+_LEAST: dict[Group, float] = {"mag": 1.0, "acc": 0.1, "gyro": 0.004}
 _LEAST_SHARE = 0.10
+# What a wrong attitude reference may make by itself, in sizes of its stated doubt.
+_DOUBTS = 2.0
 _AT_THE_END = 1e-3
 _NEEDED = 10.0
 _PASSES = 2
@@ -125,7 +129,7 @@ def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
     if not floor.representative and (small := _immaterial(candidate, floor)) is not None:
         return (
             small,
-            "it removes less than 1 mG or a tenth of the gap, and no baseline makes that trustworthy",
+            "it removes no more than healthy sensors may be off, or less than a tenth of the gap",
         )
     return None
 
@@ -179,27 +183,39 @@ def _vetoed(candidate: Identified) -> str | None:
 
 
 def _immaterial(candidate: Identified, floor: Floor) -> str | None:
-    """Name the effect that removes least, where that is too little to be named without a baseline."""
+    """Name the effect that removes least, where that is too little to be named without a baseline.
+
+    In at least one of its sensors an effect must remove what exceeds the usual tolerances of sensors.
+    """
     fit, problem = candidate.fit, candidate.problem
-    measured = problem.replay.measured.mag_mgauss[problem.index]
-    after = rms(measured - problem.predict(fit).mag_mgauss[problem.index])
-    nominal = rms(measured - problem.predict(fit, effects=False).mag_mgauss[problem.index])
-    excess = math.sqrt(max(nominal**2 - after**2, 0.0))
-    removed = {}
-    for effect_id in sorted(fit.ids):
-        rest = candidate.search.without(fit, effect_id)
-        left = rms(measured - problem.predict(rest).mag_mgauss[problem.index])
-        removed[effect_id] = math.sqrt(max(left**2 - after**2, 0.0))
-    if any(set(t.effect.groups) != {"mag"} for t in fit.terms):
-        removed = {i: r for i, r in removed.items() if i in _mag_only(fit)}
-    if not removed:
-        return None
-    least = min(removed, key=removed.__getitem__)
-    return least if removed[least] < max(_LEAST_RMS_MGAUSS, _LEAST_SHARE * excess) else None
+    after = _left(problem, fit, effects=True)
+    nominal = _left(problem, fit, effects=False)
+    least = dict(_LEAST)
+    least["mag"] = max(
+        least["mag"], _LEAST_SHARE * math.sqrt(max(nominal["mag"] ** 2 - after["mag"] ** 2, 0.0))
+    )
+    steady = problem.steady(fit)
+    ratios = {}
+    for place, term in enumerate(fit.terms):
+        terms = (*fit.terms[:place], *fit.terms[place + 1 :])
+        thetas = (*fit.thetas[:place], *fit.thetas[place + 1 :])
+        left = _left(problem, steady.fit(terms, thetas, fit.nuisance_thetas), effects=True)
+        ratios[term.effect.id] = max(
+            math.sqrt(max(left[g] ** 2 - after[g] ** 2, 0.0)) / least[g]
+            for g in problem.groups
+            if g in term.effect.groups
+        )
+    smallest = min(ratios, key=ratios.__getitem__)
+    return smallest if ratios[smallest] < 1.0 else None
 
 
-def _mag_only(fit: Fit) -> frozenset[str]:
-    return frozenset(t.effect.id for t in fit.terms if t.effect.groups == ("mag",))
+def _left(problem: Problem, fit: Fit, effects: bool) -> dict[Group, float]:
+    """Return the rms of what is left in each sensor on the fitted rows."""
+    predicted = problem.predict(fit, effects)
+    return {
+        g: rms((group_values(problem.replay.measured, g) - group_values(predicted, g))[problem.index])
+        for g in problem.groups
+    }
 
 
 def significant(found: Found, fit: Fit) -> bool:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay import Replay
+
+if TYPE_CHECKING:
+    from mavcompass.gap.replay import Replay
 
 _FEWEST_LEVELS = 6
+# MAVLink's messages and ArduPilot's parameters count whole milligauss.
+_USUAL_STEP_MGAUSS = 1.0 + 1e-6
 _REPEATS_WORTH_NAMING = 0.003
 
 
@@ -24,13 +29,11 @@ class Trace:
     step_mgauss: float
 
 
-def inspect(replay: Replay) -> Trace:
-    """Look for repeats and a lattice in the raw readings."""
-    field = replay.measured.mag_mgauss
-    same = np.concatenate([[False], (np.diff(field, axis=0) == 0.0).all(axis=1)]) & replay.valid
-    step = _lattice(field[replay.valid])
-    share = float(same.sum()) / max(int(replay.valid.sum()), 1)
-    return Trace(share, same, step)
+def inspect(field_mgauss: FloatArray, valid: NDArray[np.bool_]) -> Trace:
+    """Look for repeats and a lattice in raw readings (N, 3), before any averaging."""
+    same = np.concatenate([[False], (np.diff(field_mgauss, axis=0) == 0.0).all(axis=1)]) & valid
+    share = float(same.sum()) / max(int(valid.sum()), 1)
+    return Trace(share, same, _lattice(field_mgauss[valid]))
 
 
 def _lattice(field: FloatArray) -> float:
@@ -58,22 +61,26 @@ def _lattice(field: FloatArray) -> float:
     return step if bool((off <= allowed).all()) else 0.0
 
 
-def names_stale(found: Trace, nominal: Trace | None, replay: Replay) -> bool:
+def names_stale(replay: Replay, baseline: Replay | None) -> bool:
     """Tell whether the repeats are an effect: more than by chance, than the baseline's, than telemetry's."""
     if replay.telemetry or replay.resolution_mgauss > 0.0:
         return False
+    found, nominal = replay.trace, baseline.trace if baseline is not None else None
     expected = nominal.stale_share if nominal is not None else 0.0
-    if found.step_mgauss > 0.0:
-        # Coarse numbers repeat by chance.
+    if found.step_mgauss > 0.0 and (nominal is None or nominal.step_mgauss != found.step_mgauss):
+        # Coarse numbers repeat by chance, and no baseline tells how often.
         return False
-    count = max(int(replay.valid.sum()), 1)
+    count = found.stale.size
     noise = math.sqrt(max(expected * (1.0 - expected), 1.0 / count) / count)
     return found.stale_share > max(_REPEATS_WORTH_NAMING, expected + 5.0 * noise)
 
 
-def names_step(found: Trace, nominal: Trace | None, replay: Replay, noise_mgauss: float) -> bool:
+def names_step(replay: Replay, baseline: Replay | None, noise_mgauss: float) -> bool:
     """Tell whether the step of the numbers is an effect: coarse beside the noise, and not nominal."""
+    found, nominal = replay.trace, baseline.trace if baseline is not None else None
     if found.step_mgauss <= 0.0 or replay.resolution_mgauss > 0.0:
+        return False
+    if found.step_mgauss <= _USUAL_STEP_MGAUSS:
         return False
     if nominal is not None and nominal.step_mgauss > 0.9 * found.step_mgauss:
         return False

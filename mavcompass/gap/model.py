@@ -25,6 +25,8 @@ _ITERATIONS = 12
 _CONVERGED = 0.02
 # The first nuisance, the world field, is linear; of the others a derivative serves as far as this.
 _FAR = 0.3
+# The precision, in natural sizes, of what is not to move.
+_HELD = 1e14
 
 
 class Problem:
@@ -49,6 +51,8 @@ class Problem:
         self.index = np.flatnonzero(rows & usable)
         self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
         self._precision = _block_diagonal([n.precision for n in self.nuisances])
+        self._bridge = _bridge(replay.valid) if any(noise[g].moving > 0.0 for g in self.groups) else None
+        self._lent: tuple[FloatArray, list[FloatArray]] | None = None
         self._prior = np.concatenate([n.mean for n in self.nuisances]) if self.nuisances else np.zeros(0)
 
     @property
@@ -59,6 +63,14 @@ class Problem:
     def with_rows(self, rows: Mask) -> Problem:
         """Return the same problem on other rows."""
         return Problem(self.replay, self.noise, rows, self.nuisances)
+
+    def steady(self, fit: Fit) -> Problem:
+        """Return the same problem with the nuisances held where a fit has them."""
+        held = [
+            Nuisance(n.effect, theta, np.eye(theta.size) * _HELD / np.square(n.effect.scale))
+            for n, theta in zip(self.nuisances, fit.nuisance_thetas, strict=True)
+        ]
+        return Problem(self.replay, self.noise, self.rows, held)
 
     def predict(self, fit: Fit, effects: bool = True) -> Reading:
         """Return what the simulation says under a hypothesis, or under its nuisances alone."""
@@ -72,16 +84,25 @@ class Problem:
 
     def innovations(self, reading: Reading) -> dict[str, FloatArray]:
         """Return measured minus predicted, whitened, (N, 3) per sensor."""
-        return {g: self.noise[g].whiten(self._measured[g] - group_values(reading, g)) for g in self.groups}
+        return {
+            g: self.noise[g].whiten(self._bridged(self._measured[g] - group_values(reading, g)))
+            for g in self.groups
+        }
 
     def residual(self, reading: Reading) -> FloatArray:
         """Return the whitened residual of the fitted rows as one vector."""
         return np.concatenate(
             [
-                self.noise[g].whiten(self._measured[g] - group_values(reading, g))[self.index].ravel()
+                self.noise[g]
+                .whiten(self._bridged(self._measured[g] - group_values(reading, g)))[self.index]
+                .ravel()
                 for g in self.groups
             ]
         )
+
+    def _bridged(self, values: FloatArray) -> FloatArray:
+        """Hold values across rows without a reading, so that what is correlated stays so."""
+        return values if self._bridge is None else values[self._bridge]
 
     def change(self, before: Reading, after: Reading, index: NDArray[np.int64] | None = None) -> FloatArray:
         """Return the whitened difference of two predictions as one vector."""
@@ -92,7 +113,7 @@ class Problem:
             if a is b:
                 parts.append(np.zeros(3 * rows.size))
             else:
-                parts.append(self.noise[g].whiten(b - a)[rows].ravel())
+                parts.append(self.noise[g].whiten(self._bridged(b - a))[rows].ravel())
         return np.concatenate(parts)
 
     def _ordered(self, terms: Sequence[Term]) -> list[tuple[Effect, int]]:
@@ -168,10 +189,11 @@ class Problem:
         self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray]
     ) -> FloatArray:
         """Return the prior means less the values, nuisances first, then the free parameters of the terms."""
-        free = [theta[term.free] for term, theta in zip(terms, thetas, strict=True)]
-        return np.concatenate([self._prior, *(-f for f in free)]) - np.concatenate(
-            [*nuisance_thetas, *(np.zeros(f.size) for f in free)]
-        )
+        values = [*nuisance_thetas, *(theta[term.free] for term, theta in zip(terms, thetas, strict=True))]
+        if not values:
+            return np.zeros(0)
+        now = np.concatenate(values)
+        return np.concatenate([self._prior, np.zeros(now.size - self._prior.size)]) - now
 
     def null(self) -> Fit:
         """Fit the nuisances alone."""
@@ -188,28 +210,21 @@ class Problem:
         terms = tuple(terms)
         x = [np.array(t, dtype=np.float64) for t in (*nuisance_thetas, *thetas)]
         n = len(self.nuisances)
-        n_dim = self._prior.size
         free = [np.flatnonzero(self._free(terms, i)) for i in range(len(x))]
         weak = weak_precision(terms)
         states = self.states(terms, x[n:], x[:n])
         r = self.residual(states[-1].reading)
-        cost = float(r @ r) + self._prior_cost(x[:n]) + weak_cost(x[n:], free[n:], weak)
+        cost = self._cost(r, x, free, weak)
         damping = 1e-6
         normal = np.zeros((0, 0))
-        first, made_at = None, x[:n]
+        first, made_at = self._borrowed(terms, x[:n])
+        borrowed = first is not None
         for _ in range(iterations):
             if first is None or not terms or self._moved_far(x[:n], made_at):
-                first, made_at = self.columns(terms, x[n:], x[:n], states, range(n)), x[:n]
-            J = np.hstack([first, self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))])
-            normal = J.T @ J
-            gradient = J.T @ r
-            if n_dim:
-                normal[:n_dim, :n_dim] += self._precision
-                gradient[:n_dim] += self._precision @ (self._prior - np.concatenate(x[:n]))
-            if terms:
-                amplitudes = np.concatenate([v[f] for v, f in zip(x[n:], free[n:], strict=True)])
-                normal[np.arange(n_dim, normal.shape[0]), np.arange(n_dim, normal.shape[0])] += weak
-                gradient[n_dim:] -= weak * amplitudes
+                first, made_at, borrowed = self.columns(terms, x[n:], x[:n], states, range(n)), x[:n], False
+                self._lend(terms, first, made_at)
+            own = self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))
+            normal, gradient = self._equations(np.hstack([first, own]), r, x, free, weak)
             if not normal.size:
                 break
             improved = False
@@ -218,14 +233,17 @@ class Problem:
                 trial = _moved(x, step, free, self._bounds(terms))
                 trial_states = self.states(terms, trial[n:], trial[:n])
                 trial_r = self.residual(trial_states[-1].reading)
-                trial_cost = float(trial_r @ trial_r) + self._prior_cost(trial[:n])
-                trial_cost += weak_cost(trial[n:], free[n:], weak)
+                trial_cost = self._cost(trial_r, trial, free, weak)
                 if trial_cost < cost:
                     improved = True
                     break
                 damping = max(damping, 1e-7) * 30.0
             if not improved:
-                break
+                if not borrowed:
+                    break
+                # Perhaps the fault of another hypothesis's derivatives: once more with its own.
+                first, damping = None, 1e-6
+                continue
             gained = cost - trial_cost
             x, states, r, cost = trial, trial_states, trial_r, trial_cost
             damping *= 0.03
@@ -233,6 +251,46 @@ class Problem:
                 break
         covariance = _invert(normal) if normal.size else normal
         return Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
+
+    def _borrowed(
+        self, terms: tuple[Term, ...], thetas: list[FloatArray]
+    ) -> tuple[FloatArray | None, list[FloatArray]]:
+        """Return the derivatives by the nuisances that an earlier fit made nearby, or None."""
+        if self._lent is None or any(t.effect.kind == "discrete" for t in terms):
+            return None, thetas
+        columns, made_at = self._lent
+        return (columns, made_at) if not self._moved_far(thetas, made_at) else (None, thetas)
+
+    def _lend(self, terms: tuple[Term, ...], columns: FloatArray, made_at: list[FloatArray]) -> None:
+        if self._lent is None and not any(t.effect.kind == "discrete" for t in terms):
+            self._lent = (columns, made_at)
+
+    def _equations(
+        self,
+        J: FloatArray,
+        r: FloatArray,
+        x: list[FloatArray],
+        free: list[NDArray[np.int64]],
+        weak: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the normal matrix and the gradient, priors included."""
+        n, n_dim = len(self.nuisances), self._prior.size
+        normal, gradient = J.T @ J, J.T @ r
+        if n_dim:
+            normal[:n_dim, :n_dim] += self._precision
+            gradient[:n_dim] += self._precision @ (self._prior - np.concatenate(x[:n]))
+        if weak.size:
+            amplitudes = np.concatenate([v[f] for v, f in zip(x[n:], free[n:], strict=True)])
+            place = np.arange(n_dim, len(normal))
+            normal[place, place] += weak
+            gradient[n_dim:] -= weak * amplitudes
+        return normal, gradient
+
+    def _cost(
+        self, r: FloatArray, x: list[FloatArray], free: list[NDArray[np.int64]], weak: FloatArray
+    ) -> float:
+        n = len(self.nuisances)
+        return float(r @ r) + self._prior_cost(x[:n]) + weak_cost(x[n:], free[n:], weak)
 
     def _moved_far(self, thetas: Sequence[FloatArray], made_at: Sequence[FloatArray]) -> bool:
         """Tell whether nuisances moved a third of a natural size: their derivatives have changed."""
@@ -251,6 +309,14 @@ class Problem:
     def _bounds(self, terms: Sequence[Term]) -> list[tuple[FloatArray, FloatArray]]:
         known = [(n.effect.lower, n.effect.upper) for n in self.nuisances]
         return [*known, *((t.lower, t.upper) for t in terms)]
+
+
+def _bridge(valid: Mask) -> NDArray[np.int64] | None:
+    """Map each row to itself or to the last valid one before; None where all are valid."""
+    if valid.all() or not valid.any():
+        return None
+    last = np.maximum.accumulate(np.where(valid, np.arange(valid.size), -1))
+    return np.where(last < 0, int(np.argmax(valid)), last)
 
 
 def _moved(

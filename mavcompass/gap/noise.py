@@ -12,18 +12,24 @@ from mavcompass.simulation.effects.effect import GROUPS, Group
 from mavcompass.simulation.signals import Reading
 
 _MOST_LAGS = 4
+# Data sheets state 2 to 4 mG (HMC5883L, QMC5883L, IST8310); no healthy compass scatters by more than ten.
+USUAL_SCATTER_MGAUSS = 4.0
+WORST_SCATTER_MGAUSS = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorNoise:
-    """Hold one sensor's noise: e_t = sum of coefficients_i e_(t-i) + sigma n_t, n white.
+    """Hold one sensor's noise: e_t = sum of coefficients_i e_(t-i) + sigma (n_t - moving n_(t-1)), n white.
+
+    With one coefficient and a moving part it is white scatter on a slowly wandering error.
 
     Attributes:
         coefficients: the correlation, common to the axes, (p,).
         sigma: the innovations' standard deviation per axis, (3,).
         rms: the noise's own standard deviation per axis, (3,).
         samples: how many innovations they were estimated from (infinite: stated, not measured).
-        row_scale: how much larger the noise of each row is, (N, 3); None for even noise.
+        moving: the moving-average part, common to the axes, 0 <= moving < 1.
+        row_scale: how much larger the innovation of each row is, (N, 3); None for even noise.
     """
 
     coefficients: FloatArray
@@ -31,15 +37,38 @@ class SensorNoise:
     rms: FloatArray
     samples: float
     row_scale: FloatArray | None = None
+    moving: float = 0.0
 
     def whiten(self, error: FloatArray) -> FloatArray:
         """Return innovations in sigmas, (N, 3); the first p rows are those of an infinite past of zeros."""
-        if self.row_scale is not None:
-            error = error / self.row_scale
-        out = error / self.sigma
+        out = self.decorrelated(error / self.sigma)
+        # What scatters more has no part in what wanders: only the innovations are scaled.
+        return out if self.row_scale is None else out / self.row_scale
+
+    def decorrelated(self, columns: FloatArray) -> FloatArray:
+        """Take the correlation out of columns (N, k), whose scale stays."""
+        out = columns.copy()
         for lag, coefficient in enumerate(self.coefficients.tolist(), start=1):
-            out[lag:] -= coefficient * error[:-lag] / self.sigma
+            out[lag:] -= coefficient * columns[:-lag]
+        if self.moving > 0.0:
+            from scipy.signal import lfilter
+
+            # What the first reading tells of the second: the best linear prediction of a stationary error.
+            out[0] *= float(np.mean((self.sigma / self.rms) ** 2))
+            out = lfilter([1.0], [1.0, -self.moving], out, axis=0)
         return np.asarray(out)
+
+    @property
+    def square_inflation(self) -> float:
+        """Return by how much the correlation inflates the variance of a mean of squares."""
+        rho = min(float(self.coefficients.sum()), 0.999) if self.coefficients.size else 0.0
+        if self.moving == 0.0:
+            rho = min(rho, 0.97)
+            return (1.0 + rho * rho) / (1.0 - rho * rho)
+        # Autocorrelations of ARMA(1, 1): r_1, r_1 rho, r_1 rho^2 ...
+        m = self.moving
+        first = (rho - m) * (1.0 - rho * m) / (1.0 + m * m - 2.0 * rho * m)
+        return 1.0 + 2.0 * first**2 / (1.0 - rho * rho)
 
 
 Noise = dict[Group, SensorNoise]
@@ -86,6 +115,20 @@ def estimate_noise(error: FloatArray, usable: NDArray[np.bool_], least_sigma: fl
     return SensorNoise(coefficients, sigma, scale, float(index.size))
 
 
+def wandering(scatter: FloatArray, slow: float, correlation: float) -> tuple[FloatArray, float]:
+    """Return the innovations' sigma (3,) and the moving part of white scatter (3,) on a slow error.
+
+    The slow error has the standard deviation `slow` and the correlation of neighbours `correlation`. The
+    sum is ARMA(1, 1): theta / (1 + theta^2) = rho v / (w + (1 + rho^2) v), v the variance of the scatter, w
+    that of the slow error's innovations (Box and Jenkins, Time Series Analysis, section 3.4).
+    """
+    v, w = float(np.mean(scatter**2)), slow**2 * (1.0 - correlation**2)
+    ratio = correlation * v / max(w + (1.0 + correlation**2) * v, 1e-300)
+    theta = 0.0 if ratio <= 0.0 else float((1.0 - np.sqrt(max(1.0 - 4.0 * ratio**2, 0.0))) / (2.0 * ratio))
+    variance = (w + scatter**2 * (1.0 - theta**2 + (correlation - theta) ** 2)) / (1.0 - theta**2)
+    return np.sqrt(variance), theta
+
+
 def white(sigma: FloatArray, samples: float = np.inf) -> SensorNoise:
     """Return uncorrelated noise of a stated standard deviation per axis."""
     return SensorNoise(np.zeros(0), sigma, sigma, samples)
@@ -104,4 +147,15 @@ def rough_sigma(error: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
     return np.asarray(1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0))
 
 
-__all__ = ["GROUPS", "Noise", "SensorNoise", "estimate_noise", "group_values", "rough_sigma", "white"]
+__all__ = [
+    "GROUPS",
+    "USUAL_SCATTER_MGAUSS",
+    "WORST_SCATTER_MGAUSS",
+    "Noise",
+    "SensorNoise",
+    "estimate_noise",
+    "group_values",
+    "rough_sigma",
+    "wandering",
+    "white",
+]

@@ -21,6 +21,7 @@ from mavcompass.gap.scatter import Scatter, early_scale, find_scatter, noise_wit
 from mavcompass.simulation.signals import Reading
 
 _FEWEST_TO_JUDGE = 150
+_LEAST_MGAUSS = 0.3
 _SEED = 20260102
 
 
@@ -102,9 +103,11 @@ def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> 
     """
     replay = problem.replay
     measured = replay.measured
-    drawn = _before_rounding(
-        measured.mag_mgauss, problem.predict(fit).mag_mgauss, floor.noise["mag"].rms, step_mgauss
-    )
+    sigma = floor.noise["mag"].rms
+    if not floor.measured:
+        # The scatter that was read off the rounded numbers holds that of the rounding.
+        sigma = np.sqrt(np.maximum(sigma**2 - step_mgauss**2 / 12.0, _LEAST_MGAUSS**2))
+    drawn = _before_rounding(measured.mag_mgauss, problem.predict(fit).mag_mgauss, sigma, step_mgauss)
     fine = replace(replay, measured=Reading(drawn, measured.acc_mps2, measured.gyro_radps))
     fresh = Problem(fine, problem.noise, problem.rows, problem.nuisances)
     noise = {**floor.noise, "mag": measured_noise(fresh, fit)["mag"]}

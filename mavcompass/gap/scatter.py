@@ -10,7 +10,13 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.model import Problem
-from mavcompass.gap.noise import Noise, estimate_noise
+from mavcompass.gap.noise import (
+    USUAL_SCATTER_MGAUSS,
+    WORST_SCATTER_MGAUSS,
+    Noise,
+    estimate_noise,
+    rough_sigma,
+)
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import least_gain
 
@@ -33,7 +39,8 @@ def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], representa
     """Compare even and rate-dependent excess scatter of the magnetometer with the floor's.
 
     Even excess needs a representative floor; the scatter of time stamps shows by its dependence on the
-    rate of change alone, and then competes against even excess of any size.
+    rate of change alone, and then competes against even excess of any size. Without one, only what no data
+    sheet allows is called excess.
     """
     rows = problem.usable
     noise = problem.noise["mag"]
@@ -47,8 +54,7 @@ def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], representa
     if np.isfinite(noise.samples):
         kurtosis *= 1.0 + len(y) / noise.samples
     # Correlation makes fewer independent squares.
-    rho = float(noise.coefficients.sum())
-    inflation = kurtosis * (1.0 + rho * rho) / (1.0 - min(rho * rho, 0.95))
+    inflation = kurtosis * noise.square_inflation
     even, even_size = _even_gain(y)
     late, late_size = _late_gain(y, x, 1.0)
     candidates = []
@@ -58,6 +64,13 @@ def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], representa
     if "timestamp_jitter" in allowed and late_size > 0.0:
         gain = late if representative else _beyond_even(y, x)
         candidates.append(Scatter("timestamp_jitter", math.sqrt(late_size), gain / inflation))
+    if not representative and "noise_excess" in allowed:
+        sigma = math.sqrt(
+            float(np.mean(rough_sigma(error * noise.rms, np.ones(len(error), dtype=np.bool_)) ** 2))
+        )
+        if sigma > WORST_SCATTER_MGAUSS:
+            size = math.sqrt(sigma**2 - USUAL_SCATTER_MGAUSS**2)
+            candidates.append(Scatter("noise_excess", size, float(error.size)))
     candidates = [c for c in candidates if c.gain > least_gain(1, _SCATTER_TRIALS)]
     return max(candidates, key=lambda c: c.gain) if candidates else None
 
@@ -148,10 +161,7 @@ def drift_gain(problem: Problem, fit: Fit) -> tuple[float, float]:
     modes = np.sqrt(2.0) * np.sin(np.pi * order * ((replay.time_s - replay.time_s[0]) / span)[:, None])
     modes = modes * np.sqrt(span) / (np.pi * order)
     modes = np.hstack([modes, np.ones((replay.time_s.size, 1)) * 10.0])
-    white = modes.copy()
-    for lag, coefficient in enumerate(noise.coefficients.tolist(), start=1):
-        white[lag:] -= coefficient * modes[:-lag]
-    white = white[problem.index]
+    white = noise.decorrelated(modes)[problem.index]
     values, vectors = np.linalg.eigh(white.T @ white)
     values = np.maximum(values, 0.0)
     projected = (vectors.T @ (white.T @ z)) ** 2

@@ -21,6 +21,23 @@ _NEED_WORDS = {
 }
 
 
+def half_testable(replayed: Replay, effects: Iterable[Effect]) -> frozenset[str]:
+    """List the effects that only lack tilt: level turns show a part of them, never enough to be sure.
+
+    They compete in the search; a winner among them is called ambiguous.
+    """
+    if "tilt" in replayed.present:
+        return frozenset()
+    within = replayed.present | {"tilt"}
+    return frozenset(
+        e.id
+        for e in effects
+        if "tilt" in e.needs
+        and all(any(option in within for option in need.split("|")) for need in e.needs)
+        and all(g in replayed.groups for g in e.groups)
+    )
+
+
 def untestable_effects(replayed: Replay, effects: Iterable[Effect]) -> dict[str, str]:
     """Say for each effect that this recording cannot test why not."""
     out: dict[str, str] = {}
@@ -28,17 +45,11 @@ def untestable_effects(replayed: Replay, effects: Iterable[Effect]) -> dict[str,
         for need in sorted(effect.needs):
             if not any(option in replayed.present for option in need.split("|")):
                 out[effect.id] = _NEED_WORDS[need]
-        if any(g not in replayed.groups for g in effect.groups) and effect.id not in out:
+        seen = all(g in replayed.groups for g in effect.groups) or effect.enough in replayed.groups
+        if not seen and effect.id not in out:
             out[effect.id] = _NEED_WORDS["reference"]
-        if replayed.telemetry and effect.id in (
-            "stale_samples",
-            "transport_lag",
-            "low_pass",
-            "timestamp_jitter",
-        ):
-            out[effect.id] = (
-                "the autopilot reads its compass ten times a second and repeats it, late by nature"
-            )
+        if replayed.telemetry and effect.id in _TIMING:
+            out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"
         if not replayed.field_known and effect.id in ("field_intensity", "inclination", "declination"):
             out[effect.id] = "the recording does not say where it was made"
         if replayed.reference.kind == "gyro" and effect.id == "declination":

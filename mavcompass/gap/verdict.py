@@ -34,9 +34,18 @@ class Answer:
 
 
 def decide(
-    identified: Identified, floor: Floor, remainder: Remainder, adequacy: Adequacy, traces: bool
+    identified: Identified,
+    floor: Floor,
+    remainder: Remainder,
+    adequacy: Adequacy,
+    traces: bool,
+    half_testable: frozenset[str],
 ) -> Answer:
-    """Decide what is said. `traces`: scatter, repeats or steps were named besides the fitted effects."""
+    """Decide what is said.
+
+    `traces`: scatter, repeats or steps were named besides the fitted effects. `half_testable`: effects of
+    which the recording shows a part only.
+    """
     fit, none = identified.fit, identified.found.null
     flagged = adequacy.flagged and (floor.representative or _much_is_left(remainder, floor))
     coordinate = adequacy.coordinate if flagged else None
@@ -49,14 +58,17 @@ def decide(
             return Answer("named_with_remainder", fit, True, coordinate)
         return Answer("unknown", none, True, coordinate)
     weight = dict(identified.found.weights).get(fit.ids, 1.0)
-    sure = weight >= _SURE or not fit.terms
+    sure = (weight >= _SURE and not fit.ids & half_testable) or not fit.terms
     return Answer("named" if sure else "ambiguous", fit, False, None)
 
 
 def _much_is_left(remainder: Remainder, floor: Floor) -> bool:
     problem = remainder.problem
     measured, predicted = problem.replay.measured.mag_mgauss, problem.predict(remainder.fit).mag_mgauss
-    return rms((measured - predicted)[problem.usable]) > _LARGE_REMAINDER * floor.field_rms_mgauss
+    scatter = remainder.scatter
+    added = scatter.size**2 if scatter is not None and scatter.effect == "noise_excess" else 0.0
+    left2 = rms((measured - predicted)[problem.usable]) ** 2 - added
+    return left2 > (_LARGE_REMAINDER * floor.field_rms_mgauss) ** 2
 
 
 def wanders(identified: Identified) -> bool:

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, rotate_back
-from mavcompass.simulation.effects.effect import GROUPS, Effect, Memory, Parameter, Signals, Stage, xyz
+from mavcompass.frames import FloatArray, rotate, rotate_back
+from mavcompass.simulation.effects.effect import (
+    GROUPS,
+    Effect,
+    Memory,
+    Misfit,
+    Parameter,
+    Signals,
+    Stage,
+    xyz,
+)
 from mavcompass.simulation.effects.rotations import rotation_vector_matrix
 
 _Rng = np.random.Generator | None
@@ -36,6 +45,22 @@ def _yaw_step_error(signals: Signals, theta: FloatArray, memory: Memory, rng: _R
     rotation[:, 0] = c[:, None] * s.rotation[:, 0] - d[:, None] * s.rotation[:, 1]
     rotation[:, 1] = d[:, None] * s.rotation[:, 0] + c[:, None] * s.rotation[:, 1]
     return signals.turned(rotation, s.rate_radps + theta[0] * _yaw_rate_vector(s.rotation, s.rate_radps))
+
+
+def _yaw_starts(misfit: Misfit) -> list[FloatArray]:
+    """Read the growing angle between measured and predicted level fields against the turned angle."""
+    rows = np.flatnonzero(misfit.rows)
+    rotation = misfit.signals.stimulus.rotation[rows]
+    predicted = misfit.signals.reading.mag_mgauss[rows]
+    a = rotate(rotation, predicted + misfit.residual.mag_mgauss[rows])
+    b = rotate(rotation, predicted)
+    off = np.unwrap(np.arctan2(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0], b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1]))
+    turned = np.unwrap(np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
+    turned = turned - turned.mean()
+    power = float(turned @ turned)
+    # The level field turns the other way than the reference that is believed.
+    slope = -float(turned @ off) / power if power > 0.0 else 0.0
+    return [np.zeros(1), np.array([np.clip(slope, -0.3, 0.3)])]
 
 
 def _yaw_rate_vector(rotation: FloatArray, rate_radps: FloatArray) -> FloatArray:
@@ -81,6 +106,8 @@ EFFECTS = (
         stage=Stage.ATTITUDE,
         parameters=(Parameter("fraction", "1", -0.3, 0.3, 0.03, 0.005),),
         forward=_yaw_step_error,
+        starts=_yaw_starts,
+        enough="mag",
         groups=_ALL,
         needs=frozenset({"turning", "reference"}),
         aliases=("gyro_scale", "declination"),

@@ -1,0 +1,128 @@
+"""The rows of a compass that a replay compares: raw, not repeated, and not too many."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.errors import BadRecording
+from mavcompass.frames import FloatArray
+from mavcompass.gap.integrity import Trace, inspect
+from mavcompass.track import MagSeries, Series, Track
+
+FEWEST_ROWS = 60
+_MOST_ROWS = 6_000
+_COMPASS_PERIOD_S = 0.1
+_SLOWER_SHARE = 0.3
+_EVEN_RHYTHM = 0.4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Hold the compared readings of one compass.
+
+    Attributes:
+        all_s: times before averaging, (M,); picked: which of them remain, as the middles of averages.
+        raw_mgauss: (N, 3), the calibration in force undone.
+        hold_s: how long each has repeated the one before, (N,); None where nothing repeats by nature.
+        averaged: how many neighbours each row is the mean of.
+        trace: repeats and steps of the numbers, before averaging; usable: rows that are no lost readings.
+    """
+
+    all_s: FloatArray
+    picked: slice
+    raw_mgauss: FloatArray
+    hold_s: FloatArray | None
+    averaged: int
+    trace: Trace
+    usable: NDArray[np.bool_]
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Return the times of the rows, (N,)."""
+        return self.all_s[self.picked]
+
+
+def compass_rows(track: Track, compass: MagSeries) -> Rows:
+    """Choose the rows of a compass. Raises BadRecording where there are too few."""
+    time_s, keep = np.unique(compass.time_s, return_index=True)
+    slower = track.autopilot == "unknown" and _slower_than_logged(compass.reported.values[keep])
+    if slower:
+        keep = keep[_fresh(compass.reported.values[keep])]
+        time_s = compass.time_s[keep]
+    if time_s.size < FEWEST_ROWS:
+        raise BadRecording(
+            f"{track.source or 'The recording'} has {time_s.size} readings of compass {compass.instance},"
+            " too few.",
+            "Record at least half a minute of turning.",
+        )
+    raw = _raw_field(track, compass)[keep]
+    hold = np.zeros(time_s.size) if slower else _hold(time_s, compass.reported.values[keep], track.autopilot)
+    finite = np.asarray(np.isfinite(raw).all(axis=1))
+    trace = inspect(raw, finite)
+    usable = finite
+    if hold is None and trace.stale_share > 0.0 and trace.step_mgauss == 0.0:
+        usable = np.asarray(finite & ~trace.stale)
+    width = _stride(time_s.size)
+    picked = slice(None)
+    if width > 1:
+        # Averages of an odd number of neighbours, at the time of the middle one.
+        picked = slice(width // 2, time_s.size - width // 2, width)
+        raw = averaged(raw, width)[picked]
+        usable = np.asarray(np.isfinite(raw).all(axis=1))
+        hold = None if hold is None else hold[picked]
+    return Rows(time_s, picked, raw, hold, width, trace, usable)
+
+
+def _raw_field(track: Track, compass: MagSeries) -> FloatArray:
+    """Undo the calibration in force; where the numbers were cut toward zero, put the mean half step back."""
+    if compass.truncated and compass.quantum_mgauss > 0.0:
+        values = compass.reported.values
+        restored = Series.of(compass.time_s, values + 0.5 * compass.quantum_mgauss * np.sign(values))
+        compass = replace(compass, reported=restored)
+        track = replace(track, compasses={**track.compasses, compass.instance: compass})
+    return track.raw_field(compass.instance)
+
+
+def _stride(count: int) -> int:
+    """Return how many neighbours are averaged so that at most _MOST_ROWS remain: an odd number."""
+    stride = math.ceil(count / _MOST_ROWS)
+    return stride + 1 if stride > 1 and stride % 2 == 0 else stride
+
+
+def averaged(values: FloatArray, width: int) -> FloatArray:
+    """Return centred running means of columns (N, k); the ends are held."""
+    half = width // 2
+    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(padded, axis=0)])
+    return np.asarray((total[width:] - total[:-width]) / width)
+
+
+def _fresh(reported: FloatArray) -> NDArray[np.bool_]:
+    """Tell which readings (N, 3) are not the one before again."""
+    return np.concatenate([[True], (np.diff(reported, axis=0) != 0.0).any(axis=1)])
+
+
+def _slower_than_logged(reported: FloatArray) -> bool:
+    """Tell a compass that is read more slowly than it is logged: repeats in an even rhythm.
+
+    Readings that are lost by chance repeat in runs of all lengths.
+    """
+    fresh = np.flatnonzero(_fresh(reported))
+    if fresh.size < FEWEST_ROWS or fresh.size > (1.0 - _SLOWER_SHARE) * len(reported):
+        return False
+    gaps = np.diff(fresh)
+    return float(gaps.std()) < _EVEN_RHYTHM * float(gaps.mean())
+
+
+def _hold(time_s: FloatArray, reported: FloatArray, autopilot: str) -> FloatArray | None:
+    """Return how long each row has repeated the one before, where an autopilot's telemetry does so."""
+    if autopilot == "unknown" or time_s.size < 3:
+        return None
+    fresh_at = np.maximum.accumulate(np.where(~_fresh(reported), -1, np.arange(time_s.size)))
+    hold = time_s - time_s[np.maximum(fresh_at, 0)]
+    # Longer than the firmware's period it is a vehicle at rest, not an old value.
+    return np.minimum(hold, _COMPASS_PERIOD_S - 1e-3)
