@@ -129,7 +129,7 @@ export class Circle {
 // --- the deviation card as a line ---------------------------------------------------------------
 
 export function deviationPlot(rows, sigma) {
-  const svg = element("svg", { viewBox: "0 0 360 150", class: "card-plot", role: "img", "aria-label": "Deviation of the old calibration" });
+  const svg = element("svg", { viewBox: "0 0 372 150", class: "card-plot", role: "img", "aria-label": "Deviation of the old calibration" });
   const most = Math.max(...rows.map((row) => Math.abs(row.old_error_deg)), sigma ?? 0, 1);
   const x = (degrees) => 30 + (degrees / 360) * 322, y = (error) => 68 - (error / most) * 56;
   for (const degrees of [0, 90, 180, 270, 360]) {
