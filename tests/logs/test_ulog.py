@@ -14,6 +14,8 @@ from mavcompass.logs import read_track
 
 pytest.importorskip("pyulog")
 
+SLOWER = ("vehicle_local_position", "actuator_controls_0", "vehicle_attitude")
+
 
 def modern(path: Path, rotation: int = 2) -> Path:
     log = ULogFile()
@@ -77,6 +79,20 @@ def test_every_value_of_the_recorded_flight_equals_pyulogs(shared_data: Path) ->
             assert series is not None
             expected = combined[f"{name}[{axis}]"].astype(np.float64) * factor
             np.testing.assert_array_equal(series.values[:, axis], expected)
+    whole = {name: ULog(str(path)).get_dataset(name).data for name in SLOWER}
+    for name, series, fields in (
+        ("vehicle_local_position", track.position_ned_m, ("x", "y", "z")),
+        ("actuator_controls_0", track.throttle, ("control[3]",)),
+    ):
+        assert series is not None
+        stamp = whole[name].get("timestamp_sample", whole[name]["timestamp"])  # of the value, if it is told
+        np.testing.assert_array_equal(series.time_s, stamp * 1e-6)
+        expected = np.stack([whole[name][field].astype(np.float64) for field in fields], axis=1)
+        np.testing.assert_array_equal(series.values.reshape(expected.shape), expected)
+    assert track.attitude_rad is not None
+    q = np.stack([whole["vehicle_attitude"][f"q[{i}]"].astype(np.float64) for i in range(4)], axis=1)
+    roll = np.arctan2(2 * (q[:, 0] * q[:, 1] + q[:, 2] * q[:, 3]), 1 - 2 * (q[:, 1] ** 2 + q[:, 2] ** 2))
+    np.testing.assert_allclose(track.attitude_rad.values[:, 0], roll, atol=1e-6)
     assert track.compasses[1].correction_known
     offsets = track.compasses[1].in_force[0].correction.offsets_mgauss
     assert offsets == pytest.approx((-28.247, 200.208, 136.905), abs=1e-3)
