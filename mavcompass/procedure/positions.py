@@ -21,6 +21,8 @@ from mavcompass.telemetry import acceleration_mps2, angular_rate_radps, field_mg
 
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2
+# At the turning points of a swing the tilt rests for a moment.
+_CALM_AFTER_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,10 +176,12 @@ def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettin
     Raises LinkLost where no IMU messages come.
     """
     began_s, heard_at = context.now, rest.time_s
-    shown, held_s = False, -math.inf
+    shown, held_s, tilted_s = False, -math.inf, -math.inf
     while rest.for_s() < settings.settle_s:
-        tilting = rest.why_not == "tilting"
-        if context.now > began_s + (settings.tilting_patience_s if tilting else settings.patience_s):
+        if rest.why_not == "tilting":
+            tilted_s = context.now
+        tilts = context.now - tilted_s < _CALM_AFTER_S
+        if context.now > began_s + (settings.tilting_patience_s if tilts else settings.patience_s):
             if rest.time_s == heard_at:
                 raise LinkLost(
                     "No RAW_IMU or SCALED_IMU message came.",

@@ -22,7 +22,7 @@ BIAS_RADPS = np.radians([0.1, -0.08, 0.05])
 
 
 def hovering(
-    velocity: bool = True, bent_deg: float = 0.0, vehicle: str = "copter", shaking_mps2: float = 0.0
+    velocity: bool = True, bent_deg: float = 0.0, shaking_mps2: float = 0.0, sway_mps: float = SWAY_MPS
 ) -> tuple[Track, FloatArray]:
     """Make a copter that sways in a circle while it turns; also its true roll and pitch, (N, 2).
 
@@ -33,7 +33,7 @@ def hovering(
     yaw = 2.0 + 0.5 * math.pi * np.clip((TIME - 6.0) / 2.0, 0.0, 1.0)
     yaw += 0.5 * math.pi * np.clip((TIME - 15.0) / 2.0, 0.0, 1.0)
     along = np.stack([np.cos(omega * TIME), np.sin(omega * TIME)], axis=1)
-    acceleration = SWAY_MPS * omega * np.stack([-along[:, 1], along[:, 0]], axis=1)
+    acceleration = sway_mps * omega * np.stack([-along[:, 1], along[:, 0]], axis=1)
     force_ned = np.column_stack([acceleration, np.full(TIME.size, -STANDARD_GRAVITY_MPS2)])
     down = -force_ned / np.linalg.norm(force_ned, axis=1, keepdims=True)  # the body's, in NED
     c, s = np.cos(yaw), np.sin(yaw)
@@ -49,10 +49,10 @@ def hovering(
     force = np.einsum("nji,nj->ni", rotation, force_ned) + shaking_mps2 * rng.standard_normal((TIME.size, 3))
     estimate = np.stack([roll + math.radians(bent_deg), pitch, yaw + 1.0], axis=1)
     heard = np.arange(0.2, LENGTH_S, 0.2)
-    speed = SWAY_MPS * np.column_stack([np.cos(omega * (heard - 0.11)), np.sin(omega * (heard - 0.11))])
+    speed = sway_mps * np.column_stack([np.cos(omega * (heard - 0.11)), np.sin(omega * (heard - 0.11))])
     track = Track(
         autopilot="ardupilot",
-        vehicle=vehicle,
+        vehicle="copter",
         acc_mps2=Series.of(TIME, force),
         gyro_radps=Series.of(TIME, rate),
         attitude_rad=Series.of(TIME[::5], estimate[::5]),
@@ -107,6 +107,14 @@ def test_motors_that_shake_make_the_tilt_less_certain() -> None:
     shaken, tilt = hovering(shaking_mps2=1.0)
     found, sigma_deg = dwell_tilt_deg(shaken)
     assert sigma_deg > dwell_tilt_deg(calm)[1]
+    assert np.abs(found - truth_deg(tilt)).max() < 3.0 * sigma_deg
+
+
+def test_a_wild_swing_is_no_small_angle_and_says_so() -> None:
+    track, tilt = hovering(sway_mps=4.0)
+    assert np.degrees(np.abs(tilt).max()) > 25.0
+    found, sigma_deg = dwell_tilt_deg(track)
+    assert sigma_deg > 1.0
     assert np.abs(found - truth_deg(tilt)).max() < 3.0 * sigma_deg
 
 
