@@ -13,6 +13,7 @@ import numpy as np
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
+from mavcompass.logs.wire_steps import format_steps
 from mavcompass.track import InForce, MagSeries, Series, Track
 
 _AXES = ("x", "y", "z")
@@ -56,8 +57,8 @@ class _Table:
 def read_track_csv(path: Path) -> Track:
     """Read a Track CSV. Rows that lack a quantity do not appear in that quantity's series.
 
-    The file holds one compass, as its numbers are: without a correction inside. Raises BadRecording,
-    with the line, for what cannot be read.
+    The file holds one compass, as its numbers are: without a correction inside. Whole milligauss count as
+    the format's resolution. Raises BadRecording, with the line, for what cannot be read.
     """
     table = _read_table(path)
     if TIME not in table.header:
@@ -83,8 +84,22 @@ def read_track_csv(path: Path) -> Track:
         raise BadRecording(
             f"{path} holds no magnetometer: no row has all of {', '.join(VECTORS['mag'])}.", _REMEDY
         )
-    compass = MagSeries(1, reported, (InForce(-np.inf, IDENTITY),))
-    return Track(source=str(path), compasses={1: compass}, notes=(*notes, *sorting), **found)  # type: ignore[arg-type]
+    steps = format_steps(reported, found.get("acc_mps2"), found.get("gyro_radps"))
+    compass = MagSeries(
+        1,
+        reported,
+        (InForce(-np.inf, IDENTITY),),
+        quantum_mgauss=steps.field_mgauss,
+        truncated=steps.cut and steps.field_mgauss > 0.0,
+    )
+    return Track(
+        source=str(path),
+        compasses={1: compass},
+        acc_truncation_mps2=steps.force_mps2 if steps.cut else 0.0,
+        gyro_truncation_radps=steps.rate_radps if steps.cut else 0.0,
+        notes=(*notes, *sorting),
+        **found,  # type: ignore[arg-type]
+    )
 
 
 def _strange(header: Sequence[str]) -> list[str]:

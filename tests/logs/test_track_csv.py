@@ -147,3 +147,32 @@ def test_the_hand_turned_sensor_is_read_as_recorded(shared_data: Path) -> None:
     track = read_track(path)
     assert track.compasses[1].reported.values[0].tolist() == [241.284, -337.615, -388.991]
     assert track.temperature_degc is not None and len(track.temperature_degc) == 8190
+
+
+def test_whole_numbers_are_the_formats_steps_and_cut_ones_are_known(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    t = np.arange(4000) * 0.05
+    turning = np.stack([250.0 * np.cos(0.5 * t), -250.0 * np.sin(0.5 * t), 0.0 * t + 430.0], axis=1)
+    field = turning + rng.normal(0.0, 1.5, turning.shape)
+    force = np.array([0.02, -0.03, -9.8]) + rng.normal(0.0, 0.05, turning.shape)
+    milli_g = 0.00980665
+    for wire, cut in ((np.trunc, True), (np.round, False)):
+        made = Track(
+            compasses={1: MagSeries(1, Series.of(t, wire(field)))},
+            acc_mps2=Series.of(t, wire(force / milli_g) * milli_g),
+        )
+        write_track_csv(made, tmp_path / "steps.csv")
+        read = read_track(tmp_path / "steps.csv")
+        assert read.compasses[1].quantum_mgauss == 1.0
+        assert read.compasses[1].truncated == cut
+        assert read.acc_truncation_mps2 == pytest.approx(milli_g if cut else 0.0)
+
+
+@pytest.mark.parametrize("step", [0.3, 4.0])
+def test_other_steps_are_the_sensors_own(tmp_path: Path, step: float) -> None:
+    rng = np.random.default_rng(6)
+    field = np.round(rng.normal(0.0, 200.0, (500, 3)) / step) * step
+    write_track_csv(
+        Track(compasses={1: MagSeries(1, Series.of(np.arange(500) * 0.1, field))}), tmp_path / "s.csv"
+    )
+    assert read_track(tmp_path / "s.csv").compasses[1].quantum_mgauss == 0.0
