@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from mavcompass.errors import Refused
+from mavcompass.procedure.calm import wait_until_calm
 from mavcompass.procedure.gyro_angle import GyroAngle
 from mavcompass.procedure.hand import HandMover
 from mavcompass.procedure.modes import ModeKeeper
@@ -68,6 +69,8 @@ class Mobility:
         controls = self.wishes.turn_by != "auto"
         self._readiness = Readiness(self.identity, self.state, self._modes, permissions, controls)
         yield from self._readiness.make(context)
+        if self.identity.kind == "copter":
+            yield from wait_until_calm(context, self.state, self.rest)
         self._watch(context, parameters)
         self.mover = VehicleMover(self.gyro, strategies)
         return self.mover

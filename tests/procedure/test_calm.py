@@ -1,0 +1,59 @@
+"""A copter is not turned before it holds its place."""
+
+from __future__ import annotations
+
+import pytest
+
+from mavcompass import messages as mav
+from mavcompass.errors import Refused
+from mavcompass.procedure.calm import wait_until_calm
+from mavcompass.procedure.positions import Rest
+from mavcompass.procedure.script import Context, Machine, Script, Show, Tick
+from mavcompass.procedure.vehicle_state import VehicleState
+
+
+def waiting(
+    swings_until_s: float = 0.0, doubts_until_s: float = 0.0, tilts_until_s: float = 0.0
+) -> tuple[Machine[float], list[str]]:
+    """Let a copter swing, doubt its compass or tilt until some time; the machine tells how long it waited."""
+    state, rest = VehicleState(), Rest()
+    shown: list[str] = []
+
+    def script(context: Context) -> Script[float]:
+        yield from wait_until_calm(context, state, rest)
+        return context.now
+
+    machine = Machine(script)
+    for step in range(700):
+        time_s = 0.1 * step
+        speed_cmps = 120 if time_s < swings_until_s else 3
+        variance = 1.2 if time_s < doubts_until_s else 0.1
+        state.hear(mav.Incoming(time_s, 1, 1, mav.GlobalPositionInt(vx=speed_cmps)))
+        state.hear(mav.Incoming(time_s, 1, 1, mav.EkfStatusReport(compass_variance=variance)))
+        rest.why_not = "tilting" if time_s < tilts_until_s else ""
+        shown += [action.text for action in machine.step(Tick(time_s)) if isinstance(action, Show)]
+        if machine.done:
+            break
+    return machine, shown
+
+
+def test_one_that_holds_its_place_is_turned_soon() -> None:
+    machine, shown = waiting()
+    assert machine.result == pytest.approx(1.5, abs=0.2) and not shown
+
+
+@pytest.mark.parametrize("which", ["swings_until_s", "tilts_until_s"])
+def test_one_that_swings_is_waited_for(which: str) -> None:
+    machine, shown = waiting(**{which: 12.0})
+    assert machine.result == pytest.approx(13.5, abs=0.3)
+    assert shown == ["Waiting until the copter holds its place."]
+
+
+def test_one_that_doubts_its_compass_is_waited_for_a_while() -> None:
+    assert waiting(doubts_until_s=6.0)[0].result == pytest.approx(7.5, abs=0.3)
+    assert waiting(doubts_until_s=60.0)[0].result == pytest.approx(10.0, abs=0.3)
+
+
+def test_one_that_never_holds_its_place_is_refused_with_the_way_out() -> None:
+    machine, _ = waiting(swings_until_s=100.0)
+    assert isinstance(machine.error, Refused) and "--motion hand" in machine.error.remedy
