@@ -248,7 +248,7 @@ def from_recording(replay: Replay) -> Floor:
     scatter = noise["mag"].sigma
     world = replay.signals.stimulus.field_ned_mgauss[0]
     total, level = float(np.linalg.norm(world)), max(float(np.hypot(world[0], world[1])), 1.0)
-    doubt = _REFERENCE_DOUBT_RAD[replay.reference.kind]
+    doubt = max(_REFERENCE_DOUBT_RAD[replay.reference.kind], replay.reference.tilt_sigma_rad)
     # A small random rotation moves the field by doubt |B| in two of three directions.
     slow = doubt * total * math.sqrt(2.0 / 3.0)
     white_rms = math.sqrt(float(np.mean(scatter**2)))

@@ -63,7 +63,7 @@ def _lattice(field: FloatArray) -> float:
 
 def names_stale(replay: Replay, baseline: Replay | None) -> bool:
     """Tell whether the repeats are an effect: more than by chance, than the baseline's, than telemetry's."""
-    if replay.telemetry or replay.resolution_mgauss > 0.0:
+    if replay.telemetry:
         return False
     found, nominal = replay.trace, baseline.trace if baseline is not None else None
     expected = nominal.stale_share if nominal is not None else 0.0

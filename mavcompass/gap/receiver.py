@@ -61,7 +61,11 @@ def receiver_path(track: Track, clock: FloatArray) -> Path | None:
 
     The accelerations are exact derivatives of smooth curves: averaged over T, their noise falls with T.
     """
-    for series, order in ((track.gps_velocity_mps, 1), (track.position_ned_m, 2), (_local(track.place), 2)):
+    for series, order in (
+        (track.gps_velocity_mps, 1),
+        (track.position_ned_m, 2),
+        (local_position(track.place), 2),
+    ):
         if series is None:
             continue
         finite = np.isfinite(series.values).all(axis=1)
@@ -88,7 +92,7 @@ def _derivative(
     return np.stack([np.interp(clock, grid, column) for column in curve.T], axis=1)
 
 
-def _local(place: Series | None) -> Series | None:
+def local_position(place: Series | None) -> Series | None:
     """Return north, east, down in metres about the middle of some places."""
     if place is None or not np.isfinite(place.values).all(axis=1).any():
         return None

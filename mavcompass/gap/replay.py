@@ -18,6 +18,7 @@ from mavcompass.gap.compass_rows import averaged, compass_rows
 from mavcompass.gap.integrity import Trace
 from mavcompass.gap.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
 from mavcompass.gap.nuisance import REFERENCE_YAW, WORLD_FIELD, Nuisance, telemetry_age
+from mavcompass.gap.receiver import local_position
 from mavcompass.gap.reference import Choice, Reference, reference_attitude
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.signals import Reading, Stimulus
@@ -29,6 +30,8 @@ _TURNING_RAD = math.radians(25.0)
 _TILT_RAD = math.radians(4.0)
 # What a load must at least vary by to be told from everything else that happens meanwhile.
 _LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
+# Standard deviations of a path beside which the errors of a position are small.
+_LEAST_PATH_M, _LEAST_RECEIVED_PATH_M = 0.05, 1.5
 # Motors that turn both ways stand still at half of their output.
 _NEUTRAL_IN_THE_MIDDLE = frozenset({"rover", "ackermann-rover", "boat", "sub"})
 _NO_TURN = (
@@ -103,7 +106,7 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
         stimulus.rate_radps,
     )
     independent = reference.kind == "columns"
-    present = _present(track, stimulus, independent, reference.known & rows.usable)
+    present = _present(track, stimulus, reference, reference.known & rows.usable)
     if "turning" not in present:
         # A constant offset in body axes is then a constant field: its size can be anything.
         sigma = np.maximum(sigma, UNKNOWN_SIGMA_MGAUSS)
@@ -167,20 +170,36 @@ def _stimulus(track: Track, time_s: FloatArray, reference: Reference, field: Flo
         motors = np.nan_to_num(track.motors.at(time_s))
         if track.vehicle in _NEUTRAL_IN_THE_MIDDLE:
             motors = 2.0 * np.abs(motors - 0.5)
-    position = _column(track.position_ned_m, time_s)
     return Stimulus(
         time_s=time_s,
         rotation=reference.rotation,
         field_ned_mgauss=np.tile(field, (n, 1)),
         rate_radps=reference.rate_radps,
         specific_force_mps2=reference.rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2,
-        position_ned_m=position,
+        position_ned_m=_column(_position(track, reference), time_s),
         velocity_ned_mps=_column(track.gps_velocity_mps, time_s),
         current_a=_scalar(track.current_a, time_s),
         throttle=_scalar(track.throttle, time_s),
         temperature_degc=_scalar(track.temperature_degc, time_s),
         motors=motors,
     )
+
+
+def _position(track: Track, reference: Reference) -> Series | None:
+    """Return the best position there is: measured, or the receiver's where the vehicle goes far enough."""
+    measured = track.position_ned_m
+    if measured is not None and len(measured) > 1:
+        return measured
+    received = local_position(track.place)
+    return received if received is not None and _goes_about(received.values, reference) else None
+
+
+def _goes_about(position: FloatArray, reference: Reference) -> bool:
+    """Tell whether a path (N, 3) is longer than its errors, which an independent reference does not have."""
+    if not np.isfinite(position).all(axis=1).any():
+        return False
+    least = _LEAST_PATH_M if reference.kind == "columns" else _LEAST_RECEIVED_PATH_M
+    return float(np.nanmax(np.nanstd(position, axis=0))) > least
 
 
 def _with_linear_acceleration(stimulus: Stimulus, acc: FloatArray, reference: Reference) -> Stimulus:
@@ -229,7 +248,9 @@ def _nuisances(
     return tuple(found)
 
 
-def _present(track: Track, stimulus: Stimulus, independent: bool, valid: NDArray[np.bool_]) -> frozenset[str]:
+def _present(
+    track: Track, stimulus: Stimulus, reference: Reference, valid: NDArray[np.bool_]
+) -> frozenset[str]:
     present = set()
     for name, values in (
         ("current", stimulus.current_a),
@@ -240,10 +261,8 @@ def _present(track: Track, stimulus: Stimulus, independent: bool, valid: NDArray
             present.add(name)
     if stimulus.motors.size and float(np.ptp(stimulus.motors, axis=0).max()) > _LEAST_RANGE["throttle"]:
         present.add("motors")
-    position = stimulus.position_ned_m
-    if independent and np.isfinite(position).all(axis=1).any():
-        if float(np.nanmax(np.nanstd(position, axis=0))) > 0.05:
-            present.add("position")
+    if _goes_about(stimulus.position_ned_m, reference):
+        present.add("position")
     rotation = stimulus.rotation[valid]
     if len(rotation):
         mean_level = np.abs(np.mean(rotation[:, :2, 0], axis=0))
@@ -252,6 +271,6 @@ def _present(track: Track, stimulus: Stimulus, independent: bool, valid: NDArray
         spread = np.sqrt(np.var(rotation[:, 2, 0]) + np.var(rotation[:, 2, 1]))
         if spread > math.sin(_TILT_RAD):
             present.add("tilt")
-    if independent:
+    if reference.kind == "columns":
         present.add("reference")
     return frozenset(present)
