@@ -64,7 +64,8 @@ def compass_rows(track: Track, compass: MagSeries) -> Rows:
     finite = np.asarray(np.isfinite(raw).all(axis=1))
     trace = inspect(raw, finite)
     usable = finite
-    if hold is None and trace.stale_share > 0.0 and trace.step_mgauss == 0.0:
+    fine = trace.step_mgauss == 0.0 and compass.quantum_mgauss == 0.0
+    if hold is None and trace.stale_share > 0.0 and fine:
         usable = np.asarray(finite & ~trace.stale)
     width = _stride(time_s.size)
     picked = slice(None)

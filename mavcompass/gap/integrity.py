@@ -67,12 +67,17 @@ def names_stale(replay: Replay, baseline: Replay | None) -> bool:
         return False
     found, nominal = replay.trace, baseline.trace if baseline is not None else None
     expected = nominal.stale_share if nominal is not None else 0.0
-    if found.step_mgauss > 0.0 and (nominal is None or nominal.step_mgauss != found.step_mgauss):
+    coarse = found.step_mgauss > 0.0 or replay.resolution_mgauss > 0.0
+    if coarse and (baseline is None or _steps_of(replay) != _steps_of(baseline)):
         # Coarse numbers repeat by chance, and no baseline tells how often.
         return False
     count = found.stale.size
     noise = math.sqrt(max(expected * (1.0 - expected), 1.0 / count) / count)
     return found.stale_share > max(_REPEATS_WORTH_NAMING, expected + 5.0 * noise)
+
+
+def _steps_of(replay: Replay) -> tuple[float, float]:
+    return replay.trace.step_mgauss, replay.resolution_mgauss
 
 
 def names_step(replay: Replay, baseline: Replay | None, noise_mgauss: float) -> bool:

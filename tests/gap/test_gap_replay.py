@@ -12,6 +12,7 @@ from mavcompass.gap import diagnose_gap
 from mavcompass.gap.cases import PLACE, Recipe, make_track
 from mavcompass.gap.compass_rows import compass_rows
 from mavcompass.gap.floor import from_recording
+from mavcompass.gap.integrity import names_stale, names_step
 from mavcompass.gap.reference import body_rate
 from mavcompass.gap.replay import replay
 from mavcompass.gap.testable import untestable_effects
@@ -80,3 +81,13 @@ def test_doubt_of_the_floor_grows_with_that_of_the_level() -> None:
     replayed = replay(driven(np.arange(0.0, 60.0, 0.05), 8.0))
     shaky = replace(replayed, reference=replace(replayed.reference, tilt_sigma_rad=0.03))
     assert from_recording(shaky).field_rms_mgauss > 2.0 * from_recording(replayed).field_rms_mgauss
+
+
+def test_whole_milligauss_repeat_by_chance() -> None:
+    track = driven(np.arange(0.0, 90.0, 0.05), 0.2)
+    compass = track.compasses[1]
+    slow = np.round(0.3 * compass.reported.values)
+    counted = MagSeries(1, Series.of(compass.time_s, slow), quantum_mgauss=1.0)
+    replayed = replay(replace(track, compasses={1: counted}))
+    assert replayed.trace.stale_share > 0.003 and not names_stale(replayed, None)
+    assert not names_step(replayed, None, 1.0)
