@@ -189,8 +189,10 @@ def _wanted_rates(
     wanted |= dict.fromkeys((mav.GlobalPositionInt, mav.RcChannels, mav.SysStatus, mav.Heartbeat), 4.0)
     wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime), 2.0)
     if identity.kind == "copter":
-        # What hovers sways: its tilt is told by the receiver's velocity, see `calibration.sway`.
+        # What hovers sways and shakes: its tilt is told by the receiver's velocity and by as many readings
+        # as there are, see `calibration.sway`.
         wanted[mav.GpsRawInt] = 5.0
+        wanted[kinds[1]] = 2.0 * rate_hz
     if px4:
         del wanted[mav.EkfStatusReport]
     return wanted
