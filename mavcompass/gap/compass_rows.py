@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.gap.integrity import Trace, inspect
@@ -27,6 +28,7 @@ class Rows:
     Attributes:
         all_s: times before averaging, (M,); picked: which of them remain, as the middles of averages.
         raw_mgauss: (N, 3), the calibration in force undone.
+        corrected_mgauss: (N, 3), with it; None where none is in force, or it is not known.
         hold_s: how long each has repeated the one before, (N,); None where nothing repeats by nature.
         averaged: how many neighbours each row is the mean of.
         trace: repeats and steps of the numbers, before averaging; usable: rows that are no lost readings.
@@ -35,6 +37,7 @@ class Rows:
     all_s: FloatArray
     picked: slice
     raw_mgauss: FloatArray
+    corrected_mgauss: FloatArray | None
     hold_s: FloatArray | None
     averaged: int
     trace: Trace
@@ -59,7 +62,10 @@ def compass_rows(track: Track, compass: MagSeries) -> Rows:
             " too few.",
             "Record at least half a minute of turning.",
         )
-    raw = _raw_field(track, compass)[keep]
+    restored = _restored(compass)
+    raw = replace(track, compasses={compass.instance: restored}).raw_field(compass.instance)[keep]
+    corrected = _corrected(track, restored)
+    corrected = None if corrected is None else corrected[keep]
     hold = np.zeros(time_s.size) if slower else _hold(time_s, compass.reported.values[keep], track.autopilot)
     finite = np.asarray(np.isfinite(raw).all(axis=1))
     trace = inspect(raw, finite)
@@ -73,19 +79,31 @@ def compass_rows(track: Track, compass: MagSeries) -> Rows:
         # Averages of an odd number of neighbours, at the time of the middle one.
         picked = slice(width // 2, time_s.size - width // 2, width)
         raw = averaged(raw, width)[picked]
+        corrected = None if corrected is None else averaged(corrected, width)[picked]
         usable = np.asarray(np.isfinite(raw).all(axis=1))
         hold = None if hold is None else hold[picked]
-    return Rows(time_s, picked, raw, hold, width, trace, usable)
+    return Rows(time_s, picked, raw, corrected, hold, width, trace, usable)
 
 
-def _raw_field(track: Track, compass: MagSeries) -> FloatArray:
-    """Undo the calibration in force; where the numbers were cut toward zero, put the mean half step back."""
-    if compass.truncated and compass.quantum_mgauss > 0.0:
-        values = compass.reported.values
-        restored = Series.of(compass.time_s, values + 0.5 * compass.quantum_mgauss * np.sign(values))
-        compass = replace(compass, reported=restored)
-        track = replace(track, compasses={**track.compasses, compass.instance: compass})
-    return track.raw_field(compass.instance)
+def _restored(compass: MagSeries) -> MagSeries:
+    """Put the mean half step back where numbers were cut toward zero."""
+    if not compass.truncated or compass.quantum_mgauss <= 0.0:
+        return compass
+    values = compass.reported.values
+    half = 0.5 * compass.quantum_mgauss * np.sign(values)
+    return replace(compass, reported=Series.of(compass.time_s, values + half))
+
+
+def _corrected(track: Track, compass: MagSeries) -> FloatArray | None:
+    """Return the readings (N, 3) with the calibration in force; None where there is none."""
+    if not compass.correction_known:
+        return None
+    if compass.not_applied is not None:
+        load = track.motor_load(compass.time_s, compass.not_applied.motor_source)
+        return compass.not_applied.apply(compass.reported.values, load)
+    if all(step.correction == IDENTITY for step in compass.in_force):
+        return None
+    return np.asarray(compass.reported.values)
 
 
 def _stride(count: int) -> int:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from mavcompass.gap.adequacy import Adequacy
 from mavcompass.gap.advise import next_flights
+from mavcompass.gap.cure import corrected_rms, with_cures
 from mavcompass.gap.floor import Floor
 from mavcompass.gap.hypothesis import Fit
-from mavcompass.gap.identify import Identified
+from mavcompass.gap.identify import SILENT, Identified
 from mavcompass.gap.locate import where
 from mavcompass.gap.model import Problem
 from mavcompass.gap.naming import named_causes, trace_causes
@@ -56,7 +57,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     problem, test = identified.problem, identified.split.test
     answer, field, heading = _closed(evidence, answer)
     named = answer.named
-    causes = named_causes(identified, named)
+    causes = with_cures(named_causes(identified, named), problem, named)
     if answer.verdict != "unknown":
         causes += trace_causes(scatter, evidence.stale_share, evidence.step_mgauss)
     bars: tuple[Bar, ...] = ()
@@ -93,6 +94,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
             *replayed.notes,
             *(f"{e} was considered and dropped: {why}." for e, why in identified.dropped),
         ),
+        corrected_rms_mgauss=corrected_rms(problem, named, test),
         picture=picture(problem, named, test),
     )
 
@@ -117,7 +119,8 @@ def _worse_on(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
     """Tell whether the effects make held-out readings of all sensors less likely."""
     held = problem.with_rows(test)
     before, after = held.residual(held.predict(fit, effects=False)), held.residual(held.predict(fit))
-    return float(after @ after) > float(before @ before)
+    told = float((after - before) @ (after - before)) > SILENT
+    return told and float(after @ after) > float(before @ before)
 
 
 def _never_worse(closing: Closing) -> Closing:

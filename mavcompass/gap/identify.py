@@ -26,6 +26,8 @@ _AT_THE_END = 1e-3
 _NEEDED = 10.0
 _PASSES = 2
 _CLOSINGS_IN = 6
+# Readings that an effect changes by less than this (squared sigmas, in all) cannot judge it.
+SILENT = 9.0
 _NEAREST_MAGNET_M = 0.03
 
 
@@ -158,26 +160,32 @@ def _touched(candidate: Identified) -> str | None:
 
 
 def _vetoed(candidate: Identified) -> str | None:
-    """Fit on each half of the training rows; an effect must help on the other half."""
+    """Fit on each half of the training rows; an effect must help on the other half.
+
+    A magnet that is passed once shows in one half only: the half that does not show it has no say.
+    """
     fit, problem = candidate.fit, candidate.problem
     halves = candidate.split.halves()
-    gains = dict.fromkeys(sorted(fit.ids), 0.0)
+    gains: dict[str, float] = {}
     for own, other in (halves, halves[::-1]):
-        trained = problem.with_rows(own & problem.rows).fit(
-            fit.terms, fit.thetas, fit.nuisance_thetas, iterations=3
-        )
-        judge = problem.with_rows(other & problem.rows)
-        full = judge.residual(judge.predict(trained))
-        for effect_id in gains:
-            keep = [i for i, t in enumerate(trained.terms) if t.effect.id != effect_id]
+        mine, judge = problem.with_rows(own & problem.rows), problem.with_rows(other & problem.rows)
+        trained = mine.fit(fit.terms, fit.thetas, fit.nuisance_thetas, iterations=3)
+        here, there = mine.residual(mine.predict(trained)), judge.residual(judge.predict(trained))
+        for place, term in enumerate(trained.terms):
             without = Fit(
-                tuple(trained.terms[i] for i in keep),
-                tuple(trained.thetas[i] for i in keep),
+                (*trained.terms[:place], *trained.terms[place + 1 :]),
+                (*trained.thetas[:place], *trained.thetas[place + 1 :]),
                 trained.nuisance_thetas,
                 0.0,
             )
-            left = judge.residual(judge.predict(without))
-            gains[effect_id] += float(left @ left - full @ full)
+            predicted = mine.predict(without)
+            left_here, left_there = mine.residual(predicted), judge.residual(predicted)
+            shown = float(left_here @ left_here - here @ here) > SILENT + term.dimension
+            if shown and float((left_there - there) @ (left_there - there)) > SILENT:
+                gain = float(left_there @ left_there - there @ there)
+                gains[term.effect.id] = gains.get(term.effect.id, 0.0) + gain
+    if not gains:
+        return None
     worst = min(gains, key=gains.__getitem__)
     return worst if gains[worst] <= 0.0 else None
 

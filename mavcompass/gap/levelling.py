@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.kinematics import integrated, with_down
-from mavcompass.gap.receiver import Path, receiver_path
+from mavcompass.gap.receiver import Path, receiver_path, triangle_means
 from mavcompass.gap.rest import Bias, bias_at_rest
 from mavcompass.track import Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -111,8 +111,10 @@ def _levelled(data: _Inertial, resting: Bias, path: Path | None) -> Levelled:
         half_s = _half_window_s(data, there, gravity)
         down = _smoothed_down(data, there, gravity, half_s)
         rotation = with_down(data.clock, data.rate - bias, down)
-        turned = path.turned_like(data.clock, rotation, data.force) if path is not None else None
-        if turned is not None and turn + 1 < _PASSES:
+        if path is None or turn + 1 == _PASSES:
+            continue
+        turned = path.turned_like(data.clock, rotation, data.force, 0.0 if moved else half_s)
+        if turned is not None:
             # From the level frame back into the axes that stand still.
             linear, moved = np.einsum("nij,nkj,nk->ni", there, rotation, turned), True
     shorter = _smoothed_down(data, there, gravity, 0.5 * half_s)
@@ -168,20 +170,8 @@ def _half_window_s(data: _Inertial, there: FloatArray, gravity: FloatArray) -> f
 
 def _smoothed_down(data: _Inertial, there: FloatArray, gravity: FloatArray, half_s: float) -> FloatArray:
     """Return the down vector in body axes, (N, 3): gravity averaged over both sides of each time."""
-    step = max(float(np.median(np.diff(data.clock))), 1e-3)
-    half = min(max(1, round(half_s / step)), data.clock.size)
-    kernel = np.concatenate([np.arange(1, half + 1), np.arange(half - 1, 0, -1)]).astype(np.float64)
     down = -gravity * data.felt[:, None]
-    total = np.stack([_convolved(down[:, i], kernel) for i in range(3)], axis=1)
     # Where nothing was felt nearby, the average of all is the best there is.
-    total += 1e-6 * down.sum(axis=0)
+    total = triangle_means(data.clock, down, half_s) + 1e-6 * down.mean(axis=0)
     total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
     return np.asarray(np.einsum("nji,nj->ni", there, total))
-
-
-def _convolved(values: FloatArray, kernel: FloatArray) -> FloatArray:
-    """Return the centred convolution, as long as the values, by the Fourier transform."""
-    size = 1 << (values.size + kernel.size).bit_length()
-    product = np.fft.irfft(np.fft.rfft(values, size) * np.fft.rfft(kernel, size), size)
-    first = (kernel.size - 1) // 2
-    return np.asarray(product[first : first + values.size])

@@ -30,16 +30,21 @@ class Path:
     compared_mps2: FloatArray
     taken_mps2: FloatArray
 
-    def turned_like(self, clock: FloatArray, rotation: FloatArray, force: FloatArray) -> FloatArray | None:
+    def turned_like(
+        self, clock: FloatArray, rotation: FloatArray, force: FloatArray, absorbed_s: float
+    ) -> FloatArray | None:
         """Turn the acceleration by the yaw, and its even drift, that fit forces (N, 3) in body axes.
 
-        `rotation` (N, 3, 3) goes from body axes to a level frame. None where no yaw explains what is felt.
+        `rotation` (N, 3, 3) goes from body axes to a level frame, which was levelled by means of the force
+        over triangles of half width `absorbed_s`: the same means of an acceleration do not show in it. 0
+        where the acceleration had been taken away before. None where no yaw explains what is felt.
         """
         level = np.einsum("nij,nj->ni", rotation, force)
         width = max(round(_COMPARED_S / max(float(np.median(np.diff(clock))), 1e-3)), 1)
         smooth = _running(_running(level, width), width)
         felt = smooth[:, 0] + 1j * smooth[:, 1]
-        said = self.compared_mps2[:, 0] + 1j * self.compared_mps2[:, 1]
+        shown = self.compared_mps2 - triangle_means(clock, self.compared_mps2, absorbed_s)
+        said = shown[:, 0] + 1j * shown[:, 1]
         middle = clock - 0.5 * (clock[0] + clock[-1])
         step = _TURN_STEP_RAD / max(float(np.ptp(clock)), 1.0)
         drifts = step * np.arange(
@@ -54,6 +59,24 @@ class Path:
             return None
         taken = (self.taken_mps2[:, 0] + 1j * self.taken_mps2[:, 1]) * turn
         return np.stack([taken.real, taken.imag, self.taken_mps2[:, 2]], axis=1)
+
+
+def triangle_means(clock: FloatArray, values: FloatArray, half_s: float) -> FloatArray:
+    """Return means of columns (N, k) over triangles of a half width, cut at the ends; 0 for no width."""
+    half = min(round(half_s / max(float(np.median(np.diff(clock))), 1e-3)), clock.size)
+    if half < 1:
+        return np.zeros_like(values)
+    kernel = np.concatenate([np.arange(1, half + 1), np.arange(half - 1, 0, -1)]).astype(np.float64)
+    weight = _convolved(np.ones(clock.size), kernel)
+    return np.stack([_convolved(column, kernel) / weight for column in values.T], axis=1)
+
+
+def _convolved(values: FloatArray, kernel: FloatArray) -> FloatArray:
+    """Return the centred convolution, as long as the values, by the Fourier transform."""
+    size = 1 << (values.size + kernel.size).bit_length()
+    product = np.fft.irfft(np.fft.rfft(values, size) * np.fft.rfft(kernel, size), size)
+    first = (kernel.size - 1) // 2
+    return np.asarray(product[first : first + values.size])
 
 
 def receiver_path(track: Track, clock: FloatArray) -> Path | None:

@@ -47,6 +47,7 @@ class Replay:
     Attributes:
         signals: the inputs, and what ideal sensors would have said.
         measured: what the sensors said, the calibration in force undone, (N, 3) each.
+        corrected_mgauss: the compass with the calibration in force, (N, 3); None where none is known.
         valid: rows with a reading and a reference, (N,).
         groups: the sensors that can be compared: the compass always, accelerometer and gyro where the
             reference did not come from them.
@@ -72,6 +73,7 @@ class Replay:
     field_known: bool
     trace: Trace
     notes: tuple[str, ...]
+    corrected_mgauss: FloatArray | None = None
 
     @property
     def time_s(self) -> FloatArray:
@@ -135,6 +137,7 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
         trace=rows.trace,
         field_known=sigma[0] < UNKNOWN_SIGMA_MGAUSS,
         notes=(*track.notes, *reference.notes, *field_notes, *motion_note),
+        corrected_mgauss=rows.corrected_mgauss,
     )
 
 

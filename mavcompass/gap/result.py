@@ -18,7 +18,8 @@ SCHEMA = "mavcompass.gap/1"
 class Cause:
     """Hold one named effect: its parameters, their 95 % intervals, how probable, what else it may be.
 
-    `separation` is how many sigmas its best rival falls short; `removes_mgauss` the rms it explains.
+    `separation` is how many sigmas its best rival falls short; `removes_mgauss` the rms it explains;
+    `cured` the share of it, 0 to 1, that the calibration in force takes away (None: none is in force).
     """
 
     effect: str
@@ -28,6 +29,7 @@ class Cause:
     ambiguous_with: tuple[str, ...]
     separation: float | None = None
     removes_mgauss: float = 0.0
+    cured: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +74,11 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """Hold the whole answer. `to_json` gives the document of the command line's contract."""
+    """Hold the whole answer. `to_json` gives the document of the command line's contract.
+
+    `corrected_rms_mgauss` is what `field` measures, of the readings as the calibration in force corrects
+    them (None: none is in force); `field` itself is about the raw sensor.
+    """
 
     path: str
     sha256: str | None
@@ -98,6 +104,7 @@ class Diagnosis:
     withheld: tuple[str, ...]
     seconds: float
     notes: tuple[str, ...] = ()
+    corrected_rms_mgauss: float | None = None
     picture: Picture | None = dataclasses.field(default=None, repr=False, compare=False)
 
     @property
@@ -149,6 +156,7 @@ class Diagnosis:
                 }
                 for f in self.next_flight
             ],
+            "corrected_rms_mgauss": self.corrected_rms_mgauss,
             "folded_from_baseline": list(self.folded),
             "withheld": list(self.withheld),
             "notes": list(self.notes),
@@ -165,6 +173,7 @@ def _cause(cause: Cause) -> dict[str, object]:
         "ambiguous_with": list(cause.ambiguous_with),
         "separation": cause.separation,
         "removes_mgauss": cause.removes_mgauss,
+        "cured_by_calibration": cause.cured,
     }
 
 

@@ -23,6 +23,8 @@ from mavcompass.gap.search import least_gain
 _DRIFT_MODES = 80
 # The scatter's own distribution is only known from the recording: be slower to name it.
 _SCATTER_TRIALS = 50
+# Without a baseline, times may scatter by this much and be healthy.
+_DOUBTFUL_JITTER_S = 0.02
 _DRIFT_SIZES = (0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 13.0)
 
 
@@ -61,7 +63,8 @@ def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], representa
     if representative and "noise_excess" in allowed and even_size > 0.0:
         size = math.sqrt(even_size) * float(np.sqrt(np.mean(noise.rms**2)))
         candidates.append(Scatter("noise_excess", size, even / inflation))
-    if "timestamp_jitter" in allowed and late_size > 0.0:
+    trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
+    if "timestamp_jitter" in allowed and late_size > 0.0 and trusted:
         gain = late if representative else _beyond_even(y, x)
         candidates.append(Scatter("timestamp_jitter", math.sqrt(late_size), gain / inflation))
     if not representative and "noise_excess" in allowed:

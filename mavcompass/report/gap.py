@@ -10,8 +10,10 @@ from typing import Any
 
 from mavcompass import __version__
 from mavcompass.errors import UsageError
+from mavcompass.gap.cure import wholly_cured, words
 from mavcompass.gap.result import Cause, Diagnosis
-from mavcompass.gap.trial import Trial, wilson
+from mavcompass.gap.score import wilson
+from mavcompass.gap.trial import Trial
 from mavcompass.report.calibration import render
 from mavcompass.report.gap_figures import ambiguity_figure, gap_figures, tests_figure, waterfall_figure
 from mavcompass.simulation.effects import catalogue
@@ -29,12 +31,18 @@ _VERDICTS = {
 def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
     """Write the report of a diagnosis. Raises UsageError where the file cannot be written."""
     word, css, sentence = _VERDICTS[diagnosis.verdict]
+    if wholly_cured(diagnosis.causes):
+        sentence += " The calibration in force cures it: what the vehicle flies by has no gap from it."
     facts = {
         "Recording": diagnosis.path or "unknown",
         "Length": f"{diagnosis.duration_s:.0f} s, {diagnosis.samples} readings",
         "Compass": str(diagnosis.compass),
         "Attitude from": diagnosis.reference,
     }
+    if diagnosis.corrected_rms_mgauss is not None:
+        facts["With the calibration in force"] = (
+            f"{diagnosis.corrected_rms_mgauss:.2f} mG rms off; the figures below are of the raw sensor"
+        )
     if diagnosis.folded:
         facts["Known from the baseline"] = ", ".join(diagnosis.folded)
     if diagnosis.withheld:
@@ -113,6 +121,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "separation": "-" if cause.separation is None else f"{cause.separation:.0f}",
         "separated_by": effect.separated_by,
         "ambiguous_with": cause.ambiguous_with,
+        "cure": words(cause),
         "parameters": [
             (name, f"{value:.5g}", "{:.4g} to {:.4g}".format(*cause.ci95[name]), units[name])
             for name, value in cause.parameters.items()

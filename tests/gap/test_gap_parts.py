@@ -16,10 +16,10 @@ from mavcompass.gap.adequacy import ALPHA
 from mavcompass.gap.cases import Recipe, make_track, stimulus_of
 from mavcompass.gap.noise import estimate_noise, rough_sigma, white
 from mavcompass.gap.reference import body_rate, reference_attitude
+from mavcompass.gap.score import wilson
 from mavcompass.gap.sealed import draw_label, read_case, seal
 from mavcompass.gap.search import CHANCE, least_gain
 from mavcompass.gap.split import probe, split_blocks, with_windows
-from mavcompass.gap.trial import wilson
 from mavcompass.logs import write_track_csv
 from mavcompass.simulation import effects
 from mavcompass.track import Series, Track

@@ -1,0 +1,192 @@
+"""Score answers against their labels: distances, the oracle, the true shrink, counts with intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.blas import single_thread
+from mavcompass.gap.cases import Recipe, ideal, stimulus_of, to_track
+from mavcompass.gap.diagnose import withheld_effects
+from mavcompass.gap.model import Problem
+from mavcompass.gap.noise import Noise, SensorNoise
+from mavcompass.gap.replay import replay
+from mavcompass.gap.sealed import Label, tracks_of
+from mavcompass.gap.search import Search
+from mavcompass.gap.split import split_blocks
+from mavcompass.simulation.effects import Distortion, catalogue, parse
+from mavcompass.simulation.effects.effect import Effect
+
+_NOISE: Noise = {
+    "mag": SensorNoise(np.array([0.3]), np.full(3, 3.0 * math.sqrt(0.91)), np.full(3, 3.0), 6000.0),
+    "acc": SensorNoise(np.zeros(0), np.full(3, 0.03), np.full(3, 0.03), 6000.0),
+    "gyro": SensorNoise(np.zeros(0), np.full(3, 0.003), np.full(3, 0.003), 6000.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Hold what the diagnosis said of one case, before the label was opened.
+
+    `residuals_mgauss` are those of the field without and with the named effects, (N, 3) each.
+    """
+
+    verdict: str
+    effects: tuple[str, ...]
+    in_set: tuple[tuple[str, ...], ...]
+    nominal: float
+    after: float
+    shrink: float
+    shrink_ci95: tuple[float, float]
+    seconds: float
+    residuals_mgauss: tuple[FloatArray, FloatArray] | None = field(default=None, repr=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Hold one scored case.
+
+    Attributes:
+        label: the truth; answer: with the whole catalogue; withheld: without the truth and its aliases.
+        separation: d_sep in sigmas (single) or d_perp (withheld); nan where it was not computed.
+        own_separation: of a withheld case, d_sep from all others once it is restored.
+        exact, in_set: whether the answer names the truth, alone or among its set.
+        true_shrink: what the named effects take away of the true gap, free of noise; nan where none is named.
+        oracle_shrink: shrink of the answer over that of the true effect, on the same held-out rows.
+    """
+
+    label: Label
+    answer: Answer
+    withheld: Answer | None
+    separation: float
+    exact: bool
+    in_set: bool
+    oracle_shrink: float
+    true_shrink: float = math.nan
+    own_separation: float = math.nan
+
+
+def wilson(hits: int, of: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a share."""
+    if of == 0:
+        return (0.0, 1.0)
+    z, p = 1.96, hits / of
+    middle = (p + z * z / (2 * of)) / (1 + z * z / of)
+    half = z / (1 + z * z / of) * math.sqrt(p * (1 - p) / of + z * z / (4 * of * of))
+    return (max(middle - half, 0.0), min(middle + half, 1.0))
+
+
+def score(label: Label, answer: Answer, withheld: Answer | None) -> Case:
+    """Compare an answer with its label."""
+    truth = tuple(sorted(parse(text).effect.id for text in label.effects))
+    exact = answer.effects == truth and answer.verdict in ("named", "ambiguous", "no_gap")
+    in_set = exact or truth in {tuple(sorted(ids)) for ids in answer.in_set}
+    separation = own = oracle = true_shrink = math.nan
+    if label.effects:
+        with single_thread():
+            removed = withheld_effects(truth) if label.tier == "withheld" else frozenset(truth)
+            separation = distance_to_others(
+                label, removed, most=3 if label.tier == "withheld" else len(truth)
+            )
+            if label.tier == "withheld":
+                own = distance_to_others(label, frozenset(truth), most=1)
+            oracle, true_shrink = closing_of_the_truth(label, answer)
+    return Case(label, answer, withheld, separation, exact, in_set, oracle, true_shrink, own)
+
+
+def distance_to_others(label: Label, removed: frozenset[str], most: int) -> float:
+    """Return how far, in sigmas of the whole recording, the case is from what other effects can make.
+
+    For a pair it is the lesser of the two distances with one member removed.
+    """
+    truth = [parse(text) for text in label.effects]
+    if any(s.effect.kind not in ("mean", "discrete") for s in truth):
+        return math.nan
+    if label.tier == "pair":
+        return min(_distance(label, frozenset({s.effect.id}), most) for s in truth)
+    return _distance(label, removed, most)
+
+
+def _distance(label: Label, removed: frozenset[str], most: int) -> float:
+    stimulus = stimulus_of(Recipe(label.motion, seed=label.seed))
+    settings = [parse(text) for text in label.effects]
+    reading = Distortion(settings).apply(stimulus, ideal(stimulus), np.random.default_rng(0))
+    replayed = replay(to_track(stimulus, reading))
+    problem = Problem(replayed, _NOISE, replayed.valid, ())
+    others: list[Effect] = [e for e in catalogue().values() if e.id not in removed]
+    search = Search(problem, others)
+    return math.sqrt(max(search.nearest(most).sse, 0.0))
+
+
+def closing_of_the_truth(label: Label, answer: Answer) -> tuple[float, float]:
+    """Return the shrink over the oracle's, and the true shrink; nan where neither is defined.
+
+    The oracle is the true effect, without any fitting, on the same held-out rows. The true shrink is free
+    of noise: 1 - |made - true|^2 / |nominal - true|^2 over all rows, with the noise of the case known.
+    """
+    if answer.verdict not in ("named", "ambiguous", "named_with_remainder"):
+        return math.nan, math.nan
+    settings = [parse(text) for text in label.effects]
+    if any(s.effect.kind not in ("mean", "discrete") or s.effect.groups != ("mag",) for s in settings):
+        return math.nan, math.nan
+    replayed = replay(tracks_of(label)[0])
+    test = split_blocks(replayed.time_s, replayed.valid).test
+    stimulus = stimulus_of(Recipe(label.motion, seed=label.seed))
+    nominal = ideal(stimulus).mag_mgauss
+    made = Distortion(settings).apply(stimulus, ideal(stimulus), np.random.default_rng(0)).mag_mgauss
+    noise = replayed.measured.mag_mgauss - made
+    left = float(np.mean(noise[test] ** 2))
+    before = float(np.mean((noise + made - nominal)[test] ** 2))
+    oracle = (answer.nominal**2 - answer.after**2) / (before - left) if before > left else math.nan
+    if answer.residuals_mgauss is None:
+        return oracle, math.nan
+    unclosed, closed = (float(np.mean((r - noise)[replayed.valid] ** 2)) for r in answer.residuals_mgauss)
+    return oracle, 1.0 - closed / unclosed if unclosed > 0.0 else math.nan
+
+
+def scoreboard(cases: Sequence[Case]) -> dict[str, tuple[int, int]]:
+    """Count the figures of a trial, stratified by separability."""
+
+    def count(chosen: list[Case], hit: Callable[[Case], bool]) -> tuple[int, int]:
+        return sum(map(hit, chosen)), len(chosen)
+
+    none = [c for c in cases if c.label.tier == "none"]
+    single = [c for c in cases if c.label.tier == "single" and math.isfinite(c.separation)]
+    traces = [c for c in cases if c.label.tier == "single" and not math.isfinite(c.separation)]
+    pairs = [c for c in cases if c.label.tier == "pair"]
+    withheld = [c for c in cases if c.label.tier == "withheld"]
+    clear = [c for c in single if c.separation >= 9.0]
+    middling = [c for c in single if 5.0 <= c.separation < 9.0]
+    both = [c for c in pairs if c.separation >= 9.0]
+    new = [c for c in withheld if c.separation >= 12.0]
+    told = [c for c in new if c.own_separation >= 9.0]
+    oracle = [c for c in new if math.isfinite(c.oracle_shrink)]
+    claimed = [c for c in cases if math.isfinite(c.true_shrink) and math.isfinite(c.answer.shrink_ci95[0])]
+    return {
+        "no effect: named or unknown": count(none, lambda c: c.answer.verdict != "no_gap"),
+        "single, d_sep >= 9: exact": count(clear, lambda c: c.exact),
+        "single, d_sep 5 to 9: in the set": count(middling, lambda c: c.in_set),
+        "single without shift (noise, steps, repeats): exact": count(traces, lambda c: c.exact),
+        "pair, both d_sep >= 9: exact": count(both, lambda c: c.exact),
+        "pair, both d_sep >= 9: in the set": count(both, lambda c: c.in_set),
+        "withheld, d_perp >= 12: flagged": count(
+            new, lambda c: c.withheld is not None and c.withheld.verdict in _NOT_SURE
+        ),
+        "withheld, d_perp >= 12: misnamed": count(
+            new, lambda c: c.withheld is not None and c.withheld.verdict == "named"
+        ),
+        "restored, d_perp >= 12 and d_sep >= 9: exact": count(told, lambda c: c.exact),
+        "restored, d_perp >= 12: in the set": count(new, lambda c: c.in_set),
+        "restored: within 5 % of the oracle": count(oracle, lambda c: abs(c.oracle_shrink - 1.0) <= 0.05),
+        "shrink's interval covers the true shrink": count(
+            claimed, lambda c: c.answer.shrink_ci95[0] <= c.true_shrink <= c.answer.shrink_ci95[1]
+        ),
+        "after above nominal": count(list(cases), lambda c: c.answer.after > c.answer.nominal * (1 + 1e-9)),
+    }
+
+
+_NOT_SURE = ("unknown", "ambiguous", "named_with_remainder")
