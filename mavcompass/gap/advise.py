@@ -117,7 +117,9 @@ def _signals(protocol: Protocol, field: FloatArray) -> Signals:
         throttle = 0.2 + 0.5 * (np.floor(t / 3.0) % 2)
     elif name.startswith("pass"):
         leg = 3.0 * u
-        yaw = 2.1 * np.floor(leg)
+        # Turning takes the last fifth of each leg: nobody turns within a reading.
+        part = np.clip(5.0 * (leg % 1.0) - 4.0, 0.0, 1.0)
+        yaw = 2.1 * (np.floor(leg) + part**2 * (3.0 - 2.0 * part))
         along = 8.0 * (leg % 1.0) - 4.0
         position = np.stack([along * np.cos(yaw), along * np.sin(yaw), 0.0 * t], axis=1)
     else:

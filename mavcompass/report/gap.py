@@ -15,7 +15,13 @@ from mavcompass.gap.result import Cause, Diagnosis
 from mavcompass.gap.score import wilson
 from mavcompass.gap.trial import Trial
 from mavcompass.report.calibration import render
-from mavcompass.report.gap_figures import ambiguity_figure, gap_figures, tests_figure, waterfall_figure
+from mavcompass.report.gap_figures import (
+    ambiguity_figure,
+    gap_figures,
+    interval_figure,
+    tests_figure,
+    waterfall_figure,
+)
 from mavcompass.simulation.effects import catalogue
 
 _VERDICTS = {
@@ -75,7 +81,8 @@ def write_trial_report(trial: Trial, path: Path) -> None:
     for name, (hits, of) in trial.figures().items():
         low, high = wilson(hits, of)
         share = f"{100 * hits / of:.1f} %" if of else "-"
-        rows.append((name, hits, of, share, f"{100 * low:.1f} to {100 * high:.1f}" if of else "-"))
+        drawn = interval_figure(low, hits / of, high) if of else ""
+        rows.append((name, hits, of, share, f"{100 * low:.1f} to {100 * high:.1f}" if of else "-", drawn))
     html = render(
         "gap_trial.html",
         made_at=_now(),
@@ -87,15 +94,18 @@ def write_trial_report(trial: Trial, path: Path) -> None:
     _write(path, html)
 
 
-def reliability(trial: Trial) -> list[tuple[str, int, str]]:
-    """Group single cases by separation: how many, and the share that was named exactly."""
+def reliability(trial: Trial) -> list[tuple[str, int, str, str]]:
+    """Group cases with one effect or more by separation: how many, the share named exactly, its drawing."""
     edges = (0.0, 3.0, 5.0, 7.0, 9.0, 12.0, 20.0, math.inf)
     rows = []
     for low, high in pairwise(edges):
         chosen = [c for c in trial.cases if c.label.tier != "none" and low <= c.separation < high]
         exact = sum(c.exact for c in chosen)
         share = f"{100 * exact / len(chosen):.0f} %" if chosen else "-"
-        rows.append((f"{low:g} to {high:g}", len(chosen), share))
+        ends = wilson(exact, len(chosen))
+        drawn = interval_figure(ends[0], exact / len(chosen), ends[1]) if chosen else ""
+        name = f"{low:g} to {high:g}" if math.isfinite(high) else f"{low:g} and more"
+        rows.append((name, len(chosen), share, drawn))
     return rows
 
 

@@ -112,14 +112,15 @@ def waterfall_figure(closing: Closing, steps: Sequence[Bar]) -> str:
     levels.append(("after", closing.after**2, 0.0, 0.0))
     top = max(closing.nominal, closing.floor, 1e-9) * 1.08
     width, height, base = 110.0, 220.0, 190.0
-    total = width * len(levels) + 50.0
+    total = max(width * len(levels) + 50.0, 640.0)
+    start = 0.5 * (total - width * len(levels) + 10.0)
 
     def y(rms: float) -> float:
         return base - rms / top * (base - 14.0)
 
     pieces, level = [], closing.nominal**2
     for k, (name, part, low, high) in enumerate(levels):
-        x = 40.0 + k * width
+        x = start + k * width
         if k in (0, len(levels) - 1):
             rms = math.sqrt(part)
             pieces.append(_bar(x, y(rms), base - y(rms), "old" if k == 0 else "new"))
@@ -136,8 +137,11 @@ def waterfall_figure(closing: Closing, steps: Sequence[Bar]) -> str:
         pieces.append(f'<text class="mark mid" x="{x + 38}" y="{above - 4:.1f}">{escape(words)}</text>')
         pieces.append(f'<text class="tick" x="{x + 38}" y="{base + 14}">{escape(name)}</text>')
     floor = y(closing.floor)
-    pieces.append(f'<line class="floor" x1="34" x2="{total:.0f}" y1="{floor:.1f}" y2="{floor:.1f}"/>')
-    pieces.append(f'<text class="tick side" x="32" y="{floor:.1f}" dy="0.32em">floor</text>')
+    pieces.append(
+        f'<line class="floor" x1="{start - 8:.0f}" x2="{total - start:.0f}"'
+        f' y1="{floor:.1f}" y2="{floor:.1f}"/>'
+    )
+    pieces.append(f'<text class="tick side" x="{start - 12:.0f}" y="{floor:.1f}" dy="0.32em">floor</text>')
     return (
         f'<svg viewBox="0 0 {total:.0f} {height:.0f}" role="img" aria-label="waterfall of the gap">'
         f"{''.join(pieces)}</svg>"
@@ -188,13 +192,13 @@ def tests_figure(tests: Sequence[tuple[str, float]]) -> str:
 def ambiguity_figure(diagnosis: Diagnosis) -> str:
     """Draw the explanations as discs by their probability, joined where the data hardly tell them apart."""
     sets = diagnosis.ambiguity_set[:6]
-    if not sets:
+    if len(sets) < 2:
         return ""
     pieces, places = [], []
     for k, (names, weight) in enumerate(sets):
         angle = 2.0 * math.pi * k / len(sets) - 0.5 * math.pi
-        x = 210.0 + (120.0 * math.cos(angle) if len(sets) > 1 else 0.0)
-        y = 105.0 + (66.0 * math.sin(angle) if len(sets) > 1 else 0.0)
+        x = 210.0 + 120.0 * math.cos(angle)
+        y = 105.0 + 66.0 * math.sin(angle)
         places.append((x, y, weight, " + ".join(names)))
     for x, y, _, _ in places[1:]:
         pieces.append(
@@ -206,6 +210,17 @@ def ambiguity_figure(diagnosis: Diagnosis) -> str:
         words = escape(f"{name} {100 * weight:.0f} %")
         pieces.append(f'<text class="mark mid" x="{x:.0f}" y="{y + radius + 12:.0f}">{words}</text>')
     return f'<svg viewBox="0 0 420 220" role="img" aria-label="ambiguity">{"".join(pieces)}</svg>'
+
+
+def interval_figure(low: float, share: float, high: float) -> str:
+    """Draw a share with its interval on a line from 0 to 100 %."""
+    a, m, b = (4.0 + 152.0 * v for v in (low, share, high))
+    return (
+        '<svg class="interval" viewBox="0 0 160 14" role="img" aria-label="share and interval">'
+        '<line class="scale" x1="4" x2="156" y1="7" y2="7"/>'
+        f'<line class="range" x1="{a:.1f}" x2="{b:.1f}" y1="7" y2="7"/>'
+        f'<circle class="disc" cx="{m:.1f}" cy="7" r="3.4"/></svg>'
+    )
 
 
 def gap_figures(diagnosis: Diagnosis) -> Mapping[str, object]:
