@@ -21,6 +21,8 @@ from mavcompass.telemetry import acceleration_mps2, angular_rate_radps, field_mg
 
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2
+# What happened in a longer silence is not known.
+_LONGEST_GAP_S = 1.0
 # At the turning points of a swing the tilt rests for a moment.
 _CALM_AFTER_S = 1.0
 
@@ -201,7 +203,7 @@ def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettin
 def dwell(
     context: Context, rest: Rest, gyro: GyroAngle, mover: Mover, settings: DwellSettings
 ) -> Script[Window]:
-    """Stand still for a dwell; one that is disturbed begins anew, twice at the most."""
+    """Stand still for a dwell; one that is disturbed, or partly not heard, begins anew, twice at the most."""
     for _ in range(3):
         resting = yield from mover.settle(context, rest, settings)
         start_s, angle, samples = rest.time_s, gyro.angle_rad, gyro.samples
@@ -212,8 +214,9 @@ def dwell(
             if context.now - held_s >= _HOLD_EVERY_S:
                 mover.hold(context, settings.dwell_s - (rest.time_s - start_s))
                 held_s = context.now
+            heard_s = rest.time_s
             yield from pause(context, 0.05)
-            if resting and rest.still_since_s is None:
+            if (resting and rest.still_since_s is None) or rest.time_s - heard_s > _LONGEST_GAP_S:
                 break
         else:
             if resting and gyro.samples > samples:

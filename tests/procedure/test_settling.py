@@ -9,7 +9,7 @@ import pytest
 from mavcompass import messages as mav
 from mavcompass.errors import LinkLost
 from mavcompass.procedure.gyro_angle import GyroAngle
-from mavcompass.procedure.positions import DwellSettings, Rest, VehicleMover, wait_still
+from mavcompass.procedure.positions import DwellSettings, Rest, VehicleMover, Window, dwell, wait_still
 from mavcompass.procedure.script import Context, Machine, Script, Show, Tick
 
 SETTINGS = DwellSettings(settle_s=0.3, patience_s=3.0, tilting_patience_s=9.0)
@@ -80,3 +80,25 @@ def test_without_imu_messages_the_link_counts_as_lost() -> None:
     for tenth in range(60):
         machine.step(Tick(0.1 * tenth))
     assert isinstance(machine.error, LinkLost)
+
+
+def test_a_dwell_that_was_not_heard_begins_anew() -> None:
+    rest, gyro = Rest(), GyroAngle()
+    mover = VehicleMover(gyro, ())
+
+    def script(context: Context) -> Script[Window]:
+        context.listeners += [rest.hear, gyro.hear]
+        return (yield from dwell(context, rest, gyro, mover, DwellSettings()))
+
+    machine = Machine(script)
+    for step in range(400):
+        time_s = 1.0 + 0.04 * step
+        if 2.0 < time_s < 4.0:
+            machine.step(Tick(time_s))  # the link is away
+        else:
+            machine.step(imu(time_s, 0.0, 0.0))
+        if machine.done:
+            break
+    window = machine.result
+    assert window is not None and window.start_s >= 4.0
+    assert window.end_s - window.start_s == pytest.approx(1.7, abs=0.15)
