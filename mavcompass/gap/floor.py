@@ -152,11 +152,21 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -
         field_rms_mgauss=rms(error),
         heading_rms_deg=rms_deg(heading[baseline.valid]),
         error_mgauss=error,
-        representative=judge(problem, fit, compare_scatter=False).p > _REPRESENTATIVE_P,
+        representative=_represents(problem, fit),
         nuisances=_taught(replay, baseline, problem, fit),
         folded=tuple(sorted(fit.ids)),
         measured=True,
     )
+
+
+def _represents(problem: Problem, fit: Fit) -> bool:
+    """Tell whether a baseline's noise is that of other recordings too: explained, and not wandering.
+
+    What wanders for seconds (an attitude that the vehicle's own sensors made, above all) does so in another
+    way each time.
+    """
+    steady = problem.noise["mag"].moving == 0.0 and problem.replay.reference.kind == "columns"
+    return steady and judge(problem, fit, compare_scatter=False).p > _REPRESENTATIVE_P
 
 
 _NEVER_FOLDED = frozenset({"hard_iron_step", "ac_interference", "relay_field", "orientation", "clipping"})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,10 @@ from mavcompass.simulation.effects.effect import GROUPS, Group
 from mavcompass.simulation.signals import Reading
 
 _MOST_LAGS = 4
+# Readings that a wandering error lasts, how often the recording must hold that, and how much of an
+# innovation stays.
+_MEMORIES, _FEWEST_MEMORIES = (10, 20, 40, 80, 160, 320), 12
+_GAINS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3)
 # Data sheets state 2 to 4 mG (HMC5883L, QMC5883L, IST8310); no healthy compass scatters by more than ten.
 USUAL_SCATTER_MGAUSS = 4.0
 WORST_SCATTER_MGAUSS = 10.0
@@ -82,8 +87,9 @@ def group_values(reading: Reading, group: Group) -> FloatArray:
 
 
 def estimate_noise(error: FloatArray, usable: NDArray[np.bool_], least_sigma: float) -> SensorNoise:
-    """Estimate one sensor's noise from errors (N, 3) on usable rows, order of correlation by BIC.
+    """Estimate one sensor's noise from errors (N, 3) on usable rows, the kind of correlation by BIC.
 
+    Either a few lags, or white scatter on an error that wanders for seconds (an attitude's does).
     `least_sigma` is what the sensor's resolution alone makes.
     """
     rows = error[usable]
@@ -100,19 +106,47 @@ def estimate_noise(error: FloatArray, usable: NDArray[np.bool_], least_sigma: fl
     z = (error - error[usable].mean(axis=0)) / scale
     target = z[index].ravel()
     past = np.stack([z[index - lag].ravel() for lag in range(1, most + 1)], axis=1)
-    best = (target.size * np.log(np.mean(target**2)), np.zeros(0))
+    best = (target.size * np.log(max(np.mean(target**2), 1e-300)), np.zeros(0))
     for order in range(1, most + 1):
         coefficients, *_ = np.linalg.lstsq(past[:, :order], target, rcond=None)
         left = np.mean((target - past[:, :order] @ coefficients) ** 2)
         criterion = target.size * np.log(max(left, 1e-300)) + 2.0 * order * np.log(target.size)
         if criterion < best[0]:
             best = (criterion, np.asarray(coefficients))
+    slow = _wandering_part(z, usable, index)
+    if slow is not None and slow[0] < best[0]:
+        _, correlation, moving, innovations = slow
+        sigma = np.maximum(innovations.std(axis=0) * scale, least_sigma)
+        return SensorNoise(np.array([correlation]), sigma, scale, float(index.size), moving=moving)
     coefficients = best[1]
     innovations = z[index] - sum(
         (c * z[index - lag] for lag, c in enumerate(coefficients.tolist(), start=1)), np.zeros(3)
     )
     sigma = np.maximum(innovations.std(axis=0) * scale, least_sigma)
     return SensorNoise(coefficients, sigma, scale, float(index.size))
+
+
+def _wandering_part(
+    z: FloatArray, usable: NDArray[np.bool_], index: NDArray[np.int64]
+) -> tuple[float, float, float, FloatArray] | None:
+    """Return BIC, correlation, moving part and innovations of the likeliest white scatter on a slow error.
+
+    That is ARMA(1, 1), of a memory that the recording holds often enough.
+    """
+    from scipy.signal import lfilter
+
+    held = z[np.maximum.accumulate(np.where(usable, np.arange(len(z)), 0))]
+    found: list[tuple[float, float, float, FloatArray]] = []
+    for memory in _MEMORIES:
+        if memory * _FEWEST_MEMORIES > index.size:
+            break
+        correlation = 1.0 - 1.0 / memory
+        for gain in _GAINS:
+            moving = correlation * (1.0 - gain)
+            left = lfilter([1.0, -correlation], [1.0, -moving], held, axis=0)[index]
+            criterion = left.size * math.log(max(float(np.mean(left**2)), 1e-300)) + 4.0 * math.log(left.size)
+            found.append((criterion, correlation, moving, left))
+    return min(found, key=lambda f: f[0]) if found else None
 
 
 def wandering(scatter: FloatArray, slow: float, correlation: float) -> tuple[FloatArray, float]:
