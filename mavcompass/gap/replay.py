@@ -109,7 +109,7 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
     )
     independent = reference.kind == "columns"
     present = _present(track, stimulus, reference, reference.known & rows.usable)
-    if "turning" not in present:
+    if not present & {"turning", "tilt"}:
         # A constant offset in body axes is then a constant field: its size can be anything.
         sigma = np.maximum(sigma, UNKNOWN_SIGMA_MGAUSS)
         field_notes = (*field_notes, _NO_TURN)
@@ -268,8 +268,8 @@ def _present(
         present.add("position")
     rotation = stimulus.rotation[valid]
     if len(rotation):
-        mean_level = np.abs(np.mean(rotation[:, :2, 0], axis=0))
-        if float(np.hypot(*mean_level)) < math.cos(_TURNING_RAD):
+        ahead = rotation[:, :2, 0] / np.maximum(np.linalg.norm(rotation[:, :2, 0], axis=1), 1e-9)[:, None]
+        if float(np.hypot(*np.mean(ahead, axis=0))) < math.cos(_TURNING_RAD):
             present.add("turning")
         spread = np.sqrt(np.var(rotation[:, 2, 0]) + np.var(rotation[:, 2, 1]))
         if spread > math.sin(_TILT_RAD):
