@@ -29,6 +29,7 @@ from mavcompass.gap.verdict import Answer
 from mavcompass.track import Track
 
 _MOST_SHAPLEY = 4
+_UNSEEN = "No held-out part shows what is named: its shrink is not measured. Record it again."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +93,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         seconds=0.0,
         notes=(
             *replayed.notes,
+            *((_UNSEEN,) if named.terms and not _told(problem, named, test) else ()),
             *(f"{e} was considered and dropped: {why}." for e, why in identified.dropped),
         ),
         corrected_rms_mgauss=corrected_rms(problem, named, test),
@@ -119,8 +121,14 @@ def _worse_on(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
     """Tell whether the effects make held-out readings of all sensors less likely."""
     held = problem.with_rows(test)
     before, after = held.residual(held.predict(fit, effects=False)), held.residual(held.predict(fit))
-    told = float((after - before) @ (after - before)) > SILENT
-    return told and float(after @ after) > float(before @ before)
+    return _told(problem, fit, test) and float(after @ after) > float(before @ before)
+
+
+def _told(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
+    """Tell whether the effects change held-out readings enough to be judged by them."""
+    held = problem.with_rows(test)
+    change = held.change(held.predict(fit, effects=False), held.predict(fit))
+    return float(change @ change) > SILENT
 
 
 def _never_worse(closing: Closing) -> Closing:

@@ -58,6 +58,7 @@ class Replay:
         telemetry: True where readings are repeated and late by the autopilot's nature.
         field_known: True where the world model gave the field.
         trace: repeats and steps of the numbers, as they were logged.
+        averaged: how many neighbouring readings each row is the mean of.
         notes: what a reader of the result must know.
     """
 
@@ -74,6 +75,7 @@ class Replay:
     trace: Trace
     notes: tuple[str, ...]
     corrected_mgauss: FloatArray | None = None
+    averaged: int = 1
 
     @property
     def time_s(self) -> FloatArray:
@@ -138,6 +140,7 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
         field_known=sigma[0] < UNKNOWN_SIGMA_MGAUSS,
         notes=(*track.notes, *reference.notes, *field_notes, *motion_note),
         corrected_mgauss=rows.corrected_mgauss,
+        averaged=rows.averaged,
     )
 
 

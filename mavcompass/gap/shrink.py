@@ -34,15 +34,15 @@ def closings(
     after_field = measured - after.mag_mgauss if fit.terms else before_field
     rows = np.flatnonzero(test)
     field = _closing(
-        before_field[rows], after_field[rows], floor.field_rms_mgauss, added_mgauss2, floor.error_mgauss,
-        _blocks(problem, rows),
+        before_field[rows], after_field[rows], floor.field_rms_mgauss, floor.measured, added_mgauss2,
+        floor.error_mgauss, _blocks(problem, rows),
     )  # fmt: skip
     h0, h1 = _headings(problem, nominal), _headings(problem, after)
     level = max(float(np.hypot(*problem.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
     added_deg2 = math.degrees(1.0) ** 2 * added_mgauss2 / level**2
     heading = _closing(
-        np.degrees(h0[rows])[:, None], np.degrees(h1[rows])[:, None], floor.heading_rms_deg, added_deg2,
-        np.zeros((0, 1)), _blocks(problem, rows),
+        np.degrees(h0[rows])[:, None], np.degrees(h1[rows])[:, None], floor.heading_rms_deg, floor.measured,
+        added_deg2, np.zeros((0, 1)), _blocks(problem, rows),
     )  # fmt: skip
     return field, heading
 
@@ -61,14 +61,18 @@ def _closing(
     before: FloatArray,
     after: FloatArray,
     floor: float,
+    measured: bool,
     added: float,
     floor_error: FloatArray,
     blocks: NDArray[np.int64],
 ) -> Closing:
     nominal2, after2 = float(np.mean(before**2)), float(np.mean(after**2))
-    after2 = max(after2 - added, 0.0) if added else after2
+    after2 = max(after2 - added, min(after2, floor**2)) if added else after2
     shrink = _shrink(nominal2, after2, floor**2)
     interval = _interval(before, after, added, floor, floor_error, blocks)
+    if not measured:
+        # A floor that was only stated may lie above what is reached: no more than all of the gap closes.
+        shrink, interval = min(shrink, 1.0), (min(interval[0], 1.0), min(interval[1], 1.0))
     return Closing(math.sqrt(nominal2), math.sqrt(after2), floor, shrink, interval)
 
 

@@ -8,6 +8,7 @@ from mavcompass.gap.replay import Replay
 from mavcompass.simulation.effects import Effect
 
 _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
+_FAST = frozenset({"ac_interference", "set_reset_offset", "noise_excess", "timestamp_jitter"})
 _NEED_WORDS = {
     "turning": "the vehicle does not turn far enough",
     "tilt": "the vehicle stays level",
@@ -50,6 +51,10 @@ def untestable_effects(replayed: Replay, effects: Iterable[Effect]) -> dict[str,
             out[effect.id] = _NEED_WORDS["reference"]
         if replayed.telemetry and effect.id in _TIMING:
             out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"
+        if replayed.averaged > 1 and effect.id in _FAST:
+            out[effect.id] = (
+                f"{replayed.averaged} neighbours each were averaged, so long is the recording: cut a part out"
+            )
         if not replayed.field_known and effect.id in ("field_intensity", "inclination", "declination"):
             out[effect.id] = "the recording does not say where it was made"
         if replayed.reference.kind == "gyro" and effect.id == "declination":

@@ -11,6 +11,8 @@ from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage, xyz
 
 _Rng = np.random.Generator | None
+# Lines of rotors and mains, aliased by the sampling; what is slower is drift, and a load of its own.
+SLOWEST_LINE_HZ = 0.3
 _MOTORS = 8
 _RELAY_SOURCES = 2 + _MOTORS
 
@@ -57,7 +59,7 @@ def _alternating_starts(misfit: Misfit) -> list[FloatArray]:
     power = (np.abs(np.fft.rfft(y, axis=0)) ** 2).sum(axis=1)
     frequency = np.fft.rfftfreq(size, step)
     # Slower than four cycles per recording is drift, not an alternating field.
-    power[frequency < 4.0 / span] = 0.0
+    power[frequency < max(4.0 / span, SLOWEST_LINE_HZ)] = 0.0
     starts = []
     for _ in range(2):
         peak = int(np.argmax(power))
@@ -154,7 +156,7 @@ EFFECTS = (
                 Parameter(f"cos_{a}", "mG", -300.0, 300.0, d, 5.0)
                 for a, d in zip("xyz", (0.0, 8.0, 3.0), strict=True)
             ),
-            Parameter("frequency_hz", "Hz", 0.01, 2000.0, 2.3, 0.001),
+            Parameter("frequency_hz", "Hz", SLOWEST_LINE_HZ, 2000.0, 2.3, 0.001),
         ),
         forward=_alternating,
         aliases=("timestamp_jitter",),
