@@ -18,10 +18,13 @@ from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import Noise
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.scatter import Scatter, early_scale, find_scatter, noise_with
+from mavcompass.gap.search import Search
 from mavcompass.simulation.signals import Reading
 
 _FEWEST_TO_JUDGE = 150
 _LEAST_MGAUSS = 0.3
+# Moments and thresholds lie between readings: all rows place them better than the training rows.
+_PLACED = frozenset({"hard_iron_step", "relay_field"})
 _SEED = 20260102
 
 
@@ -72,6 +75,10 @@ def what_is_left(
     fit = problem.fit(chosen.terms, chosen.thetas, chosen.nuisance_thetas)
     problem = _without_plateaus(problem, fit)
     fit = problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+    if fit.ids & _PLACED:
+        again = Search(problem, [])
+        again.terms = identified.search.terms
+        fit = again.polished(fit)
     if step_mgauss > 0.0:
         return _unrounded(problem, fit, floor, step_mgauss)
     scatter = find_scatter(problem, fit, names, floor.representative)

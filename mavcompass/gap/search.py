@@ -153,12 +153,17 @@ class Search:
         children: dict[frozenset[str], Fit] = {}
         for place, parent in enumerate(beam):
             starts = self.guesser.starts(parent)
-            if place == 0 and not self._hopeful(parent, starts):
+            hopeful = place > 0 or self._hopeful(parent, starts)
+            if not hopeful and parent.terms:
                 # What the best parent cannot use, a worse one can only use to become the best's equal.
                 return []
             for fit in self._refined(parent, starts[: _REFINED if not parent.terms else _REFINED_LATER]):
                 if fit.ids not in children or fit.sse < children[fit.ids].sse:
                     children[fit.ids] = fit
+            if not hopeful:
+                # They are only listed as what an unnamed gap would most likely be.
+                self.explored.update(children)
+                return []
         for ids, fit in children.items():
             if ids not in self.explored or fit.sse < self.explored[ids].sse:
                 self.explored[ids] = fit

@@ -18,6 +18,7 @@ from mavcompass.simulation.signals import Reading
 
 _RESAMPLES = 1000
 _BLOCK_S = 1.0
+_AT_THE_LIMIT = 1.0 - 1e-4
 _SEED = 7
 
 
@@ -33,9 +34,11 @@ def closings(
     before_field = measured - nominal.mag_mgauss
     after_field = measured - after.mag_mgauss if fit.terms else before_field
     rows = np.flatnonzero(test)
+    # A reading at the limit of a saturated sensor has no scatter of its own.
+    free = _free_share(fit, measured[rows])
     field = _closing(
-        before_field[rows], after_field[rows], floor.field_rms_mgauss, floor.measured, added_mgauss2,
-        floor.error_mgauss, _blocks(problem, rows),
+        before_field[rows], after_field[rows], floor.field_rms_mgauss * math.sqrt(free), floor.measured,
+        added_mgauss2, floor.error_mgauss * math.sqrt(free), _blocks(problem, rows),
     )  # fmt: skip
     h0, h1 = _headings(problem, nominal), _headings(problem, after)
     level = max(float(np.hypot(*problem.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
@@ -45,6 +48,13 @@ def closings(
         added_deg2, np.zeros((0, 1)), _blocks(problem, rows),
     )  # fmt: skip
     return field, heading
+
+
+def _free_share(fit: Fit, measured: FloatArray) -> float:
+    """Return the share of readings that are not at the limit of a saturated sensor."""
+    if "clipping" not in fit.ids or not measured.size:
+        return 1.0
+    return float(np.mean(np.abs(measured) < _AT_THE_LIMIT * float(fit.theta("clipping")[0])))
 
 
 def _headings(problem: Problem, predicted: Reading) -> FloatArray:
@@ -110,9 +120,25 @@ def _interval(
         cells = per[: len(per) // 20 * 20].reshape(-1, 20).mean(axis=1)
         floor2 = cells[rng.integers(cells.size, size=(_RESAMPLES, cells.size))].mean(axis=1)
     excess = nominal2 - floor2
-    values = np.where(excess > 0.0, 1.0 - (after2 - floor2) / np.where(excess > 0.0, excess, 1.0), 0.0)
+    gap = excess > 0.0
+    if not gap.any():
+        return (0.0, 0.0)
+    values = 1.0 - (after2[gap] - floor2[gap]) / excess[gap]
     low, high = np.quantile(values, [0.025, 0.975]).tolist()
+    # Few blocks scatter less among their resamples than they do themselves: Student's t for the normal.
+    middle, widening = float(np.median(values)), _student(count) * math.sqrt(count / (count - 1.0))
+    low, high = middle + widening * (low - middle), middle + widening * (high - middle)
+    if not gap.mean() > 0.975:
+        # So small a gap may be none at all: anything between nothing and everything may be closed.
+        low, high = min(low, 0.0), max(high, 1.0)
     return float(low), float(high)
+
+
+def _student(count: int) -> float:
+    """Return the 97.5 % point of Student's t with count - 1 degrees of freedom over that of the normal."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(count - 1, 0.975)) / 1.959964
 
 
 def waterfall(

@@ -15,6 +15,7 @@ _Rng = np.random.Generator | None
 SLOWEST_LINE_HZ = 0.3
 _MOTORS = 8
 _RELAY_SOURCES = 2 + _MOTORS
+_FEWEST_SWITCHED = 8
 
 
 def _motor_current(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
@@ -92,24 +93,33 @@ def _relay(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Si
 
 
 def _relay_starts(misfit: Misfit) -> list[FloatArray]:
-    """Try every recorded load and eight thresholds each; keep the best two."""
-    rows = misfit.rows
-    y = misfit.residual.mag_mgauss[rows] / misfit.sigma_mgauss
+    """Try every recorded load with the threshold that fits best; keep the best two.
+
+    Of rows sorted by the load, those above a threshold are a tail: the gain of a constant on the last k
+    is |their sum|^2 / k.
+    """
+    y = misfit.residual.mag_mgauss[misfit.rows] / misfit.sigma_mgauss
+    if len(y) < 4 * _FEWEST_SWITCHED:
+        return []
     found: list[tuple[float, FloatArray]] = []
     for source in range(_RELAY_SOURCES):
         load = _load(misfit.signals, source)
         if load is None or not np.nanstd(load) > 1e-3:
             continue
-        known = np.nan_to_num(load)[rows]
-        levels = np.unique(np.quantile(known, np.linspace(0.04, 0.96, 24)))
-        for threshold in 0.5 * (levels[:-1] + levels[1:]):
-            on = known > threshold
-            if not 8 <= int(on.sum()) <= on.size - 8:
-                continue
-            difference = y[on].mean(axis=0)
-            gain = float((difference**2).sum() * on.sum())
-            start = np.array([*(difference * misfit.sigma_mgauss), float(source), threshold])
-            found.append((gain, start))
+        known = np.nan_to_num(load)[misfit.rows]
+        order = np.argsort(-known, kind="stable")
+        known, total = known[order], np.cumsum(y[order], axis=0)
+        count = np.arange(1, known.size + 1)
+        gain = (total**2).sum(axis=1) / count
+        # A threshold lies between two loads that differ, with readings enough on both sides.
+        gain[:-1][known[:-1] <= known[1:]] = 0.0
+        gain[:_FEWEST_SWITCHED] = 0.0
+        gain[-_FEWEST_SWITCHED:] = 0.0
+        best = int(np.argmax(gain))
+        if gain[best] > 0.0:
+            field = total[best] / count[best] * misfit.sigma_mgauss
+            threshold = 0.5 * (known[best] + known[best + 1])
+            found.append((float(gain[best]), np.array([*field, float(source), threshold])))
     found.sort(key=lambda item: -item[0])
     return [start for _, start in found[:2]]
 
