@@ -15,7 +15,7 @@ from mavcompass.gap.integrity import Trace, inspect
 from mavcompass.track import MagSeries, Series, Track
 
 FEWEST_ROWS = 60
-_MOST_ROWS = 10_000
+_MOST_ROWS = 8_000
 _COMPASS_PERIOD_S = 0.1
 _SLOWER_SHARE = 0.3
 _EVEN_RHYTHM = 0.4
