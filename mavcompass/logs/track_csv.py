@@ -36,6 +36,8 @@ SCALARS: dict[str, str] = {
 }
 TIME = "time_s"
 KNOWN = {TIME, *MOTORS, *SCALARS.values(), *(name for names in VECTORS.values() for name in names)}
+# More damage than that is no damage: it is a file of another kind, or of another writing of numbers.
+_MOST_BAD_LINES = 0.1
 _REMEDY = (
     "See the Track CSV columns in the documentation: time_s, mag_x_mgauss, mag_y_mgauss, mag_z_mgauss, ..."
 )
@@ -109,9 +111,7 @@ def _strange(header: Sequence[str]) -> list[str]:
 def _in_order(table: _Table, time_s: FloatArray, path: Path) -> tuple[_Table, FloatArray, list[str]]:
     unknown = np.flatnonzero(~np.isfinite(time_s))
     if unknown.size:
-        raise BadRecording(
-            f"{path}, line {int(unknown[0]) + 2}: {TIME} is missing.", "Give every row a time."
-        )
+        raise BadRecording(f"{path}, line {int(unknown[0]) + 2}: {TIME} is no time.", "Correct that line.")
     if bool((np.diff(time_s) >= 0.0).all()):
         return table, time_s, []
     order = np.argsort(time_s, kind="stable")
@@ -141,11 +141,11 @@ def _add(
 
 
 def _read_table(path: Path) -> _Table:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadRecording(f"{path} is not a text file: byte {error.start} is no UTF-8.", _REMEDY) from None
+    # A damaged byte costs its line, not the recording; universal newlines as in any text file.
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
     first, _, rest = text.partition("\n")
+    if not first.isprintable() or "\ufffd" in first:
+        raise BadRecording(f"{path} is not a text file with a header of column names.", _REMEDY)
     header = tuple(name.strip() for name in first.strip().split(","))
     repeated = next((name for name in header if header.count(name) > 1), None)
     if repeated is not None:
@@ -153,7 +153,8 @@ def _read_table(path: Path) -> _Table:
     rest, notes = _without_cut_off_line(rest, len(header))
     values = _parse_quickly(rest, len(header))
     if values is None:
-        values = _parse_line_by_line(rest, header, path)
+        values, damaged = _parse_line_by_line(rest, header, path)
+        notes = (*notes, *damaged)
     return _Table(header, values, notes)
 
 
@@ -176,18 +177,37 @@ def _parse_quickly(text: str, width: int) -> FloatArray | None:
     return values if values.shape[1] == width else None
 
 
-def _parse_line_by_line(text: str, header: tuple[str, ...], path: Path) -> FloatArray:
+def _parse_line_by_line(text: str, header: tuple[str, ...], path: Path) -> tuple[FloatArray, tuple[str, ...]]:
+    """Parse what can be parsed; lines that cannot are left out, told in a note, and refused where many."""
     rows: list[list[float]] = []
-    for number, fields in enumerate(csv.reader(io.StringIO(text)), start=2):
-        if not fields:
+    bad: list[BadRecording] = []
+    for number, line in enumerate(text.splitlines(), start=2):
+        if not line.strip():
             continue
-        if len(fields) != len(header):
-            raise BadRecording(
-                f"{path}, line {number}: {len(fields)} fields where the header has {len(header)}.",
-                "Correct that line, or cut the file before it.",
-            )
-        rows.append([_number(field, name, number, path) for field, name in zip(fields, header, strict=True)])
-    return np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
+        try:
+            rows.append(_row(line, header, number, path))
+        except BadRecording as error:
+            bad.append(error)
+    if len(bad) > _MOST_BAD_LINES * (len(rows) + len(bad)):
+        raise bad[0]
+    notes = (f"{len(bad)} damaged lines were left out. The first: {bad[0].what}",) if bad else ()
+    return np.array(rows, dtype=np.float64).reshape(len(rows), len(header)), notes
+
+
+def _row(line: str, header: tuple[str, ...], number: int, path: Path) -> list[float]:
+    try:
+        fields = next(csv.reader([line]))
+    except csv.Error as error:
+        raise BadRecording(f"{path}, line {number}: {error}.", "Correct that line.") from None
+    if len(fields) != len(header):
+        raise BadRecording(
+            f"{path}, line {number}: {len(fields)} fields where the header has {len(header)}.",
+            "Correct that line, or cut the file before it.",
+        )
+    row = [_number(field, name, number, path) for field, name in zip(fields, header, strict=True)]
+    if TIME in header and not np.isfinite(row[header.index(TIME)]):
+        raise BadRecording(f"{path}, line {number}: {TIME} is missing.", "Give every row a time.")
+    return row
 
 
 def _number(field: str, name: str, line: int, path: Path) -> float:

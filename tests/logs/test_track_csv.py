@@ -116,6 +116,16 @@ def test_a_last_line_that_was_not_written_to_its_end_is_left_out_and_said(tmp_pa
     assert any("cut off" in note for note in track.notes)
 
 
+def test_a_damaged_line_is_left_out_and_said(tmp_path: Path) -> None:
+    lines = ["time_s,mag_x_mgauss,mag_y_mgauss,mag_z_mgauss", *(f"{n / 10},{n},2,3" for n in range(60))]
+    lines[7], lines[20], lines[31] = "0.6,6,2", '1.9,19,"2,3', "3.0,3\ufffd0,2,3"
+    path = tmp_path / "damaged.csv"
+    path.write_bytes("\n".join(lines).replace("\ufffd", "\x80").encode("latin-1"))
+    track = read_track(path)
+    assert track.compasses[1].reported.values[:, 0].tolist() == [n for n in range(60) if n not in (6, 19, 30)]
+    assert any(note.startswith("3 damaged lines") and "line 8" in note for note in track.notes)
+
+
 def test_lines_are_counted_with_blank_ones_and_quoted_ones(tmp_path: Path) -> None:
     message = refused(tmp_path / "a.csv", f'time_s,{MAG}\n\n0,"1",2,3\n\n1,x,2,3\n')
     assert "line 5" in message
