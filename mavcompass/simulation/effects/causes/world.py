@@ -244,7 +244,7 @@ EFFECTS = (
                 for n, d in zip(("north", "east", "down"), (1.0, 0.6, 0.3), strict=True)
             ),
             *(
-                Parameter(f"moment_{n}", "mG m^3", -1e4, 1e4, d, 5.0)
+                Parameter(f"moment_{n}", "mG m^3", -1e4, 1e4, d, 50.0)
                 for n, d in zip(("north", "east", "down"), (40.0, -25.0, 60.0), strict=True)
             ),
             Parameter("on_s", "s", -NEVER_S, NEVER_S, -NEVER_S, 1.0),
