@@ -21,7 +21,7 @@ from mavcompass.gap.split import split_blocks
 from mavcompass.simulation.effects import Distortion, catalogue, parse
 from mavcompass.simulation.effects.effect import Effect
 
-_NOISE: Noise = {
+CASE_NOISE: Noise = {
     "mag": SensorNoise(np.array([0.3]), np.full(3, 3.0 * math.sqrt(0.91)), np.full(3, 3.0), 6000.0),
     "acc": SensorNoise(np.zeros(0), np.full(3, 0.03), np.full(3, 0.03), 6000.0),
     "gyro": SensorNoise(np.zeros(0), np.full(3, 0.003), np.full(3, 0.003), 6000.0),
@@ -116,7 +116,7 @@ def _distance(label: Label, removed: frozenset[str], most: int) -> float:
     settings = [parse(text) for text in label.effects]
     reading = Distortion(settings).apply(stimulus, ideal(stimulus), np.random.default_rng(0))
     replayed = replay(to_track(stimulus, reading))
-    problem = Problem(replayed, _NOISE, replayed.valid, ())
+    problem = Problem(replayed, CASE_NOISE, replayed.valid, ())
     others: list[Effect] = [e for e in catalogue().values() if e.id not in removed]
     search = Search(problem, others)
     return math.sqrt(max(search.nearest(most).sse, 0.0))

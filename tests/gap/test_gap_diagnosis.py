@@ -96,27 +96,6 @@ def test_wandering_offset_is_unknown_and_never_a_cause(baseline: Track) -> None:
     assert diagnosis.verdict == "unknown" and diagnosis.unknown and not diagnosis.causes
 
 
-def test_shape_outside_the_catalogue_is_flagged(baseline: Track) -> None:
-    """A chirp and a ring of the field's square: nothing in the registry makes these."""
-    clean = make_track(RICH)
-    time_s = clean.compasses[1].time_s
-    field = clean.compasses[1].reported.values
-    chirp = 6.0 * np.sin(0.25 * time_s**2 / 2.0)[:, None] * (1.0, 0.5, -0.7)
-    ring = 12.0 * np.sin(field[:, [1, 2, 0]] / 40.0)
-    for strange in (chirp, ring):
-        diagnosis = diagnose_gap(with_field(clean, field + strange), baseline)
-        assert diagnosis.unknown and diagnosis.verdict in ("unknown", "named_with_remainder")
-        assert diagnosis.field.after <= diagnosis.field.nominal
-
-
-def with_field(track: Track, field: np.ndarray) -> Track:
-    from dataclasses import replace
-
-    from mavcompass.track import MagSeries, Series
-
-    return replace(track, compasses={1: MagSeries(1, Series.of(track.compasses[1].time_s, field))})
-
-
 def test_document_has_the_promised_form(baseline: Track) -> None:
     document = json.loads(json.dumps(diagnose("hard_iron:x=40", baseline).to_json()))
     assert document["schema"] == "mavcompass.gap/1"
