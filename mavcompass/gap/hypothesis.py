@@ -112,6 +112,7 @@ def _is_amplitude(parameter: Parameter) -> bool:
 
 
 def weak_cost(x: Sequence[FloatArray], free: Sequence[NDArray[np.int64]], weak: FloatArray) -> float:
+    """Return what the weak priors cost: twice the negative logarithm, up to a constant."""
     if not weak.size:
         return 0.0
     values = np.concatenate([v[f] for v, f in zip(x, free, strict=True)])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
+from mavcompass.gap.newton import block_diagonal, bridge, invert, moved, solve
 from mavcompass.gap.noise import Noise, group_values
 from mavcompass.gap.nuisance import Nuisance
 from mavcompass.gap.replay import Replay
@@ -50,8 +51,8 @@ class Problem:
         self.usable = usable
         self.index = np.flatnonzero(rows & usable)
         self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
-        self._precision = _block_diagonal([n.precision for n in self.nuisances])
-        self._bridge = _bridge(replay.valid) if any(noise[g].moving > 0.0 for g in self.groups) else None
+        self._precision = block_diagonal([n.precision for n in self.nuisances])
+        self._bridge = bridge(replay.valid) if any(noise[g].moving > 0.0 for g in self.groups) else None
         self._lent: tuple[FloatArray, list[FloatArray]] | None = None
         self._prior = np.concatenate([n.mean for n in self.nuisances]) if self.nuisances else np.zeros(0)
 
@@ -229,8 +230,8 @@ class Problem:
                 break
             improved = False
             for _ in range(6):
-                step = _solve(normal, gradient, damping)
-                trial = _moved(x, step, free, self._bounds(terms))
+                step = solve(normal, gradient, damping)
+                trial = moved(x, step, free, self._bounds(terms))
                 trial_states = self.states(terms, trial[n:], trial[:n])
                 trial_r = self.residual(trial_states[-1].reading)
                 trial_cost = self._cost(trial_r, trial, free, weak)
@@ -249,7 +250,7 @@ class Problem:
             damping *= 0.03
             if gained < _CONVERGED:
                 break
-        covariance = _invert(normal) if normal.size else normal
+        covariance = invert(normal) if normal.size else normal
         return Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
 
     def _borrowed(
@@ -309,48 +310,3 @@ class Problem:
     def _bounds(self, terms: Sequence[Term]) -> list[tuple[FloatArray, FloatArray]]:
         known = [(n.effect.lower, n.effect.upper) for n in self.nuisances]
         return [*known, *((t.lower, t.upper) for t in terms)]
-
-
-def _bridge(valid: Mask) -> NDArray[np.int64] | None:
-    """Map each row to itself or to the last valid one before; None where all are valid."""
-    if valid.all() or not valid.any():
-        return None
-    last = np.maximum.accumulate(np.where(valid, np.arange(valid.size), -1))
-    return np.where(last < 0, int(np.argmax(valid)), last)
-
-
-def _moved(
-    x: list[FloatArray],
-    step: FloatArray,
-    free: list[NDArray[np.int64]],
-    bounds: list[tuple[FloatArray, FloatArray]],
-) -> list[FloatArray]:
-    out, at = [], 0
-    for value, index, (low, high) in zip(x, free, bounds, strict=True):
-        moved = value.copy()
-        moved[index] += step[at : at + index.size]
-        at += index.size
-        out.append(np.clip(moved, low, high))
-    return out
-
-
-def _solve(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal / np.outer(size, size)
-    scaled[np.diag_indices_from(scaled)] += damping + 1e-12
-    return np.asarray(np.linalg.solve(scaled, gradient / size) / size)
-
-
-def _invert(normal: FloatArray) -> FloatArray:
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(np.linalg.pinv(normal / np.outer(size, size), rcond=1e-10) / np.outer(size, size))
-
-
-def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
-    total = sum(len(b) for b in blocks)
-    out = np.zeros((total, total))
-    at = 0
-    for block in blocks:
-        out[at : at + len(block), at : at + len(block)] = block
-        at += len(block)
-    return out

@@ -1,0 +1,60 @@
+"""The linear algebra of one step of Gauss and Newton, and of rows without a reading."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.hypothesis import Mask
+
+
+def bridge(valid: Mask) -> NDArray[np.int64] | None:
+    """Map each row to itself or to the last valid one before; None where all are valid."""
+    if valid.all() or not valid.any():
+        return None
+    last = np.maximum.accumulate(np.where(valid, np.arange(valid.size), -1))
+    return np.where(last < 0, int(np.argmax(valid)), last)
+
+
+def moved(
+    x: list[FloatArray],
+    step: FloatArray,
+    free: list[NDArray[np.int64]],
+    bounds: list[tuple[FloatArray, FloatArray]],
+) -> list[FloatArray]:
+    """Add a step to the free parameters; keep all inside their bounds."""
+    out, at = [], 0
+    for value, index, (low, high) in zip(x, free, bounds, strict=True):
+        trial = value.copy()
+        trial[index] += step[at : at + index.size]
+        at += index.size
+        out.append(np.clip(trial, low, high))
+    return out
+
+
+def solve(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
+    """Solve the damped normal equations, scaled to unit diagonal."""
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(size, size)
+    scaled[np.diag_indices_from(scaled)] += damping + 1e-12
+    return np.asarray(np.linalg.solve(scaled, gradient / size) / size)
+
+
+def invert(normal: FloatArray) -> FloatArray:
+    """Return the covariance, without the directions that the data do not tell."""
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(np.linalg.pinv(normal / np.outer(size, size), rcond=1e-10) / np.outer(size, size))
+
+
+def block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    """Put square blocks along a diagonal."""
+    total = sum(len(b) for b in blocks)
+    out = np.zeros((total, total))
+    at = 0
+    for block in blocks:
+        out[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    return out
