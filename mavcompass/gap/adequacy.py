@@ -23,6 +23,7 @@ from mavcompass.simulation.effects.effect import Group, Signals
 ALPHA = 0.002
 # Columns have unit length: what is left of a direction below this share is the model's own.
 _RANK = 1e-4
+_SLOW_HZ = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,6 +224,7 @@ def _variance_tests(group: Group, z: FloatArray, signals: Signals, problem: Prob
     from scipy.special import chdtrc, ndtr
 
     power = (z**2).mean(axis=1) - 1.0
+    step_s = float(np.median(np.diff(signals.stimulus.time_s)))
     factor = _kurtosis_factor(z)
     deviation = math.sqrt(2.0 * factor / 3.0)
     # Bursts: windows of half a second to eight seconds, each half overlapping the next.
@@ -242,11 +244,22 @@ def _variance_tests(group: Group, z: FloatArray, signals: Signals, problem: Prob
         lowest = min(lowest, float(ndtr(-normal.max())), float(chdtrc(3, shift.max())))
         tried += 2 * starts.size
     yield Test(f"{group}: bursts", "time", min(1.0, lowest * tried))
+    yield Test(f"{group}: scatter that comes and goes", "time", _recurring(power / deviation, step_s))
     coordinates = _scatter_coordinates(group, signals, problem)
     for name, x in coordinates:
         x = (x - x.mean()) / max(float(x.std()), 1e-12)
         statistic = float(power @ x) / (deviation * math.sqrt(float(x @ x)))
         yield Test(f"{group}: scatter with {name}", name, float(chdtrc(1, statistic**2)))
+
+
+def _recurring(power: FloatArray, step_s: float) -> float:
+    """Return the p-value of the highest line in the periodogram of power (N,) of unit variance, below 0.5 Hz.
+
+    Scatter that comes again and again is seen in its rhythm long before any one of its bursts stands out.
+    """
+    waves = np.abs(np.fft.rfft(power)) ** 2 / len(power)
+    slow = waves[1 : max(int(_SLOW_HZ * step_s * len(power)), 1) + 1]
+    return min(1.0, len(slow) * math.exp(-float(slow.max()))) if len(slow) else 1.0
 
 
 def _scatter_coordinates(group: Group, signals: Signals, problem: Problem) -> list[tuple[str, FloatArray]]:

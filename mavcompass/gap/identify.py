@@ -15,6 +15,7 @@ from mavcompass.gap.noise import group_values
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Found, Search, least_gain
 from mavcompass.gap.split import Split, probe, with_windows
+from mavcompass.gap.transient import moments, transients, with_moments
 from mavcompass.simulation.effects.effect import NEVER_S, Effect, Group
 
 # What healthy sensors may be off by, in mG, m/s^2 and rad/s.
@@ -54,19 +55,40 @@ def identify(
     """Search and guard; without a baseline estimate the noise again from what is left, and repeat."""
     passes = 1 if floor.measured else _PASSES
     previous: frozenset[str] | None = None
-    for turn in range(passes):
+    turn, seen = 0, list[float]()
+    while True:
+        turn += 1
         problem = Problem(replay, floor.noise, split.train, floor.nuisances)
         search = Search(problem, effects)
         found = search.run()
         result = _guarded(Identified(problem, split, found, found.best, (), search, problem), floor)
-        if turn + 1 == passes or (previous is not None and result.fit.ids == previous):
+        aside = transients(result.problem, result.fit, moments(result.fit))
+        going_on = bool(aside.any()) and turn == 1
+        if going_on:
+            seen = moments(result.fit)
+            replay = replace(replay, valid=replay.valid & ~aside)
+            split = replace(split, train=split.train & ~aside)
+            result = _with_rows(result, replay, split)
+        if not going_on and (turn >= passes or result.fit.ids == previous):
             break
         previous = result.fit.ids
-        before = floor
-        floor = widened(floor, result.problem, result.fit)
-        if floor is before:
-            break
+        if not floor.measured:
+            before = floor
+            floor = widened(floor, result.problem, result.fit)
+            if floor is before and not going_on:
+                break
+    if seen:
+        result = replace(result, fit=with_moments(result.problem, result.fit, seen))
     return result, floor
+
+
+def _with_rows(candidate: Identified, replay: Replay, split: Split) -> Identified:
+    """Fit what was chosen on fewer rows."""
+    problem = Problem(replay, candidate.problem.noise, split.train, candidate.problem.nuisances)
+    fit = candidate.fit
+    return replace(
+        candidate, problem=problem, split=split, fit=problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+    )
 
 
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
@@ -87,11 +109,13 @@ def _moments_in_training(candidate: Identified) -> Identified:
     """Where something changes inside a held-out block, close in on it with narrow training windows."""
     replay = candidate.problem.replay
     for _ in range(_CLOSINGS_IN):
-        probes = [probe(candidate.split, replay.time_s, m) for m in _moments(candidate.fit)]
+        probes = [probe(candidate.split, replay.time_s, m) for m in moments(candidate.fit)]
         loose = [p for p in probes if p is not None]
         if not loose:
             break
         split = with_windows(candidate.split, replay.time_s, replay.valid, loose)
+        if split.train.sum() == candidate.split.train.sum():
+            break
         problem = candidate.problem.with_rows(split.train)
         search = Search(problem, [])
         search.terms = candidate.search.terms
@@ -100,15 +124,6 @@ def _moments_in_training(candidate: Identified) -> Identified:
         search.explored = {fit.ids: fit}
         candidate = replace(candidate, problem=problem, split=split, fit=fit, search=search)
     return candidate
-
-
-def _moments(fit: Fit) -> list[float]:
-    return [
-        float(value)
-        for term, theta in zip(fit.terms, fit.thetas, strict=True)
-        for parameter, value in zip(term.effect.parameters, theta, strict=True)
-        if parameter.unit == "s" and parameter.name in ("on_s", "off_s") and abs(value) < NEVER_S
-    ]
 
 
 def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:

@@ -63,6 +63,20 @@ class SensorNoise:
             out = lfilter([1.0], [1.0, -self.moving], out, axis=0)
         return np.asarray(out)
 
+    def filled(self, error: FloatArray, missing: NDArray[np.bool_], rng: np.random.Generator) -> FloatArray:
+        """Return errors (N, 3) whose missing elements are drawn from the noise, given what came before."""
+        out, drawn = error.copy(), rng.standard_normal(error.shape)
+        scale = self.sigma if self.row_scale is None else self.sigma * self.row_scale
+        scale = np.broadcast_to(scale, error.shape)
+        last = np.zeros(error.shape[1])
+        for t in range(len(out)):
+            known = -self.moving * last
+            for lag, coefficient in enumerate(self.coefficients[:t].tolist(), start=1):
+                known += coefficient * out[t - lag] / scale[t]
+            last = np.where(missing[t], drawn[t], out[t] / scale[t] - known)
+            out[t] = np.where(missing[t], (known + drawn[t]) * scale[t], out[t])
+        return out
+
     @property
     def square_inflation(self) -> float:
         """Return by how much the correlation inflates the variance of a mean of squares."""

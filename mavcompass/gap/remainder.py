@@ -21,7 +21,6 @@ from mavcompass.gap.scatter import Scatter, early_scale, find_scatter, noise_wit
 from mavcompass.gap.search import Search
 from mavcompass.simulation.signals import Reading
 
-_FEWEST_TO_JUDGE = 150
 _LEAST_MGAUSS = 0.3
 # Moments and thresholds lie between readings: all rows place them better than the training rows.
 _PLACED = frozenset({"hard_iron_step", "relay_field"})
@@ -73,12 +72,11 @@ def what_is_left(
     noise = with_steps(floor.noise, step_mgauss) if step_mgauss > 0.0 else floor.noise
     problem = Problem(replay, noise, replay.valid, floor.nuisances)
     fit = problem.fit(chosen.terms, chosen.thetas, chosen.nuisance_thetas)
-    problem = _without_plateaus(problem, fit)
-    fit = problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
     if fit.ids & _PLACED:
         again = Search(problem, [])
         again.terms = identified.search.terms
         fit = again.polished(fit)
+    problem = _without_plateaus(problem, fit)
     if step_mgauss > 0.0:
         return _unrounded(problem, fit, floor, step_mgauss)
     scatter = find_scatter(problem, fit, names, floor.representative)
@@ -90,16 +88,20 @@ def what_is_left(
 
 
 def _without_plateaus(problem: Problem, fit: Fit) -> Problem:
-    """Leave out readings at the limit of a saturated sensor: they have no noise to be judged by."""
+    """Put what the floor would make in the place of readings at the limit of a saturated sensor.
+
+    They have no noise to be judged by, and one axis may be at its limit nearly all the time.
+    """
     if "clipping" not in fit.ids:
         return problem
-    limit = float(fit.theta("clipping")[0])
-    near = limit - 4.0 * float(problem.noise["mag"].rms.max())
-    free = (np.abs(problem.replay.measured.mag_mgauss) < near).all(axis=1)
-    valid = problem.replay.valid & free
-    if valid.sum() < _FEWEST_TO_JUDGE:
-        return problem
-    return Problem(replace(problem.replay, valid=valid), problem.noise, valid, problem.nuisances)
+    noise, replay = problem.noise["mag"], problem.replay
+    near = float(fit.theta("clipping")[0]) - 3.0 * noise.rms
+    predicted, measured = problem.predict(fit).mag_mgauss, replay.measured
+    plateau = (np.abs(predicted) > near) | (np.abs(measured.mag_mgauss) > near)
+    error = measured.mag_mgauss - predicted
+    error = noise.filled(error, plateau | ~np.isfinite(error), np.random.default_rng(_SEED))
+    free = Reading(predicted + error, measured.acc_mps2, measured.gyro_radps)
+    return Problem(replace(replay, measured=free), problem.noise, problem.rows, problem.nuisances)
 
 
 def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> Remainder:

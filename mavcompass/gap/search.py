@@ -20,7 +20,7 @@ from mavcompass.gap.hypothesis import Fit, active_dimension, make_term
 from mavcompass.gap.model import Problem
 from mavcompass.simulation.effects.effect import Effect
 
-MOST_EFFECTS = 3
+MOST_EFFECTS = 4
 CHANCE = 2.0e-5
 _BEAM = 3
 _CATALOGUE_SIZE = 39
@@ -239,7 +239,23 @@ class Search:
                 trial = self.problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas)
                 if self.score(trial) < self.score(best) - 1e-6:
                     best = _in_order(trial, best)
-        return best
+        return self._settled(best)
+
+    def _settled(self, fit: Fit) -> Fit:
+        """Take back moments of change that the data do not need: they were sought at many places."""
+        for i, term in enumerate(fit.terms):
+            for j, parameter in enumerate(term.effect.parameters):
+                if parameter.name not in term.effect.optional:
+                    continue
+                if not parameter.low < fit.thetas[i][j] < parameter.high:
+                    continue
+                never = fit.thetas[i].copy()
+                never[j] = term.effect.neutral()[j]
+                thetas = (*fit.thetas[:i], never, *fit.thetas[i + 1 :])
+                always = self.problem.fit(fit.terms, thetas, fit.nuisance_thetas)
+                if not self.grows(always, fit):
+                    fit = always
+        return fit
 
     def pruned(self, fit: Fit) -> Fit:
         """Hold parameters at zero that the data do not need beside the others, one after another.

@@ -47,6 +47,15 @@ def test_hard_iron_is_named_with_its_values_and_closes_the_gap(baseline: Track) 
     assert diagnosis.heading.after < 0.3 * diagnosis.heading.nominal
 
 
+def test_axis_that_is_saturated_most_of_the_time_leaves_nothing_unexplained() -> None:
+    """A vehicle that hardly tilts has its vertical axis at the limit nearly always."""
+    fault = [effects.parse("clipping:limit_mgauss=372")]
+    recipe = Recipe("figure-8", seed=23)
+    diagnosis = diagnose_gap(make_track(recipe, fault), make_track(Recipe("figure-8", seed=24)))
+    assert diagnosis.verdict == "named" and diagnosis.effects == {"clipping"}
+    assert diagnosis.causes[0].parameters["limit_mgauss"] == pytest.approx(372.0, abs=0.5)
+
+
 def test_two_causes_are_both_named_and_share_the_waterfall(baseline: Track) -> None:
     diagnosis = diagnose("motor_current:x=1.5,y=-1+soft_iron:xx=0.04,xy=0.03,zz=-0.03", baseline)
     assert diagnosis.effects == {"motor_current", "soft_iron"}

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.cli.main import main
 from mavcompass.frames import euler_to_matrix, rotate_back
-from mavcompass.gap.adequacy import ALPHA
+from mavcompass.gap import diagnose_gap
+from mavcompass.gap.adequacy import ALPHA, _recurring
 from mavcompass.gap.cases import Recipe, make_track, stimulus_of
 from mavcompass.gap.noise import estimate_noise, rough_sigma, white
 from mavcompass.gap.reference import body_rate, reference_attitude
@@ -125,6 +128,34 @@ def test_sealed_cases_tell_nothing_of_their_labels(tmp_path: Path) -> None:
         assert not any("label" in name or "effect" in name for name in archive.files)
     again = draw_label(5, 1)
     assert list(again.effects) == labels[1]["effects"]
+
+
+def test_scatter_that_comes_again_is_seen_in_its_rhythm() -> None:
+    rng = np.random.default_rng(9)
+    n = 2000
+    chance = [_recurring(rng.standard_normal(n), 0.05) for _ in range(200)]
+    assert min(chance) > 1e-4 and np.mean(np.array(chance) < 0.1) < 0.16
+    on = np.sin(2.0 * np.pi * np.arange(n) * 0.05 / 15.0) > 0.75
+    louder = (rng.standard_normal((n, 3)) * np.sqrt(1.0 + 0.5 * on[:, None])) ** 2
+    power = louder.mean(axis=1) - louder.mean()
+    assert _recurring(power / power.std(), 0.05) < 1e-4
+
+
+@pytest.mark.parametrize("lasts_s", [0.0, 1.2])
+def test_step_by_hand_keeps_its_size(lasts_s: float) -> None:
+    """While a hand brings a magnet near, the field swings: what it does then is no part of the step."""
+    fault = [effects.parse("hard_iron_step:x=60,y=-40,z=90,on_s=31.3")]
+    track = make_track(Recipe("rich", duration_s=60.0, seed=31), fault)
+    series = track.compasses[1].reported
+    since = series.time_s - 31.3
+    swing = np.where((since > 0.0) & (since < lasts_s), 150.0 * np.sin(4.0 * since), 0.0)
+    moved = Series.of(series.time_s, series.values + swing[:, None] * np.array([1.0, 0.5, -0.7]))
+    bent = replace(track, compasses={1: replace(track.compasses[1], reported=moved)})
+    found = diagnose_gap(bent)
+    step = next(c for c in found.causes if c.effect == "hard_iron_step")
+    for name, true in (("x", 60.0), ("y", -40.0), ("z", 90.0)):
+        assert step.parameters[name] == pytest.approx(true, abs=2.0)
+    assert step.parameters["on_s"] == pytest.approx(31.3, abs=0.1 + lasts_s)
 
 
 def test_interval_of_a_share_holds_it() -> None:

@@ -15,7 +15,8 @@ from mavcompass.gap.hypothesis import make_term
 from mavcompass.gap.model import Problem
 from mavcompass.gap.replay import replay
 from mavcompass.logs import read_track
-from mavcompass.simulation.effects import read_preset
+from mavcompass.simulation.effects import Setting, read_preset
+from mavcompass.track import Track
 
 
 def test_firmware_recording_gives_back_the_simulators_parameters(shared_data: Path) -> None:
@@ -64,3 +65,62 @@ def test_preset_in_our_simulator_closes_the_recorded_gap_as_claimed(
     )
     assert 1.0 - left / before == pytest.approx(diagnosis.field.shrink, abs=0.01)
     assert left**0.5 < diagnosis.field.floor
+
+
+def test_attached_magnet_is_a_step_with_its_moments(shared_data: Path) -> None:
+    """A hand attaches a magnet near 45 s and takes it away near 100 s; each takes it a second."""
+    path = shared_data / "real" / "broad" / "34_disturbed_attached_magnet_3cm.csv"
+    diagnosis = diagnose_gap(read_track(path))
+    step = next(c for c in diagnosis.causes if c.effect == "hard_iron_step")
+    size = np.linalg.norm([step.parameters[axis] for axis in "xyz"])
+    assert size == pytest.approx(137.0, abs=5.0)
+    assert step.parameters["on_s"] == pytest.approx(45.1, abs=0.5)
+    assert step.parameters["off_s"] == pytest.approx(99.7, abs=0.5)
+    assert diagnosis.field.nominal > 40.0
+    assert diagnosis.field.after < 6.0
+
+
+def test_magnet_at_a_fixed_place_is_a_dipole(shared_data: Path) -> None:
+    path = shared_data / "real" / "broad" / "28_disturbed_stationary_magnet_A.csv"
+    diagnosis = diagnose_gap(read_track(path))
+    assert "spatial_dipole" in diagnosis.effects
+    assert diagnosis.field.shrink_ci95[0] > 0.0
+    assert diagnosis.field.after < 0.5 * diagnosis.field.nominal
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_what_is_named_in_one_half_shrinks_the_other(shared_data: Path, first: bool) -> None:
+    """The undisturbed trial: a room's iron, a few ms of lag, and axes that are not quite perpendicular."""
+    track = read_track(shared_data / "real" / "broad" / "01_undisturbed_slow_rotation_A.csv")
+    start, end = track.compasses[1].time_s[[0, -1]].tolist()
+    middle = 0.5 * (start + end)
+    halves = [track.between(start, middle), track.between(middle, end)]
+    own, other = halves if first else halves[::-1]
+    diagnosis = diagnose_gap(own)
+    assert diagnosis.causes
+    found = settings_of(diagnosis.causes)
+    everything = left_on(other, found)
+    assert everything < 0.6 * left_on(other, [])
+    for setting in found:
+        assert left_on(other, [s for s in found if s is not setting]) > everything
+
+
+def left_on(track: Track, found: list[Setting]) -> float:
+    """Return the rms that settings leave of a recording where only the nuisances are solved for."""
+    replayed = replay(track)
+    floor = from_recording(replayed)
+    problem = Problem(replayed, floor.noise, replayed.valid, floor.nuisances)
+    terms = [
+        replace(t, free=np.zeros_like(t.free)) for t in (make_term(s.effect, replayed.signals) for s in found)
+    ]
+    fit = problem.fit(terms, [s.theta for s in found], [n.mean for n in problem.nuisances])
+    left = replayed.measured.mag_mgauss - problem.predict(fit).mag_mgauss
+    return float(np.sqrt(np.mean(left[replayed.valid] ** 2)))
+
+
+def test_second_compass_of_a_flight_follows_the_motors_current(shared_data: Path) -> None:
+    track = read_track(shared_data / "real" / "quad-flight-tlog" / "flight.tlog")
+    diagnosis = diagnose_gap(track, instance=2)
+    assert "motor_current" in diagnosis.effects
+    assert diagnosis.corrected_rms_mgauss is not None
+    assert diagnosis.field.after < 0.4 * diagnosis.corrected_rms_mgauss

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mavcompass.frames import FloatArray
@@ -17,6 +19,8 @@ from mavcompass.simulation.effects.effect import (
 )
 
 _ALWAYS = 0.98
+# What lasts less is no change of the vehicle but a disturbance of a few readings.
+_SHORTEST_S = 1.0
 
 
 def _forward(signals: Signals, theta: FloatArray, memory: Memory, rng: np.random.Generator | None) -> Signals:
@@ -37,6 +41,7 @@ def _starts(misfit: Misfit) -> list[FloatArray]:
     time = misfit.time_s
     y = misfit.residual.mag_mgauss[rows] / misfit.sigma_mgauss
     stride = max(1, rows.size // 400)
+    shortest = max(4, math.ceil(_SHORTEST_S / float(np.median(np.diff(time[rows])))))
     marks = np.arange(0, rows.size + 1, stride)
     cumulated = np.vstack([np.zeros(3), np.cumsum(y, axis=0)])[marks]
     inside = (marks[None, :] - marks[:, None]).astype(np.float64)
@@ -45,15 +50,15 @@ def _starts(misfit: Misfit) -> list[FloatArray]:
         for axis in range(3):
             c = cumulated[:, axis]
             gain += (c[None, :] - c[:, None]) ** 2
-        gain = np.where(inside >= 4, gain / inside, 0.0)
+        gain = np.where(inside >= shortest, gain / inside, 0.0)
     coarse = [np.unravel_index(int(np.argmax(gain[1:, :-1])), gain[1:, :-1].shape)]
     picks = [(int(marks[coarse[0][0] + 1]), int(marks[coarse[0][1]]), False)]
     picks.append((int(marks[1 + int(np.argmax(gain[1:, -1]))]), rows.size, True))
     starts = []
     for first, end, to_the_end in picks:
-        if end - first < 4:
+        if end - first < shortest:
             continue
-        first, end = _refine(y, first, end, stride, to_the_end)
+        first, end = _refine(y, first, end, stride, to_the_end, shortest)
         if end - first > _ALWAYS * rows.size:
             # Hard iron that is there all the time is no step.
             continue
@@ -64,16 +69,18 @@ def _starts(misfit: Misfit) -> list[FloatArray]:
     return starts
 
 
-def _refine(y: FloatArray, first: int, end: int, stride: int, to_the_end: bool) -> tuple[int, int]:
-    """Move both ends row by row to the greatest gain."""
+def _refine(
+    y: FloatArray, first: int, end: int, stride: int, to_the_end: bool, shortest: int
+) -> tuple[int, int]:
+    """Move both ends row by row to the greatest gain, no nearer to each other than `shortest` rows."""
     cumulated = np.vstack([np.zeros(3), np.cumsum(y, axis=0)])
     reach = np.arange(-2 * stride, 2 * stride + 1)
     for _ in range(2):
-        firsts = np.clip(first + reach, 0, end - 2)
+        firsts = np.clip(first + reach, 0, end - shortest)
         total = cumulated[end] - cumulated[firsts]
         first = int(firsts[np.argmax((total**2).sum(axis=1) / (end - firsts))])
         if not to_the_end:
-            ends = np.clip(end + reach, first + 2, len(y))
+            ends = np.clip(end + reach, first + shortest, len(y))
             total = cumulated[ends] - cumulated[first]
             end = int(ends[np.argmax((total**2).sum(axis=1) / (ends - first))])
     return first, end
