@@ -32,6 +32,7 @@ from mavcompass.gap.noise import (
 from mavcompass.gap.nuisance import WORLD_FIELD, Nuisance
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Search
+from mavcompass.simulation.effects.causes.world import gradient_matrix
 from mavcompass.simulation.effects.effect import Effect, Group
 
 _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
@@ -233,6 +234,7 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit) -> tup
             mean = field - replay.signals.stimulus.field_ned_mgauss[0]
             if baseline.field_known and replay.field_known:
                 mean = theta.copy()
+            mean = mean + _from_start_to_start(replay, baseline, fit)
             precision = np.asarray(np.linalg.inv(_FOLD_WIDENING * block), dtype=np.float64)
             out.append(Nuisance(WORLD_FIELD, mean, precision))
         at += size
@@ -246,6 +248,20 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit) -> tup
         out.append(Nuisance(term.effect, theta.copy(), precision))
         at += index.size
     return tuple(out)
+
+
+def _from_start_to_start(replay: Replay, baseline: Replay, fit: Fit) -> FloatArray:
+    """Return how a folded gradient changes the field from one recording's beginning to the other's.
+
+    Only positions of a reference share their datum.
+    """
+    if "field_gradient" not in fit.ids or not replay.reference.kind == baseline.reference.kind == "columns":
+        return np.zeros(3)
+    starts = []
+    for one in (replay, baseline):
+        position = one.signals.stimulus.position_ned_m
+        starts.append(position[np.isfinite(position).all(axis=1)][0])
+    return np.asarray((starts[0] - starts[1]) @ gradient_matrix(fit.theta("field_gradient")))
 
 
 def from_recording(replay: Replay) -> Floor:

@@ -12,6 +12,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.hypothesis import Fit, Term
 from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import group_values
+from mavcompass.gap.nuisance import yaw_starts
 from mavcompass.simulation.effects.effect import Misfit
 from mavcompass.simulation.signals import Reading
 
@@ -20,11 +21,15 @@ _SHORT = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """Hold a first guess of an effect's parameters, and the sum of squares to expect after fitting it."""
+    """Hold a first guess of an effect's parameters, and the sum of squares to expect after fitting it.
+
+    `nuisances` are theirs to start from, where they differ from the parent's.
+    """
 
     term: Term
     theta: FloatArray
     expected: float
+    nuisances: tuple[FloatArray, ...] | None = None
 
 
 class Guesser:
@@ -47,7 +52,8 @@ class Guesser:
         )
         rows = np.zeros(problem.rows.size, dtype=np.bool_)
         rows[problem.index] = True
-        return Misfit(signals, residual, rows, problem.noise["mag"].rms)
+        yaw_unknown = len(yaw_starts(problem.nuisances)) > 1
+        return Misfit(signals, residual, rows, problem.noise["mag"].rms, yaw_unknown)
 
     def starts(self, parent: Fit) -> list[Start]:
         """Guess every effect's parameters beside a fit; sort by the sum of squares to expect."""
@@ -94,8 +100,9 @@ class Guesser:
         states = problem.states(terms, thetas, parent.nuisance_thetas)
         if term.effect.kind == "discrete":
             # Far from the parent, whose nuisances were bent to make up for it: fit those again.
-            means = tuple(n.mean for n in problem.nuisances)
-            return Start(term, guess, problem.fit(terms, thetas, means, _SHORT).sse)
+            fits = [problem.fit(terms, thetas, start, _SHORT) for start in yaw_starts(problem.nuisances)]
+            best = min(fits, key=lambda fit: fit.sse)
+            return Start(term, guess, best.sse, best.nuisance_thetas)
         neutral = term.effect.starts is None
         r = residual if neutral else self._with_priors(problem.residual(states[-1].reading), parent)
         place = len(problem.nuisances) + len(parent.terms)

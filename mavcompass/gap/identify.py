@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def identify(
     while True:
         turn += 1
         problem = Problem(replay, floor.noise, split.train, floor.nuisances)
-        search = Search(problem, effects)
+        search = Search(problem, effects, partial(_worthwhile, problem, floor))
         found = search.run()
         result = _guarded(Identified(problem, split, found, found.best, (), search, problem), floor)
         aside = transients(result.problem, result.fit, moments(result.fit))
@@ -212,11 +213,7 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     """
     fit, problem = candidate.fit, candidate.problem
     after = _left(problem, fit, effects=True)
-    nominal = _left(problem, fit, effects=False)
-    least = dict(_LEAST)
-    least["mag"] = max(
-        least["mag"], _LEAST_SHARE * math.sqrt(max(nominal["mag"] ** 2 - after["mag"] ** 2, 0.0))
-    )
+    least = _least(problem, fit, after)
     steady = problem.steady(fit)
     ratios = {}
     for place, term in enumerate(fit.terms):
@@ -230,6 +227,23 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
         )
     smallest = min(ratios, key=ratios.__getitem__)
     return smallest if ratios[smallest] < 1.0 else None
+
+
+def _least(problem: Problem, fit: Fit, after: dict[Group, float]) -> dict[Group, float]:
+    """Return the least that an effect must remove to be named without a baseline."""
+    nominal = _left(problem, fit, effects=False)
+    gap = math.sqrt(max(nominal["mag"] ** 2 - after["mag"] ** 2, 0.0))
+    return {**_LEAST, "mag": max(_LEAST["mag"], _LEAST_SHARE * gap)}
+
+
+def _worthwhile(problem: Problem, floor: Floor, fit: Fit) -> bool:
+    """Tell whether what a fit leaves above the noise is enough for one more effect to be named."""
+    if floor.representative:
+        return True
+    after = _left(problem, fit, effects=True)
+    least = _least(problem, fit, after)
+    noise: dict[Group, float] = {g: float(rms(problem.noise[g].rms)) for g in problem.groups}
+    return any(after[g] ** 2 - noise[g] ** 2 > least[g] ** 2 for g in problem.groups)
 
 
 def _left(problem: Problem, fit: Fit, effects: bool) -> dict[Group, float]:

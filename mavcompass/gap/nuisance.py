@@ -6,6 +6,7 @@ the age of telemetry. A gap that fits inside these priors is no gap.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,8 @@ from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Sign
 from mavcompass.simulation.effects.sampling import at_times
 
 _Rng = np.random.Generator | None
+_UNKNOWN_YAW_RAD = 0.3
+_TURNS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +74,20 @@ REFERENCE_YAW = Effect(
     ),
     forward=_reference_yaw,
 )
+
+
+def yaw_starts(nuisances: Sequence[Nuisance]) -> list[tuple[FloatArray, ...]]:
+    """List where to start a fit that may turn the attitude: from the prior; all around if that is wide."""
+    means = tuple(n.mean for n in nuisances)
+    for place, nuisance in enumerate(nuisances):
+        if nuisance.effect is REFERENCE_YAW and nuisance.precision[0, 0] < 1.0 / _UNKNOWN_YAW_RAD**2:
+            starts = []
+            for turn in np.arange(_TURNS) * 2.0 * np.pi / _TURNS:
+                mean = nuisance.mean.copy()
+                mean[0] = (mean[0] + turn + np.pi) % (2.0 * np.pi) - np.pi
+                starts.append((*means[:place], mean, *means[place + 1 :]))
+            return starts
+    return [means]
 
 
 def telemetry_age(hold_s: FloatArray) -> Effect:

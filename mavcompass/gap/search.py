@@ -9,7 +9,7 @@ SSE + k ln n + 2 m ln C, and the weights exp(-EBIC / 2) tell how sure that is.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -62,10 +62,20 @@ class Found:
 
 
 class Search:
-    """Search sets of effects on one problem."""
+    """Search sets of effects on one problem.
 
-    def __init__(self, problem: Problem, effects: Iterable[Effect]) -> None:
+    `worthwhile` tells whether what a fit leaves could still hold an effect that may be named; the search
+    goes on only then.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        effects: Iterable[Effect],
+        worthwhile: Callable[[Fit], bool] = lambda fit: True,
+    ) -> None:
         self.problem = problem
+        self.worthwhile = worthwhile
         signals = problem.replay.signals
         self.terms = [
             term
@@ -91,6 +101,8 @@ class Search:
         self.explored[frozenset()] = null
         best, beam = null, [null]
         for size in range(1, most + 1):
+            if size > 1 and not self.worthwhile(best):
+                break
             children = self._children(beam)
             if not children:
                 break
@@ -185,7 +197,7 @@ class Search:
         return self.problem.fit(
             (*parent.terms, start.term),
             (*parent.thetas, start.theta),
-            parent.nuisance_thetas,
+            start.nuisances or parent.nuisance_thetas,
             iterations,
         )
 

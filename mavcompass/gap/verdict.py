@@ -19,6 +19,8 @@ _REMAINDER = 0.05
 # Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
 _REMAINDER_UNTRUSTED = 0.3
 _LARGE_REMAINDER = 1.5
+# No model of a vehicle is exact: what is left below this share of what was explained belongs to it.
+_INEXACT = 0.03
 _DRIFT_RIVALS = 6
 _DRIFT_MARGIN = 6.0
 
@@ -68,7 +70,9 @@ def _much_is_left(remainder: Remainder, floor: Floor) -> bool:
     scatter = remainder.scatter
     added = scatter.size**2 if scatter is not None and scatter.effect == "noise_excess" else 0.0
     left2 = rms((measured - predicted)[problem.usable]) ** 2 - added
-    return left2 > (_LARGE_REMAINDER * floor.field_rms_mgauss) ** 2
+    without = problem.predict(remainder.fit, effects=False).mag_mgauss
+    explained = rms((predicted - without)[problem.usable])
+    return left2 > (_LARGE_REMAINDER * floor.field_rms_mgauss) ** 2 + (_INEXACT * explained) ** 2
 
 
 def wanders(identified: Identified) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.cases import Recipe, make_track
 from mavcompass.gap.export import affine_map, ardupilot_sitl, preset, settings_of
 from mavcompass.simulation import effects
-from mavcompass.track import Track
+from mavcompass.track import Series, Track
 
 RICH = Recipe("rich", duration_s=60.0, rate_hz=20.0, seed=21)
 
@@ -180,3 +181,23 @@ def test_level_turns_cannot_test_what_needs_tilt_or_loads() -> None:
     assert {"soft_iron", "motor_current", "temperature_bias", "spatial_dipole"} <= set(missing)
     assert "current" in missing["motor_current"]
     assert math.isfinite(diagnosis.seconds)
+
+
+def test_position_far_from_its_datum_makes_no_gradient() -> None:
+    """An altitude above the sea is no distance from a magnet: declination stays declination."""
+    track = make_track(RICH, [effects.parse("declination:angle_rad=0.1")])
+    assert track.position_ned_m is not None
+    far = track.position_ned_m.values + np.array([0.0, 0.0, -500.0])
+    moved = replace(track, position_ned_m=Series.of(track.position_ned_m.time_s, far))
+    assert diagnose_gap(moved).effects == {"declination"}
+
+
+@pytest.mark.parametrize("orientation", [4, 8])
+def test_orientation_is_found_although_the_yaw_is_unknown(orientation: int) -> None:
+    """Without a reference the first guess of the yaw comes from the compass that points elsewhere."""
+    fault = [effects.parse(f"orientation:orientation={orientation}")]
+    track = replace(make_track(RICH, fault), reference_q=None)
+    diagnosis = diagnose_gap(track)
+    assert diagnosis.reference == "gyro"
+    assert diagnosis.effects == {"orientation"}
+    assert diagnosis.causes[0].parameters["orientation"] == orientation

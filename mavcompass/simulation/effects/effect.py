@@ -107,13 +107,15 @@ Forward = Callable[[Signals, FloatArray, Memory, np.random.Generator | None], Si
 class Misfit:
     """Hold what a model leaves unexplained: measured minus predicted, and the signals it predicts with.
 
-    `rows` tells which samples may be looked at; `sigma` is the noise of each magnetometer axis.
+    `rows` tells which samples may be looked at; `sigma` is the noise of each magnetometer axis;
+    `yaw_unknown` that a turn of the whole attitude about the vertical is still to be found.
     """
 
     signals: Signals
     residual: Reading
     rows: NDArray[np.bool_]
     sigma_mgauss: FloatArray
+    yaw_unknown: bool = False
 
     @property
     def time_s(self) -> FloatArray:

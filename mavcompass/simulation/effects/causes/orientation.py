@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
 
-from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, sensor_orientation_matrix
+from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, rotate_back, sensor_orientation_matrix
 from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage
 
 
@@ -27,10 +28,28 @@ def _starts(misfit: Misfit) -> list[FloatArray]:
     predicted = misfit.signals.reading.mag_mgauss[rows]
     measured = predicted + misfit.residual.mag_mgauss[rows]
     # |measured - predicted R|^2 depends on R only through trace(R^T predicted^T measured).
-    moment = predicted.T @ measured
-    gains = {number: float(np.sum(matrix * moment)) for number, matrix in _matrices().items()}
+    if misfit.yaw_unknown:
+        parts = [part[rows].T @ measured for part in _by_yaw(misfit.signals)]
+        gains = {
+            number: float(np.sum(matrix * parts[0]))
+            + math.hypot(float(np.sum(matrix * parts[1])), float(np.sum(matrix * parts[2])))
+            for number, matrix in _matrices().items()
+        }
+    else:
+        moment = predicted.T @ measured
+        gains = {number: float(np.sum(matrix * moment)) for number, matrix in _matrices().items()}
     best = sorted(gains, key=gains.__getitem__, reverse=True)
     return [np.array([float(number)]) for number in best[:3] if number != 0]
+
+
+def _by_yaw(signals: Signals) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the field in the body's axes as parts a + b cos(yaw) + c sin(yaw) of a turn of the attitude."""
+    s = signals.stimulus
+    north, east, down = s.field_ned_mgauss.T
+    zero = np.zeros_like(north)
+    fields = ((zero, zero, down), (north, east, zero), (east, -north, zero))
+    a, b, c = (rotate_back(s.rotation, np.stack(field, axis=1)) for field in fields)
+    return a, b, c
 
 
 EFFECTS = (

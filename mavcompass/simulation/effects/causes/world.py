@@ -43,11 +43,22 @@ def _declination(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng)
     return signals.in_field(np.stack([c * n - s * e, s * n + c * e, d], axis=1))
 
 
-def _gradient(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def gradient_matrix(theta: FloatArray) -> FloatArray:
+    """Return the gradient (3, 3) of a field without curl and divergence."""
     nn, ee, ne, nd, ed = theta
-    matrix = np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, -nn - ee]])
-    position = np.nan_to_num(signals.stimulus.position_ned_m)
-    return signals.in_field(signals.stimulus.field_ned_mgauss + position @ matrix)
+    return np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, -nn - ee]])
+
+
+def _gradient(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    position = signals.stimulus.position_ned_m
+    known = np.isfinite(position).all(axis=1)
+    # About where the recording begins: the datum of its positions may be anywhere.
+    origin = memory.get("origin", position[known][0] if known.any() else None)
+    if origin is None:
+        return signals
+    memory["origin"] = origin
+    away = np.nan_to_num(position - origin)
+    return signals.in_field(signals.stimulus.field_ned_mgauss + away @ gradient_matrix(theta))
 
 
 def dipole_field(position_m: FloatArray, source_m: FloatArray, moment_mgauss_m3: FloatArray) -> FloatArray:
@@ -232,7 +243,7 @@ EFFECTS = (
         needs=frozenset({"position"}),
         aliases=("spatial_dipole",),
         separated_by="a larger area",
-        source="B + G p, G symmetric without trace (no curl, no divergence), 5 to 50 mG/m indoors",
+        source="B + G (p - p_0), G symmetric without trace (no curl, no divergence), 5 to 50 mG/m indoors",
     ),
     Effect(
         id="spatial_dipole",
