@@ -28,11 +28,15 @@ _SLOW_HZ = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Test:
-    """Hold one test: what it looked at, and its p-value before Holm's correction."""
+    """Hold one test: what it looked at, and its p-value before Holm's correction.
+
+    `excess` is its statistic over the degrees of freedom, where it has any: about one when all is well.
+    """
 
     name: str
     coordinate: str
     p: float
+    excess: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +82,8 @@ def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
     left = left - J @ (root @ (root.T @ (J.T @ left)))
     rest = left.reshape(len(problem.groups), n, 3)
     for at, group in enumerate(problem.groups):
+        if group in problem.replay.doubtful:
+            continue
         part = J[at * 3 * n : (at + 1) * 3 * n].reshape(n, 3, -1) if J.shape[1] else np.zeros((n, 3, 0))
         whitener = problem.noise[group]
         for name, coordinate, regressors in _blocks(group, states[-1]):
@@ -104,7 +110,8 @@ def _score_test(
         return Test(name, coordinate, 1.0)
     rotated = vectors[:, keep].T @ score
     statistic = float(np.sum(rotated**2 / values[keep]))
-    return Test(name, coordinate, float(chdtrc(int(keep.sum()), statistic)))
+    freedom = int(keep.sum())
+    return Test(name, coordinate, float(chdtrc(freedom, statistic)), statistic / freedom)
 
 
 def _blocks(group: Group, signals: Signals) -> Iterator[tuple[str, str, FloatArray]]:
@@ -188,6 +195,8 @@ def _scatter(problem: Problem, fit: Fit, compare: bool) -> Iterator[Test]:
     innovations = problem.innovations(problem.predict(fit))
     signals = problem.signals(fit)
     for group in problem.groups:
+        if group in problem.replay.doubtful:
+            continue
         z = innovations[group][problem.index]
         z = z - z.mean(axis=0)
         scale = z.std(axis=0)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 
 from mavcompass.errors import UsageError
 from mavcompass.gap import integrity
 from mavcompass.gap.adequacy import judge
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.describe import Evidence, describe
-from mavcompass.gap.floor import Floor, from_baseline, from_recording, trusted_groups, with_noise
+from mavcompass.gap.floor import Floor, doubtful_sensors, from_baseline, from_recording, with_noise
 from mavcompass.gap.identify import Identified, identify
+from mavcompass.gap.noise import SensorNoise
 from mavcompass.gap.reference import Choice
 from mavcompass.gap.remainder import Remainder, floor_to_start, what_is_left
 from mavcompass.gap.replay import Replay, replay
@@ -98,16 +100,20 @@ def _replays(
     witness = before if before is not None else replayed
     every = catalogue().values()
     out_of_reach = untestable_effects(witness, every)
-    trusted = trusted_groups(witness, [e for e in every if e.id not in out_of_reach])
-    return _only(replayed, trusted), _only(before, trusted) if before is not None else None
+    doubtful, useless = doubtful_sensors(witness, [e for e in every if e.id not in out_of_reach])
+    with_doubt = partial(_doubting, doubtful=doubtful, useless=useless)
+    return with_doubt(replayed), with_doubt(before) if before is not None else None
 
 
-def _only(replayed: Replay, trusted: tuple[Group, ...]) -> Replay:
-    """Leave out sensors that the simulation cannot explain where nothing is wrong, and say so."""
-    kept = tuple(g for g in replayed.groups if g in trusted)
-    left_out = [_SENSOR_WORDS[g] for g in replayed.groups if g not in trusted]
-    notes = [f"The {word} does not fit the attitude reference in detail: left out." for word in left_out]
-    return replace(replayed, groups=kept, notes=(*replayed.notes, *notes))
+def _doubting(replayed: Replay, doubtful: Mapping[Group, SensorNoise], useless: frozenset[Group]) -> Replay:
+    """Let sensors that the simulation cannot explain where nothing is wrong count for less, and say so."""
+    notes = list(replayed.notes)
+    for group in replayed.groups:
+        if group in doubtful or group in useless:
+            how = "left out" if group in useless else "it counts for less"
+            notes.append(f"The {_SENSOR_WORDS[group]} does not fit the reference in detail: {how}.")
+    kept = tuple(g for g in replayed.groups if g not in useless)
+    return replace(replayed, groups=kept, doubtful=doubtful, notes=tuple(notes))
 
 
 def _traces(

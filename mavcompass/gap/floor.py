@@ -32,7 +32,7 @@ from mavcompass.gap.noise import (
 from mavcompass.gap.nuisance import WORLD_FIELD, Nuisance
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Search
-from mavcompass.simulation.effects.causes.world import gradient_matrix
+from mavcompass.simulation.effects.causes.world import gradient_matrix, gradient_origin
 from mavcompass.simulation.effects.effect import Effect, Group
 
 _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
@@ -51,6 +51,8 @@ _MOST_FOLDED = 4
 _EXPLAINED_P = 1e-9
 # One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
 _REPRESENTATIVE_P = 1e-5
+# Six degrees of tilt, three degrees a second: sensors that leave more unexplained tell nothing.
+_USELESS: dict[Group, float] = {"acc": 1.0, "gyro": 0.05}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +85,9 @@ def first_noise(replay: Replay) -> Noise:
     """State a first noise from the scatter between neighbouring readings."""
     noise: Noise = {}
     for group in replay.groups:
+        if group in replay.doubtful:
+            noise[group] = replay.doubtful[group]
+            continue
         measured, ideal = group_values(replay.measured, group), group_values(replay.signals.reading, group)
         sigma = rough_sigma(measured - ideal, replay.valid)
         least = max(_LEAST[group], replay.resolution_mgauss if group == "mag" else 0.0)
@@ -98,6 +103,9 @@ def measured_noise(problem: Problem, fit: Fit) -> Noise:
     replay = problem.replay
     noise: Noise = {}
     for group in replay.groups:
+        if group in replay.doubtful:
+            noise[group] = replay.doubtful[group]
+            continue
         error = group_values(replay.measured, group) - group_values(predicted, group)
         least = max(_LEAST[group], replay.resolution_mgauss if group == "mag" else 0.0)
         noise[group] = estimate_noise(error, replay.valid, least)
@@ -184,28 +192,36 @@ _INERTIAL: dict[Group, tuple[str, ...]] = {
 # fmt: on
 
 
-def trusted_groups(baseline: Replay, effects: Sequence[Effect]) -> tuple[Group, ...]:
-    """Tell which sensors of a recording the simulation explains, with all that it knows of them.
+def doubtful_sensors(
+    witness: Replay, effects: Sequence[Effect]
+) -> tuple[dict[Group, SensorNoise], frozenset[Group]]:
+    """Tell which sensors of a recording the simulation does not explain, with all that it knows of them.
 
-    A real accelerometer or gyro that is not explained (unknown motion, imperfect timing against the
-    reference) cannot bear witness about the compass; the compass always stays. `effects` are those that
-    the recording can test.
+    A real accelerometer or gyro feels unknown motion, vibration, imperfect timing against the reference. What
+    it says about a cause then counts by the noise that would make all this look like chance: the noise of
+    its residual, raised until the worst of the structure in it is no more than that. Sensors that then would
+    say nothing are the second set. `effects` are those that the recording can test.
     """
-    kept: list[Group] = ["mag"]
-    for group in baseline.groups:
+    out: dict[Group, SensorNoise] = {}
+    useless: set[Group] = set()
+    for group in witness.groups:
         if group == "mag":
             continue
-        alone = replace(baseline, groups=(group,))
-        noise = first_noise(alone)
+        alone = replace(witness, groups=(group,))
         terms = [make_term(e, alone.signals) for e in effects if e.id in _INERTIAL[group]]
-        problem = Problem(alone, noise, alone.valid, ())
+        problem = Problem(alone, first_noise(alone), alone.valid, ())
         fit = problem.fit(terms, [t.effect.neutral() for t in terms], ())
-        problem = Problem(alone, measured_noise(problem, fit), alone.valid, ())
-        structure = judge(problem, fit, compare_scatter=False)
-        smallest = min((t.p for t in structure.tests), default=1.0)
-        if smallest > _EXPLAINED_P:
-            kept.append(group)
-    return tuple(kept)
+        noise = measured_noise(problem, fit)
+        structure = judge(Problem(alone, noise, alone.valid, ()), fit, compare_scatter=False)
+        if min((t.p for t in structure.tests), default=1.0) > _EXPLAINED_P:
+            continue
+        worse = math.sqrt(max(1.0, *(t.excess for t in structure.tests)))
+        own = noise[group]
+        if float(own.rms.mean()) * worse > _USELESS[group]:
+            useless.add(group)
+        else:
+            out[group] = replace(own, sigma=own.sigma * worse, rms=own.rms * worse)
+    return out, frozenset(useless)
 
 
 def _without_slow_causes(problem: Problem, fit: Fit) -> Noise:
@@ -251,17 +267,14 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit) -> tup
 
 
 def _from_start_to_start(replay: Replay, baseline: Replay, fit: Fit) -> FloatArray:
-    """Return how a folded gradient changes the field from one recording's beginning to the other's.
+    """Return how a folded gradient changes the field from one recording's origin to the other's.
 
     Only positions of a reference share their datum.
     """
     if "field_gradient" not in fit.ids or not replay.reference.kind == baseline.reference.kind == "columns":
         return np.zeros(3)
-    starts = []
-    for one in (replay, baseline):
-        position = one.signals.stimulus.position_ned_m
-        starts.append(position[np.isfinite(position).all(axis=1)][0])
-    return np.asarray((starts[0] - starts[1]) @ gradient_matrix(fit.theta("field_gradient")))
+    own, other = (gradient_origin(one.signals.stimulus.position_ned_m) for one in (replay, baseline))
+    return np.asarray((own - other) @ gradient_matrix(fit.theta("field_gradient")))
 
 
 def from_recording(replay: Replay) -> Floor:

@@ -53,33 +53,45 @@ class Identified:
 def identify(
     replay: Replay, floor: Floor, split: Split, effects: Sequence[Effect]
 ) -> tuple[Identified, Floor]:
-    """Search and guard; without a baseline estimate the noise again from what is left, and repeat."""
+    """Search and guard; without a baseline estimate the noise again from what is left, and repeat.
+
+    Where a change that was found takes time, the readings meanwhile are set aside and the search repeated.
+    If nothing that changes is found then, they were the whole disturbance, and must stay.
+    """
+    result, own = _searched(replay, floor, split, effects)
+    when = moments(result.fit)
+    aside = transients(result.problem, result.fit, when)
+    if not aside.any():
+        return result, own
+    fewer = replace(replay, valid=replay.valid & ~aside)
+    calm = replace(split, train=split.train & ~aside)
+    start = floor
+    if not floor.measured:
+        kept = _with_rows(result, fewer, calm)
+        start = widened(floor, kept.problem, kept.fit)
+    calmer, settled = _searched(fewer, start, calm, effects)
+    if not moments(calmer.fit):
+        return result, own
+    return replace(calmer, fit=with_moments(calmer.problem, calmer.fit, when)), settled
+
+
+def _searched(
+    replay: Replay, floor: Floor, split: Split, effects: Sequence[Effect]
+) -> tuple[Identified, Floor]:
     passes = 1 if floor.measured else _PASSES
     previous: frozenset[str] | None = None
-    turn, seen = 0, list[float]()
-    while True:
-        turn += 1
+    for turn in range(passes):
         problem = Problem(replay, floor.noise, split.train, floor.nuisances)
         search = Search(problem, effects, partial(_worthwhile, problem, floor))
         found = search.run()
         result = _guarded(Identified(problem, split, found, found.best, (), search, problem), floor)
-        aside = transients(result.problem, result.fit, moments(result.fit))
-        going_on = bool(aside.any()) and turn == 1
-        if going_on:
-            seen = moments(result.fit)
-            replay = replace(replay, valid=replay.valid & ~aside)
-            split = replace(split, train=split.train & ~aside)
-            result = _with_rows(result, replay, split)
-        if not going_on and (turn >= passes or result.fit.ids == previous):
+        if turn + 1 == passes or (previous is not None and result.fit.ids == previous):
             break
         previous = result.fit.ids
-        if not floor.measured:
-            before = floor
-            floor = widened(floor, result.problem, result.fit)
-            if floor is before and not going_on:
-                break
-    if seen:
-        result = replace(result, fit=with_moments(result.problem, result.fit, seen))
+        before = floor
+        floor = widened(floor, result.problem, result.fit)
+        if floor is before:
+            break
     return result, floor
 
 
@@ -144,7 +156,7 @@ def _weakest(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
         )
     if (worse := _vetoed(candidate)) is not None:
         return worse, "one half of the training data does not confirm what the other half says"
-    if not floor.representative and (small := _immaterial(candidate, floor)) is not None:
+    if (small := _immaterial(candidate, floor)) is not None:
         return (
             small,
             "it removes no more than healthy sensors may be off, or less than a tenth of the gap",
@@ -209,14 +221,21 @@ def _vetoed(candidate: Identified) -> str | None:
 def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     """Name the effect that removes least, where that is too little to be named without a baseline.
 
-    In at least one of its sensors an effect must remove what exceeds the usual tolerances of sensors.
+    In at least one of its sensors an effect must remove what exceeds the usual tolerances of sensors. Beside
+    a baseline that holds for effects on sensors which that baseline does not explain.
     """
     fit, problem = candidate.fit, candidate.problem
+    doubtful = problem.replay.doubtful.keys()
+    asked = [not floor.representative or bool(doubtful & set(t.effect.groups)) for t in fit.terms]
+    if not any(asked):
+        return None
     after = _left(problem, fit, effects=True)
     least = _least(problem, fit, after)
     steady = problem.steady(fit)
     ratios = {}
     for place, term in enumerate(fit.terms):
+        if not asked[place]:
+            continue
         terms = (*fit.terms[:place], *fit.terms[place + 1 :])
         thetas = (*fit.thetas[:place], *fit.thetas[place + 1 :])
         left = _left(problem, steady.fit(terms, thetas, fit.nuisance_thetas), effects=True)
@@ -231,8 +250,10 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
 
 def _least(problem: Problem, fit: Fit, after: dict[Group, float]) -> dict[Group, float]:
     """Return the least that an effect must remove to be named without a baseline."""
-    nominal = _left(problem, fit, effects=False)
-    gap = math.sqrt(max(nominal["mag"] ** 2 - after["mag"] ** 2, 0.0))
+    nominal = _left(problem, fit, effects=False)["mag"]
+    # Nuisances that make room for effects may leave more than there was.
+    nominal = min(nominal, _left(problem, problem.null(), effects=False)["mag"])
+    gap = math.sqrt(max(nominal**2 - after["mag"] ** 2, 0.0))
     return {**_LEAST, "mag": max(_LEAST["mag"], _LEAST_SHARE * gap)}
 
 

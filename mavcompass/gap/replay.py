@@ -7,7 +7,8 @@ to a reading (ten readings a second, averaged, repeated, late) belongs to the re
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
 from mavcompass.gap.compass_rows import averaged, compass_rows
 from mavcompass.gap.integrity import Trace
 from mavcompass.gap.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
+from mavcompass.gap.noise import SensorNoise
 from mavcompass.gap.nuisance import REFERENCE_YAW, WORLD_FIELD, Nuisance, telemetry_age
 from mavcompass.gap.receiver import local_position
 from mavcompass.gap.reference import Choice, Reference, reference_attitude
@@ -59,6 +61,8 @@ class Replay:
         field_known: True where the world model gave the field.
         trace: repeats and steps of the numbers, as they were logged.
         averaged: how many neighbouring readings each row is the mean of.
+        doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
+            noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
         notes: what a reader of the result must know.
     """
 
@@ -76,6 +80,7 @@ class Replay:
     notes: tuple[str, ...]
     corrected_mgauss: FloatArray | None = None
     averaged: int = 1
+    doubtful: Mapping[Group, SensorNoise] = field(default_factory=dict)
 
     @property
     def time_s(self) -> FloatArray:

@@ -224,10 +224,12 @@ class Search:
         """Return the fit of the same set without one effect."""
         keep = [i for i, t in enumerate(fit.terms) if t.effect.id != effect_id]
         terms = [fit.terms[i] for i in keep]
-        known = self.explored.get(frozenset(t.effect.id for t in terms))
-        if known is not None:
-            return known
         refitted = self.problem.fit(terms, [fit.thetas[i] for i in keep], fit.nuisance_thetas)
+        known = self.explored.get(refitted.ids)
+        if known is not None:
+            # It may have been fitted a few steps only, or from a better start.
+            known = self.problem.fit(known.terms, known.thetas, known.nuisance_thetas)
+            refitted = min(refitted, known, key=lambda f: f.sse)
         self.explored[refitted.ids] = refitted
         return refitted
 

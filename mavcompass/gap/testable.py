@@ -9,6 +9,9 @@ from mavcompass.simulation.effects import Effect
 
 _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
 _FAST = frozenset({"ac_interference", "set_reset_offset", "noise_excess", "timestamp_jitter"})
+_NO_SENSOR = (
+    "the sensors that would show it were not recorded, or feel motion that the recording does not tell"
+)
 _NEED_WORDS = {
     "turning": "the vehicle does not turn far enough",
     "tilt": "the vehicle stays level",
@@ -46,9 +49,12 @@ def untestable_effects(replayed: Replay, effects: Iterable[Effect]) -> dict[str,
         for need in sorted(effect.needs):
             if not any(option in replayed.present for option in need.split("|")):
                 out[effect.id] = _NEED_WORDS[need]
-        seen = all(g in replayed.groups for g in effect.groups) or effect.enough in replayed.groups
+        seen = all(g in replayed.groups for g in effect.groups) or any(
+            g in replayed.groups for g in effect.enough
+        )
         if not seen and effect.id not in out:
-            out[effect.id] = _NEED_WORDS["reference"]
+            away = "reference" not in replayed.present
+            out[effect.id] = _NEED_WORDS["reference"] if away else _NO_SENSOR
         if replayed.telemetry and effect.id in _TIMING:
             out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"
         if replayed.averaged > 1 and effect.id in _FAST:

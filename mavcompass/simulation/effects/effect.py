@@ -139,7 +139,7 @@ class Effect:
         parameters: what can be set and is fitted.
         forward: the model; `memory` is carried between the blocks of a live run, empty at the start.
         groups: the sensors that see it.
-        enough: a sensor that alone can tell it, where others see it too.
+        enough: sensors of which one, beside the compass, can tell it, where others see it too.
         kind: "mean" shifts the readings; "discrete" has integer parameters; "random" changes their
             scatter; "integrity" leaves an exact trace (repeats, steps).
         needs: what a recording must contain: current, throttle, temperature, position, motors, tilt,
@@ -172,7 +172,7 @@ class Effect:
     sitl: Export | None = None
     optional: frozenset[str] = frozenset()
     limits: Limits | None = None
-    enough: Group | None = None
+    enough: tuple[Group, ...] = ()
 
     @property
     def lower(self) -> FloatArray:

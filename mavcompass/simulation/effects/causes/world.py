@@ -21,6 +21,7 @@ from mavcompass.simulation.effects.effect import (
 _Rng = np.random.Generator | None
 _NEAREST_M = 0.05
 _NEAR_PEAK_M = 0.4
+_FAR_PATHS = 3.0
 
 
 def _intensity(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
@@ -49,15 +50,22 @@ def gradient_matrix(theta: FloatArray) -> FloatArray:
     return np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, -nn - ee]])
 
 
+def gradient_origin(position_m: FloatArray) -> FloatArray:
+    """Return where a gradient begins to count: at the datum, or at the first place of a path far from it.
+
+    Heights above the sea or grid coordinates are no distance from what bends the field.
+    """
+    known = position_m[np.isfinite(position_m).all(axis=1)]
+    if not len(known) or float(np.linalg.norm(known[0])) <= _FAR_PATHS * float(known.std(axis=0).max()):
+        return np.zeros(3)
+    return np.asarray(known[0])
+
+
 def _gradient(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
     position = signals.stimulus.position_ned_m
-    known = np.isfinite(position).all(axis=1)
-    # About where the recording begins: the datum of its positions may be anywhere.
-    origin = memory.get("origin", position[known][0] if known.any() else None)
-    if origin is None:
-        return signals
-    memory["origin"] = origin
-    away = np.nan_to_num(position - origin)
+    if "origin" not in memory:
+        memory["origin"] = gradient_origin(position)
+    away = np.nan_to_num(position - memory["origin"])
     return signals.in_field(signals.stimulus.field_ned_mgauss + away @ gradient_matrix(theta))
 
 
