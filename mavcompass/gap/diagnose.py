@@ -26,6 +26,7 @@ from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.simulation.effects.effect import Group
 from mavcompass.track import Track
 
+_OF_MOTION = frozenset({"linear_acceleration", "vibration_rectification"})
 _SENSOR_WORDS: dict[Group, str] = {"mag": "compass", "acc": "accelerometer", "gyro": "gyro"}
 
 
@@ -97,10 +98,15 @@ def _replays(
     before = None
     if baseline is not None:
         before = replay(baseline, compass if compass in baseline.compasses else 1, reference)
-    witness = before if before is not None else replayed
     every = catalogue().values()
-    out_of_reach = untestable_effects(witness, every)
-    doubtful, useless = doubtful_sensors(witness, [e for e in every if e.id not in out_of_reach])
+    known = [e for e in every if e.id not in untestable_effects(replayed, every)]
+    doubtful, useless = doubtful_sensors(replayed, known)
+    if before is not None:
+        unseen = untestable_effects(before, every)
+        # What a baseline's motion makes its accelerometer feel is no cause that would come again.
+        steady = [e for e in every if e.id not in unseen and e.id not in _OF_MOTION]
+        more, also = doubtful_sensors(before, steady)
+        doubtful, useless = {**doubtful, **more}, useless | also
     with_doubt = partial(_doubting, doubtful=doubtful, useless=useless)
     return with_doubt(replayed), with_doubt(before) if before is not None else None
 

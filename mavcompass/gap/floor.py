@@ -47,8 +47,8 @@ _DOUBT_LASTS_S = 5.0
 _TIME_DOUBT_S = {"telemetry": 0.03, "direct": 0.01}
 _FOLD_WIDENING = 4.0
 _MOST_FOLDED = 4
-# A baseline is a judge's witness, not the accused: only blatant structure disqualifies a sensor.
-_EXPLAINED_P = 1e-9
+# A sensor is doubted where structure shows in it that chance makes once in a thousand recordings.
+_EXPLAINED_P = 1e-5
 # One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
 _REPRESENTATIVE_P = 1e-5
 # Six degrees of tilt, three degrees a second: sensors that leave more unexplained tell nothing.

@@ -30,6 +30,8 @@ _PASSES = 2
 _CLOSINGS_IN = 6
 # Readings that an effect changes by less than this (squared sigmas, in all) cannot judge it.
 SILENT = 9.0
+# A half that gains less than this share of what an effect gains in the other half says nothing of it.
+_LITTLE = 0.1
 _NEAREST_MAGNET_M = 0.03
 
 
@@ -190,7 +192,8 @@ def _touched(candidate: Identified) -> str | None:
 def _vetoed(candidate: Identified) -> str | None:
     """Fit on each half of the training rows; an effect must help on the other half.
 
-    A magnet that is passed once shows in one half only: the half that does not show it has no say.
+    A magnet that is passed once shows in one half only, or hardly in the other: a half that shows little of
+    what there is to explain in the other has no say.
     """
     fit, problem = candidate.fit, candidate.problem
     halves = candidate.split.halves()
@@ -198,24 +201,28 @@ def _vetoed(candidate: Identified) -> str | None:
     for own, other in (halves, halves[::-1]):
         mine, judge = problem.with_rows(own & problem.rows), problem.with_rows(other & problem.rows)
         trained = mine.fit(fit.terms, fit.thetas, fit.nuisance_thetas, iterations=3)
-        here, there = mine.residual(mine.predict(trained)), judge.residual(judge.predict(trained))
         for place, term in enumerate(trained.terms):
-            without = Fit(
-                (*trained.terms[:place], *trained.terms[place + 1 :]),
-                (*trained.thetas[:place], *trained.thetas[place + 1 :]),
-                trained.nuisance_thetas,
-                0.0,
-            )
-            predicted = mine.predict(without)
-            left_here, left_there = mine.residual(predicted), judge.residual(predicted)
-            shown = float(left_here @ left_here - here @ here) > SILENT + term.dimension
-            if shown and float((left_there - there) @ (left_there - there)) > SILENT:
-                gain = float(left_there @ left_there - there @ there)
-                gains[term.effect.id] = gains.get(term.effect.id, 0.0) + gain
+            here, _ = _gain(mine, trained, place)
+            there, change = _gain(judge, trained, place)
+            shown = here > max(SILENT + term.dimension, _LITTLE * _gain(judge, fit, place)[0])
+            if shown and change > SILENT:
+                gains[term.effect.id] = gains.get(term.effect.id, 0.0) + there
     if not gains:
         return None
     worst = min(gains, key=gains.__getitem__)
     return worst if gains[worst] <= 0.0 else None
+
+
+def _gain(problem: Problem, fit: Fit, place: int) -> tuple[float, float]:
+    """Return what one effect of a fit takes off the sum of squares on these rows, and how much it changes."""
+    without = Fit(
+        (*fit.terms[:place], *fit.terms[place + 1 :]),
+        (*fit.thetas[:place], *fit.thetas[place + 1 :]),
+        fit.nuisance_thetas,
+        0.0,
+    )
+    kept, left = problem.residual(problem.predict(fit)), problem.residual(problem.predict(without))
+    return float(left @ left - kept @ kept), float((left - kept) @ (left - kept))
 
 
 def _immaterial(candidate: Identified, floor: Floor) -> str | None:
