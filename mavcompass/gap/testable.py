@@ -55,8 +55,8 @@ def untestable_effects(replayed: Replay, effects: Iterable[Effect]) -> dict[str,
         if not seen and effect.id not in out:
             away = "reference" not in replayed.present
             out[effect.id] = _NEED_WORDS["reference"] if away else _NO_SENSOR
-        if effect.groups == ("acc",) and "acc" in replayed.doubtful:
-            # Unknown motion looks like any of them; a gyro's rate the reference knows.
+        if len(effect.groups) == 1 and effect.groups[0] in replayed.doubtful:
+            # What is not known of the motion looks like any fault of the sensor that feels it.
             out[effect.id] = _NO_SENSOR
         if replayed.telemetry and effect.id in _TIMING:
             out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"

@@ -14,6 +14,7 @@ from mavcompass.errors import BadRecording, UsageError
 from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.cases import Recipe, make_track
 from mavcompass.gap.export import affine_map, ardupilot_sitl, preset, settings_of
+from mavcompass.gap.sealed import draw_label, tracks_of
 from mavcompass.simulation import effects
 from mavcompass.track import Series, Track
 
@@ -201,3 +202,36 @@ def test_orientation_is_found_although_the_yaw_is_unknown(orientation: int) -> N
     assert diagnosis.reference == "gyro"
     assert diagnosis.effects == {"orientation"}
     assert diagnosis.causes[0].parameters["orientation"] == orientation
+
+
+def shaken(track: Track, seed: int) -> Track:
+    """Let an accelerometer feel motion that is not recorded: it wanders, and follows the throttle."""
+    assert track.acc_mps2 is not None and track.throttle is not None
+    rng = np.random.default_rng(seed)
+    n = len(track.acc_mps2)
+    slow = np.cumsum(rng.standard_normal((n, 3)), axis=0)
+    slow = 0.15 * (slow - slow.mean(axis=0)) / slow.std(axis=0)
+    fast = 0.4 * track.throttle.values[:, None] * rng.standard_normal((n, 3))
+    moved = Series.of(track.acc_mps2.time_s, track.acc_mps2.values + slow + fast)
+    return replace(track, acc_mps2=moved)
+
+
+def test_accelerometer_that_feels_unknown_motion_still_tells_tilt_from_dip(baseline: Track) -> None:
+    """The compass alone cannot tell a platform that is not level from a field that dips elsewhere."""
+    fault = [effects.parse("platform_tilt:about_north=0,about_east=0.025")]
+    diagnosis = diagnose_gap(shaken(make_track(RICH, fault), 1), shaken(baseline, 2))
+    assert any("counts for less" in note for note in diagnosis.notes)
+    assert diagnosis.effects == {"platform_tilt"}
+    reasons = dict(diagnosis.not_testable)
+    assert "accel_bias" in reasons and "motion" in reasons["accel_bias"]
+
+
+def test_unknown_motion_is_no_fault(baseline: Track) -> None:
+    diagnosis = diagnose_gap(shaken(make_track(RICH), 3), shaken(baseline, 4))
+    assert diagnosis.verdict == "no_gap"
+
+
+def test_magnet_that_one_half_of_the_recording_hardly_shows_is_named() -> None:
+    label = draw_label(4302, 36, "single")
+    assert label.effects[0].startswith("spatial_dipole")
+    assert diagnose_gap(*tracks_of(label)).effects == {"spatial_dipole"}
