@@ -12,7 +12,8 @@ from mavcompass.gap import integrity
 from mavcompass.gap.adequacy import judge
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.describe import Evidence, describe
-from mavcompass.gap.floor import Floor, doubtful_sensors, from_baseline, from_recording, with_noise
+from mavcompass.gap.doubtful import doubtful_sensors
+from mavcompass.gap.floor import Floor, from_baseline, from_recording, with_noise
 from mavcompass.gap.identify import Identified, identify
 from mavcompass.gap.noise import SensorNoise
 from mavcompass.gap.reference import Choice

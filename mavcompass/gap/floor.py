@@ -16,7 +16,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.adequacy import judge
-from mavcompass.gap.hypothesis import Fit, make_term
+from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import (
     USUAL_SCATTER_MGAUSS,
@@ -33,7 +33,7 @@ from mavcompass.gap.nuisance import WORLD_FIELD, Nuisance
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Search
 from mavcompass.simulation.effects.causes.world import gradient_matrix, gradient_origin
-from mavcompass.simulation.effects.effect import Effect, Group
+from mavcompass.simulation.effects.effect import Effect
 
 _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
 _STATED_MGAUSS = 0.3
@@ -47,12 +47,8 @@ _DOUBT_LASTS_S = 5.0
 _TIME_DOUBT_S = {"telemetry": 0.03, "direct": 0.01}
 _FOLD_WIDENING = 4.0
 _MOST_FOLDED = 4
-# A sensor is doubted where structure shows in it that chance makes once in a thousand recordings.
-_EXPLAINED_P = 1e-5
 # One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
 _REPRESENTATIVE_P = 1e-5
-# Six degrees of tilt, three degrees a second: sensors that leave more unexplained tell nothing.
-_USELESS: dict[Group, float] = {"acc": 1.0, "gyro": 0.05}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +62,6 @@ class Floor:
         representative: True where a baseline gave it, and the simulation explains that baseline.
         measured: True where a baseline gave it.
         nuisances: those of the recording, with what the baseline taught.
-        doubt_mgauss: the part of it that the doubt in the attitude makes, where it is only stated.
         folded: effects of the baseline, by id, that belong to the nominal simulation from now on.
     """
 
@@ -78,7 +73,6 @@ class Floor:
     nuisances: tuple[Nuisance, ...]
     folded: tuple[str, ...] = ()
     measured: bool = False
-    doubt_mgauss: float = 0.0
 
 
 def first_noise(replay: Replay) -> Noise:
@@ -181,49 +175,6 @@ def _represents(problem: Problem, fit: Fit) -> bool:
 _NEVER_FOLDED = frozenset({"hard_iron_step", "ac_interference", "relay_field", "orientation", "clipping"})
 
 
-# fmt: off
-_INERTIAL: dict[Group, tuple[str, ...]] = {
-    "acc": (
-        "accel_bias", "accel_scale", "linear_acceleration", "vibration_rectification", "platform_tilt",
-        "attitude_reference_error", "yaw_step_error",
-    ),
-    "gyro": ("gyro_bias", "gyro_scale", "yaw_step_error", "attitude_reference_error"),
-}
-# fmt: on
-
-
-def doubtful_sensors(
-    witness: Replay, effects: Sequence[Effect]
-) -> tuple[dict[Group, SensorNoise], frozenset[Group]]:
-    """Tell which sensors of a recording the simulation does not explain, with all that it knows of them.
-
-    A real accelerometer or gyro feels unknown motion, vibration, imperfect timing against the reference. What
-    it says about a cause then counts by the noise that would make all this look like chance: the noise of
-    its residual, raised until the worst of the structure in it is no more than that. Sensors that then would
-    say nothing are the second set. `effects` are those that the recording can test.
-    """
-    out: dict[Group, SensorNoise] = {}
-    useless: set[Group] = set()
-    for group in witness.groups:
-        if group == "mag":
-            continue
-        alone = replace(witness, groups=(group,))
-        terms = [make_term(e, alone.signals) for e in effects if e.id in _INERTIAL[group]]
-        problem = Problem(alone, first_noise(alone), alone.valid, ())
-        fit = problem.fit(terms, [t.effect.neutral() for t in terms], ())
-        noise = measured_noise(problem, fit)
-        structure = judge(Problem(alone, noise, alone.valid, ()), fit, compare_scatter=False)
-        if min((t.p for t in structure.tests), default=1.0) > _EXPLAINED_P:
-            continue
-        worse = math.sqrt(max(1.0, *(t.excess for t in structure.tests)))
-        own = noise[group]
-        if float(own.rms.mean()) * worse > _USELESS[group]:
-            useless.add(group)
-        else:
-            out[group] = replace(own, sigma=own.sigma * worse, rms=own.rms * worse)
-    return out, frozenset(useless)
-
-
 def _without_slow_causes(problem: Problem, fit: Fit) -> Noise:
     """Estimate the noise of the residual; where slow causes dominate, keep the scatter between neighbours."""
     measured, stated = measured_noise(problem, fit), problem.noise
@@ -308,7 +259,6 @@ def from_recording(replay: Replay) -> Floor:
         np.zeros((0, 3)),
         False,
         replay.nuisances,
-        doubt_mgauss=slow,
     )
 
 

@@ -22,8 +22,6 @@ from mavcompass.simulation.effects.effect import NEVER_S, Effect, Group
 # What healthy sensors may be off by, in mG, m/s^2 and rad/s.
 _LEAST: dict[Group, float] = {"mag": 1.0, "acc": 0.1, "gyro": 0.004}
 _LEAST_SHARE = 0.10
-# What a wrong attitude reference may make by itself, in sizes of its stated doubt.
-_DOUBTS = 2.0
 _AT_THE_END = 1e-3
 _NEEDED = 10.0
 _PASSES = 2
