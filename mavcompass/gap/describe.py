@@ -92,7 +92,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         withheld=tuple(sorted(evidence.withheld)),
         seconds=0.0,
         notes=(
-            *replayed.notes,
+            *problem.replay.notes,
             *((_UNSEEN,) if named.terms and not _told(problem, named, test) else ()),
             *(f"{e} was considered and dropped: {why}." for e, why in identified.dropped),
         ),

@@ -16,7 +16,7 @@ from mavcompass.gap.noise import group_values
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.search import Found, Search, least_gain
 from mavcompass.gap.split import Split, probe, with_windows
-from mavcompass.gap.transient import moments, transients, with_moments
+from mavcompass.gap.transient import moments, told, transients, with_moments
 from mavcompass.simulation.effects.effect import NEVER_S, Effect, Group
 
 # What healthy sensors may be off by, in mG, m/s^2 and rad/s.
@@ -63,7 +63,8 @@ def identify(
     aside = transients(result.problem, result.fit, when)
     if not aside.any():
         return result, own
-    fewer = replace(replay, valid=replay.valid & ~aside)
+    notes = (*replay.notes, *told(replay, aside))
+    fewer = replace(replay, valid=replay.valid & ~aside, notes=notes)
     calm = replace(split, train=split.train & ~aside)
     start = floor
     if not floor.measured:

@@ -7,8 +7,11 @@ import numpy as np
 from mavcompass.gap.floor import rms
 from mavcompass.gap.hypothesis import Fit, make_term
 from mavcompass.gap.identify import Identified
+from mavcompass.gap.model import Problem
 from mavcompass.gap.result import Cause
 from mavcompass.gap.scatter import Scatter
+from mavcompass.gap.transient import MOMENTS, between_rows
+from mavcompass.simulation.effects.effect import NEVER_S
 
 
 def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
@@ -45,7 +48,7 @@ def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
             Cause(
                 effect=term.effect.id,
                 parameters={name: value for name, value, _ in shown},
-                ci95={name: (value - 1.96 * s, value + 1.96 * s) for name, value, s in shown},
+                ci95={name: _interval(problem, name, value, s) for name, value, s in shown},
                 probability=sum(w for ids, w in weights.items() if term.effect.id in ids) or own,
                 ambiguous_with=tuple(others),
                 separation=_separation(identified, fit, term.effect.id),
@@ -53,6 +56,14 @@ def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
             )
         )
     return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
+
+
+def _interval(problem: Problem, name: str, value: float, sigma: float) -> tuple[float, float]:
+    low, high = value - 1.96 * sigma, value + 1.96 * sigma
+    if name in MOMENTS and abs(value) < NEVER_S:
+        before, after = between_rows(problem, value)
+        return min(low, before), max(high, after)
+    return low, high
 
 
 def _separation(identified: Identified, fit: Fit, effect_id: str) -> float | None:

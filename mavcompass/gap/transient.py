@@ -9,9 +9,10 @@ import numpy as np
 
 from mavcompass.gap.hypothesis import Fit, Mask
 from mavcompass.gap.model import Problem
+from mavcompass.gap.replay import Replay
 from mavcompass.simulation.effects.effect import NEVER_S
 
-_MOMENTS = ("on_s", "off_s")
+MOMENTS = ("on_s", "off_s")
 _BIN_S = 0.25
 _LONGEST_S = 3.0
 # How much worse than the rest readings must fit, in mean squares, to be part of a change.
@@ -26,7 +27,7 @@ def moments(fit: Fit) -> list[float]:
         float(value)
         for term, theta in zip(fit.terms, fit.thetas, strict=True)
         for parameter, value in zip(term.effect.parameters, theta, strict=True)
-        if parameter.name in _MOMENTS and abs(value) < NEVER_S
+        if parameter.name in MOMENTS and abs(value) < NEVER_S
     ]
 
 
@@ -58,13 +59,31 @@ def transients(problem: Problem, fit: Fit, when_s: Sequence[float]) -> Mask:
     return aside
 
 
+def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:
+    """Return the fitted rows before and after a moment: anywhere between them it fits as well."""
+    time = problem.replay.time_s[problem.index]
+    place = int(np.searchsorted(time, moment_s, side="right"))
+    low = float(time[place - 1]) if place > 0 else moment_s
+    return low, float(time[place]) if place < time.size else moment_s
+
+
+def told(replay: Replay, aside: Mask) -> tuple[str, ...]:
+    """Say in words which stretches were set aside because something was changing."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], aside.astype(np.int8), [0]])))
+    return tuple(
+        f"From {replay.time_s[first]:.1f} to {replay.time_s[end - 1]:.1f} s something changes faster than the"
+        " model can follow: these readings were not fitted."
+        for first, end in zip(edges[::2], edges[1::2], strict=True)
+    )
+
+
 def with_moments(problem: Problem, fit: Fit, seen_s: Sequence[float]) -> Fit:
     """Put moments back to where they were seen, where no fitted row lies between: there any will do."""
     time, thetas = problem.replay.time_s[problem.index], []
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
         moved = theta.copy()
         for j, parameter in enumerate(term.effect.parameters):
-            if parameter.name not in _MOMENTS or not seen_s:
+            if parameter.name not in MOMENTS or not seen_s:
                 continue
             nearest = min(seen_s, key=lambda m, v=float(theta[j]): abs(m - v))  # type: ignore[misc]
             low, high = sorted((nearest, float(theta[j])))
