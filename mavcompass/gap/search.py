@@ -108,6 +108,8 @@ class Search:
                 break
             leader = children[0]
             if not self.grows(best, leader):
+                if not best.terms:
+                    self._listed(null, self.guesser.starts(null))
                 break
             if size > 1:
                 leader = self._swapped(leader)
@@ -169,17 +171,24 @@ class Search:
             if not hopeful and parent.terms:
                 # What the best parent cannot use, a worse one can only use to become the best's equal.
                 return []
+            if not hopeful:
+                self._listed(parent, starts)
+                return []
             for fit in self._refined(parent, starts[: _REFINED if not parent.terms else _REFINED_LATER]):
                 if fit.ids not in children or fit.sse < children[fit.ids].sse:
                     children[fit.ids] = fit
-            if not hopeful:
-                # They are only listed as what an unnamed gap would most likely be.
-                self.explored.update(children)
-                return []
-        for ids, fit in children.items():
-            if ids not in self.explored or fit.sse < self.explored[ids].sse:
-                self.explored[ids] = fit
+        self._remember(children.values())
         return sorted(children.values(), key=self.score)
+
+    def _remember(self, fits: Iterable[Fit]) -> None:
+        for fit in fits:
+            if fit.ids not in self.explored or fit.sse < self.explored[fit.ids].sse:
+                self.explored[fit.ids] = fit
+
+    def _listed(self, null: Fit, starts: Sequence[Start]) -> None:
+        """Try what a gap that is not named would most likely be: weighed and chosen by Akaike's criterion."""
+        likely = sorted(starts, key=lambda s: s.expected + 2.0 * s.term.dimension)
+        self._remember(self._refined(null, likely[:_REFINED]))
 
     def _refined(self, parent: Fit, starts: Sequence[Start]) -> list[Fit]:
         """Fit a few steps each; only those still near the best are fitted to the end."""
