@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.blas import single_thread
@@ -17,7 +18,6 @@ from mavcompass.gap.noise import Noise, SensorNoise
 from mavcompass.gap.replay import replay
 from mavcompass.gap.sealed import Label, tracks_of
 from mavcompass.gap.search import Search
-from mavcompass.gap.split import split_blocks
 from mavcompass.simulation.effects import Distortion, catalogue, parse
 from mavcompass.simulation.effects.effect import Effect
 
@@ -32,7 +32,8 @@ CASE_NOISE: Noise = {
 class Answer:
     """Hold what the diagnosis said of one case, before the label was opened.
 
-    `residuals_mgauss` are those of the field without and with the named effects, (N, 3) each.
+    `residuals_mgauss` are those of the field without and with the named effects, (N, 3) each, `held_out` the
+    rows that the closing was measured on, (N,).
     """
 
     verdict: str
@@ -44,6 +45,7 @@ class Answer:
     shrink_ci95: tuple[float, float]
     seconds: float
     residuals_mgauss: tuple[FloatArray, FloatArray] | None = field(default=None, repr=False, compare=False)
+    held_out: NDArray[np.bool_] | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +136,9 @@ def closing_of_the_truth(label: Label, answer: Answer) -> tuple[float, float]:
     if any(s.effect.kind not in ("mean", "discrete") or s.effect.groups != ("mag",) for s in settings):
         return math.nan, math.nan
     replayed = replay(tracks_of(label)[0])
-    test = split_blocks(replayed.time_s, replayed.valid).test
+    test = answer.held_out
+    if test is None:
+        return math.nan, math.nan
     stimulus = stimulus_of(Recipe(label.motion, seed=label.seed))
     nominal = ideal(stimulus).mag_mgauss
     made = Distortion(settings).apply(stimulus, ideal(stimulus), np.random.default_rng(0)).mag_mgauss

@@ -148,4 +148,5 @@ def _answer(d: Diagnosis) -> Answer:
         residuals_mgauss=(d.picture.before_mgauss, d.picture.after_mgauss)
         if d.picture is not None and d.causes
         else None,
+        held_out=d.picture.test if d.picture is not None else None,
     )
