@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mavcompass.cli.main import main
 from mavcompass.frames import euler_to_matrix, rotate_back
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.adequacy import ALPHA, _recurring
+from mavcompass.gap.adequacy import ALPHA, _line, _recurring, _sweep
 from mavcompass.gap.cases import Recipe, make_track, stimulus_of
 from mavcompass.gap.noise import estimate_noise, rough_sigma, white
 from mavcompass.gap.reference import body_rate, reference_attitude
@@ -139,6 +139,20 @@ def test_scatter_that_comes_again_is_seen_in_its_rhythm() -> None:
     louder = (rng.standard_normal((n, 3)) * np.sqrt(1.0 + 0.5 * on[:, None])) ** 2
     power = louder.mean(axis=1) - louder.mean()
     assert _recurring(power / power.std(), 0.05) < 1e-4
+
+
+def test_line_that_sweeps_is_seen_where_no_line_stands() -> None:
+    rng = np.random.default_rng(10)
+    n = 1000
+    chance = [_sweep(rng.standard_normal((n, 3))) for _ in range(60)]
+    assert min(chance) > 1e-3 and np.mean(np.array(chance) < 0.1) < 0.2
+    t = np.arange(n) * 0.05
+    for rate in (0.02, 0.15):
+        wave = np.sin(2.0 * np.pi * (0.1 + 0.5 * rate * t) * t)[:, None] * np.array([0.5, -0.3, 0.2])
+        for swept in (wave, wave[::-1]):
+            z = rng.standard_normal((n, 3)) + swept
+            assert _sweep(z) < 1e-12
+            assert _line(z) > 1e-5
 
 
 @pytest.mark.parametrize("lasts_s", [0.0, 1.2])
