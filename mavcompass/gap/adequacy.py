@@ -58,12 +58,13 @@ class Adequacy:
         return self.tests[0].coordinate if self.flagged and self.tests else None
 
 
-def judge(problem: Problem, fit: Fit, compare_scatter: bool) -> Adequacy:
+def judge(problem: Problem, fit: Fit, compare_scatter: bool, thorough: bool = True) -> Adequacy:
     """Test what a fit leaves, on all usable rows (the fit must have been made on all of them too).
 
-    `compare_scatter` also compares the scatter with the floor's, which must then be representative.
+    `compare_scatter` also compares the scatter with the floor's, which must then be representative;
+    `thorough` also looks for lines that sweep, which takes a while.
     """
-    tests = [*_structure(problem, fit), *_scatter(problem, fit, compare_scatter)]
+    tests = [*_structure(problem, fit), *_scatter(problem, fit, compare_scatter, thorough)]
     tests.sort(key=lambda test: test.p)
     return Adequacy(tuple(tests), bool(tests) and tests[0].p * len(tests) < ALPHA)
 
@@ -189,7 +190,7 @@ def _loads(load: FloatArray, u: FloatArray) -> FloatArray:
     return np.hstack([own, lagged, x[:, None] * u])
 
 
-def _scatter(problem: Problem, fit: Fit, compare: bool) -> Iterator[Test]:
+def _scatter(problem: Problem, fit: Fit, compare: bool, thorough: bool) -> Iterator[Test]:
     """Test lines, correlation, bursts and the amount of scatter."""
     from scipy.special import chdtrc
 
@@ -203,7 +204,7 @@ def _scatter(problem: Problem, fit: Fit, compare: bool) -> Iterator[Test]:
         scale = z.std(axis=0)
         z = z / np.maximum(scale, 1e-9)
         yield Test(f"{group}: spectral line", "frequency", _line(z))
-        if group == "mag":
+        if group == "mag" and thorough:
             yield Test(f"{group}: sweeping line", "frequency", _sweep(z))
         lags = 20
         rho = np.stack([(z[lag:] * z[:-lag]).mean(axis=0) for lag in range(1, lags + 1)])

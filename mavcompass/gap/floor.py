@@ -186,7 +186,7 @@ def _without_slow_causes(problem: Problem, fit: Fit) -> Noise:
 
 
 def _has_gap(problem: Problem, fit: Fit) -> bool:
-    return judge(problem, fit, compare_scatter=False).flagged
+    return judge(problem, fit, compare_scatter=False, thorough=False).flagged
 
 
 def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit) -> tuple[Nuisance, ...]:
