@@ -28,11 +28,7 @@ def with_cures(causes: tuple[Cause, ...], problem: Problem, fit: Fit) -> tuple[C
     whole = problem.predict(fit).mag_mgauss[rows]
     traces = []
     for i in range(len(fit.terms)):
-        keep = [j for j in range(len(fit.terms)) if j != i]
-        rest = Fit(
-            tuple(fit.terms[j] for j in keep), tuple(fit.thetas[j] for j in keep), fit.nuisance_thetas, 0.0
-        )
-        traces.append((whole - problem.predict(rest).mag_mgauss[rows]).ravel())
+        traces.append((whole - problem.predict(fit.without(i)).mag_mgauss[rows]).ravel())
     taken = (problem.replay.measured.mag_mgauss - corrected)[rows].ravel()
     shares, *_ = np.linalg.lstsq(np.stack(traces, axis=1), taken, rcond=1e-9)
     cured = {

@@ -138,12 +138,12 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -
         mean_effects = [e for e in effects if e.kind == "mean" and e.id not in _NEVER_FOLDED]
         fit = Search(problem, mean_effects).run(_MOST_FOLDED).best
         problem = Problem(baseline, measured_noise(problem, fit), baseline.valid, baseline.nuisances)
-        fit = problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+        fit = problem.refit(fit)
         if fit.terms:
             fit = Search(problem, mean_effects).run(_MOST_FOLDED).best
     noise = measured_noise(problem, fit)
     problem = Problem(baseline, noise, baseline.valid, baseline.nuisances)
-    fit = problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+    fit = problem.refit(fit)
     predicted = problem.predict(fit)
     error = (baseline.measured.mag_mgauss - predicted.mag_mgauss)[baseline.valid]
     heading = heading_error_rad(baseline, baseline.measured.mag_mgauss, predicted.mag_mgauss)

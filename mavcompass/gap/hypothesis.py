@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Parameter, Signals
+from mavcompass.simulation.effects.effect import MOMENTS, Effect, Parameter, Signals
 
 Mask = NDArray[np.bool_]
 # A direction that the data do not tell stays near zero: amplitudes have priors of twenty natural sizes.
@@ -62,6 +62,15 @@ class Fit:
         """Count the fitted parameters of the effects; an optional one at its end is not one."""
         return sum(active_dimension(t, x) for t, x in zip(self.terms, self.thetas, strict=True))
 
+    def without(self, place: int) -> Fit:
+        """Return the hypothesis without one of its effects, not fitted anew."""
+        return Fit(
+            (*self.terms[:place], *self.terms[place + 1 :]),
+            (*self.thetas[:place], *self.thetas[place + 1 :]),
+            self.nuisance_thetas,
+            np.inf,
+        )
+
     def theta(self, effect_id: str) -> FloatArray:
         """Return the parameters of one effect."""
         for term, theta in zip(self.terms, self.thetas, strict=True):
@@ -108,7 +117,7 @@ def weak_precision(terms: Sequence[Term]) -> FloatArray:
 def _is_amplitude(parameter: Parameter) -> bool:
     """Tell amplitudes, for which zero means nothing happens, from places, moments and frequencies."""
     within = parameter.low <= 0.0 < parameter.high
-    return within and parameter.unit != "m" and parameter.name not in ("on_s", "off_s", "reference_degc")
+    return within and parameter.unit != "m" and parameter.name not in {*MOMENTS, "reference_degc"}
 
 
 def weak_cost(x: Sequence[FloatArray], free: Sequence[NDArray[np.int64]], weak: FloatArray) -> float:

@@ -14,7 +14,7 @@ from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import group_values
 from mavcompass.gap.replay import Replay
-from mavcompass.gap.search import Found, Search, least_gain
+from mavcompass.gap.search import Found, Search
 from mavcompass.gap.split import Split, probe, with_windows
 from mavcompass.gap.transient import moments, told, transients, with_moments
 from mavcompass.simulation.effects.effect import NEVER_S, Effect, Group
@@ -68,8 +68,8 @@ def identify(
     calm = replace(split, train=split.train & ~aside)
     start = floor
     if not floor.measured:
-        kept = _with_rows(result, fewer, calm)
-        start = widened(floor, kept.problem, kept.fit)
+        kept = Problem(fewer, result.problem.noise, calm.train, result.problem.nuisances)
+        start = widened(floor, kept, kept.refit(result.fit))
     calmer, settled = _searched(fewer, start, calm, effects)
     if not moments(calmer.fit):
         return result, own
@@ -94,15 +94,6 @@ def _searched(
         if floor is before:
             break
     return result, floor
-
-
-def _with_rows(candidate: Identified, replay: Replay, split: Split) -> Identified:
-    """Fit what was chosen on fewer rows."""
-    problem = Problem(replay, candidate.problem.noise, split.train, candidate.problem.nuisances)
-    fit = candidate.fit
-    return replace(
-        candidate, problem=problem, split=split, fit=problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
-    )
 
 
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
@@ -131,10 +122,8 @@ def _moments_in_training(candidate: Identified) -> Identified:
         if split.train.sum() == candidate.split.train.sum():
             break
         problem = candidate.problem.with_rows(split.train)
-        search = Search(problem, [])
-        search.terms = candidate.search.terms
-        start = problem.fit(candidate.fit.terms, candidate.fit.thetas, candidate.fit.nuisance_thetas)
-        fit = search.polished(start)
+        search = candidate.search.on(problem)
+        fit = search.polished(problem.refit(candidate.fit))
         search.explored = {fit.ids: fit}
         candidate = replace(candidate, problem=problem, split=split, fit=fit, search=search)
     return candidate
@@ -214,13 +203,7 @@ def _vetoed(candidate: Identified) -> str | None:
 
 def _gain(problem: Problem, fit: Fit, place: int) -> tuple[float, float]:
     """Return what one effect of a fit takes off the sum of squares on these rows, and how much it changes."""
-    without = Fit(
-        (*fit.terms[:place], *fit.terms[place + 1 :]),
-        (*fit.thetas[:place], *fit.thetas[place + 1 :]),
-        fit.nuisance_thetas,
-        0.0,
-    )
-    kept, left = problem.residual(problem.predict(fit)), problem.residual(problem.predict(without))
+    kept, left = (problem.residual(problem.predict(f)) for f in (fit, fit.without(place)))
     return float(left @ left - kept @ kept), float((left - kept) @ (left - kept))
 
 
@@ -242,9 +225,7 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     for place, term in enumerate(fit.terms):
         if not asked[place]:
             continue
-        terms = (*fit.terms[:place], *fit.terms[place + 1 :])
-        thetas = (*fit.thetas[:place], *fit.thetas[place + 1 :])
-        left = _left(problem, steady.fit(terms, thetas, fit.nuisance_thetas), effects=True)
+        left = _left(problem, steady.refit(fit.without(place)), effects=True)
         ratios[term.effect.id] = max(
             math.sqrt(max(left[g] ** 2 - after[g] ** 2, 0.0)) / least[g]
             for g in problem.groups
@@ -280,8 +261,3 @@ def _left(problem: Problem, fit: Fit, effects: bool) -> dict[Group, float]:
         g: rms((group_values(problem.replay.measured, g) - group_values(predicted, g))[problem.index])
         for g in problem.groups
     }
-
-
-def significant(found: Found, fit: Fit) -> bool:
-    """Tell whether a fit beats the null by more than chance."""
-    return found.null.sse - fit.sse > least_gain(max(fit.dimension, 1))

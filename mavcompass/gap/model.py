@@ -200,6 +200,10 @@ class Problem:
         """Fit the nuisances alone."""
         return self.fit((), (), tuple(n.mean.copy() for n in self.nuisances))
 
+    def refit(self, fit: Fit) -> Fit:
+        """Fit the same hypothesis to the rows of this problem, from the values that it has."""
+        return self.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+
     def fit(
         self,
         terms: Sequence[Term],

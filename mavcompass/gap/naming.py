@@ -10,8 +10,8 @@ from mavcompass.gap.identify import Identified
 from mavcompass.gap.model import Problem
 from mavcompass.gap.result import Cause
 from mavcompass.gap.scatter import Scatter
-from mavcompass.gap.transient import MOMENTS, between_rows
-from mavcompass.simulation.effects.effect import NEVER_S
+from mavcompass.gap.transient import between_rows
+from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S
 
 
 def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
@@ -30,11 +30,7 @@ def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
         if block.shape == (index.size, index.size):
             sigma[index] = np.sqrt(np.maximum(np.diag(block), 0.0))
         at += index.size
-        keep = [j for j in range(len(fit.terms)) if j != i]
-        rest = Fit(
-            tuple(fit.terms[j] for j in keep), tuple(fit.thetas[j] for j in keep), fit.nuisance_thetas, 0.0
-        )
-        left = rms(measured - problem.predict(rest).mag_mgauss[problem.index])
+        left = rms(measured - problem.predict(fit.without(i)).mag_mgauss[problem.index])
         others = sorted(
             {e for ids, _ in identified.found.weights if term.effect.id not in ids for e in ids - fit.ids}
         )

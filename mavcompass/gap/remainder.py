@@ -18,7 +18,6 @@ from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import Noise
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.scatter import Scatter, early_scale, find_scatter, noise_with
-from mavcompass.gap.search import Search
 from mavcompass.simulation.signals import Reading
 
 _LEAST_MGAUSS = 0.3
@@ -71,11 +70,9 @@ def what_is_left(
     replay, chosen = identified.problem.replay, identified.fit
     noise = with_steps(floor.noise, step_mgauss) if step_mgauss > 0.0 else floor.noise
     problem = Problem(replay, noise, replay.valid, floor.nuisances)
-    fit = problem.fit(chosen.terms, chosen.thetas, chosen.nuisance_thetas)
+    fit = problem.refit(chosen)
     if fit.ids & _PLACED:
-        again = Search(problem, [])
-        again.terms = identified.search.terms
-        fit = again.polished(fit)
+        fit = identified.search.on(problem).polished(fit)
     problem = _without_plateaus(problem, fit)
     if step_mgauss > 0.0:
         return _unrounded(problem, fit, floor, step_mgauss)
@@ -84,7 +81,7 @@ def what_is_left(
         # A saturated reading has no scatter.
         return Remainder(problem, fit, None, "clipping" not in fit.ids)
     noisy = Problem(problem.replay, noise_with(problem, fit, scatter), problem.rows, floor.nuisances)
-    return Remainder(noisy, noisy.fit(fit.terms, fit.thetas, fit.nuisance_thetas), scatter, False)
+    return Remainder(noisy, noisy.refit(fit), scatter, False)
 
 
 def _without_plateaus(problem: Problem, fit: Fit) -> Problem:
@@ -121,7 +118,7 @@ def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> 
     fresh = Problem(fine, problem.noise, problem.rows, problem.nuisances)
     noise = {**floor.noise, "mag": measured_noise(fresh, fit)["mag"]}
     judged = Problem(fine, noise, problem.rows, problem.nuisances)
-    return Remainder(judged, judged.fit(fit.terms, fit.thetas, fit.nuisance_thetas), None, False)
+    return Remainder(judged, judged.refit(fit), None, False)
 
 
 def _before_rounding(

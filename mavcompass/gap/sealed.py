@@ -24,7 +24,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.cases import MOTIONS, Motion, Recipe, ideal, noisy, stimulus_of, to_track
 from mavcompass.gap.noise import white
 from mavcompass.simulation.effects import Distortion, Effect, Setting, catalogue, parse, spell
-from mavcompass.simulation.effects.effect import Stage
+from mavcompass.simulation.effects.effect import MOMENTS, Parameter, Stage
 from mavcompass.simulation.signals import Stimulus
 from mavcompass.track import Track
 
@@ -74,7 +74,7 @@ def draw_setting(effect: Effect, stimulus: Stimulus, rng: np.random.Generator) -
     """Draw parameters of typical size and random direction."""
     theta = effect.default.copy()
     for i, p in enumerate(effect.parameters):
-        if p.low < 0.0 < p.high and p.name not in ("on_s", "off_s", "reference_degc", "threshold"):
+        if _is_amplitude(p):
             theta[i] = p.scale * rng.normal() * 2.0
         elif p.low >= 0.0 and not p.integer:
             theta[i] = p.default * math.exp(rng.uniform(-0.7, 0.7))
@@ -98,14 +98,19 @@ def draw_setting(effect: Effect, stimulus: Stimulus, rng: np.random.Generator) -
     return _inside(effect, theta)
 
 
+def _is_amplitude(parameter: Parameter) -> bool:
+    """Tell what may have either sign from moments, and from loads that it begins at."""
+    name = parameter.name
+    return parameter.low < 0.0 < parameter.high and name not in {*MOMENTS, "reference_degc", "threshold"}
+
+
 def scaled(setting: Setting, factor: float) -> Setting:
     """Make an effect weaker or stronger by its amplitudes."""
     theta = setting.theta.copy()
     for i, p in enumerate(setting.effect.parameters):
-        amplitude = p.low < 0.0 < p.high and p.name not in ("on_s", "off_s", "reference_degc", "threshold")
         place = setting.effect.id == "spatial_dipole" and p.unit in ("m", "s")
         late = p.name in ("lag_s", "time_constant_s") or setting.effect.id == "eddy_current"
-        if (amplitude and not place) or late:
+        if (_is_amplitude(p) and not place) or late:
             theta[i] *= factor
     return _inside(setting.effect, theta)
 

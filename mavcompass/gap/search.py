@@ -18,7 +18,7 @@ import numpy as np
 from mavcompass.gap.guess import Guesser, Start
 from mavcompass.gap.hypothesis import Fit, active_dimension, make_term
 from mavcompass.gap.model import Problem
-from mavcompass.simulation.effects.effect import Effect
+from mavcompass.simulation.effects.effect import MOMENTS, Effect
 
 MOST_EFFECTS = 4
 CHANCE = 2.0e-5
@@ -31,7 +31,7 @@ _NEAR = 60.0
 _HOPEFUL = 0.85
 # Twice the gain that a useless parameter has on average.
 _PRUNING = 2.0
-_SEARCHED = frozenset({"on_s", "off_s", "frequency_hz", "threshold", "source", "orientation"})
+_SEARCHED = MOMENTS | {"frequency_hz", "threshold", "source", "orientation"}
 
 
 @lru_cache(maxsize=1024)
@@ -86,6 +86,12 @@ class Search:
         self._log_n = math.log(max(problem.count, 2))
         self._log_c = math.log(_CATALOGUE_SIZE)
         self.explored: dict[frozenset[str], Fit] = {}
+
+    def on(self, problem: Problem) -> Search:
+        """Return a search of the same terms on other rows or under another noise, nothing explored yet."""
+        other = Search(problem, (), self.worthwhile)
+        other.terms, other.guesser = self.terms, Guesser(problem, self.terms)
+        return other
 
     def score(self, fit: Fit) -> float:
         """Return the EBIC of a fit."""
@@ -194,10 +200,7 @@ class Search:
         """Fit a few steps each; only those still near the best are fitted to the end."""
         fits = [self._extended(parent, start, _SHORT) for start in starts]
         near = min(self.score(f) for f in fits) + _NEAR if fits else 0.0
-        return [
-            self.problem.fit(f.terms, f.thetas, f.nuisance_thetas) if self.score(f) < near else f
-            for f in fits
-        ]
+        return [self.problem.refit(f) if self.score(f) < near else f for f in fits]
 
     def _hopeful(self, parent: Fit, starts: Sequence[Start]) -> bool:
         return any(parent.sse - s.expected > _HOPEFUL * least_gain(s.term.dimension) for s in starts)
@@ -237,7 +240,7 @@ class Search:
         known = self.explored.get(refitted.ids)
         if known is not None:
             # It may have been fitted a few steps only, or from a better start.
-            known = self.problem.fit(known.terms, known.thetas, known.nuisance_thetas)
+            known = self.problem.refit(known)
             refitted = min(refitted, known, key=lambda f: f.sse)
         self.explored[refitted.ids] = refitted
         return refitted
@@ -246,17 +249,11 @@ class Search:
         """Fit to convergence; look again for moments, places and frequencies beside the other effects."""
         if not fit.terms:
             return fit
-        best = self.problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+        best = self.problem.refit(fit)
         for i, term in enumerate(best.terms):
             if term.effect.starts is None:
                 continue
-            others = [j for j in range(len(best.terms)) if j != i]
-            rest = Fit(
-                tuple(best.terms[j] for j in others),
-                tuple(best.thetas[j] for j in others),
-                best.nuisance_thetas,
-                np.inf,
-            )
+            rest = best.without(i)
             for start in term.effect.starts(self.guesser.misfit(rest)):
                 terms = (*rest.terms, term)
                 trial = self.problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas)
@@ -335,7 +332,7 @@ def _log_trials(fit: Fit, rows: int) -> float:
 
     Neighbouring moments are hardly independent: about a third of the rows counts.
     """
-    each = {"on_s": rows / 3.0, "off_s": rows / 3.0, "frequency_hz": 2.0 * rows}
+    each = {**dict.fromkeys(MOMENTS, rows / 3.0), "frequency_hz": 2.0 * rows}
     return sum(math.log(max(each.get(name, 24.0), 1.0)) for name in _searched(fit))
 
 

@@ -10,9 +10,8 @@ import numpy as np
 from mavcompass.gap.hypothesis import Fit, Mask
 from mavcompass.gap.model import Problem
 from mavcompass.gap.replay import Replay
-from mavcompass.simulation.effects.effect import NEVER_S
+from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S
 
-MOMENTS = ("on_s", "off_s")
 _BIN_S = 0.25
 _LONGEST_S = 3.0
 # How much worse than the rest readings must fit, in mean squares, to be part of a change.

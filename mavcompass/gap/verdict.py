@@ -12,7 +12,7 @@ from mavcompass.gap.model import Problem
 from mavcompass.gap.remainder import Remainder
 from mavcompass.gap.result import Verdict
 from mavcompass.gap.scatter import drift_gain
-from mavcompass.gap.search import Search, least_gain
+from mavcompass.gap.search import least_gain
 
 _SURE = 0.90
 _REMAINDER = 0.05
@@ -81,8 +81,7 @@ def wanders(identified: Identified) -> bool:
     It may stand beside any explored set that is smaller than the best one.
     """
     best, problem = identified.found.best, identified.first
-    search = Search(problem, [])
-    search.terms = identified.search.terms
+    search = identified.search.on(problem)
     own = search.score(best)
     rivals = [f for f in identified.found.explored.values() if len(f.terms) <= len(best.terms)]
     rivals = sorted({f.ids: f for f in [*rivals, best]}.values(), key=search.score)[:_DRIFT_RIVALS]

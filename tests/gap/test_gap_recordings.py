@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mavcompass.frames import FloatArray
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.export import ardupilot_sitl, preset, settings_of
 from mavcompass.gap.floor import from_recording
-from mavcompass.gap.hypothesis import make_term
+from mavcompass.gap.hypothesis import Fit, make_term
 from mavcompass.gap.model import Problem
 from mavcompass.gap.replay import replay
 from mavcompass.logs import read_track
@@ -50,19 +51,8 @@ def test_preset_in_our_simulator_closes_the_recorded_gap_as_claimed(
     diagnosis = diagnose_gap(track)
     path = tmp_path / "found.json"
     path.write_text(preset(settings_of(diagnosis.causes), "rover"), encoding="utf-8")
-    found = read_preset(path)
-    replayed = replay(track)
-    floor = from_recording(replayed)
-    problem = Problem(replayed, floor.noise, replayed.valid, floor.nuisances)
-    terms = [
-        replace(t, free=np.zeros_like(t.free)) for t in (make_term(s.effect, replayed.signals) for s in found)
-    ]
-    fit = problem.fit(terms, [s.theta for s in found], [n.mean for n in problem.nuisances])
-    measured = replayed.measured.mag_mgauss
-    left, before = (
-        float(np.mean((measured - problem.predict(fit, on).mag_mgauss)[replayed.valid] ** 2))
-        for on in (True, False)
-    )
+    problem, fit = with_settings(track, read_preset(path))
+    left, before = (float(np.mean(left_of(problem, fit, on) ** 2)) for on in (True, False))
     assert 1.0 - left / before == pytest.approx(diagnosis.field.shrink, abs=0.01)
     assert left**0.5 < diagnosis.field.floor
 
@@ -107,7 +97,12 @@ def test_what_is_named_in_one_half_shrinks_the_other(shared_data: Path) -> None:
 
 
 def left_on(track: Track, found: list[Setting]) -> float:
-    """Return the rms that settings leave of a recording where only the nuisances are solved for."""
+    """Return the rms that settings leave of a recording."""
+    return float(np.sqrt(np.mean(left_of(*with_settings(track, found)) ** 2)))
+
+
+def with_settings(track: Track, found: list[Setting]) -> tuple[Problem, Fit]:
+    """Run a recording's motion with settings as they are; only the nuisances are solved for."""
     replayed = replay(track)
     floor = from_recording(replayed)
     problem = Problem(replayed, floor.noise, replayed.valid, floor.nuisances)
@@ -115,8 +110,13 @@ def left_on(track: Track, found: list[Setting]) -> float:
         replace(t, free=np.zeros_like(t.free)) for t in (make_term(s.effect, replayed.signals) for s in found)
     ]
     fit = problem.fit(terms, [s.theta for s in found], [n.mean for n in problem.nuisances])
-    left = replayed.measured.mag_mgauss - problem.predict(fit).mag_mgauss
-    return float(np.sqrt(np.mean(left[replayed.valid] ** 2)))
+    return problem, fit
+
+
+def left_of(problem: Problem, fit: Fit, effects: bool = True) -> FloatArray:
+    """Return measured minus simulated field on the rows with a reading, (N, 3)."""
+    left = problem.replay.measured.mag_mgauss - problem.predict(fit, effects).mag_mgauss
+    return np.asarray(left[problem.replay.valid])
 
 
 def test_second_compass_of_a_flight_follows_the_motors_current(shared_data: Path) -> None:

@@ -25,6 +25,8 @@ Kind = Literal["mean", "discrete", "random", "integrity"]
 Group = Literal["mag", "acc", "gyro"]
 # Moments of change that lie outside every recording.
 NEVER_S = 1.0e7
+# Parameters that are moments of change, whatever effect they belong to.
+MOMENTS = frozenset({"on_s", "off_s"})
 GROUPS: tuple[Group, ...] = ("mag", "acc", "gyro")
 
 
