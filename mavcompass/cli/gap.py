@@ -138,10 +138,10 @@ def export(
     \b
     Example: mavcompass gap export flight.tlog --to ardupilot-sitl found.parm
     """
-    from mavcompass.gap.export import ardupilot_sitl, parameter_file, preset, settings_of
+    from mavcompass.gap.export import ardupilot_sitl, parameter_file, preset, vehicle_settings
 
     diagnosis = _diagnosed(log, instance, baseline, (), reference)
-    settings = settings_of(diagnosis.causes)
+    settings = vehicle_settings(diagnosis)
     exported = ardupilot_sitl(settings)
     text = preset(settings, log.name) if target == "mavcompass" else parameter_file(exported, log.name)
     try:
@@ -207,25 +207,21 @@ def _diagnosed(
 
 def summary(diagnosis: Diagnosis) -> list[str]:
     """Put a diagnosis in a few lines for a terminal."""
-    from mavcompass.gap.cure import wholly_cured, words
-
-    cured = "; the calibration in force cures it" if wholly_cured(diagnosis.causes) else ""
-    heading = f"{_WORDS[diagnosis.verdict]}{cured}"
-    lines = [f"{heading}  (attitude: {diagnosis.reference}, compass {diagnosis.compass})"]
+    lines = [f"{_WORDS[diagnosis.verdict]}  (attitude: {diagnosis.reference}, compass {diagnosis.compass})"]
     for cause in diagnosis.causes:
         values = ", ".join(f"{name} {value:.4g}" for name, value in cause.parameters.items())
         lines.append(f"  {cause.effect} ({100.0 * cause.probability:.0f} %): {values}")
         if cause.ambiguous_with:
             lines.append(f"    may also be {', '.join(cause.ambiguous_with)}")
-        if (cure := words(cause)) is not None:
-            lines.append(f"    {cure}")
     for cause in diagnosis.look_alikes:
         lines.append(f"  looks most like {cause.effect}, which does not explain it")
     lines.append(_closing_line("field", diagnosis.field, "mG"))
     if diagnosis.corrected_rms_mgauss is not None:
         lines.append(
-            f"    (of the raw sensor; with the calibration in force: {diagnosis.corrected_rms_mgauss:.2f} mG)"
+            f"    corrected readings beside the plain field: {diagnosis.corrected_rms_mgauss:.2f} mG"
         )
+    if diagnosis.in_force is not None and (cured := diagnosis.in_force.words()) is not None:
+        lines.append(f"  the calibration in force cures: {cured}")
     lines.append(_closing_line("heading", diagnosis.heading, "deg"))
     places = [f"{p.channel} with {p.coordinate} ({100.0 * p.share:.0f} %)" for p in diagnosis.where[:3]]
     if places:

@@ -17,6 +17,7 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.model import Problem
+from mavcompass.gap.newton import block_diagonal
 from mavcompass.gap.noise import group_values
 from mavcompass.simulation.effects.effect import Group, Signals
 
@@ -89,22 +90,22 @@ def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
         part = J[at * 3 * n : (at + 1) * 3 * n].reshape(n, 3, -1) if J.shape[1] else np.zeros((n, 3, 0))
         whitener = problem.noise[group]
         for name, coordinate, regressors in _blocks(group, states[-1]):
-            T = whitener.decorrelated(regressors)[problem.index]
+            T = [whitener.filter_columns(regressors, c)[problem.index] for c in range(3)]
             yield _score_test(name, coordinate, T, rest[at], part, root)
 
 
 def _score_test(
-    name: str, coordinate: str, T: FloatArray, z: FloatArray, part: FloatArray, root: FloatArray
+    name: str, coordinate: str, T: list[FloatArray], z: FloatArray, part: FloatArray, root: FloatArray
 ) -> Test:
-    """Return the p-value of the score of regressors T (n, q), on each axis, beside the model's columns."""
+    """Return the p-value of the score of regressors (n, q), one for each channel, beside the model's
+    columns."""
     from scipy.special import chdtrc
 
-    T = T / np.sqrt(np.maximum((T**2).sum(axis=0), 1e-300))
-    q = T.shape[1]
-    score = (T.T @ z).T.ravel()
-    V = np.kron(np.eye(3), T.T @ T)
+    T = [t / np.sqrt(np.maximum((t**2).sum(axis=0), 1e-300)) for t in T]
+    score = np.concatenate([t.T @ z[:, c] for c, t in enumerate(T)])
+    V = block_diagonal([t.T @ t for t in T])
     if part.shape[2]:
-        cross = np.einsum("nq,nap->aqp", T, part, optimize=True).reshape(3 * q, -1) @ root
+        cross = np.concatenate([t.T @ part[:, c] for c, t in enumerate(T)]) @ root
         V = V - cross @ cross.T
     values, vectors = np.linalg.eigh(V)
     keep = values > _RANK

@@ -73,7 +73,7 @@ def _settings(fit: Fit) -> list[Setting]:
 def _distance(signals: Signals, truth: FloatArray, rival: Fit, noise: Noise) -> float:
     """Return the whitened distance of the truth to the nearest that a rival can make."""
     sigma = noise["mag"].rms
-    rate = float(np.sqrt((1.0 - min(float(noise["mag"].coefficients.sum()), 0.95)) * 0.5 + 0.5))
+    rate = float(np.sqrt((1.0 - min(float(noise["mag"].coefficients.sum(axis=0).mean()), 0.95)) * 0.5 + 0.5))
     settings = _settings(rival)
     terms: list[Term] = [make_term(t.effect, signals) for t in rival.terms]
     base = Chain(settings).run(signals, None).reading.mag_mgauss

@@ -16,6 +16,7 @@ import numpy as np
 from mavcompass.frames import FloatArray, euler_to_matrix, euler_to_quaternion, rotate_back
 from mavcompass.gap.reference import body_rate
 from mavcompass.simulation.effects import Distortion, Setting
+from mavcompass.simulation.effects.effect import Stage
 from mavcompass.simulation.signals import Reading, Stimulus
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -167,8 +168,8 @@ def make_track(recipe: Recipe, settings: Sequence[Setting] = (), noise_seed: int
     """Make a recording with effects; the same recipe with another noise seed repeats the motion."""
     stimulus = stimulus_of(recipe)
     rng = np.random.default_rng([recipe.seed, noise_seed, 2])
-    clean = [s for s in settings if s.effect.stage < 6]
-    late = [s for s in settings if s.effect.stage >= 6]
+    clean = [s for s in settings if s.effect.stage < Stage.SENSOR]
+    late = [s for s in settings if s.effect.stage >= Stage.SENSOR]
     reading = Distortion(clean).apply(stimulus, ideal(stimulus), rng)
     reading = Distortion(late).apply(stimulus, noisy(reading, rng), rng)
     return to_track(stimulus, reading)

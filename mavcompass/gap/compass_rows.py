@@ -15,8 +15,7 @@ from mavcompass.gap.integrity import Trace, inspect
 from mavcompass.track import MagSeries, Series, Track
 
 FEWEST_ROWS = 60
-_MOST_ROWS = 8_000
-_COMPASS_PERIOD_S = 0.1
+_MOST_ROWS = 3_000
 _SLOWER_SHARE = 0.3
 _EVEN_RHYTHM = 0.4
 
@@ -26,35 +25,34 @@ class Rows:
     """Hold the compared readings of one compass.
 
     Attributes:
-        all_s: times before averaging, (M,); picked: which of them remain, as the middles of averages.
+        time_s: (N,), repeats left out.
         raw_mgauss: (N, 3), the calibration in force undone.
         corrected_mgauss: (N, 3), with it; None where none is in force, or it is not known.
-        hold_s: how long each has repeated the one before, (N,); None where nothing repeats by nature.
-        averaged: how many neighbours each row is the mean of.
-        trace: repeats and steps of the numbers, before averaging; usable: rows that are no lost readings.
+        telemetry: True where an autopilot repeats readings and sends them late by nature.
+        width: how many neighbours are to be averaged to one, an odd number.
+        trace: repeats and steps of the numbers as they were logged; usable: rows that are no lost readings,
+        (N,).
     """
 
-    all_s: FloatArray
-    picked: slice
+    time_s: FloatArray
     raw_mgauss: FloatArray
     corrected_mgauss: FloatArray | None
-    hold_s: FloatArray | None
-    averaged: int
+    telemetry: bool
+    width: int
     trace: Trace
     usable: NDArray[np.bool_]
-
-    @property
-    def time_s(self) -> FloatArray:
-        """Return the times of the rows, (N,)."""
-        return self.all_s[self.picked]
 
 
 def compass_rows(track: Track, compass: MagSeries) -> Rows:
     """Choose the rows of a compass. Raises BadRecording where there are too few."""
     time_s, keep = np.unique(compass.time_s, return_index=True)
-    slower = track.autopilot == "unknown" and _slower_than_logged(compass.reported.values[keep])
-    if slower:
-        keep = keep[_fresh(compass.reported.values[keep])]
+    reported = compass.reported.values[keep]
+    logged = inspect(reported, np.asarray(np.isfinite(reported).all(axis=1)), time_s)
+    telemetry = track.autopilot != "unknown" or _slower_than_logged(reported)
+    if telemetry:
+        # A reading that is sent again says nothing new; one that is frozen for longer is a finding of its
+        # own.
+        keep = keep[_fresh(reported)]
         time_s = compass.time_s[keep]
     if time_s.size < FEWEST_ROWS:
         raise BadRecording(
@@ -66,23 +64,13 @@ def compass_rows(track: Track, compass: MagSeries) -> Rows:
     raw = replace(track, compasses={compass.instance: restored}).raw_field(compass.instance)[keep]
     corrected = _corrected(track, restored)
     corrected = None if corrected is None else corrected[keep]
-    hold = np.zeros(time_s.size) if slower else _hold(time_s, compass.reported.values[keep], track.autopilot)
     finite = np.asarray(np.isfinite(raw).all(axis=1))
-    trace = inspect(raw, finite)
     usable = finite
+    trace = logged if telemetry else inspect(raw, finite, time_s)
     fine = trace.step_mgauss == 0.0 and compass.quantum_mgauss == 0.0
-    if hold is None and trace.stale_share > 0.0 and fine:
+    if not telemetry and trace.stale_share > 0.0 and fine:
         usable = np.asarray(finite & ~trace.stale)
-    width = _stride(time_s.size)
-    picked = slice(None)
-    if width > 1:
-        # Averages of an odd number of neighbours, at the time of the middle one.
-        picked = slice(width // 2, time_s.size - width // 2, width)
-        raw = averaged(raw, width)[picked]
-        corrected = None if corrected is None else averaged(corrected, width)[picked]
-        usable = np.asarray(np.isfinite(raw).all(axis=1))
-        hold = None if hold is None else hold[picked]
-    return Rows(time_s, picked, raw, corrected, hold, width, trace, usable)
+    return Rows(time_s, raw, corrected, telemetry, _stride(time_s.size), trace, usable)
 
 
 def _restored(compass: MagSeries) -> MagSeries:
@@ -135,13 +123,3 @@ def _slower_than_logged(reported: FloatArray) -> bool:
         return False
     gaps = np.diff(fresh)
     return float(gaps.std()) < _EVEN_RHYTHM * float(gaps.mean())
-
-
-def _hold(time_s: FloatArray, reported: FloatArray, autopilot: str) -> FloatArray | None:
-    """Return how long each row has repeated the one before, where an autopilot's telemetry does so."""
-    if autopilot == "unknown" or time_s.size < 3:
-        return None
-    fresh_at = np.maximum.accumulate(np.where(~_fresh(reported), -1, np.arange(time_s.size)))
-    hold = time_s - time_s[np.maximum(fresh_at, 0)]
-    # Longer than the firmware's period it is a vehicle at rest, not an old value.
-    return np.minimum(hold, _COMPASS_PERIOD_S - 1e-3)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mavcompass.gap.adequacy import Adequacy
 from mavcompass.gap.advise import next_flights
-from mavcompass.gap.cure import corrected_rms, with_cures
+from mavcompass.gap.cure import corrected_rms, cured_iron
 from mavcompass.gap.floor import Floor
 from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.identify import SILENT, Identified
@@ -22,10 +22,10 @@ from mavcompass.gap.naming import named_causes, trace_causes
 from mavcompass.gap.picture import picture
 from mavcompass.gap.remainder import Remainder
 from mavcompass.gap.replay import Replay
-from mavcompass.gap.result import Bar, Closing, Diagnosis
+from mavcompass.gap.result import Bar, Cause, Closing, Diagnosis
 from mavcompass.gap.scatter import Scatter
 from mavcompass.gap.shrink import closings, waterfall
-from mavcompass.gap.verdict import Answer
+from mavcompass.gap.verdict import Answer, consistent
 from mavcompass.track import Track
 
 _MOST_SHAPLEY = 4
@@ -50,6 +50,7 @@ class Evidence:
     step_mgauss: float
     untestable: dict[str, str]
     withheld: frozenset[str]
+    faults: tuple[Cause, ...]
 
 
 def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
@@ -58,9 +59,10 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     problem, test = identified.problem, identified.split.test
     answer, field, heading = _closed(evidence, answer)
     named = answer.named
-    causes = with_cures(named_causes(identified, named), problem, named)
+    causes = named_causes(identified, named)
     if answer.verdict != "unknown":
         causes += trace_causes(scatter, evidence.stale_share, evidence.step_mgauss)
+    causes += evidence.faults
     bars: tuple[Bar, ...] = ()
     if 1 <= len(named.terms) <= _MOST_SHAPLEY:
         bars = waterfall(lambda ids: _subset(identified, ids), problem, named.ids, test)
@@ -97,6 +99,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
             *(f"{e} was considered and dropped: {why}." for e, why in identified.dropped),
         ),
         corrected_rms_mgauss=corrected_rms(problem, named, test),
+        in_force=cured_iron(problem, named, floor),
         picture=picture(problem, named, test),
     )
 
@@ -109,9 +112,21 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     if scatter is not None and answer.verdict != "unknown":
         added += _added_variance(scatter, problem, answer.named, test)
     field, heading = closings(problem, answer.named, test, floor, added)
+    none = identified.found.null
+    traces = (
+        bool(evidence.faults)
+        or scatter is not None
+        or evidence.stale_share > 0.0
+        or evidence.step_mgauss > 0.0
+    )
+    where_left = evidence.adequacy.tests[0].coordinate if evidence.adequacy.tests else "time"
+    turns = bool(problem.replay.present & {"turning", "tilt"}) or floor.measured
+    said = consistent(answer, field, heading, where_left, floor, none, traces, turns)
+    if said.named is not answer.named:
+        field, heading = closings(problem, said.named, test, floor, added)
+    answer = said
     if answer.named.terms and _worse_on(problem, answer.named, test):
         # A name that makes held-out data worse is no explanation.
-        none = identified.found.null
         answer = Answer("unknown", none, True, evidence.adequacy.tests[0].coordinate)
         field, heading = closings(problem, none, test, floor)
     return answer, _never_worse(field), _never_worse(heading)

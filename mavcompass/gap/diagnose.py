@@ -15,11 +15,12 @@ from mavcompass.gap.describe import Evidence, describe
 from mavcompass.gap.doubtful import doubtful_sensors
 from mavcompass.gap.floor import Floor, from_baseline, from_recording, with_noise
 from mavcompass.gap.identify import Identified, identify
+from mavcompass.gap.inertial import inertial_faults, without_faults
 from mavcompass.gap.noise import SensorNoise
 from mavcompass.gap.reference import Choice
 from mavcompass.gap.remainder import Remainder, floor_to_start, what_is_left
 from mavcompass.gap.replay import Replay, replay
-from mavcompass.gap.result import Diagnosis
+from mavcompass.gap.result import Cause, Diagnosis
 from mavcompass.gap.split import split_blocks
 from mavcompass.gap.testable import half_testable, untestable_effects
 from mavcompass.gap.verdict import decide
@@ -27,6 +28,7 @@ from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.simulation.effects.effect import Group
 from mavcompass.track import Track
 
+_WITHOUT_WITNESS = 1.5
 _OF_MOTION = frozenset({"linear_acceleration", "vibration_rectification"})
 _SENSOR_WORDS: dict[Group, str] = {"mag": "compass", "acc": "accelerometer", "gyro": "gyro"}
 
@@ -70,8 +72,11 @@ def _diagnose(
     track: Track, baseline: Track | None, withheld: frozenset[str], compass: int, reference: Choice
 ) -> Diagnosis:
     every = catalogue().values()
-    replayed, before = _replays(track, baseline, compass, reference)
-    untestable = untestable_effects(replayed, every)
+    faults: tuple[Cause, ...] = ()
+    if baseline is not None and track.reference_q is None:
+        faults = tuple(f for f in inertial_faults(track, baseline) if f.effect not in withheld)
+    replayed, before = _replays(without_faults(track, faults), baseline, compass, reference)
+    untestable = untestable_effects(replayed, every, before is not None and before.telemetry)
     half = half_testable(replayed, every)
     testable = [e for e in every if e.id not in withheld and (e.id in half or e.id not in untestable)]
     if before is None:
@@ -79,14 +84,17 @@ def _diagnose(
     else:
         unseen = untestable_effects(before, every)
         floor = from_baseline(replayed, before, [e for e in every if e.id not in unseen])
+    if faults:
+        # The attitude has lost a witness that the baseline had.
+        floor = floor.larger(_WITHOUT_WITNESS)
     stale_share, step_mgauss = _traces(replayed, before, floor, frozenset(e.id for e in testable))
     identified, remainder, floor = _explained(replayed, before, floor, testable, step_mgauss)
     adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
-    traces = remainder.scatter is not None or stale_share > 0.0 or step_mgauss > 0.0
+    traces = bool(faults) or remainder.scatter is not None or stale_share > 0.0 or step_mgauss > 0.0
     answer = decide(identified, floor, remainder, adequacy, traces, half)
     evidence = Evidence(
         track, compass, replayed, floor, identified, remainder, adequacy, stale_share, step_mgauss,
-        untestable, withheld,
+        untestable, withheld, faults,
     )  # fmt: skip
     return describe(evidence, answer)
 
@@ -130,7 +138,9 @@ def _traces(
     stale = "stale_samples" in names and integrity.names_stale(replayed, before)
     noise_mgauss = float(floor.noise["mag"].rms.mean())
     step = "quantisation" in names and integrity.names_step(replayed, before, noise_mgauss)
-    return replayed.trace.stale_share if stale else 0.0, replayed.trace.step_mgauss if step else 0.0
+    return integrity.stale_share(
+        replayed, before
+    ) if stale else 0.0, replayed.trace.step_mgauss if step else 0.0
 
 
 def _explained(

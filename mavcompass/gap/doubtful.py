@@ -11,6 +11,7 @@ from mavcompass.gap.floor import first_noise, measured_noise
 from mavcompass.gap.hypothesis import make_term
 from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import SensorNoise
+from mavcompass.gap.nuisance import Prior
 from mavcompass.gap.replay import Replay
 from mavcompass.simulation.effects.effect import Effect, Group
 
@@ -46,10 +47,10 @@ def doubtful_sensors(
             continue
         alone = replace(witness, groups=(group,))
         terms = [make_term(e, alone.signals) for e in effects if e.id in _INERTIAL[group]]
-        problem = Problem(alone, first_noise(alone), alone.valid, ())
+        problem = Problem(alone, first_noise(alone), alone.valid, Prior.of(()))
         fit = problem.fit(terms, [t.effect.neutral() for t in terms], ())
         noise = measured_noise(problem, fit)
-        structure = judge(Problem(alone, noise, alone.valid, ()), fit, compare_scatter=False)
+        structure = judge(Problem(alone, noise, alone.valid, Prior.of(())), fit, compare_scatter=False)
         if min((t.p for t in structure.tests), default=1.0) > _EXPLAINED_P:
             continue
         worse = math.sqrt(max(1.0, *(t.excess for t in structure.tests)))

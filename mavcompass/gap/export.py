@@ -11,15 +11,17 @@ from typing import Literal
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.result import Cause
+from mavcompass.gap.result import Cause, Diagnosis
 from mavcompass.simulation.effects import Setting, get, spell
 from mavcompass.simulation.effects.effect import Chain, Signals
 from mavcompass.simulation.effects.registry import PRESET_SCHEMA
 from mavcompass.simulation.signals import Reading, Stimulus
 
+_ROTATION_LEFT_OUT_RAD = math.radians(0.05)
 Target = Literal["ardupilot-sitl", "mavcompass"]
 _ROTATION_WORTH_SAYING_RAD = math.radians(0.1)
 _AXES = "XYZ"
+_LEAST_MOTOR = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,35 @@ def settings_of(causes: Iterable[Cause]) -> list[Setting]:
             theta[i] = cause.parameters.get(parameter.name, theta[i])
         out.append(Setting(effect, np.clip(theta, effect.lower, effect.upper)))
     return out
+
+
+def vehicle_settings(diagnosis: Diagnosis) -> list[Setting]:
+    """Return what makes a simulator of the whole vehicle: the iron that its calibration cures, and the
+    causes.
+
+    Of raw = A field + b the matrix is split into a turn and a symmetric part, A = R S.
+    """
+    causes = settings_of(diagnosis.causes)
+    iron = diagnosis.in_force
+    if iron is None:
+        return causes
+    u, sizes, vt = np.linalg.svd(iron.tuned_matrix)
+    turn, stretch = u @ vt, vt.T @ np.diag(sizes) @ vt
+    vector = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    offset = turn.T @ iron.tuned_hard_iron_mgauss
+    found: dict[str, dict[str, float]] = {}
+    if np.abs(offset).max() > 0.0:
+        found["hard_iron"] = dict(zip("xyz", offset.tolist(), strict=True))
+    soft = stretch - np.eye(3)
+    if np.abs(soft).max() > 1e-6:
+        places = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+        found["soft_iron"] = {name: float(soft[i, j]) for name, (i, j) in places.items()}
+    if float(np.linalg.norm(vector)) > _ROTATION_LEFT_OUT_RAD:
+        found["misalignment"] = dict(zip("xyz", vector.tolist(), strict=True))
+    if iron.motor_source == "current" and np.abs(iron.tuned_motor_mgauss).max() > _LEAST_MOTOR:
+        found["motor_current"] = dict(zip("xyz", iron.tuned_motor_mgauss.tolist(), strict=True))
+    known = [Cause(effect, values, {}, 1.0, ()) for effect, values in found.items()]
+    return [*settings_of(known), *causes]
 
 
 def affine_map(settings: Sequence[Setting]) -> tuple[FloatArray, FloatArray]:

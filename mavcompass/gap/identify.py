@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from mavcompass.gap.floor import Floor, rms, widened
+from mavcompass.gap.floor import Floor, heading_error_rad, rms, rms_deg, widened
 from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import group_values
@@ -22,7 +22,17 @@ from mavcompass.simulation.effects.effect import NEVER_S, Effect, Group
 # What healthy sensors may be off by, in mG, m/s^2 and rad/s.
 _LEAST: dict[Group, float] = {"mag": 1.0, "acc": 0.1, "gyro": 0.004}
 _LEAST_SHARE = 0.10
+# The least that is named without an exact floor, in mG and degrees: with a baseline, and without.
+_LEAST_HERE = {True: (0.5, 0.1), False: (1.0, 0.3)}
+_LEAST_OF_FLOOR = 0.35
+# No model is exact: what holds less than this share of a gap (4 % of its square) may be the error of the
+# rest.
+_MATERIAL_SHARE, _MATERIAL_BESIDE_UNKNOWN, _EXPLAINED = 0.2, 0.4, 1.25
+# A gap that is no larger than this many floors without an effect needs no such effect.
+_ABOVE_FLOOR, _ABOVE_STATED, _LEAST_OF_STATED = 1.12, 0.5, 0.1
 _AT_THE_END = 1e-3
+# A block shows an effect where it changes this share of what it does where it changes most.
+_TOUCHED = 0.05
 _NEEDED = 10.0
 _PASSES = 2
 _CLOSINGS_IN = 6
@@ -68,7 +78,7 @@ def identify(
     calm = replace(split, train=split.train & ~aside)
     start = floor
     if not floor.measured:
-        kept = Problem(fewer, result.problem.noise, calm.train, result.problem.nuisances)
+        kept = Problem(fewer, result.problem.noise, calm.train, result.problem.prior)
         start = widened(floor, kept, kept.refit(result.fit))
     calmer, settled = _searched(fewer, start, calm, effects)
     if not moments(calmer.fit):
@@ -80,10 +90,12 @@ def _searched(
     replay: Replay, floor: Floor, split: Split, effects: Sequence[Effect]
 ) -> tuple[Identified, Floor]:
     passes = 1 if floor.measured else _PASSES
+    # An independent attitude has no errors that last for seconds.
+    exact = floor.representative or replay.reference.kind == "columns"
     previous: frozenset[str] | None = None
     for turn in range(passes):
-        problem = Problem(replay, floor.noise, split.train, floor.nuisances)
-        search = Search(problem, effects, partial(_worthwhile, problem, floor))
+        problem = Problem(replay, floor.noise, split.train, floor.prior)
+        search = Search(problem, effects, partial(_worthwhile, problem, floor), exact)
         found = search.run()
         result = _guarded(Identified(problem, split, found, found.best, (), search, problem), floor)
         if turn + 1 == passes or (previous is not None and result.fit.ids == previous):
@@ -208,16 +220,102 @@ def _gain(problem: Problem, fit: Fit, place: int) -> tuple[float, float]:
 
 
 def _immaterial(candidate: Identified, floor: Floor) -> str | None:
-    """Name the effect that removes least, where that is too little to be named without a baseline.
+    """Name the effect that removes least, where that is too little to be named without an exact floor.
 
-    In at least one of its sensors an effect must remove what exceeds the usual tolerances of sensors. Beside
-    a baseline that holds for effects on sensors which that baseline does not explain.
+    Where it was not fitted an effect must lower the error of the field or of the heading, by more than blocks
+    contradict each other, and by a material share: of the gap, and of what healthy sensors leave. Beside an
+    exact floor that is asked of effects on sensors which the baseline does not explain.
     """
     fit, problem = candidate.fit, candidate.problem
     doubtful = problem.replay.doubtful.keys()
     asked = [not floor.representative or bool(doubtful & set(t.effect.groups)) for t in fit.terms]
     if not any(asked):
         return None
+    if floor.representative:
+        return _small(candidate, floor, asked)
+    gap = _gap(candidate, floor)
+    # A floor that was only stated for an independent attitude is generous.
+    stated = not floor.measured and problem.replay.reference.kind == "columns"
+    needed, share = (_ABOVE_STATED, _LEAST_OF_STATED) if stated else (_ABOVE_FLOOR, _LEAST_OF_FLOOR)
+    # Beside something that is not known, only what holds a good part of the gap can be told from it.
+    left = rms((problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss)[problem.index])
+    explained = stated or left < _EXPLAINED * floor.field_rms_mgauss
+    part = _MATERIAL_SHARE if explained else _MATERIAL_BESIDE_UNKNOWN
+    ratios = {}
+    for place, term in enumerate(fit.terms):
+        if "mag" not in term.effect.groups:
+            continue
+        ratio = 0.0
+        for k, removed in enumerate(removed_by(candidate, place)):
+            change, level = gap[k]
+            least = max(_LEAST_HERE[floor.measured][k], share * level, part * change)
+            if removed.sure > 0.0 and removed.without > needed * level:
+                ratio = max(ratio, math.sqrt(removed.square) / least)
+        ratios[term.effect.id] = ratio
+    if not ratios:
+        return None
+    smallest = min(ratios, key=ratios.__getitem__)
+    return smallest if ratios[smallest] < 1.0 else None
+
+
+def _gap(candidate: Identified, floor: Floor) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return rms of what the effects change and of the floor, for field (mG) and heading (deg)."""
+    fit, problem = candidate.fit, candidate.problem
+    after, before = problem.predict(fit), problem.predict(fit, effects=False)
+    change = (after.mag_mgauss - before.mag_mgauss)[problem.index]
+    turned = heading_error_rad(problem.replay, after.mag_mgauss, before.mag_mgauss)[problem.index]
+    return (rms(change), floor.field_rms_mgauss), (rms_deg(turned), floor.heading_rms_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class Removed:
+    """Hold what an effect takes off a held-out mean square, and the rms that stays without it.
+
+    `sure` is a bound of it that blocks of the whole recording leave above zero where they agree.
+    """
+
+    square: float
+    sure: float
+    without: float
+
+
+def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
+    """Return what one effect takes off the held-out field (mG) and heading (deg)."""
+    fit, problem = candidate.fit, candidate.problem
+    replay, split = problem.replay, candidate.split
+    measured = replay.measured.mag_mgauss
+    rest = fit.without(place)
+    # What is no effect stays: bent by force it would imitate this one.
+    without = problem.steady(fit).fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=3)
+    rows = np.flatnonzero((split.train | split.test) & problem.usable)
+    squares = []
+    predictions = [problem.predict(one).mag_mgauss for one in (without, fit)]
+    for predicted in predictions:
+        heading = np.degrees(heading_error_rad(replay, measured, predicted))[rows]
+        squares.append(np.stack([np.mean((measured - predicted)[rows] ** 2, axis=1), heading**2], axis=1))
+    gained = squares[0] - squares[1]
+    held = split.test[rows]
+    label = np.unique(split.block[rows], return_inverse=True)[1]
+    count = np.bincount(label)
+    blocks = np.stack([np.bincount(label, gained[:, k]) / count for k in (0, 1)], axis=1)
+    # Blocks that an effect leaves alone say nothing against it.
+    change = np.mean(np.square(predictions[1] - predictions[0])[rows], axis=1)
+    touched = np.bincount(label, change) / count
+    blocks = blocks[touched > _TOUCHED * touched.max()]
+    mean, spread = blocks.mean(axis=0), blocks.std(axis=0)
+    low = mean - 1.7 * spread / math.sqrt(len(blocks) - 1) if len(blocks) > 2 else mean
+    if not held.any():
+        held = np.ones(rows.size, dtype=np.bool_)
+    taken, left = gained[held].mean(axis=0), squares[0][held].mean(axis=0)
+    of_field, of_heading = (
+        Removed(max(float(taken[k]), 0.0), float(low[k]), math.sqrt(float(left[k]))) for k in (0, 1)
+    )
+    return of_field, of_heading
+
+
+def _small(candidate: Identified, floor: Floor, asked: Sequence[bool]) -> str | None:
+    """Name the effect that removes least beside an exact floor, where that is within a sensor's tolerance."""
+    fit, problem = candidate.fit, candidate.problem
     after = _left(problem, fit, effects=True)
     least = _least(problem, fit, after)
     steady = problem.steady(fit)

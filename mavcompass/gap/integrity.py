@@ -18,22 +18,36 @@ _FEWEST_LEVELS = 6
 # MAVLink's messages and ArduPilot's parameters count whole milligauss.
 _USUAL_STEP_MGAUSS = 1.0 + 1e-6
 _REPEATS_WORTH_NAMING = 0.003
+# Autopilots read their compass ten times a second and repeat it meanwhile; a rest may look like a repeat.
+# While the field changes by this a live sensor changes too; at rest its noise does within some seconds.
+_MOVED_MGAUSS, _NO_REST_S = 5.0, 5.0
+_TELEMETRY_HOLDS_S, _FAR_LONGER = 0.3, 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """Hold what the numbers show: the share of repeats, which rows repeat, the step (0: none seen)."""
+    """Hold what the numbers show.
+
+    `stale_share` is the share of repeats, `stale` which rows repeat, `held_s` how long each fresh reading
+    stayed from
+    `fresh_s` on, `step_mgauss` the step of the numbers (0: none seen).
+    """
 
     stale_share: float
     stale: NDArray[np.bool_]
+    held_s: FloatArray
+    fresh_s: FloatArray
     step_mgauss: float
 
 
-def inspect(field_mgauss: FloatArray, valid: NDArray[np.bool_]) -> Trace:
-    """Look for repeats and a lattice in raw readings (N, 3), before any averaging."""
+def inspect(field_mgauss: FloatArray, valid: NDArray[np.bool_], time_s: FloatArray) -> Trace:
+    """Look for repeats and a lattice in readings (N, 3) at some times (N,), before any averaging."""
     same = np.concatenate([[False], (np.diff(field_mgauss, axis=0) == 0.0).all(axis=1)]) & valid
     share = float(same.sum()) / max(int(valid.sum()), 1)
-    return Trace(share, same, _lattice(field_mgauss[valid]))
+    # How long each fresh reading was repeated: readings that are missing repeat nothing.
+    fresh = np.flatnonzero(~same)
+    last = np.append(fresh[1:], time_s.size) - 1
+    return Trace(share, same, time_s[last] - time_s[fresh], time_s[fresh], _lattice(field_mgauss[valid]))
 
 
 def _lattice(field: FloatArray) -> float:
@@ -64,7 +78,7 @@ def _lattice(field: FloatArray) -> float:
 def names_stale(replay: Replay, baseline: Replay | None) -> bool:
     """Tell whether the repeats are an effect: more than by chance, than the baseline's, than telemetry's."""
     if replay.telemetry:
-        return False
+        return _frozen_share(replay, baseline) > _REPEATS_WORTH_NAMING
     found, nominal = replay.trace, baseline.trace if baseline is not None else None
     expected = nominal.stale_share if nominal is not None else 0.0
     coarse = found.step_mgauss > 0.0 or replay.resolution_mgauss > 0.0
@@ -74,6 +88,31 @@ def names_stale(replay: Replay, baseline: Replay | None) -> bool:
     count = found.stale.size
     noise = math.sqrt(max(expected * (1.0 - expected), 1.0 / count) / count)
     return found.stale_share > max(_REPEATS_WORTH_NAMING, expected + 5.0 * noise)
+
+
+def stale_share(replay: Replay, baseline: Replay | None) -> float:
+    """Return the share of readings that only repeat the one before, beyond what telemetry does by nature."""
+    return _frozen_share(replay, baseline) if replay.telemetry else replay.trace.stale_share
+
+
+def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
+    """Return the share of time in which readings stayed far longer than they do in a healthy vehicle.
+
+    Only while the field changes by more than chance: numbers of a vehicle at rest may repeat for long.
+    """
+    held, since = replay.trace.held_s, replay.trace.fresh_s
+    moved = np.zeros(held.size)
+    for axis in range(3):
+        then, now = (
+            np.interp(t, replay.time_s, replay.nominal_mgauss[:, axis]) for t in (since, since + held)
+        )
+        moved = np.maximum(moved, np.abs(now - then))
+    held = np.where((moved > _MOVED_MGAUSS) | (held > _NO_REST_S), held, 0.0)
+    usual = _TELEMETRY_HOLDS_S
+    if baseline is not None and baseline.telemetry and baseline.trace.held_s.size:
+        usual = max(float(baseline.trace.held_s.max()), 0.5 * float(np.median(np.diff(replay.time_s))))
+    span = float((since + replay.trace.held_s).max(initial=replay.time_s[-1]) - replay.time_s[0])
+    return float(held[held > _FAR_LONGER * usual].sum()) / max(span, 1e-9)
 
 
 def _steps_of(replay: Replay) -> tuple[float, float]:

@@ -53,29 +53,30 @@ def exponentials(vectors: FloatArray) -> FloatArray:
 
 
 def with_down(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArray:
-    """Build rotations with the given down vector (body axes) and the yaw that the rate integrates to."""
-    roll = np.arctan2(down[:, 1], down[:, 2])
-    pitch = np.arcsin(np.clip(-down[:, 0], -1.0, 1.0))
-    cosine = np.maximum(np.cos(pitch), 0.05)
-    yaw_rate = (rate[:, 1] * np.sin(roll) + rate[:, 2] * np.cos(roll)) / cosine
-    if float(cosine.min()) > 0.3:
-        middle = 0.5 * (yaw_rate[1:] + yaw_rate[:-1])
-        yaw = np.concatenate([[0.0], np.cumsum(middle * np.diff(clock))])
-        return euler_to_matrix(roll, pitch, yaw)
-    return _without_euler(clock, rate, down)
+    """Build rotations with the given down vector (N, 3, body axes), turning about it as the rate does.
+
+    In the gyro's own still axes the known down vector wanders a little; the axes are carried after it by the
+    smallest rotations, which add no yaw (parallel transport).
+    """
+    still = integrated(clock, rate)
+    path = np.einsum("nij,nj->ni", still, down)
+    # The cross product of neighbours is the rotation vector between them, but for the third power of its
+    # size.
+    steps = np.vstack([np.zeros((1, 3)), _cross(path[:-1], path[1:])])
+    back = products(exponentials(-steps))
+    level = euler_to_matrix(
+        math.atan2(down[0, 1], down[0, 2]), math.asin(float(np.clip(-down[0, 0], -1.0, 1.0))), 0.0
+    )
+    rotation = level @ still[0].T @ back @ still
+    # What the third power left: set down exactly.
+    ahead = rotation[:, 0] - down * np.einsum("ni,ni->n", rotation[:, 0], down)[:, None]
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    return np.stack([ahead, _cross(down, ahead), down], axis=1)
 
 
-def _without_euler(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArray:
-    """Do the same where the vehicle points straight up: carry the whole attitude, then set its level."""
-    step = np.diff(clock, prepend=clock[0])
-    increments = exponentials(0.5 * (rate + np.vstack([rate[:1], rate[:-1]])) * step[:, None])
-    rotation = euler_to_matrix(math.atan2(down[0, 1], down[0, 2]), math.asin(-float(down[0, 0])), 0.0)
-    out = np.empty((clock.size, 3, 3))
-    for i in range(clock.size):
-        rotation = rotation @ increments[i]
-        # The smallest rotation that takes the third row to the known down vector adds no yaw.
-        x = rotation[0] - down[i] * float(rotation[0] @ down[i])
-        x /= math.sqrt(float(x @ x))
-        rotation = np.stack([x, np.cross(down[i], x), down[i]])
-        out[i] = rotation
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the cross products of rows (N, 3), without numpy's checks."""
+    out = np.empty_like(a)
+    for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):
+        out[:, i] = a[:, j] * b[:, k] - a[:, k] * b[:, j]
     return out

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
-from mavcompass.gap.newton import block_diagonal, bridge, invert, moved, solve
+from mavcompass.gap.in_force import IRON_MATRIX, IRON_OFFSET
+from mavcompass.gap.newton import bridge, invert, moved, solve
 from mavcompass.gap.noise import Noise, group_values
-from mavcompass.gap.nuisance import Nuisance
+from mavcompass.gap.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, Prior
 from mavcompass.gap.replay import Replay
 from mavcompass.simulation.effects.effect import Effect, Signals
+from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.simulation.signals import Reading
 
 _STEP = 1e-3
@@ -30,17 +32,32 @@ _FAR = 0.3
 _HELD = 1e14
 
 
+def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
+    """Return the change of a reading, over a step."""
+    return Reading(
+        *(
+            np.zeros_like(b) if a is b else (a - b) / step
+            for a, b in (
+                (after.mag_mgauss, before.mag_mgauss),
+                (after.acc_mps2, before.acc_mps2),
+                (after.gyro_radps, before.gyro_radps),
+            )
+        )
+    )
+
+
 class Problem:
     """Fit hypotheses to the rows of a replay under a noise floor."""
 
-    def __init__(self, replay: Replay, noise: Noise, rows: Mask, nuisances: Sequence[Nuisance]) -> None:
+    def __init__(self, replay: Replay, noise: Noise, rows: Mask, prior: Prior) -> None:
         self.replay = replay
         self.noise = noise
         self.rows = rows
-        self.nuisances = tuple(nuisances)
+        self.prior = prior
+        self.nuisances = prior.nuisances
         self.groups = replay.groups
         usable = replay.valid.copy()
-        most = max((noise[g].coefficients.size for g in self.groups), default=0)
+        most = max((noise[g].coefficients.shape[0] for g in self.groups), default=0)
         for lag in range(1, most + 1):
             usable[lag:] &= replay.valid[:-lag]
             usable[:lag] = False
@@ -51,10 +68,16 @@ class Problem:
         self.usable = usable
         self.index = np.flatnonzero(rows & usable)
         self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
-        self._precision = block_diagonal([n.precision for n in self.nuisances])
-        self._bridge = bridge(replay.valid) if any(noise[g].moving > 0.0 for g in self.groups) else None
+        self._precision = prior.precision
+        self._bridge = bridge(replay.valid) if any(noise[g].moving.any() for g in self.groups) else None
         self._lent: tuple[FloatArray, list[FloatArray]] | None = None
-        self._prior = np.concatenate([n.mean for n in self.nuisances]) if self.nuisances else np.zeros(0)
+        self._prior = prior.mean
+
+    @property
+    def sigma_mgauss(self) -> FloatArray:
+        """Return the noise of the compass in its own axes, (3,)."""
+        noise = self.noise["mag"]
+        return noise.rms if noise.channels is None else np.full(3, float(np.sqrt(np.mean(noise.rms**2))))
 
     @property
     def count(self) -> int:
@@ -63,7 +86,7 @@ class Problem:
 
     def with_rows(self, rows: Mask) -> Problem:
         """Return the same problem on other rows."""
-        return Problem(self.replay, self.noise, rows, self.nuisances)
+        return Problem(self.replay, self.noise, rows, self.prior)
 
     def steady(self, fit: Fit) -> Problem:
         """Return the same problem with the nuisances held where a fit has them."""
@@ -71,13 +94,20 @@ class Problem:
             Nuisance(n.effect, theta, np.eye(theta.size) * _HELD / np.square(n.effect.scale))
             for n, theta in zip(self.nuisances, fit.nuisance_thetas, strict=True)
         ]
-        return Problem(self.replay, self.noise, self.rows, held)
+        return Problem(self.replay, self.noise, self.rows, Prior.of(held))
 
     def predict(self, fit: Fit, effects: bool = True) -> Reading:
         """Return what the simulation says under a hypothesis, or under its nuisances alone."""
-        terms = fit.terms if effects else ()
-        thetas = fit.thetas if effects else ()
-        return self.states(terms, thetas, fit.nuisance_thetas)[-1].reading
+        if effects:
+            return self.states(fit.terms, fit.thetas, fit.nuisance_thetas)[-1].reading
+        return self.states((), (), self._as_known(fit.nuisance_thetas))[-1].reading
+
+    def _as_known(self, thetas: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return nuisances with the iron as calibration and baseline describe it: the nominal vehicle."""
+        return [
+            n.mean if n.effect.id in (IRON_MATRIX, IRON_OFFSET) else theta
+            for n, theta in zip(self.nuisances, thetas, strict=True)
+        ]
 
     def signals(self, fit: Fit) -> Signals:
         """Return the simulated signals under a hypothesis."""
@@ -152,13 +182,18 @@ class Problem:
         order = self._ordered(terms)
         everything = [*nuisance_thetas, *thetas]
         places = {place: at for at, (_, place) in enumerate(order)}
-        base = states[-1].reading
-        columns = []
+        # A common delay comes last and is the same for all that comes before it: once for all columns.
+        late = order[-1][0].id == TELEMETRY_AGE if order else False
+        end = len(order) - 1 if late else len(order)
+        changes: list[Reading] = []
+        early: list[int] = []
         for place in wanted:
             at = places[place]
             effect = order[at][0]
-            free = self._free(terms, place)
-            for j in np.flatnonzero(free):
+            stop = end if at < end else len(order)
+            base = states[stop].reading
+            free = np.flatnonzero(self._free(terms, place))
+            for j in free[:1] if effect.id == REFERENCE_YAW else free:
                 theta = everything[place].copy()
                 step = _STEP * max(effect.parameters[j].scale, 1e-12)
                 if theta[j] + step > effect.parameters[j].high:
@@ -166,9 +201,43 @@ class Problem:
                 theta[j] += step
                 moved = everything.copy()
                 moved[place] = theta
-                columns.append(self.change(base, self._run_from(order, at, states[at], moved), index) / step)
-        rows = (self.index.size if index is None else index.size) * 3 * len(self.groups)
-        return np.stack(columns, axis=1) if columns else np.zeros((rows, 0))
+                if stop < len(order):
+                    early.append(len(changes))
+                changes.append(difference(self._run_from(order[:stop], at, states[at], moved), base, step))
+            if effect.id == REFERENCE_YAW:
+                # What a curve of the yaw changes is the constant's change times the curve.
+                turn = changes[-1].mag_mgauss
+                for curve in self.replay.reference.yaw_curves_rad.T:
+                    early += [len(changes)] if stop < len(order) else []
+                    changes.append(
+                        Reading(turn * curve[:, None], changes[-1].acc_mps2, changes[-1].gyro_radps)
+                    )
+        if early and late:
+            self._delay(changes, early, float(everything[order[-1][1]][0]))
+        return self.whitened(changes, index)
+
+    def _delay(self, changes: list[Reading], which: Sequence[int], delay_s: float) -> None:
+        time = self.replay.time_s
+        stacked = np.concatenate([changes[i].mag_mgauss for i in which], axis=1)
+        late = at_times(time, stacked, time - delay_s)
+        for n, i in enumerate(which):
+            changes[i] = Reading(late[:, 3 * n : 3 * n + 3], changes[i].acc_mps2, changes[i].gyro_radps)
+
+    def whitened(self, changes: Sequence[Reading], index: NDArray[np.int64] | None = None) -> FloatArray:
+        """Return changes of the prediction as whitened columns, one for each; rows as in `residual`."""
+        rows = self.index if index is None else index
+        if not changes:
+            return np.zeros((rows.size * 3 * len(self.groups), 0))
+        parts = []
+        for g in self.groups:
+            values = np.stack([group_values(change, g) for change in changes], axis=2)
+            out = np.zeros((rows.size * 3, len(changes)))
+            some = np.flatnonzero(values.any(axis=(0, 1)))
+            if some.size:
+                white = self.noise[g].whiten_many(self._bridged(values[:, :, some]))[rows]
+                out[:, some] = white.reshape(rows.size * 3, some.size)
+            parts.append(out)
+        return np.concatenate(parts)
 
     def _free(self, terms: Sequence[Term], place: int) -> Mask:
         n = len(self.nuisances)

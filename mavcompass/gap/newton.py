@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.hypothesis import Mask
 
 
-def bridge(valid: Mask) -> NDArray[np.int64] | None:
+def bridge(valid: NDArray[np.bool_]) -> NDArray[np.int64] | None:
     """Map each row to itself or to the last valid one before; None where all are valid."""
     if valid.all() or not valid.any():
         return None

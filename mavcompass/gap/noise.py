@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +29,14 @@ class SensorNoise:
     With one coefficient and a moving part it is white scatter on a slowly wandering error.
 
     Attributes:
-        coefficients: the correlation, common to the axes, (p,).
-        sigma: the innovations' standard deviation per axis, (3,).
-        rms: the noise's own standard deviation per axis, (3,).
+        coefficients: the correlation of each channel, (p, 3).
+        sigma: the innovations' standard deviation per channel, (3,).
+        rms: the noise's own standard deviation per channel, (3,).
         samples: how many innovations they were estimated from (infinite: stated, not measured).
-        moving: the moving-average part, common to the axes, 0 <= moving < 1.
+        moving: the moving-average part of each channel, (3,), 0 <= moving < 1.
         row_scale: how much larger the innovation of each row is, (N, 3); None for even noise.
+        channels: from the sensor's axes to the channels, (N, 3, 3); None where the axes are the channels. An
+            attitude's error turns the field: it has no part along it.
     """
 
     coefficients: FloatArray
@@ -42,36 +44,67 @@ class SensorNoise:
     rms: FloatArray
     samples: float
     row_scale: FloatArray | None = None
-    moving: float = 0.0
+    moving: FloatArray = field(default_factory=lambda: np.zeros(3))
+    channels: FloatArray | None = None
+
+    def in_channels(self, error: FloatArray) -> FloatArray:
+        """Turn errors of the sensor's axes (N, 3) into those of the channels."""
+        return error if self.channels is None else np.matmul(self.channels, error[:, :, None])[:, :, 0]
 
     def whiten(self, error: FloatArray) -> FloatArray:
         """Return innovations in sigmas, (N, 3); the first p rows are those of an infinite past of zeros."""
-        out = self.decorrelated(error / self.sigma)
+        out = self.decorrelated(self.in_channels(error) / self.sigma)
         # What scatters more has no part in what wanders: only the innovations are scaled.
         return out if self.row_scale is None else out / self.row_scale
 
+    def whiten_many(self, errors: FloatArray) -> FloatArray:
+        """Return innovations in sigmas of many errors at once, (N, 3, K)."""
+        if self.channels is not None:
+            errors = np.matmul(self.channels, errors)
+        out = errors / self.sigma[:, None]
+        for channel in range(3):
+            out[:, channel] = self.filter_columns(out[:, channel], channel)
+        return np.asarray(out if self.row_scale is None else out / self.row_scale[:, :, None])
+
     def decorrelated(self, columns: FloatArray) -> FloatArray:
-        """Take the correlation out of columns (N, k), whose scale stays."""
+        """Take each channel's correlation out of its column (N, 3), whose scale stays."""
         out = columns.copy()
-        for lag, coefficient in enumerate(self.coefficients.tolist(), start=1):
+        for lag, coefficient in enumerate(self.coefficients, start=1):
             out[lag:] -= coefficient * columns[:-lag]
-        if self.moving > 0.0:
+        if self.moving.any():
             from scipy.signal import lfilter
 
             # What the first reading tells of the second: the best linear prediction of a stationary error.
-            out[0] *= float(np.mean((self.sigma / self.rms) ** 2))
-            out = lfilter([1.0], [1.0, -self.moving], out, axis=0)
+            out[0] *= (self.sigma / self.rms) ** 2
+            if np.ptp(self.moving) == 0.0 and out.shape[1] == 3:
+                return np.asarray(lfilter([1.0], [1.0, -float(self.moving[0])], out, axis=0))
+            for channel in np.flatnonzero(self.moving):
+                out[:, channel] = lfilter([1.0], [1.0, -float(self.moving[channel])], out[:, channel])
+        return out
+
+    def filter_columns(self, columns: FloatArray, channel: int) -> FloatArray:
+        """Take one channel's correlation out of any columns (N, k)."""
+        out = columns.copy()
+        for lag, coefficient in enumerate(self.coefficients[:, channel].tolist(), start=1):
+            out[lag:] -= coefficient * columns[:-lag]
+        moving = float(self.moving[channel])
+        if moving > 0.0:
+            from scipy.signal import lfilter
+
+            out[0] *= float((self.sigma[channel] / self.rms[channel]) ** 2)
+            out = lfilter([1.0], [1.0, -moving], out, axis=0)
         return np.asarray(out)
 
     def filled(self, error: FloatArray, missing: NDArray[np.bool_], rng: np.random.Generator) -> FloatArray:
         """Return errors (N, 3) whose missing elements are drawn from the noise, given what came before."""
         out, drawn = error.copy(), rng.standard_normal(error.shape)
+        coefficients, moving = self.coefficients.mean(axis=1), float(self.moving.mean())
         scale = self.sigma if self.row_scale is None else self.sigma * self.row_scale
         scale = np.broadcast_to(scale, error.shape)
         last = np.zeros(error.shape[1])
         for t in range(len(out)):
-            known = -self.moving * last
-            for lag, coefficient in enumerate(self.coefficients[:t].tolist(), start=1):
+            known = -moving * last
+            for lag, coefficient in enumerate(coefficients[:t].tolist(), start=1):
                 known += coefficient * out[t - lag] / scale[t]
             last = np.where(missing[t], drawn[t], out[t] / scale[t] - known)
             out[t] = np.where(missing[t], (known + drawn[t]) * scale[t], out[t])
@@ -80,12 +113,15 @@ class SensorNoise:
     @property
     def square_inflation(self) -> float:
         """Return by how much the correlation inflates the variance of a mean of squares."""
-        rho = min(float(self.coefficients.sum()), 0.999) if self.coefficients.size else 0.0
-        if self.moving == 0.0:
+        return float(np.mean([self._inflation(channel) for channel in range(3)]))
+
+    def _inflation(self, channel: int) -> float:
+        rho = min(float(self.coefficients[:, channel].sum()), 0.999) if self.coefficients.size else 0.0
+        m = float(self.moving[channel])
+        if m == 0.0:
             rho = min(rho, 0.97)
             return (1.0 + rho * rho) / (1.0 - rho * rho)
         # Autocorrelations of ARMA(1, 1): r_1, r_1 rho, r_1 rho^2 ...
-        m = self.moving
         first = (rho - m) * (1.0 - rho * m) / (1.0 + m * m - 2.0 * rho * m)
         return 1.0 + 2.0 * first**2 / (1.0 - rho * rho)
 
@@ -100,14 +136,38 @@ def group_values(reading: Reading, group: Group) -> FloatArray:
     return reading.acc_mps2 if group == "acc" else reading.gyro_radps
 
 
-def estimate_noise(error: FloatArray, usable: NDArray[np.bool_], least_sigma: float) -> SensorNoise:
+def estimate_noise(
+    error: FloatArray, usable: NDArray[np.bool_], least_sigma: float, channels: FloatArray | None = None
+) -> SensorNoise:
     """Estimate one sensor's noise from errors (N, 3) on usable rows, the kind of correlation by BIC.
 
-    Either a few lags, or white scatter on an error that wanders for seconds (an attitude's does).
-    `least_sigma` is what the sensor's resolution alone makes.
+    Either a few lags, or white scatter on an error that wanders for seconds (an attitude's does): alike in
+    all axes, or of its own kind in each of the `channels` (N, 3, 3). `least_sigma` is what the resolution
+    alone makes.
     """
+    if channels is None:
+        return _estimated(error, usable, least_sigma)
+    values = np.matmul(channels, np.nan_to_num(error)[:, :, None])[:, :, 0]
+    each = [_estimated(values[:, [c]], usable, least_sigma) for c in range(3)]
+    lags = max(one.coefficients.shape[0] for one in each)
+    coefficients = np.zeros((lags, 3))
+    for c, one in enumerate(each):
+        coefficients[: one.coefficients.shape[0], c] = one.coefficients[:, 0]
+    return SensorNoise(
+        coefficients,
+        np.array([one.sigma[0] for one in each]),
+        np.array([one.rms[0] for one in each]),
+        each[0].samples,
+        moving=np.array([one.moving[0] for one in each]),
+        channels=channels,
+    )
+
+
+def _estimated(error: FloatArray, usable: NDArray[np.bool_], least_sigma: float) -> SensorNoise:
+    """Estimate noise that is alike in all columns of errors (N, k)."""
     rows = error[usable]
     rows = rows - rows.mean(axis=0)
+    width = error.shape[1]
     scale = np.maximum(rows.std(axis=0), least_sigma)
     most = _MOST_LAGS if len(rows) > 200 else 1
     together = usable.copy()
@@ -116,13 +176,16 @@ def estimate_noise(error: FloatArray, usable: NDArray[np.bool_], least_sigma: fl
         together[:lag] = False
     index = np.flatnonzero(together)
     if index.size < 50:
-        return SensorNoise(np.zeros(0), scale, scale, float(max(len(rows), 1)))
+        return SensorNoise(
+            np.zeros((0, width)), scale, scale, float(max(len(rows), 1)), moving=np.zeros(width)
+        )
     z = (error - error[usable].mean(axis=0)) / scale
     target = z[index].ravel()
     past = np.stack([z[index - lag].ravel() for lag in range(1, most + 1)], axis=1)
     best = (target.size * np.log(max(np.mean(target**2), 1e-300)), np.zeros(0))
+    normal, right = past.T @ past, past.T @ target
     for order in range(1, most + 1):
-        coefficients, *_ = np.linalg.lstsq(past[:, :order], target, rcond=None)
+        coefficients = np.linalg.solve(normal[:order, :order] + 1e-12 * np.eye(order), right[:order])
         left = np.mean((target - past[:, :order] @ coefficients) ** 2)
         criterion = target.size * np.log(max(left, 1e-300)) + 2.0 * order * np.log(target.size)
         if criterion < best[0]:
@@ -131,13 +194,16 @@ def estimate_noise(error: FloatArray, usable: NDArray[np.bool_], least_sigma: fl
     if slow is not None and slow[0] < best[0]:
         _, correlation, moving, innovations = slow
         sigma = np.maximum(innovations.std(axis=0) * scale, least_sigma)
-        return SensorNoise(np.array([correlation]), sigma, scale, float(index.size), moving=moving)
+        return SensorNoise(
+            np.full((1, width), correlation), sigma, scale, float(index.size), moving=np.full(width, moving)
+        )
     coefficients = best[1]
     innovations = z[index] - sum(
-        (c * z[index - lag] for lag, c in enumerate(coefficients.tolist(), start=1)), np.zeros(3)
+        (c * z[index - lag] for lag, c in enumerate(coefficients.tolist(), start=1)), np.zeros(width)
     )
     sigma = np.maximum(innovations.std(axis=0) * scale, least_sigma)
-    return SensorNoise(coefficients, sigma, scale, float(index.size))
+    repeated = np.repeat(coefficients[:, None], width, axis=1)
+    return SensorNoise(repeated, sigma, scale, float(index.size), moving=np.zeros(width))
 
 
 def _wandering_part(
@@ -179,7 +245,7 @@ def wandering(scatter: FloatArray, slow: float, correlation: float) -> tuple[Flo
 
 def white(sigma: FloatArray, samples: float = np.inf) -> SensorNoise:
     """Return uncorrelated noise of a stated standard deviation per axis."""
-    return SensorNoise(np.zeros(0), sigma, sigma, samples)
+    return SensorNoise(np.zeros((0, 3)), sigma, sigma, samples)
 
 
 def rough_sigma(error: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:

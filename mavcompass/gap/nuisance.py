@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray, rotate_back
+from mavcompass.gap.newton import block_diagonal
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Signals, Stage
 from mavcompass.simulation.effects.sampling import at_times
@@ -19,6 +20,7 @@ from mavcompass.simulation.effects.sampling import at_times
 _Rng = np.random.Generator | None
 _UNKNOWN_YAW_RAD = 0.3
 _TURNS = 6
+REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,24 +37,31 @@ class Nuisance:
         return cls(effect, mean, np.diag(1.0 / np.square(sigma)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """Hold nuisances with the inverse of their joint prior covariance (K, K), K parameters in their order."""
+
+    nuisances: tuple[Nuisance, ...]
+    precision: FloatArray
+
+    @classmethod
+    def of(cls, nuisances: Sequence[Nuisance]) -> Prior:
+        """Build the prior of nuisances that know nothing of each other."""
+        return cls(tuple(nuisances), block_diagonal([n.precision for n in nuisances]))
+
+    @property
+    def mean(self) -> FloatArray:
+        """Return the prior means of all parameters, (K,)."""
+        return np.concatenate([n.mean for n in self.nuisances]) if self.nuisances else np.zeros(0)
+
+    @property
+    def log_determinant(self) -> float:
+        """Return the logarithm of the precision's determinant."""
+        return float(np.linalg.slogdet(self.precision)[1]) if self.nuisances else 0.0
+
+
 def _world_field(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
     return signals.in_field(signals.stimulus.field_ned_mgauss + theta)
-
-
-def _reference_yaw(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
-    s = signals.stimulus
-    heading = np.arctan2(s.rotation[:, 1, 0], s.rotation[:, 0, 0])
-    middle = 0.5 * (s.time_s[0] + s.time_s[-1])
-    angle = theta[0] + theta[1] * (s.time_s - middle)
-    angle = angle + theta[2] * np.sin(heading) + theta[3] * np.cos(heading)
-    c, d = np.cos(angle), np.sin(angle)
-    rotation = s.rotation.copy()
-    rotation[:, 0] = c[:, None] * s.rotation[:, 0] - d[:, None] * s.rotation[:, 1]
-    rotation[:, 1] = d[:, None] * s.rotation[:, 0] + c[:, None] * s.rotation[:, 1]
-    change = rotate_back(rotation, s.field_ned_mgauss) - rotate_back(s.rotation, s.field_ned_mgauss)
-    return Signals(replace(s, rotation=rotation), signals.reading).with_mag(
-        signals.reading.mag_mgauss + change
-    )
 
 
 WORLD_FIELD = Effect(
@@ -62,25 +71,38 @@ WORLD_FIELD = Effect(
     parameters=tuple(Parameter(n, "mG", -2000.0, 2000.0, 0.0, 1.0) for n in ("north", "east", "down")),
     forward=_world_field,
 )
-REFERENCE_YAW = Effect(
-    id="reference yaw",
-    title="what the attitude reference does not know of the yaw",
-    stage=Stage.ATTITUDE,
-    parameters=(
-        Parameter("constant", "rad", -10.0, 10.0, 0.0, 0.01),
-        Parameter("drift", "rad/s", -0.1, 0.1, 0.0, 1e-4),
-        Parameter("sine", "rad", -1.0, 1.0, 0.0, 0.01),
-        Parameter("cosine", "rad", -1.0, 1.0, 0.0, 0.01),
-    ),
-    forward=_reference_yaw,
-)
+
+
+def reference_yaw(curves_rad: FloatArray) -> Effect:
+    """Build what an attitude reference does not know of the yaw: a constant, and curves (N, k) over time."""
+
+    def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+        s = signals.stimulus
+        angle = theta[0] + curves_rad @ theta[1:] if curves_rad.size else np.full(s.time_s.size, theta[0])
+        c, d = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        rotation = s.rotation.copy()
+        rotation[:, 0] = c * s.rotation[:, 0] - d * s.rotation[:, 1]
+        rotation[:, 1] = d * s.rotation[:, 0] + c * s.rotation[:, 1]
+        # In world axes the field turns the other way: only its level part changes.
+        change = rotate_back(rotation, s.field_ned_mgauss) - rotate_back(s.rotation, s.field_ned_mgauss)
+        moved = Signals(replace(s, rotation=rotation), signals.reading)
+        return moved.with_mag(signals.reading.mag_mgauss + change)
+
+    amplitudes = (Parameter(f"curve {i + 1}", "1", -30.0, 30.0, 0.0, 1.0) for i in range(curves_rad.shape[1]))
+    return Effect(
+        id=REFERENCE_YAW,
+        title="what the attitude reference does not know of the yaw",
+        stage=Stage.ATTITUDE,
+        parameters=(Parameter("constant", "rad", -10.0, 10.0, 0.0, 0.01), *amplitudes),
+        forward=forward,
+    )
 
 
 def yaw_starts(nuisances: Sequence[Nuisance]) -> list[tuple[FloatArray, ...]]:
     """List where to start a fit that may turn the attitude: from the prior; all around if that is wide."""
     means = tuple(n.mean for n in nuisances)
     for place, nuisance in enumerate(nuisances):
-        if nuisance.effect is REFERENCE_YAW and nuisance.precision[0, 0] < 1.0 / _UNKNOWN_YAW_RAD**2:
+        if nuisance.effect.id == REFERENCE_YAW and nuisance.precision[0, 0] < 1.0 / _UNKNOWN_YAW_RAD**2:
             starts = []
             for turn in np.arange(_TURNS) * 2.0 * np.pi / _TURNS:
                 mean = nuisance.mean.copy()
@@ -90,20 +112,15 @@ def yaw_starts(nuisances: Sequence[Nuisance]) -> list[tuple[FloatArray, ...]]:
     return [means]
 
 
-def telemetry_age(hold_s: FloatArray) -> Effect:
-    """Build the age of an autopilot's telemetry: a common delay behind `hold_s` (N,) of each row.
+def _telemetry_age(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    time = signals.stimulus.time_s
+    return signals.with_mag(at_times(time, signals.reading.mag_mgauss, time - theta[0]))
 
-    The firmware reads its compass ten times a second, averaged, and repeats the value in faster streams.
-    """
 
-    def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
-        time = signals.stimulus.time_s
-        return signals.with_mag(at_times(time, signals.reading.mag_mgauss, time - hold_s - theta[0]))
-
-    return Effect(
-        id="telemetry age",
-        title="how old a reading is when the autopilot reports it",
-        stage=Stage.TIMING,
-        parameters=(Parameter("age", "s", 0.0, LONGEST_LAG_S, 0.08, 0.005),),
-        forward=forward,
-    )
+AGE = Effect(
+    id=TELEMETRY_AGE,
+    title="how old a reading is when the autopilot reports it",
+    stage=Stage.TIMING,
+    parameters=(Parameter("age", "s", -0.2, LONGEST_LAG_S, 0.08, 0.005),),
+    forward=_telemetry_age,
+)

@@ -1,15 +1,17 @@
 """The attitude that the diagnosis believes, and how far: never the compass under test.
 
-`columns` is an independent reference (optical, turntable). `gps-yaw` takes the yaw of a dual-antenna
-receiver and roll and pitch of gyro and accelerometer. `gyro` integrates the gyro, levels it with the
-accelerometer in both directions of time, and leaves the initial yaw and the bias about the vertical to
-be solved with the field. `attitude`, the autopilot's own, comes last: its yaw was made from a compass.
+`columns` is an independent reference (optical, turntable). Otherwise the attitude is `fused`: the integrated
+gyro, levelled with the accelerometer and the autopilot's roll and pitch, its yaw smoothed with every witness
+that is independent of the compass under test: a two-antenna receiver, and the autopilot's yaw where another
+compass steers it. What no witness tells (the constant, the drift) is left to be solved with the field.
+`gyro`, `gps-yaw` and
+`attitude` take one source alone; `attitude` is also what remains where the gyro was recorded too slowly.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -19,14 +21,20 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
 from mavcompass.gap.kinematics import exponentials
 from mavcompass.gap.levelling import levelled
+from mavcompass.gap.steering import steered_by
+from mavcompass.gap.yaw import Witness, age_of, smoothed
 from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.track import Series, Track
 
-ReferenceKind = Literal["columns", "gps-yaw", "gyro", "attitude"]
+ReferenceKind = Literal["columns", "fused", "gps-yaw", "gyro", "attitude"]
 Choice = Literal["auto", "gyro", "gps-yaw", "attitude", "columns"]
 
 # Integrating the gyro needs samples closer together than this; slower recordings use ATTITUDE.
 SLOWEST_GYRO_S = 0.15
+_FEWEST = 20
+_UNKNOWN_YAW_RAD = math.radians(60.0)
+# What the level of a good attitude filter is off by.
+_TILT_SIGMA_RAD = math.radians(0.3)
 _REMEDY = "Record RAW_IMU or IMU messages at 10 Hz or more, or an attitude (ATTITUDE, ATT)."
 
 
@@ -39,8 +47,7 @@ class Reference:
         rotation: body to NED, (N, 3, 3); rate_radps: its body rate, (N, 3).
         known: where there is one, (N,).
         yaw_sigma_rad: a priori standard deviation of a constant yaw error (0: none is solved for).
-        drift_sigma_radps: the same of a yaw error that grows evenly.
-        bent_sigma_rad: the same of a yaw error that goes with the heading (a compass made the yaw).
+        yaw_curves_rad: what else the yaw may be off by, (N, k): each column has a standard normal amplitude.
         tilt_sigma_rad: what roll and pitch show themselves to be off by; 0 where nothing tells.
         notes: what a reader of the result must know.
     """
@@ -50,37 +57,46 @@ class Reference:
     rate_radps: FloatArray
     known: NDArray[np.bool_]
     yaw_sigma_rad: float = 0.0
-    drift_sigma_radps: float = 0.0
-    bent_sigma_rad: float = 0.0
+    yaw_curves_rad: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     tilt_sigma_rad: float = 0.0
     notes: tuple[str, ...] = ()
 
+    def at(self, rows: slice) -> Reference:
+        """Return the reference at some of its times."""
+        curves = self.yaw_curves_rad[rows] if self.yaw_curves_rad.size else self.yaw_curves_rad
+        return replace(
+            self, rotation=self.rotation[rows], rate_radps=self.rate_radps[rows], known=self.known[rows],
+            yaw_curves_rad=curves,
+        )  # fmt: skip
 
-def reference_attitude(track: Track, time_s: FloatArray, choice: Choice = "auto") -> Reference:
-    """Choose and build the attitude reference at some times.
+
+def reference_attitude(
+    track: Track, time_s: FloatArray, choice: Choice = "auto", instance: int = 1
+) -> Reference:
+    """Choose and build the attitude reference of one compass at some times.
 
     Raises BadRecording where the recording does not hold what the choice needs.
     """
-    kind = _automatic(track) if choice == "auto" else choice
-    builders = {"columns": _columns, "gps-yaw": _gps_yaw, "gyro": _gyro, "attitude": _attitude}
-    reference = builders[kind](track, time_s)
+    if choice == "columns" or (
+        choice == "auto" and track.reference_q is not None and len(track.reference_q) > 1
+    ):
+        reference = _columns(track, time_s)
+    elif choice == "attitude" or (choice == "auto" and not _gyro_is_fast(track)):
+        reference = _attitude(track, time_s, instance)
+    else:
+        reference = _fused(track, time_s, choice, instance)
     if reference is None:
-        raise BadRecording(f"The recording has nothing for the attitude reference {kind!r}.", _REMEDY)
+        raise BadRecording(f"The recording has nothing for the attitude reference {choice!r}.", _REMEDY)
     return reference
 
 
-def _automatic(track: Track) -> ReferenceKind:
-    if track.reference_q is not None and len(track.reference_q) > 1:
-        return "columns"
-    gyro_works = (
+def _gyro_is_fast(track: Track) -> bool:
+    return (
         track.gyro_radps is not None
         and track.acc_mps2 is not None
-        and len(track.gyro_radps) > 20
+        and len(track.gyro_radps) > _FEWEST
         and float(np.median(np.diff(track.gyro_radps.time_s))) <= SLOWEST_GYRO_S
     )
-    if gyro_works and track.gps_yaw_rad is not None and np.isfinite(track.gps_yaw_rad.values).sum() > 20:
-        return "gps-yaw"
-    return "gyro" if gyro_works else "attitude"
 
 
 def _columns(track: Track, time_s: FloatArray) -> Reference | None:
@@ -140,24 +156,115 @@ def _rotation_vectors(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(axis * factor[:, None])
 
 
-def _gyro(track: Track, time_s: FloatArray) -> Reference | None:
-    smoothed = levelled(track)
-    if smoothed is None:
+def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> Reference | None:
+    """Integrate the gyro, level it, and smooth its yaw with the witnesses that the choice allows."""
+    integral = levelled(track)
+    if integral is None:
         return None
-    clock = smoothed.clock
-    notes = (
-        "The attitude is the smoothed gyro and accelerometer; its initial yaw is solved with the field.",
-    )
+    clock, rotation = integral.clock, integral.rotation
+    autopilot = _autopilot_rotation(track, clock) if choice == "auto" else None
+    tilt_sigma = integral.tilt_sigma_rad
+    if autopilot is not None:
+        rotation, tilt_sigma = _levelled_by_both(rotation, autopilot, tilt_sigma)
+    told, witnesses = [], []
+    if choice in ("auto", "gps-yaw") and (witness := _receiver_witness(track, clock, rotation)) is not None:
+        witnesses.append(witness)
+        told.append("the two-antenna receiver")
+    if choice == "gps-yaw" and not witnesses:
+        return None
+    if autopilot is not None and steered_by(track, instance) == "other":
+        witnesses.append(_autopilot_witness(clock, rotation, autopilot))
+        told.append("the autopilot's yaw, which another compass steers")
+    turning = np.einsum("ni,ni->n", integral.rate_radps, rotation[:, 2])
+    yaw = _integral(clock, turning)
+    age = None
+    if autopilot is not None:
+        # Whatever steers the autopilot's yaw, it turns when the vehicle turns.
+        age = age_of(clock, turning, clock, yaw + _ahead(rotation, autopilot))
+    error = smoothed(clock, yaw, integral.drift_sigma_radps, witnesses, _UNKNOWN_YAW_RAD, age)
+    turned = _turned_about_down(rotation, error.mean_rad)
+    by = f"; its yaw follows {' and '.join(told)}" if told else "; its initial yaw is solved with the field"
     return Reference(
-        "gyro",
-        _rotations_at(clock, smoothed.rotation, smoothed.rate_radps, time_s),
-        at_times(clock, smoothed.rate_radps, time_s),
+        "fused" if choice == "auto" else choice,
+        _rotations_at(clock, turned, integral.rate_radps, time_s),
+        at_times(clock, integral.rate_radps, time_s),
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
-        yaw_sigma_rad=math.radians(60.0),
-        drift_sigma_radps=smoothed.drift_sigma_radps,
-        tilt_sigma_rad=smoothed.tilt_sigma_rad,
-        notes=notes,
+        yaw_sigma_rad=error.constant_sigma_rad,
+        yaw_curves_rad=np.stack([np.interp(time_s, clock, c) for c in error.curves_rad.T], axis=1)
+        if error.curves_rad.size
+        else np.zeros((0, 0)),
+        tilt_sigma_rad=tilt_sigma,
+        notes=(f"The attitude is the smoothed gyro and accelerometer{by}.",),
     )
+
+
+def _integral(clock: FloatArray, rate: FloatArray) -> FloatArray:
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(clock))])
+
+
+def _turned_about_down(rotation: FloatArray, angle: FloatArray) -> FloatArray:
+    """Turn rotations (N, 3, 3) to world axes by angles (N,) about the vertical."""
+    c, d = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    out = rotation.copy()
+    out[:, 0] = c * rotation[:, 0] - d * rotation[:, 1]
+    out[:, 1] = d * rotation[:, 0] + c * rotation[:, 1]
+    return out
+
+
+def _autopilot_rotation(track: Track, clock: FloatArray) -> FloatArray | None:
+    """Return the autopilot's attitude (N, 3, 3) at other times; None where it was recorded too slowly."""
+    series = track.attitude_rad
+    if series is None or len(series) < _FEWEST:
+        return None
+    when, first = np.unique(series.time_s, return_index=True)
+    if (
+        float(np.median(np.diff(when))) > SLOWEST_GYRO_S
+        or when[0] > clock[0] + 1.0
+        or when[-1] < clock[-1] - 1.0
+    ):
+        return None
+    roll, pitch, yaw = series.values[first].T
+    angles = Series.of(when, np.stack([roll, pitch, np.unwrap(yaw)], axis=1)).at(clock)
+    return euler_to_matrix(*angles.T)
+
+
+def _levelled_by_both(
+    rotation: FloatArray, autopilot: FloatArray, tilt_sigma_rad: float
+) -> tuple[FloatArray, float]:
+    """Average the levels of two attitudes by what each may be off; return rotations and what that is then."""
+    own, other = rotation[:, 2], autopilot[:, 2]
+    apart = float(np.sqrt(np.mean(np.sum((own - other) ** 2, axis=1)) / 2.0))
+    own_sigma = max(tilt_sigma_rad, _TILT_SIGMA_RAD)
+    weight = own_sigma**-2 / (own_sigma**-2 + _TILT_SIGMA_RAD**-2)
+    down = weight * own + (1.0 - weight) * other
+    down /= np.linalg.norm(down, axis=1, keepdims=True)
+    ahead = rotation[:, 0] - down * np.einsum("ni,ni->n", rotation[:, 0], down)[:, None]
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    # Two errors of the same size are as far from their mean as they are from each other, over two.
+    return np.stack([ahead, np.cross(down, ahead), down], axis=1), max(0.5 * apart, 0.5 * _TILT_SIGMA_RAD)
+
+
+def _ahead(rotation: FloatArray, other: FloatArray) -> FloatArray:
+    """Return the yaw (N,) by which other rotations are ahead, without Euler's angles, unwrapped."""
+    e = np.einsum("nij,nkj->nik", other, rotation)
+    return np.unwrap(np.arctan2(e[:, 1, 0] - e[:, 0, 1], e[:, 0, 0] + e[:, 1, 1]))
+
+
+def _autopilot_witness(clock: FloatArray, rotation: FloatArray, autopilot: FloatArray) -> Witness:
+    return Witness(
+        clock, _ahead(rotation, autopilot), math.radians(3.0), math.radians(0.1), 8.0, math.radians(0.7)
+    )
+
+
+def _receiver_witness(track: Track, clock: FloatArray, rotation: FloatArray) -> Witness | None:
+    if track.gps_yaw_rad is None:
+        return None
+    finite = np.isfinite(track.gps_yaw_rad.values)
+    if finite.sum() < _FEWEST:
+        return None
+    heard, yaw = track.gps_yaw_rad.time_s[finite], np.unwrap(track.gps_yaw_rad.values[finite])
+    own = np.interp(heard, clock, np.unwrap(matrix_to_euler(rotation)[2]))
+    return Witness(heard, np.unwrap(yaw - own), math.radians(1.0), math.radians(0.5), 20.0)
 
 
 def _rotations_at(
@@ -169,36 +276,7 @@ def _rotations_at(
     return np.asarray(rotation[left] @ exponentials(middle_rate * (time_s - clock[left])[:, None]))
 
 
-def _gps_yaw(track: Track, time_s: FloatArray) -> Reference | None:
-    smoothed = levelled(track)
-    if smoothed is None or track.gps_yaw_rad is None:
-        return None
-    clock, rotation, rate = smoothed.clock, smoothed.rotation, smoothed.rate_radps
-    finite = np.isfinite(track.gps_yaw_rad.values)
-    heard, yaw = track.gps_yaw_rad.time_s[finite], np.unwrap(track.gps_yaw_rad.values[finite])
-    if heard.size < 8:
-        return None
-    integrated = np.unwrap(matrix_to_euler(rotation)[2])
-    error = yaw - np.interp(heard, clock, integrated)
-    error = np.unwrap(error)
-    # The integral's error is slow: a running median over ten seconds keeps the receiver's noise out.
-    width = max(1, int(10.0 / max(float(np.median(np.diff(heard))), 1e-3)))
-    slow = np.array([np.median(error[max(0, i - width) : i + width + 1]) for i in range(error.size)])
-    turn = euler_to_matrix(0.0, 0.0, np.interp(clock, heard, slow))
-    return Reference(
-        "gps-yaw",
-        _rotations_at(clock, turn @ rotation, rate, time_s),
-        at_times(clock, rate, time_s),
-        _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
-        yaw_sigma_rad=math.radians(1.0),
-        tilt_sigma_rad=smoothed.tilt_sigma_rad,
-        notes=(
-            "The yaw is that of the two-antenna receiver; a mounting error of about 1 degree is allowed.",
-        ),
-    )
-
-
-def _attitude(track: Track, time_s: FloatArray) -> Reference | None:
+def _attitude(track: Track, time_s: FloatArray, instance: int) -> Reference | None:
     if track.attitude_rad is None or len(track.attitude_rad) < 8:
         return None
     series = track.attitude_rad
@@ -210,6 +288,13 @@ def _attitude(track: Track, time_s: FloatArray) -> Reference | None:
     rate = body_rate(time_s, rotation)
     if track.gyro_radps is not None and len(track.gyro_radps) > 8:
         rate = track.gyro_radps.at(time_s)
+    heading = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    middle = 0.5 * (time_s[0] + time_s[-1])
+    other = steered_by(track, instance) == "other"
+    bent = math.radians(5.0)
+    curves = np.stack(
+        [bent * np.sin(heading), bent * np.cos(heading), math.radians(0.02) * (time_s - middle)], axis=1
+    )
     note = (
         "The attitude is the autopilot's own: its roll and pitch are trusted within a degree, its yaw was"
         " made from a compass and may be bent, which is solved for and widens every interval."
@@ -219,7 +304,7 @@ def _attitude(track: Track, time_s: FloatArray) -> Reference | None:
         rotation,
         rate,
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
-        yaw_sigma_rad=math.radians(10.0),
-        bent_sigma_rad=math.radians(5.0),
+        yaw_sigma_rad=math.radians(5.0 if other else 10.0),
+        yaw_curves_rad=curves,
         notes=(note,),
     )

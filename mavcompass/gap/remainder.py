@@ -46,9 +46,9 @@ def floor_to_start(floor: Floor, replay: Replay, baseline: Replay | None, step_m
     """
     if step_mgauss > 0.0:
         return with_noise(floor, with_steps(floor.noise, step_mgauss))
-    if baseline is None or not floor.representative:
+    if baseline is None or not floor.measured:
         return floor
-    scale = early_scale(replay, baseline)
+    scale = early_scale(replay, baseline, floor.representative)
     if scale is None:
         return floor
     return with_noise(floor, {**floor.noise, "mag": replace(floor.noise["mag"], row_scale=scale)})
@@ -69,18 +69,18 @@ def what_is_left(
     """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise."""
     replay, chosen = identified.problem.replay, identified.fit
     noise = with_steps(floor.noise, step_mgauss) if step_mgauss > 0.0 else floor.noise
-    problem = Problem(replay, noise, replay.valid, floor.nuisances)
+    problem = Problem(replay, noise, replay.valid, floor.prior)
     fit = problem.refit(chosen)
     if fit.ids & _PLACED:
         fit = identified.search.on(problem).polished(fit)
     problem = _without_plateaus(problem, fit)
     if step_mgauss > 0.0:
         return _unrounded(problem, fit, floor, step_mgauss)
-    scatter = find_scatter(problem, fit, names, floor.representative)
+    scatter = find_scatter(problem, fit, names, floor)
     if scatter is None:
         # A saturated reading has no scatter.
         return Remainder(problem, fit, None, "clipping" not in fit.ids)
-    noisy = Problem(problem.replay, noise_with(problem, fit, scatter), problem.rows, floor.nuisances)
+    noisy = Problem(problem.replay, noise_with(problem, fit, scatter), problem.rows, floor.prior)
     return Remainder(noisy, noisy.refit(fit), scatter, False)
 
 
@@ -98,7 +98,7 @@ def _without_plateaus(problem: Problem, fit: Fit) -> Problem:
     error = measured.mag_mgauss - predicted
     error = noise.filled(error, plateau | ~np.isfinite(error), np.random.default_rng(_SEED))
     free = Reading(predicted + error, measured.acc_mps2, measured.gyro_radps)
-    return Problem(replace(replay, measured=free), problem.noise, problem.rows, problem.nuisances)
+    return Problem(replace(replay, measured=free), problem.noise, problem.rows, problem.prior)
 
 
 def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> Remainder:
@@ -115,9 +115,9 @@ def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> 
         sigma = np.sqrt(np.maximum(sigma**2 - step_mgauss**2 / 12.0, _LEAST_MGAUSS**2))
     drawn = _before_rounding(measured.mag_mgauss, problem.predict(fit).mag_mgauss, sigma, step_mgauss)
     fine = replace(replay, measured=Reading(drawn, measured.acc_mps2, measured.gyro_radps))
-    fresh = Problem(fine, problem.noise, problem.rows, problem.nuisances)
+    fresh = Problem(fine, problem.noise, problem.rows, problem.prior)
     noise = {**floor.noise, "mag": measured_noise(fresh, fit)["mag"]}
-    judged = Problem(fine, noise, problem.rows, problem.nuisances)
+    judged = Problem(fine, noise, problem.rows, problem.prior)
     return Remainder(judged, judged.refit(fit), None, False)
 
 

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
 from mavcompass.gap.compass_rows import averaged, compass_rows
+from mavcompass.gap.in_force import KnownIron, calibration_in_force, known_iron, load_of
 from mavcompass.gap.integrity import Trace
 from mavcompass.gap.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
 from mavcompass.gap.noise import SensorNoise
-from mavcompass.gap.nuisance import REFERENCE_YAW, WORLD_FIELD, Nuisance, telemetry_age
+from mavcompass.gap.nuisance import AGE, WORLD_FIELD, Nuisance, reference_yaw
 from mavcompass.gap.receiver import local_position
 from mavcompass.gap.reference import Choice, Reference, reference_attitude
 from mavcompass.simulation.effects.effect import Group, Signals
@@ -60,7 +61,10 @@ class Replay:
         telemetry: True where readings are repeated and late by the autopilot's nature.
         field_known: True where the world model gave the field.
         trace: repeats and steps of the numbers, as they were logged.
+        iron: what the calibration in force says of the raw sensor.
+        nominal_mgauss: what the raw sensor says if that is right and nothing else is wrong, (N, 3).
         averaged: how many neighbouring readings each row is the mean of.
+        place: latitude, longitude in degrees, altitude in metres; None where unknown.
         doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
             noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
         notes: what a reader of the result must know.
@@ -78,8 +82,11 @@ class Replay:
     field_known: bool
     trace: Trace
     notes: tuple[str, ...]
+    iron: KnownIron
+    nominal_mgauss: FloatArray
     corrected_mgauss: FloatArray | None = None
     averaged: int = 1
+    place: tuple[float, float, float] | None = None
     doubtful: Mapping[Group, SensorNoise] = field(default_factory=dict)
 
     @property
@@ -93,20 +100,33 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
 
     Raises BadRecording where there is no such compass, or too little to compare.
     """
-    rows = compass_rows(track, _compass(track, instance))
-    time_s, raw = rows.time_s, rows.raw_mgauss
-    reference = reference_attitude(track, rows.all_s, choice)
-    if rows.averaged > 1:
-        reference = replace(
-            reference,
-            rotation=reference.rotation[rows.picked],
-            rate_radps=reference.rate_radps[rows.picked],
-            known=reference.known[rows.picked],
-        )
-    field, sigma, field_notes = world_field(track, instance, time_s, reference, raw)
+    compass = _compass(track, instance)
+    rows = compass_rows(track, compass)
+    whole = reference_attitude(track, rows.time_s, choice, instance)
+    field, sigma, field_notes = world_field(
+        track,
+        instance,
+        rows.time_s,
+        whole,
+        rows.raw_mgauss if rows.corrected_mgauss is None else rows.corrected_mgauss,
+    )
+    correction = calibration_in_force(compass)
+    picked = _middles(rows.time_s.size, rows.width)
+    time_s, reference, usable = rows.time_s[picked], whole.at(picked), rows.usable
     stimulus = _stimulus(track, time_s, reference, field)
-    acc = _column(track.acc_mps2, time_s, rows.averaged)
-    gyro = _column(track.gyro_radps, time_s, rows.averaged)
+    load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
+    iron = known_iron(correction, load, source)
+    raw, corrected = rows.raw_mgauss, rows.corrected_mgauss
+    if rows.width > 1:
+        # What is averaged is the difference to the nominal field, which hardly turns with the vehicle.
+        ideal_all = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape))
+        turning = ideal_all @ iron.matrix.T
+        raw = averaged(raw - turning, rows.width)[picked] + turning[picked]
+        if corrected is not None:
+            corrected = averaged(corrected - ideal_all, rows.width)[picked] + ideal_all[picked]
+        usable = np.asarray(np.isfinite(raw).all(axis=1))
+    acc = _column(track.acc_mps2, time_s, rows.width)
+    gyro = _column(track.gyro_radps, time_s, rows.width)
     measured = Reading(raw, acc, gyro)
     stimulus = _with_linear_acceleration(stimulus, acc, reference)
     ideal = Reading(
@@ -115,13 +135,13 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
         stimulus.rate_radps,
     )
     independent = reference.kind == "columns"
-    present = _present(track, stimulus, reference, reference.known & rows.usable)
+    present = _present(track, stimulus, reference, reference.known & usable)
     if not present & {"turning", "tilt"}:
         # A constant offset in body axes is then a constant field: its size can be anything.
         sigma = np.maximum(sigma, UNKNOWN_SIGMA_MGAUSS)
         field_notes = (*field_notes, _NO_TURN)
     groups: tuple[Group, ...] = ("mag",)
-    valid = reference.known & rows.usable
+    valid = reference.known & usable
     inertial: tuple[tuple[Group, FloatArray], ...] = (("acc", acc), ("gyro", gyro))
     motion_note: tuple[str, ...] = ()
     for name, values in inertial:
@@ -136,17 +156,35 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
         measured=measured,
         valid=valid,
         groups=groups,
-        nuisances=_nuisances(reference, stimulus, raw, sigma, rows.hold_s, valid),
+        nuisances=_nuisances(
+            reference, stimulus, raw if corrected is None else corrected, sigma, rows.telemetry, valid
+        ),
         present=present,
         reference=reference,
         resolution_mgauss=track.compasses[instance].quantum_mgauss / math.sqrt(12.0),
-        telemetry=rows.hold_s is not None,
+        telemetry=rows.telemetry,
         trace=rows.trace,
         field_known=sigma[0] < UNKNOWN_SIGMA_MGAUSS,
         notes=(*track.notes, *reference.notes, *field_notes, *motion_note),
-        corrected_mgauss=rows.corrected_mgauss,
-        averaged=rows.averaged,
+        corrected_mgauss=corrected,
+        iron=iron,
+        nominal_mgauss=iron.raw(ideal.mag_mgauss),
+        averaged=rows.width,
+        place=_place(track),
     )
+
+
+def _place(track: Track) -> tuple[float, float, float] | None:
+    """Return latitude, longitude and altitude in the middle of a recording's places."""
+    if track.place is None or not np.isfinite(track.place.values).all(axis=1).any():
+        return None
+    lat, lon, alt = np.nanmedian(track.place.values, axis=0).tolist()
+    return lat, lon, alt
+
+
+def _middles(count: int, width: int) -> slice:
+    """Return the middles of averages over an odd number of neighbours."""
+    return slice(None) if width == 1 else slice(width // 2, count - width // 2, width)
 
 
 def _compass(track: Track, instance: int) -> MagSeries:
@@ -236,26 +274,25 @@ def _with_linear_acceleration(stimulus: Stimulus, acc: FloatArray, reference: Re
 def _nuisances(
     reference: Reference,
     stimulus: Stimulus,
-    raw: FloatArray,
+    calibrated: FloatArray,
     field_sigma: FloatArray,
-    hold: FloatArray | None,
+    telemetry: bool,
     valid: NDArray[np.bool_],
 ) -> tuple[Nuisance, ...]:
     field_unknown = bool(field_sigma[0] >= UNKNOWN_SIGMA_MGAUSS)
     found = [Nuisance.of(WORLD_FIELD, np.zeros(3), field_sigma)]
     # With an unknown field, north is where the field points: a constant yaw error means nothing.
     constant = 0.0 if field_unknown else reference.yaw_sigma_rad
-    sigmas = np.array(
-        [constant, reference.drift_sigma_radps, reference.bent_sigma_rad, reference.bent_sigma_rad]
-    )
-    if sigmas.any():
-        world = np.mean(rotate(stimulus.rotation[valid], raw[valid]), axis=0)
+    if constant > 0.0 or reference.yaw_curves_rad.size:
+        world = np.mean(rotate(stimulus.rotation[valid], calibrated[valid]), axis=0)
         field = stimulus.field_ned_mgauss[0]
         offset = math.atan2(field[1], field[0]) - math.atan2(world[1], world[0])
-        mean = np.array([float(wrap_pi(offset)) if constant > 0.3 else 0.0, 0.0, 0.0, 0.0])
-        found.append(Nuisance.of(REFERENCE_YAW, mean, np.maximum(sigmas, 1e-9)))
-    if hold is not None:
-        found.append(Nuisance.of(telemetry_age(hold), np.array([0.08]), np.array([0.04])))
+        mean, sigma = np.zeros((2, 1 + reference.yaw_curves_rad.shape[1]))
+        mean[0] = float(wrap_pi(offset)) if constant > 0.3 else 0.0
+        sigma[:], sigma[0] = 1.0, max(constant, 1e-9)
+        found.append(Nuisance.of(reference_yaw(reference.yaw_curves_rad), mean, sigma))
+    if telemetry:
+        found.append(Nuisance.of(AGE, np.array([0.06]), np.array([0.05])))
     return tuple(found)
 
 

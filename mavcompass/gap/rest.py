@@ -61,7 +61,7 @@ def rests(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> list[slice]:
 def _parts(clock: FloatArray, stretch: slice) -> list[slice]:
     count = max(int((clock[stretch.stop - 1] - clock[stretch.start]) / _PART_S), 1)
     edges = np.linspace(stretch.start, stretch.stop, count + 1).round().astype(np.int64)
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+    return [slice(int(a), int(b)) for a, b in pairwise(edges) if b > a]
 
 
 def _still(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from mavcompass.gap.cure import Cured
     from mavcompass.gap.picture import Picture
 
 Verdict = Literal["no_gap", "named", "ambiguous", "named_with_remainder", "unknown", "not_testable"]
@@ -18,8 +19,7 @@ SCHEMA = "mavcompass.gap/1"
 class Cause:
     """Hold one named effect: its parameters, their 95 % intervals, how probable, what else it may be.
 
-    `separation` is how many sigmas its best rival falls short; `removes_mgauss` the rms it explains;
-    `cured` the share of it, 0 to 1, that the calibration in force takes away (None: none is in force).
+    `separation` is how many sigmas its best rival falls short; `removes_mgauss` the rms it explains.
     """
 
     effect: str
@@ -29,7 +29,6 @@ class Cause:
     ambiguous_with: tuple[str, ...]
     separation: float | None = None
     removes_mgauss: float = 0.0
-    cured: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +75,9 @@ class Flight:
 class Diagnosis:
     """Hold the whole answer. `to_json` gives the document of the command line's contract.
 
-    `corrected_rms_mgauss` is what `field` measures, of the readings as the calibration in force corrects
-    them (None: none is in force); `field` itself is about the raw sensor.
+    `field` and `heading` are about the vehicle beside its nominal simulation, which knows the calibration in
+    force (`in_force`: what that cures, which is not sought). `corrected_rms_mgauss` is the corrected reading
+    beside the plain field (None: no calibration is in force).
     """
 
     path: str
@@ -105,6 +105,7 @@ class Diagnosis:
     seconds: float
     notes: tuple[str, ...] = ()
     corrected_rms_mgauss: float | None = None
+    in_force: Cured | None = None
     picture: Picture | None = dataclasses.field(default=None, repr=False, compare=False)
 
     @property
@@ -157,6 +158,7 @@ class Diagnosis:
                 for f in self.next_flight
             ],
             "corrected_rms_mgauss": self.corrected_rms_mgauss,
+            "in_force": self.in_force.to_json() if self.in_force is not None else None,
             "folded_from_baseline": list(self.folded),
             "withheld": list(self.withheld),
             "notes": list(self.notes),
@@ -173,7 +175,6 @@ def _cause(cause: Cause) -> dict[str, object]:
         "ambiguous_with": list(cause.ambiguous_with),
         "separation": cause.separation,
         "removes_mgauss": cause.removes_mgauss,
-        "cured_by_calibration": cause.cured,
     }
 
 

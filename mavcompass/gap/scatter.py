@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.floor import Floor
 from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import (
@@ -23,6 +24,8 @@ from mavcompass.gap.search import least_gain
 _DRIFT_MODES = 80
 # The scatter's own distribution is only known from the recording: be slower to name it.
 _SCATTER_TRIALS = 50
+# How much larger than a baseline's the variance of the scatter must be where noise is not known in detail.
+_DOUBTFUL_EXCESS = 0.7
 # Without a baseline, times may scatter by this much and be healthy.
 _DOUBTFUL_JITTER_S = 0.02
 _DRIFT_SIZES = (0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 13.0)
@@ -37,7 +40,7 @@ class Scatter:
     gain: float
 
 
-def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], representative: bool) -> Scatter | None:
+def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], floor: Floor) -> Scatter | None:
     """Compare even and rate-dependent excess scatter of the magnetometer with the floor's.
 
     Even excess needs a representative floor; the scatter of time stamps shows by its dependence on the
@@ -46,9 +49,12 @@ def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], representa
     """
     rows = problem.usable
     noise = problem.noise["mag"]
-    error = (problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss)[rows] / noise.rms
+    error = noise.in_channels(problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss)
+    error = (error / noise.rms)[rows]
+    if noise.row_scale is not None and floor.noise["mag"].row_scale is not None:
+        error = error / floor.noise["mag"].row_scale[rows]
     field = problem.signals(fit).reading.mag_mgauss
-    change = np.gradient(field, problem.replay.time_s, axis=0)[rows] / noise.rms
+    change = noise.in_channels(np.gradient(field, problem.replay.time_s, axis=0))[rows] / noise.rms
     x = change**2
     y = error**2
     fourth = float(np.mean(y * y)) / max(float(np.mean(y)), 1e-12) ** 2
@@ -60,14 +66,19 @@ def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], representa
     even, even_size = _even_gain(y)
     late, late_size = _late_gain(y, x, 1.0)
     candidates = []
-    if representative and "noise_excess" in allowed and even_size > 0.0:
+    representative = floor.representative
+    if (
+        floor.measured
+        and "noise_excess" in allowed
+        and even_size > (0.0 if representative else _DOUBTFUL_EXCESS)
+    ):
         size = math.sqrt(even_size) * float(np.sqrt(np.mean(noise.rms**2)))
         candidates.append(Scatter("noise_excess", size, even / inflation))
     trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
     if "timestamp_jitter" in allowed and late_size > 0.0 and trusted:
         gain = late if representative else _beyond_even(y, x)
         candidates.append(Scatter("timestamp_jitter", math.sqrt(late_size), gain / inflation))
-    if not representative and "noise_excess" in allowed:
+    if not floor.measured and "noise_excess" in allowed:
         sigma = math.sqrt(
             float(np.mean(rough_sigma(error * noise.rms, np.ones(len(error), dtype=np.bool_)) ** 2))
         )
@@ -78,11 +89,11 @@ def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], representa
     return max(candidates, key=lambda c: c.gain) if candidates else None
 
 
-def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:
+def early_scale(replay: Replay, baseline: Replay, exact: bool) -> FloatArray | None:
     """Return how much larger than the baseline's the scatter between neighbours is, per row (N, 3).
 
     Second differences hold next to nothing of slow causes, so that this can be told before any search.
-    None where the scatter is the baseline's.
+    None where the scatter is the baseline's. Where the noise is not `exact`, only much more counts.
     """
     own, nominal = _neighbours(replay), _neighbours(baseline)
     size = np.sqrt(np.mean(nominal[baseline.valid] ** 2, axis=0))
@@ -91,6 +102,8 @@ def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:
     # Second differences of neighbours are correlated: a third of them counts.
     even, even_size = _even_gain(y)
     late, late_size = _late_gain(y, (change**2)[replay.valid], 1.0)
+    if not exact:
+        return np.full(change.shape, math.sqrt(1.0 + even_size)) if even_size > _DOUBTFUL_EXCESS else None
     if max(even, late) / 3.0 < least_gain(1, _SCATTER_TRIALS) or max(even_size, late_size) <= 0.0:
         return None
     if late > even:
@@ -100,7 +113,7 @@ def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:
 
 def _neighbours(replay: Replay) -> FloatArray:
     """Return second differences of measured minus ideal, scaled to the deviation of white noise, (N, 3)."""
-    error = replay.measured.mag_mgauss - replay.signals.reading.mag_mgauss
+    error = replay.measured.mag_mgauss - replay.nominal_mgauss
     out = np.zeros_like(error)
     out[1:-1] = (error[2:] - 2.0 * error[1:-1] + error[:-2]) / math.sqrt(6.0)
     return out
@@ -142,10 +155,15 @@ def noise_with(problem: Problem, fit: Fit, scatter: Scatter) -> Noise:
     replay = problem.replay
     error = replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
     floor = problem.noise["mag"]
+    if scatter.effect == "noise_excess" and floor.channels is not None:
+        larger = math.sqrt(1.0 + scatter.size**2 / float(np.mean(floor.rms**2)))
+        return {**problem.noise, "mag": replace(floor, sigma=floor.sigma * larger, rms=floor.rms * larger)}
     if scatter.effect == "noise_excess":
         return {**problem.noise, "mag": estimate_noise(error, problem.usable, replay.resolution_mgauss)}
-    change = np.gradient(problem.signals(fit).reading.mag_mgauss, replay.time_s, axis=0)
+    change = floor.in_channels(np.gradient(problem.signals(fit).reading.mag_mgauss, replay.time_s, axis=0))
     scale = np.sqrt(1.0 + (scatter.size * change / floor.rms) ** 2)
+    if floor.channels is not None:
+        return {**problem.noise, "mag": replace(floor, row_scale=scale)}
     scaled = estimate_noise(error / scale, problem.usable, replay.resolution_mgauss)
     return {**problem.noise, "mag": replace(scaled, row_scale=scale)}
 
@@ -164,16 +182,17 @@ def drift_gain(problem: Problem, fit: Fit) -> tuple[float, float]:
     modes = np.sqrt(2.0) * np.sin(np.pi * order * ((replay.time_s - replay.time_s[0]) / span)[:, None])
     modes = modes * np.sqrt(span) / (np.pi * order)
     modes = np.hstack([modes, np.ones((replay.time_s.size, 1)) * 10.0])
-    white = noise.decorrelated(modes)[problem.index]
-    values, vectors = np.linalg.eigh(white.T @ white)
-    values = np.maximum(values, 0.0)
-    projected = (vectors.T @ (white.T @ z)) ** 2
+    each = []
+    for axis in range(3):
+        white = noise.filter_columns(modes, axis)[problem.index]
+        values, vectors = np.linalg.eigh(white.T @ white)
+        each.append((np.maximum(values, 0.0), (vectors.T @ (white.T @ z[:, axis])) ** 2))
     best, best_size = 0.0, 0.0
     for size in _DRIFT_SIZES:
         gain = 0.0
         for axis in range(3):
-            q2 = (size / noise.sigma[axis]) ** 2
-            gain += float(np.sum(projected[:, axis] * q2 / (1.0 + q2 * values) - np.log1p(q2 * values)))
+            q2, (values, projected) = (size / noise.sigma[axis]) ** 2, each[axis]
+            gain += float(np.sum(projected * q2 / (1.0 + q2 * values) - np.log1p(q2 * values)))
         if gain > best:
             best, best_size = gain, size
     return best, best_size

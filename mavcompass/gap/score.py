@@ -15,6 +15,7 @@ from mavcompass.gap.cases import Recipe, ideal, stimulus_of, to_track
 from mavcompass.gap.diagnose import withheld_effects
 from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import Noise, SensorNoise
+from mavcompass.gap.nuisance import Prior
 from mavcompass.gap.replay import replay
 from mavcompass.gap.sealed import Label, tracks_of
 from mavcompass.gap.search import Search
@@ -22,9 +23,9 @@ from mavcompass.simulation.effects import Distortion, catalogue, parse
 from mavcompass.simulation.effects.effect import Effect
 
 CASE_NOISE: Noise = {
-    "mag": SensorNoise(np.array([0.3]), np.full(3, 3.0 * math.sqrt(0.91)), np.full(3, 3.0), 6000.0),
-    "acc": SensorNoise(np.zeros(0), np.full(3, 0.03), np.full(3, 0.03), 6000.0),
-    "gyro": SensorNoise(np.zeros(0), np.full(3, 0.003), np.full(3, 0.003), 6000.0),
+    "mag": SensorNoise(np.full((1, 3), 0.3), np.full(3, 3.0 * math.sqrt(0.91)), np.full(3, 3.0), 6000.0),
+    "acc": SensorNoise(np.zeros((0, 3)), np.full(3, 0.03), np.full(3, 0.03), 6000.0),
+    "gyro": SensorNoise(np.zeros((0, 3)), np.full(3, 0.003), np.full(3, 0.003), 6000.0),
 }
 
 
@@ -118,7 +119,7 @@ def _distance(label: Label, removed: frozenset[str], most: int) -> float:
     settings = [parse(text) for text in label.effects]
     reading = Distortion(settings).apply(stimulus, ideal(stimulus), np.random.default_rng(0))
     replayed = replay(to_track(stimulus, reading))
-    problem = Problem(replayed, CASE_NOISE, replayed.valid, ())
+    problem = Problem(replayed, CASE_NOISE, replayed.valid, Prior.of(()))
     others: list[Effect] = [e for e in catalogue().values() if e.id not in removed]
     search = Search(problem, others)
     return math.sqrt(max(search.nearest(most).sse, 0.0))

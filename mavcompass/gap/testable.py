@@ -8,7 +8,9 @@ from mavcompass.gap.replay import Replay
 from mavcompass.simulation.effects import Effect
 
 _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
+_LATE = frozenset({"transport_lag", "low_pass", "stale_samples"})
 _FAST = frozenset({"ac_interference", "set_reset_offset", "noise_excess", "timestamp_jitter"})
+_UNKNOWN_YAW_RAD = 0.3
 _NO_SENSOR = (
     "the sensors that would show it were not recorded, or feel motion that the recording does not tell"
 )
@@ -42,8 +44,13 @@ def half_testable(replayed: Replay, effects: Iterable[Effect]) -> frozenset[str]
     )
 
 
-def untestable_effects(replayed: Replay, effects: Iterable[Effect]) -> dict[str, str]:
-    """Say for each effect that this recording cannot test why not."""
+def untestable_effects(
+    replayed: Replay, effects: Iterable[Effect], age_known: bool = False
+) -> dict[str, str]:
+    """Say for each effect that this recording cannot test why not.
+
+    `age_known` tells that a baseline has taught how late the autopilot's readings are by nature.
+    """
     out: dict[str, str] = {}
     for effect in effects:
         for need in sorted(effect.needs):
@@ -58,7 +65,7 @@ def untestable_effects(replayed: Replay, effects: Iterable[Effect]) -> dict[str,
         if len(effect.groups) == 1 and effect.groups[0] in replayed.doubtful:
             # What is not known of the motion looks like any fault of the sensor that feels it.
             out[effect.id] = _NO_SENSOR
-        if replayed.telemetry and effect.id in _TIMING:
+        if replayed.telemetry and effect.id in _TIMING and not (age_known and effect.id in _LATE):
             out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"
         if replayed.averaged > 1 and effect.id in _FAST:
             out[effect.id] = (
@@ -66,7 +73,7 @@ def untestable_effects(replayed: Replay, effects: Iterable[Effect]) -> dict[str,
             )
         if not replayed.field_known and effect.id in ("field_intensity", "inclination", "declination"):
             out[effect.id] = "the recording does not say where it was made"
-        if replayed.reference.kind == "gyro" and effect.id == "declination":
+        if replayed.reference.yaw_sigma_rad > _UNKNOWN_YAW_RAD and effect.id == "declination":
             out[effect.id] = "the initial yaw is solved with the field: a constant turn is part of it"
         if effect.id == "bias_random_walk":
             out[effect.id] = "a wandering offset can imitate any slow cause, so it is reported as unknown"

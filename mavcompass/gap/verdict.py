@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mavcompass.gap.adequacy import Adequacy
 from mavcompass.gap.floor import Floor, rms
@@ -10,17 +10,17 @@ from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.identify import Identified
 from mavcompass.gap.model import Problem
 from mavcompass.gap.remainder import Remainder
-from mavcompass.gap.result import Verdict
+from mavcompass.gap.result import Closing, Verdict
 from mavcompass.gap.scatter import drift_gain
 from mavcompass.gap.search import least_gain
 
 _SURE = 0.90
 _REMAINDER = 0.05
 # Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
-_REMAINDER_UNTRUSTED = 0.3
-_LARGE_REMAINDER = 1.5
-# No model of a vehicle is exact: what is left below this share of what was explained belongs to it.
-_INEXACT = 0.03
+_REMAINDER_UNTRUSTED = 0.4
+# What lies above the floor by less may be the floor's own uncertainty.
+_ABOVE = 1.25
+_FEW_NAMES = 2
 _DRIFT_RIVALS = 6
 _DRIFT_MARGIN = 6.0
 
@@ -49,7 +49,7 @@ def decide(
     which the recording shows a part only.
     """
     fit, none = identified.fit, identified.found.null
-    flagged = adequacy.flagged and (floor.representative or _much_is_left(remainder, floor))
+    flagged = adequacy.flagged and floor.representative
     coordinate = adequacy.coordinate if flagged else None
     if floor.representative and wanders(identified):
         return Answer("unknown", none, True, coordinate or "time")
@@ -64,15 +64,55 @@ def decide(
     return Answer("named" if sure else "ambiguous", fit, False, None)
 
 
-def _much_is_left(remainder: Remainder, floor: Floor) -> bool:
-    problem = remainder.problem
-    measured, predicted = problem.replay.measured.mag_mgauss, problem.predict(remainder.fit).mag_mgauss
-    scatter = remainder.scatter
-    added = scatter.size**2 if scatter is not None and scatter.effect == "noise_excess" else 0.0
-    left2 = rms((measured - predicted)[problem.usable]) ** 2 - added
-    without = problem.predict(remainder.fit, effects=False).mag_mgauss
-    explained = rms((predicted - without)[problem.usable])
-    return left2 > (_LARGE_REMAINDER * floor.field_rms_mgauss) ** 2 + (_INEXACT * explained) ** 2
+def consistent(
+    answer: Answer,
+    field: Closing,
+    heading: Closing,
+    coordinate: str | None,
+    floor: Floor,
+    none: Fit,
+    traces: bool,
+    turns: bool,
+) -> Answer:
+    """Return an answer that does not contradict its own figures.
+
+    Where a vehicle neither turns nor tilts (`turns`), silence says nothing. No gap only where nothing
+    lies above the floor; named only where what is left does not; beside a remainder only causes that
+    hold nearly all of the gap, and few of them, since many together imitate anything unknown.
+    """
+    if not turns and answer.verdict == "no_gap":
+        return Answer("not_testable", none, False, None)
+    if floor.representative:
+        return answer
+    if answer.verdict == "unknown":
+        return (
+            answer
+            if _above(field.nominal, field.floor) or _above(heading.nominal, heading.floor)
+            else (replace(answer, verdict="no_gap", flagged=False, coordinate=None))
+        )
+    left = _above(field.after, field.floor) or _above(heading.after, heading.floor)
+    if not answer.named.terms:
+        if not left:
+            return answer
+        verdict: Verdict = "named_with_remainder" if traces else "unknown"
+        return Answer(verdict, none, True, coordinate)
+    if not left and (floor.measured or len(answer.named.terms) <= _FEW_NAMES or answer.verdict != "named"):
+        return answer
+    if not left:
+        # Without a baseline three names and more explain anything.
+        return replace(answer, verdict="ambiguous")
+    explained = min(
+        (c.nominal**2 - c.after**2) / max(c.nominal**2 - c.floor**2, 1e-12)
+        for c in (field, heading)
+        if _above(c.nominal, c.floor)
+    )
+    if len(answer.named.terms) <= _FEW_NAMES and explained > 1.0 - _REMAINDER_UNTRUSTED:
+        return Answer("named_with_remainder", answer.named, True, coordinate)
+    return Answer("unknown", none, True, coordinate)
+
+
+def _above(value: float, floor: float) -> bool:
+    return value > _ABOVE * floor
 
 
 def wanders(identified: Identified) -> bool:

@@ -10,7 +10,6 @@ from typing import Any
 
 from mavcompass import __version__
 from mavcompass.errors import UsageError
-from mavcompass.gap.cure import wholly_cured, words
 from mavcompass.gap.result import Cause, Diagnosis
 from mavcompass.gap.score import wilson
 from mavcompass.gap.trial import Trial
@@ -37,8 +36,8 @@ _VERDICTS = {
 def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
     """Write the report of a diagnosis. Raises UsageError where the file cannot be written."""
     word, css, sentence = _VERDICTS[diagnosis.verdict]
-    if wholly_cured(diagnosis.causes):
-        sentence += " The calibration in force cures it: what the vehicle flies by has no gap from it."
+    if diagnosis.in_force is not None and (cured := diagnosis.in_force.words()) is not None:
+        sentence += f" The calibration in force cures {cured}: that is part of the nominal simulation."
     facts = {
         "Recording": diagnosis.path or "unknown",
         "Length": f"{diagnosis.duration_s:.0f} s, {diagnosis.samples} readings",
@@ -131,7 +130,6 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "separation": "-" if cause.separation is None else f"{cause.separation:.0f}",
         "separated_by": effect.separated_by,
         "ambiguous_with": cause.ambiguous_with,
-        "cure": words(cause),
         "parameters": [
             (name, f"{value:.5g}", "{:.4g} to {:.4g}".format(*cause.ci95[name]), units[name])
             for name, value in cause.parameters.items()

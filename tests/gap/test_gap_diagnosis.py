@@ -199,7 +199,7 @@ def test_orientation_is_found_although_the_yaw_is_unknown(orientation: int) -> N
     fault = [effects.parse(f"orientation:orientation={orientation}")]
     track = replace(make_track(RICH, fault), reference_q=None)
     diagnosis = diagnose_gap(track)
-    assert diagnosis.reference == "gyro"
+    assert diagnosis.reference == "fused"
     assert diagnosis.effects == {"orientation"}
     assert diagnosis.causes[0].parameters["orientation"] == orientation
 

@@ -10,7 +10,7 @@ import pytest
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.export import ardupilot_sitl, preset, settings_of
+from mavcompass.gap.export import ardupilot_sitl, preset, settings_of, vehicle_settings
 from mavcompass.gap.floor import from_recording
 from mavcompass.gap.hypothesis import Fit, make_term
 from mavcompass.gap.model import Problem
@@ -24,23 +24,23 @@ def test_firmware_recording_gives_back_the_simulators_parameters(shared_data: Pa
     track = read_track(shared_data / "ardupilot-4.6.3" / "rover_dist_use2.tlog")
     diagnosis = diagnose_gap(track)
     assert diagnosis.effects == {"hard_iron", "axis_scale"}
-    assert diagnosis.reference == "gyro"
+    assert diagnosis.reference == "fused"
     assert diagnosis.field.after < diagnosis.field.floor
-    exported = ardupilot_sitl(settings_of(diagnosis.causes)).parameters
+    exported = ardupilot_sitl(vehicle_settings(diagnosis)).parameters
     for axis, offset, diagonal in (("X", 120.0, 1.1), ("Y", -80.0, 0.9), ("Z", 40.0, 1.0)):
         assert exported[f"SIM_MAG1_OFS_{axis}"] == pytest.approx(offset, rel=0.02)
         assert exported[f"SIM_MAG1_DIA_{axis}"] == pytest.approx(diagonal, rel=0.02)
 
 
-def test_offsets_of_an_untouched_firmware_simulator_are_found(shared_data: Path) -> None:
+def test_iron_that_the_calibration_cures_is_known_and_exported(shared_data: Path) -> None:
     """The firmware's simulator comes with offsets (5, 13, -18) that its calibration undoes."""
     diagnosis = diagnose_gap(read_track(shared_data / "ardupilot-4.6.3" / "rover_plain.tlog"))
-    assert diagnosis.effects == {"hard_iron"}
-    cause = diagnosis.causes[0]
-    for axis, true in zip("xyz", (-5.0, -13.0, 18.0), strict=True):
-        low, high = cause.ci95[axis]
-        assert low < true < high and high - low < 8.0
-        assert cause.parameters[axis] == pytest.approx(true, abs=2.0)
+    assert diagnosis.verdict == "no_gap" and not diagnosis.causes
+    assert diagnosis.in_force is not None
+    np.testing.assert_allclose(diagnosis.in_force.hard_iron_mgauss, [-5.0, -13.0, 18.0])
+    exported = ardupilot_sitl(vehicle_settings(diagnosis)).parameters
+    for axis, true in zip("XYZ", (5.0, 13.0, -18.0), strict=True):
+        assert exported[f"SIM_MAG1_OFS_{axis}"] == pytest.approx(true, abs=3.0)
 
 
 def test_preset_in_our_simulator_closes_the_recorded_gap_as_claimed(
@@ -105,7 +105,7 @@ def with_settings(track: Track, found: list[Setting]) -> tuple[Problem, Fit]:
     """Run a recording's motion with settings as they are; only the nuisances are solved for."""
     replayed = replay(track)
     floor = from_recording(replayed)
-    problem = Problem(replayed, floor.noise, replayed.valid, floor.nuisances)
+    problem = Problem(replayed, floor.noise, replayed.valid, floor.prior)
     terms = [
         replace(t, free=np.zeros_like(t.free)) for t in (make_term(s.effect, replayed.signals) for s in found)
     ]

@@ -74,7 +74,7 @@ def test_readings_lost_by_chance_are_no_slow_compass() -> None:
         field[row] = field[row - 1]
     stale = replace(track, compasses={1: MagSeries(1, Series.of(track.compasses[1].time_s, field))})
     rows = compass_rows(stale, stale.compasses[1])
-    assert rows.hold_s is None and rows.trace.stale_share == pytest.approx(0.4, abs=0.05)
+    assert not rows.telemetry and rows.trace.stale_share == pytest.approx(0.4, abs=0.05)
 
 
 def test_doubt_of_the_floor_grows_with_that_of_the_level() -> None:

@@ -36,7 +36,9 @@ def test_white_scatter_on_a_slow_error_is_whitened() -> None:
     rng = np.random.default_rng(4)
     n, rho, slow, scatter = 40_000, 0.99, 2.0, np.array([3.0, 2.7, 2.4])
     sigma, moving = wandering(scatter, slow, rho)
-    noise = SensorNoise(np.array([rho]), sigma, np.hypot(scatter, slow), np.inf, None, moving)
+    noise = SensorNoise(
+        np.full((1, 3), rho), sigma, np.hypot(scatter, slow), np.inf, moving=np.full(3, moving)
+    )
     drift = np.zeros((n, 3))
     steps = slow * np.sqrt(1.0 - rho**2) * rng.standard_normal((n, 3))
     for i in range(1, n):

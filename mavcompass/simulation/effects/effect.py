@@ -38,9 +38,10 @@ class Stage(IntEnum):
     HULL = 2
     MATRIX = 3
     FIELD = 4
-    TIMING = 5
-    SENSOR = 6
-    IMU = 7
+    MOUNTING = 5
+    TIMING = 6
+    SENSOR = 7
+    IMU = 8
 
 
 @dataclass(frozen=True, slots=True)

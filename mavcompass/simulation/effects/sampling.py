@@ -17,19 +17,18 @@ def at_times(time_s: FloatArray, values: FloatArray, wanted_s: FloatArray) -> Fl
         return np.repeat(values[:1], wanted_s.size, axis=0)
     wanted = np.clip(wanted_s, time_s[0], time_s[-1])
     left = np.clip(np.searchsorted(time_s, wanted, side="right") - 1, 0, n - 2)
-    slope = np.empty_like(values)
-    if n > 2:
-        slope[1:-1] = (values[2:] - values[:-2]) / (time_s[2:] - time_s[:-2])[:, None]
-    slope[0] = (values[1] - values[0]) / (time_s[1] - time_s[0])
-    slope[-1] = (values[-1] - values[-2]) / (time_s[-1] - time_s[-2])
-    width = (time_s[left + 1] - time_s[left])[:, None]
-    u = (wanted - time_s[left])[:, None] / width
-    a, b = values[left], values[left + 1]
-    return np.asarray(
-        a
-        + (b - a) * (u * u * (3.0 - 2.0 * u))
-        + width * u * (1.0 - u) * (slope[left] * (1.0 - u) - slope[left + 1] * u)
-    )
+    first, last = np.maximum(left - 1, 0), np.minimum(left + 2, n - 1)
+    width = time_s[left + 1] - time_s[left]
+    u = (wanted - time_s[left]) / width
+    # How much each of the four neighbours counts: slopes are differences of neighbours too.
+    rise = u * u * (3.0 - 2.0 * u)
+    before = width * u * (1.0 - u) ** 2 / (time_s[left + 1] - time_s[first])
+    after = -width * u * u * (1.0 - u) / (time_s[last] - time_s[left])
+    out = values[first] * -before[:, None]
+    out += values[left] * (1.0 - rise - after)[:, None]
+    out += values[left + 1] * (rise + before)[:, None]
+    out += values[last] * after[:, None]
+    return np.asarray(out)
 
 
 State = tuple[float, FloatArray, FloatArray]

@@ -93,7 +93,7 @@ EFFECTS = (
     Effect(
         id="misalignment",
         title="the compass is turned against the body",
-        stage=Stage.MATRIX,
+        stage=Stage.MOUNTING,
         parameters=xyz(-0.5, 0.5, (0.02, -0.03, 0.06), 0.03, "rad"),
         forward=_misalignment,
         aliases=("declination", "attitude_reference_error", "non_orthogonality"),

@@ -17,7 +17,8 @@ def _matrices() -> dict[int, FloatArray]:
 
 
 def _forward(signals: Signals, theta: FloatArray, memory: Memory, rng: np.random.Generator | None) -> Signals:
-    # The sensor is turned by R, the autopilot believes it is not: it reports R^T m as the body's field.
+    # The sensor is turned by R, the autopilot believes it is not: it reports R^T m, the vehicle's iron
+    # included.
     matrix = _matrices().get(round(float(theta[0])), np.eye(3))
     return signals.with_mag(signals.reading.mag_mgauss @ matrix)
 
@@ -56,7 +57,7 @@ EFFECTS = (
     Effect(
         id="orientation",
         title="the compass is mounted in another orientation",
-        stage=Stage.MATRIX,
+        stage=Stage.MOUNTING,
         parameters=(Parameter("orientation", "MAV_SENSOR_ORIENTATION", 0.0, 43.0, 2.0, 1.0, integer=True),),
         forward=_forward,
         kind="discrete",

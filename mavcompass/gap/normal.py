@@ -1,0 +1,108 @@
+"""Normal equations by block: every candidate's derivatives go through the simulation once, sets are small
+algebra.
+
+With columns J of all candidates beside the nuisances and the whitened residual r, a set S of them takes
+
+    c_S^T A_SS^-1 c_S
+
+off the sum of squares, A and c being J^T J and J^T r with the nuisances eliminated (their prior included).
+Sums are kept block by block, so that how far blocks contradict each other costs no new pass either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+
+_RIDGE = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Hold what a set of columns explains: gain in the sum of squares, its own values and the nuisances'
+    (K,)."""
+
+    gain: float
+    values: FloatArray
+    nuisances: FloatArray
+
+
+class BlockNormal:
+    """Hold the normal equations of columns (nuisances first) in each block of a recording."""
+
+    def __init__(
+        self, columns: FloatArray, residual: FloatArray, block: NDArray[np.int64], nuisances: int,
+        precision: FloatArray, offset: FloatArray, usual: FloatArray, loose: NDArray[np.bool_],
+    ) -> None:  # fmt: skip
+        """Sum up columns (n, P) and a residual (n,) in blocks (n,) that do not decrease.
+
+        `precision` (K, K) is the nuisances' prior, `offset` (K,) its mean less where they stand. `usual` (P
+        - K,) are sizes that the other columns' values have at most: what the recording does not tell stays
+        within them. `loose` (K,) tells the nuisances that only this recording knows.
+        """
+        self.nuisances = nuisances
+        self._loose = np.flatnonzero(loose)
+        self.size = np.sqrt(np.maximum(np.einsum("np,np->p", columns, columns), 1e-300))
+        scaled = columns / self.size
+        edges = np.flatnonzero(np.diff(block, prepend=-1, append=block[-1] + 1 if block.size else 0))
+        parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+        self.normal = np.stack([scaled[rows].T @ scaled[rows] for rows in parts])
+        self.right = np.stack([scaled[rows].T @ residual[rows] for rows in parts])
+        scale = self.size[:nuisances]
+        total = self.normal.sum(axis=0)
+        self._right = self.right.sum(axis=0)
+        total[:nuisances, :nuisances] += precision / np.outer(scale, scale)
+        self._right[:nuisances] += precision @ offset / scale
+        n = nuisances
+        total[np.diag_indices_from(total)] += _RIDGE
+        place = np.arange(n, len(total))
+        total[place, place] += (usual * self.size[n:]) ** -2.0
+        self._total = total
+        # What the nuisances take away of each column.
+        self._through = np.linalg.solve(total[:n, :n], total[:n, n:])
+        self._reduced = total[n:, n:] - total[n:, :n] @ self._through
+        self._score = self._right[n:] - self._through.T @ self._right[:n]
+        self.null_gain = (
+            float(self._right[:n] @ np.linalg.solve(total[:n, :n], self._right[:n])) if n else 0.0
+        )
+
+    def gain(self, own: NDArray[np.int64]) -> float:
+        """Return what a set of columns (counted behind the nuisances) takes off the sum of squares."""
+        A, c = self._reduced[np.ix_(own, own)], self._score[own]
+        return float(c @ np.linalg.solve(A, c)) if own.size else 0.0
+
+    def solve(self, own: NDArray[np.int64]) -> Solution:
+        """Return what a set of columns explains, and with which values."""
+        n = self.nuisances
+        A, c = self._reduced[np.ix_(own, own)], self._score[own]
+        values = np.linalg.solve(A, c) if own.size else np.zeros(0)
+        nuisances = np.linalg.solve(self._total[:n, :n], self._right[:n] - self._total[:n, n + own] @ values)
+        return Solution(float(c @ values), values / self.size[n + own], nuisances / self.size[:n])
+
+    def contradiction(self, own: NDArray[np.int64], of: NDArray[np.int64]) -> float:
+        """Return by how much blocks contradict each other about some columns `of` a set, 1 where they do not.
+
+        Of a model that is true the scores of blocks scatter as the normal matrix says: the ratio is the
+        factor by which errors that last for seconds make every gain look larger than it is (the design
+        effect of cluster sampling; White, Econometrica 48, 1980).
+        """
+        n = self.nuisances
+        solution = self.solve(own)
+        values = np.zeros(self.size.size)
+        values[:n] = solution.nuisances * self.size[:n]
+        values[n + own] = solution.values * self.size[n + own]
+        rest = np.setdiff1d(own, of)
+        # What is known from elsewhere counts as known: blocks cannot contradict it.
+        beside = np.concatenate([self._loose, n + rest])
+        A = self._total
+        through = np.linalg.solve(A[np.ix_(beside, beside)], A[np.ix_(beside, n + of)])
+        inner = A[np.ix_(n + of, n + of)] - A[np.ix_(n + of, beside)] @ through
+        scores = self.right - self.normal @ values
+        own_scores = scores[:, n + of] - scores[:, beside] @ through
+        scatter = np.einsum("bi,ij,bj->", own_scores, np.linalg.inv(inner), own_scores)
+        return max(float(scatter) / of.size, 1.0)

@@ -1,0 +1,51 @@
+"""Which compass the autopilot's yaw was made from: the one under test, or others."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from mavcompass.track import Track
+
+Steering = Literal["own", "other", "unknown"]
+_MOST_COMPASSES = 3
+# EK3_SRC1_YAW: satellite receivers (2, 3), external navigation (6), the velocity's direction (8).
+_YAW_WITHOUT_COMPASS = (2.0, 3.0, 6.0, 8.0)
+# EKF2_MAG_TYPE of PX4: none.
+_PX4_NO_COMPASS = (5.0, 6.0)
+
+
+def steered_by(track: Track, instance: int) -> Steering:
+    """Tell from the parameters whether the compass under test steers the autopilot's yaw."""
+    if track.autopilot == "px4":
+        return _px4(track, instance)
+    return _ardupilot(track, instance)
+
+
+def _ardupilot(track: Track, instance: int) -> Steering:
+    parameters = track.parameters
+    if parameters.get("EK3_SRC1_YAW", 1.0) in _YAW_WITHOUT_COMPASS:
+        return "other"
+    names = ["COMPASS_USE", *(f"COMPASS_USE{i}" for i in range(2, _MOST_COMPASSES + 1))]
+    used = [i for i, name in enumerate(names, start=1) if parameters.get(name, 0.0) != 0.0]
+    if names[instance - 1] not in parameters:
+        return "unknown"
+    if instance not in used:
+        return "other"
+    return "own" if used[0] == instance else "other"
+
+
+def _px4(track: Track, instance: int) -> Steering:
+    parameters = track.parameters
+    if parameters.get("EKF2_MAG_TYPE", 0.0) in _PX4_NO_COMPASS:
+        return "other"
+    priorities = {
+        i: parameters[f"CAL_MAG{i - 1}_PRIO"]
+        for i in range(1, _MOST_COMPASSES + 2)
+        if f"CAL_MAG{i - 1}_PRIO" in parameters
+    }
+    if instance not in priorities:
+        return "unknown"
+    first = max(priorities.values())
+    if priorities[instance] <= 0.0 or priorities[instance] < first:
+        return "other"
+    return "own" if sum(p == first for p in priorities.values()) == 1 else "unknown"
