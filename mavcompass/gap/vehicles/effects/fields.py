@@ -9,6 +9,7 @@ from mavcompass.gap.vehicles.motion import STEP_S
 from mavcompass.gap.vehicles.rotations import Array
 from mavcompass.gap.vehicles.scene import Scene, Stage, Values
 
+_FARTHEST_M = 800.0
 _PAIRS = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
@@ -62,6 +63,7 @@ def _act_relay(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
 
 def _draw_dipole(rng: Rng, scene: Scene) -> Grow:
     path = scene.motion.position_m
+    path = path[np.abs(path).max(axis=1) < _FARTHEST_M]
     closest = 1.0 if scene.vehicle.receiver == "gps" else 0.6
     place = path[0] + np.array([4.0, 0.0, 0.0])
     for _ in range(10):
