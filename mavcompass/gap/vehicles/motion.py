@@ -217,7 +217,7 @@ def _rolling(
 def _hand(time: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """Turn through all attitudes, as a person does who holds the vehicle."""
     roll_rate, yaw_rate = (rng.choice([-1.0, 1.0], 2) * rng.uniform(0.25, 0.7, 2)).tolist()
-    sway = _wobble(time, rng, 3, 6.0)
+    sway = _wobble(time, rng, 3, 10.0)
     roll = rng.uniform(-3.0, 3.0) + roll_rate * time + 0.5 * sway[:, 0]
     pitch = 0.85 * np.tanh(sway[:, 1]) + 0.3 * np.sin(0.31 * time)
     yaw = rng.uniform(-3.0, 3.0) + yaw_rate * time + 0.4 * sway[:, 2]
