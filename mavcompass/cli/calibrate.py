@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 
@@ -149,6 +150,7 @@ def command(
 
         parameter_form(params_out)  # a wrong suffix is told before the vehicle moves
     address = parse_address(source)
+    require_for(address, report=report_file)
     if isinstance(address, Recording):
         return _recording(
             source, method, instances, max_error_deg, in_force_file, params_out, report_file, output

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 
 if TYPE_CHECKING:
@@ -64,6 +65,7 @@ def command(
     from mavcompass.procedure.check import CheckSettings
     from mavcompass.vehicle.address import parse_address
 
+    require_for(source, report=offer)
     settings = CheckSettings(turn=turn, system=system, year=_this_year())  # type: ignore[arg-type]
     with open_source(parse_address(source), effects) as link:
         with showing(quiet=not sys.stderr.isatty()) as show:

@@ -12,6 +12,7 @@ import click
 
 from mavcompass.cli.calibrate import METHODS, chosen_instances
 from mavcompass.cli.gap import REFERENCES
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.terminal import is_live
 
@@ -173,10 +174,13 @@ def _run(
     from mavcompass.fleet.recordings import find_recordings
     from mavcompass.fleet.run import journal_of, run_fleet
     from mavcompass.fleet.summary import summarise
-    from mavcompass.report.fleet import require_templates, write_fleet_report
+    from mavcompass.report.fleet import write_fleet_report
 
-    require_templates()
+    cluster = () if engine.scheduler is None else ("A cluster (--scheduler)",)
+    require_for(report=True, also=("A Parquet table", *cluster))
     recordings = find_recordings(paths)
+    if engine.scheduler is None:  # a cluster's workers have their own installation
+        require_for(*(Path(recording.path) for recording in recordings))
     with _showing() as show:
         try:
             result = run_fleet(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options, to_json
 from mavcompass.errors import UsageError
 
@@ -77,6 +78,7 @@ def command(
     from mavcompass.vehicle.address import Recording, parse_address
 
     address = parse_address(source)
+    require_for(address)
     if isinstance(address, Recording):
         rows = _recorded(source, instance, two_axis)
     else:

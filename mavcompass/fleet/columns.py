@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from mavcompass.errors import UsageError
 from mavcompass.fleet.examine import Row, Work
+from mavcompass.parts import require
 
 Kind = Literal["text", "number", "count", "flag", "moment"]
 
@@ -96,23 +97,12 @@ def columns_of(work: Work) -> list[Column]:
     return [*_COMMON, *_DIAGNOSE, *sizes]
 
 
-def require_parquet() -> None:
-    """Raise UsageError, with the command that helps, where pyarrow is not installed."""
-    try:
-        import pyarrow.parquet  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            "Parquet files need the package pyarrow, which is not installed.",
-            "Install it with: pip install 'mavcompass[fleet]'",
-        ) from error
-
-
 def write_parquet(rows: Sequence[Row], work: Work, path: Path) -> None:
     """Write rows to a Parquet file; an older one stays until the new one is whole.
 
     Raises UsageError where pyarrow is missing or the file cannot be written.
     """
-    require_parquet()
+    require("A Parquet table")
     import pyarrow as pa
     import pyarrow.parquet as pq
 

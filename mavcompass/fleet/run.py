@@ -9,11 +9,12 @@ from pathlib import Path
 
 from mavcompass.errors import UsageError
 from mavcompass.fleet.child import Answer
-from mavcompass.fleet.columns import require_parquet, write_parquet
+from mavcompass.fleet.columns import write_parquet
 from mavcompass.fleet.examine import Job, Row, error_row, examine
 from mavcompass.fleet.journal import Journal
 from mavcompass.fleet.pool import Task, run_in_processes
 from mavcompass.fleet.recordings import Recording
+from mavcompass.parts import require
 
 Examine = Callable[[Job, str], list[Row]]
 
@@ -79,7 +80,7 @@ def run_fleet(
     A recording whose process dies or is over its time gives one row with the error. An interrupt leaves
     the journal, and the same call goes on from there. Raises UsageError for what cannot be begun.
     """
-    require_parquet()
+    require("A Parquet table")
     _check_pattern(job)
     with Journal(journal_of(out), _question(job), fresh) as journal:
         done = [r for r in recordings if journal.is_done(r) and not (retry_errors and journal.failed(r))]

@@ -174,7 +174,7 @@ def test_another_question_to_the_same_output_is_refused_unless_fresh(
 def test_missing_pyarrow_is_said_before_the_work(
     own_twelve: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(UsageError, match="pip install 'mavcompass\\[fleet\\]'"):
         run_fleet(CALIBRATE, own_twelve, tmp_path / "out.parquet", TWO)
     assert not journal_of(tmp_path / "out.parquet").exists()
