@@ -199,6 +199,32 @@ def test_json_takes_arrays_and_writes_null_for_what_is_not_finite() -> None:
     assert json.loads(to_json(document)) == {"a": [1.0, None], "b": None, "c": [2, "x"], "3": None}
 
 
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_a_script_for_the_shell(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--completion", shell]) == 0
+    assert f"_MAVCOMPASS_COMPLETE={shell}_complete" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("mavcompass cal", "plain,calibrate"),
+        ("mavcompass gap dia", "plain,diagnose"),
+        ("x check --st", "plain,--strict"),
+    ],
+)
+def test_completion_completes_commands_and_options(typed: str, offered: str) -> None:
+    asked = {
+        "_MAVCOMPASS_COMPLETE": "bash_complete",
+        "COMP_WORDS": typed,
+        "COMP_CWORD": str(typed.count(" ")),
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "mavcompass"], env=asked, capture_output=True, text=True, timeout=30
+    )
+    assert done.stdout.splitlines() == [offered]
+
+
 TALKING_COMMAND = """
 import sys, types, click
 from mavcompass.cli import main as cli

@@ -101,18 +101,18 @@ def _say(report: CheckReport, output: Output, everything: bool) -> None:
     shown = sorted(report.items, key=lambda item: _RANK[item.verdict])
     for item in shown:
         if item.verdict != "pass" or everything:
-            output.say(f"{_mark(item.verdict)}  {item.text}")
+            output.say(f"{mark(item.verdict)}  {item.text}")
             if item.remedy:
                 output.say(f"      {item.remedy}")
     passed = sum(item.verdict == "pass" for item in report.items)
     if passed and not everything:
-        output.say(f"{_mark('pass')}  {passed} of {len(report.items)} questions.")
+        output.say(f"{mark('pass')}  {passed} of {len(report.items)} questions.")
     turned = "" if report.turned else " No turn was made."
     words = {"pass": "Fit to go.", "warn": "Go with care.", "fail": "Do not go."}[report.verdict]
-    output.say(f"{_mark(report.verdict)}  {words}{turned}")
+    output.say(f"{mark(report.verdict)}  {words}{turned}")
 
 
-def _mark(verdict: str) -> str:
+def mark(verdict: str) -> str:
     """Return PASS, WARN or FAIL, coloured on a terminal that has colours."""
     word = verdict.upper()
     if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
