@@ -6,6 +6,7 @@ import json
 import logging
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -156,6 +157,17 @@ def test_v_logs_to_standard_error_before_and_after_the_command(
     said = capsys.readouterr()
     assert said.out == ""
     assert [line.split()[-1] for line in said.err.splitlines() if "word" in line] == heard
+
+
+@pytest.mark.parametrize(("arguments", "heard"), [(["probe"], False), (["-v", "probe"], True)])
+def test_a_library_s_warning_goes_to_the_log(
+    arguments: list[str], heard: bool, probe: Probe, capsys: pytest.CaptureFixture[str]
+) -> None:
+    probe(lambda output: warnings.warn("Degrees of freedom <= 0", RuntimeWarning, stacklevel=1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert main(arguments) == 0
+    assert ("Degrees of freedom" in capsys.readouterr().err) == heard
 
 
 def speak_and_write(output: Output) -> None:

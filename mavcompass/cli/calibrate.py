@@ -283,7 +283,8 @@ def _live(
 
     with open_source(address, effects, as_ground_station=settings.turn_by != "auto") as link:
         before_deg = _true_error_deg(link, settings.instances)
-        with showing() as shown, speaking(shown, speak) as show:
+        told_later = ("solve", "prove") if sys.stdout.isatty() and output.json_file != "-" else ()
+        with showing(told_later=told_later) as shown, speaking(shown, speak) as show:
             try:
                 report = calibrate_on(
                     link, source, settings, method, max_error_deg, on_show=show, on_ask=ask_on_terminal

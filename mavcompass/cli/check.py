@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,7 +71,7 @@ def command(
     with open_source(parse_address(source), effects) as link:
         with showing(quiet=not sys.stderr.isatty()) as show:
             report = _check(link, source, settings, show)
-        _say(report, output, everything)
+        _say(report, source, output, everything)
         output.write_json({"source": source} | report.to_json())
         if offer and report.calibration_advised and sys.stdin.isatty():
             return _calibrate(link, source, system, output)
@@ -96,7 +97,7 @@ def _check(link: Link, source: str, settings: CheckSettings, show: Any) -> Check
     return run(machine, link, on_show=show)
 
 
-def _say(report: CheckReport, output: Output, everything: bool) -> None:
+def _say(report: CheckReport, source: str, output: Output, everything: bool) -> None:
     """Print the list, the worst first; what passed only counted, unless asked for."""
     shown = sorted(report.items, key=lambda item: _RANK[item.verdict])
     for item in shown:
@@ -109,7 +110,8 @@ def _say(report: CheckReport, output: Output, everything: bool) -> None:
         output.say(f"{mark('pass')}  {passed} of {len(report.items)} questions.")
     turned = "" if report.turned else " No turn was made."
     words = {"pass": "Fit to go.", "warn": "Go with care.", "fail": "Do not go."}[report.verdict]
-    output.say(f"{mark(report.verdict)}  {words}{turned}")
+    advice = f" Next: mavcompass calibrate {shlex.quote(source)}" if report.calibration_advised else ""
+    output.say(f"{mark(report.verdict)}  {words}{turned}{advice}")
 
 
 def mark(verdict: str) -> str:

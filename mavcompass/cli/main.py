@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import TextIO
 
 import click
 
@@ -107,6 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal that lacks a letter shows "?" for it
+    warnings.showwarning = _log_warning
     try:
         code = program.main(args=arguments, prog_name="mavcompass", standalone_mode=False)
     except click.ClickException as error:
@@ -127,6 +130,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _log_traceback(error)
         return UNEXPECTED
     return code if type(code) is int else 0  # a command may return its exit code
+
+
+def _log_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Keep what libraries warn of off the terminal: it is for the log (`-v`)."""
+    import logging
+
+    logging.getLogger("mavcompass").info("%s:%d: %s: %s", filename, lineno, category.__name__, message)
 
 
 def _complain(sentence: str) -> None:

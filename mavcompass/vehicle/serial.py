@@ -54,6 +54,10 @@ def open_serial(device: str, baud: int, reconnect: Reconnect) -> StreamTransport
     def open_stream() -> SerialStream:
         try:
             return SerialStream(serial.Serial(device, baud, timeout=0, exclusive=True))
+        except serial.SerialException as error:
+            if error.errno is None:
+                raise
+            raise OSError(error.errno, os.strerror(error.errno)) from error  # without pyserial's repetitions
         except ValueError as error:
             raise UsageError(f"{device} cannot run at {baud} baud.", "Choose another rate.") from error
 
