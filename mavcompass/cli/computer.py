@@ -64,7 +64,7 @@ def parts() -> Iterator[Finding]:
         yield Finding(
             "parts",
             "warn",
-            f"{part.need}: not possible, {modules} is not installed.",
+            f"{part.need} is not possible here: {modules} not installed.",
             f"pip install 'mavcompass[{part.extra}]'",
         )
     if not lacking:
