@@ -154,12 +154,12 @@ def judge_field(reading: Reading, world: EarthField | None) -> list[CheckItem]:
     percent = 100.0 * (total / world.total_mgauss - 1.0)
     dip_deg = math.degrees(reading.dip_rad - world.inclination_rad)
     strength, dip = _grade(abs(percent), 6.0, 15.0), _grade(abs(dip_deg), 3.0, 8.0)
-    stronger, steeper = "stronger" if percent > 0 else "weaker", "steeper" if dip_deg > 0 else "flatter"
+    stronger = "stronger" if percent > 0 else "weaker"
     field_text = (
         f"Compass {i}: the field is {abs(percent):.1f} % {stronger} than the Earth's is here"
         f" ({world.total_mgauss:.0f} mG)."
     )
-    dip_text = f"Compass {i}: the field dips {abs(dip_deg):.1f} deg {steeper} than the Earth's does here."
+    dip_text = f"Compass {i}: the field's dip is {abs(dip_deg):.1f} deg off the Earth's here."
     return [
         CheckItem("field", strength, field_text, "" if strength == "pass" else remedy, i, percent, 6.0),
         CheckItem("dip", dip, dip_text, "" if dip == "pass" else remedy, i, dip_deg, 3.0),
