@@ -96,3 +96,19 @@ def test_all_that_is_missing_is_told_at_once(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_every_part_can_be_had_here() -> None:
     require(*PARTS)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "calibrate sim:boat --yes --report missing/r.html",
+        "gap blind-trial --report missing/r.html",
+        f"fleet calibrate {ULG} --out missing/fleet.parquet",
+    ],
+)
+def test_a_report_without_a_folder_is_told_before_anything_begins(
+    line: str, begun: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(line.split()) == 2
+    assert "does not exist" in capsys.readouterr().err
+    assert begun == []

@@ -178,12 +178,12 @@ def _run(
     from mavcompass.fleet.summary import summarise
     from mavcompass.report.fleet import write_fleet_report
 
+    page = report_file or out.with_suffix(".html")
     cluster = () if engine.scheduler is None else ("A cluster (--scheduler)",)
-    require_for(report=True, also=("A Parquet table", *cluster))
+    require_for(report=page, also=("A Parquet table", *cluster))
     recordings = find_recordings(paths)
     if engine.scheduler is None:  # a cluster's workers have their own installation
         require_for(*(Path(recording.path) for recording in recordings))
-    page = report_file or out.with_suffix(".html")
 
     def write_page(rows: list[Row], progress: Progress) -> None:
         longest = ", ".join(f"{_short(path)} ({seconds:.0f} s)" for path, seconds in progress.under_way[:3])

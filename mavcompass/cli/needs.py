@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mavcompass.errors import UsageError
 from mavcompass.parts import require
 from mavcompass.vehicle.address import Address, Recording, Serial, parse_address
 
@@ -11,7 +12,8 @@ from mavcompass.vehicle.address import Address, Recording, Serial, parse_address
 def require_for(
     *sources: str | Path | Address | None, report: Path | bool | None = None, also: tuple[str, ...] = ()
 ) -> None:
-    """Raise UsageError where a part that these sources, a report or `also` need is not installed.
+    """Raise UsageError where a part that these sources, a report or `also` need is not installed, or the
+    report's folder is not there.
 
     Args:
         sources: addresses and recordings; None for one that was not given.
@@ -22,6 +24,11 @@ def require_for(
     if report:
         needs.append("An HTML report")
     require(*dict.fromkeys([*needs, *also]))
+    if isinstance(report, Path) and not report.absolute().parent.is_dir():
+        raise UsageError(
+            f"The report could not be written: the folder of {report} does not exist.",
+            "Make it, or name another.",
+        )
 
 
 def _need_of(source: str | Path | Address) -> str | None:
