@@ -79,11 +79,13 @@ def _command(command: click.Command, context: click.Context, level: int) -> Iter
             assert inner is not None
             yield from _command(inner, click.Context(inner, context, info_name=name), level + 1)
         return
-    yield from ("```text", " ".join(command.collect_usage_pieces(context)), "```", "")
+    usage = " ".join([context.command_path, *command.collect_usage_pieces(context)])
+    yield from ("```text", usage, "```", "")
     records = [r for p in command.get_params(context) if (r := p.get_help_record(context)) is not None]
     yield from ("| option | |", "|---|---|")
     for option, about in records:
-        yield f"| `{option.replace('|', chr(92) + '|')}` | {_cell(about)} |"
+        if about:
+            yield f"| <code>{_cell(option)}</code> | {_cell(about)} |"
     yield ""
 
 
