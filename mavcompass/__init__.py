@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mavcompass.errors import MavCompassError as MavCompassError
     from mavcompass.track import Track as Track
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _PUBLIC = {  # name: (module, attribute)
     "read_track": ("mavcompass.api", "read_track"),

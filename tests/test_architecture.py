@@ -25,7 +25,7 @@ MAY_IMPORT = {  # each also its own files and the ground floor
     "vehicle": {"heading", "calibration", "simulation", "gap", "procedure"},
     "logs": set(),
 }
-MAY_IMPORT_EVERYTHING = {"service", "report", "cli", "fleet", "api", "__main__"}
+MAY_IMPORT_EVERYTHING = {"service", "report", "cli", "fleet", "plot", "api", "__main__"}
 
 THIRD_PARTIES_OF_THE_GROUND_FLOOR = {"numpy", "scipy", "pygeomag"}
 WITHOUT_MAVLINK = {"heading", "calibration", "simulation", "gap", "procedure"}

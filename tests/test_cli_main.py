@@ -6,6 +6,7 @@ import json
 import logging
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -158,6 +159,17 @@ def test_v_logs_to_standard_error_before_and_after_the_command(
     assert [line.split()[-1] for line in said.err.splitlines() if "word" in line] == heard
 
 
+@pytest.mark.parametrize(("arguments", "heard"), [(["probe"], False), (["-v", "probe"], True)])
+def test_a_library_s_warning_goes_to_the_log(
+    arguments: list[str], heard: bool, probe: Probe, capsys: pytest.CaptureFixture[str]
+) -> None:
+    probe(lambda output: warnings.warn("Degrees of freedom <= 0", RuntimeWarning, stacklevel=1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert main(arguments) == 0
+    assert ("Degrees of freedom" in capsys.readouterr().err) == heard
+
+
 def speak_and_write(output: Output) -> None:
     output.say("For a person.")
     output.write_json({"schema": "probe/1"})
@@ -197,6 +209,32 @@ def test_json_that_cannot_be_written_is_wrong_usage(
 def test_json_takes_arrays_and_writes_null_for_what_is_not_finite() -> None:
     document = {"a": np.array([1.0, np.nan]), "b": np.float64(np.inf), "c": (np.int64(2), Path("x")), 3: None}
     assert json.loads(to_json(document)) == {"a": [1.0, None], "b": None, "c": [2, "x"], "3": None}
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_a_script_for_the_shell(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--completion", shell]) == 0
+    assert f"_MAVCOMPASS_COMPLETE={shell}_complete" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("mavcompass cal", "plain,calibrate"),
+        ("mavcompass gap dia", "plain,diagnose"),
+        ("x check --st", "plain,--strict"),
+    ],
+)
+def test_completion_completes_commands_and_options(typed: str, offered: str) -> None:
+    asked = {
+        "_MAVCOMPASS_COMPLETE": "bash_complete",
+        "COMP_WORDS": typed,
+        "COMP_CWORD": str(typed.count(" ")),
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "mavcompass"], env=asked, capture_output=True, text=True, timeout=30
+    )
+    assert done.stdout.splitlines() == [offered]
 
 
 TALKING_COMMAND = """

@@ -51,6 +51,15 @@ def test_a_command_in_the_documents_is_one_that_works(
     assert all(option in explained for option in options)
 
 
+@pytest.mark.parametrize("name", ["terminal", "service", "calibration", "gap"])
+def test_a_picture_is_there_for_light_and_dark_and_small(name: str) -> None:
+    """They are made by scripts/documentation/pictures.py."""
+    for scheme in ("light", "dark"):
+        picture = ROOT / "docs" / "pictures" / f"{name}-{scheme}.png"
+        assert picture.read_bytes().startswith(b"\x89PNG") and picture.stat().st_size < 150_000
+        assert f"docs/pictures/{picture.name}" in PAGES[0].read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_between_the_documents_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text(encoding="utf-8")):

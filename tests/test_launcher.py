@@ -20,7 +20,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 STAND_IN = f"""#!/bin/sh
 case "$1 $2" in
 "-m venv")
-    mkdir -p "$3/bin"; cp "$0" "$3/bin/python"
+    mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; cp "$0" "$3/bin/pip"
     echo "venv talks" ;;
 "-m pip")
     echo "$*" >>pip-calls
@@ -100,7 +100,7 @@ def test_first_start_makes_the_environment_and_keeps_standard_output_clean(check
 def test_second_start_is_silent_and_quick(checkout: Checkout) -> None:
     checkout.run()
     assert checkout.run("again") == (0, "program: again\n", "")
-    assert checkout.pip_calls == ["."]
+    assert checkout.pip_calls == [".[all]"]
 
     def quickest(command: list[Path]) -> float:
         seconds = []
@@ -151,11 +151,11 @@ def test_only_a_change_of_what_is_needed_installs_again(checkout: Checkout) -> N
     assert "line-length = 110" in text and '"click>=8.1"' in text
     checkout.write("pyproject.toml", text.replace("line-length = 110", "line-length = 90"))
     checkout.run()
-    assert checkout.pip_calls == ["."]
+    assert checkout.pip_calls == [".[all]"]
     checkout.write("pyproject.toml", text.replace('"click>=8.1"', '"click>=8.2"'))
     checkout.run()
     checkout.run()
-    assert checkout.pip_calls == [".", "."]
+    assert checkout.pip_calls == [".[all]", ".[all]"]
 
 
 def test_program_then_tests_then_program_installs_each_once(checkout: Checkout) -> None:
@@ -164,7 +164,7 @@ def test_program_then_tests_then_program_installs_each_once(checkout: Checkout) 
     assert (code, out) == (0, "pytest: -n 2 -k yaw or roll\n")
     checkout.run()
     checkout.run("-x", script="test")
-    assert checkout.pip_calls == [".", ".[dev]"]
+    assert checkout.pip_calls == [".[all]", ".[dev]"]
 
 
 def test_tests_first_leave_nothing_to_install_for_the_program(checkout: Checkout) -> None:
@@ -179,7 +179,7 @@ def test_two_first_starts_at_once_install_once(checkout: Checkout) -> None:
     (out_1, err_1), (out_2, err_2) = first.communicate(timeout=30), second.communicate(timeout=30)
     assert (out_1, out_2) == ("program: one\n", "program: two\n")
     assert (err_1 + err_2).count("waiting") == 1
-    assert checkout.pip_calls == ["."]
+    assert checkout.pip_calls == [".[all]"]
 
 
 def test_a_running_program_does_not_hold_the_lock(checkout: Checkout) -> None:
@@ -190,6 +190,40 @@ def test_a_running_program_does_not_hold_the_lock(checkout: Checkout) -> None:
     finally:
         os.killpg(running.pid, signal.SIGKILL)
         running.communicate(timeout=10)
+
+
+UV = """#!/bin/sh
+[ ! -e uv-error ] || { cat uv-error; exit 1; }
+echo "$*" >>uv-calls
+if [ "$1" = venv ]; then
+    mkdir -p .venv/bin; printf '#!/bin/sh\n' >.venv/bin/python
+else
+    printf '#!/bin/sh\necho "program: $*"\n' >.venv/bin/mavcompass
+fi
+chmod +x .venv/bin/*
+"""
+
+
+def test_uv_is_used_where_it_is(checkout: Checkout) -> None:
+    checkout.make_tool("uv", UV)
+    assert checkout.run("fast")[:2] == (0, "program: fast\n")
+    assert checkout.pip_calls == []
+    assert checkout.run("again") == (0, "program: again\n", "")
+
+
+def test_uv_brings_a_python_where_there_is_none(checkout: Checkout) -> None:
+    for name in ("python3", "python3.12", "python3.11"):
+        checkout.make_tool(name, "#!/bin/sh\nexit 1\n")
+    checkout.make_tool("uv", UV)
+    assert checkout.run("on")[:2] == (0, "program: on\n")
+    assert "--python >=3.11" in (checkout.folder / "uv-calls").read_text()
+
+
+def test_pip_is_used_where_uv_fails(checkout: Checkout) -> None:
+    checkout.make_tool("uv", UV)
+    checkout.write("uv-error", "error: Failed to fetch")
+    assert checkout.run("slow")[:2] == (0, "program: slow\n")
+    assert checkout.pip_calls == [".[all]"]
 
 
 def test_without_python_one_sentence_says_what_to_install(checkout: Checkout) -> None:
@@ -213,7 +247,7 @@ def test_without_python_one_sentence_says_what_to_install(checkout: Checkout) ->
         ("NewConnectionError: Connection refused", "index cannot be reached"),
         ("Error: ensurepip is not available", "python3-venv"),
         ("OSError: [Errno 28] No space left on device", "disk is full"),
-        ("error: subprocess-exited-with-error", "pip could not install"),
+        ("error: subprocess-exited-with-error", "could not be installed"),
     ],
 )
 def test_a_failed_first_set_up_explains_itself_and_leaves_nothing(
@@ -243,24 +277,15 @@ def test_a_failed_update_leaves_the_environment_of_before(checkout: Checkout) ->
     assert (checkout.venv / "bin" / "mavcompass").exists()
 
 
-def test_an_interrupted_first_set_up_leaves_nothing(checkout: Checkout) -> None:
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_what_an_ended_set_up_left_is_thrown_away(checkout: Checkout, how: signal.Signals) -> None:
     checkout.write("pip-seconds", "20")
     running = checkout.start()
     while not checkout.pip_calls:
         time.sleep(0.02)
-    os.killpg(running.pid, signal.SIGINT)
+    os.killpg(running.pid, how)
     out, _ = running.communicate(timeout=10)
-    assert (running.returncode, out) == (130, "")
-    assert not checkout.venv.exists()
-
-
-def test_what_a_killed_set_up_left_is_thrown_away(checkout: Checkout) -> None:
-    checkout.write("pip-seconds", "20")
-    running = checkout.start()
-    while not checkout.pip_calls:
-        time.sleep(0.02)
-    os.killpg(running.pid, signal.SIGKILL)
-    running.communicate(timeout=10)
+    assert (running.returncode, out) == (130 if how == signal.SIGINT else -how, "")
     (checkout.venv / "half-made").touch()
     checkout.write("pip-seconds", "0")
     assert checkout.run("after")[:2] == (0, "program: after\n")

@@ -45,11 +45,11 @@ def calibrate_positions(
 def _about_z(world_model: bool, sigma_mgauss: float) -> str:
     if world_model:
         return (
-            "Turning on the level does not show the Z offset: it was taken from the world model, "
-            f"sigma {sigma_mgauss:.0f} mG as an offset (what matters on the level is known better)."
+            "Turning on the level cannot show the Z offset: it comes from the world model, good to"
+            f" {sigma_mgauss:.0f} mG. On the level it hardly matters."
         )
     return (
-        "Turning on the level does not show the Z offset and the place is unknown: Z stays as it is in force."
+        "Turning on the level cannot show the Z offset and the place is unknown: Z stays as it is in force."
     )
 
 

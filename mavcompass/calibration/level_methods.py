@@ -45,7 +45,7 @@ def level_method(
         data = None
     positions: tuple[Position, ...] = ()
     warnings: tuple[str, ...] = (
-        "Turning on the level does not show the Z offset: it was left as it is in force.",
+        "Turning on the level cannot show the Z offset: it was left as it is in force.",
     )
     if method == "four-positions-textbook":
         chosen = _right_angles(data)

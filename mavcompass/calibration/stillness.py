@@ -232,6 +232,16 @@ def assemble(
     )
 
 
+# What `Stillness.why_not` means, for a person.
+UNREST = {
+    "rotating": "it still turns",
+    "hunting": "its nose still swings",
+    "tilting": "it still rocks",
+    "field changing": "the magnetic field changes; is iron or a current moving near it?",
+    "starting": "the first readings",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Stillness:
     """Say whether a vehicle stands still.

@@ -13,9 +13,9 @@ def summary(result: CalibrationResult) -> str:
     dx, dy, _ = result.correction.diagonals
     if not result.accepted:
         return f"Compass {result.instance}: not accepted."
-    text = f"Compass {result.instance}: accepted, offsets {x:.1f} {y:.1f} {z:.1f} mG, scale {dx:.3f} {dy:.3f}"
+    text = f"Compass {result.instance}: accepted"
     if math.isfinite(result.heading_sigma_deg):
         text += f", heading within {result.heading_sigma_deg:.2f} deg (1 sigma)"
     if math.isfinite(result.heading_change_deg):
         text += f"; the old values were {result.heading_change_deg:.1f} deg off"
-    return text + "."
+    return f"{text}. Offsets {x:.1f} {y:.1f} {z:.1f} mG, scale {dx:.3f} {dy:.3f}."

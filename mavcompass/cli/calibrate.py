@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 
@@ -149,6 +150,7 @@ def command(
 
         parameter_form(params_out)  # a wrong suffix is told before the vehicle moves
     address = parse_address(source)
+    require_for(address, report=report_file)
     if isinstance(address, Recording):
         return _recording(
             source, method, instances, max_error_deg, in_force_file, params_out, report_file, output
@@ -281,7 +283,8 @@ def _live(
 
     with open_source(address, effects, as_ground_station=settings.turn_by != "auto") as link:
         before_deg = _true_error_deg(link, settings.instances)
-        with showing() as shown, speaking(shown, speak) as show:
+        told_later = ("solve", "prove") if sys.stdout.isatty() and output.json_file != "-" else ()
+        with showing(told_later=told_later) as shown, speaking(shown, speak) as show:
             try:
                 report = calibrate_on(
                     link, source, settings, method, max_error_deg, on_show=show, on_ask=ask_on_terminal

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 
 if TYPE_CHECKING:
@@ -64,11 +66,12 @@ def command(
     from mavcompass.procedure.check import CheckSettings
     from mavcompass.vehicle.address import parse_address
 
+    require_for(source, report=offer)
     settings = CheckSettings(turn=turn, system=system, year=_this_year())  # type: ignore[arg-type]
     with open_source(parse_address(source), effects) as link:
         with showing(quiet=not sys.stderr.isatty()) as show:
             report = _check(link, source, settings, show)
-        _say(report, output, everything)
+        _say(report, source, output, everything)
         output.write_json({"source": source} | report.to_json())
         if offer and report.calibration_advised and sys.stdin.isatty():
             return _calibrate(link, source, system, output)
@@ -94,23 +97,24 @@ def _check(link: Link, source: str, settings: CheckSettings, show: Any) -> Check
     return run(machine, link, on_show=show)
 
 
-def _say(report: CheckReport, output: Output, everything: bool) -> None:
+def _say(report: CheckReport, source: str, output: Output, everything: bool) -> None:
     """Print the list, the worst first; what passed only counted, unless asked for."""
     shown = sorted(report.items, key=lambda item: _RANK[item.verdict])
     for item in shown:
         if item.verdict != "pass" or everything:
-            output.say(f"{_mark(item.verdict)}  {item.text}")
+            output.say(f"{mark(item.verdict)}  {item.text}")
             if item.remedy:
                 output.say(f"      {item.remedy}")
     passed = sum(item.verdict == "pass" for item in report.items)
     if passed and not everything:
-        output.say(f"{_mark('pass')}  {passed} of {len(report.items)} questions.")
+        output.say(f"{mark('pass')}  {passed} of {len(report.items)} questions.")
     turned = "" if report.turned else " No turn was made."
     words = {"pass": "Fit to go.", "warn": "Go with care.", "fail": "Do not go."}[report.verdict]
-    output.say(f"{_mark(report.verdict)}  {words}{turned}")
+    advice = f" Next: mavcompass calibrate {shlex.quote(source)}" if report.calibration_advised else ""
+    output.say(f"{mark(report.verdict)}  {words}{turned}{advice}")
 
 
-def _mark(verdict: str) -> str:
+def mark(verdict: str) -> str:
     """Return PASS, WARN or FAIL, coloured on a terminal that has colours."""
     word = verdict.upper()
     if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):

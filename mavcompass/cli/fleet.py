@@ -12,17 +12,20 @@ import click
 
 from mavcompass.cli.calibrate import METHODS, chosen_instances
 from mavcompass.cli.gap import REFERENCES
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.terminal import is_live
 
 if TYPE_CHECKING:
-    from mavcompass.fleet.examine import Job
+    from mavcompass.fleet.examine import Job, Row
     from mavcompass.fleet.run import Engine, FleetResult, Progress
     from mavcompass.fleet.summary import Summary, Vehicle
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 NOTHING_USABLE = 4
 _SHOWN = 5
+_LONG_S = 20.0  # from here on a recording is named
+_LEAST_MGAUSS = 0.5
 
 
 @click.group()
@@ -173,21 +176,41 @@ def _run(
     from mavcompass.fleet.recordings import find_recordings
     from mavcompass.fleet.run import journal_of, run_fleet
     from mavcompass.fleet.summary import summarise
-    from mavcompass.report.fleet import require_templates, write_fleet_report
+    from mavcompass.report.fleet import write_fleet_report
 
-    require_templates()
+    page = report_file or out.with_suffix(".html")
+    cluster = () if engine.scheduler is None else ("A cluster (--scheduler)",)
+    require_for(report=page, also=("A Parquet table", *cluster))
     recordings = find_recordings(paths)
+    if engine.scheduler is None:  # a cluster's workers have their own installation
+        require_for(*(Path(recording.path) for recording in recordings))
+
+    def write_page(rows: list[Row], progress: Progress) -> None:
+        longest = ", ".join(f"{_short(path)} ({seconds:.0f} s)" for path, seconds in progress.under_way[:3])
+        so_far = {"Still at work": f"{progress.done} of {progress.asked} done; now: {longest or 'the rest'}"}
+        write_fleet_report(summarise(rows, job.work), so_far, page)
+
     with _showing() as show:
         try:
             result = run_fleet(
-                job, recordings, out, engine, fresh=fresh, retry_errors=retry_errors, on_progress=show
+                job,
+                recordings,
+                out,
+                engine,
+                fresh=fresh,
+                retry_errors=retry_errors,
+                on_progress=show,
+                on_rows=write_page,
             )
         except KeyboardInterrupt:
             output.say(f"What is done is kept in {journal_of(out)}; the same command goes on from there.")
             raise
     summary = summarise(result.rows, job.work)
-    page = report_file or out.with_suffix(".html")
     facts = {"Table": str(out), "Work": job.work, "Examined now": f"{result.examined}, kept: {result.kept}"}
+    if slow := [
+        f"{_short(path)} ({seconds:.0f} s)" for path, seconds in summary.slowest if seconds >= _LONG_S
+    ]:
+        facts["Slowest"] = ", ".join(slow)
     write_fleet_report(summary, facts, page)
     _say(output, result, summary, out, page)
     output.write_json(_document(result, summary, out, page))
@@ -204,6 +227,8 @@ def _showing() -> Iterator[Callable[[Progress], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
+    from mavcompass.fleet.summary import counted
+
     console = Console(stderr=True, no_color=bool(os.environ.get("NO_COLOR")))
     columns = (
         BarColumn(bar_width=24),
@@ -215,21 +240,35 @@ def _showing() -> Iterator[Callable[[Progress], None]]:
         task = bar.add_task("", total=None)
 
         def show(progress: Progress) -> None:
-            words = f"{progress.errors} errors" if progress.errors else ""
-            bar.update(task, total=progress.asked, completed=progress.done, description=words)
+            words = [counted(progress.errors, "error")] if progress.errors else []
+            if progress.under_way and progress.under_way[0][1] >= _LONG_S:
+                path, seconds = progress.under_way[0]
+                words.append(f"{_short(path)} takes {seconds:.0f} s so far")
+            bar.update(task, total=progress.asked, completed=progress.done, description=", ".join(words))
 
         yield show
 
 
+def _short(path: str) -> str:
+    """Name a recording by its file and folder."""
+    return "/".join(Path(path).parts[-2:])
+
+
 def _say(output: Output, result: FleetResult, summary: Summary, out: Path, page: Path) -> None:
+    from mavcompass.fleet.summary import counted
+
     kept = f", {result.kept} were done before" if result.kept else ""
     output.say(
-        f"{result.examined} of {result.asked} recordings examined{kept}; {len(summary.errors)} errors."
+        f"{result.examined} of {counted(result.asked, 'recording')} examined{kept};"
+        f" {counted(len(summary.errors), 'error')}."
     )
-    for effect in summary.effects[:_SHOWN]:
+    if summary.slowest and summary.slowest[0][1] >= _LONG_S:
+        output.say("Slowest: {} ({:.0f} s).".format(*summary.slowest[0]))
+    for effect in [effect for effect in summary.effects if effect.largest_mgauss >= _LEAST_MGAUSS][:_SHOWN]:
         output.say(
-            f"  {effect.effect}: in {effect.recordings} recordings of {effect.vehicles} vehicles,"
-            f" median {effect.median_mgauss:.1f} mG, largest {effect.largest_mgauss:.1f} mG"
+            f"  {effect.effect}: in {counted(effect.recordings, 'recording')} of"
+            f" {counted(effect.vehicles, 'vehicle')}, median {effect.median_mgauss:.1f} mG,"
+            f" largest {effect.largest_mgauss:.1f} mG"
         )
     for vehicle in summary.look_first[:_SHOWN]:
         output.say(f"Look at {vehicle.name}: {'; '.join(vehicle.why)}.")
@@ -248,6 +287,7 @@ def _document(result: FleetResult, summary: Summary, out: Path, page: Path) -> d
         "table": out,
         "report": page,
         "errors": [{"recording": recording, "error": error} for recording, error in summary.errors],
+        "slowest": [{"recording": recording, "seconds": seconds} for recording, seconds in summary.slowest],
         "effects": [
             {
                 "effect": e.effect,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.errors import UsageError
 
@@ -59,6 +60,7 @@ def diagnose(
     \b
     Example: mavcompass gap diagnose flight.tlog --baseline good.tlog --json gap.json
     """
+    require_for(log, baseline, report=report)
     diagnosis = _diagnosed(log, instance, baseline, withhold, reference)
     for line in summary(diagnosis):
         output.say(line)
@@ -140,6 +142,7 @@ def export(
     """
     from mavcompass.gap.export import ardupilot_sitl, parameter_file, preset, vehicle_settings
 
+    require_for(log, baseline)
     diagnosis = _diagnosed(log, instance, baseline, (), reference)
     settings = vehicle_settings(diagnosis)
     exported = ardupilot_sitl(settings)
@@ -182,6 +185,7 @@ def blind_trial(cases: int, seed: int, report: Path | None, output: Output) -> N
     """
     from mavcompass.gap.trial import run_trial
 
+    require_for(report=report)
     trial = run_trial(cases, seed)
     for line in trial.lines():
         output.say(line)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from mavcompass.cli.dial import dial
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options, to_json
 from mavcompass.errors import UsageError
 
@@ -31,7 +34,7 @@ class Row:
         """Return a line for a person."""
         true = "   -  " if self.true_deg is None else f"{self.true_deg:6.1f}"
         return (
-            f"{self.time_s:10.2f} s   magnetic {self.magnetic_deg:6.1f}   true {true}"
+            f"{self.time_s:8.2f} s   magnetic {self.magnetic_deg:6.1f}   true {true}"
             f"   sigma {self.sigma_deg:4.1f} deg"
         )
 
@@ -68,7 +71,7 @@ def command(
     """Stream the tilt-compensated heading with its uncertainty (1 sigma).
 
     Magnetic, and true by the World Magnetic Model where the vehicle knows its place. The autopilot's
-    own calibration is in force. A live stream ends with Ctrl-C.
+    own calibration is in force. A live stream ends with Ctrl-C; on a terminal it is a compass card.
 
     \b
     mavcompass heading udpin:0.0.0.0:14550
@@ -77,22 +80,25 @@ def command(
     from mavcompass.vehicle.address import Recording, parse_address
 
     address = parse_address(source)
+    require_for(address)
     if isinstance(address, Recording):
         rows = _recorded(source, instance, two_axis)
     else:
         rows = _live(source, address, instance, two_axis, rate_hz or 5.0)
     chosen = _limited(rows, rate_hz, duration_s)
     kept: list[dict[str, Any]] = []
-    try:
+    recorded = isinstance(address, Recording)
+    redrawn = not (recorded or json_lines or output.json_file == "-")
+    with suppress(KeyboardInterrupt), dial(redrawn) as draw:  # Ctrl-C: the ordinary end of a live stream
         for row in chosen:
             if json_lines:
-                print(to_json(row.document()), flush=not isinstance(address, Recording))
+                print(to_json(row.document()), flush=not recorded)
+            elif draw is not None:
+                draw(row.magnetic_deg if row.true_deg is None else row.true_deg, row.text())
             elif output.json_file is None or sys.stdout.isatty():
                 output.say(row.text())
             if output.json_file is not None:
                 kept.append(row.document())
-    except KeyboardInterrupt:
-        pass  # the ordinary end of a live stream
     output.write_json({"schema": "mavcompass.heading/1", "source": source, "headings": kept})
     return 0
 

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import TextIO
 
 import click
 
@@ -28,10 +30,12 @@ COMMANDS = {
     "gap": "Explain the gap between the simulation and a recording.",
     "fleet": "Work through many recordings, on one machine or a cluster.",
     "serve": "Run as a service on a companion computer.",
+    "doctor": "Say what on this computer stands in the way, and its remedy.",
 }
 
 WRONG_USAGE = 2
 STOPPED_BY_PERSON = 7
+COMPLETION_VARIABLE = "_MAVCOMPASS_COMPLETE"  # click's: set by the script, read at every start
 READER_WENT_AWAY = 141  # what the shell reports for a program that ended by SIGPIPE
 UNEXPECTED = 1
 
@@ -64,8 +68,28 @@ class LazyCommands(click.Group):
         return result
 
 
+def _print_completion(context: click.Context, parameter: click.Parameter, shell: str | None) -> None:
+    """Print a shell's completion script; the shell asks the program itself what can follow."""
+    if shell is None:
+        return
+    from click.shell_completion import get_completion_class
+
+    chosen = get_completion_class(shell)
+    assert chosen is not None
+    click.echo(chosen(program, {}, "mavcompass", COMPLETION_VARIABLE).source())
+    context.exit()
+
+
 @click.command(cls=LazyCommands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="mavcompass", message="%(prog)s %(version)s")
+@click.option(
+    "--completion",
+    type=click.Choice(("bash", "zsh", "fish")),
+    expose_value=False,
+    is_eager=True,
+    callback=_print_completion,
+    help="Print what makes this shell complete commands and options.",
+)
 @verbose_option
 def program() -> None:
     """Calibrate a vehicle's compass in four 90 degree turns, read its heading with an honest uncertainty,
@@ -76,6 +100,7 @@ def program() -> None:
 
     \b
     Example: mavcompass calibrate sim:rover --yes
+    Completion of words by TAB: eval "$(mavcompass --completion bash)"
     """
 
 
@@ -84,6 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal that lacks a letter shows "?" for it
+    warnings.showwarning = _log_warning
     try:
         code = program.main(args=arguments, prog_name="mavcompass", standalone_mode=False)
     except click.ClickException as error:
@@ -104,6 +130,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _log_traceback(error)
         return UNEXPECTED
     return code if type(code) is int else 0  # a command may return its exit code
+
+
+def _log_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Keep what libraries warn of off the terminal: it is for the log (`-v`)."""
+    import logging
+
+    logging.getLogger("mavcompass").info("%s:%d: %s: %s", filename, lineno, category.__name__, message)
 
 
 def _complain(sentence: str) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Function, Output, common_options
 from mavcompass.errors import MavCompassError, UsageError, WriteFailed
 
@@ -59,6 +60,7 @@ def show(source: str, system: int | None, output: Output) -> None:
     """
     from mavcompass.cli.params_view import show_parameters
 
+    require_for(source)
     held = _read(source, system)
     show_parameters(output, held)
     output.write_json({**_head("show", source, held), "parameters": held.compass_values})
@@ -79,6 +81,7 @@ def diff(source: str, file: Path, system: int | None, output: Output) -> None:
     from mavcompass.vehicle.parameter_session import compass_part, read_wanted
     from mavcompass.vehicle.parameter_values import same_value
 
+    require_for(source)
     wanted = read_wanted(file)
     held = _read(source, system)
     differing = {
@@ -122,6 +125,7 @@ def restore(
     """
     from mavcompass.vehicle.undo import newest_record, undo_directory
 
+    require_for(source)
     if file is None and (file := newest_record(source)) is None:
         raise UsageError(
             f"There is no undo file of {source} in {undo_directory()}.", "Give the file to restore."
@@ -144,6 +148,7 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     from mavcompass.vehicle.parameter_files import parameter_form, parameter_text, write_parameter_file
     from mavcompass.vehicle.transaction import counted
 
+    require_for(source)
     if file is not None:
         parameter_form(file)  # a wrong suffix is told before the vehicle is asked
         if file.exists() and not yes:
@@ -202,6 +207,7 @@ def _write(
     from mavcompass.vehicle.undo import undo_saver
 
     _check_call(source, yes, dry_run)
+    require_for(source)
     wanted = read_wanted(file)
     document: dict[str, object] = {"schema": SCHEMA, "action": action, "source": source, "file": str(file)}
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.errors import UsageError
 
@@ -66,6 +67,7 @@ def command(
     from mavcompass.vehicle.stopping import StopRequest, stop_signals
 
     address = listening_address(where)
+    require_for(log, address)
     on_link, on_vehicle = parse_faults(faults)
     recorded = FaultyRecording(replayed_autopilot(log, read_track, on_vehicle), on_link, seed)
     stop = StopRequest()

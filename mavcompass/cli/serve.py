@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import verbose_option
 from mavcompass.errors import UsageError
 
@@ -40,14 +41,10 @@ def command(
     mavcompass serve udpin:127.0.0.1:14571 --http 0.0.0.0:8808
     mavcompass serve --config /etc/mavcompass.toml
     """
-    try:
-        from mavcompass.service.config import ServiceConfig, load_config, parse_config
-        from mavcompass.service.run import Service
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"The service needs the package {error.name}, which is not installed.",
-            "Install it with: pip install 'mavcompass[service,report]'",
-        ) from error
+    require_for(report=True, also=("The service",))
+    from mavcompass.service.config import ServiceConfig, load_config, parse_config
+    from mavcompass.service.run import Service
+
     config = ServiceConfig() if config_file is None else load_config(config_file)
     if source is None and config_file is None:
         raise UsageError("No vehicle was named.", "Give SOURCE, or --config with vehicle.source.")
@@ -64,6 +61,7 @@ def command(
             checked = parse_config(f"[{table}]\n{key} = {text}\n", "command line")
             changed = {key: getattr(getattr(checked, table), key)}
             config = replace(config, **{table: replace(getattr(config, table), **changed)})
+    require_for(config.vehicle.source)
     if not logging.getLogger("mavcompass").isEnabledFor(logging.INFO):
         logging.basicConfig(stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s")
     service = Service(config)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.errors import UsageError
 from mavcompass.vehicle.address import VEHICLES
@@ -97,6 +98,7 @@ def command(
     from mavcompass.vehicle.stopping import StopRequest, stop_signals
 
     address = listening_address(where)
+    require_for(address)
     autopilot = simulated_autopilot(vehicle, seed, effects, armed=not disarmed)
     stop = StopRequest()
     with ExitStack() as open_things:

@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -60,9 +60,10 @@ class PlainShow:
 
 
 class LiveShow:
-    """Keep one live line with a bar; finished steps scroll up above it."""
+    """Keep one live line with a bar; finished steps scroll up above it, but for those that are told later."""
 
-    def __init__(self, progress: Any) -> None:
+    def __init__(self, progress: Any, told_later: Container[str] = ()) -> None:
+        self._told_later = told_later
         self._progress = progress
         self._task = progress.add_task("", total=1.0)
         self._last: Show | None = None
@@ -71,7 +72,11 @@ class LiveShow:
         """Show a step; ring the terminal's bell where a person who turns the vehicle should look up."""
         if _has(show, "cue"):
             self._progress.console.bell()
-        if self._last is not None and self._last.step != show.step:
+        if (
+            self._last is not None
+            and self._last.step != show.step
+            and self._last.step not in self._told_later
+        ):
             self._progress.console.print(
                 f"[dim]{_MARKS.get(self._last.step, '·')} {self._last.text}[/dim]", highlight=False
             )
@@ -84,8 +89,12 @@ class LiveShow:
 
 
 @contextmanager
-def showing(quiet: bool = False) -> Iterator[Callable[[Show], None]]:
-    """Show a procedure's progress on standard error while the block runs."""
+def showing(quiet: bool = False, told_later: Container[str] = ()) -> Iterator[Callable[[Show], None]]:
+    """Show a procedure's progress on standard error while the block runs.
+
+    Args:
+        told_later: steps whose sentence the same terminal shows again, as the result.
+    """
     if quiet:
         yield lambda _: None
         return
@@ -98,7 +107,7 @@ def showing(quiet: bool = False) -> Iterator[Callable[[Show], None]]:
     console = Console(stderr=True, no_color=bool(os.environ.get("NO_COLOR")))
     columns = (BarColumn(bar_width=24), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
-        yield LiveShow(progress)
+        yield LiveShow(progress, told_later)
 
 
 def ask_on_terminal(question: str) -> Callable[[], bool | None]:

@@ -6,9 +6,10 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from mavcompass.errors import LinkError, UsageError
+from mavcompass.errors import LinkError
 from mavcompass.fleet.child import DIED, TIMEOUT, Answer, Child, Failure
 from mavcompass.fleet.pool import Task
+from mavcompass.parts import require
 
 _CONNECT_S = 10.0
 # Tasks under way per thread of the cluster: enough to keep it busy, few enough for any number of recordings.
@@ -77,13 +78,9 @@ def _answer(future: Any) -> Answer:
 
 
 def _dask() -> Any:
-    try:
-        import distributed
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            "--scheduler needs the package dask.distributed, which is not installed.",
-            "Install it with: pip install 'mavcompass[fleet]'",
-        ) from error
+    require("A cluster (--scheduler)")
+    import distributed
+
     return distributed
 
 

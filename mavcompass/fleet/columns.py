@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from mavcompass.errors import UsageError
 from mavcompass.fleet.examine import Row, Work
+from mavcompass.parts import require
 
 Kind = Literal["text", "number", "count", "flag", "moment"]
 
@@ -34,7 +35,9 @@ _COMMON = [
     Column("status", "text", "ok, not_accepted (a calibration not worth writing) or error"),
     Column("error_kind", "text", "of an error: its class, WorkerDied or Timeout"),
     Column("error", "text", "of an error: what happened and what to do"),
-    Column("vehicle", "text", "by --vehicle-pattern, serial number, or folder and system id"),
+    Column("vehicle", "text", "by --vehicle-pattern, serial number, or folder and system id with a letter"),
+    Column("device_ids", "text", "the autopilot's ids of all its compasses, comma-separated"),
+    Column("accelerometer", "text", "short mark of the accelerometer's calibration, a vehicle's own"),
     Column("autopilot", "text", "ardupilot, px4 or unknown"),
     Column("vehicle_kind", "text", "rover, copter, ..."),
     Column("recorded_at", "moment", "when the readings begin, UTC", "recorded_unix_s"),
@@ -96,23 +99,12 @@ def columns_of(work: Work) -> list[Column]:
     return [*_COMMON, *_DIAGNOSE, *sizes]
 
 
-def require_parquet() -> None:
-    """Raise UsageError, with the command that helps, where pyarrow is not installed."""
-    try:
-        import pyarrow.parquet  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            "Parquet files need the package pyarrow, which is not installed.",
-            "Install it with: pip install 'mavcompass[fleet]'",
-        ) from error
-
-
 def write_parquet(rows: Sequence[Row], work: Work, path: Path) -> None:
     """Write rows to a Parquet file; an older one stays until the new one is whole.
 
     Raises UsageError where pyarrow is missing or the file cannot be written.
     """
-    require_parquet()
+    require("A Parquet table")
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -12,6 +12,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
 from mavcompass.errors import BadRecording, MavCompassError
+from mavcompass.fleet.vehicles import accelerometer_mark
 
 if TYPE_CHECKING:
     from mavcompass.calibration.result import CalibrationResult
@@ -96,10 +97,13 @@ def _error(error: MavCompassError) -> Row:
 
 def _about(job: Job, path: str, track: Track) -> Row:
     start = min((float(c.time_s[0]) for c in track.compasses.values() if len(c.reported)), default=0.0)
+    ids = [str(compass.device_id) for _, compass in sorted(track.compasses.items()) if compass.device_id]
     known = track.utc_offset_s is not None and math.isfinite(track.utc_offset_s + start)
     return {
         "recording": path,
-        "vehicle": _named_in(job, path) or _own_name(track, path),
+        **_named(job, track, path),
+        "device_ids": ",".join(ids) or None,
+        "accelerometer": accelerometer_mark(track.parameters),
         "autopilot": track.autopilot,
         "vehicle_kind": track.vehicle,
         "recorded_unix_s": track.utc_offset_s + start if known and track.utc_offset_s is not None else None,
@@ -117,15 +121,17 @@ def _folder(path: str) -> str:
     return PurePosixPath(path).parent.name or "unnamed"
 
 
-def _own_name(track: Track, path: str) -> str:
-    """Name a vehicle by its serial number; few have one set, so else by its system id and folder."""
+def _named(job: Job, track: Track, path: str) -> Row:
+    """Name a vehicle by pattern or serial number; few have one set, so else by its folder and system id."""
+    if (name := _named_in(job, path)) is not None:
+        return {"vehicle": name, "named_by": "pattern"}
     serial = track.parameters.get("BRD_SERIAL_NUM", 0.0)
     if math.isfinite(serial) and serial:
-        return f"serial {serial:.0f}"
-    for name in ("MAV_SYSID", "SYSID_THISMAV", "MAV_SYS_ID"):
-        if math.isfinite(system := track.parameters.get(name, math.nan)):
-            return f"{_folder(path)}, system {system:.0f}"
-    return _folder(path)
+        return {"vehicle": f"serial {serial:.0f}", "named_by": "serial"}
+    for parameter in ("MAV_SYSID", "SYSID_THISMAV", "MAV_SYS_ID"):
+        if math.isfinite(system := track.parameters.get(parameter, math.nan)):
+            return {"vehicle": f"{_folder(path)}, system {system:.0f}", "named_by": "folder"}
+    return {"vehicle": _folder(path), "named_by": "folder"}
 
 
 def _about_compass(track: Track, instance: int) -> Row:

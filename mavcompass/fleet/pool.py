@@ -9,13 +9,19 @@ from typing import Any
 from mavcompass.fleet.child import DIED, TIMEOUT, Answer, Child
 
 Task = tuple[Any, ...]
+_LOOK_UP_S = 1.0
 
 
 def run_in_processes(
-    function: Callable[..., Any], tasks: Iterable[Task], workers: int, timeout_s: float
+    function: Callable[..., Any],
+    tasks: Iterable[Task],
+    workers: int,
+    timeout_s: float,
+    on_wait: Callable[[list[tuple[Task, float]]], None] = lambda _: None,
 ) -> Iterator[tuple[Task, Answer]]:
     """Yield each task, its arguments, with its answer, as they are done.
 
+    `on_wait` is told, about once a second, which tasks are under way and for how long, the longest first.
     A process that dies or is over its time is replaced. When the iterator is closed, or an error or an
     interrupt passes through it, the processes end at once.
     """
@@ -43,6 +49,8 @@ def run_in_processes(
             for _ in range(workers):
                 give_next(None)
             while busy:
+                under_way = [(task, timeout_s - child.left_s()) for child, task in busy.items()]
+                on_wait(sorted(under_way, key=lambda item: -item[1]))
                 for child, answer in _answers(selector, busy):
                     task = busy.pop(child)
                     lost = answer.failure is not None and answer.failure.kind in (DIED, TIMEOUT)
@@ -59,7 +67,7 @@ def _answers(selector: selectors.BaseSelector, busy: dict[Child, Task]) -> list[
     """Wait for the next answers; children that are lost are taken off the selector."""
     soonest = min(child.left_s() for child in busy)
     answers: list[tuple[Child, Answer]] = []
-    for key, _ in selector.select(max(soonest, 0.0)):
+    for key, _ in selector.select(min(max(soonest, 0.0), _LOOK_UP_S)):
         child: Child = key.data
         answer = child.receive()
         if answer is None:

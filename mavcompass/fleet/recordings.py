@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from mavcompass.errors import UsageError
+from mavcompass.parts import require
 
 SUFFIXES = frozenset({".tlog", ".bin", ".log", ".ulg", ".csv"})
 _MAGIC = frozenset("*?[")
@@ -130,13 +131,9 @@ def _remote_file(filesystem: Any, path: str, info: dict[str, Any]) -> Recording:
 
 def _store(url: str) -> tuple[Any, str]:
     """Return the file system of a URL and the path in it."""
-    try:
-        import fsspec.core
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"{url.partition('://')[0]}:// needs the package fsspec, which is not installed.",
-            "Install it with: pip install 'mavcompass[fleet]'",
-        ) from error
+    require("An object store")
+    import fsspec.core
+
     try:
         filesystem, path = fsspec.core.url_to_fs(url)
     except (ImportError, ValueError) as error:

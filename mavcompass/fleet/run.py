@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from mavcompass.errors import UsageError
 from mavcompass.fleet.child import Answer
-from mavcompass.fleet.columns import require_parquet, write_parquet
+from mavcompass.fleet.columns import write_parquet
 from mavcompass.fleet.examine import Job, Row, error_row, examine
 from mavcompass.fleet.journal import Journal
 from mavcompass.fleet.pool import Task, run_in_processes
 from mavcompass.fleet.recordings import Recording
+from mavcompass.fleet.vehicles import told_apart
+from mavcompass.parts import require
 
 Examine = Callable[[Job, str], list[Row]]
 
@@ -26,10 +29,15 @@ class Engine:
     scheduler: str | None = None
     timeout_s: float = 600.0
 
-    def run(self, function: Examine, tasks: Iterable[Task]) -> Iterator[tuple[Task, Answer]]:
-        """Yield each task with its answer, as they are done."""
+    def run(
+        self, function: Examine, tasks: Iterable[Task], on_wait: Callable[[list[tuple[Task, float]]], None]
+    ) -> Iterator[tuple[Task, Answer]]:
+        """Yield each task with its answer, as they are done; `on_wait` as `pool.run_in_processes` has it.
+
+        A cluster does not tell which of its tasks have begun.
+        """
         if self.scheduler is None:
-            return run_in_processes(function, tasks, self.workers, self.timeout_s)
+            return run_in_processes(function, tasks, self.workers, self.timeout_s, on_wait)
         from mavcompass.fleet.cluster import run_on_cluster
 
         return run_on_cluster(function, tasks, self.scheduler, self.timeout_s)
@@ -37,11 +45,15 @@ class Engine:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Say how far a run is: recordings asked for, done (earlier runs included), and given errors."""
+    """Say how far a run is, in recordings: asked for, done (earlier runs included), given errors.
+
+    `under_way`: those that processes of this machine are at, with their seconds, the longest first.
+    """
 
     asked: int
     done: int
     errors: int
+    under_way: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,32 +80,51 @@ def run_fleet(
     fresh: bool = False,
     retry_errors: bool = False,
     on_progress: Callable[[Progress], None] = lambda _: None,
+    on_rows: Callable[[list[Row], Progress], None] = lambda rows, progress: None,
+    rows_every_s: float = 15.0,
     examine_one: Examine = examine,
 ) -> FleetResult:
     """Examine the recordings that the journal beside `out` does not have yet, and write the table.
 
     Args:
         fresh: forget the journal. retry_errors: do again what gave an error.
+        on_progress: told of every recording, and about once a second. on_rows: given what there is, while the
+            work goes on, when there is something new but at most every `rows_every_s`.
         examine_one: what is done with one recording, in another process.
 
     A recording whose process dies or is over its time gives one row with the error. An interrupt leaves
     the journal, and the same call goes on from there. Raises UsageError for what cannot be begun.
     """
-    require_parquet()
+    require("A Parquet table")
     _check_pattern(job)
     with Journal(journal_of(out), _question(job), fresh) as journal:
         done = [r for r in recordings if journal.is_done(r) and not (retry_errors and journal.failed(r))]
         kept = {recording.path for recording in done}
         to_do = {recording.path: recording for recording in recordings if recording.path not in kept}
         errors = sum(journal.failed(recording) for recording in done)
-        on_progress(Progress(len(recordings), len(kept), errors))
-        tasks = ((job, path) for path in to_do)
-        for number, (task, answer) in enumerate(engine.run(examine_one, tasks), start=1):
+        progress = Progress(len(recordings), len(kept), errors)
+        shown, shown_s = progress.done, time.monotonic()
+
+        def wait(under_way: list[tuple[Task, float]]) -> None:
+            nonlocal progress
+            progress = replace(progress, under_way=tuple((task[1], seconds) for task, seconds in under_way))
+            tell()
+
+        def tell() -> None:
+            nonlocal shown, shown_s
+            on_progress(progress)
+            if shown < progress.done < progress.asked and time.monotonic() - shown_s >= rows_every_s:
+                on_rows(told_apart(journal.rows()), progress)
+                shown, shown_s = progress.done, time.monotonic()
+
+        on_progress(progress)
+        for task, answer in engine.run(examine_one, ((job, path) for path in to_do), wait):
             recording = to_do[task[1]]
             journal.add(recording, _rows(job, recording, answer))
             errors += journal.failed(recording)
-            on_progress(Progress(len(recordings), len(kept) + number, errors))
-        rows = journal.rows()
+            progress = replace(progress, done=progress.done + 1, errors=errors)
+            tell()
+        rows = told_apart(journal.rows())
         write_parquet(rows, job.work, out)
     return FleetResult(rows, len(recordings), len(to_do), len(kept))
 

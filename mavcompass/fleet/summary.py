@@ -85,13 +85,19 @@ class EffectSize:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Hold the whole fleet. `vehicles`: the ones to look at first come first."""
+    """Hold the whole fleet; every count is one of recordings.
+
+    Attributes:
+        errors: recording and what went wrong, once each. vehicles: the ones to look at first come first.
+        slowest: the recordings that took longest, with their seconds.
+    """
 
     work: Work
     recordings: int
     errors: tuple[tuple[str, str], ...]
     vehicles: tuple[Vehicle, ...]
     effects: tuple[EffectSize, ...]
+    slowest: tuple[tuple[str, float], ...] = ()
 
     @property
     def look_first(self) -> tuple[Vehicle, ...]:
@@ -106,8 +112,7 @@ def summarise(rows: Sequence[Row], work: Work) -> Summary:
         by_vehicle[row["vehicle"]].append(row)
     vehicles = [_vehicle(name, by_vehicle[name]) for name in sorted(by_vehicle)]
     vehicles.sort(key=lambda v: (-v.worst_deg, -len(v.why), v.name))
-    errors = [(row["recording"], row["error"]) for row in rows if row["status"] == "error"]
-    return Summary(work, _count(rows), tuple(errors), tuple(vehicles), _effects(rows))
+    return Summary(work, _count(rows), _errors(rows), tuple(vehicles), _effects(rows), _slowest(rows))
 
 
 def effects_of(row: Row) -> dict[str, float]:
@@ -131,6 +136,29 @@ def effects_of(row: Row) -> dict[str, float]:
         "axis_scale": 0.5 * abs(row["diagonal_x"] - row["diagonal_y"]) * horizontal,
         "non_orthogonality": abs(row["off_diagonal_xy"]) * horizontal,
     }
+
+
+def _errors(rows: Sequence[Row]) -> tuple[tuple[str, str], ...]:
+    """Return each recording with an error once; where other compasses gave a result, with the compass."""
+    good = {row["recording"] for row in rows if row["status"] != "error"}
+    errors: dict[str, str] = {}
+    for row in rows:
+        if row["status"] == "error":
+            which = f"compass {row['compass']}: " if row["recording"] in good and row.get("compass") else ""
+            errors.setdefault(row["recording"], which + row["error"])
+    return tuple(errors.items())
+
+
+def _slowest(rows: Sequence[Row], most: int = 3) -> tuple[tuple[str, float], ...]:
+    seconds: dict[str, float] = defaultdict(float)
+    for row in rows:
+        seconds[row["recording"]] += row.get("seconds") or 0.0
+    return tuple(sorted(seconds.items(), key=lambda item: -item[1])[:most])
+
+
+def counted(number: int, thing: str) -> str:
+    """Spell a number of things: 1 recording, 2 recordings."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def _count(rows: Iterable[Row]) -> int:
@@ -158,19 +186,20 @@ def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
     for row in rows:
         for effect, size in effects_of(row).items():
             sizes[effect] = max(size, sizes.get(effect, 0.0))
+    diagnosed = any(row.get("verdict") is not None for row in rows)
     errors = _count(row for row in rows if row["status"] == "error")
     not_accepted = _count(row for row in rows if row["status"] == "not_accepted")
-    reasons = sorted(
-        [reason for history in histories for reason in _reasons(history)], key=lambda r: r[0], reverse=True
-    )
+    reasons = [reason for history in histories for reason in _reasons(history, diagnosed)]
+    reasons.sort(key=lambda reason: reason[0], reverse=True)
     why = [text for _, text in reasons]
     unexplained = _count(row for row in rows if row.get("unknown"))
     if unexplained:
-        why.append(f"{unexplained} recordings show something that no effect explains")
+        shows = "shows" if unexplained == 1 else "show"
+        why.append(f"{counted(unexplained, 'recording')} {shows} something that no effect explains")
     if not_accepted:
-        why.append(f"{not_accepted} recordings gave no calibration worth writing")
+        why.append(f"{counted(not_accepted, 'recording')} gave no calibration worth writing")
     if errors:
-        why.append(f"{errors} recordings could not be used")
+        why.append(f"{counted(errors, 'recording')} could not be used")
     kinds = [row["vehicle_kind"] for row in rows if row.get("vehicle_kind") not in (None, "unknown")]
     return Vehicle(
         name,
@@ -235,12 +264,14 @@ def _measure(point: Point) -> float | None:
     return point.off_deg if point.drift_deg is None else point.drift_deg
 
 
-def _reasons(history: History) -> list[tuple[float, str]]:
+def _reasons(history: History, diagnosed: bool) -> list[tuple[float, str]]:
     """Say what is notable in a compass's history, with how many degrees it is about."""
     out = []
     last, which = history.points[-1], f"compass {history.compass}"
     if last.off_deg is not None and last.off_deg >= NOTABLE_DEG:
-        out.append((last.off_deg, f"{which}: heading off by {last.off_deg:.1f}° in its last recording"))
+        # A diagnosis has the sensor's own gap, whatever the calibration in force makes of it.
+        off = "the simulation's heading is {:.1f}° away" if diagnosed else "heading off by {:.1f}°"
+        out.append((last.off_deg, f"{which}: {off.format(last.off_deg)} in its last recording"))
     if last.drift_deg is not None and last.sigma_deg is not None and last.drift_deg >= NOTABLE_DEG:
         days = (last.time_unix_s - history.points[0].time_unix_s) / _DAY_S
         if last.drift_deg >= NOTABLE_SIGMAS * last.sigma_deg:

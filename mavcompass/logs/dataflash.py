@@ -161,9 +161,10 @@ def _vehicle(logs: Sequence[Log], frame_class: float | None) -> str:
 def _notes_about_the_file(contents: DataFlashContents) -> list[str]:
     notes = []
     if contents.skipped_bytes:
+        places = "1 place" if contents.skipped_stretches == 1 else f"{contents.skipped_stretches} places"
         notes.append(
-            f"Skipped {contents.skipped_bytes} bytes at {contents.skipped_stretches} places that are no "
-            f"record of the log ({sum(contents.counts.values())} records were read)."
+            f"The recording is damaged at {places}: {contents.skipped_bytes} bytes were left out, "
+            f"{sum(contents.counts.values())} records were read."
         )
     if len(contents.logs) > 1:
         notes.append(f"The file holds {len(contents.logs)} logs one after the other.")

@@ -128,11 +128,11 @@ def _is_autopilot(messages: Mapping[str, Messages]) -> bool:
 def _notes_about_the_file(contents: TlogContents) -> tuple[str, ...]:
     notes = []
     if contents.skipped_bytes:
-        where = "its end" if contents.cut_off and contents.skipped_stretches == 1 else ""
-        where = where or f"{contents.skipped_stretches} places"
+        places = "1 place" if contents.skipped_stretches == 1 else f"{contents.skipped_stretches} places"
+        where = "its end" if contents.cut_off and contents.skipped_stretches == 1 else places
         notes.append(
-            f"Skipped {contents.skipped_bytes} bytes at {where} that are no good MAVLink message "
-            f"({contents.frames} messages were read)."
+            f"The recording is damaged at {where}: {contents.skipped_bytes} bytes were left out, "
+            f"{contents.frames} messages were read."
         )
     if contents.unknown_frames:
         notes.append(

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.errors import BadRecording, UsageError
+from mavcompass.errors import BadRecording
 from mavcompass.logs.parameter_steps import Seen, changes
 from mavcompass.logs.ulog_columns import TOPICS, columns, utc_offset_s, vehicle
 from mavcompass.logs.ulog_compasses import MAG_TOPICS, compasses
+from mavcompass.parts import require
 from mavcompass.track import Track
 
 _MICRO = 1.0e-6
@@ -51,13 +52,9 @@ def read_ulog(path: Path) -> Track:
 
 
 def _parse(path: Path) -> Any:
-    try:
-        from pyulog import ULog
-    except ImportError:
-        raise UsageError(
-            f"{path} is a ULog, and the package that reads it is not installed.",
-            'Install it: pip install "mavcompass[ulog]"',
-        ) from None
+    require("A PX4 recording (.ulg)")
+    from pyulog import ULog
+
     try:
         # pyulog prints what it stumbles over; what matters is told in the notes.
         with contextlib.redirect_stdout(io.StringIO()), path.open("rb") as file:

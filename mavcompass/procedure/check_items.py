@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mavcompass import messages as mav
+from mavcompass.calibration.stillness import UNREST
 from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, px4_name
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
@@ -148,13 +149,17 @@ def judge_field(reading: Reading, world: EarthField | None) -> list[CheckItem]:
     if world is None:
         low, high = _EARTH_MGAUSS
         good = low <= total <= high
-        text = f"Compass {i}: field {total:.0f} mG, compared with no place."
+        text = f"Compass {i}: the field is {total:.0f} mG; the place is not known, so any on Earth counts."
         return [CheckItem("field", "pass" if good else "fail", text, "" if good else remedy, i, total, high)]
     percent = 100.0 * (total / world.total_mgauss - 1.0)
     dip_deg = math.degrees(reading.dip_rad - world.inclination_rad)
     strength, dip = _grade(abs(percent), 6.0, 15.0), _grade(abs(dip_deg), 3.0, 8.0)
-    field_text = f"Compass {i}: field {percent:+.1f} % of the world model's {world.total_mgauss:.0f} mG."
-    dip_text = f"Compass {i}: dip {dip_deg:+.1f} deg of the world model's."
+    stronger = "stronger" if percent > 0 else "weaker"
+    field_text = (
+        f"Compass {i}: the field is {abs(percent):.1f} % {stronger} than the Earth's is here"
+        f" ({world.total_mgauss:.0f} mG)."
+    )
+    dip_text = f"Compass {i}: the field's dip is {abs(dip_deg):.1f} deg off the Earth's here."
     return [
         CheckItem("field", strength, field_text, "" if strength == "pass" else remedy, i, percent, 6.0),
         CheckItem("dip", dip, dip_text, "" if dip == "pass" else remedy, i, dip_deg, 3.0),
@@ -166,7 +171,8 @@ def judge_agreement(first: Reading, other: Reading) -> CheckItem:
     apart_deg = math.degrees(float(wrap_pi(other.heading_rad - first.heading_rad)))
     verdict = _grade(abs(apart_deg), 5.0, 15.0)
     remedy = "" if verdict == "pass" else "Calibrate both; then check their mounting orientation."
-    text = f"Compass {other.instance} points {apart_deg:+.1f} deg off compass {first.instance}."
+    side = "right" if apart_deg > 0 else "left"
+    text = f"Compass {other.instance} points {abs(apart_deg):.1f} deg {side} of compass {first.instance}."
     return CheckItem("agreement", verdict, text, remedy, other.instance, apart_deg, 5.0)
 
 
@@ -175,14 +181,16 @@ def judge_gyro(rate_radps: FloatArray) -> CheckItem:
     bias_dps = float(np.degrees(np.linalg.norm(rate_radps.mean(axis=0))))
     verdict = _grade(bias_dps, 0.7, 2.0)
     remedy = "" if verdict == "pass" else "Hold still and restart the autopilot, so that it learns the bias."
-    return CheckItem("gyro", verdict, f"Gyro at rest: {bias_dps:.2f} deg/s.", remedy, 0, bias_dps, 0.7)
+    return CheckItem(
+        "gyro", verdict, f"The gyro drifts by {bias_dps:.2f} deg/s at rest.", remedy, 0, bias_dps, 0.7
+    )
 
 
 def judge_stillness(still: bool, why_not: str) -> CheckItem | None:
     """Warn where the vehicle never stood still; None where it did."""
     if still:
         return None
-    text = f"The vehicle did not stand still ({why_not}): the figures below are rough."
+    text = f"The vehicle did not stand still ({UNREST.get(why_not, why_not)}): the figures below are rough."
     return CheckItem("stillness", "warn", text, "Put it down, let it come to rest and check again.")
 
 
@@ -196,7 +204,7 @@ def judge_estimator(ekf: mav.EkfStatusReport | None) -> CheckItem | None:
     variance = ekf.compass_variance
     verdict = _grade(variance, 0.5, 0.8)
     remedy = "" if verdict == "pass" else "Wait a minute; if it stays, calibrate and restart the autopilot."
-    text = f"Estimator: compass variance {variance:.2f}."
+    text = f"The autopilot's estimator gives the compass a variance of {variance:.2f}."
     return CheckItem("estimator", verdict, text, remedy, 0, variance, 0.5)
 
 
@@ -217,7 +225,7 @@ def judge_turn(instance: int, field_turned_deg: float, gyro_turned_deg: float, s
     verdict = _grade(abs(off_deg), limit_deg, max(8.0, 2.0 * limit_deg))
     remedy = "" if verdict == "pass" else "Calibrate."
     text = (
-        f"Compass {instance} turned {field_turned_deg:.1f} deg while the gyro turned"
+        f"Compass {instance} saw a turn of {field_turned_deg:.1f} deg, the gyro one of"
         f" {gyro_turned_deg:.1f} deg ({off_deg:+.1f})."
     )
     return CheckItem("turn", verdict, text, remedy, instance, off_deg, limit_deg)

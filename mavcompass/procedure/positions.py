@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from mavcompass import messages as mav
-from mavcompass.calibration.stillness import StillnessDetector
+from mavcompass.calibration.stillness import UNREST, StillnessDetector
 from mavcompass.errors import LinkLost, Refused
 from mavcompass.procedure.gyro_angle import GyroAngle
 from mavcompass.procedure.script import Context, Script, pause
@@ -191,7 +191,9 @@ def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettin
                 )
             return False
         if not shown and rest.why_not and context.now > began_s + 1.0:
-            context.show("settle", f"Waiting for rest: {rest.why_not}.")
+            context.show(
+                "settle", f"Waiting until it stands still: {UNREST.get(rest.why_not, rest.why_not)}."
+            )
             shown = True
         if context.now - held_s >= _HOLD_WHILE_SETTLING_S:
             mover.hold(context, settings.dwell_s)

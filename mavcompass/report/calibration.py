@@ -15,6 +15,7 @@ from mavcompass.calibration.result import CalibrationResult, heading_change_rad
 from mavcompass.calibration.summary import summary
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import UsageError
+from mavcompass.parts import require
 from mavcompass.procedure.calibrate import CalibrationReport
 from mavcompass.report import figures
 from mavcompass.track import Track
@@ -86,13 +87,9 @@ def render(template: str, **values: Any) -> str:
 
     Raises UsageError where the package that does it is not installed.
     """
-    try:
-        from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            "Reports need the package jinja2, which is not installed.",
-            "Install it with: pip install 'mavcompass[report]'",
-        ) from error
+    require("An HTML report")
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
         autoescape=True,

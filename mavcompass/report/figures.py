@@ -36,7 +36,7 @@ def level_components(field_mgauss: FloatArray, down: FloatArray) -> FloatArray:
     return np.stack([forward, right], axis=1)
 
 
-def _circle_points(track: Track, result: CalibrationResult, correction: FieldCorrection) -> FloatArray:
+def circle_points(track: Track, result: CalibrationResult, correction: FieldCorrection) -> FloatArray:
     """Return the recording as a correction shows it, level, thinned out, (N, 2)."""
     raw = track.raw_field(result.instance)
     time_s = track.compasses[result.instance].time_s
@@ -48,8 +48,8 @@ def _circle_points(track: Track, result: CalibrationResult, correction: FieldCor
 
 def circle_figure(track: Track, result: CalibrationResult) -> str:
     """Draw the level field before and after: forward up, right to the right, with the Earth's circle."""
-    old = _circle_points(track, result, result.in_force)
-    new = _circle_points(track, result, result.correction)
+    old = circle_points(track, result, result.in_force)
+    new = circle_points(track, result, result.correction)
     radius = result.horizontal_mgauss
     ring = [[-radius, radius]] if math.isfinite(radius) else []
     spread = limits(old, new, *ring, [0.0])
@@ -78,7 +78,7 @@ def circle_figure(track: Track, result: CalibrationResult) -> str:
 
 def raw_figure(track: Track, result: CalibrationResult) -> str:
     """Draw the raw field and the hard iron that was found in it."""
-    raw = _circle_points(track, result, FieldCorrection())
+    raw = circle_points(track, result, FieldCorrection())
     ox, oy = (float(v) for v in result.raw_offset_mgauss[:2])
     spread_x, spread_y = limits(raw[:, 1], [0.0, oy]), limits(raw[:, 0], [0.0, ox])
     title = "The raw field as the vehicle turned, and the hard iron found"

@@ -93,14 +93,3 @@ def _last_off_deg(vehicle: Vehicle) -> float | None:
 def _rate(vehicle: Vehicle) -> float | None:
     rates = [rate for h in vehicle.histories if (rate := h.rate_deg_per_30_days) is not None]
     return max(rates, key=abs, default=None)
-
-
-def require_templates() -> None:
-    """Raise UsageError where jinja2 is missing: better before a long run than after it."""
-    from importlib.util import find_spec
-
-    if find_spec("jinja2") is None:
-        raise UsageError(
-            "The summary page needs the package jinja2, which is not installed.",
-            "Install it with: pip install 'mavcompass[report]'",
-        )

@@ -248,17 +248,17 @@ class CompassWatch:
 _WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
     "field": (
         "field strength {value:+.0f} % off",
-        "The field at compass {i} is {value:+.0f} % off the world model's.",
+        "The field at compass {i} is {size:.0f} % {side} than the Earth's is here.",
         "Move away from iron and current; if it stays, calibrate.",
     ),
     "dip": (
         "field dip {value:+.0f} deg off",
-        "The field at compass {i} dips {value:+.1f} deg off the world model's.",
+        "The dip of the field at compass {i} is {size:.1f} deg off the Earth's here.",
         "Move away from iron and current; if it stays, calibrate.",
     ),
     "agreement": (
         "{value:+.0f} deg from compass 1",
-        "Compass {i} points {value:+.0f} deg off compass 1.",
+        "Compass {i} points {size:.0f} deg {side} of compass 1.",
         "Calibrate both; if they still differ, check the mounting orientation.",
     ),
     "gyro": (
@@ -268,7 +268,7 @@ _WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
     ),
     "course": (
         "heading {value:+.0f} deg off course",
-        "Driving ahead, the GPS course is {value:+.0f} deg off the heading of compass {i}.",
+        "Driving ahead, the GPS course is {size:.0f} deg {side} of compass {i}'s heading.",
         "Check the mounting orientation, then calibrate.",
     ),
     "current": (
@@ -278,9 +278,17 @@ _WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
     ),
 }
 
+_SIDES = {  # of a positive and of a negative value
+    "field": ("stronger", "weaker"),
+    "agreement": ("right", "left"),
+    "course": ("right", "left"),
+}
+
 
 def _finding(name: str, instance: int, value: float, limit: float) -> Finding:
-    short, text, remedy = (words.format(i=instance, value=value) for words in _WORDS[name])
+    side = _SIDES.get(name, ("", ""))[value < 0.0]
+    filled_in = {"i": instance, "value": value, "size": abs(value), "side": side}
+    short, text, remedy = (words.format(**filled_in) for words in _WORDS[name])
     severity: Severity = "bad" if abs(value) > _BAD_ABOVE * limit else "warning"
     return Finding(name, instance, severity, f"Compass {instance}: {short}"[:50], text, remedy, value, limit)
 

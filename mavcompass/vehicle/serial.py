@@ -7,6 +7,7 @@ import termios
 from typing import Any
 
 from mavcompass.errors import UsageError
+from mavcompass.parts import require
 from mavcompass.vehicle.stream import StreamTransport
 from mavcompass.vehicle.transport import READ_BYTES, Reconnect
 
@@ -47,17 +48,16 @@ class SerialStream:
 
 def open_serial(device: str, baud: int, reconnect: Reconnect) -> StreamTransport:
     """Open a serial port. Raises NoVehicle when it is not there, UsageError without pyserial."""
-    try:
-        import serial
-    except ImportError as error:
-        raise UsageError(
-            "Serial ports need the package pyserial, which is not installed.",
-            "Install it with: pip install 'mavcompass[serial]'",
-        ) from error
+    require("A serial port")
+    import serial
 
     def open_stream() -> SerialStream:
         try:
             return SerialStream(serial.Serial(device, baud, timeout=0, exclusive=True))
+        except serial.SerialException as error:
+            if error.errno is None:
+                raise
+            raise OSError(error.errno, os.strerror(error.errno)) from error  # without pyserial's repetitions
         except ValueError as error:
             raise UsageError(f"{device} cannot run at {baud} baud.", "Choose another rate.") from error
 

@@ -61,7 +61,9 @@ def test_diagnose_names_effects_and_their_size(
     assert "hard_iron" in worst["effects"].split(",")
     assert worst["effect_hard_iron_mgauss"] > 10.0
     assert json.loads(worst["causes_json"])[0]["parameters"]
-    assert "Look at boat-2" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "Look at boat-2" in said and "simulation's heading is" in said
+    assert "heading off" not in said + out.with_suffix(".html").read_text(encoding="utf-8")
 
 
 def test_a_fleet_of_which_nothing_can_be_used_is_four(
@@ -70,7 +72,7 @@ def test_a_fleet_of_which_nothing_can_be_used_is_four(
     (tmp_path / "noise.tlog").write_bytes(bytes(range(256)) * 8)
     (tmp_path / "empty.BIN").touch()
     assert main(["fleet", "calibrate", str(tmp_path), "--out", str(tmp_path / "out.parquet")]) == 4
-    assert "2 errors" in capsys.readouterr().out
+    assert "2 of 2 recordings examined; 2 errors." in capsys.readouterr().out
     rows = pq.read_table(tmp_path / "out.parquet").to_pylist()
     assert {row["error_kind"] for row in rows} == {"BadRecording"}
     assert all(row["error"] for row in rows)

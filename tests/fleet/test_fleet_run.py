@@ -49,7 +49,7 @@ def test_the_table_has_the_documented_columns_and_a_row_each(
     assert set(table["status"].to_pylist()) == {"ok"}
     assert all(abs(offset - 10.0) < 3.0 for offset in table["offset_y_mgauss"].to_pylist())
     assert (result.examined, result.kept) == (12, 0)
-    assert [p.done for p in seen] == list(range(13))
+    assert sorted({p.done for p in seen}) == list(range(13))
 
 
 def test_a_recording_that_kills_its_process_is_one_error_and_the_others_are_done(
@@ -174,7 +174,7 @@ def test_another_question_to_the_same_output_is_refused_unless_fresh(
 def test_missing_pyarrow_is_said_before_the_work(
     own_twelve: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(UsageError, match="pip install 'mavcompass\\[fleet\\]'"):
         run_fleet(CALIBRATE, own_twelve, tmp_path / "out.parquet", TWO)
     assert not journal_of(tmp_path / "out.parquet").exists()

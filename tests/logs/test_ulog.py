@@ -105,7 +105,7 @@ def test_without_pyulog_the_command_that_installs_it_is_told(
     monkeypatch.setitem(sys.modules, "pyulog", None)
     with pytest.raises(UsageError) as caught:
         read_track(path)
-    assert 'pip install "mavcompass[ulog]"' in caught.value.remedy
+    assert "pip install 'mavcompass[ulog]'" in caught.value.remedy
 
 
 def test_a_log_without_magnetometer_says_so(tmp_path: Path) -> None:

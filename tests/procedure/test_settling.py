@@ -63,13 +63,13 @@ def test_rest_is_not_waited_for_where_it_is() -> None:
 def test_what_hunts_for_its_heading_is_dwelt_upon_soon() -> None:
     waited_s, rests, shown = settle(6.0, 0.0)
     assert not rests and waited_s == pytest.approx(3.0, abs=0.2)
-    assert shown == ["Waiting for rest: hunting."]
+    assert shown == ["Waiting until it stands still: its nose still swings."]
 
 
 def test_what_tilts_to_and_fro_is_given_more_time() -> None:
     waited_s, rests, shown = settle(0.0, 60.0, until_s=6.0)
     assert rests and 6.0 < waited_s < 7.5
-    assert shown == ["Waiting for rest: tilting."]
+    assert shown == ["Waiting until it stands still: it still rocks."]
     waited_s, rests, _ = settle(0.0, 60.0)
     assert not rests and 8.8 < waited_s < 10.5
 

@@ -146,7 +146,7 @@ def test_a_finding_says_what_to_do_and_fits_a_statustext() -> None:
     found(lambda t: glance(t, heading(t, 1.0, scale=1.5)), 60.0, watch)
     finding = watch.findings[0]
     assert finding.severity == "bad"
-    assert "+50 %" in finding.text
+    assert "50 % stronger" in finding.text
     assert finding.remedy
     assert len(finding.short) <= 50
 

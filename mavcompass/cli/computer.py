@@ -1,0 +1,186 @@
+"""What on this computer stands in the way of a calibration, each finding with its remedy."""
+
+from __future__ import annotations
+
+import errno
+import grp
+import os
+import platform
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+Verdict = Literal["pass", "warn", "fail"]
+GROUND_STATION_PORT = 14_550
+_LEAST_PYTHON = (3, 11)
+_PORTS = ("ttyACM*", "ttyUSB*", "ttyAMA*", "ttyTHS*", "cu.usb*")
+_NEEDED_MB, _COMFORTABLE_MB = 50, 500  # a flight's recording and report; many of them
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Hold one answer: what was looked at, how it is, and what to do about it."""
+
+    name: str
+    verdict: Verdict
+    text: str
+    remedy: str = ""
+
+
+def examine() -> Iterator[Finding]:
+    """Look at everything, the quick and the general first."""
+    from mavcompass.vehicle.undo import undo_directory
+
+    yield python()
+    yield from parts()
+    yield from serial_ports()
+    yield udp_port()
+    yield clock(time.time())
+    yield writing(undo_directory())
+    yield space(undo_directory())
+
+
+def python() -> Finding:
+    """Tell the Python that runs this."""
+    version = platform.python_version()
+    text = f"Python {version} at {sys.executable}, {platform.system()} {platform.machine()}"
+    if sys.version_info < _LEAST_PYTHON:
+        return Finding("python", "fail", text, "Install Python 3.11 or newer.")
+    return Finding("python", "pass", text)
+
+
+def parts() -> Iterator[Finding]:
+    """Tell which parts of the program are not installed."""
+    from mavcompass.parts import PARTS, missing
+
+    lacking = [part for part in PARTS.values() if missing(part)]
+    for part in lacking:
+        modules = ", ".join(missing(part))
+        yield Finding(
+            "parts",
+            "warn",
+            f"{part.need} is not possible here: {modules} not installed.",
+            f"pip install 'mavcompass[{part.extra}]'",
+        )
+    if not lacking:
+        yield Finding("parts", "pass", f"All {len(PARTS)} optional parts are installed.")
+
+
+def serial_ports(devices: Path = Path("/dev"), processes: Path = Path("/proc")) -> Iterator[Finding]:
+    """Tell each serial port, whether this user may open it, and which program has it open."""
+    ports = sorted(port for pattern in _PORTS for port in devices.glob(pattern))
+    if not ports:
+        yield Finding("serial", "pass", "No serial port is there; plug the autopilot in to use one.")
+    for port in ports:
+        if not os.access(port, os.R_OK | os.W_OK):
+            group = _group_of(port)
+            yield Finding(
+                "serial",
+                "warn",
+                f"{port}: this user may not open it; it belongs to the group {group}.",
+                f"sudo usermod -aG {group} $USER, then log out and in again.",
+            )
+        elif holder := _holding(str(port), processes):
+            yield Finding("serial", "warn", f"{port}: {holder} has it open.", "End that program first.")
+        else:
+            yield Finding("serial", "pass", f"{port}: free and ready.")
+
+
+def udp_port(port: int = GROUND_STATION_PORT, processes: Path = Path("/proc")) -> Finding:
+    """Tell who listens already where vehicles usually send to."""
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("0.0.0.0", port))
+    except OSError as error:
+        if error.errno != errno.EADDRINUSE:
+            return Finding("udp", "warn", f"UDP port {port} cannot be opened: {error.strerror}.")
+        holder = _listening(port, processes) or "another program"
+        return Finding(
+            "udp",
+            "warn",
+            f"UDP port {port}: {holder} listens there.",
+            f"End it, or let it forward to another port and use that: udpin:127.0.0.1:{port + 1}.",
+        )
+    return Finding("udp", "pass", f"UDP port {port} is free.")
+
+
+def clock(unix_s: float) -> Finding:
+    """Tell whether the computer knows the year: the Earth's field is of a day."""
+    from mavcompass.earth_field import MODEL_YEARS, decimal_year
+
+    first, last = MODEL_YEARS
+    day = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(unix_s))
+    year = decimal_year(unix_s)
+    if year < first:
+        text = f"The clock says {day}, which cannot be: the Earth's field would be of the wrong year."
+        return Finding("clock", "fail", text, "sudo timedatectl set-ntp true, or set it: sudo date -s '...'.")
+    if year >= last:
+        text = f"The clock says {day}; the World Magnetic Model in here ends with {last:.0f}."
+        return Finding("clock", "warn", text, "Set the clock if it is wrong, else update mavcompass.")
+    return Finding("clock", "pass", f"The clock says {day}.")
+
+
+def writing(folder: Path) -> Finding:
+    """Tell whether an undo file can be written: without one, nothing is written to a vehicle."""
+    there = _nearest(folder)
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        return Finding("undo", "pass", f"Undo files go to {folder}.")
+    return Finding(
+        "undo",
+        "fail",
+        f"Undo files cannot be written to {folder}, so nothing would be written to a vehicle.",
+        "Make that folder writable, or name another: export MAVCOMPASS_UNDO_DIR=FOLDER.",
+    )
+
+
+def space(folder: Path) -> Finding:
+    """Tell the room left where undo files, recordings and reports go."""
+    free_mb = shutil.disk_usage(_nearest(folder)).free / 1e6
+    text = f"{free_mb / 1e3:.1f} GB are free." if free_mb >= 1e3 else f"Only {free_mb:.0f} MB are free."
+    verdict: Verdict = "fail" if free_mb < _NEEDED_MB else "warn" if free_mb < _COMFORTABLE_MB else "pass"
+    remedy = "" if verdict == "pass" else "Make room: old recordings, or sudo apt clean."
+    return Finding("disk", verdict, text, remedy)
+
+
+def _nearest(folder: Path) -> Path:
+    """Return the folder, or the nearest of its parents that is there."""
+    return next((path for path in (folder, *folder.absolute().parents) if path.exists()), Path("/"))
+
+
+def _group_of(port: Path) -> str:
+    try:
+        return grp.getgrgid(port.stat().st_gid).gr_name
+    except (KeyError, OSError):
+        return "dialout"
+
+
+def _listening(port: int, processes: Path) -> str:
+    """Name the program whose socket is bound to a UDP port, where the system tells (Linux)."""
+    for table in ("net/udp", "net/udp6"):
+        try:
+            lines = (processes / table).read_text().splitlines()[1:]
+        except OSError:
+            continue
+        for fields in map(str.split, lines):
+            if int(fields[1].rpartition(":")[2], 16) == port and (
+                holder := _holding(f"socket:[{fields[9]}]", processes)
+            ):
+                return holder
+    return ""
+
+
+def _holding(target: str, processes: Path) -> str:
+    """Name the program that has a file or a socket open; other users' programs are seen by root only."""
+    for link in processes.glob("[0-9]*/fd/*"):
+        try:
+            if os.readlink(link) == target:
+                process = link.parents[1]
+                return f"{(process / 'comm').read_text().strip()} (process {process.name})"
+        except OSError:
+            continue  # it ended meanwhile, or is not ours to see
+    return ""

@@ -1,0 +1,57 @@
+"""A compass in one line of a terminal: the card slides past a mark, the figures stand beside it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+_POINTS = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 315: "NW"}
+_DEG_PER_COLUMN = 5
+_COLUMNS = 31
+_REST_OF_LINE = "\x1b[K"
+_BOLD, _PLAIN = "\x1b[1m", "\x1b[0m"
+
+
+def card(heading_deg: float, columns: int = _COLUMNS) -> str:
+    """Draw the part of the compass card around a heading; the middle column is where the nose points."""
+    middle = columns // 2
+    first_deg = round(heading_deg / _DEG_PER_COLUMN) * _DEG_PER_COLUMN - middle * _DEG_PER_COLUMN
+    drawn = list(" " * columns)
+    for column in range(columns):
+        deg = (first_deg + column * _DEG_PER_COLUMN) % 360
+        if deg in _POINTS:
+            for place, letter in enumerate(_POINTS[deg], start=column):
+                if place < columns:
+                    drawn[place] = letter
+        elif drawn[column] == " ":
+            drawn[column] = "·" if deg % 15 == 0 else " "
+    return "".join(drawn)
+
+
+@contextmanager
+def dial(wanted: bool = True) -> Iterator[Callable[[float, str], None] | None]:
+    """Give a function that redraws the line with a heading and its figures.
+
+    None where it is not wanted, or standard output is no terminal that can redraw a line.
+    """
+    if not wanted or not sys.stdout.isatty() or os.environ.get("TERM", "dumb") == "dumb":
+        yield None
+        return
+    bold, plain = ("", "") if os.environ.get("NO_COLOR") else (_BOLD, _PLAIN)
+
+    def draw(heading_deg: float, figures: str) -> None:
+        drawn, middle = card(heading_deg), _COLUMNS // 2
+        nose = drawn[middle].replace(" ", "|")
+        room = max(shutil.get_terminal_size().columns - _COLUMNS - 6, 0)
+        card_line = f" {drawn[:middle]}[{bold}{nose}{plain}]{drawn[middle + 1 :]}"
+        sys.stdout.write(f"\r{card_line}  {figures.strip()[:room]}{_REST_OF_LINE}")
+        sys.stdout.flush()
+
+    try:
+        yield draw
+    finally:
+        sys.stdout.write("\n")
+        sys.stdout.flush()

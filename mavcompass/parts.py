@@ -1,0 +1,51 @@
+"""Parts that a lean installation may lack, so that a command can ask for them before it begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+from mavcompass.errors import UsageError
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Hold what needs a part, the extra of the package that brings it, and the modules it is made of."""
+
+    need: str
+    extra: str
+    modules: tuple[str, ...]
+
+
+PARTS = {
+    part.need: part
+    for part in (
+        Part("A serial port", "serial", ("serial",)),
+        Part("A PX4 recording (.ulg)", "ulog", ("pyulog",)),
+        Part("An HTML report", "report", ("jinja2",)),
+        Part("A plot", "report", ("matplotlib",)),
+        Part("The service", "service", ("starlette", "uvicorn", "websockets", "prometheus_client")),
+        Part("A Parquet table", "fleet", ("pyarrow",)),
+        Part("A cluster (--scheduler)", "fleet", ("distributed",)),
+        Part("An object store", "fleet", ("fsspec",)),
+    )
+}
+
+
+def missing(part: Part) -> tuple[str, ...]:
+    """Return the modules of a part that are not installed; nothing is imported."""
+    return tuple(module for module in part.modules if find_spec(module) is None)
+
+
+def require(*needs: str) -> None:
+    """Raise UsageError, with the one command that installs all that is missing, where a need cannot be met.
+
+    Args:
+        needs: keys of `PARTS`.
+    """
+    lacking = [(PARTS[need], modules) for need in needs if (modules := missing(PARTS[need]))]
+    if not lacking:
+        return
+    sentences = [f"{p.need} needs {' and '.join(modules)}, not installed here." for p, modules in lacking]
+    extras = ",".join(dict.fromkeys(part.extra for part, _ in lacking))
+    raise UsageError(" ".join(sentences), f"Install it with: pip install 'mavcompass[{extras}]'")

@@ -1,0 +1,135 @@
+"""Make the pictures of README and documentation from the simulator, light and dark, into docs/pictures.
+
+    .venv/bin/python scripts/documentation/pictures.py
+
+Needs Chromium (Debian: apt install chromium). Nothing in them is drawn by hand, so that they show what is.
+"""
+
+from __future__ import annotations
+
+import html
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(PROJECT / "tests" / "service"))
+
+from chromium import Page, find_chromium  # noqa: E402
+
+PICTURES = PROJECT / "docs" / "pictures"
+PHONE, REPORT, TERMINAL = (390, 844), (1000, 760), (900, 470)
+MOST_BYTES = 150_000
+_TERMINAL = """<meta charset="utf-8"><style>
+:root {{ color-scheme: light dark }}
+body {{ margin: 0; padding: 14px 18px; background: light-dark(#f8fafc, #0f172a) }}
+pre {{ margin: 0; font: 13px/1.5 "DejaVu Sans Mono", monospace; white-space: pre-wrap;
+       color: light-dark(#0f172a, #e2e8f0) }}
+b {{ color: light-dark(#0f766e, #5eead4) }}
+</style><pre><b>$ ./scripts/mavcompass {command}</b>
+{output}</pre>"""
+
+
+def run(folder: Path, *words: str) -> str:
+    """Run a command of the program in a folder and return all that it says."""
+    done = subprocess.run(
+        [sys.executable, "-m", "mavcompass", *words],
+        cwd=folder,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    # A terminal tells once what a pipe has in progress and in result.
+    progress = [line for line in done.stderr.splitlines() if line not in done.stdout]
+    return "\n".join([*progress, done.stdout])
+
+
+def environment() -> dict[str, str]:
+    """Let the program keep its files in the folder where it works."""
+    return {**os.environ, "MAVCOMPASS_UNDO_DIR": "undo", "PYTHONPATH": str(PROJECT)}
+
+
+def write_pages(folder: Path) -> dict[str, tuple[Path, tuple[int, int]]]:
+    """Write the pages that are looked at, with the size of the window."""
+    command = "calibrate sim:rover --yes"
+    said = html.escape(run(folder, *command.split()))
+    terminal = folder / "terminal.html"
+    terminal.write_text(_TERMINAL.format(command=command, output=said), encoding="utf-8")
+    run(folder, "calibrate", "sim:boat", "--yes", "--report", "calibration.html")
+    record_boat(folder / "boat.csv")
+    run(folder, "gap", "diagnose", "boat.csv", "--report", "gap.html")
+    return {
+        "terminal": (terminal, TERMINAL),
+        "calibration": (folder / "calibration.html", REPORT),
+        "gap": (folder / "gap.html", REPORT),
+    }
+
+
+def record_boat(path: Path) -> None:
+    """Record a simulated boat as it turns."""
+    import mavcompass
+    from mavcompass.logs import write_track_csv
+
+    with mavcompass.connect("sim:boat,seed=7") as vehicle:
+        write_track_csv(vehicle.calibrate().track, path)
+
+
+@contextmanager
+def service(folder: Path) -> Iterator[str]:
+    """Run the service with a simulated rover; gives its page's address."""
+    command = ["serve", "sim:rover", "--http", "127.0.0.1:0", "--storage", str(folder / "service")]
+    with subprocess.Popen(
+        [sys.executable, "-m", "mavcompass", *command],
+        cwd=folder,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as running:
+        try:
+            assert running.stdout is not None
+            for line in running.stdout:
+                if found := re.search(r"http://\S+", line):
+                    yield found[0]
+                    break
+        finally:
+            running.terminate()
+
+
+def main() -> None:
+    """Make all of them."""
+    program = find_chromium()
+    if program is None:
+        sys.exit("pictures: there is no Chromium here (Debian: apt install chromium).")
+    with tempfile.TemporaryDirectory() as name, service(Path(name)) as url:
+        pages = write_pages(Path(name))
+        connected = "document.querySelector('#status').className.includes('on')"
+        for scheme in ("light", "dark"):
+            for picture, (page, size) in pages.items():
+                take(program, page.as_uri(), size, scheme, picture, "true")
+            take(program, url, PHONE, scheme, "service", connected)
+
+
+def take(program: str, url: str, size: tuple[int, int], scheme: str, picture: str, ready: str) -> None:
+    """Take one picture when a condition holds in the page."""
+    page = Page(program, *size, dark=scheme == "dark")
+    try:
+        page.open(url)
+        page.wait(ready)
+        file = PICTURES / f"{picture}-{scheme}.png"
+        page.screenshot(file)
+    finally:
+        page.close()
+    bytes_now = file.stat().st_size
+    print(f"{file.relative_to(PROJECT)}  {bytes_now / 1000:.0f} kB")
+    if bytes_now > MOST_BYTES:
+        sys.exit(f"pictures: {file.name} is larger than {MOST_BYTES / 1000:.0f} kB.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""Counts are recordings, vehicles are told apart, and a slow recording holds nothing."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+from fleet_samples import write_recording
+
+from mavcompass.fleet.examine import Job, Row, examine
+from mavcompass.fleet.recordings import find_recordings
+from mavcompass.fleet.run import Engine, Progress, run_fleet
+from mavcompass.fleet.summary import summarise
+from mavcompass.fleet.vehicles import accelerometer_mark, told_apart
+
+SIDES = ("x", "y", "z")
+
+
+def row(
+    recording: str,
+    day: float,
+    accelerometer: str | None = None,
+    offset_x: float | None = None,
+    ids: str | None = "97539",
+    **more: object,
+) -> Row:
+    offsets = {f"in_force_offset_{side}_mgauss": None if offset_x is None else offset_x for side in SIDES}
+    return {
+        "recording": recording,
+        "status": "ok",
+        "vehicle": "flights, system 1",
+        "named_by": "folder",
+        "recorded_unix_s": day * 86_400.0,
+        "compass": 1,
+        "accelerometer": accelerometer,
+        "device_ids": ids,
+        **offsets,
+        **more,
+    }
+
+
+def names(*rows: Row) -> dict[str, str]:
+    return {r["recording"]: r["vehicle"].removeprefix("flights, system 1") for r in told_apart(rows)}
+
+
+def test_twins_with_the_same_sensors_are_told_apart_by_their_accelerometers() -> None:
+    assert names(row("b", 2, "one"), row("a", 1, "two"), row("c", 3, "one")) == {
+        "a": ", A",
+        "b": ", B",
+        "c": ", B",
+    }
+
+
+def test_one_vehicle_keeps_its_name() -> None:
+    assert names(row("a", 1, "one"), row("b", 2, "one"), row("c", 3)) == {"a": "", "b": "", "c": ""}
+
+
+def test_a_new_calibration_of_one_sensor_makes_no_new_vehicle() -> None:
+    assert set(
+        names(row("a", 1, "one", 50.0), row("b", 2, "two", 50.0), row("c", 3, "two", 70.0)).values()
+    ) == {""}
+
+
+def test_other_device_ids_are_another_vehicle_where_nothing_else_is_known() -> None:
+    assert names(row("a", 1), row("b", 2, ids="4711"), row("c", 3, ids=None)) == {
+        "a": ", A",
+        "b": ", B",
+        "c": ", A",
+    }
+
+
+def test_offsets_of_zero_are_no_mark() -> None:
+    assert names(row("a", 1, "one", 0.0), row("b", 2, "two", 0.0)) == {"a": ", A", "b": ", B"}
+
+
+def test_a_name_that_a_person_gave_is_left_alone() -> None:
+    given = {"named_by": "pattern"}
+    assert set(names(row("a", 1, "one", **given), row("b", 2, "two", **given)).values()) == {""}
+
+
+def test_the_accelerometer_s_mark_is_of_its_calibration() -> None:
+    ardupilot = {f"INS_ACC{kind}_{axis}": 0.1 for kind in ("OFFS", "SCAL") for axis in "XYZ"}
+    px4 = {f"CAL_ACC0_{axis}{kind}": 0.1 for kind in ("OFF", "SCALE") for axis in "XYZ"}
+    assert accelerometer_mark(ardupilot) == accelerometer_mark(px4) is not None
+    assert accelerometer_mark(ardupilot | {"INS_ACCOFFS_X": 0.2}) != accelerometer_mark(ardupilot)
+    assert accelerometer_mark(dict.fromkeys(ardupilot, 0.0)) is None
+    assert accelerometer_mark({}) is None
+
+
+def test_counts_are_recordings_however_many_compasses_failed() -> None:
+    failed = {"status": "error", "error": "Too little turning.", "error_kind": "PoorCalibration"}
+    rows = [row("a", 1) | failed | {"compass": i} for i in (1, 2, 3)]
+    rows += [row("b", 2) | {"accepted": False, "status": "not_accepted", "seconds": 3.0, "compass": 1}]
+    rows += [row("b", 2) | failed | {"compass": 2, "seconds": 4.0}]
+    summary = summarise(rows, "calibrate")
+    assert summary.recordings == 2
+    assert summary.errors == (("a", "Too little turning."), ("b", "compass 2: Too little turning."))
+    assert (summary.vehicles[0].errors, summary.vehicles[0].not_accepted) == (2, 1)
+    assert "1 recording gave no calibration worth writing" in summary.vehicles[0].why
+    assert summary.slowest[0] == ("b", 7.0)
+
+
+def slow_or_examine(job: Job, path: str) -> list[Row]:
+    """Examine, but wait for the end of the run's page at a recording called slow."""
+    if "slow" in path:
+        threading.Event().wait(4.0)
+    return examine(job, path)
+
+
+def test_a_slow_recording_does_not_hold_the_page_and_is_named(tmp_path: Path) -> None:
+    for name in ("quick1.csv", "quick2.csv", "slow.csv"):
+        write_recording(tmp_path / name, (20.0, -10.0, 5.0))
+    pages: list[tuple[int, Progress]] = []
+    result = run_fleet(
+        Job("calibrate"),
+        find_recordings([str(tmp_path)]),
+        tmp_path / "out.parquet",
+        Engine(workers=2),
+        on_rows=lambda rows, progress: pages.append((len(rows), progress)),
+        rows_every_s=0.5,
+        examine_one=slow_or_examine,
+    )
+    assert result.examined == 3 and pages
+    rows, progress = pages[-1]
+    assert rows == 2 and progress.done == 2
+    ((path, seconds),) = progress.under_way
+    assert path.endswith("slow.csv") and seconds > 0.5
