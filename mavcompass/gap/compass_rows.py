@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,8 +44,11 @@ class Rows:
     usable: NDArray[np.bool_]
 
 
-def compass_rows(track: Track, compass: MagSeries) -> Rows:
-    """Choose the rows of a compass. Raises BadRecording where there are too few."""
+def compass_rows(track: Track, compass: MagSeries, period_s: float = 0.0) -> Rows:
+    """Choose the rows of a compass, averaged to `period_s` where they come faster.
+
+    Raises BadRecording where there are too few.
+    """
     time_s, keep = np.unique(compass.time_s, return_index=True)
     reported = compass.reported.values[keep]
     logged = inspect(reported, np.asarray(np.isfinite(reported).all(axis=1)), time_s)
@@ -70,7 +74,7 @@ def compass_rows(track: Track, compass: MagSeries) -> Rows:
     fine = trace.step_mgauss == 0.0 and compass.quantum_mgauss == 0.0
     if not telemetry and trace.stale_share > 0.0 and fine:
         usable = np.asarray(finite & ~trace.stale)
-    return Rows(time_s, raw, corrected, telemetry, _stride(time_s.size), trace, usable)
+    return Rows(time_s, raw, corrected, telemetry, _odd_width(time_s, period_s), trace, usable)
 
 
 def _restored(compass: MagSeries) -> MagSeries:
@@ -94,10 +98,25 @@ def _corrected(track: Track, compass: MagSeries) -> FloatArray | None:
     return np.asarray(compass.reported.values)
 
 
-def _stride(count: int) -> int:
-    """Return how many neighbours are averaged so that at most _MOST_ROWS remain: an odd number."""
-    stride = math.ceil(count / _MOST_ROWS)
-    return stride + 1 if stride > 1 and stride % 2 == 0 else stride
+def shared_period_s(tracks: Sequence[Track], instance: int) -> float:
+    """Return the time between rows, in seconds, that keeps each of some recordings within what is compared.
+
+    A recording and its baseline are averaged alike: noise and its correlation are then the same in both.
+    """
+    longest = 0.0
+    for track in tracks:
+        if instance in track.compasses and len(track.compasses[instance].reported) > 1:
+            time_s = track.compasses[instance].time_s
+            if time_s.size > _MOST_ROWS:
+                longest = max(longest, float(time_s[-1] - time_s[0]) / _MOST_ROWS)
+    return longest
+
+
+def _odd_width(time_s: FloatArray, period_s: float) -> int:
+    """Return how many neighbours are averaged to rows of a period: an odd number."""
+    step = float(np.median(np.diff(time_s)))
+    width = max(math.ceil(period_s / max(step, 1e-6) - 0.2), 1)
+    return width if width % 2 else width + 1
 
 
 def averaged(values: FloatArray, width: int) -> FloatArray:

@@ -81,7 +81,8 @@ def cured_iron(problem: Problem, fit: Fit, floor: Floor) -> Cured:
     level = max(float(np.hypot(*problem.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
     total = float(np.linalg.norm(problem.replay.signals.stimulus.field_ned_mgauss[0]))
     trust = floor.trust
-    sigma = 0.0 if trust is None else math.hypot(trust.offset_mgauss, trust.matrix * total) / level
+    doubted = np.zeros(12) if trust is None else iron.sigma(trust)
+    sigma = math.hypot(rms(doubted[:3]), rms(doubted[3:]) * total) / level
     return Cured(
         calibrated=iron.calibrated,
         hard_iron_mgauss=iron.offset_mgauss,

@@ -11,6 +11,7 @@ from mavcompass.errors import UsageError
 from mavcompass.gap import integrity
 from mavcompass.gap.adequacy import judge
 from mavcompass.gap.blas import single_thread
+from mavcompass.gap.compass_rows import shared_period_s
 from mavcompass.gap.describe import Evidence, describe
 from mavcompass.gap.doubtful import doubtful_sensors
 from mavcompass.gap.floor import Floor, from_baseline, from_recording, with_noise
@@ -21,6 +22,7 @@ from mavcompass.gap.reference import Choice
 from mavcompass.gap.remainder import Remainder, floor_to_start, what_is_left
 from mavcompass.gap.replay import Replay, replay
 from mavcompass.gap.result import Cause, Diagnosis
+from mavcompass.gap.scatter import excess_scatter
 from mavcompass.gap.split import split_blocks
 from mavcompass.gap.testable import half_testable, untestable_effects
 from mavcompass.gap.verdict import decide
@@ -103,10 +105,11 @@ def _replays(
     track: Track, baseline: Track | None, compass: int, reference: Choice
 ) -> tuple[Replay, Replay | None]:
     """Replay the recording and its baseline, with the sensors that can bear witness."""
-    replayed = replay(track, compass, reference)
+    period_s = shared_period_s([track] if baseline is None else [track, baseline], compass)
+    replayed = replay(track, compass, reference, period_s)
     before = None
     if baseline is not None:
-        before = replay(baseline, compass if compass in baseline.compasses else 1, reference)
+        before = replay(baseline, compass if compass in baseline.compasses else 1, reference, period_s)
     every = catalogue().values()
     known = [e for e in every if e.id not in untestable_effects(replayed, every)]
     doubtful, useless = doubtful_sensors(replayed, known)
@@ -150,10 +153,11 @@ def _explained(
     split = split_blocks(replayed.time_s, replayed.valid)
     names = frozenset(e.id for e in testable)
     start = floor_to_start(floor, replayed, baseline, step_mgauss)
+    excess = excess_scatter(replayed, baseline) if baseline is not None else 0.0
     identified, widened = identify(replayed, start, split, testable)
     if not floor.measured:
         floor = widened
-    remainder = what_is_left(identified, floor, names, step_mgauss)
+    remainder = what_is_left(identified, floor, names, step_mgauss, excess)
     if remainder.scatter is None and (start is floor or not floor.measured or step_mgauss > 0.0):
         return identified, remainder, floor
     if remainder.scatter is None:
@@ -164,4 +168,4 @@ def _explained(
         identified, _ = identify(replayed, with_noise(floor, remainder.problem.noise), split, testable)
     else:
         return identified, remainder, floor
-    return identified, what_is_left(identified, floor, names, 0.0), floor
+    return identified, what_is_left(identified, floor, names, 0.0, excess), floor

@@ -18,7 +18,7 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.adequacy import judge
 from mavcompass.gap.hypothesis import Fit
-from mavcompass.gap.in_force import ANOTHER_IRON, EXACT, IRON_MATRIX, IRON_OFFSET, STATED, Trust
+from mavcompass.gap.in_force import ANOTHER_IRON, IRON_MATRIX, IRON_OFFSET, STATED, Trust
 from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import (
     USUAL_SCATTER_MGAUSS,
@@ -56,8 +56,12 @@ _MOST_FOLDED = 4
 # One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
 _REPRESENTATIVE_P = 1e-5
 # How much the same vehicle differs from one recording to the next, in the nuisances' own units.
-_FROM_DAY_TO_DAY = {WORLD_FIELD.id: 0.5, TELEMETRY_AGE: 0.008, IRON_MATRIX: 0.0005, IRON_OFFSET: 0.2}
+_FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.02, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
 _SAME_PLACE_M = 1000.0
+_DISCREPANCY_MGAUSS = 1.2
+# What another iron must explain beyond the calibration in force, and how far that may be strained (squared
+# sigmas).
+_MATERIAL_MGAUSS, _MATERIAL_SHARE, _MOST_STRAIN = 1.5, 0.5, 60.0
 _WITNESS_DAILY_RAD, _NO_WITNESS_RAD = math.radians(1.0), 0.3
 
 
@@ -190,7 +194,10 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -
     field_rms, heading_rms = rms(error), rms_deg(heading[baseline.valid])
     if law is not None:
         noise["mag"], larger = _grown(noise["mag"], law, baseline, replay)
-        field_rms, heading_rms = field_rms * larger, heading_rms * larger
+        # The error of the model itself: attitudes and times of another flight are off in another way.
+        level = max(float(np.hypot(*replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
+        field_rms = math.hypot(field_rms * larger, _DISCREPANCY_MGAUSS)
+        heading_rms = math.hypot(heading_rms * larger, math.degrees(_DISCREPANCY_MGAUSS / level))
     return Floor(
         noise=noise,
         field_rms_mgauss=field_rms,
@@ -205,20 +212,31 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -
 
 
 def _tuned(baseline: Replay) -> tuple[Trust | None, Problem, Fit]:
-    """Fit what is not known of a good vehicle, with the trust in its calibration that has the most
-    evidence."""
-    trusts: list[Trust | None] = [EXACT, STATED] if baseline.iron.calibrated else [None]
+    """Fit what is not known of a good vehicle, trusting its calibration as far as this recording allows.
+
+    The calibration is believed unless another iron would explain materially more: no attitude is exact, and
+    what it leaves must not be made iron.
+    """
     widest = Problem(baseline, first_noise(baseline), baseline.valid, prior_of(baseline, ANOTHER_IRON))
     noise = _without_slow_causes(widest, widest.null())
-    found = []
-    for trust in [*trusts, ANOTHER_IRON]:
-        problem = Problem(baseline, noise, baseline.valid, prior_of(baseline, trust))
-        fit = problem.null()
-        # Twice the negative logarithm of the evidence (Laplace): misfit, and how much of the prior is left.
-        posterior = -np.linalg.slogdet(fit.covariance)[1] if fit.covariance.size else 0.0
-        found.append((fit.sse + float(posterior) - problem.prior.log_determinant, trust, problem, fit))
-    _, trust, problem, fit = min(found, key=lambda f: f[0])
-    return trust, problem, fit
+    problem = Problem(baseline, noise, baseline.valid, widest.prior)
+    fit = problem.null()
+    least = _rms_left(problem, fit)
+    trust = STATED if baseline.iron.calibrated else None
+    trusting = Problem(baseline, noise, baseline.valid, prior_of(baseline, trust))
+    believed = trusting.null()
+    # Where the noise is tighter than what is left, a prior is strained by as much.
+    strain = trusting.strain(believed) / max(believed.sse / max(3 * trusting.count, 1), 1.0)
+    worse = math.sqrt(max(_rms_left(trusting, believed) ** 2 - least**2, 0.0))
+    material = 0.0 if baseline.reference.kind == "columns" else _MATERIAL_MGAUSS
+    if worse <= max(material, _MATERIAL_SHARE * least) and strain <= _MOST_STRAIN:
+        return trust, trusting, believed
+    return ANOTHER_IRON, problem, fit
+
+
+def _rms_left(problem: Problem, fit: Fit) -> float:
+    left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
+    return rms(left[problem.replay.valid])
 
 
 def prior_of(replay: Replay, trust: Trust | None) -> Prior:
@@ -332,6 +350,7 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
         if replay.reference.kind == "columns":
             daily = np.zeros(daily.size)
         covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
+        covariance = _no_wider(covariance, np.diag(prior.precision)[place])
         size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         precision = prior.precision.copy()
         precision[np.ix_(place, place)] = np.linalg.pinv(covariance / np.outer(size, size)) / np.outer(
@@ -339,6 +358,13 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
         )
         prior = replace(prior, precision=precision)
     return prior
+
+
+def _no_wider(covariance: FloatArray, own_precision: FloatArray) -> FloatArray:
+    """Keep what a baseline hardly shows (motors that idle) within what is stated for this recording."""
+    told = np.maximum(np.diag(covariance) * own_precision, 1.0)
+    shrink = 1.0 / np.sqrt(told)
+    return np.asarray(covariance * np.outer(shrink, shrink))
 
 
 def _same_witness(
@@ -426,7 +452,8 @@ def from_recording(replay: Replay) -> Floor:
     timing = late * math.sqrt(float(np.mean(change[replay.valid] ** 2)))
     trust = STATED if replay.iron.calibrated else None
     # What a calibration usually leaves is no gap: it belongs to the floor.
-    cured = 0.0 if trust is None else math.hypot(trust.offset_mgauss, trust.matrix * total) / math.sqrt(2.0)
+    doubted = replay.iron.sigma(STATED)
+    cured = 0.0 if trust is None else math.hypot(rms(doubted[:3]), rms(doubted[3:]) * total)
     return Floor(
         {**noise, "mag": mag},
         math.hypot(usual, float(np.sqrt(np.mean(slow**2))), timing, cured),

@@ -33,6 +33,8 @@ _ABOVE_FLOOR, _ABOVE_STATED, _LEAST_OF_STATED = 1.12, 0.5, 0.1
 _AT_THE_END = 1e-3
 # A block shows an effect where it changes this share of what it does where it changes most.
 _TOUCHED = 0.05
+# Squared sigmas by which what is known of the vehicle may give way to a missing effect.
+_STRAINED = 30.0
 _NEEDED = 10.0
 _PASSES = 2
 _CLOSINGS_IN = 6
@@ -111,6 +113,9 @@ def _searched(
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
     candidate = _moments_in_training(candidate)
     dropped = list(candidate.dropped)
+    if candidate.fit.terms and not floor.representative and _at_floor(candidate, floor):
+        dropped += [(name, "nothing lies above the floor without it") for name in sorted(candidate.fit.ids)]
+        candidate = replace(candidate, fit=candidate.found.null)
     while candidate.fit.terms:
         reason = _weakest(candidate, floor)
         if reason is None:
@@ -120,6 +125,20 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
         rest = candidate.search.without(candidate.fit, effect_id)
         candidate = replace(candidate, fit=rest)
     return replace(candidate, fit=candidate.search.pruned(candidate.fit), dropped=tuple(dropped))
+
+
+def _at_floor(candidate: Identified, floor: Floor) -> bool:
+    """Tell whether field and heading lie at the floor without any effect, on rows that were not fitted."""
+    problem, rows = candidate.problem, candidate.split.test
+    if not rows.any() or (not floor.measured and problem.replay.reference.kind == "columns"):
+        return False
+    measured = problem.replay.measured.mag_mgauss
+    nominal = problem.predict(candidate.found.null).mag_mgauss
+    heading = heading_error_rad(problem.replay, measured, nominal)[rows]
+    return (
+        rms((measured - nominal)[rows]) < _ABOVE_FLOOR * floor.field_rms_mgauss
+        and rms_deg(heading) < _ABOVE_FLOOR * floor.heading_rms_deg
+    )
 
 
 def _moments_in_training(candidate: Identified) -> Identified:
@@ -285,8 +304,11 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     replay, split = problem.replay, candidate.split
     measured = replay.measured.mag_mgauss
     rest = fit.without(place)
-    # What is no effect stays: bent by force it would imitate this one.
-    without = problem.steady(fit).fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=3)
+    without = problem.fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=4)
+    strained = problem.strain(without) > problem.strain(fit) + _STRAINED
+    if strained or replay.reference.kind == "columns":
+        # Bent by force, what is known of the vehicle would imitate the effect: it stays.
+        without = problem.steady(fit).fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=3)
     rows = np.flatnonzero((split.train | split.test) & problem.usable)
     squares = []
     predictions = [problem.predict(one).mag_mgauss for one in (without, fit)]

@@ -22,25 +22,27 @@ from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Sign
 from mavcompass.track import MagSeries
 
 IRON_MATRIX, IRON_OFFSET = "iron matrix in force", "iron offset in force"
-_LEAST_VARIATION = 0.05
+_LEAST_VARIATION = 0.2
 _Rng = np.random.Generator | None
 _ENTRIES = tuple(f"{row}{column}" for row in "xyz" for column in "xyz")
 
 
 @dataclass(frozen=True, slots=True)
 class Trust:
-    """Say how far the calibration in force may be off: offsets in mG, matrix elements, the motors' part in
-    mG."""
+    """Say how far the calibration in force may be off: some mG, some parts of one, and a share of what it
+    cures.
+
+    `motor_mgauss` is the same for what the motors' field varies by over the recording.
+    """
 
     offset_mgauss: float
     matrix: float
     motor_mgauss: float
+    share: float
 
 
-EXACT = Trust(0.3, 0.0007, 0.2)
-STATED = Trust(2.0, 0.005, 1.0)
-ANOTHER_IRON = Trust(150.0, 0.1, 50.0)
-TRUSTS = (EXACT, STATED, ANOTHER_IRON)
+STATED = Trust(1.0, 0.003, 1.0, 0.02)
+ANOTHER_IRON = Trust(150.0, 0.1, 150.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,14 +78,21 @@ class KnownIron:
 
     def nuisances(self, trust: Trust) -> tuple[Nuisance, Nuisance]:
         """Return the iron as part of the nominal simulation, with what is not known of it."""
-        matrix = Nuisance.of(self._matrix_effect(), np.zeros(9), np.full(9, trust.matrix))
-        sigma = np.full(3, trust.offset_mgauss)
+        sigma = self.sigma(trust)
+        matrix = Nuisance.of(self._matrix_effect(), np.zeros(9), sigma[3:])
+        sigma = sigma[:3]
         if self.load.any():
-            varies = float(self.load.std())
+            varies = float(np.ptp(self.load))
             # A load that is always the same tells nothing: its field is part of the offset.
             told = varies > _LEAST_VARIATION * abs(float(self.load.mean()))
             sigma = np.concatenate([sigma, np.full(3, trust.motor_mgauss / varies if told else 1e-6)])
         return matrix, Nuisance.of(self._offset_effect(), np.zeros(sigma.size), sigma)
+
+    def sigma(self, trust: Trust) -> FloatArray:
+        """Return how far offsets (3, in mG) and matrix elements (9) may be off, (12,)."""
+        offset = trust.offset_mgauss + trust.share * np.abs(self.offset_mgauss)
+        cured = float(np.abs(self.matrix - np.eye(3)).max())
+        return np.concatenate([offset, np.full(9, trust.matrix + trust.share * cured)])
 
     def _matrix_effect(self) -> Effect:
         def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
@@ -99,7 +108,9 @@ class KnownIron:
         def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
             offset = np.asarray(self.offset_mgauss + theta[:3])
             if theta.size > 3:
-                offset = offset + self.load[:, None] * (self.motor_mgauss + theta[3:])
+                # What is not known of the motors counts from their usual load: the offset stays the offset.
+                unusual = self.load - self.load.mean()
+                offset = offset + self.load[:, None] * self.motor_mgauss + unusual[:, None] * theta[3:]
             return signals.with_mag(signals.reading.mag_mgauss + offset)
 
         parameters = tuple(Parameter(n, "mG", -2000.0, 2000.0, 0.0, 10.0) for n in "xyz")

@@ -20,11 +20,13 @@ from mavcompass.gap.result import Cause
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
-# What differs from one good flight to the next: 0.35 degrees a second, a hundredth of g.
-_LEAST = {"gyro_bias": 0.006, "accel_bias": 0.12}
-_SIGMAS = 5.0
+# What differs from one good flight to the next: 0.7 degrees a second, a fiftieth of g.
+_LEAST = {"gyro_bias": 0.012, "accel_bias": 0.2}
+_SIGMAS = 6.0
 _FEWEST, _BLOCKS = 200, 12
 _SMOOTHED_S = 0.5
+# Between attitudes farther apart a tilting vehicle turns in ways that their difference does not show.
+_SLOWEST_S = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +81,8 @@ def _biases(track: Track) -> dict[str, Bias]:
     ):
         return {}
     when, first = np.unique(attitude.time_s, return_index=True)
+    if float(np.median(np.diff(when))) > _SLOWEST_S:
+        return {}
     roll, pitch, yaw = attitude.values[first].T
     rotation = euler_to_matrix(roll, pitch, np.unwrap(yaw))
     out = {"gyro_bias": _mean(track.gyro_radps.at(when) - body_rate(when, rotation))}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mavcompass.earth_field import decimal_year, earth_field
@@ -12,6 +14,7 @@ from mavcompass.gap.reference import Reference
 from mavcompass.track import Series, Track
 
 UNKNOWN_SIGMA_MGAUSS = 300.0
+_ANOMALY_SHARE = 0.01
 _LOCAL_SIGMA_MGAUSS = 0.7
 _STEADY_MGAUSS = 3.0
 _AGREES_MGAUSS = 8.0
@@ -35,7 +38,7 @@ def world_field(
                 np.array([_LOCAL_SIGMA_MGAUSS, earth.sigma_mgauss[1], _LOCAL_SIGMA_MGAUSS]),
                 (note,),
             )
-        return earth.vector_mgauss, np.array(earth.sigma_mgauss), ()
+        return earth.vector_mgauss, _with_anomaly(earth.vector_mgauss, earth.sigma_mgauss, reference), ()
     rows = reference.known & np.isfinite(raw).all(axis=1)
     if not rows.any():
         raise BadRecording("The attitude reference and the compass never speak at the same time.", "")
@@ -45,6 +48,15 @@ def world_field(
         " intensity, inclination and declination cannot be judged."
     )
     return field, np.full(3, UNKNOWN_SIGMA_MGAUSS), (note,)
+
+
+def _with_anomaly(field: FloatArray, sigma: Sequence[float], reference: Reference) -> FloatArray:
+    """Return the sigma of the world model with what rocks and buildings add to it.
+
+    Beside an independent attitude (a laboratory's) such an anomaly shows itself, and is judged as a cause.
+    """
+    anomaly = 0.0 if reference.kind == "columns" else _ANOMALY_SHARE * float(np.linalg.norm(field))
+    return np.hypot(np.asarray(sigma), anomaly)
 
 
 def _measured_by_others(

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
-from mavcompass.gap.in_force import IRON_MATRIX, IRON_OFFSET
 from mavcompass.gap.newton import bridge, invert, moved, solve
 from mavcompass.gap.noise import Noise, group_values
 from mavcompass.gap.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, Prior
@@ -98,16 +97,9 @@ class Problem:
 
     def predict(self, fit: Fit, effects: bool = True) -> Reading:
         """Return what the simulation says under a hypothesis, or under its nuisances alone."""
-        if effects:
-            return self.states(fit.terms, fit.thetas, fit.nuisance_thetas)[-1].reading
-        return self.states((), (), self._as_known(fit.nuisance_thetas))[-1].reading
-
-    def _as_known(self, thetas: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return nuisances with the iron as calibration and baseline describe it: the nominal vehicle."""
-        return [
-            n.mean if n.effect.id in (IRON_MATRIX, IRON_OFFSET) else theta
-            for n, theta in zip(self.nuisances, thetas, strict=True)
-        ]
+        terms = fit.terms if effects else ()
+        thetas = fit.thetas if effects else ()
+        return self.states(terms, thetas, fit.nuisance_thetas)[-1].reading
 
     def signals(self, fit: Fit) -> Signals:
         """Return the simulated signals under a hypothesis."""
@@ -264,6 +256,30 @@ class Problem:
             return np.zeros(0)
         now = np.concatenate(values)
         return np.concatenate([self._prior, np.zeros(now.size - self._prior.size)]) - now
+
+    def strain(self, fit: Fit) -> float:
+        """Return how far a fit strains what is known of vehicle and place together, in squared sigmas.
+
+        What the yaw may do is no knowledge of them.
+        """
+        known = [n.effect.id != REFERENCE_YAW for n in self.nuisances]
+        rows = (
+            np.repeat(known, [n.mean.size for n in self.nuisances]) if known else np.zeros(0, dtype=np.bool_)
+        )
+        off = (np.concatenate([*fit.nuisance_thetas, np.zeros(0)]) - self._prior)[rows]
+        return float(off @ self._precision[np.ix_(rows, rows)] @ off)
+
+    def strains(self, fit: Fit) -> list[tuple[float, int]]:
+        """Return how far a fit strains each nuisance but the yaw by itself, in squared sigmas of so many."""
+        covariance = np.linalg.pinv(self._precision) if self.nuisances else self._precision
+        out, at = [], 0
+        for nuisance, theta in zip(self.nuisances, fit.nuisance_thetas, strict=True):
+            own = slice(at, at + theta.size)
+            at += theta.size
+            if nuisance.effect.id != REFERENCE_YAW:
+                off = theta - nuisance.mean
+                out.append((float(off @ np.linalg.pinv(covariance[own, own]) @ off), theta.size))
+        return out
 
     def null(self) -> Fit:
         """Fit the nuisances alone."""

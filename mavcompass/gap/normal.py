@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from mavcompass.frames import FloatArray
 
 _RIDGE = 1e-9
+# Columns shorter than this change nothing.
+_NOTHING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +49,8 @@ class BlockNormal:
         """
         self.nuisances = nuisances
         self._loose = np.flatnonzero(loose)
-        self.size = np.sqrt(np.maximum(np.einsum("np,np->p", columns, columns), 1e-300))
+        length = np.sqrt(np.einsum("np,np->p", columns, columns))
+        self.size = np.where(length > _NOTHING, length, 1.0)
         scaled = columns / self.size
         edges = np.flatnonzero(np.diff(block, prepend=-1, append=block[-1] + 1 if block.size else 0))
         parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]

@@ -64,9 +64,12 @@ def with_steps(noise: Noise, step_mgauss: float) -> Noise:
 
 
 def what_is_left(
-    identified: Identified, floor: Floor, names: frozenset[str], step_mgauss: float
+    identified: Identified, floor: Floor, names: frozenset[str], step_mgauss: float, excess: float = 0.0
 ) -> Remainder:
-    """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise."""
+    """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise.
+
+    `excess` is how much larger than a baseline's the variance of the scatter was found before any search.
+    """
     replay, chosen = identified.problem.replay, identified.fit
     noise = with_steps(floor.noise, step_mgauss) if step_mgauss > 0.0 else floor.noise
     problem = Problem(replay, noise, replay.valid, floor.prior)
@@ -76,7 +79,7 @@ def what_is_left(
     problem = _without_plateaus(problem, fit)
     if step_mgauss > 0.0:
         return _unrounded(problem, fit, floor, step_mgauss)
-    scatter = find_scatter(problem, fit, names, floor)
+    scatter = find_scatter(problem, fit, names, floor, excess)
     if scatter is None:
         # A saturated reading has no scatter.
         return Remainder(problem, fit, None, "clipping" not in fit.ids)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
-from mavcompass.gap.compass_rows import averaged, compass_rows
+from mavcompass.gap.compass_rows import averaged, compass_rows, shared_period_s
 from mavcompass.gap.in_force import KnownIron, calibration_in_force, known_iron, load_of
 from mavcompass.gap.integrity import Trace
 from mavcompass.gap.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
@@ -95,13 +95,14 @@ class Replay:
         return self.signals.stimulus.time_s
 
 
-def replay(track: Track, instance: int = 1, choice: Choice = "auto") -> Replay:
-    """Build the nominal simulation of one compass of a recording.
+def replay(track: Track, instance: int = 1, choice: Choice = "auto", period_s: float | None = None) -> Replay:
+    """Build the nominal simulation of one compass of a recording, averaged to rows of a period.
 
     Raises BadRecording where there is no such compass, or too little to compare.
     """
     compass = _compass(track, instance)
-    rows = compass_rows(track, compass)
+    period_s = shared_period_s([track], instance) if period_s is None else period_s
+    rows = compass_rows(track, compass, period_s)
     whole = reference_attitude(track, rows.time_s, choice, instance)
     field, sigma, field_notes = world_field(
         track,

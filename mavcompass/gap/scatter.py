@@ -25,7 +25,7 @@ _DRIFT_MODES = 80
 # The scatter's own distribution is only known from the recording: be slower to name it.
 _SCATTER_TRIALS = 50
 # How much larger than a baseline's the variance of the scatter must be where noise is not known in detail.
-_DOUBTFUL_EXCESS = 0.7
+_DOUBTFUL_EXCESS = 1.0
 # Without a baseline, times may scatter by this much and be healthy.
 _DOUBTFUL_JITTER_S = 0.02
 _DRIFT_SIZES = (0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 13.0)
@@ -40,7 +40,9 @@ class Scatter:
     gain: float
 
 
-def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], floor: Floor) -> Scatter | None:
+def find_scatter(
+    problem: Problem, fit: Fit, allowed: frozenset[str], floor: Floor, excess: float = 0.0
+) -> Scatter | None:
     """Compare even and rate-dependent excess scatter of the magnetometer with the floor's.
 
     Even excess needs a representative floor; the scatter of time stamps shows by its dependence on the
@@ -67,11 +69,7 @@ def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], floor: Flo
     late, late_size = _late_gain(y, x, 1.0)
     candidates = []
     representative = floor.representative
-    if (
-        floor.measured
-        and "noise_excess" in allowed
-        and even_size > (0.0 if representative else _DOUBTFUL_EXCESS)
-    ):
+    if representative and "noise_excess" in allowed and even_size > 0.0:
         size = math.sqrt(even_size) * float(np.sqrt(np.mean(noise.rms**2)))
         candidates.append(Scatter("noise_excess", size, even / inflation))
     trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
@@ -85,6 +83,13 @@ def find_scatter(problem: Problem, fit: Fit, allowed: frozenset[str], floor: Flo
         if sigma > WORST_SCATTER_MGAUSS:
             size = math.sqrt(sigma**2 - USUAL_SCATTER_MGAUSS**2)
             candidates.append(Scatter("noise_excess", size, float(error.size)))
+    if floor.measured and not representative and "noise_excess" in allowed and excess > 0.0:
+        size = math.sqrt(excess * float(np.mean(floor.noise["mag"].rms ** 2)))
+        left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
+        beyond = float(np.mean(left[rows] ** 2)) - floor.field_rms_mgauss**2
+        # Scatter between neighbours is scatter of the readings only if it shows in what is left.
+        if beyond > 0.5 * size**2:
+            candidates.append(Scatter("noise_excess", size, float(error.size)))
     candidates = [c for c in candidates if c.gain > least_gain(1, _SCATTER_TRIALS)]
     return max(candidates, key=lambda c: c.gain) if candidates else None
 
@@ -95,6 +100,9 @@ def early_scale(replay: Replay, baseline: Replay, exact: bool) -> FloatArray | N
     Second differences hold next to nothing of slow causes, so that this can be told before any search.
     None where the scatter is the baseline's. Where the noise is not `exact`, only much more counts.
     """
+    if not exact:
+        excess = excess_scatter(replay, baseline)
+        return np.full(replay.nominal_mgauss.shape, math.sqrt(1.0 + excess)) if excess > 0.0 else None
     own, nominal = _neighbours(replay), _neighbours(baseline)
     size = np.sqrt(np.mean(nominal[baseline.valid] ** 2, axis=0))
     y = (own / size)[replay.valid] ** 2
@@ -102,13 +110,31 @@ def early_scale(replay: Replay, baseline: Replay, exact: bool) -> FloatArray | N
     # Second differences of neighbours are correlated: a third of them counts.
     even, even_size = _even_gain(y)
     late, late_size = _late_gain(y, (change**2)[replay.valid], 1.0)
-    if not exact:
-        return np.full(change.shape, math.sqrt(1.0 + even_size)) if even_size > _DOUBTFUL_EXCESS else None
     if max(even, late) / 3.0 < least_gain(1, _SCATTER_TRIALS) or max(even_size, late_size) <= 0.0:
         return None
     if late > even:
         return np.asarray(np.sqrt(1.0 + late_size * change**2))
     return np.full(change.shape, math.sqrt(1.0 + even_size))
+
+
+def excess_scatter(replay: Replay, baseline: Replay) -> float:
+    """Return the excess variance of the scatter over the baseline's, both where the field hardly turns.
+
+    0 where it is not much more: readings that are late, averaged or repeated scatter while the vehicle turns.
+    """
+    now, before = _quiet_scatter(replay), _quiet_scatter(baseline)
+    excess = (now / max(before, 1e-9)) ** 2 - 1.0
+    return excess if excess > _DOUBTFUL_EXCESS else 0.0
+
+
+def _quiet_scatter(replay: Replay) -> float:
+    """Return the scatter between neighbours in mG, robustly, on the quieter half of the rows."""
+    turning = np.linalg.norm(np.gradient(replay.nominal_mgauss, replay.time_s, axis=0), axis=1)
+    slow = turning <= np.quantile(turning[replay.valid], 0.4)
+    rows = replay.valid & slow
+    rows[1:-1] &= slow[:-2] & slow[2:]
+    size = np.median(np.abs(_neighbours(replay)[rows]), axis=0) if rows.sum() > 20 else np.zeros(3)
+    return float(1.4826 * np.sqrt(np.mean(size**2)))
 
 
 def _neighbours(replay: Replay) -> FloatArray:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from mavcompass.gap.candidates import Candidate, Candidates, misfit_of
 from mavcompass.gap.hypothesis import Fit, Term, active_dimension, make_term
 from mavcompass.gap.model import Problem
-from mavcompass.gap.nuisance import yaw_starts
+from mavcompass.gap.nuisance import REFERENCE_YAW, yaw_starts
 from mavcompass.simulation.effects.effect import MOMENTS, Effect
 
 MOST_EFFECTS = 4
@@ -38,8 +38,6 @@ _HOPEFUL = 0.7
 _PRUNING = 2.0
 _SEARCHED = MOMENTS | {"frequency_hz", "threshold", "source", "orientation"}
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
-# A prior that a fit leaves by this (squared sigmas for each parameter) no longer describes it.
-_BENT = 9.0
 
 
 @lru_cache(maxsize=1024)
@@ -196,10 +194,16 @@ class Search:
         found."""
         if fit.terms or not self.problem.nuisances:
             return fit
-        off = np.concatenate(fit.nuisance_thetas) - self.problem.prior.mean
-        if float(off @ self.problem.prior.precision @ off) < _BENT * off.size:
+        nuisances = self.problem.nuisances
+        known = sum(n.mean.size for n in nuisances if n.effect.id != REFERENCE_YAW)
+        together = self.problem.strain(fit) < least_gain(known)
+        if together and all(cost < least_gain(size) for cost, size in self.problem.strains(fit)):
             return fit
-        return replace(fit, nuisance_thetas=tuple(n.mean.copy() for n in self.problem.nuisances))
+        kept = (
+            x if n.effect.id == REFERENCE_YAW else n.mean.copy()
+            for n, x in zip(nuisances, fit.nuisance_thetas, strict=True)
+        )
+        return replace(fit, nuisance_thetas=tuple(kept))
 
     def _beam(
         self, candidates: Candidates, most: int, held: Sequence[Term]

@@ -8,7 +8,8 @@ from mavcompass.gap.replay import Replay
 from mavcompass.simulation.effects import Effect
 
 _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
-_LATE = frozenset({"transport_lag", "low_pass", "stale_samples"})
+# Ten readings a second, averaged, are a low pass by nature: how much of one depends on the turns.
+_LATE = frozenset({"transport_lag", "stale_samples"})
 _FAST = frozenset({"ac_interference", "set_reset_offset", "noise_excess", "timestamp_jitter"})
 _UNKNOWN_YAW_RAD = 0.3
 _NO_SENSOR = (

@@ -19,7 +19,7 @@ _REMAINDER = 0.05
 # Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
 _REMAINDER_UNTRUSTED = 0.4
 # What lies above the floor by less may be the floor's own uncertainty.
-_ABOVE = 1.25
+_ABOVE, _AT_FLOOR = 1.3, 1.12
 _FEW_NAMES = 2
 _DRIFT_RIVALS = 6
 _DRIFT_MARGIN = 6.0
@@ -84,6 +84,9 @@ def consistent(
         return Answer("not_testable", none, False, None)
     if floor.representative:
         return answer
+    quiet = field.nominal < _AT_FLOOR * field.floor and heading.nominal < _AT_FLOOR * heading.floor
+    if floor.measured and quiet and not traces:
+        return Answer("no_gap" if turns else "not_testable", none, False, None)
     if answer.verdict == "unknown":
         return (
             answer

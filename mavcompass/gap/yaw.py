@@ -24,7 +24,8 @@ from mavcompass.frames import FloatArray
 # A priori: gyro scale, age of its readings beside the witness's, wander of a bias in rad/s per root second.
 _SCALE = 0.01
 _AGE_S = 0.1
-_WANDER = math.radians(0.005)
+_LEAST_DRIFT_RADPS = math.radians(0.1)
+_WANDER = math.radians(0.01)
 _SLOW_S = 40.0
 _AGE, _KNOWN_AGE_S = 2, 0.01
 _AGE_STEP_S, _LONGEST_AGE_S, _LEAST_TURNING_RADPS = 0.01, 0.2, 0.05
@@ -133,7 +134,8 @@ def _basis(clock: FloatArray, yaw: FloatArray, drift_sigma: float) -> tuple[Floa
     (p,)."""
     t = clock - 0.5 * (clock[0] + clock[-1])
     columns = [t, yaw - yaw.mean(), np.gradient(yaw, clock)]
-    sigmas = [drift_sigma, _SCALE, _AGE_S]
+    # A vehicle that seems to rest may turn slowly: a bias is never known better than this.
+    sigmas = [max(drift_sigma, _LEAST_DRIFT_RADPS), _SCALE, _AGE_S]
     span = float(clock[-1] - clock[0])
     knots = np.linspace(0.0, span, _KNOTS)
     low, high = np.minimum.outer(knots, knots), np.maximum.outer(knots, knots)
