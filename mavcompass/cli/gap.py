@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +25,15 @@ _WORDS = {
     "unknown": "unknown: none of the effects in the catalogue explains it",
     "not_testable": "not testable",
 }
+_SHARP_PERCENT = 1.0
+_ADVICE = {
+    "no_gap": "Nothing to do: the vehicle is what its calibration says.",
+    "named": "Put the cause right, or into the simulator: `mavcompass gap export`.",
+    "ambiguous": "Fly what is proposed below to decide, before anything is changed.",
+    "named_with_remainder": "Put the named cause right first, then record and diagnose again.",
+    "unknown": "Look where it shows; a baseline of the same vehicle in a good state tells more.",
+    "not_testable": "Record again with turns through all headings, and with tilt if the vehicle can.",
+}
 REFERENCES = ("auto", "gyro", "gps-yaw", "attitude", "columns")
 
 
@@ -35,21 +47,26 @@ def command() -> None:
 
 
 @command.command()
-@click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument(
+    "logs", metavar="LOG...", nargs=-1, required=True,
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+)  # fmt: skip
 @click.option("--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True)
 @click.option(
     "--baseline",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="A recording of the same vehicle that is accepted as good: gives the noise floor.",
 )
+@click.option("--thorough", is_flag=True, help="Compare more readings of a long recording; takes longer.")
 @click.option("--withhold", multiple=True, metavar="EFFECT", help="Do not use this effect and its aliases.")
 @click.option("--reference", type=click.Choice(REFERENCES), default="auto", show_default=True)
 @click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
 @common_options
 def diagnose(
-    log: Path,
+    logs: tuple[Path, ...],
     instance: int,
     baseline: Path | None,
+    thorough: bool,
     withhold: tuple[str, ...],
     reference: str,
     report: Path | None,
@@ -57,14 +74,30 @@ def diagnose(
 ) -> None:
     """Say where the gap lies, which effect causes it, and how far it shrinks with that effect.
 
+    Several recordings of one vehicle also tell which causes are the vehicle's, and which of one flight.
+
     \b
     Example: mavcompass gap diagnose flight.tlog --baseline good.tlog --json gap.json
     """
-    require_for(log, baseline, report=report)
-    diagnosis = _diagnosed(log, instance, baseline, withhold, reference)
-    for line in summary(diagnosis):
-        output.say(line)
-    output.write_json(diagnosis.to_json())
+    require_for(*logs, baseline, report=report)
+    if report is not None and len(logs) > 1:
+        raise UsageError("A report shows one recording.", "Name one recording, or leave --report out.")
+    found = [_diagnosed(log, instance, baseline, withhold, reference, thorough) for log in logs]
+    for log, diagnosis in zip(logs, found, strict=True):
+        if len(logs) > 1:
+            output.say(f"{log}:")
+        for line in summary(diagnosis):
+            output.say(line)
+    diagnosis = found[0]
+    if len(logs) > 1:
+        from mavcompass.gap.several import together
+
+        vehicle = together(found)
+        for line in vehicle.lines():
+            output.say(line)
+        output.write_json(vehicle.to_json())
+    else:
+        output.write_json(diagnosis.to_json())
     if report is not None:
         from mavcompass.report.gap import write_gap_report
 
@@ -198,20 +231,42 @@ def blind_trial(cases: int, seed: int, report: Path | None, output: Output) -> N
 
 
 def _diagnosed(
-    log: Path, instance: int, baseline: Path | None, withhold: tuple[str, ...], reference: str
+    log: Path,
+    instance: int,
+    baseline: Path | None,
+    withhold: tuple[str, ...],
+    reference: str,
+    thorough: bool = False,
 ) -> Diagnosis:
-    from mavcompass.gap.diagnose import diagnose_gap, withheld_effects
-    from mavcompass.logs import read_track
+    with _progress(log.name) as progress:
+        from mavcompass.gap.diagnose import diagnose_gap, withheld_effects
+        from mavcompass.logs import read_track
 
-    withheld_effects(withhold)  # a wrong name is said before a long recording is read
-    track = read_track(log)
-    before = read_track(baseline) if baseline is not None else None
-    return diagnose_gap(track, before, withhold, instance, reference)  # type: ignore[arg-type]
+        withheld_effects(withhold)  # a wrong name is said before a long recording is read
+        track = read_track(log)
+        before = read_track(baseline) if baseline is not None else None
+        return diagnose_gap(
+            track, before, withhold, instance, reference,  # type: ignore[arg-type]
+            thorough=thorough, progress=progress,
+        )  # fmt: skip
+
+
+@contextmanager
+def _progress(name: str) -> Iterator[Callable[[str], None]]:
+    """Show what is being done on a terminal, from the first moment; stay quiet in a pipe."""
+    if not sys.stderr.isatty():
+        yield lambda doing: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(f"{name}: reading") as status:
+        yield lambda doing: status.update(f"{name}: {doing}")
 
 
 def summary(diagnosis: Diagnosis) -> list[str]:
     """Put a diagnosis in a few lines for a terminal."""
     lines = [f"{_WORDS[diagnosis.verdict]}  (attitude: {diagnosis.reference}, compass {diagnosis.compass})"]
+    lines.append(f"  {_ADVICE[diagnosis.verdict]}")
     for cause in diagnosis.causes:
         values = ", ".join(f"{name} {value:.4g}" for name, value in cause.parameters.items())
         lines.append(f"  {cause.effect} ({100.0 * cause.probability:.0f} %): {values}")
@@ -233,15 +288,22 @@ def summary(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.unknown:
         lines.append(f"  left unexplained: shows with {diagnosis.unknown_coordinate}")
     if diagnosis.not_testable:
-        lines.append(f"  not testable here: {', '.join(e for e, _ in diagnosis.not_testable)}")
+        lines.append(f"  {len(diagnosis.not_testable)} effects cannot be tested here (the JSON says why)")
     for flight in diagnosis.next_flight[:2]:
         lines.append(f"  to decide, record: {flight.protocol} ({flight.predicted_separation:.0f} sigma)")
     return lines
 
 
 def _closing_line(name: str, closing: Closing, unit: str) -> str:
+    said = f"  {name}: {closing.nominal:.2f} -> {closing.after:.2f} {unit} on held-out parts"
+    said += f", floor {closing.floor:.2f}"
+    if closing.after == closing.nominal:
+        return said
     low, high = (100.0 * end for end in closing.shrink_ci95)
-    return (
-        f"  {name}: {closing.nominal:.2f} -> {closing.after:.2f} {unit} on held-out parts,"
-        f" floor {closing.floor:.2f}; shrinks by {100.0 * closing.shrink:.1f} % ({low:.1f} .. {high:.1f})"
+    if high - low < _SHARP_PERCENT:
+        return f"{said}; shrinks by {100.0 * closing.shrink:.0f} %"
+    sure = 0.0 <= closing.shrink <= 1.0 and low > 0.0
+    ends = f"{max(low, 0.0):.0f} .. {min(high, 100.0):.0f}"
+    return f"{said}; shrinks by {100.0 * min(max(closing.shrink, 0.0), 1.0):.0f} % ({ends})" + (
+        "" if sure else ", uncertain"
     )

@@ -16,7 +16,7 @@ from mavcompass.gap.integrity import Trace, inspect
 from mavcompass.track import MagSeries, Series, Track
 
 FEWEST_ROWS = 60
-_MOST_ROWS = 3_000
+_MOST_ROWS, _MOST_ROWS_IN_FLIGHT = 3_000, 1_600
 _SLOWER_SHARE = 0.3
 _EVEN_RHYTHM = 0.4
 
@@ -107,8 +107,10 @@ def shared_period_s(tracks: Sequence[Track], instance: int) -> float:
     for track in tracks:
         if instance in track.compasses and len(track.compasses[instance].reported) > 1:
             time_s = track.compasses[instance].time_s
-            if time_s.size > _MOST_ROWS:
-                longest = max(longest, float(time_s[-1] - time_s[0]) / _MOST_ROWS)
+            # Beside a laboratory's attitude single readings tell more than beside one that wanders itself.
+            most = _MOST_ROWS if track.reference_q is not None else _MOST_ROWS_IN_FLIGHT
+            if time_s.size > most:
+                longest = max(longest, float(time_s[-1] - time_s[0]) / most)
     return longest
 
 

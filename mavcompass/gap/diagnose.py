@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 
 from mavcompass.errors import UsageError
@@ -31,6 +31,7 @@ from mavcompass.simulation.effects.effect import Group
 from mavcompass.track import Track
 
 _WITHOUT_WITNESS = 1.5
+_THOROUGH = 3.0
 _OF_MOTION = frozenset({"linear_acceleration", "vibration_rectification"})
 _SENSOR_WORDS: dict[Group, str] = {"mag": "compass", "acc": "accelerometer", "gyro": "gyro"}
 
@@ -41,18 +42,21 @@ def diagnose_gap(
     withhold: Iterable[str] = (),
     instance: int = 1,
     reference: Choice = "auto",
+    thorough: bool = False,
+    progress: Callable[[str], None] = lambda doing: None,
 ) -> Diagnosis:
     """Explain the gap between the simulation and a recording.
 
     `baseline` is a recording of the same vehicle in a state that is accepted as good: it gives the
     noise floor and tunes the simulator. `withhold` names effects that must not be used, together with
-    their aliases. Raises BadRecording where there is too little to compare, UsageError for an unknown
-    effect.
+    their aliases. `thorough` compares up to three times the rows of a long recording. `progress` is told what
+    is being done. Raises BadRecording where there is too little to compare, UsageError for an unknown effect.
     """
     started = time.perf_counter()
     withheld = withheld_effects(withhold)
     with single_thread():
-        result = _diagnose(track, baseline, withheld, instance, reference)
+        how = _How(instance, reference, thorough, progress)
+        result = _diagnose(track, baseline, withheld, how)
     return replace(result, seconds=time.perf_counter() - started)
 
 
@@ -70,17 +74,27 @@ def withheld_effects(names: Iterable[str]) -> frozenset[str]:
     return frozenset(out)
 
 
-def _diagnose(
-    track: Track, baseline: Track | None, withheld: frozenset[str], compass: int, reference: Choice
-) -> Diagnosis:
+@dataclass(frozen=True, slots=True)
+class _How:
+    """Hold how a diagnosis is to be made."""
+
+    compass: int
+    reference: Choice
+    thorough: bool
+    progress: Callable[[str], None]
+
+
+def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], how: _How) -> Diagnosis:
+    how.progress("finding the attitude")
     every = catalogue().values()
     faults: tuple[Cause, ...] = ()
     if baseline is not None and track.reference_q is None:
         faults = tuple(f for f in inertial_faults(track, baseline) if f.effect not in withheld)
-    replayed, before = _replays(without_faults(track, faults), baseline, compass, reference)
+    replayed, before = _replays(without_faults(track, faults), baseline, how)
     untestable = untestable_effects(replayed, every, before is not None and before.telemetry)
     half = half_testable(replayed, every)
     testable = [e for e in every if e.id not in withheld and (e.id in half or e.id not in untestable)]
+    how.progress("measuring the floor")
     if before is None:
         floor = from_recording(replayed)
     else:
@@ -90,22 +104,24 @@ def _diagnose(
         # The attitude has lost a witness that the baseline had.
         floor = floor.larger(_WITHOUT_WITNESS)
     stale_share, step_mgauss = _traces(replayed, before, floor, frozenset(e.id for e in testable))
+    how.progress(f"weighing {len(testable)} effects")
     identified, remainder, floor = _explained(replayed, before, floor, testable, step_mgauss)
+    how.progress("looking at what is left")
     adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
     traces = bool(faults) or remainder.scatter is not None or stale_share > 0.0 or step_mgauss > 0.0
     answer = decide(identified, floor, remainder, adequacy, traces, half)
     evidence = Evidence(
-        track, compass, replayed, floor, identified, remainder, adequacy, stale_share, step_mgauss,
+        track, how.compass, replayed, floor, identified, remainder, adequacy, stale_share, step_mgauss,
         untestable, withheld, faults,
     )  # fmt: skip
     return describe(evidence, answer)
 
 
-def _replays(
-    track: Track, baseline: Track | None, compass: int, reference: Choice
-) -> tuple[Replay, Replay | None]:
+def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, Replay | None]:
     """Replay the recording and its baseline, with the sensors that can bear witness."""
-    period_s = shared_period_s([track] if baseline is None else [track, baseline], compass)
+    compass, reference = how.compass, how.reference
+    tracks = [track] if baseline is None else [track, baseline]
+    period_s = shared_period_s(tracks, compass) / (_THOROUGH if how.thorough else 1.0)
     replayed = replay(track, compass, reference, period_s)
     before = None
     if baseline is not None:

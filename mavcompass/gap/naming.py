@@ -11,7 +11,7 @@ from mavcompass.gap.model import Problem
 from mavcompass.gap.result import Cause
 from mavcompass.gap.scatter import Scatter
 from mavcompass.gap.transient import between_rows
-from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S
+from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
 
 
 def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
@@ -36,15 +36,15 @@ def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
         )
         free = make_term(term.effect, problem.replay.signals).free
         shown = [
-            (p.name, float(v), float(s))
+            (p, float(v), float(s))
             for p, v, s, f in zip(term.effect.parameters, theta, sigma, free, strict=True)
             if f or p.integer or p.scale == 0.0
         ]
         out.append(
             Cause(
                 effect=term.effect.id,
-                parameters={name: value for name, value, _ in shown},
-                ci95={name: _interval(problem, name, value, s) for name, value, s in shown},
+                parameters={p.name: value for p, value, _ in shown},
+                ci95={p.name: _interval(problem, p, value, s) for p, value, s in shown},
                 probability=sum(w for ids, w in weights.items() if term.effect.id in ids) or own,
                 ambiguous_with=tuple(others),
                 separation=_separation(identified, fit, term.effect.id),
@@ -54,12 +54,12 @@ def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
     return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
 
 
-def _interval(problem: Problem, name: str, value: float, sigma: float) -> tuple[float, float]:
+def _interval(problem: Problem, parameter: Parameter, value: float, sigma: float) -> tuple[float, float]:
     low, high = value - 1.96 * sigma, value + 1.96 * sigma
-    if name in MOMENTS and abs(value) < NEVER_S:
+    if parameter.name in MOMENTS and abs(value) < NEVER_S:
         before, after = between_rows(problem, value)
         return min(low, before), max(high, after)
-    return low, high
+    return max(low, parameter.low), min(high, parameter.high)
 
 
 def _separation(identified: Identified, fit: Fit, effect_id: str) -> float | None:

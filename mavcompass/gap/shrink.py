@@ -18,6 +18,8 @@ from mavcompass.simulation.signals import Reading
 
 _RESAMPLES = 1000
 _BLOCK_S = 1.0
+# A shrink that may lie anywhere is not told farther than this beyond nothing and everything.
+_FARTHEST = 1.0
 _AT_THE_LIMIT = 1.0 - 1e-4
 _SEED = 7
 
@@ -131,7 +133,7 @@ def _interval(
     if not gap.mean() > 0.975:
         # So small a gap may be none at all: anything between nothing and everything may be closed.
         low, high = min(low, 0.0), max(high, 1.0)
-    return float(low), float(high)
+    return max(float(low), -_FARTHEST), min(float(high), 1.0 + _FARTHEST)
 
 
 def _student(count: int) -> float:
