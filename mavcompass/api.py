@@ -63,7 +63,8 @@ def diagnose_gap(
     """Diagnose the gap between the simulator and a recording: where, why, and how far it shrinks.
 
     Args:
-        baseline: a recording of the same vehicle with nothing wrong; gives the noise floor.
+        baseline: a recording of the same vehicle with nothing wrong; gives the noise floor, and tells how far
+            the calibration in force is to be trusted.
         withhold: effects that must not be named (for checking the diagnosis itself).
     """
     from mavcompass.gap import diagnose_gap as diagnose

@@ -168,7 +168,7 @@ def export(
     reference: str,
     output: Output,
 ) -> None:
-    """Write the effects found in LOG to FILE, for ArduPilot's simulator or ours.
+    """Write LOG's vehicle, its known iron and the effects found, to FILE for ArduPilot's simulator or ours.
 
     \b
     Example: mavcompass gap export flight.tlog --to ardupilot-sitl found.parm
