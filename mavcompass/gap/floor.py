@@ -59,6 +59,7 @@ _REPRESENTATIVE_P = 1e-5
 _FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.02, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
 _SAME_PLACE_M = 1000.0
 _DISCREPANCY_MGAUSS = 1.2
+_UNMEASURED, _LEVEL_MORE = 3.0, 1.25
 # What another iron must explain beyond the calibration in force, and how far that may be strained (squared
 # sigmas).
 _MATERIAL_MGAUSS, _MATERIAL_SHARE, _MOST_STRAIN = 1.5, 0.5, 60.0
@@ -198,6 +199,9 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -
         level = max(float(np.hypot(*replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
         field_rms = math.hypot(field_rms * larger, _DISCREPANCY_MGAUSS)
         heading_rms = math.hypot(heading_rms * larger, math.degrees(_DISCREPANCY_MGAUSS / level))
+        # Scatter that is alike in all axes is scatter of the heading too, whatever the baseline's turns
+        # showed.
+        heading_rms = max(heading_rms, math.degrees(_LEVEL_MORE * field_rms / level))
     return Floor(
         noise=noise,
         field_rms_mgauss=field_rms,
@@ -349,6 +353,9 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
         daily = np.concatenate([np.full(n.mean.size, _FROM_DAY_TO_DAY.get(n.effect.id, 0.0)) for n in taught])
         if replay.reference.kind == "columns":
             daily = np.zeros(daily.size)
+        if trust is ANOTHER_IRON and replay.reference.kind != "columns":
+            # An iron that nobody measured but this baseline takes all its errors with it.
+            daily = daily * _UNMEASURED
         covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
         covariance = _no_wider(covariance, np.diag(prior.precision)[place])
         size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))

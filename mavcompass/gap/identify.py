@@ -24,12 +24,12 @@ _LEAST: dict[Group, float] = {"mag": 1.0, "acc": 0.1, "gyro": 0.004}
 _LEAST_SHARE = 0.10
 # The least that is named without an exact floor, in mG and degrees: with a baseline, and without.
 _LEAST_HERE = {True: (0.5, 0.1), False: (1.0, 0.3)}
-_LEAST_OF_FLOOR = 0.35
+_LEAST_OF_FLOOR = 0.5
 # No model is exact: what holds less than this share of a gap (4 % of its square) may be the error of the
 # rest.
 _MATERIAL_SHARE, _MATERIAL_BESIDE_UNKNOWN, _EXPLAINED = 0.2, 0.4, 1.25
 # A gap that is no larger than this many floors without an effect needs no such effect.
-_ABOVE_FLOOR, _ABOVE_STATED, _LEAST_OF_STATED = 1.12, 0.5, 0.1
+_ABOVE_FLOOR, _ABOVE_STATED, _LEAST_OF_STATED = 1.25, 0.5, 0.1
 _AT_THE_END = 1e-3
 # A block shows an effect where it changes this share of what it does where it changes most.
 _TOUCHED = 0.05

@@ -5,8 +5,8 @@ does:
 
     raw = A (field - motor load) + b,    A = (M scale)^-1,    b = -ofs.
 
-How far it is to be trusted is a prior, in three degrees: exactly right, right within what calibrations
-usually leave, or of another iron. A baseline tells which of them by its evidence.
+How far it is to be trusted is a prior: right within what calibrations usually leave, or, where a baseline
+refutes that, of another iron.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ from mavcompass.gap.result import Cause
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
-# What differs from one good flight to the next: 0.7 degrees a second, a fiftieth of g.
-_LEAST = {"gyro_bias": 0.012, "accel_bias": 0.2}
+# What differs from one good flight to the next: 0.7 degrees a second, a fortieth of g.
+_LEAST = {"gyro_bias": 0.012, "accel_bias": 0.25}
 _SIGMAS = 6.0
 _FEWEST, _BLOCKS = 200, 12
 _SMOOTHED_S = 0.5

@@ -75,7 +75,7 @@ class SensorNoise:
             from scipy.signal import lfilter
 
             # What the first reading tells of the second: the best linear prediction of a stationary error.
-            out[0] *= (self.sigma / self.rms) ** 2
+            out[0] *= np.where(self.moving > 0.0, (self.sigma / self.rms) ** 2, 1.0)
             if np.ptp(self.moving) == 0.0 and out.shape[1] == 3:
                 return np.asarray(lfilter([1.0], [1.0, -float(self.moving[0])], out, axis=0))
             for channel in np.flatnonzero(self.moving):

@@ -4,8 +4,8 @@
 gyro, levelled with the accelerometer and the autopilot's roll and pitch, its yaw smoothed with every witness
 that is independent of the compass under test: a two-antenna receiver, and the autopilot's yaw where another
 compass steers it. What no witness tells (the constant, the drift) is left to be solved with the field.
-`gyro`, `gps-yaw` and
-`attitude` take one source alone; `attitude` is also what remains where the gyro was recorded too slowly.
+`gyro`, `gps-yaw` and `attitude` take one source alone; `attitude` is also what remains where the gyro was
+recorded too slowly.
 """
 
 from __future__ import annotations

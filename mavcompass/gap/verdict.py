@@ -19,8 +19,16 @@ _REMAINDER = 0.05
 # Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
 _REMAINDER_UNTRUSTED = 0.4
 # What lies above the floor by less may be the floor's own uncertainty.
-_ABOVE, _AT_FLOOR = 1.3, 1.12
+_ABOVE, _AT_FLOOR = 1.3, 1.25
 _FEW_NAMES = 2
+# Effects that follow one moment, one place or one load, and so fit much that they did not make.
+_PLIANT = frozenset(
+    {
+        "hard_iron_step", "relay_field", "spatial_dipole", "field_gradient", "hysteresis", "eddy_current",
+        "temperature_bias", "temperature_sensitivity", "ac_interference", "per_motor",
+    }
+)  # fmt: skip
+_NEARLY_ALTERNATING = 0.85
 _DRIFT_RIVALS = 6
 _DRIFT_MARGIN = 6.0
 
@@ -73,6 +81,7 @@ def consistent(
     none: Fit,
     traces: bool,
     turns: bool,
+    step_s: float,
 ) -> Answer:
     """Return an answer that does not contradict its own figures.
 
@@ -99,11 +108,12 @@ def consistent(
             return answer
         verdict: Verdict = "named_with_remainder" if traces else "unknown"
         return Answer(verdict, none, True, coordinate)
-    if not left and (floor.measured or len(answer.named.terms) <= _FEW_NAMES or answer.verdict != "named"):
-        return answer
     if not left:
-        # Without a baseline three names and more explain anything.
-        return replace(answer, verdict="ambiguous")
+        many = len(answer.named.terms) > _FEW_NAMES or (not floor.measured and traces and answer.named.terms)
+        pliant = len(answer.named.terms) > 1 and bool(answer.named.ids & _PLIANT)
+        unsure = answer.verdict == "named" and (many or pliant or _alternates(answer.named, step_s))
+        # Many names, or one that bends to anything beside another, are an explanation but not the only one.
+        return replace(answer, verdict="ambiguous") if unsure else answer
     explained = min(
         (c.nominal**2 - c.after**2) / max(c.nominal**2 - c.floor**2, 1e-12)
         for c in (field, heading)
@@ -112,6 +122,14 @@ def consistent(
     if len(answer.named.terms) <= _FEW_NAMES and explained > 1.0 - _REMAINDER_UNTRUSTED:
         return Answer("named_with_remainder", answer.named, True, coordinate)
     return Answer("unknown", none, True, coordinate)
+
+
+def _alternates(fit: Fit, step_s: float) -> bool:
+    """Tell whether a named line lies where a sensor that sets and resets alternates: at half the sampling
+    rate."""
+    if "ac_interference" not in fit.ids:
+        return False
+    return float(fit.theta("ac_interference")[6]) > _NEARLY_ALTERNATING * 0.5 / step_s
 
 
 def _above(value: float, floor: float) -> bool:

@@ -26,11 +26,13 @@ _SCALE = 0.01
 _AGE_S = 0.1
 _LEAST_DRIFT_RADPS = math.radians(0.1)
 _WANDER = math.radians(0.01)
+# The walk of an angle that is summed up from noisy rates, rad per root second.
+_WALK = math.radians(0.03)
 _SLOW_S = 40.0
 _AGE, _KNOWN_AGE_S = 2, 0.01
 _AGE_STEP_S, _LONGEST_AGE_S, _LEAST_TURNING_RADPS = 0.01, 0.2, 0.05
 _KNOTS = 96
-_MOST_WANDERING = 24
+_MOST_WANDERING = 32
 _WITNESSED_EVERY_S = 1.0
 _MOST_WITNESSED = 500
 # What a witness's lasting error may be, rad.
@@ -74,20 +76,30 @@ class YawError:
 def age_of(clock: FloatArray, rate: FloatArray, when: FloatArray, yaw: FloatArray) -> float | None:
     """Return how late a rate (N,) is beside the rate of another yaw (M,), seconds; None where little turns.
 
-    What bends that yaw changes how fast it turns, not when: the lag of the greatest correlation is the age.
+    What bends that yaw with the heading changes how fast it turns, by sines of it, and not when: of all ages
+    that one is right which leaves least beside such a bend.
     """
     step = max(float(np.median(np.diff(clock))), _AGE_STEP_S)
     grid = np.arange(max(clock[0], when[0]), min(clock[-1], when[-1]), step)
     if grid.size < 100:
         return None
-    other = np.gradient(np.interp(grid, when, yaw), step)
+    heading = np.interp(grid, when, yaw)
+    other = np.gradient(heading, step)
     if float(other.std()) < _LEAST_TURNING_RADPS:
         return None
     lags = np.arange(-_LONGEST_AGE_S, _LONGEST_AGE_S + 1e-9, _AGE_STEP_S)
-    inner = slice(round(_LONGEST_AGE_S / step) + 1, -round(_LONGEST_AGE_S / step) - 1)
-    fit = np.array([np.sum((np.interp(grid + lag, clock, rate) * other)[inner]) for lag in lags])
-    size = np.array([np.sum((np.interp(grid + lag, clock, rate) ** 2)[inner]) for lag in lags])
-    best = int(np.argmax(fit / np.sqrt(np.maximum(size, 1e-12))))
+    edge = round(_LONGEST_AGE_S / step) + 1
+    inner = slice(edge, -edge)
+    bends = np.stack(
+        [np.ones_like(heading), *(f(k * heading) for k in (1, 2) for f in (np.cos, np.sin))], axis=1
+    )
+    left = []
+    for lag in lags:
+        design = (np.interp(grid + lag, clock, rate)[:, None] * bends)[inner]
+        normal = design.T @ design + 1e-9 * np.eye(bends.shape[1])
+        score = design.T @ other[inner]
+        left.append(float(other[inner] @ other[inner] - score @ np.linalg.solve(normal, score)))
+    best = int(np.argmin(left))
     return float(lags[best]) if 0 < best < lags.size - 1 else None
 
 
@@ -139,7 +151,7 @@ def _basis(clock: FloatArray, yaw: FloatArray, drift_sigma: float) -> tuple[Floa
     span = float(clock[-1] - clock[0])
     knots = np.linspace(0.0, span, _KNOTS)
     low, high = np.minimum.outer(knots, knots), np.maximum.outer(knots, knots)
-    wander = _WANDER**2 * low**2 * (3.0 * high - low) / 6.0
+    wander = _WANDER**2 * low**2 * (3.0 * high - low) / 6.0 + _WALK**2 * low
     straight = np.column_stack([np.ones(_KNOTS), knots])
     out = np.eye(_KNOTS) - straight @ np.linalg.pinv(straight)
     values, vectors = np.linalg.eigh(out @ wander @ out)
