@@ -158,7 +158,7 @@ class Search:
                 if null.sse - fit.sse > 0.5 * (null.sse - best.sse) and self.grows(null, fit):
                     out.append(fit)
         self._remember(out)
-        return sorted(out, key=lambda f: f.sse)[:1]
+        return sorted(out, key=lambda f: f.sse)[:2]
 
     def _rounds(self, first: Fit, most: int, held: Sequence[Term]) -> Fit:
         """Linearise beside the best set, weigh all sets, fit the likeliest; again until nothing changes."""

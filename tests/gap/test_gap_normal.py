@@ -132,13 +132,7 @@ def test_many_columns_are_whitened_as_each_alone(
 @pytest.mark.parametrize(
     "first",
     [
-        pytest.param(
-            0,
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="`whiten` scales the first row of a channel without a moving part as if it had one",
-            ),
-        ),
+        0,
         1,
     ],
 )
