@@ -80,7 +80,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         verdict=answer.verdict,
         causes=causes,
         look_alikes=() if named.terms else named_causes(identified, identified.fit),
-        ambiguity_set=tuple((tuple(sorted(ids)), w) for ids, w in identified.found.weights if ids),
+        ambiguity_set=_ambiguity_set(identified),
         where=where(problem.with_rows(replayed.valid), named),
         field=field,
         heading=heading,
@@ -102,6 +102,18 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         in_force=cured_iron(problem, named, floor),
         picture=picture(problem, named, test),
     )
+
+
+def _ambiguity_set(identified: Identified) -> tuple[tuple[tuple[str, ...], float], ...]:
+    """Return the sets that explain the gap, with their weights; those that reach the floor as well share
+    one."""
+    weights = dict(identified.found.weights)
+    alike = [ids for ids in (identified.fit.ids, *identified.as_good) if ids] if identified.as_good else []
+    if alike:
+        kept = {ids: w for ids, w in weights.items() if ids not in alike}
+        each = max(1.0 - sum(kept.values()), 0.0) / len(alike)
+        weights = {**dict.fromkeys(alike, each), **kept}
+    return tuple((tuple(sorted(ids)), w) for ids, w in weights.items() if ids)
 
 
 def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closing]:

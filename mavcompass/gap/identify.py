@@ -43,6 +43,7 @@ SILENT = 9.0
 # A half that gains less than this share of what an effect gains in the other half says nothing of it.
 _LITTLE = 0.1
 _NEAREST_MAGNET_M = 0.03
+_RIVALS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +51,8 @@ class Identified:
     """Hold the chosen fit on the training rows of a split, and how it was found.
 
     `dropped` tells which effects the guards took out, and why; `first` is the problem that `found` was
-    found on (a change inside a held-out block moves rows afterwards).
+    found on (a change inside a held-out block moves rows afterwards). `as_good` are other sets that reach the
+    floor too.
     """
 
     problem: Problem
@@ -60,6 +62,7 @@ class Identified:
     dropped: tuple[tuple[str, str], ...]
     search: Search
     first: Problem
+    as_good: tuple[frozenset[str], ...] = ()
 
 
 def identify(
@@ -124,16 +127,46 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
         dropped.append((effect_id, why))
         rest = candidate.search.without(candidate.fit, effect_id)
         candidate = replace(candidate, fit=rest)
+    if candidate.fit.terms and floor.measured and not floor.representative:
+        candidate = _simplest(candidate, floor)
     return replace(candidate, fit=candidate.search.pruned(candidate.fit), dropped=tuple(dropped))
+
+
+def _simplest(candidate: Identified, floor: Floor) -> Identified:
+    """Of the sets that reach the floor on rows that were not fitted, take the one with fewest parameters.
+
+    What fits closer than the floor fits the errors of the model.
+    """
+    chosen = candidate.fit
+    rivals = [
+        f
+        for f in candidate.search.explored.values()
+        if f.terms and len(f.terms) <= len(chosen.terms) and f.ids != chosen.ids
+    ]
+    rivals = sorted(rivals, key=lambda f: f.sse)[:_RIVALS]
+    if not _at_floor_with(candidate, chosen, floor):
+        return candidate
+    good = [f for f in (candidate.problem.refit(r) for r in rivals) if _at_floor_with(candidate, f, floor)]
+    best = min([chosen, *good], key=lambda f: (f.dimension if f.dimension < chosen.dimension else 1e9, f.sse))
+    best = best if best.dimension < chosen.dimension else chosen
+    others = tuple(f.ids for f in [chosen, *good] if f.ids != best.ids)
+    return replace(candidate, fit=best, as_good=others)
 
 
 def _at_floor(candidate: Identified, floor: Floor) -> bool:
     """Tell whether field and heading lie at the floor without any effect, on rows that were not fitted."""
+    if not floor.measured and candidate.problem.replay.reference.kind == "columns":
+        return False
+    return _at_floor_with(candidate, candidate.found.null, floor)
+
+
+def _at_floor_with(candidate: Identified, fit: Fit, floor: Floor) -> bool:
+    """Tell whether field and heading lie at the floor with a fit, on rows that were not fitted."""
     problem, rows = candidate.problem, candidate.split.test
-    if not rows.any() or (not floor.measured and problem.replay.reference.kind == "columns"):
+    if not rows.any():
         return False
     measured = problem.replay.measured.mag_mgauss
-    nominal = problem.predict(candidate.found.null).mag_mgauss
+    nominal = problem.predict(fit).mag_mgauss
     heading = heading_error_rad(problem.replay, measured, nominal)[rows]
     return (
         rms((measured - nominal)[rows]) < _ABOVE_FLOOR * floor.field_rms_mgauss

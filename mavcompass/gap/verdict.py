@@ -68,7 +68,8 @@ def decide(
             return Answer("named_with_remainder", fit, True, coordinate)
         return Answer("unknown", none, True, coordinate)
     weight = dict(identified.found.weights).get(fit.ids, 1.0)
-    sure = (weight >= _SURE and not fit.ids & half_testable) or not fit.terms
+    unique = weight >= _SURE and not fit.ids & half_testable and not identified.as_good
+    sure = unique or not fit.terms
     return Answer("named" if sure else "ambiguous", fit, False, None)
 
 
