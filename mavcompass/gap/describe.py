@@ -132,9 +132,8 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
         or evidence.step_mgauss > 0.0
     )
     where_left = evidence.adequacy.tests[0].coordinate if evidence.adequacy.tests else "time"
-    step_s = float(np.median(np.diff(problem.replay.time_s)))
     turns = bool(problem.replay.present & {"turning", "tilt"}) or floor.measured
-    said = consistent(answer, field, heading, where_left, floor, none, traces, turns, step_s)
+    said = consistent(answer, field, heading, where_left, floor, none, traces, turns, problem.replay)
     if said.named is not answer.named:
         field, heading = closings(problem, said.named, test, floor, added)
     answer = said

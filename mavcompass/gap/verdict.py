@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from mavcompass.gap.adequacy import Adequacy
 from mavcompass.gap.floor import Floor, rms
 from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.identify import Identified
 from mavcompass.gap.model import Problem
 from mavcompass.gap.remainder import Remainder
+from mavcompass.gap.replay import Replay
 from mavcompass.gap.result import Closing, Verdict
 from mavcompass.gap.scatter import drift_gain
 from mavcompass.gap.search import least_gain
@@ -28,7 +31,8 @@ _PLIANT = frozenset(
         "temperature_bias", "temperature_sensitivity", "ac_interference", "per_motor",
     }
 )  # fmt: skip
-_NEARLY_ALTERNATING = 0.85
+_TURNS = frozenset({"misalignment", "orientation", "declination"})
+_NEARLY_ALTERNATING, _NO_WITNESS_RAD = 0.85, 0.3
 _DRIFT_RIVALS = 6
 _DRIFT_MARGIN = 6.0
 
@@ -82,7 +86,7 @@ def consistent(
     none: Fit,
     traces: bool,
     turns: bool,
-    step_s: float,
+    replay: Replay,
 ) -> Answer:
     """Return an answer that does not contradict its own figures.
 
@@ -110,9 +114,7 @@ def consistent(
         verdict: Verdict = "named_with_remainder" if traces else "unknown"
         return Answer(verdict, none, True, coordinate)
     if not left:
-        many = len(answer.named.terms) > _FEW_NAMES or (not floor.measured and traces and answer.named.terms)
-        pliant = len(answer.named.terms) > 1 and bool(answer.named.ids & _PLIANT)
-        unsure = answer.verdict == "named" and (many or pliant or _alternates(answer.named, step_s))
+        unsure = answer.verdict == "named" and _unsure(answer.named, floor, replay, traces)
         # Many names, or one that bends to anything beside another, are an explanation but not the only one.
         return replace(answer, verdict="ambiguous") if unsure else answer
     explained = min(
@@ -125,12 +127,21 @@ def consistent(
     return Answer("unknown", none, True, coordinate)
 
 
-def _alternates(fit: Fit, step_s: float) -> bool:
-    """Tell whether a named line lies where a sensor that sets and resets alternates: at half the sampling
-    rate."""
-    if "ac_interference" not in fit.ids:
-        return False
-    return float(fit.theta("ac_interference")[6]) > _NEARLY_ALTERNATING * 0.5 / step_s
+def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:
+    """Tell whether names that reach the floor are an explanation, but not the only one.
+
+    Many names are, and one that bends to anything, beside another or without a baseline; so is a turn of the
+    mounting where nothing fixes the yaw, and a line at half the sampling rate, where a sensor that sets and
+    resets alternates.
+    """
+    alone = not floor.measured and replay.reference.kind != "columns"
+    many = len(named.terms) > _FEW_NAMES or (alone and traces and bool(named.terms))
+    pliant = bool(named.ids & _PLIANT) and (alone or len(named.terms) > 1)
+    turned = alone and replay.reference.yaw_sigma_rad > _NO_WITNESS_RAD and bool(named.ids & _TURNS)
+    step_s = float(np.median(np.diff(replay.time_s)))
+    fastest = _NEARLY_ALTERNATING * 0.5 / step_s
+    alternates = "ac_interference" in named.ids and float(named.theta("ac_interference")[6]) > fastest
+    return many or pliant or turned or alternates
 
 
 def _above(value: float, floor: float) -> bool:
