@@ -15,6 +15,7 @@ from mavcompass.cli.options import Output, common_options
 from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
+    from mavcompass.gap.label import Generator
     from mavcompass.gap.result import Closing, Diagnosis
 
 _WORDS = {
@@ -208,9 +209,16 @@ def export(
 @command.command("blind-trial")
 @click.option("--cases", type=click.IntRange(1, 100_000), default=40, show_default=True)
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
+@click.option(
+    "--generator",
+    type=click.Choice(("bench", "vehicles")),
+    default="bench",
+    show_default=True,
+    help="Who makes the cases: our simulator with an exact attitude, or vehicles of another make in use.",
+)
 @click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
 @common_options
-def blind_trial(cases: int, seed: int, report: Path | None, output: Output) -> None:
+def blind_trial(cases: int, seed: int, generator: Generator, report: Path | None, output: Output) -> None:
     """Examine the diagnosis on sealed cases: labels are hashed before it runs and opened after.
 
     \b
@@ -219,7 +227,7 @@ def blind_trial(cases: int, seed: int, report: Path | None, output: Output) -> N
     from mavcompass.gap.trial import run_trial
 
     require_for(report=report)
-    trial = run_trial(cases, seed)
+    trial = run_trial(cases, seed, generator=generator)
     for line in trial.lines():
         output.say(line)
     output.write_json(trial.to_json())

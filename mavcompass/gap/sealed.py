@@ -14,37 +14,27 @@ import hashlib
 import json
 import math
 import secrets
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Literal
+from typing import cast
 
 import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.cases import MOTIONS, Motion, Recipe, ideal, noisy, stimulus_of, to_track
+from mavcompass.gap.foreign import draw_case
+from mavcompass.gap.label import GENERATORS, SHARES, TIERS, Generator, Label, Tier
 from mavcompass.gap.noise import white
+from mavcompass.gap.stored import write_case
 from mavcompass.simulation.effects import Distortion, Effect, Setting, catalogue, parse, spell
 from mavcompass.simulation.effects.effect import MOMENTS, Parameter, Stage
 from mavcompass.simulation.signals import Stimulus
 from mavcompass.track import Track
 
-Tier = Literal["none", "single", "pair", "withheld"]
-_SHARES: dict[Tier, float] = {"none": 0.35, "single": 0.35, "pair": 0.15, "withheld": 0.15}
 _SIZES = (6.0, 150.0)
 _CLEAR = 0.9
 _FOUND_BY_TRACE = frozenset({"quantisation", "stale_samples", "noise_excess", "timestamp_jitter"})
 _NEVER_NAMED = frozenset({"bias_random_walk"})
-
-
-@dataclass(frozen=True, slots=True)
-class Label:
-    """Hold what is true of a case: tier, motion, the effects as `parse` reads them, their size in sigmas."""
-
-    tier: Tier
-    motion: Motion
-    seed: int
-    effects: tuple[str, ...]
-    size_sigma: float
 
 
 def usable_effects(stimulus: Stimulus) -> list[Effect]:
@@ -150,11 +140,12 @@ def to_size(stimulus: Stimulus, setting: Setting, wanted: float) -> Setting:
 def draw_label(seed: int, index: int, tier: Tier | None = None) -> Label:
     """Draw one case."""
     rng = np.random.default_rng([seed, index, 77])
-    chosen: Tier = tier or rng.choice(list(_SHARES), p=list(_SHARES.values()))
+    shares = SHARES["bench"]
+    chosen: Tier = tier or rng.choice(list(shares), p=list(shares.values()))
     motion: Motion = MOTIONS[int(rng.integers(3))]
     recipe = Recipe(motion, seed=int(rng.integers(2**31)))
     stimulus = stimulus_of(recipe)
-    count = {"none": 0, "single": 1, "pair": 2, "withheld": 1}[chosen]
+    count = {"none": 0, "pair": 2}.get(chosen, 1)
     usable = usable_effects(stimulus)
     if chosen != "single":
         usable = [e for e in usable if e.id not in _FOUND_BY_TRACE]
@@ -169,29 +160,37 @@ def draw_label(seed: int, index: int, tier: Tier | None = None) -> Label:
     return Label(chosen, motion, recipe.seed, tuple(spell(s) for s in settings), size)
 
 
+def recipe_of(label: Label) -> Recipe:
+    """Return the motion of a label."""
+    return Recipe(cast(Motion, label.motion), seed=label.seed)
+
+
 def tracks_of(label: Label) -> tuple[Track, Track]:
     """Make the recording of a label, and a baseline of the same kind of motion without effects."""
-    recipe = Recipe(label.motion, seed=label.seed)
-    stimulus = stimulus_of(recipe)
+    stimulus = stimulus_of(recipe_of(label))
     settings = [parse(text) for text in label.effects]
     rng = np.random.default_rng([label.seed, 3])
     early = [s for s in settings if s.effect.stage is not Stage.SENSOR]
     late = [s for s in settings if s.effect.stage is Stage.SENSOR]
     reading = noisy(Distortion(early).apply(stimulus, ideal(stimulus), rng), rng)
     reading = Distortion(late).apply(stimulus, reading, rng)
-    before = stimulus_of(Recipe(label.motion, seed=label.seed ^ 0x5EED))
+    before = stimulus_of(replace(recipe_of(label), seed=label.seed ^ 0x5EED))
     baseline = noisy(ideal(before), np.random.default_rng([label.seed, 4]))
     return to_track(stimulus, reading), to_track(before, baseline, "baseline")
 
 
-def seal(folder: Path, cases: int, seed: int, tier: Tier | None = None) -> str:
+def seal(
+    folder: Path, cases: int, seed: int, tier: Tier | None = None, generator: Generator = "bench"
+) -> str:
     """Write the cases and the sealed labels; return the seal."""
     labels = []
     for index in range(cases):
-        label = draw_label(seed, index, tier)
-        track, baseline = tracks_of(label)
-        arrays = _columns(track, "") | _columns(baseline, "baseline_")
-        np.savez(folder / f"{index:04d}.npz", **arrays)  # type: ignore[arg-type]
+        if generator == "vehicles":
+            label, track, baseline = draw_case(seed, index, tier)
+        else:
+            label = draw_label(seed, index, tier)
+            track, baseline = tracks_of(label)
+        write_case(folder / f"{index:04d}.npz", track, baseline)
         labels.append(asdict(label))
     salt = secrets.token_hex(16)
     text = json.dumps({"salt": salt, "labels": labels})
@@ -201,49 +200,16 @@ def seal(folder: Path, cases: int, seed: int, tier: Tier | None = None) -> str:
     return digest
 
 
-_SERIES = (
-    "acc_mps2", "gyro_radps", "reference_q", "position_ned_m", "place", "current_a", "throttle",
-    "temperature_degc", "motors",
-)  # fmt: skip
-
-
-def _columns(track: Track, prefix: str) -> dict[str, FloatArray]:
-    out = {f"{prefix}time_s": track.compasses[1].time_s, f"{prefix}mag": track.compasses[1].reported.values}
-    for name in _SERIES:
-        series = getattr(track, name)
-        out[f"{prefix}{name}"] = series.values
-    return out
-
-
-def read_case(path: Path) -> tuple[Track, Track]:
-    """Read a sealed case: recording and baseline."""
-    with np.load(path) as archive:
-        return _track(archive, "", path.name), _track(archive, "baseline_", "baseline")
-
-
-def _track(archive: object, prefix: str, name: str) -> Track:
-    from mavcompass.gap.cases import UTC_S
-    from mavcompass.track import MagSeries, Series
-
-    time_s: FloatArray = archive[f"{prefix}time_s"]  # type: ignore[index]
-    columns = {}
-    for column in _SERIES:
-        values: FloatArray = archive[f"{prefix}{column}"]  # type: ignore[index]
-        columns[column] = Series.of(time_s[: len(values)], values)
-    mag: FloatArray = archive[f"{prefix}mag"]  # type: ignore[index]
-    bare = Track(source=name, compasses={1: MagSeries(1, Series.of(time_s, mag))}, utc_offset_s=UTC_S)
-    return replace(bare, **columns)  # type: ignore[arg-type]
-
-
 def main() -> None:
     """Make sealed cases from the command line."""
     parser = argparse.ArgumentParser(description="Make sealed cases for a blind trial.")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--cases", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--tier", choices=list(_SHARES))
+    parser.add_argument("--tier", choices=TIERS)
+    parser.add_argument("--generator", choices=GENERATORS, default="bench")
     arguments = parser.parse_args()
-    seal(arguments.folder, arguments.cases, arguments.seed, arguments.tier)
+    seal(arguments.folder, arguments.cases, arguments.seed, arguments.tier, arguments.generator)
 
 
 if __name__ == "__main__":

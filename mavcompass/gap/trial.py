@@ -8,16 +8,17 @@ import math
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from mavcompass.errors import MavCompassError
+from mavcompass.errors import MavCompassError, UsageError
 from mavcompass.gap.diagnose import diagnose_gap
-from mavcompass.gap.result import Diagnosis
+from mavcompass.gap.label import SHARES, Generator, Label, Tier
 from mavcompass.gap.score import Answer, Case, score, scoreboard, wilson
-from mavcompass.gap.sealed import Label, read_case
-from mavcompass.simulation.effects import parse
+from mavcompass.gap.stored import read_case
+from mavcompass.track import Track
 
 SCHEMA = "mavcompass.gap-trial/1"
 
@@ -30,6 +31,7 @@ class Trial:
     seal: str
     predictions_sha256: str
     cases: tuple[Case, ...]
+    generator: Generator = "bench"
 
     def figures(self) -> dict[str, tuple[int, int]]:
         """Return counts (hits, of) of every figure."""
@@ -43,16 +45,27 @@ class Trial:
             low, high = wilson(hits, of)
             share = 100.0 * hits / of if of else math.nan
             lines.append(f"  {name}: {hits}/{of} = {share:.1f} % (95 % {100 * low:.1f} .. {100 * high:.1f})")
-        seconds = sorted(c.answer.seconds for c in self.cases)
-        if seconds:
-            p95 = seconds[min(int(0.95 * len(seconds)), len(seconds) - 1)]
-            lines.append(f"  seconds per case: median {seconds[len(seconds) // 2]:.2f}, 95 % below {p95:.2f}")
+        for name, (median, p95) in self.seconds().items():
+            lines.append(f"  {name} per case: median {median:.2f}, 95 % below {p95:.2f}")
         return lines
+
+    def seconds(self) -> dict[str, tuple[float, float]]:
+        """Return median and 95 % point of what a diagnosis takes, by the clock and of the processor."""
+        taken = {
+            "seconds": sorted(c.answer.seconds for c in self.cases),
+            "CPU seconds": sorted(c.answer.cpu_seconds for c in self.cases),
+        }
+        return {
+            name: (values[len(values) // 2], values[min(int(0.95 * len(values)), len(values) - 1)])
+            for name, values in taken.items()
+            if values
+        }
 
     def to_json(self) -> dict[str, object]:
         """Return the machine-readable trial."""
         return {
             "schema": SCHEMA,
+            "generator": self.generator,
             "seed": self.seed,
             "seal_sha256": self.seal,
             "predictions_sha256": self.predictions_sha256,
@@ -60,6 +73,7 @@ class Trial:
                 name: {"hits": hits, "of": of, "wilson95": list(wilson(hits, of))}
                 for name, (hits, of) in self.figures().items()
             },
+            "cpu_seconds": dict(zip(("median", "p95"), self.seconds()["CPU seconds"], strict=True)),
             "cases": [
                 {
                     "tier": c.label.tier,
@@ -80,7 +94,9 @@ class Trial:
                     "oracle_shrink": c.oracle_shrink,
                     "true_shrink": c.true_shrink,
                     "own_separation": c.own_separation,
+                    "truth_distance": c.truth_distance,
                     "seconds": c.answer.seconds,
+                    "cpu_seconds": c.answer.cpu_seconds,
                 }
                 for c in self.cases
             ],
@@ -88,16 +104,25 @@ class Trial:
 
 
 def run_trial(
-    cases: int, seed: int, tier: str | None = None, progress: Callable[[int], None] | None = None
+    cases: int,
+    seed: int,
+    tier: Tier | None = None,
+    progress: Callable[[int], None] | None = None,
+    generator: Generator = "bench",
 ) -> Trial:
     """Seal cases in another process, diagnose them, then open the labels and score.
 
-    Raises MavCompassError where the cases could not be made or the seal does not fit the labels.
+    Raises UsageError for a tier that the generator does not have, MavCompassError where the cases could not
+    be made or the seal does not fit the labels.
     """
+    if tier is not None and tier not in SHARES[generator]:
+        raise UsageError(
+            f"The generator {generator!r} has no tier {tier!r}.", f"Choose of {', '.join(SHARES[generator])}."
+        )
     with tempfile.TemporaryDirectory(prefix="mavcompass-trial-") as name:
         folder = Path(name)
         command = [sys.executable, "-m", "mavcompass.gap.sealed", str(folder), "--cases", str(cases)]
-        command += ["--seed", str(seed), *(["--tier", tier] if tier else [])]
+        command += ["--generator", generator, "--seed", str(seed), *(["--tier", tier] if tier else [])]
         made = subprocess.run(command, capture_output=True, text=True, check=False)
         if made.returncode:
             raise MavCompassError(
@@ -108,7 +133,7 @@ def run_trial(
         answers = []
         for index in range(cases):
             track, baseline = read_case(folder / f"{index:04d}.npz")
-            answers.append(_answer(diagnose_gap(track, baseline)))
+            answers.append(_answer(track, baseline))
             if progress is not None:
                 progress(index + 1)
         hashed = hashlib.sha256(repr(answers).encode()).hexdigest()
@@ -123,10 +148,9 @@ def run_trial(
             withheld = None
             if label.tier == "withheld":
                 track, baseline = read_case(folder / f"{index:04d}.npz")
-                names = [parse(t).effect.id for t in label.effects]
-                withheld = _answer(diagnose_gap(track, baseline, names))
+                withheld = _answer(track, baseline, label.ids)
             scored.append(score(label, answer, withheld))
-    return Trial(seed, seal, hashed, tuple(scored))
+    return Trial(seed, seal, hashed, tuple(scored), generator)
 
 
 def _label(entry: dict[str, object]) -> Label:
@@ -135,7 +159,10 @@ def _label(entry: dict[str, object]) -> Label:
     return Label(**values)  # type: ignore[arg-type]
 
 
-def _answer(d: Diagnosis) -> Answer:
+def _answer(track: Track, baseline: Track, withhold: tuple[str, ...] = ()) -> Answer:
+    started = time.process_time()
+    d = diagnose_gap(track, baseline, withhold)
+    taken = time.process_time() - started
     return Answer(
         verdict=d.verdict,
         effects=tuple(sorted(d.effects)),
@@ -145,6 +172,7 @@ def _answer(d: Diagnosis) -> Answer:
         shrink=d.field.shrink,
         shrink_ci95=d.field.shrink_ci95,
         seconds=d.seconds,
+        cpu_seconds=taken,
         residuals_mgauss=(d.picture.before_mgauss, d.picture.after_mgauss)
         if d.picture is not None and d.causes
         else None,

@@ -20,9 +20,11 @@ from mavcompass.gap.cases import Recipe, make_track, stimulus_of
 from mavcompass.gap.noise import estimate_noise, rough_sigma, white
 from mavcompass.gap.reference import body_rate, reference_attitude
 from mavcompass.gap.score import wilson
-from mavcompass.gap.sealed import draw_label, read_case, seal
+from mavcompass.gap.sealed import draw_label, seal
 from mavcompass.gap.search import CHANCE, least_gain
 from mavcompass.gap.split import probe, split_blocks, with_windows
+from mavcompass.gap.stored import read_case, write_case
+from mavcompass.gap.vehicles import make_case
 from mavcompass.logs import write_track_csv
 from mavcompass.simulation import effects
 from mavcompass.track import Series, Track
@@ -128,6 +130,24 @@ def test_sealed_cases_tell_nothing_of_their_labels(tmp_path: Path) -> None:
         assert not any("label" in name or "effect" in name for name in archive.files)
     again = draw_label(5, 1)
     assert list(again.effects) == labels[1]["effects"]
+
+
+def test_stored_vehicle_is_the_same_and_tells_nothing_of_the_truth(tmp_path: Path) -> None:
+    case = make_case(4, "single")
+    write_case(tmp_path / "case.npz", case.track, case.baseline)
+    track, _ = read_case(tmp_path / "case.npz")
+    assert track.truth_q is None and case.track.truth_q is not None
+    assert track.parameters == case.track.parameters and track.vehicle == case.track.vehicle
+    assert track.compasses[1].in_force == case.track.compasses[1].in_force
+    assert np.array_equal(track.raw_field(), case.track.raw_field())
+    for name in ("attitude_rad", "gyro_radps", "place", "gps_velocity_mps", "motors"):
+        one, other = getattr(track, name), getattr(case.track, name)
+        assert (one is None) == (other is None)
+        if one is not None:
+            assert np.array_equal(one.time_s, other.time_s) and np.array_equal(one.values, other.values)
+    with np.load(tmp_path / "case.npz") as archive:
+        told = str(archive["rest"]) + " ".join(archive.files)
+    assert not any(word in told for word in ("truth", "clean", *(name for name, _ in case.effects)))
 
 
 def test_scatter_that_comes_again_is_seen_in_its_rhythm() -> None:
