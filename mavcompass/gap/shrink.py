@@ -82,9 +82,10 @@ def _closing(
     after2 = max(after2 - added, min(after2, floor**2)) if added else after2
     shrink = _shrink(nominal2, after2, floor**2)
     interval = _interval(before, after, added, floor, floor_error, blocks)
+    # What is left may lie below the floor by chance: no more than all of the gap closes.
+    shrink = min(shrink, 1.0)
     if not measured:
-        # A floor that was only stated may lie above what is reached: no more than all of the gap closes.
-        shrink, interval = min(shrink, 1.0), (min(interval[0], 1.0), min(interval[1], 1.0))
+        interval = (min(interval[0], 1.0), min(interval[1], 1.0))
     return Closing(math.sqrt(nominal2), math.sqrt(after2), floor, shrink, interval)
 
 

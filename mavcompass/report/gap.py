@@ -46,7 +46,7 @@ def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
     }
     if diagnosis.corrected_rms_mgauss is not None:
         facts["With the calibration in force"] = (
-            f"{diagnosis.corrected_rms_mgauss:.2f} mG rms off; the figures below are of the raw sensor"
+            f"{diagnosis.corrected_rms_mgauss:.2f} mG rms beside the plain field"
         )
     if diagnosis.folded:
         facts["Known from the baseline"] = ", ".join(diagnosis.folded)
@@ -116,7 +116,8 @@ def _interval(ends: tuple[float, float]) -> str:
     low, high = ends
     if not (math.isfinite(low) and math.isfinite(high)):
         return "too short for an interval"
-    return f"{100 * low:.1f} to {100 * high:.1f} %"
+    sure = "" if low > 0.0 else ", uncertain"
+    return f"{100 * max(low, 0.0):.1f} to {100 * min(high, 1.0):.1f} %{sure}"
 
 
 def _cause(cause: Cause) -> dict[str, Any]:
