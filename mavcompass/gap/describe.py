@@ -17,7 +17,7 @@ from mavcompass.gap.floor import Floor
 from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.identify import SILENT, Identified
 from mavcompass.gap.locate import where
-from mavcompass.gap.model import Problem
+from mavcompass.gap.model import Problem, difference
 from mavcompass.gap.naming import named_causes, trace_causes
 from mavcompass.gap.picture import picture
 from mavcompass.gap.remainder import Remainder
@@ -154,8 +154,8 @@ def _worse_on(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
 def _told(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
     """Tell whether the effects change held-out readings enough to be judged by them."""
     held = problem.with_rows(test)
-    change = held.change(held.predict(fit, effects=False), held.predict(fit))
-    return float(change @ change) > SILENT
+    change = held.whitened([difference(held.predict(fit), held.predict(fit, effects=False))])
+    return float(np.sum(change**2)) > SILENT
 
 
 def _never_worse(closing: Closing) -> Closing:

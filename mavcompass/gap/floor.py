@@ -63,7 +63,7 @@ _UNMEASURED, _LEVEL_MORE = 3.0, 1.25
 # What another iron must explain beyond the calibration in force, and how far that may be strained (squared
 # sigmas).
 _MATERIAL_MGAUSS, _MATERIAL_SHARE, _MOST_STRAIN = 1.5, 0.5, 60.0
-_WITNESS_DAILY_RAD, _NO_WITNESS_RAD = math.radians(1.0), 0.3
+_WITNESS_DAILY_RAD = math.radians(1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,8 +269,7 @@ def _growth(problem: Problem, fit: Fit) -> FloatArray:
 def _change(replay: Replay, noise: SensorNoise) -> FloatArray:
     """Return how fast the nominal field turns, in the noise's channels, (N, 3), mG/s."""
     turning = np.gradient(replay.nominal_mgauss, replay.time_s, axis=0)
-    across = noise.in_channels(turning) if noise.channels is not None else turning
-    return np.asarray(across)
+    return noise.in_channels(np.asarray(turning))
 
 
 def _grown(
@@ -353,7 +352,7 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
         daily = np.concatenate([np.full(n.mean.size, _FROM_DAY_TO_DAY.get(n.effect.id, 0.0)) for n in taught])
         if replay.reference.kind == "columns":
             daily = np.zeros(daily.size)
-        if trust is ANOTHER_IRON and replay.reference.kind != "columns":
+        elif trust is ANOTHER_IRON:
             # An iron that nobody measured but this baseline takes all its errors with it.
             daily = daily * _UNMEASURED
         covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
@@ -378,7 +377,7 @@ def _same_witness(
     own: Nuisance, there: tuple[Nuisance, FloatArray, int], replay: Replay, baseline: Replay, fit: Fit
 ) -> Nuisance:
     """Let a witness of the yaw be off by the same constant as it was in the baseline."""
-    if max(r.reference.yaw_sigma_rad for r in (replay, baseline)) > _NO_WITNESS_RAD:
+    if replay.reference.yaw_unknown or baseline.reference.yaw_unknown:
         return own
     _, theta, at = there
     mean, precision = own.mean.copy(), own.precision.copy()

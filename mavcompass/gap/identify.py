@@ -147,8 +147,8 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
     if not _at_floor_with(candidate, chosen, floor):
         return candidate
     good = [f for f in (candidate.problem.refit(r) for r in rivals) if _at_floor_with(candidate, f, floor)]
-    best = min([chosen, *good], key=lambda f: (f.dimension if f.dimension < chosen.dimension else 1e9, f.sse))
-    best = best if best.dimension < chosen.dimension else chosen
+    simpler = [f for f in good if f.dimension < chosen.dimension]
+    best = min(simpler, key=lambda f: (f.dimension, f.sse), default=chosen)
     others = tuple(f.ids for f in [chosen, *good] if f.ids != best.ids)
     return replace(candidate, fit=best, as_good=others)
 

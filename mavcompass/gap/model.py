@@ -127,18 +127,6 @@ class Problem:
         """Hold values across rows without a reading, so that what is correlated stays so."""
         return values if self._bridge is None else values[self._bridge]
 
-    def change(self, before: Reading, after: Reading, index: NDArray[np.int64] | None = None) -> FloatArray:
-        """Return the whitened difference of two predictions as one vector."""
-        rows = self.index if index is None else index
-        parts = []
-        for g in self.groups:
-            a, b = group_values(before, g), group_values(after, g)
-            if a is b:
-                parts.append(np.zeros(3 * rows.size))
-            else:
-                parts.append(self.noise[g].whiten(self._bridged(b - a))[rows].ravel())
-        return np.concatenate(parts)
-
     def _ordered(self, terms: Sequence[Term]) -> list[tuple[Effect, int]]:
         """List the effects of the composition in order, with their places in the list of parameters."""
         members = [(n.effect, i) for i, n in enumerate(self.nuisances)]
@@ -165,7 +153,7 @@ class Problem:
 
     def columns(
         self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
-        states: list[Signals], wanted: Sequence[int], index: NDArray[np.int64] | None = None,
+        states: list[Signals], wanted: Sequence[int],
     ) -> FloatArray:  # fmt: skip
         """Return the derivatives of the whitened prediction by the free parameters of some members.
 
@@ -206,7 +194,7 @@ class Problem:
                     )
         if early and late:
             self._delay(changes, early, float(everything[order[-1][1]][0]))
-        return self.whitened(changes, index)
+        return self.whitened(changes)
 
     def _delay(self, changes: list[Reading], which: Sequence[int], delay_s: float) -> None:
         time = self.replay.time_s
@@ -215,9 +203,9 @@ class Problem:
         for n, i in enumerate(which):
             changes[i] = Reading(late[:, 3 * n : 3 * n + 3], changes[i].acc_mps2, changes[i].gyro_radps)
 
-    def whitened(self, changes: Sequence[Reading], index: NDArray[np.int64] | None = None) -> FloatArray:
+    def whitened(self, changes: Sequence[Reading]) -> FloatArray:
         """Return changes of the prediction as whitened columns, one for each; rows as in `residual`."""
-        rows = self.index if index is None else index
+        rows = self.index
         if not changes:
             return np.zeros((rows.size * 3 * len(self.groups), 0))
         parts = []
@@ -236,26 +224,6 @@ class Problem:
         if place < n:
             return np.ones(len(self.nuisances[place].effect.parameters), dtype=np.bool_)
         return terms[place - n].free
-
-    def prior_root(self, terms: Sequence[Term]) -> FloatArray:
-        """Return L^T with L L^T the prior precision of nuisances and terms: rows to put under the columns."""
-        n_dim, weak = self._prior.size, weak_precision(terms)
-        root = np.zeros((n_dim + weak.size, n_dim + weak.size))
-        if n_dim:
-            values, vectors = np.linalg.eigh(self._precision)
-            root[:n_dim, :n_dim] = (vectors * np.sqrt(np.maximum(values, 0.0))).T
-        root[np.arange(n_dim, len(root)), np.arange(n_dim, len(root))] = np.sqrt(weak)
-        return root
-
-    def prior_offset(
-        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray]
-    ) -> FloatArray:
-        """Return the prior means less the values, nuisances first, then the free parameters of the terms."""
-        values = [*nuisance_thetas, *(theta[term.free] for term, theta in zip(terms, thetas, strict=True))]
-        if not values:
-            return np.zeros(0)
-        now = np.concatenate(values)
-        return np.concatenate([self._prior, np.zeros(now.size - self._prior.size)]) - now
 
     def strain(self, fit: Fit) -> float:
         """Return how far a fit strains what is known of vehicle and place together, in squared sigmas.

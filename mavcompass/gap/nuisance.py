@@ -18,7 +18,8 @@ from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Sign
 from mavcompass.simulation.effects.sampling import at_times
 
 _Rng = np.random.Generator | None
-_UNKNOWN_YAW_RAD = 0.3
+# A constant of the yaw that may be off by more has no witness.
+UNKNOWN_YAW_RAD = 0.3
 _TURNS = 6
 REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
 
@@ -102,7 +103,7 @@ def yaw_starts(nuisances: Sequence[Nuisance]) -> list[tuple[FloatArray, ...]]:
     """List where to start a fit that may turn the attitude: from the prior; all around if that is wide."""
     means = tuple(n.mean for n in nuisances)
     for place, nuisance in enumerate(nuisances):
-        if nuisance.effect.id == REFERENCE_YAW and nuisance.precision[0, 0] < 1.0 / _UNKNOWN_YAW_RAD**2:
+        if nuisance.effect.id == REFERENCE_YAW and nuisance.precision[0, 0] < 1.0 / UNKNOWN_YAW_RAD**2:
             starts = []
             for turn in np.arange(_TURNS) * 2.0 * np.pi / _TURNS:
                 mean = nuisance.mean.copy()

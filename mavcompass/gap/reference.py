@@ -21,6 +21,7 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
 from mavcompass.gap.kinematics import exponentials
 from mavcompass.gap.levelling import levelled
+from mavcompass.gap.nuisance import UNKNOWN_YAW_RAD
 from mavcompass.gap.steering import steered_by
 from mavcompass.gap.yaw import Witness, age_of, smoothed
 from mavcompass.simulation.effects.sampling import at_times
@@ -60,6 +61,11 @@ class Reference:
     yaw_curves_rad: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     tilt_sigma_rad: float = 0.0
     notes: tuple[str, ...] = ()
+
+    @property
+    def yaw_unknown(self) -> bool:
+        """Tell whether nothing but the compass itself fixes the constant of the yaw."""
+        return self.yaw_sigma_rad > UNKNOWN_YAW_RAD
 
     def at(self, rows: slice) -> Reference:
         """Return the reference at some of its times."""

@@ -20,7 +20,7 @@ from mavcompass.gap.in_force import KnownIron, calibration_in_force, known_iron,
 from mavcompass.gap.integrity import Trace
 from mavcompass.gap.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
 from mavcompass.gap.noise import SensorNoise
-from mavcompass.gap.nuisance import AGE, WORLD_FIELD, Nuisance, reference_yaw
+from mavcompass.gap.nuisance import AGE, UNKNOWN_YAW_RAD, WORLD_FIELD, Nuisance, reference_yaw
 from mavcompass.gap.receiver import local_position
 from mavcompass.gap.reference import Choice, Reference, reference_attitude
 from mavcompass.simulation.effects.effect import Group, Signals
@@ -289,7 +289,7 @@ def _nuisances(
         field = stimulus.field_ned_mgauss[0]
         offset = math.atan2(field[1], field[0]) - math.atan2(world[1], world[0])
         mean, sigma = np.zeros((2, 1 + reference.yaw_curves_rad.shape[1]))
-        mean[0] = float(wrap_pi(offset)) if constant > 0.3 else 0.0
+        mean[0] = float(wrap_pi(offset)) if constant > UNKNOWN_YAW_RAD else 0.0
         sigma[:], sigma[0] = 1.0, max(constant, 1e-9)
         found.append(Nuisance.of(reference_yaw(reference.yaw_curves_rad), mean, sigma))
     if telemetry:

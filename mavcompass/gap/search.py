@@ -134,7 +134,7 @@ class Search:
         best = self.problem.null()
         for _ in range(_ROUNDS):
             candidates = self._linearised(best, ())
-            sets = self._beam(candidates, most, ())
+            sets = self._beam(candidates, most)
             trials = [s for size in sorted(sets) for s in sets[size][: 2 if size == max(sets) else 1]]
             fits = [self._fitted(candidates, chosen, Fit((), (), (), np.inf), 8) for chosen in trials]
             better = min([best, *fits], key=lambda f: f.sse)
@@ -166,9 +166,9 @@ class Search:
         smallest = best = first
         for _ in range(_ROUNDS):
             candidates = self._linearised(self._unbent(best), held)
-            sets = self._beam(candidates, most - len(held), held)
+            sets = self._beam(candidates, most - len(held))
             chosen = self._to_fit(candidates, sets, len(best.terms) - len(held))
-            fits = [f for c in chosen if (f := self._fitted(candidates, c, kept, _SHORT)) is not None]
+            fits = [self._fitted(candidates, c, kept, _SHORT) for c in chosen]
             self._remember(fits)
             if not self.exact and fits:
                 likeliest = min(fits, key=lambda f: f.sse)
@@ -205,9 +205,7 @@ class Search:
         )
         return replace(fit, nuisance_thetas=tuple(kept))
 
-    def _beam(
-        self, candidates: Candidates, most: int, held: Sequence[Term]
-    ) -> dict[int, list[tuple[Candidate, ...]]]:
+    def _beam(self, candidates: Candidates, most: int) -> dict[int, list[tuple[Candidate, ...]]]:
         """Return the likeliest sets of each size by their normal equations, the best first."""
         every = candidates.list
         if not every:
@@ -309,14 +307,11 @@ class Search:
 
     def _rivals(self, best: Fit) -> list[Fit]:
         """Fit what else could explain as much with as many effects, for the weights."""
-        if self._candidates is None:
+        if self._candidates is None or any(t.effect.kind == "discrete" for t in best.terms):
             return []
         candidates = self._linearised(self._unbent(best), ()) if best.terms else self._candidates
-        held = [t for t in best.terms if t.effect.kind == "discrete"]
-        if held:
-            return []
         size = max(len(best.terms), 1)
-        sets = self._beam(candidates, size, ()).get(size, [])
+        sets = self._beam(candidates, size).get(size, [])
         empty = Fit((), (), (), np.inf)
         return [
             self._fitted(candidates, chosen, empty, _SHORT)

@@ -11,7 +11,6 @@ _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_ji
 # Ten readings a second, averaged, are a low pass by nature: how much of one depends on the turns.
 _LATE = frozenset({"transport_lag", "stale_samples"})
 _FAST = frozenset({"ac_interference", "set_reset_offset", "noise_excess", "timestamp_jitter"})
-_UNKNOWN_YAW_RAD = 0.3
 _NO_SENSOR = (
     "the sensors that would show it were not recorded, or feel motion that the recording does not tell"
 )
@@ -74,7 +73,7 @@ def untestable_effects(
             )
         if not replayed.field_known and effect.id in ("field_intensity", "inclination", "declination"):
             out[effect.id] = "the recording does not say where it was made"
-        if replayed.reference.yaw_sigma_rad > _UNKNOWN_YAW_RAD and effect.id == "declination":
+        if replayed.reference.yaw_unknown and effect.id == "declination":
             out[effect.id] = "the initial yaw is solved with the field: a constant turn is part of it"
         if effect.id == "bias_random_walk":
             out[effect.id] = "a wandering offset can imitate any slow cause, so it is reported as unknown"

@@ -32,7 +32,7 @@ _PLIANT = frozenset(
     }
 )  # fmt: skip
 _TURNS = frozenset({"misalignment", "orientation", "declination"})
-_NEARLY_ALTERNATING, _NO_WITNESS_RAD = 0.85, 0.3
+_NEARLY_ALTERNATING = 0.85
 _DRIFT_RIVALS = 6
 _DRIFT_MARGIN = 6.0
 
@@ -90,9 +90,10 @@ def consistent(
 ) -> Answer:
     """Return an answer that does not contradict its own figures.
 
-    Where a vehicle neither turns nor tilts (`turns`), silence says nothing. No gap only where nothing
-    lies above the floor; named only where what is left does not; beside a remainder only causes that
-    hold nearly all of the gap, and few of them, since many together imitate anything unknown.
+    Where a vehicle neither turns nor tilts and no baseline tells (not `turns`), silence says nothing. No
+    gap only where nothing lies above the floor; named only where what is left does not; beside a remainder
+    only causes that hold nearly all of the gap, and few of them, since many together imitate anything
+    unknown.
     """
     if not turns and answer.verdict == "no_gap":
         return Answer("not_testable", none, False, None)
@@ -100,7 +101,7 @@ def consistent(
         return answer
     quiet = field.nominal < _AT_FLOOR * field.floor and heading.nominal < _AT_FLOOR * heading.floor
     if floor.measured and quiet and not traces:
-        return Answer("no_gap" if turns else "not_testable", none, False, None)
+        return Answer("no_gap", none, False, None)
     if answer.verdict == "unknown":
         return (
             answer
@@ -137,7 +138,7 @@ def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:
     alone = not floor.measured and replay.reference.kind != "columns"
     many = len(named.terms) > _FEW_NAMES or (alone and traces and bool(named.terms))
     pliant = bool(named.ids & _PLIANT) and (alone or len(named.terms) > 1)
-    turned = alone and replay.reference.yaw_sigma_rad > _NO_WITNESS_RAD and bool(named.ids & _TURNS)
+    turned = alone and replay.reference.yaw_unknown and bool(named.ids & _TURNS)
     step_s = float(np.median(np.diff(replay.time_s)))
     fastest = _NEARLY_ALTERNATING * 0.5 / step_s
     alternates = "ac_interference" in named.ids and float(named.theta("ac_interference")[6]) > fastest
