@@ -1,6 +1,6 @@
 """The MAVLink messages that mavcompass speaks and understands, as plain values.
 
-Names and units are the wire's (`vehicle.codec` holds them to the dialect, field by field); the
+Names and units are the wire's (`vehicle.wire.codec` holds them to the dialect, field by field); the
 meaning of the numbers as quantities is in `telemetry`. Class names are the message's name in camel
 case: RawImu is RAW_IMU. Every field has a default, so a test names only what it is about.
 """

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from mavcompass.calibration.result import CalibrationResult
     from mavcompass.procedure.calibrate import CalibrationReport
     from mavcompass.track import Track
-    from mavcompass.vehicle.address import Address
     from mavcompass.vehicle.link import Link
+    from mavcompass.vehicle.transport.address import Address
 
 METHODS = (
     "four-positions",
@@ -141,12 +141,12 @@ def command(
     mavcompass calibrate udpin:0.0.0.0:14550 --dry-run
     mavcompass calibrate flight.tlog --params-out compass.param
     """
-    from mavcompass.vehicle.address import Recording, parse_address
+    from mavcompass.vehicle.transport.address import Recording, parse_address
 
     if yes and dry_run:
         raise UsageError("--yes and --dry-run exclude each other.", "Give one of them.")
     if params_out is not None:
-        from mavcompass.vehicle.parameter_files import parameter_form
+        from mavcompass.vehicle.parameters.files import parameter_form
 
         parameter_form(params_out)  # a wrong suffix is told before the vehicle moves
     address = parse_address(source)
@@ -213,7 +213,7 @@ def _recording(
     track = api.read_track(source)
     if in_force_file is not None:
         from mavcompass.compass_parameters import with_parameters_in_force
-        from mavcompass.vehicle.parameter_files import read_parameter_file
+        from mavcompass.vehicle.parameters.files import read_parameter_file
 
         track = with_parameters_in_force(track, read_parameter_file(in_force_file))
     missing = [i for i in instances if i not in track.compasses]
@@ -322,9 +322,9 @@ def open_source(address: Address, effects: Sequence[str], as_ground_station: boo
 
     The pilot's controls are taken from a ground station only (SYSID_MYGCS).
     """
-    from mavcompass.vehicle.address import Simulated
     from mavcompass.vehicle.link import GROUND_STATION, ONBOARD_COMPUTER
     from mavcompass.vehicle.opening import open_link
+    from mavcompass.vehicle.transport.address import Simulated
 
     if not effects:
         return open_link(address, GROUND_STATION if as_ground_station else ONBOARD_COMPUTER)
@@ -352,7 +352,7 @@ def _say_result(output: Output, result: CalibrationResult) -> None:
 
 
 def _write_params(path: Path, document: dict[str, object], source: str, output: Output) -> None:
-    from mavcompass.vehicle.parameter_files import write_parameter_file
+    from mavcompass.vehicle.parameters.files import write_parameter_file
 
     values: dict[str, float] = {}
     compasses: Any = document["compasses"]

@@ -64,7 +64,7 @@ def command(
     from mavcompass.cli.calibrate import open_source
     from mavcompass.cli.terminal import showing
     from mavcompass.procedure.check import CheckSettings
-    from mavcompass.vehicle.address import parse_address
+    from mavcompass.vehicle.transport.address import parse_address
 
     require_for(source, report=offer)
     settings = CheckSettings(turn=turn, system=system, year=_this_year())  # type: ignore[arg-type]

@@ -34,7 +34,7 @@ class Finding:
 
 def examine() -> Iterator[Finding]:
     """Look at everything, the quick and the general first."""
-    from mavcompass.vehicle.undo import undo_directory
+    from mavcompass.vehicle.parameters.undo import undo_directory
 
     yield python()
     yield from parts()

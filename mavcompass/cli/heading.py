@@ -17,7 +17,7 @@ from mavcompass.cli.options import Output, common_options, to_json
 from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
-    from mavcompass.vehicle.address import Address
+    from mavcompass.vehicle.transport.address import Address
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def command(
     mavcompass heading udpin:0.0.0.0:14550
     mavcompass heading flight.tlog --json-lines --rate 1
     """
-    from mavcompass.vehicle.address import Recording, parse_address
+    from mavcompass.vehicle.transport.address import Recording, parse_address
 
     address = parse_address(source)
     require_for(address)

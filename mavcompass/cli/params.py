@@ -16,7 +16,7 @@ from mavcompass.errors import MavCompassError, UsageError, WriteFailed
 if TYPE_CHECKING:
     from mavcompass.procedure.dialect import ParameterPlan
     from mavcompass.procedure.script import Context, Script
-    from mavcompass.vehicle.parameter_session import HeldParameters, WriteReport
+    from mavcompass.vehicle.session import HeldParameters, WriteReport
 
 SCHEMA = "mavcompass.params/1"
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -78,8 +78,8 @@ def diff(source: str, file: Path, system: int | None, output: Output) -> None:
     Example: mavcompass params diff udpin:0.0.0.0:14550 compass.param
     """
     from mavcompass.cli.params_view import show_difference
-    from mavcompass.vehicle.parameter_session import compass_part, read_wanted
-    from mavcompass.vehicle.parameter_values import same_value
+    from mavcompass.vehicle.parameters.values import same_value
+    from mavcompass.vehicle.session import compass_part, read_wanted
 
     require_for(source)
     wanted = read_wanted(file)
@@ -123,7 +123,7 @@ def restore(
     \b
     Example: mavcompass params restore udpin:0.0.0.0:14550
     """
-    from mavcompass.vehicle.undo import newest_record, undo_directory
+    from mavcompass.vehicle.parameters.undo import newest_record, undo_directory
 
     require_for(source)
     if file is None and (file := newest_record(source)) is None:
@@ -145,8 +145,8 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     \b
     Example: mavcompass params backup udpin:0.0.0.0:14550 compass.param
     """
-    from mavcompass.vehicle.parameter_files import parameter_form, parameter_text, write_parameter_file
-    from mavcompass.vehicle.transaction import counted
+    from mavcompass.vehicle.parameters.files import parameter_form, parameter_text, write_parameter_file
+    from mavcompass.vehicle.parameters.transaction import counted
 
     require_for(source)
     if file is not None:
@@ -178,8 +178,8 @@ def _head(action: str, source: str, held: HeldParameters) -> dict[str, object]:
 
 
 def _read(source: str, system: int | None) -> HeldParameters:
-    from mavcompass.vehicle.address import Recording, parse_address
-    from mavcompass.vehicle.parameter_session import read_vehicle, recorded_parameters
+    from mavcompass.vehicle.session import read_vehicle, recorded_parameters
+    from mavcompass.vehicle.transport.address import Recording, parse_address
 
     if isinstance(parse_address(source), Recording):
         from mavcompass import read_track
@@ -202,9 +202,9 @@ def _run(source: str, script: Callable[[Context], Script[Any]]) -> Any:
 def _write(
     action: str, source: str, file: Path, yes: bool, dry_run: bool, system: int | None, output: Output
 ) -> None:
-    from mavcompass.vehicle.parameter_session import compass_part, read_wanted, write_values
-    from mavcompass.vehicle.transaction import counted
-    from mavcompass.vehicle.undo import undo_saver
+    from mavcompass.vehicle.parameters.transaction import counted
+    from mavcompass.vehicle.parameters.undo import undo_saver
+    from mavcompass.vehicle.session import compass_part, read_wanted, write_values
 
     _check_call(source, yes, dry_run)
     require_for(source)
@@ -242,7 +242,7 @@ def _write(
 
 
 def _check_call(source: str, yes: bool, dry_run: bool) -> None:
-    from mavcompass.vehicle.address import Recording, parse_address
+    from mavcompass.vehicle.transport.address import Recording, parse_address
 
     if isinstance(parse_address(source), Recording):
         raise UsageError(f"{source} is a recording, which cannot be written to.", "Give a vehicle's address.")
@@ -275,7 +275,7 @@ def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None
 
 
 def _say_outcome(output: Output, report: WriteReport, source: str, dry_run: bool) -> None:
-    from mavcompass.vehicle.transaction import counted, restore_command
+    from mavcompass.vehicle.parameters.transaction import counted, restore_command
 
     outcome = report.outcome
     if outcome is None:

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from mavcompass.cli.options import Output
 from mavcompass.procedure.dialect import Change
-from mavcompass.vehicle.parameter_files import format_value
-from mavcompass.vehicle.parameter_session import HeldParameters
+from mavcompass.vehicle.parameters.files import format_value
+from mavcompass.vehicle.session import HeldParameters
 
 
 def show_parameters(output: Output, held: HeldParameters) -> None:

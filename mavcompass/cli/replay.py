@@ -13,8 +13,8 @@ from mavcompass.cli.options import Output, common_options
 from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
-    from mavcompass.vehicle.alterations import Alterations
-    from mavcompass.vehicle.faults import Faults
+    from mavcompass.vehicle.links.faults import Faults
+    from mavcompass.vehicle.replay.alterations import Alterations
 
 _FAULTS = "loss, duplicate, reorder, latency, jitter, time-jump, saturation, frozen-compass"
 
@@ -59,12 +59,12 @@ def command(
     mavcompass replay 00000042.BIN --listen tcp:127.0.0.1:5760 --speed 4 --fault loss=0.1
     """
     from mavcompass.logs import read_track
-    from mavcompass.vehicle.address import listening_address
-    from mavcompass.vehicle.faults import FaultyRecording
-    from mavcompass.vehicle.opening import open_transport
-    from mavcompass.vehicle.replayed import replayed_autopilot
-    from mavcompass.vehicle.server import VehicleServer
+    from mavcompass.vehicle.links.faults import FaultyRecording
+    from mavcompass.vehicle.links.server import VehicleServer
+    from mavcompass.vehicle.replay.replayed import replayed_autopilot
     from mavcompass.vehicle.stopping import StopRequest, stop_signals
+    from mavcompass.vehicle.transport.address import listening_address
+    from mavcompass.vehicle.transport.opening import open_transport
 
     address = listening_address(where)
     require_for(log, address)
@@ -95,8 +95,8 @@ def command(
 
 def parse_faults(texts: tuple[str, ...]) -> tuple[Faults, Alterations]:
     """Read `--fault NAME=VALUE`. Raises UsageError for what is none."""
-    from mavcompass.vehicle.alterations import Alterations
-    from mavcompass.vehicle.faults import Faults
+    from mavcompass.vehicle.links.faults import Faults
+    from mavcompass.vehicle.replay.alterations import Alterations
 
     numbers: dict[str, float] = {}
     jumps: list[tuple[float, float]] = []

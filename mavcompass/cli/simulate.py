@@ -12,10 +12,10 @@ import click
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.errors import UsageError
-from mavcompass.vehicle.address import VEHICLES
+from mavcompass.vehicle.transport.address import VEHICLES
 
 if TYPE_CHECKING:
-    from mavcompass.vehicle.server import Record
+    from mavcompass.vehicle.links.server import Record
 
 
 @contextmanager
@@ -91,11 +91,11 @@ def command(
     mavcompass simulate --vehicle rover --listen tcp:127.0.0.1:5760
     mavcompass simulate --vehicle copter --listen udpout:127.0.0.1:14550 --seed 7
     """
-    from mavcompass.vehicle.address import listening_address
-    from mavcompass.vehicle.opening import open_transport
-    from mavcompass.vehicle.server import VehicleServer
-    from mavcompass.vehicle.simulated import simulated_autopilot
+    from mavcompass.vehicle.links.server import VehicleServer
+    from mavcompass.vehicle.links.simulated import simulated_autopilot
     from mavcompass.vehicle.stopping import StopRequest, stop_signals
+    from mavcompass.vehicle.transport.address import listening_address
+    from mavcompass.vehicle.transport.opening import open_transport
 
     address = listening_address(where)
     require_for(address)

@@ -15,7 +15,7 @@ from mavcompass.gap.reference import body_rate
 from mavcompass.gap.result import Flight
 from mavcompass.simulation.effects import Setting, catalogue
 from mavcompass.simulation.effects.effect import Chain, Signals
-from mavcompass.simulation.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 _RATE_HZ = 10.0

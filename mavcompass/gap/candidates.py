@@ -16,7 +16,7 @@ from mavcompass.gap.noise import group_values
 from mavcompass.gap.normal import BlockNormal
 from mavcompass.gap.nuisance import REFERENCE_YAW, WORLD_FIELD, yaw_starts
 from mavcompass.simulation.effects.effect import Misfit
-from mavcompass.simulation.signals import Reading
+from mavcompass.simulation.physics.signals import Reading
 
 # A shift that the derivatives make themselves to this share is no column of its own.
 _OWN_SHARE = 1e-2

@@ -17,7 +17,7 @@ from mavcompass.frames import FloatArray, euler_to_matrix, euler_to_quaternion, 
 from mavcompass.gap.reference import body_rate
 from mavcompass.simulation.effects import Distortion, Setting
 from mavcompass.simulation.effects.effect import Stage
-from mavcompass.simulation.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 

@@ -15,7 +15,7 @@ from mavcompass.gap.result import Cause, Diagnosis
 from mavcompass.simulation.effects import Setting, get, spell
 from mavcompass.simulation.effects.effect import Chain, Signals
 from mavcompass.simulation.effects.registry import PRESET_SCHEMA
-from mavcompass.simulation.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Stimulus
 
 _ROTATION_LEFT_OUT_RAD = math.radians(0.05)
 Target = Literal["ardupilot-sitl", "mavcompass"]

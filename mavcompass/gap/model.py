@@ -20,7 +20,7 @@ from mavcompass.gap.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, Prio
 from mavcompass.gap.replay import Replay
 from mavcompass.simulation.effects.effect import Effect, Signals
 from mavcompass.simulation.effects.sampling import at_times
-from mavcompass.simulation.signals import Reading
+from mavcompass.simulation.physics.signals import Reading
 
 _STEP = 1e-3
 _ITERATIONS = 12

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects.effect import GROUPS, Group
-from mavcompass.simulation.signals import Reading
+from mavcompass.simulation.physics.signals import Reading
 
 _MOST_LAGS = 4
 # Readings that a wandering error lasts, how often the recording must hold that, and how much of an

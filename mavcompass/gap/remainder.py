@@ -18,7 +18,7 @@ from mavcompass.gap.model import Problem
 from mavcompass.gap.noise import Noise
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.scatter import Scatter, early_scale, find_scatter, noise_with
-from mavcompass.simulation.signals import Reading
+from mavcompass.simulation.physics.signals import Reading
 
 _LEAST_MGAUSS = 0.3
 # Moments and thresholds lie between readings: all rows place them better than the training rows.

@@ -24,7 +24,7 @@ from mavcompass.gap.nuisance import AGE, UNKNOWN_YAW_RAD, WORLD_FIELD, Nuisance,
 from mavcompass.gap.receiver import local_position
 from mavcompass.gap.reference import Choice, Reference, reference_attitude
 from mavcompass.simulation.effects.effect import Group, Signals
-from mavcompass.simulation.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 

@@ -28,7 +28,7 @@ from mavcompass.gap.noise import white
 from mavcompass.gap.stored import write_case
 from mavcompass.simulation.effects import Distortion, Effect, Setting, catalogue, parse, spell
 from mavcompass.simulation.effects.effect import MOMENTS, Parameter, Stage
-from mavcompass.simulation.signals import Stimulus
+from mavcompass.simulation.physics.signals import Stimulus
 from mavcompass.track import Track
 
 _SIZES = (6.0, 150.0)

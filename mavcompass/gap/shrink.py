@@ -14,7 +14,7 @@ from mavcompass.gap.floor import Floor, heading_error_rad, rms, rms_deg
 from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.model import Problem
 from mavcompass.gap.result import Bar, Closing
-from mavcompass.simulation.signals import Reading
+from mavcompass.simulation.physics.signals import Reading
 
 _RESAMPLES = 1000
 _BLOCK_S = 1.0

@@ -33,8 +33,8 @@ from mavcompass.procedure.check import CheckReport, CheckSettings, check
 from mavcompass.procedure.script import Answer, Ask, Event, Machine, Send, Show, Stop, Tick
 from mavcompass.report.document import live_document
 from mavcompass.vehicle.calibrating import calibration_machine
-from mavcompass.vehicle.codec import decode
 from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.wire.codec import decode
 
 _SOURCE = "MAVProxy's link"
 _TICK_S = 0.05

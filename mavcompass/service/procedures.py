@@ -20,7 +20,7 @@ from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
 from mavcompass.service.tasks import CalibrationRequest, CheckRequest, Task
 from mavcompass.service.worker import Worker
 from mavcompass.vehicle.dialects import make_dialect
-from mavcompass.vehicle.undo import load_record, undo_saver
+from mavcompass.vehicle.parameters.undo import load_record, undo_saver
 
 MAX_HEADING_ERROR_DEG = 2.0
 _AUTOPILOT_VERSION = 148

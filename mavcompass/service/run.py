@@ -19,9 +19,9 @@ from mavcompass.service.http import build_app
 from mavcompass.service.security import load_token
 from mavcompass.service.station import OpenLink, Station
 from mavcompass.service.systemd import Notifier
-from mavcompass.vehicle.address import Simulated, parse_address
 from mavcompass.vehicle.link import Link
-from mavcompass.vehicle.transport import Reconnect
+from mavcompass.vehicle.transport.address import Simulated, parse_address
+from mavcompass.vehicle.transport.transport import Reconnect
 
 _log = logging.getLogger(__name__)
 
@@ -141,7 +141,7 @@ def link_opener(config: ServiceConfig) -> OpenLink:
     """Build the function that opens the configured link, and opens it again."""
     address = parse_address(config.vehicle.source)
     if isinstance(address, Simulated):
-        from mavcompass.vehicle.simulated import SimulatedLink
+        from mavcompass.vehicle.links.simulated import SimulatedLink
 
         simulated = SimulatedLink.of(
             address.vehicle, seed=address.seed, effects=address.effects, speed=config.vehicle.speed

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from mavcompass.simulation.firmware import Firmware
-from mavcompass.simulation.hand import HandMove
-from mavcompass.simulation.motion import Body
+from mavcompass.simulation.autopilot.firmware import Firmware
+from mavcompass.simulation.physics.hand import HandMove
+from mavcompass.simulation.physics.motion import Body
 
 
 class Happenings:

@@ -11,12 +11,12 @@ import numpy as np
 
 from mavcompass.correction import FieldCorrection, Vector
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate, rotate_back, wrap_pi
-from mavcompass.simulation.noise import generator
-from mavcompass.simulation.signals import Reading, Stimulus
+from mavcompass.simulation.physics.noise import generator
+from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
-    from mavcompass.simulation.autopilot import SimulatedAutopilot
+    from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 # Samples for which an attitude is held when it is judged; the second half is averaged.
 _SETTLING_SAMPLES = 100

@@ -16,8 +16,8 @@ from mavcompass.track import Track
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import PollAnswer, run
 from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.parameters.undo import undo_saver
 from mavcompass.vehicle.stopping import StopRequest
-from mavcompass.vehicle.undo import undo_saver
 
 
 def calibrate_on(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from mavcompass.errors import Refused
-from mavcompass.vehicle.ardupilot import ArduPilotDialect
-from mavcompass.vehicle.px4 import PX4Dialect
+from mavcompass.vehicle.ardupilot.dialect import ArduPilotDialect
+from mavcompass.vehicle.px4.dialect import PX4Dialect
 
 
 def make_dialect(autopilot: str, source: str = "SOURCE") -> ArduPilotDialect | PX4Dialect:

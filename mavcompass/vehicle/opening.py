@@ -1,12 +1,11 @@
-"""From an address to an open link."""
+"""From an address to an open link; what a kind of link needs is imported when one is opened."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from mavcompass.track import Track
-from mavcompass.vehicle.address import (
+from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
+from mavcompass.vehicle.transport.address import (
     Address,
     Mavsdk,
     Recording,
@@ -16,12 +15,16 @@ from mavcompass.vehicle.address import (
     TcpIn,
     UdpIn,
     UdpOut,
-    WireAddress,
     parse_address,
 )
-from mavcompass.vehicle.framing import Signing
-from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
-from mavcompass.vehicle.transport import Reconnect, Transport
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from mavcompass.track import Track
+    from mavcompass.vehicle.transport.transport import Reconnect
+    from mavcompass.vehicle.wire.framing import Signing
 
 
 def open_link(
@@ -31,49 +34,30 @@ def open_link(
     reconnect: Reconnect | None = None,
     read_track: Callable[[Path], Track] | None = None,
 ) -> Link:
-    """Open any address; see `mavcompass.vehicle.open_link`."""
+    """Open the link that a SOURCE names; the caller closes it (it is a context manager).
+
+    `identity` is who we are, by default the vehicle's onboard computer. `signing` and `reconnect` are for
+    links on a wire; `read_track` (`mavcompass.logs.read_track`) for playing recordings that are not .tlog.
+
+    Raises UsageError for a wrong address, NoVehicle where nothing listens, BadRecording for a bad file.
+    """
     address = parse_address(source) if isinstance(source, str) else source
     identity = ONBOARD_COMPUTER if identity is None else identity
     match address:
         case Simulated(vehicle, seed, effects):
-            from mavcompass.vehicle.simulated import SimulatedLink
+            from mavcompass.vehicle.links.simulated import SimulatedLink
 
             return SimulatedLink.of(vehicle, seed=seed, effects=effects, identity=identity)
         case Recording(path):
-            from mavcompass.vehicle.replayed import ReplayedLink
+            from mavcompass.vehicle.replay.replayed import ReplayedLink
 
             return ReplayedLink.playing(path, read_track, identity)
         case Mavsdk(url):
-            from mavcompass.vehicle.mavsdk_link import MavsdkLink
+            from mavcompass.vehicle.links.mavsdk import MavsdkLink
 
             return MavsdkLink(url, identity)
         case UdpIn() | UdpOut() | Tcp() | TcpIn() | Serial():
-            from mavcompass.vehicle.wire import WireLink
+            from mavcompass.vehicle.links.wire import WireLink
+            from mavcompass.vehicle.transport.opening import open_transport
 
             return WireLink(open_transport(address, reconnect), identity, signing)
-
-
-def open_transport(address: WireAddress, reconnect: Reconnect | None = None) -> Transport:
-    """Open a port. Raises UsageError or NoVehicle."""
-    reconnect = Reconnect() if reconnect is None else reconnect
-    match address:
-        case UdpIn(host, port):
-            from mavcompass.vehicle.udp import UdpTransport
-
-            return UdpTransport.listening(host, port)
-        case UdpOut(host, port):
-            from mavcompass.vehicle.udp import UdpTransport
-
-            return UdpTransport.speaking_to(host, port)
-        case Tcp(host, port):
-            from mavcompass.vehicle.tcp import connect_tcp
-
-            return connect_tcp(host, port, reconnect)
-        case TcpIn(host, port):
-            from mavcompass.vehicle.tcp import TcpServerTransport
-
-            return TcpServerTransport(host, port)
-        case Serial(device, baud):
-            from mavcompass.vehicle.serial import open_serial
-
-            return open_serial(device, baud, reconnect)

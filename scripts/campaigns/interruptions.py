@@ -24,11 +24,11 @@ from pathlib import Path
 from mavcompass.errors import MavCompassError, WriteFailed
 from mavcompass.messages import CommandLong, Message, SetAttitudeTarget, SetPositionTargetLocalNed
 from mavcompass.procedure.calibrate import CalibrateSettings
-from mavcompass.simulation.autopilot import SimulatedAutopilot
-from mavcompass.simulation.outgoing import Outgoing
+from mavcompass.simulation.autopilot.outgoing import Outgoing
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
-from mavcompass.vehicle.faults import Faults, FaultyLink
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.faults import Faults, FaultyLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.stopping import StopRequest
 
 EVENTS = ("stick", "mode", "disarm", "battery", "signal", "silence", "broken", "two-seconds")

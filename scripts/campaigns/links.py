@@ -16,10 +16,10 @@ from pathlib import Path
 from mavcompass.errors import MavCompassError
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.simulation.truth import heading_error_rms_deg
-from mavcompass.vehicle.address import VEHICLES
 from mavcompass.vehicle.calibrating import calibrate_on
-from mavcompass.vehicle.faults import Faults, FaultyLink
-from mavcompass.vehicle.simulated import SimulatedLink, simulated_autopilot
+from mavcompass.vehicle.links.faults import Faults, FaultyLink
+from mavcompass.vehicle.links.simulated import SimulatedLink, simulated_autopilot
+from mavcompass.vehicle.transport.address import VEHICLES
 
 QUALITIES = {
     "clean": Faults(),

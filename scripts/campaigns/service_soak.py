@@ -30,9 +30,9 @@ from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfi
 from mavcompass.service.history import History  # noqa: E402
 from mavcompass.service.station import Station  # noqa: E402
 from mavcompass.service.tasks import CalibrationRequest, Task  # noqa: E402
-from mavcompass.simulation.autopilot import SimulatedAutopilot  # noqa: E402
+from mavcompass.simulation.vehicle import SimulatedAutopilot  # noqa: E402
 from mavcompass.vehicle.link import Link  # noqa: E402
-from mavcompass.vehicle.simulated import SimulatedLink  # noqa: E402
+from mavcompass.vehicle.links.simulated import SimulatedLink  # noqa: E402
 
 _READY_AFTER_REBOOT_S = 10.0
 

@@ -18,12 +18,12 @@ from pathlib import Path
 
 from mavcompass.errors import MavCompassError
 from mavcompass.procedure.calibrate import CalibrateSettings
-from mavcompass.simulation.autopilot import SimulatedAutopilot
-from mavcompass.simulation.faults import draw_compasses
-from mavcompass.simulation.profiles import PROFILES
+from mavcompass.simulation.physics.compasses import draw_compasses
+from mavcompass.simulation.physics.profiles import PROFILES
 from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 TARGET_DEG = 0.5
 

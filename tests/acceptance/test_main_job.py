@@ -19,7 +19,7 @@ from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.simulation.truth import heading_error_rms_deg
 from mavcompass.track import Track
 from mavcompass.vehicle.calibrating import calibrate_on
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 WRITE = CalibrateSettings(writing="yes")
 

@@ -10,7 +10,7 @@ import pytest
 from mavcompass.calibration.sway import sway
 from mavcompass.calibration.tilt import tilt_during
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.motion import rotation_matrix
+from mavcompass.simulation.physics.motion import rotation_matrix
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 

@@ -24,7 +24,7 @@ from mavcompass.gap.replay import replay
 from mavcompass.gap.score import CASE_NOISE, wilson
 from mavcompass.gap.search import Search
 from mavcompass.simulation.effects import catalogue
-from mavcompass.simulation.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Stimulus
 
 Shape = Callable[[Stimulus, FloatArray, np.random.Generator], FloatArray]
 FLAGGED = ("unknown", "named_with_remainder", "ambiguous")

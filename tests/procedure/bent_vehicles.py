@@ -12,13 +12,13 @@ from mavcompass.messages import Incoming
 from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script, Show
 from mavcompass.procedure.vehicle_state import VehicleState, find_vehicle
-from mavcompass.simulation.autopilot import SimulatedAutopilot
-from mavcompass.simulation.faults import draw_compasses
-from mavcompass.simulation.noise import generator
+from mavcompass.simulation.physics.compasses import draw_compasses
+from mavcompass.simulation.physics.noise import generator
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.stopping import StopRequest
 
 T = TypeVar("T")

@@ -14,12 +14,12 @@ from mavcompass.enums import MavCmd
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.messages import CommandLong, Incoming, Message
 from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport
-from mavcompass.simulation.autopilot import SimulatedAutopilot
-from mavcompass.simulation.hand import HandMove, four_turns
+from mavcompass.simulation.physics.hand import HandMove, four_turns
 from mavcompass.simulation.truth import heading_error_rms_deg
-from mavcompass.vehicle.faults import Faults, FaultyLink
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import Link
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.faults import Faults, FaultyLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 BY_HAND = CalibrateSettings(motion="hand", writing="yes")
 

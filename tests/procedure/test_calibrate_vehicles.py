@@ -10,10 +10,10 @@ import pytest
 from bent_vehicles import KINDS, bent_vehicle, calibrated
 
 from mavcompass.procedure.calibrate import CalibrateSettings
-from mavcompass.simulation.autopilot import SimulatedAutopilot
 from mavcompass.simulation.truth import heading_error_rms_deg
-from mavcompass.vehicle.faults import Faults, FaultyLink
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.links.faults import Faults, FaultyLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 BAD_LINK = Faults(loss=0.3, duplicate=0.05, reorder=0.1, latency_s=0.3)
 

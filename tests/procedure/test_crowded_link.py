@@ -9,11 +9,11 @@ from bent_vehicles import bent_vehicle, calibrated
 
 from mavcompass.messages import Message
 from mavcompass.procedure.calibrate import CalibrateSettings
-from mavcompass.simulation.autopilot import SimulatedAutopilot
-from mavcompass.simulation.faults import draw_compasses
-from mavcompass.simulation.outgoing import Outgoing
+from mavcompass.simulation.autopilot.outgoing import Outgoing
+from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.truth import heading_error_rms_deg
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 
 class Crowd:

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from mavcompass.simulation.autopilot import SimulatedAutopilot
-from mavcompass.simulation.hand import HandMove
+from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.truth import heading_error_rms_deg
-from mavcompass.vehicle.address import TcpIn
-from mavcompass.vehicle.opening import open_transport
-from mavcompass.vehicle.server import VehicleServer
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.links.server import VehicleServer
+from mavcompass.vehicle.transport.address import TcpIn
+from mavcompass.vehicle.transport.opening import open_transport
 
 SPEED = 3.0
 LONGEST_S = 60.0

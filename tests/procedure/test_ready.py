@@ -13,8 +13,8 @@ from mavcompass.errors import Refused
 from mavcompass.messages import CommandLong, Message
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.readiness import Permissions
-from mavcompass.simulation.autopilot import SimulatedAutopilot
 from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.stopping import StopRequest
 
 ARMING = {"ARMING_MAGTHRESH": 0.0, "ARMING_CHECK": 0.0}

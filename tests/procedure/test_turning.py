@@ -18,7 +18,7 @@ from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import TurnBy, TurnStrategy, strategies_for
 from mavcompass.procedure.turning_px4 import OffboardTurn
 from mavcompass.procedure.vehicle_state import VehicleState
-from mavcompass.simulation.autopilot import SimulatedAutopilot
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import GROUND_STATION, ONBOARD_COMPUTER
 
 WAYS = [

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
-from mavcompass.simulation.autopilot import SimulatedAutopilot
 from mavcompass.simulation.truth import heading_error_rms_deg
-from mavcompass.vehicle.codec import decode
-from mavcompass.vehicle.framing import FrameParser, FrameWriter
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import LinkStatistics
-from mavcompass.vehicle.transport import Peer
-from mavcompass.vehicle.wire import WireLink
+from mavcompass.vehicle.links.wire import WireLink
+from mavcompass.vehicle.transport.transport import Peer
+from mavcompass.vehicle.wire.codec import decode
+from mavcompass.vehicle.wire.framing import FrameParser, FrameWriter
 
 
 class OldVehicle:

@@ -15,7 +15,7 @@ from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport
 from mavcompass.report.calibration import write_recording_report, write_report
 from mavcompass.report.figures import level_components, position_residuals_deg, sigma_deg
 from mavcompass.vehicle.calibrating import calibrate_on
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 from running_service import RunningService, StartService, configured
 
 from mavcompass.service.run import Service
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 
 @pytest.fixture

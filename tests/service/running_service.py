@@ -13,7 +13,7 @@ import httpx
 
 from mavcompass.service.config import HttpConfig, ServiceConfig, StorageConfig, VehicleConfig
 from mavcompass.service.run import Service
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 
 def wait_for(what: Callable[[], Any], timeout_s: float = 20.0, every_s: float = 0.02) -> Any:

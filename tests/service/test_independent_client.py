@@ -15,10 +15,10 @@ from pymavlink.dialects.v20 import ardupilotmega as wire
 from running_service import RunningService, configured, wait_for
 
 from mavcompass.service.run import Service
-from mavcompass.simulation.autopilot import SimulatedAutopilot
-from mavcompass.vehicle.server import VehicleServer
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.links.server import VehicleServer
 from mavcompass.vehicle.stopping import StopRequest
-from mavcompass.vehicle.udp import UdpTransport
+from mavcompass.vehicle.transport.udp import UdpTransport
 
 SPEED = 6.0
 

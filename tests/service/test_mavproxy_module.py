@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from mavcompass.simulation.autopilot import SimulatedAutopilot
 from mavcompass.simulation.truth import heading_error_rms_deg
-from mavcompass.vehicle.server import VehicleServer
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.links.server import VehicleServer
 from mavcompass.vehicle.stopping import StopRequest
-from mavcompass.vehicle.tcp import TcpServerTransport
+from mavcompass.vehicle.transport.tcp import TcpServerTransport
 
 MAVPROXY = Path(sys.executable).with_name("mavproxy.py")
 

@@ -19,10 +19,10 @@ from mavcompass.procedure import check_items as items
 from mavcompass.procedure.check import CheckReport, CheckSettings, check
 from mavcompass.procedure.check_items import Reading
 from mavcompass.procedure.script import Machine
-from mavcompass.simulation.autopilot import SimulatedAutopilot
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import run
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 WORLD = EarthField((206.155, 0.0, 400.0))
 

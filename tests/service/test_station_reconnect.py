@@ -17,10 +17,10 @@ from mavcompass.service.config import VehicleConfig
 from mavcompass.service.history import History
 from mavcompass.service.schedule import Schedule
 from mavcompass.service.station import Station
-from mavcompass.simulation.autopilot import SimulatedAutopilot
-from mavcompass.vehicle.server import VehicleServer
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.links.server import VehicleServer
 from mavcompass.vehicle.stopping import StopRequest
-from mavcompass.vehicle.tcp import TcpServerTransport
+from mavcompass.vehicle.transport.tcp import TcpServerTransport
 
 
 class Vehicle:
@@ -141,7 +141,7 @@ def test_a_stop_of_the_service_halts_the_vehicle_first(start_service: StartServi
 
 
 def test_only_the_vehicle_of_the_configured_system_is_served(tmp_path: Path) -> None:
-    from mavcompass.vehicle.simulated import SimulatedLink
+    from mavcompass.vehicle.links.simulated import SimulatedLink
 
     link = SimulatedLink(SimulatedAutopilot("rover", seed=1, system=7), speed=20.0)
     config = configured(tmp_path, vehicle=VehicleConfig(source="sim:rover", system=3))

@@ -14,7 +14,7 @@ from chromium import Page, find_chromium
 from running_service import RunningService, StartService, wait_for
 
 from mavcompass.simulation.truth import heading_error_rms_deg
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 SCREENSHOTS = Path(
     os.environ.get("MAVCOMPASS_SCREENSHOTS") or Path(__file__).parents[2] / "build" / "screenshots"

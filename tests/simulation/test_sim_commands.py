@@ -7,8 +7,8 @@ import pytest
 
 from mavcompass import messages as m
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.simulation.faults import CompassSetup
-from mavcompass.simulation.sensors import CompassModel
+from mavcompass.simulation.physics.compasses import CompassSetup
+from mavcompass.simulation.physics.sensors import CompassModel
 from mavcompass.simulation.truth import heading_error_rms_deg
 
 FINE = FieldCorrection((50.0, -30.0, 20.0))
@@ -325,7 +325,7 @@ def test_place_and_heading_are_the_filters(station):
 
 @pytest.mark.parametrize("vehicle", ["rover", "copter"])
 def test_every_message_can_be_requested(station, vehicle):
-    from mavcompass.simulation.streams import MESSAGES
+    from mavcompass.simulation.autopilot.streams import MESSAGES
 
     s = station(vehicle)
     for number, (kind, _) in MESSAGES.items():

@@ -7,8 +7,8 @@ import pytest
 
 from mavcompass import messages as m
 from mavcompass.errors import UsageError
-from mavcompass.simulation.autopilot import SimulatedAutopilot
 from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 
 def stream(vehicle="rover", seconds=4.0, cuts=1, **options):

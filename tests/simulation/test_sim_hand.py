@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcompass import messages as m
-from mavcompass.simulation.hand import HandMove, four_turns
+from mavcompass.simulation.physics.hand import HandMove, four_turns
 
 
 def turned_deg(s, before):

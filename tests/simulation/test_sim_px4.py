@@ -9,8 +9,8 @@ import pytest
 from mavcompass import messages as m
 from mavcompass.compass_parameters import px4_correction, px4_rotation
 from mavcompass.correction import FieldCorrection
-from mavcompass.simulation.faults import CompassSetup
-from mavcompass.simulation.sensors import CompassModel
+from mavcompass.simulation.physics.compasses import CompassSetup
+from mavcompass.simulation.physics.sensors import CompassModel
 from mavcompass.simulation.truth import heading_error_rms_deg
 
 LOCAL, VELOCITY_AND_YAW, VELOCITY_AND_RATE = 1, 0x9C7, 0x5C7

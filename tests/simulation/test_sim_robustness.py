@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from mavcompass import messages as m
 from mavcompass.enums import MavCmd
-from mavcompass.simulation.autopilot import SimulatedAutopilot
-from mavcompass.simulation.streams import MESSAGES
+from mavcompass.simulation.autopilot.streams import MESSAGES
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 KINDS = sorted(
     (k for k in vars(m).values() if isinstance(k, type) and issubclass(k, m.Message) and k is not m.Message),

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import decimal_year, earth_field
 from mavcompass.frames import euler_to_matrix
-from mavcompass.simulation.autopilot import SimulatedAutopilot
-from mavcompass.simulation.faults import CompassSetup
-from mavcompass.simulation.hand import HandMove
-from mavcompass.simulation.motion import rotation_matrix
-from mavcompass.simulation.noise import NoiseTape, generator
-from mavcompass.simulation.sensors import Compass, CompassModel
+from mavcompass.simulation.physics.compasses import CompassSetup
+from mavcompass.simulation.physics.hand import HandMove
+from mavcompass.simulation.physics.motion import rotation_matrix
+from mavcompass.simulation.physics.noise import NoiseTape, generator
+from mavcompass.simulation.physics.sensors import Compass, CompassModel
+from mavcompass.simulation.physics.world import Place, World
 from mavcompass.simulation.truth import heading_error_rms_deg, heading_errors_rad, true_correction
-from mavcompass.simulation.world import Place, World
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 ANGLE = st.floats(-3.1, 3.1)
 SLOPE = st.floats(-0.3, 0.3)

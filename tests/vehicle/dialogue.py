@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 from mavcompass.enums import MavAutopilot, MavType
 from mavcompass.messages import Heartbeat, Message
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 HEARTBEAT = Heartbeat(type=MavType.GROUND_ROVER, autopilot=MavAutopilot.ARDUPILOTMEGA)
 

@@ -17,19 +17,19 @@ from dialogue import HEARTBEAT, MemoryVehicle
 
 from mavcompass.enums import MavAutopilot
 from mavcompass.messages import CommandLong, Heartbeat, Message
-from mavcompass.vehicle.address import Serial, Tcp, TcpIn, UdpIn, UdpOut
-from mavcompass.vehicle.codec import decode
-from mavcompass.vehicle.framing import FrameParser, FrameWriter
 from mavcompass.vehicle.link import Link, LinkStatistics
-from mavcompass.vehicle.opening import open_transport
-from mavcompass.vehicle.recording_contents import survey
-from mavcompass.vehicle.replayed import ReplayedAutopilot, ReplayedLink, play_tlog
-from mavcompass.vehicle.simulated import SimulatedLink
-from mavcompass.vehicle.stream import StreamTransport
-from mavcompass.vehicle.tcp import TcpServerTransport
-from mavcompass.vehicle.transport import Reconnect, Transport
-from mavcompass.vehicle.udp import UdpTransport
-from mavcompass.vehicle.wire import WireLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
+from mavcompass.vehicle.links.wire import WireLink
+from mavcompass.vehicle.replay.contents import survey
+from mavcompass.vehicle.replay.replayed import ReplayedAutopilot, ReplayedLink, play_tlog
+from mavcompass.vehicle.transport.address import Serial, Tcp, TcpIn, UdpIn, UdpOut
+from mavcompass.vehicle.transport.opening import open_transport
+from mavcompass.vehicle.transport.stream import StreamTransport
+from mavcompass.vehicle.transport.tcp import TcpServerTransport
+from mavcompass.vehicle.transport.transport import Reconnect, Transport
+from mavcompass.vehicle.transport.udp import UdpTransport
+from mavcompass.vehicle.wire.codec import decode
+from mavcompass.vehicle.wire.framing import FrameParser, FrameWriter
 
 Heard = list[tuple[int, int, Message]]
 SYSTEM = 9
@@ -214,7 +214,7 @@ def _is_mavsdks_own(message: Message) -> bool:
 
 @contextmanager
 def mavsdk() -> Iterator[tuple[Link, FarEnd]]:
-    from mavcompass.vehicle.mavsdk_link import MavsdkLink
+    from mavcompass.vehicle.links.mavsdk import MavsdkLink
 
     transport = open_transport(UdpIn("127.0.0.1", 0))
     assert isinstance(transport, UdpTransport)

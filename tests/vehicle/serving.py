@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from mavcompass.messages import Message
-from mavcompass.vehicle.address import TcpIn, WireAddress
-from mavcompass.vehicle.autopilot import Autopilot
 from mavcompass.vehicle.link import Link
-from mavcompass.vehicle.opening import open_transport
-from mavcompass.vehicle.server import Record, VehicleServer
+from mavcompass.vehicle.links.autopilot import Autopilot
+from mavcompass.vehicle.links.server import Record, VehicleServer
 from mavcompass.vehicle.stopping import StopRequest
-from mavcompass.vehicle.transport import Transport
+from mavcompass.vehicle.transport.address import TcpIn, WireAddress
+from mavcompass.vehicle.transport.opening import open_transport
+from mavcompass.vehicle.transport.transport import Transport
 
 ANY_TCP_PORT = TcpIn("127.0.0.1", 0)
 

@@ -29,11 +29,11 @@ from mavcompass.messages import (
 )
 from mavcompass.procedure.script import Context, Machine, Script, pause, request
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
-from mavcompass.simulation.autopilot import SimulatedAutopilot
-from mavcompass.vehicle.codec import message_id
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.opening import open_link
+from mavcompass.vehicle.wire.codec import message_id
 
 T = TypeVar("T")
 KINDS = ("rover", "copter", "px4-copter")

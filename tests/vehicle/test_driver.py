@@ -13,8 +13,8 @@ from mavcompass.errors import LinkLost, Refused, WriteFailed
 from mavcompass.messages import CommandAck, CommandLong, Heartbeat, ParamSet, ParamValue, Statustext
 from mavcompass.procedure.script import Context, Machine, Script, Show, ask, pause, request
 from mavcompass.vehicle.driver import run
-from mavcompass.vehicle.faults import Faults, FaultyLink
-from mavcompass.vehicle.simulated import SimulatedLink
+from mavcompass.vehicle.links.faults import Faults, FaultyLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.stopping import StopRequest
 
 SET = ParamSet(param_id="COMPASS_OFS_X", param_value=120.0)

@@ -19,8 +19,8 @@ from serving import hear
 from mavcompass.cli.simulate import command
 from mavcompass.errors import UsageError
 from mavcompass.messages import Attitude, Heartbeat
-from mavcompass.vehicle.address import Tcp
 from mavcompass.vehicle.opening import open_link
+from mavcompass.vehicle.transport.address import Tcp
 
 
 @contextmanager

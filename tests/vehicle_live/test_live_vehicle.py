@@ -19,7 +19,7 @@ from mavcompass.procedure.script import Context, Machine, Script, pause
 from mavcompass.vehicle.connection import Vehicle, connect
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import run
-from mavcompass.vehicle.undo import undo_saver
+from mavcompass.vehicle.parameters.undo import undo_saver
 
 
 @pytest.fixture

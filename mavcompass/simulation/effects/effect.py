@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import UsageError
 from mavcompass.frames import FloatArray, rotate, rotate_back
-from mavcompass.simulation.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Stimulus
 
 Memory = dict[str, Any]
 Kind = Literal["mean", "discrete", "random", "integrity"]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mavcompass.simulation.effects.effect import Chain, Group, Setting, Signals
-from mavcompass.simulation.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Stimulus
 
 
 class Distortion:

@@ -1,0 +1,1 @@
+"""ArduPilot's firmware, as it was seen to behave."""

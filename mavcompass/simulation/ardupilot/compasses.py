@@ -1,0 +1,144 @@
+"""ArduPilot's compasses: which one steers, and the corrected field it works with and sends."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavcompass.compass_parameters import ardupilot_correction, ardupilot_name
+from mavcompass.correction import FieldCorrection, Vector
+from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, sensor_orientation_matrix
+from mavcompass.simulation.autopilot.parameter_store import ParameterStore
+
+if TYPE_CHECKING:
+    from mavcompass.simulation.vehicle import SimulatedAutopilot
+
+INSTANCES = (1, 2, 3)
+_ROTATION_NONE = 0
+
+
+class CompassBank:
+    """Hold the three compasses' corrected fields, brought up to date at 10 Hz."""
+
+    def __init__(self, vehicle: SimulatedAutopilot, store: ParameterStore) -> None:
+        self._vehicle = vehicle
+        self._store = store
+        self.hardware_ids = tuple(store.factory_value(ardupilot_name("DEV_ID", i)) for i in INSTANCES)
+        self.fields: list[Vector] = [(0.0, 0.0, 0.0)] * len(INSTANCES)
+        self.order: tuple[int, ...] = INSTANCES
+        self.steering: int | None = None
+        self.bad_rotation = False
+        self._lost: dict[int, tuple[bool, Vector | None]] = {}
+        self._corrections: list[FieldCorrection] = []
+        self._matrices: list[tuple[float, ...]] = []
+        self._rotations: list[tuple[float, ...] | None] = []
+        self._motor_source = "none"
+        self.parameters_changed()
+
+    def boot(self) -> None:
+        """Order the compasses by priority and choose the one that steers: the first in use."""
+        by_id = {dev_id: i for i, dev_id in zip(INSTANCES, self.hardware_ids, strict=True)}
+        wanted = [by_id.get(self._store.get(f"COMPASS_PRIO{n}_ID")) for n in INSTANCES]
+        order = [i for i in dict.fromkeys(wanted) if i is not None]
+        self.order = tuple(order + [i for i in INSTANCES if i not in order])
+        in_use = [i for i in self.order if self.in_use(i)]
+        self.steering = in_use[0] if in_use else None
+        self.bad_rotation = False
+        self.parameters_changed()
+
+    def in_use(self, instance: int) -> bool:
+        """Tell whether COMPASS_USE lets a compass be used."""
+        return bool(self._store.get(ardupilot_name("USE", instance), 1.0))
+
+    def healthy(self, instance: int) -> bool:
+        """Tell whether a compass delivers data."""
+        return self._lost.get(instance, (True, None))[0]
+
+    def lose(self, instance: int, healthy: bool, value: Vector | None) -> None:
+        """Stop a compass, at a raw value or at its last reading."""
+        self._lost[instance] = (healthy, value)
+
+    def parameters_changed(self) -> None:
+        """Take the parameters over: offsets, matrix, scale, motor terms, orientation."""
+        values = self._store.values
+        self._corrections = [ardupilot_correction(values, i) for i in INSTANCES]
+        self._matrices = [tuple(c.matrix.ravel().tolist()) for c in self._corrections]
+        self._motor_source = self._corrections[0].motor_source
+        self._rotations = [self._rotation(i) for i in INSTANCES]
+
+    def correction(self, instance: int) -> FieldCorrection:
+        """Return the correction in force."""
+        return self._corrections[instance - 1]
+
+    def raw(self, instance: int) -> Vector:
+        """Return a compass's present reading in body axes, before the correction."""
+        _, stuck = self._lost.get(instance, (True, None))
+        raw = stuck or self._vehicle.sensors.compasses[instance - 1].raw_mgauss
+        m = self._rotations[instance - 1]
+        if m is None or stuck is not None:
+            return raw
+        x, y, z = raw
+        return (
+            m[0] * x + m[1] * y + m[2] * z,
+            m[3] * x + m[4] * y + m[5] * z,
+            m[6] * x + m[7] * y + m[8] * z,
+        )
+
+    def read(self) -> None:
+        """Correct the new readings; a compass without data keeps its last field."""
+        if not self._store.get("COMPASS_ENABLE", 1.0):
+            return
+        load = 0.0
+        if self._motor_source != "none":
+            around = self._vehicle.surroundings()
+            load = around.current_a if self._motor_source == "current" else around.throttle
+        for i in INSTANCES:
+            lost = self._lost.get(i)
+            if lost is None or lost[1] is not None:
+                self.fields[i - 1] = self._correct(i, load)
+
+    def field(self, instance: int) -> Vector:
+        """Return the corrected field of compass 1, 2 or 3, milligauss."""
+        return self.fields[instance - 1]
+
+    def uncorrected(self, instance: int) -> Vector:
+        """Return what the firmware takes for the raw field.
+
+        It takes matrix and offsets off the corrected field, but neither SCALE nor the motor's share; a
+        matrix that cannot be inverted stays.
+        """
+        c = self._corrections[instance - 1]
+        matrix = c.matrix / c.scale
+        inverse = np.linalg.inv(matrix) if np.linalg.det(matrix) else np.eye(3)
+        x, y, z = (inverse @ self.field(instance) - np.asarray(c.offsets_mgauss)).tolist()
+        return (x, y, z)
+
+    def _correct(self, instance: int, load: float) -> Vector:
+        c, m = self._corrections[instance - 1], self._matrices[instance - 1]
+        raw, o, k = self.raw(instance), c.offsets_mgauss, c.motor_mgauss
+        x, y, z = raw[0] + o[0], raw[1] + o[1], raw[2] + o[2]
+        return (
+            m[0] * x + m[1] * y + m[2] * z + load * k[0],
+            m[3] * x + m[4] * y + m[5] * z + load * k[1],
+            m[6] * x + m[7] * y + m[8] * z + load * k[2],
+        )
+
+    def _rotation(self, instance: int) -> tuple[float, ...] | None:
+        """Return the rotation that COMPASS_ORIENT sets; only an external compass has one."""
+        external = self._store.get(ardupilot_name("EXTERNAL", instance))
+        orientation = int(self._store.get(ardupilot_name("ORIENT", instance)))
+        if not external or orientation == _ROTATION_NONE:
+            return None
+        if orientation not in SENSOR_ORIENTATIONS_DEG:
+            if not self.bad_rotation:
+                self._vehicle.say("Internal errors 0x400000 l:0 bad_rotation")
+            self.bad_rotation = True
+            return None
+        return tuple(sensor_orientation_matrix(orientation).ravel().tolist())
+
+
+def horizontal_length(field: Vector) -> float:
+    """Return the length of a field's first two components."""
+    return math.hypot(field[0], field[1])

@@ -1,0 +1,80 @@
+"""ArduPilot's modes, as far as they decide who steers a simulated vehicle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mavcompass.enums import CopterMode, MavModeFlag, RoverMode, SubMode
+from mavcompass.simulation.physics.profiles import VehicleProfile
+
+_NAMES: dict[str, dict[str, int]] = {
+    "rover": {m.name: int(m) for m in RoverMode},
+    "copter": {m.name: int(m) for m in CopterMode},
+    "sub": {m.name: int(m) for m in SubMode},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ModeRules:
+    """Sort one firmware's modes.
+
+    Attributes:
+        names: mode name -> HEARTBEAT.custom_mode.
+        by_hand: the pilot's sticks steer; autonomous: the heartbeat says GUIDED_ENABLED.
+        need_position: cannot be entered before the position is known.
+        cannot_arm: arming is refused in these; impossible: needs a mission, or is not simulated.
+    """
+
+    names: dict[str, int]
+    by_hand: frozenset[str]
+    autonomous: frozenset[str]
+    need_position: frozenset[str]
+    cannot_arm: frozenset[str]
+    impossible: frozenset[str] = frozenset({"AUTO"})
+
+    def name(self, number: int) -> str | None:
+        """Return a mode's name, None for a number that this firmware does not know."""
+        return next((n for n, value in self.names.items() if value == number), None)
+
+    def base_mode(self, mode: str, armed: bool, firmware: str) -> MavModeFlag:
+        """Return HEARTBEAT.base_mode."""
+        flags = MavModeFlag.CUSTOM_MODE_ENABLED
+        if firmware != "rover":
+            flags |= MavModeFlag.STABILIZE_ENABLED | MavModeFlag.MANUAL_INPUT_ENABLED
+        elif mode in self.by_hand:
+            flags |= MavModeFlag.MANUAL_INPUT_ENABLED
+        if mode in self.autonomous:
+            flags |= MavModeFlag.GUIDED_ENABLED
+        if armed:
+            flags |= MavModeFlag.SAFETY_ARMED
+        return flags
+
+
+_RULES = {
+    "rover": ModeRules(
+        _NAMES["rover"],
+        by_hand=frozenset({"MANUAL", "ACRO", "STEERING"}),
+        autonomous=frozenset({"AUTO", "RTL", "GUIDED", "LOITER"}),
+        need_position=frozenset({"AUTO", "RTL", "GUIDED", "LOITER"}),
+        cannot_arm=frozenset({"RTL"}),
+    ),
+    "copter": ModeRules(
+        _NAMES["copter"],
+        by_hand=frozenset({"STABILIZE", "ALT_HOLD", "LOITER", "POSHOLD"}),
+        autonomous=frozenset({"AUTO", "RTL", "GUIDED", "LAND"}),
+        need_position=frozenset({"AUTO", "RTL", "GUIDED", "LOITER", "POSHOLD", "BRAKE"}),
+        cannot_arm=frozenset({"AUTO", "RTL", "LAND", "BRAKE"}),
+    ),
+    "sub": ModeRules(
+        _NAMES["sub"],
+        by_hand=frozenset({"STABILIZE", "ALT_HOLD", "POSHOLD", "MANUAL"}),
+        autonomous=frozenset({"AUTO", "GUIDED", "SURFACE"}),
+        need_position=frozenset({"AUTO", "GUIDED", "POSHOLD"}),
+        cannot_arm=frozenset({"SURFACE"}),
+    ),
+}
+
+
+def mode_rules(profile: VehicleProfile) -> ModeRules:
+    """Return the rules of a vehicle's firmware."""
+    return _RULES[profile.firmware]

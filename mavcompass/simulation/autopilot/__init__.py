@@ -1,0 +1,1 @@
+"""What every simulated flight controller has, whatever firmware runs on it."""

@@ -1,0 +1,91 @@
+"""The flight controller's own opinion of its attitude, which a bad compass bends.
+
+Yaw is carried by the gyro and pulled to the compass selected at power-up, slowly and with a bounded
+pull, as a filter does whose field and bias states share the blame. The constants follow recordings of
+real firmware: with a compass 30 to 60 degrees off the yaw creeps by 1.7 to 3 degrees per second, a
+small disagreement is worked off over ten seconds, and a part of it goes into the gyro's bias.
+"""
+
+from __future__ import annotations
+
+import math
+
+from mavcompass.correction import Vector
+from mavcompass.simulation.physics.noise import NoiseTape, generator
+from mavcompass.units import RAD_PER_DEG
+
+YAW_PULL_PER_S = 0.08
+YAW_PULL_MAX_RADPS = 1.8 * RAD_PER_DEG
+BIAS_PULL_PER_S2 = 0.0015
+BIAS_MAX_RADPS = 0.5 * RAD_PER_DEG
+_TILT_ERROR_SIGMA_RAD = 0.1 * RAD_PER_DEG
+_TILT_ERROR_TIME_S = 40.0
+_VARIANCE_SCALE_RAD = 50.0 * RAD_PER_DEG
+_VARIANCE_TIME_S = 2.0
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """Bring one angle into [-pi, pi)."""
+    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def compass_yaw(field: Vector, roll_rad: float, pitch_rad: float, declination_rad: float) -> float:
+    """Return the true heading that a field in body axes gives at a tilt."""
+    sr, cr, sp, cp = math.sin(roll_rad), math.cos(roll_rad), math.sin(pitch_rad), math.cos(pitch_rad)
+    ahead = field[0] * cp + (field[1] * sr + field[2] * cr) * sp
+    right = field[1] * cr - field[2] * sr
+    return wrap_angle(math.atan2(-right, ahead) + declination_rad)
+
+
+class AttitudeFilter:
+    """Estimate roll, pitch, yaw and the yaw gyro's bias."""
+
+    def __init__(self, seed: int, boot: int) -> None:
+        self._tape = NoiseTape(generator(seed, f"attitude filter {boot}"), 2)
+        start = self._tape.row()
+        self._tilt_error = [_TILT_ERROR_SIGMA_RAD * start[0], _TILT_ERROR_SIGMA_RAD * start[1]]
+        self.roll_rad = self.pitch_rad = self.yaw_rad = 0.0
+        self.rate_radps: Vector = (0.0, 0.0, 0.0)
+        self.bias_radps = 0.0
+        self.innovation_rad = 0.0
+        self.compass_variance = 0.0
+
+    def align(self, roll_rad: float, pitch_rad: float, compass_yaw_rad: float | None) -> None:
+        """Take over the compass's yaw at once, as at power-up; north where there is none."""
+        self._tilt(roll_rad, pitch_rad)
+        if compass_yaw_rad is None or not math.isfinite(compass_yaw_rad):
+            compass_yaw_rad = 0.0
+        self.yaw_rad = compass_yaw_rad
+        self.bias_radps = 0.0
+        self.innovation_rad = 0.0
+
+    def predict(self, dt_s: float, gyro: Vector, true_roll_rad: float, true_pitch_rad: float) -> None:
+        """Carry the attitude on with the gyro (tilt is observed well by gravity and GPS)."""
+        n = self._tape.row()
+        keep = 1.0 - dt_s / _TILT_ERROR_TIME_S
+        push = _TILT_ERROR_SIGMA_RAD * math.sqrt(2.0 * dt_s / _TILT_ERROR_TIME_S)
+        e = self._tilt_error
+        e[0], e[1] = e[0] * keep + push * n[0], e[1] * keep + push * n[1]
+        self._tilt(true_roll_rad, true_pitch_rad)
+        p, q, r = gyro[0], gyro[1], gyro[2] - self.bias_radps
+        self.rate_radps = (p, q, r)
+        yaw_rate = (q * math.sin(self.roll_rad) + r * math.cos(self.roll_rad)) / math.cos(self.pitch_rad)
+        self.yaw_rad = wrap_angle(self.yaw_rad + yaw_rate * dt_s)
+
+    def correct(self, dt_s: float, compass_yaw_rad: float | None) -> None:
+        """Be pulled towards the compass's yaw; None or nan where there is no compass to believe."""
+        if compass_yaw_rad is None or not math.isfinite(compass_yaw_rad):
+            self.innovation_rad = 0.0
+        else:
+            self.innovation_rad = wrap_angle(compass_yaw_rad - self.yaw_rad)
+        limit = YAW_PULL_MAX_RADPS / YAW_PULL_PER_S
+        pull = max(-limit, min(limit, self.innovation_rad))
+        self.yaw_rad = wrap_angle(self.yaw_rad + YAW_PULL_PER_S * pull * dt_s)
+        bias = self.bias_radps - BIAS_PULL_PER_S2 * pull * dt_s
+        self.bias_radps = max(-BIAS_MAX_RADPS, min(BIAS_MAX_RADPS, bias))
+        target = (self.innovation_rad / _VARIANCE_SCALE_RAD) ** 2
+        self.compass_variance += (target - self.compass_variance) * dt_s / _VARIANCE_TIME_S
+
+    def _tilt(self, roll_rad: float, pitch_rad: float) -> None:
+        self.roll_rad = roll_rad + self._tilt_error[0]
+        self.pitch_rad = pitch_rad + self._tilt_error[1]

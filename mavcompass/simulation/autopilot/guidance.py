@@ -1,0 +1,168 @@
+"""How a flight controller turns a vehicle: heading and rate targets on the ground, auto-yaw in air and water.
+
+Everything is closed on the filter's yaw, the only one a flight controller has.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mavcompass.simulation.autopilot.attitude_filter import wrap_angle
+from mavcompass.simulation.physics.motion import Drive
+
+if TYPE_CHECKING:
+    from mavcompass.simulation.vehicle import SimulatedAutopilot
+
+TARGET_TIMEOUT_S = 3.0
+_STICK_CENTRE, _STICK_SPAN, _STICK_DEADZONE = 1500, 500, 30
+_TWO_PI = 2.0 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Hold what a ground station wants: a heading or a turn rate, and a speed."""
+
+    time_s: float
+    heading_rad: float | None = None
+    rate_radps: float | None = None
+    speed_mps: float = 0.0
+
+
+def stick(pwm: int) -> float:
+    """Turn a pulse width into -1..1, zero around the centre."""
+    offset = pwm - _STICK_CENTRE
+    if abs(offset) <= _STICK_DEADZONE:
+        return 0.0
+    return max(-1.0, min(1.0, offset / _STICK_SPAN))
+
+
+class GroundGuidance:
+    """Steer rovers and boats."""
+
+    def __init__(self, vehicle: SimulatedAutopilot) -> None:
+        self._vehicle = vehicle
+        self._target: Target | None = None
+        self._rate_radps = 0.0
+
+    def set_target(self, target: Target) -> None:
+        """Take a new target; it lasts three seconds."""
+        self._target = target
+
+    def stop(self) -> None:
+        """Forget the target, as a change of mode does."""
+        self._target = None
+        self._rate_radps = 0.0
+
+    def expire(self) -> bool:
+        """Drop a target that is too old; True at the moment it happens."""
+        if self._target is None or self._vehicle.boot_time_s - self._target.time_s <= TARGET_TIMEOUT_S:
+            return False
+        self.stop()
+        return True
+
+    def guided(self, dt_s: float, gain_per_s: float, rate_max: float, acceleration: float) -> Drive:
+        """Follow the target: P on the heading error, limited in rate and acceleration."""
+        target = self._target
+        if target is None:
+            return Drive()
+        if target.rate_radps is not None:
+            wanted = target.rate_radps
+        else:
+            wanted = gain_per_s * wrap_angle((target.heading_rad or 0.0) - self._vehicle.filter.yaw_rad)
+        wanted = max(-rate_max, min(rate_max, wanted))
+        most = acceleration * dt_s
+        self._rate_radps = max(self._rate_radps - most, min(self._rate_radps + most, wanted))
+        return Drive(self._rate_radps, target.speed_mps, motors_on=True)
+
+    def by_hand(self, steering_pwm: int, throttle_pwm: int) -> Drive:
+        """Follow the sticks."""
+        p = self._vehicle.profile
+        steering, throttle = stick(steering_pwm), stick(throttle_pwm)
+        if not steering and not throttle:
+            return Drive()
+        turn = steering * 0.6 * p.yaw_rate_max_radps
+        return Drive(turn, throttle * p.speed_max_mps, motors_on=True)
+
+
+class HoverGuidance:
+    """Hold and turn what hovers: the yaw target moves at a slew rate, the vehicle follows it."""
+
+    def __init__(self, vehicle: SimulatedAutopilot) -> None:
+        self._vehicle = vehicle
+        self.height_m: float | None = None
+        self._yaw_rad: float | None = None
+        self._left_rad = 0.0
+        self._slew_radps = 0.0
+        self._target: Target | None = None
+
+    def hold(self) -> None:
+        """Hold the present heading."""
+        self._yaw_rad = self._vehicle.filter.yaw_rad
+        self._left_rad = 0.0
+        self._target = None
+
+    def release(self) -> None:
+        """Let go: on the ground, or disarmed."""
+        self._yaw_rad = None
+        self._left_rad = 0.0
+        self._target = None
+
+    def turn(self, angle_rad: float, slew_radps: float, direction: int, relative: bool) -> None:
+        """Turn as CONDITION_YAW says: to or by an angle, from the present heading."""
+        start = self._vehicle.filter.yaw_rad
+        if relative:
+            by = angle_rad if direction >= 0 else -angle_rad
+        else:
+            by = wrap_angle(angle_rad - start)
+            if direction < 0 < by:
+                by -= _TWO_PI
+            elif direction > 0 > by:
+                by += _TWO_PI
+        self._yaw_rad, self._left_rad, self._slew_radps = start, by, slew_radps
+        self._target = None
+
+    def set_target(self, target: Target, slew_radps: float) -> None:
+        """Take a velocity target with a heading or a turn rate."""
+        if target.heading_rad is not None:
+            by = wrap_angle(target.heading_rad - self._vehicle.filter.yaw_rad)
+            if self._target is None or self._target.heading_rad != target.heading_rad:
+                self._yaw_rad = self._vehicle.filter.yaw_rad
+                self._left_rad, self._slew_radps = by, slew_radps
+        else:
+            self._left_rad = 0.0
+        self._target = target
+
+    def yaw_rate(self, dt_s: float, turn_by_hand_radps: float = 0.0) -> float | None:
+        """Return the turn rate to fly now; None to let go."""
+        if self._yaw_rad is None:
+            return None
+        feed = turn_by_hand_radps
+        target = self._target
+        if target is not None:
+            if self._vehicle.boot_time_s - target.time_s > TARGET_TIMEOUT_S:
+                self._target = target = None
+            elif target.rate_radps is not None:
+                feed = target.rate_radps
+        if self._left_rad:
+            step = math.copysign(min(abs(self._left_rad), self._slew_radps * dt_s), self._left_rad)
+            self._left_rad -= step
+            self._yaw_rad = wrap_angle(self._yaw_rad + step)
+            feed = step / dt_s
+        elif feed:
+            self._yaw_rad = wrap_angle(self._yaw_rad + feed * dt_s)
+        error = wrap_angle(self._yaw_rad - self._vehicle.filter.yaw_rad)
+        return feed + self._vehicle.profile.yaw_gain_per_s * error
+
+    @property
+    def speed_mps(self) -> float:
+        """Return the forward speed of the target."""
+        return self._target.speed_mps if self._target else 0.0
+
+    def climb_rate(self, up_mps: float, down_mps: float) -> float:
+        """Return the climb rate towards the height to hold."""
+        if self.height_m is None:
+            return 0.0
+        error = self.height_m - self._vehicle.body.height_m
+        return max(-down_mps, min(up_mps, 1.0 * error))

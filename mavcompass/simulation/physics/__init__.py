@@ -1,0 +1,1 @@
+"""The world without a flight controller: field, ground, body, hands, sensors, and their noise."""

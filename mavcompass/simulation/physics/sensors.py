@@ -1,0 +1,266 @@
+"""The simulated sensors: gyros and accelerometers, and compasses with iron around them.
+
+A compass sits in hard and soft iron and reads `raw = M^-1 field - offsets`: its `iron` is the
+FieldCorrection that cures it exactly. The flight controller reads it as firmware does: at 10 Hz, the
+average of the last 100 ms, so the value lags a turning vehicle by 0.05 to 0.15 s and repeats in
+faster streams.
+
+Further physical effects come in as `Distortion`s. They act on the first compass and the first IMU.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from mavcompass.correction import IDENTITY, FieldCorrection, Vector
+from mavcompass.simulation.physics.motion import Body
+from mavcompass.simulation.physics.noise import NoiseTape, generator
+from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.units import MPS2_PER_MILLI_G, RAD_PER_DEG
+
+COMPASS_PERIOD_US = 100_000
+_COMPASS_SAMPLE_S = 0.01
+_ZERO: Vector = (0.0, 0.0, 0.0)
+
+# A MEMS gyro after the calibration at power-up: what is left of its bias, its drift and noise behind
+# the autopilot's low-pass filter; the same for the accelerometer.
+GYRO_BIAS_SIGMA_RADPS = 0.04 * RAD_PER_DEG
+GYRO_DRIFT_RADPS_PER_SQRT_S = 0.0008 * RAD_PER_DEG
+GYRO_NOISE_RADPS = 0.04 * RAD_PER_DEG
+GYRO_SCALE_SIGMA = 0.002
+ACCELEROMETER_BIAS_SIGMA_MPS2 = 1.0 * MPS2_PER_MILLI_G
+ACCELEROMETER_NOISE_MPS2 = 1.5 * MPS2_PER_MILLI_G
+
+
+class Distortion(Protocol):
+    """Be a physical effect between the world and what the sensors say."""
+
+    @property
+    def groups(self) -> Collection[str]:
+        """Name the sensors that it changes: "mag", "acc", "gyro"."""
+        ...
+
+    def apply(self, stimulus: Stimulus, reading: Reading, rng: np.random.Generator) -> Reading:
+        """Return the distorted reading of N samples, which follow those of the last call."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class CompassModel:
+    """Describe one compass: its iron's exact cure, and its noise per sample at 100 Hz."""
+
+    iron: FieldCorrection = IDENTITY
+    noise_mgauss: float = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """Hold what one IMU says."""
+
+    gyro_radps: Vector
+    acc_mps2: Vector
+
+
+class Compass:
+    """Be one compass: average the field over 100 ms, add iron and noise."""
+
+    def __init__(self, model: CompassModel, seed: int, instance: int) -> None:
+        self.model = model
+        inverse = np.linalg.inv(model.iron.matrix)
+        self._matrix: tuple[float, ...] = tuple(inverse.ravel().tolist())
+        self._offsets = model.iron.offsets_mgauss
+        self._tape = NoiseTape(generator(seed, f"compass {instance}"), 3)
+        self.raw_mgauss: Vector = _ZERO
+
+    def sense(self, field: Vector) -> Vector:
+        """Return the noiseless raw reading of a field in body axes."""
+        (x, y, z), m, o = field, self._matrix, self._offsets
+        return (
+            m[0] * x + m[1] * y + m[2] * z - o[0],
+            m[3] * x + m[4] * y + m[5] * z - o[1],
+            m[6] * x + m[7] * y + m[8] * z - o[2],
+        )
+
+    def add_noise(self, raw: Vector, averaging_s: float) -> Vector:
+        """Return a reading with the noise of an average over some time."""
+        sigma = self.model.noise_mgauss * math.sqrt(_COMPASS_SAMPLE_S / averaging_s)
+        n = self._tape.row()
+        return raw[0] + sigma * n[0], raw[1] + sigma * n[1], raw[2] + sigma * n[2]
+
+
+class Imu:
+    """Be one gyro and accelerometer with bias, scale error, drift and noise."""
+
+    def __init__(self, seed: int, instance: int, vibration_mps2: float) -> None:
+        rng = generator(seed, f"imu {instance}")
+        self.gyro_bias_radps: list[float] = (GYRO_BIAS_SIGMA_RADPS * rng.standard_normal(3)).tolist()
+        self.gyro_scale = 1.0 + GYRO_SCALE_SIGMA * float(rng.standard_normal())
+        self.acc_bias_mps2: list[float] = (ACCELEROMETER_BIAS_SIGMA_MPS2 * rng.standard_normal(3)).tolist()
+        self._vibration_mps2 = vibration_mps2
+        self._tape = NoiseTape(rng, 9)
+
+    def sample(self, body: Body, dt_s: float) -> ImuSample:
+        """Read the sensor once."""
+        n, b, a, k = self._tape.row(), self.gyro_bias_radps, self.acc_bias_mps2, self.gyro_scale
+        drift = GYRO_DRIFT_RADPS_PER_SQRT_S * math.sqrt(dt_s)
+        for i in range(3):
+            b[i] += drift * n[6 + i]
+        (p, q, r), (x, y, z) = body.rate_radps, body.specific_force_mps2
+        s = GYRO_NOISE_RADPS
+        e = ACCELEROMETER_NOISE_MPS2 + self._vibration_mps2 * body.shaking
+        return ImuSample(
+            (k * p + b[0] + s * n[0], k * q + b[1] + s * n[1], k * r + b[2] + s * n[2]),
+            (x + a[0] + e * n[3], y + a[1] + e * n[4], z + a[2] + e * n[5]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """Hold what else acts on the sensors at one moment."""
+
+    current_a: float
+    throttle: float
+    temperature_degc: float
+    motors: tuple[float, ...]
+
+
+class SensorSuite:
+    """Read all sensors of a vehicle, tick by tick."""
+
+    def __init__(
+        self,
+        models: Sequence[CompassModel],
+        distortions: Sequence[Distortion],
+        seed: int,
+        tick_s: float,
+        vibration_mps2: float,
+    ) -> None:
+        self.compasses = [Compass(m, seed, i) for i, m in enumerate(models, start=1)]
+        self.imus = [Imu(seed, i, vibration_mps2) for i in (1, 2)]
+        self.samples: list[ImuSample] = [ImuSample(_ZERO, _ZERO), ImuSample(_ZERO, _ZERO)]
+        self.previous = self.samples
+        self.distortions = tuple(distortions)
+        # What only the compass feels can wait for the end of its averaging period.
+        self._at_once = any(set(d.groups) - {"mag"} for d in self.distortions)
+        self._rng = generator(seed, "effects")
+        self._tick_s = tick_s
+        self._field_sum = [0.0, 0.0, 0.0]
+        self._distorted_sum = [0.0, 0.0, 0.0]
+        self._count = 0
+        self._waiting: list[Moment] = []
+
+    def tick(self, body: Body, surroundings: Callable[[], Surroundings]) -> None:
+        """Take one sample of everything at the body's present state."""
+        first, second = self.imus
+        self.previous = self.samples
+        self.samples = [first.sample(body, self._tick_s), second.sample(body, self._tick_s)]
+        field = field_in_body(body)
+        for i in range(3):
+            self._field_sum[i] += field[i]
+        self._count += 1
+        if self.distortions:
+            compass = self.compasses[0]
+            raw = compass.add_noise(compass.sense(field), self._tick_s)
+            self._waiting.append(moment_of(body, surroundings(), raw, self.samples[0]))
+            if self._at_once:
+                self._distort()
+
+    def read_compasses(self) -> None:
+        """Finish an averaging period: bring every compass's `raw_mgauss` up to date."""
+        n, period = self._count, COMPASS_PERIOD_US * 1e-6
+        if not n:
+            return
+        if self._waiting:
+            self._distort()
+        mean = (self._field_sum[0] / n, self._field_sum[1] / n, self._field_sum[2] / n)
+        for i, compass in enumerate(self.compasses):
+            if i == 0 and self.distortions:
+                d = self._distorted_sum
+                compass.raw_mgauss = (d[0] / n, d[1] / n, d[2] / n)
+            else:
+                compass.raw_mgauss = compass.add_noise(compass.sense(mean), period)
+        self._field_sum = [0.0, 0.0, 0.0]
+        self._distorted_sum = [0.0, 0.0, 0.0]
+        self._count = 0
+
+    def _distort(self) -> None:
+        """Pass the waiting moments through the effects."""
+        stimulus, reading = signals_of(self._waiting)
+        self._waiting.clear()
+        for distortion in self.distortions:
+            reading = distortion.apply(stimulus, reading, self._rng)
+        for i, value in enumerate(reading.mag_mgauss.sum(axis=0).tolist()):
+            self._distorted_sum[i] += value
+        if self._at_once:
+            (gx, gy, gz), (ax, ay, az) = reading.gyro_radps[-1].tolist(), reading.acc_mps2[-1].tolist()
+            self.samples[0] = ImuSample((gx, gy, gz), (ax, ay, az))
+
+
+def field_in_body(body: Body) -> Vector:
+    """Return the Earth's field in the body's axes."""
+    m, (n, e, d) = body.rotation, body.world.field_ned_mgauss
+    return (
+        m[0] * n + m[3] * e + m[6] * d,
+        m[1] * n + m[4] * e + m[7] * d,
+        m[2] * n + m[5] * e + m[8] * d,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Hold the truth and the undistorted readings of one moment, as plain numbers."""
+
+    time_s: float
+    field_ned_mgauss: Vector
+    rotation: tuple[float, ...]
+    rate_radps: Vector
+    specific_force_mps2: Vector
+    position_ned_m: Vector
+    velocity_ned_mps: Vector
+    around: Surroundings
+    raw_mgauss: Vector
+    imu: ImuSample
+
+
+def moment_of(body: Body, around: Surroundings, raw_mgauss: Vector, imu: ImuSample) -> Moment:
+    """Note down a body's present state and what its sensors say of it."""
+    return Moment(
+        body.time_s,
+        body.world.field_ned_mgauss,
+        body.rotation,
+        body.rate_radps,
+        body.specific_force_mps2,
+        (body.north_m, body.east_m, -body.height_m),
+        body.velocity_ned_mps,
+        around,
+        raw_mgauss,
+        imu,
+    )
+
+
+def signals_of(moments: Sequence[Moment]) -> tuple[Stimulus, Reading]:
+    """Turn moments into arrays."""
+    stimulus = Stimulus(
+        time_s=np.array([m.time_s for m in moments]),
+        rotation=np.array([m.rotation for m in moments]).reshape(-1, 3, 3),
+        field_ned_mgauss=np.array([m.field_ned_mgauss for m in moments]),
+        rate_radps=np.array([m.rate_radps for m in moments]),
+        specific_force_mps2=np.array([m.specific_force_mps2 for m in moments]),
+        position_ned_m=np.array([m.position_ned_m for m in moments]),
+        velocity_ned_mps=np.array([m.velocity_ned_mps for m in moments]),
+        current_a=np.array([m.around.current_a for m in moments]),
+        throttle=np.array([m.around.throttle for m in moments]),
+        temperature_degc=np.array([m.around.temperature_degc for m in moments]),
+        motors=np.array([m.around.motors for m in moments]),
+    )
+    reading = Reading(
+        np.array([m.raw_mgauss for m in moments]),
+        np.array([m.imu.acc_mps2 for m in moments]),
+        np.array([m.imu.gyro_radps for m in moments]),
+    )
+    return stimulus, reading

@@ -1,0 +1,1 @@
+"""PX4's firmware, as it was seen to behave."""

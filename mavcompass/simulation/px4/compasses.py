@@ -1,0 +1,107 @@
+"""PX4's compasses: sensors mounted at a rotation, calibrated in their own axes, in gauss."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavcompass.compass_parameters import px4_correction, px4_name
+from mavcompass.correction import FieldCorrection, Vector
+from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, sensor_orientation_matrix
+from mavcompass.simulation.autopilot.parameter_store import ParameterStore
+
+if TYPE_CHECKING:
+    from mavcompass.simulation.vehicle import SimulatedAutopilot
+
+INSTANCES = (1, 2)
+# Changes of the offset that are shorter than this do not reach the running calibration.
+_SMALLEST_CHANGE_MGAUSS = 1.0
+
+
+class Px4Compasses:
+    """Hold raw readings in the sensors' axes, and the corrected field in the body's."""
+
+    def __init__(self, vehicle: SimulatedAutopilot, store: ParameterStore, mounting: int) -> None:
+        """Mount the first compass with a MAV_SENSOR_ORIENTATION, the second without."""
+        self._vehicle = vehicle
+        self._store = store
+        self._mounting = [sensor_orientation_matrix(o) for o in (mounting, 0)]
+        self._lost: dict[int, tuple[bool, Vector | None]] = {}
+        self._corrections = [self._wanted(i) for i in INSTANCES]
+        self._rotations = [self._rotation(i) for i in INSTANCES]
+        self.raw_sensor_mgauss: list[Vector] = [(0.0, 0.0, 0.0)] * len(INSTANCES)
+        self.fields: list[Vector] = [(0.0, 0.0, 0.0)] * len(INSTANCES)
+        self.steering: int | None = INSTANCES[0]
+
+    def boot(self) -> None:
+        """Take all parameters over, choose the compass of the highest priority (0 is disabled)."""
+        self.parameters_changed()
+        self._corrections = [self._wanted(i) for i in INSTANCES]
+        priorities = {i: self._store[px4_name("PRIO", i)] for i in INSTANCES}
+        best = max(INSTANCES, key=lambda i: priorities[i])
+        self.steering = best if priorities[best] > 0.0 else None
+
+    def healthy(self, instance: int) -> bool:
+        """Tell whether a compass delivers data."""
+        return self._lost.get(instance, (True, None))[0]
+
+    def lose(self, instance: int, healthy: bool, value: Vector | None) -> None:
+        """Stop a compass, at a raw value or at its last reading."""
+        self._lost[instance] = (healthy, value)
+
+    def correction(self, instance: int) -> FieldCorrection:
+        """Return the correction in force, in body axes; none beyond the compasses it has."""
+        return self._corrections[instance - 1] if instance in INSTANCES else FieldCorrection()
+
+    def parameters_changed(self) -> None:
+        """Take parameters over, except offsets that hardly changed."""
+        self._rotations = [self._rotation(i) for i in INSTANCES]
+        for place, instance in enumerate(INSTANCES):
+            old, new = self._corrections[place], self._wanted(instance)
+            moved = math.dist(old.offsets_mgauss, new.offsets_mgauss)
+            same = (old.diagonals, old.off_diagonals) == (new.diagonals, new.off_diagonals)
+            if moved >= _SMALLEST_CHANGE_MGAUSS or not same or old.motor_mgauss != new.motor_mgauss:
+                self._corrections[place] = new
+
+    def read(self) -> None:
+        """Take the new readings, turn them into the sensors' axes, correct them."""
+        around = self._vehicle.surroundings()
+        for place, instance in enumerate(INSTANCES):
+            _, stuck = self._lost.get(instance, (True, None))
+            if instance in self._lost and stuck is None:
+                continue
+            raw = stuck or self._vehicle.sensors.compasses[place].raw_mgauss
+            x, y, z = (self._mounting[place].T @ np.array(raw)).tolist()
+            self.raw_sensor_mgauss[place] = (x, y, z)
+            # The parameters may say another rotation than the mounting: they are what is believed.
+            turned = self._rotations[place] @ np.array([x, y, z])
+            correction = self._corrections[place]
+            load = around.current_a if correction.motor_source == "current" else around.throttle
+            x, y, z = correction.apply(turned, load if any(correction.motor_mgauss) else None).tolist()
+            self.fields[place] = (x, y, z)
+
+    def expected_raw(self, instance: int, field: Sequence[float]) -> list[float]:
+        """Return what a sensor without offset would read of a body field: S^-1 R^T field."""
+        rotation = self._rotations[instance - 1]
+        matrix = rotation.T @ self._corrections[instance - 1].matrix @ rotation
+        inverse = np.linalg.inv(matrix) if np.linalg.det(matrix) else np.eye(3)
+        found: list[float] = (inverse @ rotation.T @ np.asarray(field)).tolist()
+        return found
+
+    def _wanted(self, instance: int) -> FieldCorrection:
+        """Return what the parameters say; with another sensor's id they are not for this one."""
+        name = px4_name("ID", instance)
+        if self._store[name] != self._store.factory_value(name) or self._orientation(instance) is None:
+            return FieldCorrection()
+        return px4_correction(self._store.values, instance)
+
+    def _orientation(self, instance: int) -> int | None:
+        """Return the number that CAL_MAGn_ROT holds, None for one that is not simulated."""
+        orientation = max(int(self._store[px4_name("ROT", instance)]), 0)
+        return orientation if orientation in SENSOR_ORIENTATIONS_DEG else None
+
+    def _rotation(self, instance: int) -> FloatArray:
+        return sensor_orientation_matrix(self._orientation(instance) or 0)

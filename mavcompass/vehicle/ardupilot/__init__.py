@@ -1,0 +1,1 @@
+"""ArduPilot's compass parameters: read, planned and written."""

@@ -1,0 +1,1 @@
+"""Links: over a wire, through MAVSDK, inside this process, with faults; and the server of a vehicle."""

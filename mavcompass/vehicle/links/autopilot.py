@@ -1,0 +1,87 @@
+"""What a link or a server needs of a vehicle that lives in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from mavcompass.messages import Message
+from mavcompass.vehicle.wire.framing import Frame
+
+
+class Said(Protocol):
+    """Be a message that leaves a vehicle; `port` None is every port.
+
+    `message` is None where a recording has one that this program does not use.
+    """
+
+    @property
+    def time_s(self) -> float: ...
+    @property
+    def system(self) -> int: ...
+    @property
+    def component(self) -> int: ...
+    @property
+    def message(self) -> Message | None: ...
+    @property
+    def port(self) -> int | None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class SaidMessage:
+    """Be a message, plainly."""
+
+    time_s: float
+    system: int
+    component: int
+    message: Message
+    port: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SaidFrame:
+    """Be a message as a frame that was recorded: it is sent on with the payload as it is."""
+
+    time_s: float
+    message: Message | None
+    frame: Frame
+    port: int | None = None
+
+    @property
+    def system(self) -> int:
+        """Return the sender's system."""
+        return self.frame.system
+
+    @property
+    def component(self) -> int:
+        """Return the sender's component."""
+        return self.frame.component
+
+
+class Autopilot(Protocol):
+    """Be a simulated flight controller: `mavcompass.simulation.SimulatedAutopilot`, or one that replays."""
+
+    @property
+    def time_s(self) -> float:
+        """Return its virtual time, seconds; never goes back."""
+
+    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
+        """Hear a message now."""
+
+    def advance(self, until_s: float) -> Sequence[Said]:
+        """Live until then and return what was said, in order."""
+
+
+Played = SaidMessage | SaidFrame
+
+
+class Recorded(Autopilot, Protocol):
+    """Be the vehicle of a recording, which comes to an end."""
+
+    def advance(self, until_s: float) -> Sequence[Played]:
+        """Live until then and return what was said, in order."""
+
+    @property
+    def ended(self) -> bool:
+        """Tell whether everything has been said."""

@@ -1,0 +1,119 @@
+"""SimulatedLink: a simulated vehicle inside this process, in virtual time and without sockets."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from mavcompass.errors import LinkLost
+from mavcompass.messages import Incoming, Message
+from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
+from mavcompass.vehicle.links.autopilot import Autopilot, Said
+from mavcompass.vehicle.links.pace import Pace
+
+if TYPE_CHECKING:
+    from mavcompass.simulation.vehicle import SimulatedAutopilot
+
+# The vehicle is advanced in pieces of this length, which is therefore how long an answer takes at most.
+STEP_S = 0.01
+
+
+class SimulatedLink(Link):
+    """Speak with a simulated vehicle. Its time passes only while `receive` waits.
+
+    Attributes:
+        autopilot: the vehicle, for looking at its truth and for playing the pilot in tests.
+    """
+
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        name: str = "sim",
+        identity: Identity = ONBOARD_COMPUTER,
+        speed: float | None = None,
+        port: int = 0,
+    ) -> None:
+        super().__init__(name, identity)
+        self.autopilot = autopilot
+        self._port = port
+        self._pace = None if speed is None else Pace(speed, autopilot.time_s)
+        self._now_s = autopilot.time_s
+        self._heard: deque[tuple[Said, Message]] = deque()
+        self._closed = False
+
+    @classmethod
+    def of(
+        cls,
+        vehicle: str,
+        *,
+        seed: int = 0,
+        effects: Sequence[str] = (),
+        identity: Identity = ONBOARD_COMPUTER,
+        speed: float | None = None,
+    ) -> SimulatedLink:
+        """Make a vehicle and the link to it. Raises UsageError for an unknown vehicle or effect."""
+        autopilot = simulated_autopilot(vehicle, seed, effects)
+        return cls(autopilot, f"sim:{vehicle},seed={seed}", identity, speed)
+
+    @property
+    def waiting(self) -> bool:
+        """Tell whether something was said that has not been handed out yet."""
+        return bool(self._heard)
+
+    def now(self) -> float:
+        """Return the virtual time."""
+        return self._now_s
+
+    def send(self, message: Message) -> None:
+        """Let the vehicle hear a message."""
+        if self._closed:
+            self.statistics.dropped += 1
+            return
+        self.autopilot.receive(message, self.identity.spoken_system, self.identity.component, self._port)
+
+    def receive(self, timeout_s: float) -> Incoming | None:
+        """Return the next message; see Link."""
+        deadline_s = self._now_s + timeout_s
+        while not self._closed:
+            if self._heard and self._heard[0][0].time_s <= deadline_s:
+                said, message = self._heard.popleft()
+                # A stream's message may carry a time just before a moment that was already waited for.
+                self._now_s = max(self._now_s, said.time_s)
+                self.statistics.received += 1
+                return Incoming(self._now_s, said.system, said.component, message)
+            # The simulation counts whole microseconds: it may never reach a deadline between two of them.
+            if self._heard or self.autopilot.time_s >= deadline_s - 1e-6:
+                break
+            self._advance(min(self.autopilot.time_s + STEP_S, deadline_s))
+        self._now_s = max(self._now_s, deadline_s)
+        if self._closed:
+            raise LinkLost(f"{self.name} is closed.")
+        return None
+
+    def close(self) -> None:
+        """Part from the vehicle."""
+        self._closed = True
+
+    def _advance(self, until_s: float) -> None:
+        for said in self.autopilot.advance(until_s):
+            if said.port in (None, self._port) and said.message is not None:
+                self._heard.append((said, said.message))
+        if self._pace is not None:
+            self._pace.sleep_until(until_s)
+
+
+def simulated_autopilot(
+    vehicle: str, seed: int = 0, effects: Sequence[str] = (), armed: bool = True
+) -> SimulatedAutopilot:
+    """Make a simulated vehicle; effects are spelled as in `mavcompass gap catalogue`: NAME[:param=value,..].
+
+    Raises UsageError for an unknown vehicle or effect.
+    """
+    from mavcompass.simulation.vehicle import SimulatedAutopilot
+
+    if not effects:
+        return SimulatedAutopilot(vehicle, seed=seed, armed=armed)
+    from mavcompass.simulation.effects import distortion
+
+    return SimulatedAutopilot(vehicle, seed=seed, armed=armed, effects=(distortion(tuple(effects)),))

@@ -1,0 +1,152 @@
+"""Write a plan to a vehicle as a transaction: all of it, proven, or nothing, or the way back.
+
+1. Read what is to be changed: it must still be what the plan saw.
+2. Put the undo record on disk.
+3. Write; a value counts when the vehicle has been heard with it.
+4. Read everything back once more.
+
+Whatever goes wrong after 2 (a refused value, a silent link, a stop by the pilot) puts the old values
+back and proves that as well. Where even this fails, `WriteFailed` carries the command that does it.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from mavcompass.errors import MavCompassError, Refused, WriteFailed
+from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
+from mavcompass.procedure.script import Context, Script
+from mavcompass.vehicle.parameters import protocol as wire
+from mavcompass.vehicle.parameters.values import Encoding, Parameter, is_single, same_value
+
+# After a stop a script has `script.CLEAN_UP_S` to put things back; a silent vehicle is given up before.
+_UNDO_SILENCE_S = 5.0
+
+Commit = Callable[[Context], Script[tuple[str, ...]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Transaction:
+    """Write plans to one vehicle.
+
+    Attributes:
+        encoding: how the autopilot puts integers into PARAM_VALUE.
+        source: the vehicle's address as the person gave it, for the command that restores.
+        commit: what must be done beside the parameters after they are written; its remarks go into
+            the outcome.
+    """
+
+    encoding: Encoding
+    source: str
+    commit: Commit | None = None
+
+    def run(self, context: Context, plan: ParameterPlan, save_undo: SaveUndo) -> Script[WriteOutcome]:
+        """Write `plan`; a plan that changes nothing sends nothing.
+
+        Raises Refused where the plan says so or a stop came (all is as before then), and WriteFailed
+        where it could not be completed.
+        """
+        refuse_unwritable(plan)
+        if not plan.changes:
+            return WriteOutcome(verified=True, undo_file=None, values={})
+        old = yield from self._read_before(context, plan)
+        new = {c.name: Parameter(c.new, old[c.name].type) for c in plan.changes}
+        undo_file = save_undo(plan, {name: p.value for name, p in old.items()})
+        command = restore_command(self.source, undo_file)
+        context.show("write", f"Writing {counted(len(new))}; to put the old values back: {command}")
+        remarks: tuple[str, ...] = ()
+        try:
+            echoes_s = yield from wire.write(context, new, self.encoding)
+            if self.commit is not None:
+                remarks = yield from self.commit(context)
+            yield from wire.prove(context, new, self.encoding, echoes_s)
+        except GeneratorExit:
+            raise self._left(undo_file, "the procedure was ended") from None
+        except Exception as why:
+            yield from self._put_back(context, old, undo_file, why)
+            if isinstance(why, MavCompassError) and not isinstance(why, Refused):
+                raise WriteFailed(
+                    f"{why.what} What was written was put back, and {counted(len(old))} read back as before.",
+                    why.remedy,
+                    undo_file,
+                ) from why
+            raise
+        return WriteOutcome(True, undo_file, {name: p.value for name, p in new.items()}, remarks, command)
+
+    def _read_before(self, context: Context, plan: ParameterPlan) -> Script[dict[str, Parameter]]:
+        """Read the parameters that will change; nothing is written where they are not as planned."""
+        old = yield from wire.read(context, [c.name for c in plan.changes], self.encoding, exist=True)
+        for change in plan.changes:
+            held = old.get(change.name)
+            if held is None:
+                raise WriteFailed(
+                    f"The vehicle does not answer for {change.name}; nothing was written.",
+                    "Check that its firmware has this parameter, then run again.",
+                )
+            if not same_value(held.value, change.old):
+                raise WriteFailed(
+                    f"{change.name} is {held.value:g} now and was {change.old:g} when the write was planned;"
+                    " nothing was written.",
+                    "Somebody else is changing parameters: close other ground stations and run again.",
+                )
+        return old
+
+    def _put_back(
+        self, context: Context, old: Mapping[str, Parameter], undo_file: Path, why: Exception
+    ) -> Script[None]:
+        """Write the old values, last change first, and prove them; raise WriteFailed where that fails."""
+        context.show("undo", f"{_sentence(why)} Putting {counted(len(old))} back.")
+        back = {name: old[name] for name in reversed(list(old))}
+        while True:
+            try:
+                echoes_s = yield from wire.write(context, back, self.encoding, _UNDO_SILENCE_S)
+                yield from wire.prove(context, back, self.encoding, echoes_s, _UNDO_SILENCE_S)
+            except Refused:
+                continue  # a stop, which comes once: the vehicle is still, and half a calibration is worse
+            except GeneratorExit:
+                raise self._left(undo_file, _sentence(why)) from None
+            except MavCompassError as trouble:
+                left = self._left(undo_file, f"{_sentence(why)} Then: {trouble.what}")
+                context.show("undo", str(left))  # whatever becomes of the error on its way out
+                raise left from trouble
+            context.show("undo", "The old parameters are back.")
+            return
+
+    def _left(self, undo_file: Path, why: str) -> WriteFailed:
+        command = restore_command(self.source, undo_file)
+        return WriteFailed(
+            f"Writing was cut short and could not be undone ({why.rstrip('.')}): the vehicle may hold some"
+            " new and some old values.",
+            f"Bring the link back, then put the old values back with: {command}",
+            undo_file,
+            command,
+        )
+
+
+def refuse_unwritable(plan: ParameterPlan) -> None:
+    """Raise Refused where a plan must not be written, before anything is sent or put on disk."""
+    reasons = list(plan.refusals)
+    for change in plan.changes:
+        for value in (change.old, change.new):
+            if not is_single(value):
+                reasons.append(f"{change.name} {change.old:g} -> {change.new:g} is not a number to write.")
+                break
+    if reasons:
+        raise Refused(" ".join(reasons), "Nothing was written.")
+
+
+def counted(parameters: int) -> str:
+    """Spell a number of parameters."""
+    return "1 parameter" if parameters == 1 else f"{parameters} parameters"
+
+
+def restore_command(source: str, undo_file: Path) -> str:
+    """Spell the command that puts back what an undo file holds."""
+    return f"mavcompass params restore {shlex.quote(source)} {shlex.quote(str(undo_file))}"
+
+
+def _sentence(error: Exception) -> str:
+    return error.what if isinstance(error, MavCompassError) else f"{type(error).__name__}: {error}"

@@ -1,0 +1,1 @@
+"""PX4's compass parameters: read, planned and written."""

@@ -1,0 +1,168 @@
+"""Compass parameters of a vehicle on a link, as a person works with them: hold, compare, plan, write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from mavcompass.enums import MavModeFlag
+from mavcompass.errors import BadRecording, Refused, UsageError
+from mavcompass.messages import Heartbeat, Incoming
+from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
+from mavcompass.procedure.script import Context, Script, ask
+from mavcompass.procedure.vehicle_state import find_vehicle
+from mavcompass.vehicle.ardupilot import plan as ardupilot_plan
+from mavcompass.vehicle.ardupilot.dialect import ArduPilotDialect
+from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.parameters.files import read_parameter_file
+from mavcompass.vehicle.parameters.undo import load_record
+from mavcompass.vehicle.parameters.values import Parameter, same_value
+from mavcompass.vehicle.px4 import plan as px4_plan
+from mavcompass.vehicle.px4.dialect import PX4Dialect
+
+_PREFIXES = {"ardupilot": ("COMPASS",), "px4": ("CAL_MAG",)}
+
+
+@dataclass(frozen=True, slots=True)
+class HeldParameters:
+    """Hold what a vehicle's compasses are set to.
+
+    Attributes:
+        system: its MAVLink system id, 0 for a recording.
+        armed: None where that is not known.
+    """
+
+    dialect: ArduPilotDialect | PX4Dialect
+    system: int
+    armed: bool | None
+    typed: Mapping[str, Parameter]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Return all values by name."""
+        return {name: parameter.value for name, parameter in self.typed.items()}
+
+    @property
+    def compass_typed(self) -> dict[str, Parameter]:
+        """Return the compass parameters alone, without what else was read of the vehicle."""
+        prefixes = _PREFIXES[self.dialect.autopilot]
+        return {name: p for name, p in self.typed.items() if name.startswith(prefixes)}
+
+    @property
+    def compass_values(self) -> dict[str, float]:
+        """Return the values of `compass_typed`."""
+        return {name: parameter.value for name, parameter in self.compass_typed.items()}
+
+    @property
+    def compasses(self) -> tuple[int, ...]:
+        """List the compasses that the vehicle has, from 1."""
+        return self.dialect.instances(self.values)
+
+    def instance_of(self, name: str) -> int | None:
+        """Tell which compass a parameter belongs to; None for one of all compasses."""
+        room = ardupilot_plan if self.dialect.autopilot == "ardupilot" else px4_plan
+        return room.instance_of(name)
+
+
+@dataclass(frozen=True, slots=True)
+class WriteReport:
+    """Say what a write was to do and what became of it; `outcome` is None where nothing was sent."""
+
+    held: HeldParameters
+    plan: ParameterPlan
+    outcome: WriteOutcome | None
+
+
+def read_vehicle(context: Context, source: str, system: int | None = None) -> Script[HeldParameters]:
+    """Find the vehicle and read its compass parameters.
+
+    Raises NoVehicle where none is heard, NoReply where it does not answer.
+    """
+    beats: dict[tuple[int, int], Heartbeat] = {}
+
+    def note(incoming: Incoming) -> None:
+        if isinstance(incoming.message, Heartbeat):
+            beats[incoming.system, incoming.component] = incoming.message
+
+    context.listeners.append(note)
+    try:
+        found = yield from find_vehicle(context, system)
+        dialect = make_dialect(found.autopilot, source)
+        typed = yield from dialect.compass_parameters_typed(context)
+    finally:
+        context.listeners.remove(note)
+    beat = beats.get((found.system, found.component))
+    armed = bool(beat.base_mode & MavModeFlag.SAFETY_ARMED) if beat else None
+    return HeldParameters(dialect, found.system, armed, typed)
+
+
+def recorded_parameters(parameters: Mapping[str, float], source: str) -> HeldParameters:
+    """Take the compass parameters of a recording; raises BadRecording where it holds none."""
+    for autopilot, prefixes in _PREFIXES.items():
+        own = {name: Parameter(v) for name, v in sorted(parameters.items()) if name.startswith(prefixes)}
+        if own:
+            return HeldParameters(make_dialect(autopilot, source), 0, None, own)
+    raise BadRecording(
+        f"{source} does not hold a vehicle's compass parameters.",
+        "Give a recording that begins at power-up (.BIN), or one in which parameters were read (.tlog).",
+    )
+
+
+def read_wanted(path: Path) -> dict[str, float]:
+    """Read what a file asks for: an undo file's old values, or a parameter file's."""
+    return dict(load_record(path).before) if path.suffix == ".json" else read_parameter_file(path)
+
+
+def compass_part(wanted: Mapping[str, float], held: HeldParameters, origin: str) -> dict[str, float]:
+    """Pick the compass parameters that may be written out of all that a file holds.
+
+    Raises UsageError where there are none, and Refused where the file's device ids are another
+    sensor's: its calibration is worth nothing on this one.
+    """
+    prefixes, rules = _PREFIXES[held.dialect.autopilot], held.dialect.rules
+    own = {name: value for name, value in wanted.items() if name.startswith(prefixes)}
+    if not own:
+        raise UsageError(
+            f"{origin} holds no compass parameter ({prefixes[0]}...) of this vehicle's autopilot.",
+            "Check that file and vehicle belong together.",
+        )
+    for name, value in own.items():
+        instance, now = held.instance_of(name), held.values.get(name)
+        if instance in held.compasses and name.endswith(("_ID", f"_ID{instance}")) and now is not None:
+            if not same_value(value, now):
+                raise Refused(
+                    f"{origin} was made for another sensor: its {name} is {value:.0f}, the vehicle's is"
+                    f" {now:.0f}.",
+                    "Calibrate this compass instead, or take that compass's lines out of the file.",
+                )
+    return {name: value for name, value in own.items() if not rules.is_protected(name)}
+
+
+def write_values(
+    context: Context,
+    source: str,
+    wanted: Callable[[HeldParameters], Mapping[str, float]],
+    save_undo: Callable[[HeldParameters], SaveUndo],
+    *,
+    checked: bool,
+    consent: Callable[[HeldParameters, ParameterPlan], str | None],
+    system: int | None = None,
+) -> Script[WriteReport]:
+    """Read the vehicle, plan the write of single values, have the person's consent, write.
+
+    `checked` refuses what is out of range; unchecked (putting back what was there) it is a remark.
+    `consent` sees the plan and returns the question to ask, "" to write without asking, or None to
+    write nothing. Raises Refused where the plan must not be written or the person says no.
+    """
+    held = yield from read_vehicle(context, source, system)
+    plan = held.dialect.plan_values(held.values, wanted(held), checked)
+    question = consent(held, plan)
+    if question is None or (not plan.changes and not plan.refusals):
+        return WriteReport(held, plan, None)
+    if plan.refusals:
+        raise Refused(" ".join(plan.refusals), "Nothing was written.")
+    if question and not (yield from ask(context, question)):
+        raise Refused("Nothing was written: the question was not answered with yes.")
+    outcome = yield from held.dialect.write(context, plan, save_undo(held))
+    return WriteReport(held, plan, outcome)

@@ -1,0 +1,153 @@
+"""TCP: a client that connects to a vehicle, and a server that waits for connections."""
+
+from __future__ import annotations
+
+import selectors
+import socket
+from contextlib import suppress
+
+from mavcompass.errors import LinkLost, UsageError
+from mavcompass.vehicle.transport.stream import SendBuffer, StreamTransport
+from mavcompass.vehicle.transport.transport import READ_BYTES, Peer, Reconnect
+
+# Long enough for a radio modem, short enough that Ctrl-C is not ignored.
+_CONNECT_S = 2.0
+
+
+class TcpStream:
+    """Be one TCP connection."""
+
+    def __init__(self, connected: socket.socket) -> None:
+        connected.setblocking(False)
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket = connected
+
+    @classmethod
+    def to(cls, host: str, port: int) -> TcpStream:
+        """Connect, waiting a little. Raises OSError."""
+        return cls(socket.create_connection((host, port), timeout=_CONNECT_S))
+
+    def fileno(self) -> int:
+        """Return the socket's number."""
+        return self._socket.fileno()
+
+    def read(self) -> bytes:
+        """Return what has come. Raises EOFError when the other end closed."""
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except BlockingIOError:
+            return b""
+        if not data:
+            raise EOFError
+        return data
+
+    def write(self, data: bytes) -> int:
+        """Send what is taken at once."""
+        return self._socket.send(data)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()
+
+
+def connect_tcp(host: str, port: int, reconnect: Reconnect) -> StreamTransport:
+    """Connect to a vehicle or a router. Raises NoVehicle when nobody listens there."""
+    return StreamTransport(
+        f"tcp:{host}:{port}",
+        lambda: TcpStream.to(host, port),
+        reconnect,
+        "Check that the vehicle or simulator is running and that host and port are right.",
+    )
+
+
+class TcpServerTransport:
+    """Wait for connections; each is a peer, and comes and goes as it likes."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.name = f"tcpin:{host}:{port}"
+        self._streams: dict[Peer, tuple[TcpStream, SendBuffer]] = {}
+        self._accepted = 0
+        self._closed = False
+        self._selector = selectors.DefaultSelector()
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        try:
+            self._listener = socket.create_server((host, port), family=family, reuse_port=False)
+        except OSError as error:
+            self._selector.close()
+            raise UsageError(
+                f"{self.name} cannot be listened on: {error.strerror or error}.",
+                "Choose an address of this machine and a port that no other program uses.",
+            ) from error
+        self.name = f"tcpin:{host}:{self.port}"
+        self._listener.setblocking(False)
+        self._selector.register(self._listener, selectors.EVENT_READ)
+
+    @property
+    def port(self) -> int:
+        """Return the port, also where 0 was asked for."""
+        return int(self._listener.getsockname()[1])
+
+    def wait(self, timeout_s: float) -> None:
+        """Return when something may have come, or after the time."""
+        for stream, buffer in self._streams.values():
+            writing = selectors.EVENT_WRITE if len(buffer) else 0
+            self._selector.modify(stream.fileno(), selectors.EVENT_READ | writing)
+        self._selector.select(max(timeout_s, 0.0))
+
+    def read(self) -> list[tuple[Peer, bytes]]:
+        """Take new connections and return what has come on all."""
+        if self._closed:
+            raise LinkLost(f"{self.name} is closed.")
+        self._accept()
+        pieces: list[tuple[Peer, bytes]] = []
+        for peer, (stream, buffer) in list(self._streams.items()):
+            try:
+                buffer.flush(stream)
+                if data := stream.read():
+                    pieces.append((peer, data))
+            except (OSError, EOFError):
+                self.disconnect(peer)
+        return pieces
+
+    def write(self, data: bytes, peer: Peer) -> bool:
+        """Send to one connection."""
+        if peer not in self._streams:
+            return False
+        stream, buffer = self._streams[peer]
+        try:
+            return buffer.write(stream, data)
+        except OSError:
+            self.disconnect(peer)
+            return False
+
+    def peers(self) -> list[Peer]:
+        """List the connections."""
+        return list(self._streams)
+
+    def hang_up(self) -> None:
+        """Close all connections but keep listening."""
+        for peer in self.peers():
+            self.disconnect(peer)
+
+    def disconnect(self, peer: Peer) -> None:
+        """Close one connection."""
+        stream, _ = self._streams.pop(peer)
+        self._selector.unregister(stream.fileno())
+        stream.close()
+
+    def close(self) -> None:
+        """Close all connections and the port."""
+        if not self._closed:
+            self._closed = True
+            self.hang_up()
+            self._selector.close()
+            self._listener.close()
+
+    def _accept(self) -> None:
+        with suppress(OSError):  # nobody is waiting, or gave up in the meantime
+            while True:
+                connection, _ = self._listener.accept()
+                stream = TcpStream(connection)
+                self._accepted += 1
+                self._streams[self._accepted] = (stream, SendBuffer())
+                self._selector.register(stream.fileno(), selectors.EVENT_READ)

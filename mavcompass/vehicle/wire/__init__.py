@@ -1,0 +1,1 @@
+"""MAVLink frames: bytes into messages and back."""

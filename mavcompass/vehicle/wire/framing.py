@@ -1,0 +1,274 @@
+"""MAVLink frames, versions 1 and 2: bytes to frames and back, checksums, sequence numbers, signatures.
+
+    version 1: FE length sequence system component id                         payload checksum
+    version 2: FD length incompatible compatible sequence system component id payload checksum [signature]
+
+The id takes one byte in version 1, three in version 2; version 2 cuts zeros off the payload's end. The
+checksum is CRC-16/MCRF4XX over all but the first byte, then the message's own extra byte. A signature is
+the link's id, a 48 bit time in units of 10 us since 2015 and six bytes of SHA-256 over key and frame.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from mmap import mmap
+from struct import Struct
+from typing import Protocol
+
+from mavcompass.messages import Message
+from mavcompass.vehicle.wire.codec import encode, wire_format
+
+_V1, _V2 = 0xFE, 0xFD
+_MAGIC = (_V1, _V2)
+_HEADER_1 = Struct("<BBBBBB")
+_HEADER_2 = Struct("<BBBBBBBHB")
+_CHECKSUM = Struct("<H")
+_SIGNED = 0x01
+_SIGNATURE_LENGTH = 13
+_EPOCH_2015_S = 1_420_070_400
+# Ground radios speak of themselves and cannot sign.
+_RADIO_STATUS = 109
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Be one good frame; `raw` is all of its bytes."""
+
+    version: int
+    sequence: int
+    system: int
+    component: int
+    message_id: int
+    payload: bytes
+    raw: bytes
+
+
+class Counts(Protocol):
+    """Be anything that counts what is not handed on, such as `LinkStatistics`."""
+
+    malformed: int
+    unknown: int
+
+
+@cache
+def _mcrf4xx() -> Callable[[bytes], int]:
+    from fastcrc.crc16 import mcrf4xx
+
+    return mcrf4xx
+
+
+def checksum(data: bytes, crc_extra: int) -> int:
+    """Compute a frame's checksum; `data` is all between the first byte and the checksum."""
+    return _mcrf4xx()(data + bytes((crc_extra,)))
+
+
+def unix_time_s() -> float:
+    """Return the wall clock, for signatures only."""
+    return time.time()
+
+
+@dataclass(slots=True)
+class Signing:
+    """Sign what is sent and check what is heard with a 32-byte key shared with the vehicle.
+
+    Raises ValueError for a key of another length.
+    """
+
+    key: bytes
+    link_id: int = 0
+    clock: Callable[[], float] = unix_time_s
+    _last_sent: int = 0
+    _last_heard: dict[tuple[int, int, int], int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if len(self.key) != 32:
+            raise ValueError(f"a MAVLink signing key has 32 bytes, not {len(self.key)}")
+
+    @classmethod
+    def from_passphrase(cls, passphrase: str, link_id: int = 0) -> Signing:
+        """Make the key as the common ground stations do: SHA-256 of the passphrase."""
+        return cls(hashlib.sha256(passphrase.encode()).digest(), link_id)
+
+    def sign(self, frame: bytes) -> bytes:
+        """Return the 13 bytes to append; each is later than the last."""
+        stamp = max(int((self.clock() - _EPOCH_2015_S) * 1e5), self._last_sent + 1)
+        self._last_sent = stamp
+        head = bytes((self.link_id,)) + stamp.to_bytes(6, "little")
+        return head + self._digest(frame, head)
+
+    def accepts(self, frame: bytes, system: int, component: int) -> bool:
+        """Check a signed frame: the right key, and later than any before from this sender and link."""
+        signature = frame[-_SIGNATURE_LENGTH:]
+        if self._digest(frame[:-_SIGNATURE_LENGTH], signature[:7]) != signature[7:]:
+            return False
+        stamp = int.from_bytes(signature[1:7], "little")
+        stream = (system, component, signature[0])
+        if stamp <= self._last_heard.get(stream, -1):
+            return False
+        self._last_heard[stream] = stamp
+        return True
+
+    def _digest(self, frame: bytes, head: bytes) -> bytes:
+        return hashlib.sha256(self.key + frame + head).digest()[:6]
+
+
+@dataclass(slots=True)
+class FrameWriter:
+    """Make frames for one sender on one connection, counting its sequence."""
+
+    version: int = 2
+    signing: Signing | None = None
+    _sequence: int = 0
+
+    def write(self, message: Message, system: int, component: int) -> bytes:
+        """Return the message as one frame's bytes.
+
+        Raises ValueError for a message whose number is too large for version 1.
+        """
+        form, payload = encode(message)
+        if self.version == 1:
+            payload = payload[: form.base_length]
+        else:
+            payload = payload.rstrip(b"\0") or payload[:1]
+        return self._frame(self.version, payload, system, component, form.id, form.crc_extra)
+
+    def forward(self, frame: Frame) -> bytes:
+        """Return another's frame with our sequence number and signature; its version and payload stay.
+
+        Raises ValueError for a message that the dialect does not have.
+        """
+        form = wire_format(frame.message_id)
+        if form is None:
+            raise ValueError(f"message {frame.message_id} is not in the dialect")
+        sender = (frame.system, frame.component)
+        return self._frame(frame.version, frame.payload, *sender, form.id, form.crc_extra)
+
+    def _frame(
+        self, version: int, payload: bytes, system: int, component: int, number: int, crc_extra: int
+    ) -> bytes:
+        sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFF
+        signing = self.signing if version == 2 else None
+        if version == 1:
+            head = _HEADER_1.pack(_V1, len(payload), sequence, system, component, _small(number))
+        else:
+            flags, low, high = (0 if signing is None else _SIGNED), number & 0xFFFF, number >> 16
+            head = _HEADER_2.pack(_V2, len(payload), flags, 0, sequence, system, component, low, high)
+        frame = head + payload
+        frame += _CHECKSUM.pack(checksum(frame[1:], crc_extra))
+        return frame if signing is None else frame + signing.sign(frame)
+
+
+def _small(message_id: int) -> int:
+    if message_id > 0xFF:
+        raise ValueError(f"message {message_id} cannot be sent in MAVLink 1")
+    return message_id
+
+
+@dataclass(slots=True)
+class FrameParser:
+    """Find frames in a stream of bytes from one connection.
+
+    Whatever is no frame is skipped; `counts.malformed` says how often. A frame of a message that the dialect
+    does not have cannot be checked: it is skipped as a whole where the next frame begins right behind it and
+    no good one is hidden in it, and counted in `counts.unknown`.
+    """
+
+    counts: Counts
+    signing: Signing | None = None
+    _buffer: bytearray = field(default_factory=bytearray)
+    _in_junk: bool = False
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take in bytes, return the frames that are complete."""
+        frames: list[Frame] = []
+        buffer = self._buffer
+        buffer += data
+        at, end = 0, len(buffer)
+        while at < end:
+            if buffer[at] not in _MAGIC:
+                self._count_malformed()
+                at = self._next_magic(at)
+                continue
+            length = frame_length(buffer, at)
+            if not length or at + length > end:
+                break
+            frame = split_frame(bytes(buffer[at : at + length]))
+            if wire_format(frame.message_id) is None:
+                at = self._skip_unknown(at, length)
+            elif self._is_authentic(frame):
+                self._in_junk = False
+                frames.append(frame)
+                at += length
+            else:
+                self._count_malformed()
+                at += 1
+        del buffer[:at]
+        return frames
+
+    def _next_magic(self, at: int) -> int:
+        places = [place for magic in _MAGIC if (place := self._buffer.find(magic, at)) >= 0]
+        return min(places, default=len(self._buffer))
+
+    def _count_malformed(self) -> None:
+        """Count a stretch of junk once, however many pieces it comes in."""
+        if not self._in_junk:
+            self._in_junk = True
+            self.counts.malformed += 1
+
+    def _skip_unknown(self, at: int, length: int) -> int:
+        buffer, end = self._buffer, at + length
+        if end < len(buffer) and buffer[end] not in _MAGIC:
+            self._count_malformed()
+            return at + 1
+        inside = self._next_magic(at + 1)
+        while inside < end:
+            inner = frame_length(buffer, inside)
+            if inner and inside + inner <= len(buffer):
+                if checksum_is_right(split_frame(bytes(buffer[inside : inside + inner]))):
+                    self._count_malformed()
+                    return inside
+            inside = self._next_magic(inside + 1)
+        self.counts.unknown += 1
+        return end
+
+    def _is_authentic(self, frame: Frame) -> bool:
+        raw = frame.raw
+        flags = raw[2] if frame.version == 2 else 0
+        if flags & ~_SIGNED or not checksum_is_right(frame):
+            return False  # such a flag must be understood and is not
+        if self.signing is None or frame.message_id == _RADIO_STATUS:
+            return True
+        return bool(flags) and self.signing.accepts(raw, frame.system, frame.component)
+
+
+def checksum_is_right(frame: Frame) -> bool:
+    """Check a frame; one of a message that the dialect does not have is never right."""
+    form = wire_format(frame.message_id)
+    if form is None:
+        return False
+    signed = frame.version == 2 and frame.raw[2] & _SIGNED
+    unsigned = frame.raw[:-_SIGNATURE_LENGTH] if signed else frame.raw
+    return checksum(unsigned[1:-2], form.crc_extra) == int.from_bytes(unsigned[-2:], "little")
+
+
+def frame_length(buffer: bytearray | bytes | mmap, at: int) -> int:
+    """Return the length of the frame that begins here; 0 while, or where, that cannot be told."""
+    if len(buffer) - at < 3 or buffer[at] not in _MAGIC:
+        return 0
+    if buffer[at] == _V1:
+        return buffer[at + 1] + 8
+    return buffer[at + 1] + 12 + (_SIGNATURE_LENGTH if buffer[at + 2] & _SIGNED else 0)
+
+
+def split_frame(raw: bytes) -> Frame:
+    """Read the header of a whole frame; whether it is a good one `checksum_is_right` tells."""
+    length = raw[1]
+    if raw[0] == _V1:
+        _, _, sequence, system, component, number = _HEADER_1.unpack_from(raw)
+        return Frame(1, sequence, system, component, number, raw[6 : 6 + length], raw)
+    _, _, _, _, sequence, system, component, low, high = _HEADER_2.unpack_from(raw)
+    return Frame(2, sequence, system, component, low | high << 16, raw[10 : 10 + length], raw)

@@ -1,0 +1,139 @@
+"""The registry: what a person can name, and what every forward model must keep."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mavcompass.errors import UsageError
+from mavcompass.frames import euler_to_matrix, rotate_back
+from mavcompass.simulation import effects
+from mavcompass.simulation.physics.signals import Reading, Stimulus
+
+CONTRACT_IDS = """hard_iron hard_iron_step soft_iron axis_scale non_orthogonality misalignment orientation
+motor_current per_motor ac_interference relay_field temperature_bias temperature_sensitivity
+bias_random_walk clipping quantisation noise_excess transport_lag low_pass timestamp_jitter stale_samples
+spatial_dipole field_gradient field_intensity inclination declination accel_bias accel_scale
+linear_acceleration vibration_rectification gyro_bias gyro_scale yaw_step_error platform_tilt hysteresis
+cross_axis set_reset_offset eddy_current attitude_reference_error""".split()
+FIELD = np.array([230.0, 50.0, -530.0])
+
+
+def moving(n: int = 400, dt: float = 0.02) -> tuple[Stimulus, Reading]:
+    """A vehicle that turns, rolls and pitches, with its currents and temperature."""
+    t = np.arange(n) * dt
+    roll, pitch, yaw = 0.3 * np.sin(1.1 * t), 0.2 * np.cos(0.7 * t), 0.8 * t
+    rotation = euler_to_matrix(roll, pitch, yaw)
+    step = np.einsum("nji,njk->nik", rotation[:-1], rotation[1:])
+    rate = np.stack([step[:, 2, 1], step[:, 0, 2], step[:, 1, 0]], axis=1) / dt
+    rate = np.vstack([rate, rate[-1:]])
+    field = np.tile(FIELD, (n, 1))
+    force = rotate_back(rotation, np.tile([0.0, 0.0, -9.80665], (n, 1)))
+    position = np.stack([np.sin(0.3 * t), np.cos(0.2 * t), 0.1 * t], axis=1)
+    motors = 0.5 + 0.3 * np.sin(t[:, None] + np.arange(4))
+    stimulus = Stimulus(
+        t, rotation, field, rate, force, position, np.zeros((n, 3)),
+        10.0 + 5.0 * np.sin(t), 0.5 + 0.4 * np.sin(t), 25.0 + t, motors,
+    )  # fmt: skip
+    return stimulus, Reading(rotate_back(rotation, field), force, rate)
+
+
+def cut(stimulus: Stimulus, rows: slice) -> Stimulus:
+    return Stimulus(*(getattr(stimulus, name)[rows] for name in Stimulus.__slots__))
+
+
+def test_catalogue_holds_every_effect_that_others_rely_on() -> None:
+    assert set(CONTRACT_IDS) <= set(effects.catalogue())
+
+
+@pytest.mark.parametrize("effect_id", CONTRACT_IDS)
+def test_effect_says_what_a_person_must_know(effect_id: str) -> None:
+    effect = effects.get(effect_id)
+    assert effect.title and effect.separated_by and effect.source
+    assert set(effect.aliases) <= set(effects.catalogue())
+    assert (effect.lower <= effect.default).all() and (effect.default <= effect.upper).all()
+
+
+@pytest.mark.parametrize("effect_id", sorted(set(CONTRACT_IDS) - {"stale_samples", "orientation"}))
+def test_typical_setting_changes_the_readings(effect_id: str) -> None:
+    stimulus, reading = moving()
+    text = {"hard_iron_step": "hard_iron_step:x=50,on_s=3,off_s=6"}.get(effect_id, effect_id)
+    out = effects.Distortion([effects.parse(text)]).apply(stimulus, reading, np.random.default_rng(1))
+    changed = [np.abs(getattr(out, n) - getattr(reading, n)).max() for n in Reading.__slots__]
+    assert max(changed) > 1e-3
+
+
+@pytest.mark.parametrize(
+    "effect_id", [i for i in CONTRACT_IDS if effects.get(i).kind in ("mean", "discrete")]
+)
+def test_live_blocks_give_what_the_whole_recording_gives(effect_id: str) -> None:
+    stimulus, reading = moving()
+    rng = np.random.default_rng(2)
+    whole = effects.Distortion([effects.default(effect_id)]).apply(stimulus, reading, rng)
+    live = effects.Distortion([effects.default(effect_id)])
+    edges = [0, 1, 2, 5, 90, 91, 250, 400]
+    parts = [
+        live.apply(
+            cut(stimulus, slice(a, b)),
+            Reading(*(getattr(reading, n)[a:b] for n in Reading.__slots__)),
+            rng,
+        )
+        for a, b in pairwise(edges)
+    ]
+    # A live block does not know the future: slopes at its end are one-sided there.
+    tolerance = 0.05 if effect_id in ("transport_lag", "linear_acceleration") else 1e-9
+    for name in Reading.__slots__:
+        joined = np.vstack([getattr(part, name) for part in parts])
+        error = np.abs(joined - getattr(whole, name))
+        effect = np.abs(getattr(whole, name) - getattr(reading, name)).max()
+        assert np.quantile(error, 0.9) <= tolerance * max(effect, 1.0)
+
+
+def test_lag_of_a_steady_turn_is_the_field_of_the_angle_before() -> None:
+    n, rate, lag = 300, 0.5, 0.06
+    t = np.arange(n) * 0.02
+    rotation = euler_to_matrix(0.0, 0.0, rate * t)
+    stimulus, reading = moving(n)
+    mag = rotate_back(rotation, np.tile(FIELD, (n, 1)))
+    out = effects.Distortion([effects.parse(f"transport_lag:lag_s={lag}")]).apply(
+        stimulus, Reading(mag, reading.acc_mps2, reading.gyro_radps), np.random.default_rng(0)
+    )
+    expected = rotate_back(euler_to_matrix(0.0, 0.0, rate * (t - lag)), np.tile(FIELD, (n, 1)))
+    np.testing.assert_allclose(out.mag_mgauss[10:], expected[10:], atol=1e-3)
+
+
+def test_dipole_on_its_axis_is_twice_the_moment_over_the_cube() -> None:
+    from mavcompass.simulation.effects.causes.world import dipole_field
+
+    field = dipole_field(np.array([[2.0, 0.0, 0.0]]), np.zeros(3), np.array([80.0, 0.0, 0.0]))
+    np.testing.assert_allclose(field, [[20.0, 0.0, 0.0]], rtol=4e-3)
+
+
+def test_person_is_told_what_is_wrong_with_an_effect() -> None:
+    with pytest.raises(UsageError, match="Did you mean hard_iron"):
+        effects.parse("hard_irn")
+    with pytest.raises(UsageError, match="Its parameters are x, y, z"):
+        effects.parse("hard_iron:w=3")
+    with pytest.raises(UsageError, match="not physical"):
+        effects.parse("hard_iron:x=1e9")
+    with pytest.raises(UsageError, match="NAME:param=value"):
+        effects.parse("hard_iron:x")
+
+
+def test_named_parameters_leave_the_other_amplitudes_zero() -> None:
+    assert effects.parse("hard_iron:x=100,y=-50").theta.tolist() == [100.0, -50.0, 0.0]
+    assert effects.parse("hard_iron").theta.any()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3))
+def test_attitude_effects_keep_the_length_of_the_field(angles: list[float]) -> None:
+    stimulus, reading = moving(50)
+    setting = effects.Setting(effects.get("attitude_reference_error"), np.array(angles))
+    out = effects.Distortion([setting]).apply(stimulus, reading, np.random.default_rng(0))
+    length = np.linalg.norm(out.mag_mgauss, axis=1)
+    np.testing.assert_allclose(length, np.linalg.norm(FIELD), rtol=1e-9)

@@ -1,0 +1,164 @@
+"""The simulated vehicle on real ports, met by clients that come, go and misbehave."""
+
+from __future__ import annotations
+
+import random
+import time
+from contextlib import closing
+
+import pytest
+from serving import hear, serving
+
+from mavcompass.enums import MavCmd, MavResult
+from mavcompass.errors import LinkLost
+from mavcompass.messages import (
+    Attitude,
+    CommandAck,
+    CommandLong,
+    Heartbeat,
+    ParamRequestRead,
+    ParamSet,
+    ParamValue,
+    RawImu,
+)
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.link import GROUND_STATION, Link
+from mavcompass.vehicle.opening import open_link
+from mavcompass.vehicle.transport.address import Tcp, UdpIn, UdpOut
+from mavcompass.vehicle.transport.opening import open_transport
+from mavcompass.vehicle.transport.transport import Reconnect
+from mavcompass.vehicle.wire.codec import message_id
+from mavcompass.vehicle.wire.framing import FrameWriter
+
+
+def read_parameter(link: Link, name: str) -> float:
+    link.send(ParamRequestRead(1, 1, name))
+    while True:
+        value = hear(link, ParamValue)
+        assert isinstance(value, ParamValue)
+        if value.param_id == name:
+            return value.param_value
+
+
+def test_a_client_reads_and_writes_parameters_over_tcp() -> None:
+    vehicle = SimulatedAutopilot("rover", seed=1)
+    with serving(vehicle, speed=5.0) as (_, port), open_link(Tcp("127.0.0.1", port)) as link:
+        assert isinstance(hear(link, Heartbeat), Heartbeat)
+        link.send(ParamSet(1, 1, "COMPASS_OFS_Y", 33.0))
+        hear(link, ParamValue)
+        assert read_parameter(link, "COMPASS_OFS_Y") == 33.0
+
+
+def test_time_begins_with_the_first_client_and_the_seed_decides_what_follows() -> None:
+    firsts = []
+    for pause_s in (0.0, 0.3):
+        with serving(SimulatedAutopilot("rover", seed=5), speed=5.0) as (_, port):
+            time.sleep(pause_s)
+            with open_link(Tcp("127.0.0.1", port)) as link:
+                firsts.append(hear(link, Attitude))
+    assert firsts[0] == firsts[1]
+
+
+def test_several_clients_share_the_vehicle_with_their_own_rates() -> None:
+    number = float(message_id(RawImu))
+    with serving(SimulatedAutopilot("rover", seed=1)) as (_, port):
+        with (
+            open_link(Tcp("127.0.0.1", port)) as fast,
+            open_link(Tcp("127.0.0.1", port), GROUND_STATION) as slow,
+        ):
+            hear(fast, Heartbeat)
+            hear(slow, Heartbeat)
+            for link, rate_hz in ((fast, 40.0), (slow, 5.0)):
+                link.send(CommandLong(1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, number, 1e6 / rate_hz))
+                ack = hear(link, CommandAck)
+                assert isinstance(ack, CommandAck) and ack.result == MavResult.ACCEPTED
+            counts = {}
+            for link in (fast, slow):
+                while link.receive(0.0) is not None:
+                    pass
+            end_s = fast.now() + 1.0
+            for name, link in (("fast", fast), ("slow", slow)):
+                counts[name] = 0
+                while (incoming := link.receive(max(end_s - link.now(), 0.0))) is not None:
+                    counts[name] += isinstance(incoming.message, RawImu)
+            assert 32 <= counts["fast"] <= 48
+            assert 3 <= counts["slow"] <= 8
+            assert fast.statistics.lost == slow.statistics.lost == 0
+
+
+def test_clients_come_and_go_while_the_vehicle_lives_on() -> None:
+    vehicle = SimulatedAutopilot("rover", seed=1)
+    with serving(vehicle, speed=5.0) as (_, port):
+        for value in (11.0, 12.0, 13.0):
+            with open_link(Tcp("127.0.0.1", port)) as link:
+                link.send(ParamSet(1, 1, "COMPASS_OFS_Z", value))
+                hear(link, ParamValue)
+        with open_link(Tcp("127.0.0.1", port)) as link:
+            assert read_parameter(link, "COMPASS_OFS_Z") == 13.0
+
+
+def test_a_reboot_drops_the_connection_and_the_client_finds_its_way_back() -> None:
+    vehicle = SimulatedAutopilot("rover", seed=1, armed=False)
+    with serving(vehicle, speed=4.0) as (_, port):
+        with open_link(Tcp("127.0.0.1", port), reconnect=Reconnect(again_s=5.0, every_s=0.05)) as link:
+            link.send(ParamSet(1, 1, "COMPASS_OFS_Z", 21.0))
+            hear(link, ParamValue)
+            link.send(CommandLong(1, 1, MavCmd.PREFLIGHT_REBOOT_SHUTDOWN, 0, 1.0))
+            end_s = link.now() + 5.0
+            while vehicle.boots == 0 and link.now() < end_s:
+                link.receive(0.05)
+            assert vehicle.boots == 1
+            link.send(link.identity.heartbeat())
+            hear(link, Heartbeat)
+            assert read_parameter(link, "COMPASS_OFS_Z") == 21.0, "written parameters survive"
+
+
+def test_a_vehicle_that_is_gone_for_good_is_told() -> None:
+    with serving(SimulatedAutopilot("rover", seed=1)) as (_, port):
+        link = open_link(Tcp("127.0.0.1", port), reconnect=Reconnect(again_s=0.2, every_s=0.02))
+        hear(link, Heartbeat)
+    with link, pytest.raises(LinkLost, match="could not be opened again"):
+        while True:
+            link.receive(0.5)
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_udp_works_in_both_directions(waits: bool) -> None:
+    vehicle = SimulatedAutopilot("rover", seed=1)
+    if waits:
+        with serving(vehicle, UdpIn("127.0.0.1", 0), speed=5.0) as (_, port):
+            with open_link(UdpOut("127.0.0.1", port)) as link:
+                link.send(link.identity.heartbeat())
+                assert hear(link, Heartbeat)
+    else:
+        free = open_transport(UdpIn("127.0.0.1", 0))
+        port = int(free.name.rpartition(":")[2])
+        free.close()
+        with open_link(UdpIn("127.0.0.1", port)) as link, serving(vehicle, UdpOut("127.0.0.1", port), 5.0):
+            assert hear(link, Heartbeat)
+
+
+def test_junk_is_counted_and_hurts_nobody() -> None:
+    rng = random.Random(3)
+    with serving(SimulatedAutopilot("rover", seed=1), speed=5.0) as (server, port):
+        attacker = open_transport(Tcp("127.0.0.1", port))
+        with closing(attacker), open_link(Tcp("127.0.0.1", port)) as link:
+            (peer,) = attacker.peers()
+            for _ in range(50):
+                attacker.write(rng.randbytes(400), peer)
+            request = FrameWriter().write(ParamRequestRead(1, 1, "COMPASS_USE"), 9, 9)
+            attacker.write(bytes(300) + request, peer)
+            while (9, 9) not in server.statistics.sources:
+                assert hear(link, Heartbeat)
+    assert server.statistics.malformed > 0
+    assert server.statistics.sources[9, 9].received == 1
+
+
+def test_what_leaves_is_recorded_as_frames() -> None:
+    recorded: list[tuple[float, bytes]] = []
+    vehicle = SimulatedAutopilot("rover", seed=1)
+    with serving(vehicle, speed=5.0, record=lambda t, frame: recorded.append((t, frame))) as (_, port):
+        with open_link(Tcp("127.0.0.1", port)) as link:
+            hear(link, Attitude)
+    assert recorded and all(frame[0] == 0xFD for _, frame in recorded)
+    assert [t for t, _ in recorded] == sorted(t for t, _ in recorded)

@@ -1,0 +1,268 @@
+"""MAVLink over real ports: several vehicles, old versions, signatures, losses, connections that break."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from dialogue import HEARTBEAT
+from far_ends import QUICK, WireEnd
+
+from mavcompass.errors import LinkLost, NoVehicle, UsageError
+from mavcompass.messages import Heartbeat, NamedValueFloat, ParamRequestRead, ParamSet, RawImu
+from mavcompass.vehicle.link import LinkStatistics, SourceStatistics
+from mavcompass.vehicle.links.wire import WireLink
+from mavcompass.vehicle.opening import open_link
+from mavcompass.vehicle.transport.address import Serial, Tcp, TcpIn, UdpIn, UdpOut
+from mavcompass.vehicle.transport.opening import open_transport
+from mavcompass.vehicle.transport.transport import SEND_BUFFER_BYTES, Reconnect
+from mavcompass.vehicle.transport.udp import UdpTransport
+from mavcompass.vehicle.wire.framing import FrameParser, FrameWriter, Signing
+
+
+@pytest.fixture
+def port() -> Iterator[UdpTransport]:
+    """A UDP port that waits for vehicles."""
+    transport = open_transport(UdpIn("127.0.0.1", 0))
+    assert isinstance(transport, UdpTransport)
+    with closing(transport):
+        yield transport
+
+
+def vehicle_at(port: UdpTransport) -> WireEnd:
+    return WireEnd(open_transport(UdpOut("127.0.0.1", port.port)))
+
+
+# --- several vehicles on one port ----------------------------------------------------------------
+
+
+def test_a_message_for_one_vehicle_goes_only_to_it(port: UdpTransport) -> None:
+    link = WireLink(port)
+    with closing(vehicle_at(port).transport) as a, closing(vehicle_at(port).transport) as b:
+        one, two = WireEnd(a), WireEnd(b)
+        one.say(HEARTBEAT, system=1)
+        two.say(HEARTBEAT, system=2)
+        assert {link.receive(1.0).system, link.receive(1.0).system} == {1, 2}  # type: ignore[union-attr]
+        link.send(ParamRequestRead(2, 1, "A"))
+        link.send(link.identity.heartbeat())
+        assert [m for _, _, m in two.heard(2)] == [ParamRequestRead(2, 1, "A"), link.identity.heartbeat()]
+        assert [m for _, _, m in one.heard(1)] == [link.identity.heartbeat()]
+
+
+def test_a_vehicle_that_moves_to_another_port_is_followed(port: UdpTransport) -> None:
+    link = WireLink(port)
+    for _ in range(2):
+        with closing(vehicle_at(port).transport) as transport:
+            vehicle = WireEnd(transport)
+            vehicle.say(HEARTBEAT, system=1)
+            assert link.receive(1.0) is not None
+            link.send(ParamRequestRead(1, 1, "A"))
+            assert [m for _, _, m in vehicle.heard(1)] == [ParamRequestRead(1, 1, "A")]
+
+
+def test_nobody_to_send_to_is_counted(port: UdpTransport) -> None:
+    link = WireLink(port)
+    link.send(Heartbeat())
+    assert link.statistics.dropped == 1
+
+
+# --- versions and signatures ---------------------------------------------------------------------
+
+
+def test_a_vehicle_that_only_speaks_version_1_is_answered_in_it(
+    port: UdpTransport, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = WireLink(port)
+    clock = [100.0]
+    monkeypatch.setattr(link, "now", lambda: clock[0])
+    with closing(vehicle_at(port).transport) as transport:
+        (peer,) = transport.peers()
+
+        def spoken_version(written_in: int) -> int:
+            transport.write(FrameWriter(written_in).write(HEARTBEAT, 1, 1), peer)
+            while link.receive(0.0) is None:
+                port.wait(1.0)
+            link.send(RawImu())
+            while not (pieces := transport.read()):
+                transport.wait(1.0)
+            (frame,) = FrameParser(LinkStatistics()).feed(pieces[0][1])
+            return frame.version
+
+        assert spoken_version(1) == 2, "it may speak version 2 once it hears it"
+        clock[0] += 1.0
+        assert spoken_version(1) == 2
+        clock[0] += 4.0
+        assert spoken_version(1) == 1, "it had its chance"
+        assert spoken_version(2) == 2, "it changed its mind"
+        clock[0] += 10.0
+        assert spoken_version(1) == 2, "it can speak version 2"
+
+
+def test_with_a_key_both_sides_must_have_it(port: UdpTransport) -> None:
+    key = bytes(range(32))
+    link = WireLink(port, signing=Signing(key))
+    with closing(vehicle_at(port).transport) as transport:
+        (peer,) = transport.peers()
+        transport.write(FrameWriter().write(HEARTBEAT, 1, 1), peer)
+        assert link.receive(0.1) is None and link.statistics.malformed == 1
+        transport.write(FrameWriter(signing=Signing(key, link_id=1)).write(HEARTBEAT, 1, 1), peer)
+        assert link.receive(1.0) is not None
+        link.send(ParamSet(1, 1, "A", 1.0))
+        while not (pieces := transport.read()):
+            transport.wait(1.0)
+        parser = FrameParser(LinkStatistics(), Signing(key))
+        assert len(parser.feed(pieces[0][1])) == 1
+
+
+# --- what is lost --------------------------------------------------------------------------------
+
+
+def test_losses_are_counted_by_sequence_numbers(port: UdpTransport) -> None:
+    link = WireLink(port)
+    with closing(vehicle_at(port).transport) as transport:
+        (peer,) = transport.peers()
+        writer = FrameWriter()
+        frames = [writer.write(NamedValueFloat(i, "n", 0.0), 1, 1) for i in range(40)]
+        order = [*range(10), 14, 13, 15, 15, *range(16, 40)]
+        for i in order:
+            transport.write(frames[i], peer)
+        assert sum(1 for _ in order if link.receive(1.0) is not None) == len(order)
+    statistics = link.statistics.sources[1, 1]
+    assert (statistics.received, statistics.lost, statistics.late) == (len(order), 4, 2)
+    assert link.statistics.lost == 4
+
+
+def test_a_restarted_sender_is_not_a_loss() -> None:
+    statistics = SourceStatistics()
+    for sequence in [*range(100), *range(10)]:
+        statistics.count(sequence)
+    assert (statistics.lost, statistics.received) == (0, 110)
+
+
+# --- connections that are refused or break -------------------------------------------------------
+
+
+def free_port() -> int:
+    transport = open_transport(TcpIn("127.0.0.1", 0))
+    transport.close()
+    return int(transport.name.rpartition(":")[2])
+
+
+def test_a_refused_connection_is_no_vehicle() -> None:
+    with pytest.raises(NoVehicle, match="refused") as caught:
+        open_link(Tcp("127.0.0.1", free_port()), reconnect=Reconnect(first_s=0.0))
+    assert caught.value.exit_code == 3 and "running" in caught.value.remedy
+
+
+def test_a_server_that_starts_a_moment_later_is_waited_for() -> None:
+    number = free_port()
+    servers = []
+    timer = threading.Timer(0.2, lambda: servers.append(open_transport(TcpIn("127.0.0.1", number))))
+    timer.start()
+    with open_link(Tcp("127.0.0.1", number), reconnect=Reconnect(first_s=3.0, every_s=0.02)):
+        timer.join()
+    servers[0].close()
+
+
+def test_a_broken_tcp_connection_is_opened_again() -> None:
+    server = open_transport(TcpIn("127.0.0.1", 0))
+    number = int(server.name.rpartition(":")[2])
+    with (
+        closing(server),
+        open_link(Tcp("127.0.0.1", number), reconnect=Reconnect(again_s=5.0, every_s=0.02)) as link,
+    ):
+        far = WireEnd(server)
+        for _ in range(3):
+            while not server.peers():
+                far.heard(0)
+                link.receive(0.02)
+            far.say(HEARTBEAT)
+            assert link.receive(2.0) is not None
+            server.hang_up()
+
+
+def test_a_usb_port_that_vanishes_and_comes_back_is_opened_again(tmp_path: Path) -> None:
+    device = tmp_path / "ttyACM0"
+    masters = []
+
+    def plug_in() -> None:
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        device.unlink(missing_ok=True)
+        device.symlink_to(os.ttyname(slave))
+        masters.append((master, slave))
+
+    plug_in()
+    frame = FrameWriter().write(HEARTBEAT, 1, 1)
+    with open_link(Serial(str(device)), reconnect=Reconnect(again_s=5.0, every_s=0.02)) as link:
+        os.write(masters[0][0], frame)
+        assert link.receive(1.0) is not None
+        os.close(masters[0][1])
+        os.close(masters[0][0])
+        device.unlink()
+        assert link.receive(0.1) is None
+        link.send(Heartbeat())
+        assert link.statistics.dropped == 1
+        plug_in()
+        link.receive(0.1)
+        os.write(masters[1][0], frame)
+        assert link.receive(2.0) is not None
+    for file in masters[1]:
+        os.close(file)
+
+
+def test_a_serial_port_that_is_not_there_is_no_vehicle() -> None:
+    with pytest.raises(NoVehicle, match="No such file") as caught:
+        open_link(Serial("/dev/ttyNOPE"), reconnect=Reconnect(first_s=0.0))
+    assert "dialout" in caught.value.remedy
+
+
+def test_a_port_in_use_is_told() -> None:
+    with closing(open_transport(UdpIn("127.0.0.1", 0))) as taken:
+        number = int(taken.name.rpartition(":")[2])
+        with pytest.raises(UsageError, match="cannot be listened on") as caught:
+            open_link(UdpIn("127.0.0.1", number))
+    assert caught.value.remedy
+
+
+def test_an_unknown_host_is_told() -> None:
+    with pytest.raises(UsageError, match="not known"):
+        open_link(UdpOut("no-such-host.invalid", 14550))
+
+
+def test_serial_without_pyserial_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "serial", None)
+    with pytest.raises(UsageError, match="pip install"):
+        open_link(Serial("/dev/ttyACM0"))
+
+
+def test_a_peer_that_does_not_read_costs_only_its_own_messages() -> None:
+    server = open_transport(TcpIn("127.0.0.1", 0))
+    number = int(server.name.rpartition(":")[2])
+    with closing(server), closing(open_transport(Tcp("127.0.0.1", number), QUICK)):
+        while not server.peers():
+            server.wait(0.1)
+            server.read()
+        link = WireLink(server)
+        start_s = time.monotonic()
+        frames = 0
+        while not link.statistics.dropped and frames < 500_000:
+            link.send(NamedValueFloat(1, "n", 1.0))
+            frames += 1
+        assert link.statistics.dropped == 1
+        assert frames * 20 > SEND_BUFFER_BYTES
+        assert time.monotonic() - start_s < 20.0
+
+
+def test_a_link_that_was_closed_says_so() -> None:
+    link = open_link(UdpIn("127.0.0.1", 0))
+    link.close()
+    with pytest.raises(LinkLost, match="closed"):
+        link.receive(0.0)

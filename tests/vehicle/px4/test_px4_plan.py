@@ -1,0 +1,125 @@
+"""What a write would do to a PX4 vehicle: other sign, other unit, the sensor's own axes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from parameter_vehicle import px4_parameters
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.errors import Refused
+from mavcompass.frames import sensor_orientation_matrix
+from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.px4.plan import instance_of
+
+DIALECT = make_dialect("px4")
+GOOD = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0), (0.02, -0.01, 0.005), 1.02)
+
+finite_corrections = st.builds(
+    FieldCorrection,
+    st.tuples(*[st.floats(-700, 700)] * 3),
+    st.tuples(*[st.floats(0.6, 1.6)] * 3),
+    st.tuples(*[st.floats(-0.2, 0.2)] * 3),
+    st.floats(0.7, 1.4),
+)
+
+
+def test_offsets_are_gauss_with_the_other_sign() -> None:
+    planned = DIALECT.plan(px4_parameters(), {1: GOOD})
+    new = {c.name: c.new for c in planned.changes}
+    assert (new["CAL_MAG0_XOFF"], new["CAL_MAG0_YOFF"], new["CAL_MAG0_ZOFF"]) == (-0.12, 0.08, -0.04)
+    assert new["CAL_MAG0_XSCALE"] == pytest.approx(1.1 * 1.02)
+
+
+@given(finite_corrections, st.integers(1, 2), st.integers(-1, 43), st.integers(0, 7))
+def test_what_is_planned_is_what_will_be_in_force(
+    correction: FieldCorrection, instance: int, mounting: int, board: int
+) -> None:
+    rotations = {f"CAL_MAG{instance - 1}_ROT": float(mounting), "SENS_BOARD_ROT": float(board)}
+    try:
+        sensor_orientation_matrix(max(mounting, 0))
+    except KeyError:
+        return  # no such mounting
+    held = px4_parameters(**rotations)
+    planned = DIALECT.plan(held, {instance: correction})
+    assert not [r for r in planned.refusals if "outside" not in r]
+    new = DIALECT.correction(held | {c.name: c.new for c in planned.changes}, instance)
+    assert new.offsets_mgauss == pytest.approx(correction.offsets_mgauss, rel=1e-6, abs=2e-3)
+    assert new.matrix == pytest.approx(correction.matrix, rel=1e-6, abs=3e-6)
+    assert {instance_of(c.name) for c in planned.changes} <= {instance}
+
+
+@given(finite_corrections, st.sampled_from([-1, 0, 1, 4, 12, 25]))
+def test_the_correction_in_force_changes_nothing_when_planned_again(
+    correction: FieldCorrection, mounting: int
+) -> None:
+    held = px4_parameters(CAL_MAG0_ROT=float(mounting))
+    held |= {c.name: c.new for c in DIALECT.plan(held, {1: correction}).changes}
+    assert DIALECT.plan(held, {1: DIALECT.correction(held, 1)}).changes == ()
+
+
+def test_an_internal_compass_turns_with_the_board() -> None:
+    raw_body = sensor_orientation_matrix(2) @ np.array([0.1, 0.2, 0.3]) * 1000.0
+    held = px4_parameters(SENS_BOARD_ROT=2.0, CAL_MAG0_XOFF=0.1, CAL_MAG0_YOFF=0.2, CAL_MAG0_ZOFF=0.3)
+    assert DIALECT.correction(held, 1).apply(raw_body) == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_a_slot_without_a_device_id_is_refused() -> None:
+    assert DIALECT.instances(px4_parameters()) == (1, 2)
+    (refusal,) = DIALECT.plan(px4_parameters(), {3: GOOD}).refusals
+    assert "CAL_MAG2_ID holds no device id" in refusal
+
+
+def test_a_custom_mounting_angle_is_refused() -> None:
+    held = px4_parameters(CAL_MAG0_ROT=100.0)
+    assert any("custom angle" in refusal for refusal in DIALECT.plan(held, {1: GOOD}).refusals)
+    with pytest.raises(Refused, match="custom angle"):
+        DIALECT.correction(held, 1)
+
+
+def test_what_px4_would_not_use_is_refused() -> None:
+    for bad in (
+        replace(GOOD, offsets_mgauss=(1300.0, 400.0, 0.0)),
+        replace(GOOD, diagonals=(3.5, 1.0, 1.0)),
+        replace(GOOD, offsets_mgauss=(math.nan, 0.0, 0.0)),
+        replace(GOOD, off_diagonals=(0.9, 0.9, -0.9)),
+    ):
+        assert DIALECT.plan(px4_parameters(), {1: bad}).refusals
+
+
+def test_zero_offsets_are_an_ordinary_value() -> None:
+    planned = DIALECT.plan(px4_parameters(), {1: FieldCorrection()})
+    assert not planned.refusals
+    assert {c.new for c in planned.changes if c.name.endswith("OFF")} == {0.0}
+
+
+def test_what_a_person_should_know_is_said() -> None:
+    def remarks(correction: FieldCorrection = GOOD, **parameters: float) -> str:
+        return " ".join(DIALECT.plan(px4_parameters(**parameters), {1: correction}).remarks)
+
+    assert "switched off" in remarks(CAL_MAG0_PRIO=0.0)
+    assert "SENS_MAG_AUTOCAL" in remarks(SENS_MAG_AUTOCAL=1.0)
+    assert "next start" in remarks(FieldCorrection((-20.5, 130.0, -70.0)))
+    assert "motor term" in remarks(replace(GOOD, motor_mgauss=(3.0, 0.0, 0.0), motor_source="current"))
+    assert remarks() == ""
+
+
+def test_the_motor_term_in_force_stays_without_a_remark() -> None:
+    held = px4_parameters(CAL_MAG_COMP_TYP=2.0, CAL_MAG0_XCOMP=-0.01)
+    motor = DIALECT.correction(held, 1)
+    wanted = replace(motor, offsets_mgauss=(50.0, 60.0, 70.0))
+    planned = DIALECT.plan(held, {1: wanted})
+    assert planned.remarks == ()
+    new = DIALECT.correction(held | {c.name: c.new for c in planned.changes}, 1)
+    assert new.motor_mgauss == pytest.approx(wanted.motor_mgauss)
+
+
+def test_device_ids_are_not_written() -> None:
+    assert "firmware's own" in DIALECT.plan_values(px4_parameters(), {"CAL_MAG0_ID": 1.0}).refusals[0]
+    planned = DIALECT.plan_values(px4_parameters(), {"CAL_MAG0_PRIO": 75.0})
+    assert [c.name for c in planned.changes] == ["CAL_MAG0_PRIO"] and not planned.refusals
