@@ -1,20 +1,23 @@
-"""Arrows between the rooms of mavcompass point one way.
+"""Arrows between the rooms of mavcompass point one way, and so do those between the rooms within a room.
 
 The table is the one of CONTRIBUTING.md. import-linter judges it, on a contract made from those rooms that
-exist. A module or package that the table does not name belongs to the ground floor.
+exist. A module or package that the table does not name belongs to the ground floor. An import that only
+type checkers see is an arrow like any other.
 """
 
 from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import grimp
 import pytest
 from importlinter.cli import lint_imports
+
+import mavcompass
 
 MAY_IMPORT = {  # each also its own files and the ground floor
     "heading": set(),
@@ -25,11 +28,27 @@ MAY_IMPORT = {  # each also its own files and the ground floor
     "vehicle": {"heading", "calibration", "simulation", "gap", "procedure"},
     "logs": set(),
 }
+# What lives in a room, from the top down: a row may import the rows below it, and nothing of its own row.
+# A folder of one of these rooms holds about a dozen modules, and no module of them takes part in a circle.
+ROWS = {
+    "vehicle": [
+        {"connection", "heading_stream", "session"},
+        {"calibrating"},
+        {"opening", "dialects", "driver"},
+        {"replay", "ardupilot", "px4"},
+        {"links"},
+        {"wire", "transport", "parameters"},
+        {"link", "stopping"},
+    ],
+}
+MODULES_IN_A_FOLDER = 13
 MAY_IMPORT_EVERYTHING = {"service", "report", "cli", "fleet", "plot", "api", "__main__"}
 
 THIRD_PARTIES_OF_THE_GROUND_FLOOR = {"numpy", "scipy", "pygeomag"}
 WITHOUT_MAVLINK = {"heading", "calibration", "simulation", "gap", "procedure"}
 MAVLINK = {"pymavlink", "mavsdk"}
+
+FOR_TYPES_ONLY = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    "
 
 
 def graph_of(package: str) -> grimp.ImportGraph:
@@ -75,6 +94,43 @@ def broken_arrows(package: str, tmp_path: Path) -> bool:
         return lint_imports(config_filename=str(file), no_cache=True) != 0
 
 
+def broken_rows(room: str, rows: list[set[str]], tmp_path: Path) -> bool:
+    """Tell whether an arrow within a room (a dotted name) points up or aside, or a row lacks a name."""
+    settings = [
+        "[importlinter]",
+        f"root_package = {room.split('.')[0]}",
+        "[importlinter:contract:rows]",
+        f"name = Within {room}, arrows point down",
+        "type = layers",
+        f"containers = {room}",
+        "exhaustive = True",
+        "layers =",
+        *("    " + " | ".join(sorted(row)) for row in rows),
+    ]
+    file = tmp_path / "importlinter.ini"
+    file.write_text("\n".join(settings))
+    with loggers_left_alone():
+        return lint_imports(config_filename=str(file), no_cache=True) != 0
+
+
+def circles(room: str) -> list[tuple[str, ...]]:
+    """List the sets of modules of a room (a dotted name) that import each other in a loop."""
+    graph = grimp.build_graph(room.split(".")[0], cache_dir=None)
+    inside = {room} | graph.find_descendants(room)
+    reached = {module: graph.find_upstream_modules(module) & inside for module in inside}
+    knots = {module: {other for other in reached[module] if module in reached[other]} for module in inside}
+    return sorted(set(tuple(sorted({module} | knot)) for module, knot in knots.items() if knot))
+
+
+def crowded_folders(folder: Path) -> list[str]:
+    folders = [folder, *(path for path in folder.rglob("*") if path.is_dir())]
+    return [
+        f"{path.name}: {number} modules"
+        for path in folders
+        if (number := len(list(path.glob("*.py"))) - 1) > MODULES_IN_A_FOLDER
+    ]
+
+
 @contextmanager
 def loggers_left_alone() -> Iterator[None]:
     """The linter sets up logging for a program of its own, which switches every other logger off."""
@@ -103,6 +159,23 @@ def test_every_arrow_points_the_way_of_the_table(tmp_path: Path, capsys: pytest.
     assert not broken_arrows("mavcompass", tmp_path), capsys.readouterr().out
 
 
+@pytest.mark.parametrize("room", ROWS)
+def test_within_a_room_arrows_point_down(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], room: str
+) -> None:
+    assert not broken_rows(f"mavcompass.{room}", ROWS[room], tmp_path), capsys.readouterr().out
+
+
+@pytest.mark.parametrize("room", ROWS)
+def test_no_modules_import_each_other_in_a_circle(room: str) -> None:
+    assert circles(f"mavcompass.{room}") == []
+
+
+@pytest.mark.parametrize("room", ROWS)
+def test_a_folder_holds_about_a_dozen_modules(room: str) -> None:
+    assert crowded_folders(Path(mavcompass.__file__).parent / room) == []
+
+
 def test_the_ground_floor_needs_only_numpy_scipy_and_pygeomag() -> None:
     assert strangers_on_the_ground_floor("mavcompass") == set()
 
@@ -124,18 +197,69 @@ def test_the_ground_floor_needs_only_numpy_scipy_and_pygeomag() -> None:
 def test_the_check_itself_sees_a_wrong_arrow(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, code: str, allowed: bool
 ) -> None:
-    house = tmp_path / "house"
-    for name in ("heading/tilt", "calibration/sphere", "logs/tlog", "api", "units"):
+    names = ("heading/tilt", "calibration/sphere", "logs/tlog", "api", "units")
+    with built("house", names, tmp_path, monkeypatch) as house:
+        (house / file).write_text(code)
+        assert broken_arrows("house", tmp_path) is not allowed
+
+
+@pytest.mark.parametrize(
+    ("file", "code", "allowed"),
+    [
+        ("cellar.py", "", True),
+        ("attic/roof.py", "from barn.hall import door", True),
+        ("hall/door.py", "import barn.attic", False),
+        ("hall/door.py", "from barn import yard", False),
+        ("cellar.py", "def late():\n    from barn.hall import door", False),
+        (
+            "cellar.py",
+            "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import barn.hall.door",
+            False,
+        ),
+        ("shed.py", "", False),  # which the rows do not name
+    ],
+)
+def test_the_check_of_rows_sees_an_arrow_up_and_one_aside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, code: str, allowed: bool
+) -> None:
+    with built("barn", ("attic/roof", "hall/door", "yard/well", "cellar"), tmp_path, monkeypatch) as barn:
+        (barn / file).write_text(code)
+        assert broken_rows("barn", [{"attic"}, {"hall", "yard"}, {"cellar"}], tmp_path) is not allowed
+
+
+def test_the_check_of_circles_sees_one_of_types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with built("mill", ("wheel", "stone", "sack"), tmp_path, monkeypatch) as mill:
+        (mill / "wheel.py").write_text("from mill import stone")
+        assert circles("mill") == []
+        (mill / "stone.py").write_text(f"{FOR_TYPES_ONLY}from mill.wheel import turn")
+        assert circles("mill") == [("mill.stone", "mill.wheel")]
+
+
+def test_the_check_of_folders_sees_a_crowd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    beds = [f"hall/bed_{number}" for number in range(MODULES_IN_A_FOLDER)]
+    with built("inn", beds, tmp_path, monkeypatch) as inn:
+        assert crowded_folders(inn) == []
+        (inn / "hall" / "bed_in_the_corridor.py").touch()
+        assert crowded_folders(inn) == [f"hall: {MODULES_IN_A_FOLDER + 1} modules"]
+
+
+@contextmanager
+def built(
+    package: str, modules: Sequence[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Path]:
+    """Stand a package of empty modules (paths) where it can be imported from."""
+    house = tmp_path / package
+    for name in modules:
         path = house / f"{name}.py"
         path.parent.mkdir(parents=True, exist_ok=True)
         (path.parent / "__init__.py").touch()
         path.touch()
-    (house / file).write_text(code)
+    (house / "__init__.py").touch()
     monkeypatch.syspath_prepend(str(tmp_path))
     try:
-        assert broken_arrows("house", tmp_path) is not allowed
+        yield house
     finally:
-        for module in [name for name in sys.modules if name.split(".")[0] == "house"]:
+        for module in [name for name in sys.modules if name.split(".")[0] == package]:
             del sys.modules[module]
 
 
