@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from mavcompass.cli.terminal import LiveShow
+from mavcompass.cli.terminal.show import LiveShow
 from mavcompass.procedure.script import Show
 
 

@@ -8,29 +8,29 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mavcompass.calibration.calibrate import calibrate_compasses as calibrate_compasses
     from mavcompass.calibration.calibrate import calibrate_track as calibrate_track
-    from mavcompass.calibration.four_positions import FourPositionsResult as FourPositionsResult
-    from mavcompass.calibration.four_positions import solve_four_positions as solve_four_positions
-    from mavcompass.calibration.judged_positions import calibrate_positions as calibrate_positions
+    from mavcompass.calibration.methods import calibrate_positions as calibrate_positions
     from mavcompass.calibration.observation import Dwell as Dwell
     from mavcompass.calibration.observation import FourPositionData as FourPositionData
     from mavcompass.calibration.observation import Step as Step
+    from mavcompass.calibration.observation import StillnessDetector as StillnessDetector
+    from mavcompass.calibration.observation import assemble as assemble
     from mavcompass.calibration.observation import dwell_between as dwell_between
+    from mavcompass.calibration.observation import find_dwells as find_dwells
+    from mavcompass.calibration.observation import observe as observe
     from mavcompass.calibration.observation import step_between as step_between
+    from mavcompass.calibration.observation import turns_between as turns_between
+    from mavcompass.calibration.positions import FourPositionsResult as FourPositionsResult
+    from mavcompass.calibration.positions import solve_four_positions as solve_four_positions
     from mavcompass.calibration.result import METHODS as METHODS
     from mavcompass.calibration.result import CalibrationResult as CalibrationResult
-    from mavcompass.calibration.stillness import StillnessDetector as StillnessDetector
-    from mavcompass.calibration.stillness import assemble as assemble
-    from mavcompass.calibration.stillness import find_dwells as find_dwells
-    from mavcompass.calibration.stillness import observe as observe
-    from mavcompass.calibration.stillness import turns_between as turns_between
     from mavcompass.calibration.verdict import Limits as Limits
 
 _PUBLIC = {
     "calibrate_compasses": "calibrate",
-    "calibrate_positions": "judged_positions",
+    "calibrate_positions": "methods",
     "calibrate_track": "calibrate",
-    "FourPositionsResult": "four_positions",
-    "solve_four_positions": "four_positions",
+    "FourPositionsResult": "positions",
+    "solve_four_positions": "positions",
     "Dwell": "observation",
     "FourPositionData": "observation",
     "Step": "observation",
@@ -38,11 +38,11 @@ _PUBLIC = {
     "step_between": "observation",
     "METHODS": "result",
     "CalibrationResult": "result",
-    "StillnessDetector": "stillness",
-    "assemble": "stillness",
-    "find_dwells": "stillness",
-    "observe": "stillness",
-    "turns_between": "stillness",
+    "StillnessDetector": "observation",
+    "assemble": "observation",
+    "find_dwells": "observation",
+    "observe": "observation",
+    "turns_between": "observation",
     "Limits": "verdict",
 }
 

@@ -8,12 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.calibration.judged_positions import calibrate_positions, in_force_of
-from mavcompass.calibration.observation import FourPositionData, dwell_between
-from mavcompass.calibration.position_problem import DEFAULT_PRIOR, IronPrior
+from mavcompass.calibration.methods import calibrate_positions, in_force_of
+from mavcompass.calibration.observation import FourPositionData, assemble, dwell_between, observe, turn_record
+from mavcompass.calibration.positions import DEFAULT_PRIOR, IronPrior
 from mavcompass.calibration.result import METHODS, CalibrationResult
-from mavcompass.calibration.stillness import assemble, observe
-from mavcompass.calibration.turning import turn_record
 from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits
 from mavcompass.compass_parameters import (
     ardupilot_naming,
@@ -74,7 +72,7 @@ def calibrate_track(
             _references(track, data, instance),
         )
     else:
-        from mavcompass.calibration.other_methods import calibrate_otherwise
+        from mavcompass.calibration.methods import calibrate_otherwise
 
         result = calibrate_otherwise(track, method, instance, limits, world, prior)
     return with_parameters(result, track)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.calibration.four_positions import WIDENED_BELOW, FourPositionsResult
 from mavcompass.calibration.model import GAIN, HORIZONTAL
 from mavcompass.calibration.observation import Dwell, FourPositionData
+from mavcompass.calibration.positions import WIDENED_BELOW, FourPositionsResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi

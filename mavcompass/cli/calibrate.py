@@ -165,8 +165,8 @@ def command(
     import math
 
     from mavcompass.procedure.calibrate import CalibrateSettings
+    from mavcompass.procedure.motion import Permissions
     from mavcompass.procedure.positions import DwellSettings
-    from mavcompass.procedure.readiness import Permissions
 
     settings = CalibrateSettings(
         instances=instances,
@@ -276,8 +276,8 @@ def _live(
     report_file: Path | None,
     output: Output,
 ) -> int:
-    from mavcompass.cli.speech import speaking
-    from mavcompass.cli.terminal import ask_on_terminal, showing
+    from mavcompass.cli.terminal.show import ask_on_terminal, showing
+    from mavcompass.cli.terminal.speech import speaking
     from mavcompass.report.document import live_document, refused_document
     from mavcompass.vehicle.calibrating import calibrate_on
 

@@ -62,7 +62,7 @@ def command(
     mavcompass check udpin:0.0.0.0:14550 --turn none --json check.json
     """
     from mavcompass.cli.calibrate import open_source
-    from mavcompass.cli.terminal import showing
+    from mavcompass.cli.terminal.show import showing
     from mavcompass.procedure.check import CheckSettings
     from mavcompass.vehicle.transport.address import parse_address
 
@@ -126,7 +126,7 @@ def _calibrate(link: Link, source: str, system: int | None, output: Output) -> i
     """Offer the calibration and run it where the person says yes; its exit code is ours."""
     if not click.confirm("Calibrate now? The vehicle will turn.", err=True):
         return NOT_FIT
-    from mavcompass.cli.terminal import ask_on_terminal, showing
+    from mavcompass.cli.terminal.show import ask_on_terminal, showing
     from mavcompass.procedure.calibrate import CalibrateSettings
     from mavcompass.report.calibration import write_report
     from mavcompass.vehicle.calibrating import calibrate_on

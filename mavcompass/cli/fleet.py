@@ -14,7 +14,7 @@ from mavcompass.cli.calibrate import METHODS, chosen_instances
 from mavcompass.cli.gap import REFERENCES
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
-from mavcompass.cli.terminal import is_live
+from mavcompass.cli.terminal.show import is_live
 
 if TYPE_CHECKING:
     from mavcompass.fleet.examine import Job, Row

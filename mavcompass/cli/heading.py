@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcompass.cli.dial import dial
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options, to_json
+from mavcompass.cli.terminal.dial import dial
 from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:

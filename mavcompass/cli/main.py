@@ -1,6 +1,6 @@
 """Find the command, run it, and turn what went wrong into one sentence and an exit code.
 
-A command is a file of this folder, named after it, with a click command called `command`. Only the one that
+A command is a file or folder here, named after it, with a click command called `command`. Only the one that
 is asked for is imported: `mavcompass --help` and `--version` load nothing but click.
 """
 
@@ -11,7 +11,6 @@ import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import TextIO
 
 import click
@@ -44,7 +43,7 @@ class LazyCommands(click.Group):
     """Import a command when it is called, not when it is listed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [name for name in COMMANDS if Path(__file__).with_name(f"{name}.py").is_file()]
+        return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in self.list_commands(ctx):
@@ -54,9 +53,8 @@ class LazyCommands(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        if rows := [(name, COMMANDS[name]) for name in self.list_commands(ctx)]:
-            with formatter.section("Commands"):
-                formatter.write_dl(rows)
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, COMMANDS[name]) for name in self.list_commands(ctx)])
 
     def invoke(self, ctx: click.Context) -> object:
         try:

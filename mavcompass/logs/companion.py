@@ -12,8 +12,8 @@ from pathlib import Path
 
 from mavcompass.compass_parameters import ardupilot_name
 from mavcompass.errors import MavCompassError
-from mavcompass.logs.dataflash import read_parameters
-from mavcompass.logs.parameter_steps import Change, ardupilot_steps
+from mavcompass.logs.common import Change, ardupilot_steps
+from mavcompass.logs.formats.dataflash.reader import read_parameters
 from mavcompass.track import MagSeries, Track
 
 _SUFFIXES = (".bin", ".log")

@@ -49,18 +49,18 @@ def read_tracks(path: str | Path) -> dict[int, Track]:
 def _read(path: Path, kind: str) -> dict[int, Track]:
     if kind == "tlog":
         from mavcompass.logs.companion import complete
-        from mavcompass.logs.tlog import read_tlog
+        from mavcompass.logs.formats.tlog.reader import read_tlog
 
         return {system: complete(track, path) for system, track in read_tlog(path).items()}
     if kind == "ulog":
-        from mavcompass.logs.ulog import read_ulog
+        from mavcompass.logs.formats.ulog.reader import read_ulog
 
         return {1: read_ulog(path)}
     if kind == "csv":
-        from mavcompass.logs.track_csv import read_track_csv
+        from mavcompass.logs.formats.csv.track_csv import read_track_csv
 
         return {1: read_track_csv(path)}
-    from mavcompass.logs.dataflash import read_dataflash
+    from mavcompass.logs.formats.dataflash.reader import read_dataflash
 
     return {1: read_dataflash(path, text=kind == "dataflash text")}
 

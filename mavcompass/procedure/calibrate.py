@@ -19,15 +19,20 @@ from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkError, LinkLost, Refused, WriteFailed
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.dialect import Dialect, ParameterPlan, SaveUndo, WriteOutcome, describe_compasses
-from mavcompass.procedure.gyro_angle import GyroAngle
-from mavcompass.procedure.hand import HandMover
-from mavcompass.procedure.mobility import Mobility, Motion, Wishes
-from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Window, dwell, visit
-from mavcompass.procedure.proof import Proof, prove
-from mavcompass.procedure.readiness import Permissions
-from mavcompass.procedure.safety import SafetyLimits
+from mavcompass.procedure.motion import Mobility, Motion, Permissions, SafetyLimits, Wishes
+from mavcompass.procedure.positions import (
+    DwellSettings,
+    HandMover,
+    Mover,
+    Proof,
+    Rest,
+    Window,
+    dwell,
+    prove,
+    visit,
+)
 from mavcompass.procedure.script import Context, Script, ask
-from mavcompass.procedure.turning import TurnBy
+from mavcompass.procedure.turning import GyroAngle, TurnBy
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
 from mavcompass.track import Track
 from mavcompass.track_builder import TrackBuilder
@@ -190,7 +195,7 @@ def _wanted_rates(
     wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime), 2.0)
     if identity.kind == "copter":
         # What hovers sways and shakes: its tilt is told by the receiver's velocity and by as many readings
-        # as there are, see `calibration.sway`.
+        # as there are, see `calibration.observation.sway`.
         wanted[mav.GpsRawInt] = 5.0
         wanted[kinds[1]] = 2.0 * rate_hz
     if px4:

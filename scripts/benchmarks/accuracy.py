@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.wire import effective_count
+from mavcompass.calibration.observation.wire import effective_count
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import matrix_to_euler, quaternion_to_matrix, wrap_pi
 from mavcompass.logs import read_track

@@ -97,8 +97,8 @@ def show(what: str, path: Path, messages: int, seconds: dict[str, float]) -> dic
 def measure_tlog(path: Path) -> dict[str, Any]:
     from pymavlink import mavutil
 
-    from mavcompass.logs.tlog import WANTED, read_tlog
-    from mavcompass.logs.tlog_messages import read_messages
+    from mavcompass.logs.formats.tlog.messages import read_messages
+    from mavcompass.logs.formats.tlog.reader import WANTED, read_tlog
 
     def theirs(types: list[str] | None) -> None:
         log = mavutil.mavlink_connection(str(path))
@@ -119,8 +119,8 @@ def measure_tlog(path: Path) -> dict[str, Any]:
 def measure_dataflash(path: Path) -> dict[str, Any]:
     from pymavlink import DFReader
 
-    from mavcompass.logs.dataflash import WANTED, read_dataflash
-    from mavcompass.logs.dataflash_records import read_records
+    from mavcompass.logs.formats.dataflash.reader import WANTED, read_dataflash
+    from mavcompass.logs.formats.dataflash.records import read_records
 
     def theirs(types: list[str] | None) -> None:
         log = DFReader.DFReader_binary(str(path))
@@ -141,7 +141,7 @@ def measure_dataflash(path: Path) -> dict[str, Any]:
 def measure_ulog(path: Path) -> dict[str, Any]:
     from pyulog import ULog
 
-    from mavcompass.logs.ulog import read_ulog
+    from mavcompass.logs.formats.ulog.reader import read_ulog
 
     messages = sum(len(data.data["timestamp"]) for data in ULog(str(path)).data_list)
     seconds = {

@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mavcompass.calibration.four_positions import FourPositionsResult, solve_four_positions
+from mavcompass.calibration.methods.textbook import four_positions_textbook
 from mavcompass.calibration.model import level_to_body
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
-from mavcompass.calibration.textbook import four_positions_textbook
+from mavcompass.calibration.observation.wire import unquantise
+from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions
 from mavcompass.calibration.verdict import judge
-from mavcompass.calibration.wire import unquantise
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, wrap_pi

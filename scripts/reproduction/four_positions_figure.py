@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.textbook import four_positions_textbook, min_max
+from mavcompass.calibration.methods.textbook import four_positions_textbook, min_max
 from mavcompass.frames import wrap_pi
 
 Array = NDArray[np.float64]
@@ -46,11 +46,9 @@ def real(out: Path, data: Path) -> dict[str, Any]:
 
 def _level_turn(recording: Path) -> tuple[Array, Array]:
     """Return one value of X and Y per degree of gyro angle over the two turns, and the angles."""
-    from mavcompass.calibration.four_positions import solve_four_positions
     from mavcompass.calibration.model import GYRO_BIAS, GYRO_SCALE
-    from mavcompass.calibration.observation import FourPositionData
-    from mavcompass.calibration.stillness import observe
-    from mavcompass.calibration.turning import turn_record
+    from mavcompass.calibration.observation import FourPositionData, observe, turn_record
+    from mavcompass.calibration.positions import solve_four_positions
     from mavcompass.logs import read_track
 
     track = read_track(recording)

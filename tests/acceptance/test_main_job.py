@@ -11,7 +11,7 @@ import pytest
 
 from mavcompass.api import read_track
 from mavcompass.calibration import calibrate_track
-from mavcompass.calibration.stillness import find_dwells
+from mavcompass.calibration.observation import find_dwells
 from mavcompass.cli.main import main
 from mavcompass.frames import matrix_to_euler, quaternion_to_matrix, wrap_pi
 from mavcompass.heading import heading_of_track

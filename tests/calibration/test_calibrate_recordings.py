@@ -13,7 +13,7 @@ from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turnin
 
 from mavcompass.calibration import METHODS, calibrate_compasses, calibrate_track, find_dwells
 from mavcompass.calibration.model import GAIN, HORIZONTAL, OFFSET, gain_matrix, level_to_body
-from mavcompass.calibration.turning import turn_record
+from mavcompass.calibration.observation import turn_record
 from mavcompass.calibration.verdict import absurd_field
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from mavcompass.calibration import solve_four_positions
 from mavcompass.calibration.model import heading_gradient
-from mavcompass.calibration.position_fit import _evaluate
-from mavcompass.calibration.position_problem import DEFAULT_PRIOR, PositionProblem
+from mavcompass.calibration.positions import DEFAULT_PRIOR, PositionProblem
+from mavcompass.calibration.positions.fit import _evaluate
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import PoorCalibration
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.calibration.turning import turn_record
+from mavcompass.calibration.observation import turn_record
 from mavcompass.track import MagSeries, Series, Track
 
 RATE_HZ = 25.0

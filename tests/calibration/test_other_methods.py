@@ -13,19 +13,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.calibration import StillnessDetector, calibrate_positions
-from mavcompass.calibration.ellipsoid import align_to_gravity, fit_ellipsoid, fit_sphere
-from mavcompass.calibration.observability import next_pose
-from mavcompass.calibration.orientation import search_orientation
-from mavcompass.calibration.repeat import repeat_test
-from mavcompass.calibration.textbook import (
+from mavcompass.calibration.methods.ellipsoid import align_to_gravity, fit_ellipsoid, fit_sphere
+from mavcompass.calibration.methods.textbook import (
     four_positions_textbook,
     four_readings,
     min_max,
     sensitivity_bias,
     set_reset_offset,
 )
-from mavcompass.calibration.wire import effective_count, unquantise
-from mavcompass.calibration.world_field import fit_with_gyro_yaw, fit_world_field
+from mavcompass.calibration.methods.world_field import fit_with_gyro_yaw, fit_world_field
+from mavcompass.calibration.observation.wire import effective_count, unquantise
+from mavcompass.calibration.orientation import search_orientation
+from mavcompass.calibration.positions import next_pose, repeat_test
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import euler_to_matrix, rotate_back, sensor_orientation_matrix

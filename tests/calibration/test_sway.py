@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.calibration.sway import sway
-from mavcompass.calibration.tilt import tilt_during
+from mavcompass.calibration.observation.sway import sway
+from mavcompass.calibration.observation.tilt import tilt_during
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.physics.motion import rotation_matrix
 from mavcompass.track import Series, Track

@@ -13,7 +13,7 @@ from ulog_builder import ULogFile
 
 from mavcompass.errors import BadRecording
 from mavcompass.logs import read_track, write_track_csv
-from mavcompass.logs.tlog_messages import ALL_FIELDS, read_messages
+from mavcompass.logs.formats.tlog.messages import ALL_FIELDS, read_messages
 from mavcompass.track import Series, Track
 
 CHECKED = ("RAW_IMU", "ATTITUDE", "PARAM_VALUE", "SYS_STATUS", "SCALED_IMU2", "HEARTBEAT")

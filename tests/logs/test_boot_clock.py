@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavcompass.logs.boot_clock import BootClock, build_clock, impossible_times
-from mavcompass.logs.in_order import in_order
+from mavcompass.logs.common import BootClock, build_clock, impossible_times, in_order
 
 
 def clock(boot_s: np.ndarray, log_s: np.ndarray) -> BootClock:

@@ -12,9 +12,9 @@ from pymavlink import DFReader
 
 from mavcompass.errors import BadRecording
 from mavcompass.logs import read_track
-from mavcompass.logs.dataflash import WANTED
-from mavcompass.logs.dataflash_records import read_records
-from mavcompass.logs.dataflash_text import read_text_records
+from mavcompass.logs.formats.dataflash.reader import WANTED
+from mavcompass.logs.formats.dataflash.records import read_records
+from mavcompass.logs.formats.dataflash.text import read_text_records
 from mavcompass.units import RAD_PER_DEG
 
 LOGS = ("copter_dist_use2", "rover_dist", "rover_dist_use2", "rover_plain")

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.logs.motor_outputs import motor_outputs
-from mavcompass.logs.parameter_steps import Seen, ardupilot_steps, changes, px4_steps
+from mavcompass.logs.common import Seen, ardupilot_steps, changes, motor_outputs, px4_steps
 
 
 def test_the_first_value_held_before_it_was_seen() -> None:

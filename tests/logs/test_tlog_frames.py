@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from pymavlink import mavutil
 from recorded_frames import Recording, attitude, frame, heartbeat, parameter, raw_imu, sys_status
 
-from mavcompass.logs.mavlink_crc import checksums
-from mavcompass.logs.mavlink_layouts import layout, layouts
-from mavcompass.logs.tlog_messages import ALL_FIELDS, TlogContents, read_messages
+from mavcompass.logs.formats.tlog.checksum import checksums
+from mavcompass.logs.formats.tlog.layouts import layout, layouts
+from mavcompass.logs.formats.tlog.messages import ALL_FIELDS, TlogContents, read_messages
 
 TLOGS = (
     "ardupilot-4.6.3/copter_dist_use2.tlog",

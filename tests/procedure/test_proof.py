@@ -12,7 +12,7 @@ from bent_vehicles import bent_vehicle, calibrated
 from mavcompass.calibration import calibrate_track
 from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport
-from mavcompass.procedure.proof import Proof, prove
+from mavcompass.procedure.positions import Proof, prove
 from mavcompass.simulation.truth import heading_error_rms_deg
 
 

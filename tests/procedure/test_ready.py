@@ -12,7 +12,7 @@ from mavcompass.enums import MavCmd
 from mavcompass.errors import Refused
 from mavcompass.messages import CommandLong, Message
 from mavcompass.procedure.calibrate import CalibrateSettings
-from mavcompass.procedure.readiness import Permissions
+from mavcompass.procedure.motion import Permissions
 from mavcompass.simulation.truth import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.stopping import StopRequest

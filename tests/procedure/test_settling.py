@@ -8,9 +8,10 @@ import pytest
 
 from mavcompass import messages as mav
 from mavcompass.errors import LinkLost
-from mavcompass.procedure.gyro_angle import GyroAngle
-from mavcompass.procedure.positions import DwellSettings, Rest, VehicleMover, Window, dwell, wait_still
+from mavcompass.procedure.positions import DwellSettings, Rest, VehicleMover, Window, dwell
+from mavcompass.procedure.positions.visiting import wait_still
 from mavcompass.procedure.script import Context, Machine, Script, Show, Tick
+from mavcompass.procedure.turning import GyroAngle
 
 SETTINGS = DwellSettings(settle_s=0.3, patience_s=3.0, tilting_patience_s=9.0)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcompass.cli.speech import Speaker, find_speaker, speaking, spoken
+from mavcompass.cli.terminal.speech import Speaker, find_speaker, speaking, spoken
 from mavcompass.errors import UsageError
 from mavcompass.procedure.script import Show
 
@@ -25,7 +25,7 @@ def heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     program.write_text(f'#!/bin/sh\nprintf "%s\\n" "$*" >> "{said}"\n')
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}/usr/bin{os.pathsep}/bin")
-    monkeypatch.setattr("mavcompass.cli.speech.SPEAKERS", (("espeak-ng",),))
+    monkeypatch.setattr("mavcompass.cli.terminal.speech.SPEAKERS", (("espeak-ng",),))
     return said
 
 

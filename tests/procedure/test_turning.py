@@ -11,12 +11,10 @@ from bent_vehicles import bent_vehicle, perform
 from mavcompass import messages as mav
 from mavcompass.errors import Refused
 from mavcompass.procedure.commands import MessageRates
-from mavcompass.procedure.gyro_angle import GyroAngle
 from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper
 from mavcompass.procedure.positions import VehicleMover
 from mavcompass.procedure.script import Context, Script, pause
-from mavcompass.procedure.turning import TurnBy, TurnStrategy, strategies_for
-from mavcompass.procedure.turning_px4 import OffboardTurn
+from mavcompass.procedure.turning import GyroAngle, OffboardTurn, TurnBy, TurnStrategy, strategies_for
 from mavcompass.procedure.vehicle_state import VehicleState
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import GROUND_STATION, ONBOARD_COMPUTER

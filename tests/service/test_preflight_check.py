@@ -15,9 +15,8 @@ from mavcompass.cli.check import command
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
-from mavcompass.procedure import check_items as items
-from mavcompass.procedure.check import CheckReport, CheckSettings, check
-from mavcompass.procedure.check_items import Reading
+from mavcompass.procedure.check import CheckReport, CheckSettings, check, items
+from mavcompass.procedure.check.items import Reading
 from mavcompass.procedure.script import Machine
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect

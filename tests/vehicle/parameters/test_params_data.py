@@ -10,10 +10,9 @@ from parameter_vehicle import ardupilot_parameters
 
 from mavcompass.data_files import params_path
 from mavcompass.errors import MavCompassError
-from mavcompass.procedure import vehicle_profiles
-from mavcompass.procedure.safety import SafetyLimits
-from mavcompass.procedure.turning import SteeredTurn, strategies_for
-from mavcompass.procedure.vehicle_profiles import vehicle_profile
+from mavcompass.procedure.motion import SafetyLimits
+from mavcompass.procedure.turning import SteeredTurn, strategies_for, vehicle_profile
+from mavcompass.procedure.turning import profiles as vehicle_profiles
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameters import rules as parameter_rules
 from mavcompass.vehicle.parameters.files import read_parameter_file

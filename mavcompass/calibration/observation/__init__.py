@@ -1,0 +1,41 @@
+"""What a calibration by turning looks at: where the vehicle stood still, how tilted, how far it turned."""
+
+from __future__ import annotations
+
+from mavcompass.calibration.observation.dwells import (
+    Dwell,
+    FourPositionData,
+    Step,
+    correction_at,
+    dwell_between,
+    field_lag_s,
+    step_between,
+    uncorrected_field,
+)
+from mavcompass.calibration.observation.stillness import (
+    UNREST,
+    StillnessDetector,
+    assemble,
+    find_dwells,
+    observe,
+    turns_between,
+)
+from mavcompass.calibration.observation.turning import turn_record
+
+__all__ = [
+    "UNREST",
+    "Dwell",
+    "FourPositionData",
+    "Step",
+    "StillnessDetector",
+    "assemble",
+    "correction_at",
+    "dwell_between",
+    "field_lag_s",
+    "find_dwells",
+    "observe",
+    "step_between",
+    "turn_record",
+    "turns_between",
+    "uncorrected_field",
+]

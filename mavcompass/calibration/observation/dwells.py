@@ -1,0 +1,324 @@
+"""What a calibration by turning looks at: still positions and the turns between them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.calibration.observation.tilt import TILT_FLOOR_RAD, tilt_during
+from mavcompass.calibration.observation.turning import TurnRecord, turn_record
+from mavcompass.calibration.observation.wire import effective_count, unquantise
+from mavcompass.correction import FieldCorrection
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray
+from mavcompass.heading.gravity import down_in_body
+from mavcompass.track import MagSeries, Track
+
+# The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.
+ARDUPILOT_LAG_S = 0.09
+LAG_SIGMA_S = 0.03
+_OUTLIER_SIGMAS = 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dwell:
+    """Hold one still position of a vehicle.
+
+    A vehicle may hunt around its heading while it dwells. The average over a small swing is exact all
+    the same: the mean of exp(i angle) is `coherence` times exp(i `turned_rad`).
+
+    Attributes:
+        start_s, end_s: the stretch of the recording.
+        mean_mgauss: raw field in body axes, (3,): offsets, matrix and scale in force undone, motor
+            compensation left in, whole-number conversion taken back.
+        covariance_mgauss2: of that mean, (3, 3), by noise; repeated readings count once.
+        quantisation_mgauss2: of that mean, (3, 3), by the wire's whole numbers.
+        acc_mps2: mean specific force, (3,), nan where not recorded.
+        roll_rad, pitch_rad, tilt_sigma_rad: the tilt, and what is not known of it (each angle).
+        samples: fresh readings in the mean.
+        turned_rad: the gyro's angle about the vertical, counted from the recording's start; nan
+            without a gyro. turned_sigma_rad: by the field's lag behind the gyro.
+        coherence: 1 for perfect stillness, see above. swept_rad: the angles' range.
+        current_a: mean battery current, nan where not recorded.
+        unsteady_mgauss: how much the field wandered inside the dwell beyond noise and turning.
+        outliers: readings left out.
+    """
+
+    start_s: float
+    end_s: float
+    mean_mgauss: FloatArray
+    covariance_mgauss2: FloatArray
+    quantisation_mgauss2: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    acc_mps2: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    tilt_sigma_rad: float = TILT_FLOOR_RAD
+    samples: int = 1
+    turned_rad: float = math.nan
+    turned_sigma_rad: float = 0.0
+    coherence: float = 1.0
+    swept_rad: float = 0.0
+    current_a: float = math.nan
+    unsteady_mgauss: float = 0.0
+    outliers: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Hold one turn between two dwells: clockwise positive, sigma without the gyro's scale and bias."""
+
+    angle_rad: float
+    sigma_rad: float
+    duration_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FourPositionData:
+    """Hold what a four-position calibration works on: K dwells and the K - 1 turns between them.
+
+    Attributes:
+        gyro_scale_sigma: relative, common to all steps.
+        gyro_bias_sigma_radps: of the rate, common to all steps, in proportion to their duration.
+        source: the recording's name, for messages.
+    """
+
+    dwells: tuple[Dwell, ...]
+    steps: tuple[Step, ...]
+    gyro_scale_sigma: float = 0.01
+    gyro_bias_sigma_radps: float = 0.0
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where dwells and steps do not alternate."""
+        if len(self.steps) != max(len(self.dwells) - 1, 0):
+            raise ValueError(f"{len(self.dwells)} dwells need {len(self.dwells) - 1} steps between them")
+
+    @property
+    def turned_rad(self) -> FloatArray:
+        """Return each dwell's angle counted from the first, (K,)."""
+        return np.concatenate([[0.0], np.cumsum([step.angle_rad for step in self.steps])])
+
+    def without(self, index: int) -> FourPositionData:
+        """Leave one dwell out, joining the turns around it."""
+        dwells = self.dwells[:index] + self.dwells[index + 1 :]
+        steps = list(self.steps)
+        if 0 < index < len(steps):
+            first, second = steps[index - 1], steps[index]
+            joined = Step(
+                first.angle_rad + second.angle_rad,
+                math.hypot(first.sigma_rad, second.sigma_rad),
+                first.duration_s + second.duration_s,
+            )
+            steps[index - 1 : index + 1] = [joined]
+        else:
+            del steps[0 if index == 0 else -1]
+        return FourPositionData(
+            dwells, tuple(steps), self.gyro_scale_sigma, self.gyro_bias_sigma_radps, self.source
+        )
+
+
+def field_lag_s(track: Track) -> float:
+    """Return how far the recorded field is known to lag behind the gyro, seconds."""
+    return ARDUPILOT_LAG_S if track.autopilot == "ardupilot" else 0.0
+
+
+def correction_at(compass: MagSeries, time_s: float) -> FieldCorrection:
+    """Return the correction in force at a time."""
+    current = compass.in_force[0]
+    for step in compass.in_force:
+        if step.from_s <= time_s:
+            current = step
+    return current.correction
+
+
+def uncorrected_field(track: Track, instance: int) -> FloatArray:
+    """Undo offsets, matrix and scale in force, but leave the motor compensation in: (N, 3), milligauss.
+
+    The motor term is kept by the calibrations that do not fit one, so it has to stay in their data.
+    Raises KeyError for a compass that the recording does not have.
+    """
+    compass = track.compasses[instance]
+    reported = np.asarray(compass.reported.values)
+    raw = np.empty_like(reported)
+    starts = np.array([step.from_s for step in compass.in_force])
+    starts[0] = -np.inf
+    edges = [*np.searchsorted(compass.time_s, starts), len(reported)]
+    for step, first, last in zip(compass.in_force, edges[:-1], edges[1:], strict=True):
+        raw[int(first) : int(last)] = step.correction.undo(reported[int(first) : int(last)])
+    return raw
+
+
+def dwell_between(
+    track: Track, instance: int, start_s: float, end_s: float, turn: TurnRecord | None = None
+) -> Dwell:
+    """Average what one compass saw between two times in which the vehicle stood still.
+
+    A change of the correction in force inside the stretch is honoured. `turn` saves the integration
+    of the gyro where the caller has it already.
+    Raises PoorCalibration where the stretch holds fewer than two readings, KeyError for an unknown compass.
+    """
+    compass = track.compasses[instance]
+    rows = slice(*np.searchsorted(compass.time_s, [start_s, end_s]))
+    time, reported = compass.time_s[rows], np.asarray(compass.reported.values[rows])
+    usable = np.isfinite(reported).all(axis=1)
+    time, reported = time[usable], reported[usable]
+    if time.size < 2:
+        raise PoorCalibration(
+            f"Compass {instance} has {time.size} readings between {start_s:.1f} s and {end_s:.1f} s.",
+            "Stand still longer, or ask for a higher message rate.",
+        )
+    in_force = correction_at(compass, float(time[-1]))
+    if correction_at(compass, float(time[0])) != in_force:
+        raw = np.concatenate(
+            [
+                correction_at(compass, float(t)).undo(row)[np.newaxis]
+                for t, row in zip(time, reported, strict=True)
+            ]
+        )
+        reported = in_force.apply(raw)
+    record = turn if turn is not None else turn_record(track, instance)
+    lag = field_lag_s(track)
+    angles = record.angle_at(time - lag) if record is not None else np.zeros(time.size)
+    return _dwell(track, compass, in_force, time, reported, angles, record)
+
+
+def _dwell(
+    track: Track,
+    compass: MagSeries,
+    in_force: FieldCorrection,
+    time: FloatArray,
+    reported: FloatArray,
+    angles: FloatArray,
+    record: TurnRecord | None,
+) -> Dwell:
+    fresh, _ = effective_count(reported)
+    keep = _inliers(reported, angles, compass.quantum_mgauss)
+    counted = reported[keep]
+    samples = max(int((fresh & keep).sum()), 1)
+    residual = counted - _trend(angles[keep], counted)
+    spread = np.sqrt((residual**2).sum(axis=0) / max(len(counted) - 1, 1))
+    value, hidden = unquantise(counted.mean(axis=0), spread, compass.quantum_mgauss, compass.truncated)
+    inverse = np.linalg.inv(in_force.matrix)
+    memory = _memory(residual[fresh[keep]])
+    # Whole numbers that never change show no noise; their step's share is in `hidden`.
+    covariance = inverse @ np.diag(np.maximum(spread**2, 1e-6) * memory / samples) @ inverse.T
+    quantisation = inverse @ np.diag(hidden**2) @ inverse.T
+    phasor = np.exp(1j * angles[keep]).mean()
+    middle = float(np.median(angles))
+    turned = middle + float(np.angle(phasor * np.exp(-1j * middle)))
+    turning = abs(float(np.mean(record.rate_at(time)))) if record is not None else 0.0
+    roll, pitch, tilt_sigma, acc = tilt_during(track, time - field_lag_s(track), LAG_SIGMA_S)
+    current = track.current_a
+    return Dwell(
+        start_s=float(time[0]),
+        end_s=float(time[-1]),
+        mean_mgauss=in_force.undo(value),
+        covariance_mgauss2=covariance,
+        quantisation_mgauss2=quantisation,
+        acc_mps2=acc,
+        roll_rad=roll,
+        pitch_rad=pitch,
+        tilt_sigma_rad=tilt_sigma,
+        samples=samples,
+        turned_rad=turned if record is not None else math.nan,
+        turned_sigma_rad=turning * LAG_SIGMA_S,
+        coherence=float(abs(phasor)),
+        swept_rad=float(np.ptp(angles)),
+        current_a=float(np.nanmean(current.at(time))) if current is not None and len(current) else math.nan,
+        unsteady_mgauss=_wander(
+            track,
+            time[keep],
+            residual,
+            float(np.linalg.norm(value)),
+            math.sqrt(float((spread**2).mean()) * memory * len(counted) / samples),
+            compass.quantum_mgauss,
+        ),
+        outliers=int((~keep).sum()),
+    )
+
+
+def _trend(angles: FloatArray, field_mgauss: FloatArray) -> FloatArray:
+    """Predict each reading from the small turn inside the dwell: straight in the angle, (N, 3)."""
+    mean = field_mgauss.mean(axis=0)
+    swing = angles - angles.mean()
+    power = float(swing @ swing)
+    if power < len(angles) * math.radians(0.2) ** 2:
+        return np.broadcast_to(mean, field_mgauss.shape)
+    return mean + swing[:, np.newaxis] * (swing @ (field_mgauss - mean) / power)
+
+
+def _inliers(reported: FloatArray, angles: FloatArray, quantum: float) -> NDArray[np.bool_]:
+    """Mark the readings within five robust sigmas of the dwell's own line, (N,)."""
+    if len(reported) < 5:
+        return np.ones(len(reported), dtype=bool)
+    keep = np.ones(len(reported), dtype=bool)
+    for _ in range(2):
+        centre = _trend_from(angles, reported, keep)
+        away = np.abs(reported - centre)
+        scale = 1.4826 * np.median(away[keep], axis=0) + max(quantum, 1e-6)
+        keep = np.asarray((away <= _OUTLIER_SIGMAS * scale).all(axis=1), dtype=np.bool_)
+        if keep.sum() < max(3, len(reported) // 2):
+            return np.ones(len(reported), dtype=bool)
+    return keep
+
+
+def _trend_from(angles: FloatArray, field_mgauss: FloatArray, keep: NDArray[np.bool_]) -> FloatArray:
+    swing = angles - np.median(angles)
+    centre = np.median(field_mgauss[keep], axis=0)
+    power = float(swing[keep] @ swing[keep])
+    if power < keep.sum() * math.radians(0.2) ** 2:
+        return np.broadcast_to(centre, field_mgauss.shape)
+    design = np.stack([np.ones(keep.sum()), swing[keep]], axis=1)
+    line, *_ = np.linalg.lstsq(design, field_mgauss[keep], rcond=None)
+    return np.asarray(line[0] + swing[:, np.newaxis] * line[1])
+
+
+def _memory(residual: FloatArray) -> float:
+    """Return by how much correlation from reading to reading raises the variance of the mean (>= 1)."""
+    n = len(residual)
+    if n < 8:
+        return 1.0
+    power = float((residual**2).sum())
+    if power <= 0.0:
+        return 1.0
+    lag_one = float((residual[1:] * residual[:-1]).sum()) / power
+    # Three axes vote; below two sigmas of that vote it is chance.
+    if lag_one < 2.0 / math.sqrt(3.0 * n):
+        return 1.0
+    return (1.0 + min(lag_one, 0.9)) / (1.0 - min(lag_one, 0.9))
+
+
+def _wander(
+    track: Track, time: FloatArray, residual: FloatArray, length: float, noise: float, quantum: float
+) -> float:
+    """Return how far the two halves of a dwell lie apart beyond chance and tilting, milligauss."""
+    half = len(residual) // 2
+    if half < 2:
+        return 0.0
+    apart = float(np.linalg.norm(residual[half:].mean(axis=0) - residual[:half].mean(axis=0)))
+    down = down_in_body(track, time - field_lag_s(track))
+    leaning = float(np.linalg.norm(down[half:].mean(axis=0) - down[:half].mean(axis=0)))
+    apart -= length * leaning
+    chance = 4.0 * noise * math.sqrt(4.0 / max(len(residual), 2)) + quantum
+    return apart if apart > chance else 0.0
+
+
+def step_between(
+    track: Track, end_s: float, start_s: float, instance: int = 1, turn: TurnRecord | None = None
+) -> Step:
+    """Measure the turn from one dwell's end to the next one's start with the gyro.
+
+    Raises PoorCalibration where the recording has no gyro.
+    """
+    record = turn if turn is not None else turn_record(track, instance)
+    if record is None:
+        raise PoorCalibration(
+            "The recording has no gyro, so the turned angles are not known.",
+            "Record RAW_IMU or IMU messages with the angular rate.",
+        )
+    first, last = record.angle_at(np.array([end_s, start_s]))
+    sigma = record.independent_sigma_rad(end_s, start_s)
+    return Step(float(last - first), sigma, start_s - end_s)

@@ -1,0 +1,222 @@
+"""The four-position calibration at its best: a maximum-a-posteriori fit of still positions.
+
+Estimated together: hard iron, gains and cross terms, the first heading, the angles really turned, the
+gyro's scale and bias, the Earth's field and the field of a changing current. Measured: the mean field
+of each dwell with its covariance, the gyro's step angles, gravity for the tilt, and the world model
+where the place is known. The autopilot's own yaw is not used. Three positions suffice, any steps and
+either direction will do, and more turns only help. Equations (M1) and (M2) stand in `model`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.calibration.model import (
+    GAIN,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    HEADINGS,
+    HORIZONTAL,
+    MOTOR,
+    NAMES,
+    OFFSET,
+    VERTICAL,
+    HeadingError,
+    gain_matrix,
+    heading_gradient,
+)
+from mavcompass.calibration.observation import FourPositionData
+from mavcompass.calibration.positions.disturbance import weigh_disturbances
+from mavcompass.calibration.positions.fit import Blend, PositionFit, fit_positions, weigh_cross_terms
+from mavcompass.calibration.positions.problem import DEFAULT_PRIOR, IronPrior, PositionProblem
+from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.frames import FloatArray, wrap_two_pi
+
+# Below this probability of the agreement the covariance is widened.
+WIDENED_BELOW = 0.01
+# A dwell with at least this probability of having been disturbed is named.
+_SUSPECT = 0.05
+
+# Sources of the heading's uncertainty, as the report names them.
+SOURCES = ("noise", "step_angle", "tilt", "world_model", "quantisation", "disturbance", "prior")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FourPositionsResult:
+    """Hold the fit of the still positions.
+
+    Attributes:
+        correction: what to put in force, ArduPilot's meaning.
+        state, covariance: all parameters, named by `names`; headings are magnetic.
+        residual_mgauss: measured less predicted mean field, (K, 3).
+        residual_rms_mgauss: over dwells and axes.
+        chi_square, degrees_of_freedom: how well the K positions agree with one rigid compass.
+        consistency: the probability of a worse agreement by chance, the likeliest disturbed dwell left out.
+        disturbed_probability: of each dwell having been disturbed, (K,).
+        disturbance_mgauss: how far the likeliest of them is from what the others predict.
+        suspects: dwells (from 0) of which one may have been disturbed, most likely first.
+        budget_rad: the heading's rms sigma by source; the squares add up to the whole.
+        world_model: True where the Earth's field at the place was used.
+        mirrored: True where the field turns against the gyro: a compass mounted upside down.
+        cross_probability: of there being horizontal cross terms, and vertical ones.
+    """
+
+    correction: FieldCorrection
+    names: tuple[str, ...]
+    state: FloatArray
+    covariance: FloatArray
+    residual_mgauss: FloatArray
+    residual_rms_mgauss: float
+    chi_square: float
+    degrees_of_freedom: int
+    consistency: float
+    disturbed_probability: FloatArray
+    disturbance_mgauss: float
+    suspects: tuple[int, ...]
+    budget_rad: dict[str, float]
+    world_model: bool
+    mirrored: bool
+    cross_probability: tuple[float, float]
+    iterations: int
+
+    @property
+    def heading_error(self) -> HeadingError:
+        """Return the heading's uncertainty as a function of heading and tilt."""
+        return HeadingError(self.state, self.covariance[:9, :9])
+
+    @property
+    def heading_sigma_rad(self) -> float:
+        """Return the level heading's sigma, rms over the circle, by the calibration alone."""
+        return self.heading_error.rms_rad()
+
+    @property
+    def raw_offset_mgauss(self) -> FloatArray:
+        """Return the hard iron, (3,): raw = field + offset."""
+        return self.state[OFFSET]
+
+    @property
+    def magnetic_headings_rad(self) -> FloatArray:
+        """Return the magnetic heading of each dwell, (K,), in [0, 2 pi)."""
+        return np.asarray(wrap_two_pi(self.state[HEADINGS:]))
+
+
+def solve_four_positions(
+    data: FourPositionData,
+    in_force: FieldCorrection = IDENTITY,
+    earth: EarthField | None = None,
+    prior: IronPrior = DEFAULT_PRIOR,
+) -> FourPositionsResult:
+    """Fit a compass's correction to three or more still positions and the turns between them.
+
+    Args:
+        data: the dwells' raw field and the gyro's steps.
+        in_force: the correction in force; it gives the Z offset where no world model does, and its
+            motor term is carried over.
+        earth: the Earth's field at the place; gives the scale and, with its sigma, Z.
+        prior: what is known of compasses in general.
+
+    Raises PoorCalibration for fewer than three positions or too little turning.
+    """
+    problem = PositionProblem.of(data, in_force, earth, prior)
+    fit = fit_positions(problem)
+    undisturbed = weigh_disturbances(problem, fit)
+    consistency = _chance(undisturbed.chi_square, undisturbed.freedom)
+    # A worse agreement than chance gives, whichever dwell is blamed: the noise is not what it seemed.
+    excess = (
+        max(undisturbed.chi_square / max(undisturbed.freedom, 1), 1.0) if consistency < WIDENED_BELOW else 1.0
+    )
+    blend = weigh_cross_terms(undisturbed.state, excess * undisturbed.covariance, prior)
+    residual = fit.residual
+    ranked = np.argsort(-undisturbed.probability)
+    return FourPositionsResult(
+        correction=_correction(blend.state, in_force, earth is not None),
+        names=(*NAMES, *(f"heading_{k + 1}" for k in range(len(data.dwells)))),
+        state=blend.state,
+        covariance=blend.covariance,
+        residual_mgauss=residual,
+        residual_rms_mgauss=math.sqrt(float((residual**2).mean())),
+        chi_square=fit.chi_square,
+        degrees_of_freedom=fit.freedom,
+        consistency=consistency,
+        disturbed_probability=undisturbed.probability,
+        disturbance_mgauss=float(undisturbed.size_mgauss[ranked[0]]),
+        suspects=tuple(int(i) for i in ranked if undisturbed.probability[i] > _SUSPECT),
+        budget_rad=_budget(problem, fit, blend),
+        world_model=earth is not None,
+        mirrored=problem.mirrored,
+        cross_probability=blend.cross_probability,
+        iterations=fit.iterations,
+    )
+
+
+def _chance(chi_square: float, freedom: int) -> float:
+    """Return the probability that chance alone gives a larger chi-square."""
+    if freedom <= 0:
+        return 1.0
+    from scipy.special import gammaincc
+
+    return float(gammaincc(freedom / 2.0, chi_square / 2.0))
+
+
+def _budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> dict[str, float]:
+    """Split the heading's rms sigma by source: each source's covariance is carried through the fit."""
+    k = len(problem.mean)
+    circle = np.arange(36) * (2.0 * math.pi / 36)
+    gradient = np.zeros((36, fit.state.size))
+    gradient[:, :9] = heading_gradient(blend.state, circle)
+    gains = gradient @ fit.covariance @ fit.jacobian.T  # heading by whitened residual, (36, R)
+    field = gains[:, : 3 * k].reshape(36, k, 3)
+    variance = dict.fromkeys(SOURCES, 0.0)
+    for name, part in (
+        ("noise", problem.noise),
+        ("quantisation", problem.quantisation),
+        ("tilt", problem.tilt),
+    ):
+        unit = problem.whiten @ part @ np.swapaxes(problem.whiten, 1, 2)
+        variance[name] = float(np.einsum("nki,kij,nkj->n", field, unit, field).mean())
+    rest = (gains[:, 3 * k :] ** 2).mean(axis=0)
+    variance["step_angle"] = float(rest[: k - 1].sum())
+    held = np.flatnonzero(np.isfinite(problem.sigma))
+    for place, share in zip(held, rest[k - 1 : -1], strict=True):
+        variance[_source_of(int(place))] += float(share)
+    variance["prior"] += float(rest[-1])
+    # What the blends add (was a dwell disturbed? are there cross terms?) or save goes to the disturbance,
+    # or lowers all alike.
+    whole = float(np.einsum("ni,ij,nj->n", gradient, blend.covariance, gradient).mean())
+    sum_of_parts = max(sum(variance.values()), 1e-30)
+    if whole >= sum_of_parts:
+        variance["disturbance"] += whole - sum_of_parts
+        sum_of_parts = whole
+    return {name: math.sqrt(value * whole / sum_of_parts) for name, value in variance.items()}
+
+
+def _source_of(place: int) -> str:
+    if place in (GYRO_SCALE, GYRO_BIAS):
+        return "step_angle"
+    if place in (HORIZONTAL, VERTICAL):
+        return "world_model"
+    if MOTOR.start <= place < MOTOR.stop:
+        return "disturbance"
+    return "prior"
+
+
+def _correction(state: FloatArray, in_force: FieldCorrection, world_model: bool) -> FieldCorrection:
+    """Turn the fitted state into a correction; the motor term in force is carried into its matrix.
+
+    Without the world model neither the scale nor Z is known: the horizontal diagonals then average 1,
+    and offset and diagonal of Z stay as they are in force.
+    """
+    matrix = np.linalg.inv(gain_matrix(state[GAIN]))
+    offsets = -state[OFFSET]
+    if not world_model:
+        matrix = matrix * 2.0 / (matrix[0, 0] + matrix[1, 1])
+        matrix[2, 2] = in_force.matrix[2, 2]
+        offsets = np.array([*offsets[:2], in_force.offsets_mgauss[2]])
+    matrix = 0.5 * (matrix + matrix.T)
+    x, y, z = (matrix @ np.linalg.solve(in_force.matrix, np.asarray(in_force.motor_mgauss))).tolist()
+    correction = FieldCorrection.from_matrix(offsets, matrix)
+    return replace(correction, motor_mgauss=(x, y, z), motor_source=in_force.motor_source)

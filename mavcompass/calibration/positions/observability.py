@@ -1,0 +1,128 @@
+"""What a motion can and cannot determine, and the one further pose or turn that would help most."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavcompass.calibration.model import NAMES, HeadingError
+from mavcompass.calibration.observation import FourPositionData, Step
+from mavcompass.calibration.positions.fit import fit_positions
+from mavcompass.calibration.positions.four_positions import FourPositionsResult
+from mavcompass.calibration.positions.problem import DEFAULT_PRIOR, IronPrior, PositionProblem
+from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.frames import FloatArray
+
+_OFFSET_KNOWN_MGAUSS = 10.0
+_GAIN_KNOWN = 0.04
+_REPORTED = {
+    "offset_x": "offset_x",
+    "offset_y": "offset_y",
+    "offset_z": "offset_z",
+    "gain_xx": "scale_x",
+    "gain_yy": "scale_y",
+    "gain_zz": "scale_z",
+    "gain_xy": "cross_xy",
+    "gain_xz": "cross_xz",
+    "gain_yz": "cross_yz",
+}
+
+
+def unobserved(fit: FourPositionsResult, prior: IronPrior = DEFAULT_PRIOR) -> tuple[str, ...]:
+    """List the quantities that a fit could not determine: what is said of them is the prior's opinion.
+
+    "mounting_yaw", a turn of the whole compass about the vertical, shows in no relative measurement.
+    """
+    sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    hidden = []
+    for place, name in enumerate(NAMES[:9]):
+        limit = _OFFSET_KNOWN_MGAUSS if place < 3 else _GAIN_KNOWN
+        limit = 0.5 * prior.cross_sigma if place > 5 else limit
+        if sigma[place] > limit:
+            hidden.append(_REPORTED[name])
+    return (*hidden, "mounting_yaw")
+
+
+@dataclass(frozen=True, slots=True)
+class NextPose:
+    """Hold a suggestion: a further position and what it would do to the heading's sigma.
+
+    Attributes:
+        turn_rad: from the last position, clockwise. roll_rad, pitch_rad: its tilt.
+        sigma_level_rad, sigma_tilted_rad: heading sigma with it, level and at 15 degrees of tilt, rms.
+        words: what to do, in a sentence.
+    """
+
+    turn_rad: float
+    roll_rad: float
+    pitch_rad: float
+    sigma_level_rad: float
+    sigma_tilted_rad: float
+    words: str
+
+
+def next_pose(
+    data: FourPositionData,
+    in_force: FieldCorrection = IDENTITY,
+    earth: EarthField | None = None,
+    prior: IronPrior = DEFAULT_PRIOR,
+    may_tilt: bool = True,
+) -> NextPose:
+    """Find the one further pose that lowers the heading's sigma most, level and tilted together.
+
+    Tried are turns in steps of 45 degrees, level and (where the vehicle may be tilted) with 15 degrees
+    of roll or pitch. Only covariances are needed, so the search works before the pose is taken.
+    Raises PoorCalibration for data that `solve_four_positions` would refuse too.
+    """
+    tilts = [(0.0, 0.0)]
+    if may_tilt:
+        lean = math.radians(15.0)
+        tilts += [(lean, 0.0), (-lean, 0.0), (0.0, lean), (0.0, -lean)]
+    problem = PositionProblem.of(data, in_force, earth, prior)
+    state = fit_positions(problem).state
+    best: NextPose | None = None
+    for turn in np.arange(0.0, 2.0 * math.pi, math.radians(45.0)):
+        for roll, pitch in tilts:
+            level, tilted = _sigma_with(problem, state, data, float(turn), roll, pitch)
+            if best is None or math.hypot(level, tilted) < math.hypot(
+                best.sigma_level_rad, best.sigma_tilted_rad
+            ):
+                words = _words(float(turn), roll, pitch)
+                best = NextPose(float(turn), roll, pitch, level, tilted, words)
+    assert best is not None
+    return best
+
+
+def _sigma_with(
+    problem: PositionProblem,
+    state: FloatArray,
+    data: FourPositionData,
+    turn: float,
+    roll: float,
+    pitch: float,
+) -> tuple[float, float]:
+    """Predict the heading's rms sigma, level and at 15 degrees, with one more pose."""
+    extended = problem.with_pose(state, turn, roll, pitch, _usual_step(data))
+    covariance = fit_positions(extended).covariance
+    lean = math.radians(15.0)
+    error = HeadingError(state, covariance[:9, :9])
+    return error.rms_rad(), math.hypot(error.rms_rad(lean, 0.0), error.rms_rad(0.0, lean)) / math.sqrt(2.0)
+
+
+def _usual_step(data: FourPositionData) -> Step:
+    sigma = float(np.median([s.sigma_rad for s in data.steps]))
+    return Step(0.0, sigma, float(np.median([s.duration_s for s in data.steps])))
+
+
+def _words(turn: float, roll: float, pitch: float) -> str:
+    place = (
+        "at the last heading" if turn == 0.0 else f"{math.degrees(turn):.0f} degrees clockwise from the last"
+    )
+    if roll:
+        return f"One more position {place}, leaning {'right' if roll > 0.0 else 'left'} by 15 degrees."
+    if pitch:
+        return f"One more position {place}, nose {'up' if pitch > 0.0 else 'down'} by 15 degrees."
+    return f"One more level position {place}."

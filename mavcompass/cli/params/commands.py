@@ -1,0 +1,291 @@
+"""`mavcompass params`: show, compare, write, back up and restore compass parameters."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mavcompass.cli.needs import require_for
+from mavcompass.cli.options import Function, Output, common_options
+from mavcompass.errors import MavCompassError, UsageError, WriteFailed
+
+if TYPE_CHECKING:
+    from mavcompass.procedure.dialect import ParameterPlan
+    from mavcompass.procedure.script import Context, Script
+    from mavcompass.vehicle.session import HeldParameters, WriteReport
+
+SCHEMA = "mavcompass.params/1"
+_FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+def _system_option(function: Function) -> Function:
+    return click.option(
+        "--system", type=click.IntRange(1, 255), help="System id, where several vehicles are heard."
+    )(function)
+
+
+def _write_options(function: Function) -> Function:
+    yes = click.option("--yes", is_flag=True, help="Write without asking.")
+    dry_run = click.option("--dry-run", is_flag=True, help="Show what would be written, and write nothing.")
+    return _system_option(yes(dry_run(function)))
+
+
+@click.group()
+def command() -> None:
+    """Show, compare, write, back up or restore a vehicle's compass parameters.
+
+    Writing is a transaction: an undo file first, every value read back, all undone on any failure.
+    FILE is a .param (Mission Planner), .parm (MAVProxy) or .params (QGroundControl) file.
+
+    \b
+    mavcompass params show sim:rover
+    mavcompass params backup udpin:0.0.0.0:14550 before.param
+    mavcompass params write udpin:0.0.0.0:14550 compass.param --yes
+    """
+
+
+@command.command()
+@click.argument("source")
+@_system_option
+@common_options
+def show(source: str, system: int | None, output: Output) -> None:
+    """Show the compass parameters of a vehicle or a recording.
+
+    \b
+    Example: mavcompass params show sim:rover
+    """
+    from mavcompass.cli.params.view import show_parameters
+
+    require_for(source)
+    held = _read(source, system)
+    show_parameters(output, held)
+    output.write_json({**_head("show", source, held), "parameters": held.compass_values})
+
+
+@command.command()
+@click.argument("source")
+@click.argument("file", type=_FILE)
+@_system_option
+@common_options
+def diff(source: str, file: Path, system: int | None, output: Output) -> None:
+    """Compare a vehicle's or a recording's compass parameters with a file.
+
+    \b
+    Example: mavcompass params diff udpin:0.0.0.0:14550 compass.param
+    """
+    from mavcompass.cli.params.view import show_difference
+    from mavcompass.vehicle.parameters.values import same_value
+    from mavcompass.vehicle.session import compass_part, read_wanted
+
+    require_for(source)
+    wanted = read_wanted(file)
+    held = _read(source, system)
+    differing = {
+        name: (held.values.get(name), value)
+        for name, value in compass_part(wanted, held, str(file)).items()
+        if name not in held.values or not same_value(held.values[name], value)
+    }
+    show_difference(output, held, differing)
+    if not differing:
+        output.say(f"The vehicle holds the values of {file}.")
+    rows = [{"name": n, "vehicle": old, "file": new} for n, (old, new) in differing.items()]
+    output.write_json({**_head("diff", source, held), "file": str(file), "differing": rows})
+
+
+@command.command()
+@click.argument("source")
+@click.argument("file", type=_FILE)
+@_write_options
+@common_options
+def write(source: str, file: Path, yes: bool, dry_run: bool, system: int | None, output: Output) -> None:
+    """Write the compass parameters of a file to a vehicle; others in the file are left out.
+
+    \b
+    Example: mavcompass params write udpin:0.0.0.0:14550 compass.param
+    """
+    _write("write", source, file, yes, dry_run, system, output)
+
+
+@command.command()
+@click.argument("source")
+@click.argument("file", type=_FILE, required=False)
+@_write_options
+@common_options
+def restore(
+    source: str, file: Path | None, yes: bool, dry_run: bool, system: int | None, output: Output
+) -> None:
+    """Put back what an undo file or a backup holds (default: the last undo file of this SOURCE).
+
+    \b
+    Example: mavcompass params restore udpin:0.0.0.0:14550
+    """
+    from mavcompass.vehicle.parameters.undo import newest_record, undo_directory
+
+    require_for(source)
+    if file is None and (file := newest_record(source)) is None:
+        raise UsageError(
+            f"There is no undo file of {source} in {undo_directory()}.", "Give the file to restore."
+        )
+    _write("restore", source, file, yes, dry_run, system, output)
+
+
+@command.command()
+@click.argument("source")
+@click.argument("file", type=_FILE, required=False)
+@click.option("--yes", is_flag=True, help="Replace FILE where it exists.")
+@_system_option
+@common_options
+def backup(source: str, file: Path | None, yes: bool, system: int | None, output: Output) -> None:
+    """Save a vehicle's or a recording's compass parameters in FILE (default: standard output).
+
+    \b
+    Example: mavcompass params backup udpin:0.0.0.0:14550 compass.param
+    """
+    from mavcompass.vehicle.parameters.files import parameter_form, parameter_text, write_parameter_file
+    from mavcompass.vehicle.parameters.transaction import counted
+
+    require_for(source)
+    if file is not None:
+        parameter_form(file)  # a wrong suffix is told before the vehicle is asked
+        if file.exists() and not yes:
+            raise UsageError(f"{file} exists.", "Give another name, or --yes to replace it.")
+    held = _read(source, system)
+    values = held.compass_values
+    comment = (f"Compass parameters of {source}, by mavcompass.",)
+    if file is None:
+        output.say(parameter_text(values, "param", comment).rstrip("\n"))
+    else:
+        types = {name: parameter.type for name, parameter in held.compass_typed.items()}
+        write_parameter_file(file, values, comment, types)
+        output.say(f"{counted(len(values))} saved in {file}.")
+    saved = {"file": None if file is None else str(file), "parameters": values}
+    output.write_json({**_head("backup", source, held), **saved})
+
+
+def _head(action: str, source: str, held: HeldParameters) -> dict[str, object]:
+    return {
+        "schema": SCHEMA,
+        "action": action,
+        "source": source,
+        "autopilot": held.dialect.autopilot,
+        "system": held.system,
+        "compasses": held.compasses,
+    }
+
+
+def _read(source: str, system: int | None) -> HeldParameters:
+    from mavcompass.vehicle.session import read_vehicle, recorded_parameters
+    from mavcompass.vehicle.transport.address import Recording, parse_address
+
+    if isinstance(parse_address(source), Recording):
+        from mavcompass import read_track
+
+        return recorded_parameters(read_track(source).parameters, source)
+    held: HeldParameters = _run(source, lambda context: read_vehicle(context, source, system))
+    return held
+
+
+def _run(source: str, script: Callable[[Context], Script[Any]]) -> Any:
+    from mavcompass.cli.terminal.show import PlainShow, ask_on_terminal
+    from mavcompass.procedure.script import Machine
+    from mavcompass.vehicle import open_link
+    from mavcompass.vehicle.driver import run
+
+    with open_link(source) as link:
+        return run(Machine(script), link, on_show=PlainShow(), on_ask=ask_on_terminal)
+
+
+def _write(
+    action: str, source: str, file: Path, yes: bool, dry_run: bool, system: int | None, output: Output
+) -> None:
+    from mavcompass.vehicle.parameters.transaction import counted
+    from mavcompass.vehicle.parameters.undo import undo_saver
+    from mavcompass.vehicle.session import compass_part, read_wanted, write_values
+
+    _check_call(source, yes, dry_run)
+    require_for(source)
+    wanted = read_wanted(file)
+    document: dict[str, object] = {"schema": SCHEMA, "action": action, "source": source, "file": str(file)}
+
+    def consent(held: HeldParameters, plan: ParameterPlan) -> str | None:
+        document.update(_head(action, source, held), **_plan_part(plan))
+        _say_plan(output, held, plan)
+        return None if dry_run else "" if yes else f"Write {counted(len(plan.changes))}?"
+
+    def script(context: Context) -> Script[WriteReport]:
+        return write_values(
+            context,
+            source,
+            lambda held: compass_part(wanted, held, str(file)),
+            lambda held: undo_saver(held.dialect.autopilot, source),
+            checked=action == "write",
+            consent=consent,
+            system=system,
+        )
+
+    try:
+        report: WriteReport = _run(source, script)
+    except MavCompassError as error:
+        left = {"restore_command": error.restore_command} if isinstance(error, WriteFailed) else {}
+        output.write_json({**document, "written": False, "verified": False, "error": str(error), **left})
+        raise
+    _say_outcome(output, report, source, dry_run)
+    outcome = report.outcome
+    document["remarks"] = [*report.plan.remarks, *(outcome.remarks if outcome else ())]
+    document |= {"written": outcome is not None, "verified": outcome is not None and outcome.verified}
+    document["undo_file"] = outcome.undo_file if outcome else None
+    output.write_json(document)
+
+
+def _check_call(source: str, yes: bool, dry_run: bool) -> None:
+    from mavcompass.vehicle.transport.address import Recording, parse_address
+
+    if isinstance(parse_address(source), Recording):
+        raise UsageError(f"{source} is a recording, which cannot be written to.", "Give a vehicle's address.")
+    if yes and dry_run:
+        raise UsageError("--yes and --dry-run exclude each other.", "Give one of them.")
+    if not yes and not dry_run and not sys.stdin.isatty():
+        raise UsageError(
+            "Nobody can be asked whether to write: standard input is not a terminal.",
+            "Give --yes to write without asking, or --dry-run to write nothing.",
+        )
+
+
+def _plan_part(plan: ParameterPlan) -> dict[str, object]:
+    return {
+        "changes": [{"name": c.name, "old": c.old, "new": c.new} for c in plan.changes],
+        "refusals": plan.refusals,
+        "remarks": plan.remarks,
+    }
+
+
+def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None:
+    from mavcompass.cli.params.view import show_changes
+
+    if plan.changes:
+        show_changes(output, plan.changes)
+        if held.armed:
+            output.say("Note: the vehicle is armed; its heading will change while it is in use.")
+    for remark in plan.remarks:
+        output.say(f"Note: {remark}")
+
+
+def _say_outcome(output: Output, report: WriteReport, source: str, dry_run: bool) -> None:
+    from mavcompass.vehicle.parameters.transaction import counted, restore_command
+
+    outcome = report.outcome
+    if outcome is None:
+        for refusal in report.plan.refusals:
+            output.say(f"It would be refused: {refusal}")
+        held = "The vehicle already holds these values; nothing was written."
+        output.say("Nothing was written (--dry-run)." if dry_run and report.plan.changes else held)
+        return
+    for remark in outcome.remarks:
+        output.say(f"Note: {remark}")
+    output.say(f"{counted(len(outcome.values))} written and read back.")
+    if outcome.undo_file is not None:
+        output.say(f"To undo: {restore_command(source, outcome.undo_file)}")

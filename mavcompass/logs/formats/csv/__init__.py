@@ -1,0 +1,1 @@
+"""Track CSV: columns by name, from anywhere."""

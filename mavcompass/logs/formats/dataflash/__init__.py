@@ -1,0 +1,1 @@
+"""ArduPilot's own log (DataFlash): binary (.bin) or turned into text (.log)."""

@@ -1,0 +1,170 @@
+"""Read ArduPilot's own log (DataFlash, .bin or text .log) into a Track."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mavcompass.compass_parameters import ardupilot_name
+from mavcompass.errors import BadRecording
+from mavcompass.logs.common import BootClock, Change, ardupilot_steps, changes
+from mavcompass.logs.formats.dataflash.clock import clock_of, leave_out_impossible_times
+from mavcompass.logs.formats.dataflash.columns import columns, take
+from mavcompass.logs.formats.dataflash.parameters import parameters_seen
+from mavcompass.logs.formats.dataflash.records import DataFlashContents, Log, read_records
+from mavcompass.logs.formats.dataflash.text import read_text_records
+from mavcompass.track import MagSeries, Track
+
+_TIME = ("TimeUS", "TimeMS")
+_MAG = (*_TIME, "I", "MagX", "MagY", "MagZ", "OfsX", "OfsY", "OfsZ")
+_IMU = (*_TIME, "I", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ", "T", "Temp")
+_OUTPUTS = tuple(f"{stem}{n}" for stem in ("C", "Ch", "Chan") for n in range(1, 9))
+WANTED: dict[str, tuple[str, ...]] = {
+    "MAG": _MAG,
+    "MAG2": _MAG,
+    "MAG3": _MAG,
+    "IMU": _IMU,
+    "ATT": (*_TIME, "Roll", "Pitch", "Yaw"),
+    "GPS": (
+        *("TimeUS", "TimeMS", "T", "I", "Status", "GMS", "GWk", "Week"),
+        *("Lat", "Lng", "Alt", "Spd", "GCrs", "VZ", "Yaw"),
+    ),
+    "POS": (*_TIME, "Lat", "Lng", "Alt"),
+    "XKF1": (*_TIME, "C", "PN", "PE", "PD"),
+    "NKF1": (*_TIME, "C", "PN", "PE", "PD"),
+    "BAT": (*_TIME, "I", "Inst", "Instance", "Curr"),
+    "CURR": (*_TIME, "I", "Inst", "Instance", "Curr"),
+    "CTUN": (*_TIME, "ThO", "ThrOut"),
+    "THR": (*_TIME, "ThrOut"),
+    "BARO": (*_TIME, "I", "Temp"),
+    "RCOU": (*_TIME, *_OUTPUTS),
+    "SIM": (*_TIME, "Roll", "Pitch", "Yaw", "Q1", "Q2", "Q3", "Q4"),
+    "PARM": (*_TIME, "Name", "Value"),
+    "MSG": (*_TIME, "Message"),
+}
+_FIRMWARES = (("Rover", "rover"), ("Copter", "copter"), ("Sub", "sub"), ("Plane", "plane"))
+_BOAT = 2  # FRAME_CLASS
+
+
+def read_dataflash(path: Path, *, text: bool = False) -> Track:
+    """Read a DataFlash log, or several that were put together.
+
+    Raises BadRecording where it holds no record or no magnetometer.
+    """
+    contents = (read_text_records if text else read_records)(path, WANTED)
+    if not contents.counts:
+        raise BadRecording(
+            f"{path} holds no DataFlash record: it is not ArduPilot's log, or wholly damaged.",
+            "Give the .bin as it comes from the autopilot's card.",
+        )
+    logs = contents.logs
+    if not any(name in log.records for log in logs for name in ("MAG", "MAG2", "MAG3")):
+        raise BadRecording(
+            f"{path} holds no magnetometer: {sum(contents.counts.values())} records, but no MAG.",
+            "Set LOG_BITMASK to include the compass, check that COMPASS_ENABLE is 1, and record again.",
+        )
+    notes = _notes_about_the_file(contents)
+    glitches = leave_out_impossible_times(logs)
+    clock = clock_of(logs)
+    if glitches:
+        notes.append(f"Left out {glitches} records with an impossible time.")
+    if clock.shift_s.size > 1:
+        at = ", ".join(f"{start:.1f}" for start in clock.start_s[1:6])
+        notes.append(
+            f"The autopilot was started {clock.shift_s.size} times; time_s goes on across the restarts "
+            f"(at {at} s)."
+        )
+    history = changes(parameters_seen(logs, clock), clock.start_s.tolist())
+    parameters = {change.name: change.value for change in history}
+    compasses = _compasses(logs, clock, history)
+    notes += [
+        f"The parameters of compass {instance} are not in the recording: its readings are taken as they are."
+        for instance, compass in compasses.items()
+        if not compass.correction_known
+    ]
+    if not compasses:
+        raise BadRecording(
+            f"{path} holds only zeros as magnetic field: there was no compass.",
+            "Check the compass's wiring and COMPASS_ENABLE, and record again.",
+        )
+    measured: dict[str, Any] = dict(columns(logs, clock, parameters))
+    return Track(
+        source=str(path),
+        autopilot="ardupilot",
+        vehicle=_vehicle(logs, parameters.get("FRAME_CLASS")),
+        compasses=compasses,
+        utc_offset_s=clock.utc_offset_s(),
+        parameters=parameters,
+        notes=tuple(notes),
+        **measured,
+    )
+
+
+def read_parameters(path: Path) -> tuple[tuple[Change, ...], float | None]:
+    """Read only the parameters' history of a binary log, and the Unix time of its time_s = 0.
+
+    Raises BadRecording where the file holds no DataFlash record.
+    """
+    contents = read_records(path, _OF_PARAMETERS)
+    if not contents.counts:
+        raise BadRecording(f"{path} holds no DataFlash record.", "Give the .bin as it comes from the card.")
+    clock = clock_of(contents.logs)
+    return changes(parameters_seen(contents.logs, clock), clock.start_s.tolist()), clock.utc_offset_s()
+
+
+_OFFSETS = (*_TIME, "I", "OfsX", "OfsY", "OfsZ")
+_OF_PARAMETERS = {
+    **{name: WANTED[name] for name in ("PARM", "GPS")},
+    **dict.fromkeys(("MAG", "MAG2", "MAG3"), _OFFSETS),
+}
+
+
+def _compasses(logs: Sequence[Log], clock: BootClock, history: Sequence[Change]) -> dict[int, MagSeries]:
+    """Build all compasses: MAG's instances count from 0, MAG2 of old firmware is the second."""
+    out: dict[int, MagSeries] = {}
+    for name, base in (("MAG", 1), ("MAG2", 2), ("MAG3", 3)):
+        for number, placed in take(logs, clock, name):
+            instance = base + number
+            reported = placed.series("MagX", "MagY", "MagZ")
+            if reported is None or not bool(reported.values.any()) or instance in out:
+                continue
+            steps, known = ardupilot_steps(history, instance)
+            names = ardupilot_name("DEV_ID", instance)
+            ids = [int(change.value) for change in history if change.name == names]
+            whole = placed.whole_numbers("MagX")
+            out[instance] = MagSeries(
+                instance=instance,
+                reported=reported,
+                in_force=steps,
+                correction_known=known,
+                quantum_mgauss=1.0 if whole else 0.0,
+                truncated=whole,
+                device_id=ids[-1] if ids else None,
+            )
+    return dict(sorted(out.items()))
+
+
+def _vehicle(logs: Sequence[Log], frame_class: float | None) -> str:
+    for log in logs:
+        records = log.records.get("MSG")
+        if records is None or "Message" not in records:
+            continue
+        for message in records.rows["Message"].tolist():
+            for firmware, vehicle in _FIRMWARES:
+                if message.startswith((f"Ardu{firmware}".encode(), f"APM{firmware}".encode())):
+                    return "boat" if vehicle == "rover" and frame_class == _BOAT else vehicle
+    return "unknown"
+
+
+def _notes_about_the_file(contents: DataFlashContents) -> list[str]:
+    notes = []
+    if contents.skipped_bytes:
+        places = "1 place" if contents.skipped_stretches == 1 else f"{contents.skipped_stretches} places"
+        notes.append(
+            f"The recording is damaged at {places}: {contents.skipped_bytes} bytes were left out, "
+            f"{sum(contents.counts.values())} records were read."
+        )
+    if len(contents.logs) > 1:
+        notes.append(f"The file holds {len(contents.logs)} logs one after the other.")
+    return notes

@@ -1,0 +1,1 @@
+"""Telemetry logs (.tlog): MAVLink frames with the time at which each was heard."""

@@ -1,0 +1,140 @@
+"""Find the MAVLink frames in a piece of a telemetry log, many at once.
+
+Every byte that could start a frame is a candidate; its checksum decides. So a damaged stretch costs the
+frames that it touches and no other, and no search for a new start is needed. Of candidates that overlap
+the earlier one wins, as it does for a reader that goes from frame to frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.logs.common import ByteArray, Chunk, IntArray, not_overlapping
+from mavcompass.logs.formats.tlog.checksum import checksums
+from mavcompass.logs.formats.tlog.layouts import UNKNOWN, crc_extras
+
+TIMESTAMP_BYTES = 8
+LONGEST_RECORD = TIMESTAMP_BYTES + 10 + 255 + 2 + 13
+PADDING = 512
+_V1, _V2 = 0xFE, 0xFD
+_SIGNED = 0x01
+_SIGNATURE_BYTES = 13
+_CHECKSUM_BYTES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Hold the frames of one chunk as columns, in the file's order; places count from the chunk's start.
+
+    Attributes:
+        start, end: the first byte of the frame (after its time stamp), and the one after its last.
+        payload, length: where the payload starts and its bytes.
+        message_id, system, component: from the header.
+    """
+
+    start: IntArray
+    end: IntArray
+    payload: IntArray
+    length: IntArray
+    message_id: NDArray[np.int32]
+    system: NDArray[np.uint8]
+    component: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        """Count the frames."""
+        return int(self.start.size)
+
+    def select(self, which: NDArray[np.bool_] | IntArray) -> Frames:
+        """Keep some of them."""
+        return Frames(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+def find_frames(chunk: Chunk, covered: int) -> tuple[Frames, Frames]:
+    """Return the good frames that belong to this chunk, and the frames of messages the dialect lacks.
+
+    `covered` is the end of the last frame of the chunk before, counted from this chunk's start: nothing
+    starts before it. A frame of an unknown message cannot be checked; it counts as one only where it
+    fills the gap between two good frames (or the file's end) exactly.
+    """
+    candidates = _candidates(chunk, covered)
+    known = crc_extras()[np.minimum(candidates.message_id, crc_extras().size - 1)] != UNKNOWN
+    checked = candidates.select(known)
+    good = np.flatnonzero(_checksum_fits(chunk.data, checked))
+    apart = not_overlapping(checked.start[good] - TIMESTAMP_BYTES, checked.end[good])
+    frames = checked.select(good[apart])
+    return frames, _unknown_between(candidates.select(~known), frames, chunk, covered)
+
+
+def _candidates(chunk: Chunk, covered: int) -> Frames:
+    data = chunk.data
+    first = max(covered, chunk.fresh) + TIMESTAMP_BYTES
+    last = min(chunk.limit + TIMESTAMP_BYTES, chunk.size)
+    # 0xFD and 0xFE are the two values that 0xFD can be subtracted from, leaving less than 2.
+    start = np.flatnonzero((data[first:last] - np.uint8(_V2)) < 2) + first
+    version2 = data[start] == _V2
+    length = data[start + 1].astype(np.intp)
+    flags = data[start + 2]
+    header = np.where(version2, 10, 6)
+    signature = np.where(version2 & (flags == _SIGNED), _SIGNATURE_BYTES, 0)
+    end = start + header + length + _CHECKSUM_BYTES + signature
+    whole = (end <= chunk.size) & (~version2 | (flags <= _SIGNED))
+    start, version2, length, header, end = (
+        column[whole] for column in (start, version2, length, header, end)
+    )
+    low = data[start + np.where(version2, 7, 5)].astype(np.int32)
+    high = data[start + 8].astype(np.int32) << 8 | data[start + 9].astype(np.int32) << 16
+    address = start + np.where(version2, 5, 3)
+    return Frames(
+        start=start,
+        end=end,
+        payload=start + header,
+        length=length,
+        message_id=np.where(version2, low | high, low),
+        system=data[address],
+        component=data[address + 1],
+    )
+
+
+def _checksum_fits(data: ByteArray, frames: Frames) -> NDArray[np.bool_]:
+    """Tell which frames carry the checksum that their bytes have."""
+    if not len(frames):
+        return np.zeros(0, dtype=bool)
+    ends = frames.payload + frames.length
+    sent = data[ends].astype(np.uint16) | data[ends + 1].astype(np.uint16) << 8
+    extras = crc_extras()[frames.message_id].astype(np.uint8)
+    return np.asarray(checksums(data, ends, ends - frames.start - 1, extras) == sent)
+
+
+def _unknown_between(unknown: Frames, good: Frames, chunk: Chunk, covered: int) -> Frames:
+    """Keep the unknown frames that follow on a good one (or one another) and are followed by one."""
+    begins = unknown.start - TIMESTAMP_BYTES
+    opened = _among(good.end, begins) | (begins == covered)
+    # What follows a frame at the limit is seen only in the next chunk.
+    closed = _among(good.start - TIMESTAMP_BYTES, unknown.end) | (unknown.end >= chunk.limit)
+    # Most candidates are chance bytes in payloads: they begin where no other frame ends.
+    possible = np.flatnonzero(
+        (opened | np.isin(begins, unknown.end)) & (closed | np.isin(unknown.end, begins))
+    )
+    opens: set[int] = set()
+    for index in possible.tolist():
+        if opened[index] or int(begins[index]) in opens:
+            opened[index] = True
+            opens.add(int(unknown.end[index]))
+    closes: set[int] = set()
+    chained = np.zeros(len(unknown), dtype=bool)
+    for index in reversed(possible.tolist()):
+        if opened[index] and (closed[index] or int(unknown.end[index]) in closes):
+            chained[index] = True
+            closes.add(int(begins[index]))
+    return unknown.select(chained)
+
+
+def _among(sorted_places: IntArray, places: IntArray) -> NDArray[np.bool_]:
+    """Tell which places are in a sorted list of them."""
+    if not sorted_places.size:
+        return np.zeros(places.size, dtype=bool)
+    index = np.minimum(np.searchsorted(sorted_places, places), sorted_places.size - 1)
+    return np.asarray(sorted_places[index] == places)

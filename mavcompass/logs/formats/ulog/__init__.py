@@ -1,0 +1,1 @@
+"""PX4's own log (ULog, .ulg)."""

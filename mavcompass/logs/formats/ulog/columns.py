@@ -1,0 +1,170 @@
+"""The columns of a Track, other than its compasses, from the topics of a ULog."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix, wrap_pi
+from mavcompass.logs.common import VEHICLES, finite_series, motor_outputs
+from mavcompass.logs.formats.ulog.topics import has, indexed, time_s, vector
+from mavcompass.track import Series
+
+TOPICS = (
+    "vehicle_status",
+    "vehicle_attitude",
+    "vehicle_attitude_groundtruth",
+    "vehicle_local_position",
+    "vehicle_global_position",
+    "vehicle_gps_position",
+    "sensor_gps",
+    "sensor_accel",
+    "sensor_gyro",
+    "sensor_baro",
+    "battery_status",
+    "vehicle_thrust_setpoint",
+    "actuator_controls_0",
+    "actuator_motors",
+    "actuator_outputs",
+)
+Topics = Mapping[str, Sequence[Any]]
+
+_ACCELEROMETERS = (("sensor_combined", *indexed("accelerometer_m_s2")), ("sensor_accel", "x", "y", "z"))
+_GYROS = (("sensor_combined", *indexed("gyro_rad")), ("sensor_gyro", "x", "y", "z"))
+_VEHICLE_TYPES = {1: "copter", 2: "plane", 3: "rover"}
+_GPS_FIX_3D = 3
+_MICRO, _MILLI = 1.0e-6, 1.0e-3
+_DEG_PER_E7 = 1.0e-7
+# Output values above this are pulse widths, below it fractions.
+_FRACTION = 10.0
+
+
+def columns(topics: Topics, parameters: Mapping[str, float]) -> dict[str, Series]:
+    """Build every column that the log gives."""
+    out = {
+        "acc_mps2": _first(topics, *_ACCELEROMETERS),
+        "gyro_radps": _first(topics, *_GYROS),
+        "attitude_rad": _attitude(topics),
+        "truth_q": _first(topics, ("vehicle_attitude_groundtruth", *indexed("q", 4))),
+        "position_ned_m": _first(topics, ("vehicle_local_position", "x", "y", "z")),
+        "place": _place(topics),
+        "gps_velocity_mps": _gps(topics, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s"),
+        "gps_yaw_rad": _gps(topics, "heading", convert=wrap_pi),
+        "current_a": _current(topics),
+        "throttle": _throttle(topics),
+        "temperature_degc": _first(topics, ("sensor_baro", "temperature")),
+        "motors": _motors(topics, parameters),
+    }
+    return {name: found for name, found in out.items() if found is not None}
+
+
+def vehicle(topics: Topics) -> str:
+    """Name the vehicle's kind."""
+    for status in topics.get("vehicle_status", ()):
+        fields = status.data
+        if "system_type" in fields and int(fields["system_type"][-1]) in VEHICLES:
+            return VEHICLES[int(fields["system_type"][-1])]
+        if "vehicle_type" in fields:
+            return _VEHICLE_TYPES.get(int(fields["vehicle_type"][-1]), "unknown")
+    return "unknown"
+
+
+def utc_offset_s(topics: Topics) -> float | None:
+    """Return the Unix time of time_s = 0 by the GPS receiver; None where it had none."""
+    for data in _receivers(topics):
+        if has(data, "time_utc_usec"):
+            unix_us = np.asarray(data.data["time_utc_usec"], dtype=np.float64)
+            known = unix_us > 0
+            if bool(known.any()):
+                stamps = np.asarray(data.data["timestamp"], dtype=np.float64)
+                return float(np.median(unix_us[known] - stamps[known])) * _MICRO
+    return None
+
+
+def _first(topics: Topics, *choices: tuple[str, ...]) -> Series | None:
+    """Read the first of several (topic, fields) that the log has."""
+    for topic, *names in choices:
+        for data in topics.get(topic, ())[:1]:
+            if has(data, *names):
+                found = finite_series(time_s(data), vector(data, *names))
+                if found is not None:
+                    return found
+    return None
+
+
+def _attitude(topics: Topics) -> Series | None:
+    q = _first(topics, ("vehicle_attitude", *indexed("q", 4)))
+    if q is None:
+        return None
+    return Series.of(q.time_s, np.stack(matrix_to_euler(quaternion_to_matrix(q.values))).T)
+
+
+def _receivers(topics: Topics) -> list[Any]:
+    return [*topics.get("vehicle_gps_position", ()), *topics.get("sensor_gps", ())]
+
+
+def _gps(
+    topics: Topics, *names: str, convert: Callable[[FloatArray], FloatArray] | None = None
+) -> Series | None:
+    for data in _receivers(topics):
+        if has(data, *names, "fix_type"):
+            values = vector(data, *names)
+            fixed = np.asarray(data.data["fix_type"]) >= _GPS_FIX_3D
+            found = finite_series(time_s(data)[fixed], convert(values[fixed]) if convert else values[fixed])
+            if found is not None:
+                return found
+    return None
+
+
+def _place(topics: Topics) -> Series | None:
+    estimate = _first(topics, ("vehicle_global_position", "lat", "lon", "alt"))
+    if estimate is not None:
+        return estimate
+    degrees = _gps(topics, "latitude_deg", "longitude_deg", "altitude_msl_m")
+    if degrees is not None:
+        return degrees
+    whole = _gps(topics, "lat", "lon", "alt")
+    if whole is None:
+        return None
+    return Series.of(whole.time_s, whole.values * np.array([_DEG_PER_E7, _DEG_PER_E7, _MILLI]))
+
+
+def _current(topics: Topics) -> Series | None:
+    found = _first(topics, ("battery_status", "current_a"))
+    if found is None:
+        return None
+    measured = found.values >= 0.0
+    return Series.of(found.time_s[measured], found.values[measured]) if bool(measured.any()) else None
+
+
+def _throttle(topics: Topics) -> Series | None:
+    thrust = _first(topics, ("vehicle_thrust_setpoint", *indexed("xyz")))
+    if thrust is not None:
+        size = np.linalg.norm(thrust.values, axis=1)
+        return Series.of(thrust.time_s, np.clip(size, 0.0, 1.0))
+    control = _first(topics, ("actuator_controls_0", "control[3]"))
+    return None if control is None else Series.of(control.time_s, np.clip(control.values, 0.0, 1.0))
+
+
+def _motors(topics: Topics, parameters: Mapping[str, float]) -> Series | None:
+    """Read the motors' outputs as fractions; a stopped motor is nan in the log."""
+    for data in topics.get("actuator_motors", ())[:1]:
+        names = [name for name in indexed("control", 8) if has(data, name)]
+        controls = vector(data, *names).reshape(-1, len(names)) if names else np.empty((0, 0))
+        used = np.isfinite(controls).any(axis=0)
+        if bool(used.any()):
+            return Series.of(time_s(data), np.clip(np.nan_to_num(np.abs(controls[:, used])), 0.0, 1.0))
+    for data in topics.get("actuator_outputs", ())[:1]:
+        count = int(np.max(data.data["noutputs"])) if has(data, "noutputs") else 8
+        names = [name for name in indexed("output", min(count, 8)) if name in data.data]
+        if names:
+            outputs = np.nan_to_num(
+                np.stack([np.asarray(data.data[name], dtype=np.float64) for name in names]).T
+            )
+            if float(np.abs(outputs).max(initial=0.0)) > _FRACTION:
+                fractions = motor_outputs(outputs, {})
+                return None if fractions is None else Series.of(time_s(data), fractions)
+            return Series.of(time_s(data), np.clip(np.abs(outputs), 0.0, 1.0))
+    return None

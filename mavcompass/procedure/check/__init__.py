@@ -1,0 +1,11 @@
+"""The pre-flight check: what is set, what the compasses show at rest, and one turn of 90 degrees."""
+
+from __future__ import annotations
+
+from mavcompass.procedure.check.preflight import CheckReport, CheckSettings, check
+
+__all__ = [
+    "CheckReport",
+    "CheckSettings",
+    "check",
+]

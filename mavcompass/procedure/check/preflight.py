@@ -1,0 +1,321 @@
+"""The pre-flight check: what is set, what the compasses show at rest, and one turn of 90 degrees.
+
+It writes nothing. The turn is made only where it is asked for and the vehicle can turn itself; all
+safety rules of a calibration hold for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from mavcompass import messages as mav
+from mavcompass.calibration.observation import Dwell, assemble, dwell_between
+from mavcompass.earth_field import EarthField, decimal_year, earth_field
+from mavcompass.errors import PoorCalibration, Refused
+from mavcompass.frames import wrap_pi
+from mavcompass.heading.compute import tilt_compensated_heading
+from mavcompass.procedure.check import items
+from mavcompass.procedure.check.items import CheckItem, Reading, Verdict
+from mavcompass.procedure.commands import MessageRates
+from mavcompass.procedure.dialect import Dialect, describe_compasses
+from mavcompass.procedure.motion import Mobility, SafetyLimits, Wishes
+from mavcompass.procedure.positions import DwellSettings, Mover, Rest, VehicleMover, Window, dwell
+from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.turning import GyroAngle, strategies_for
+from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
+from mavcompass.track import Track
+from mavcompass.track_builder import TrackBuilder
+
+SCHEMA = "mavcompass.check/1"
+Turn = Literal["none", "auto", "vehicle", "hand"]
+
+_STEP_RAD = math.pi / 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class CheckSettings:
+    """Hold what the person may choose.
+
+    Attributes:
+        turn: "vehicle" lets it turn itself by 90 degrees, "auto" only where it is armed and knows how,
+            "hand" asks a person.
+        system: MAVLink system id, where several vehicles share the link.
+        year: decimal year to use where the vehicle does not know the date.
+    """
+
+    turn: Turn = "none"
+    system: int | None = None
+    rate_hz: float = 25.0
+    year: float = 2026.0
+    dwell: DwellSettings = field(default_factory=DwellSettings)
+    limits: SafetyLimits = field(default_factory=SafetyLimits)
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """Hold the list; `verdict` is that of its worst item."""
+
+    identity: VehicleIdentity
+    items: tuple[CheckItem, ...]
+    turned: bool
+    duration_s: float
+
+    @property
+    def verdict(self) -> Verdict:
+        """Return pass, warn or fail."""
+        return items.worst(item.verdict for item in self.items)
+
+    @property
+    def calibration_advised(self) -> bool:
+        """Tell whether a calibration is the remedy of something that is not right."""
+        return any(item.verdict != "pass" and "alibrate" in item.remedy for item in self.items)
+
+    def summary(self) -> str:
+        """Return one sentence."""
+        wrong = [item for item in self.items if item.verdict == self.verdict]
+        match self.verdict:
+            case "pass":
+                turned = "" if self.turned else " (without a turn)"
+                return f"Pass: {len(self.items)} questions, nothing wrong{turned}."
+            case verdict:
+                more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+                return f"{verdict.title()}: {wrong[0].text.rstrip('.')}{more}."
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the machine-readable form."""
+        return {
+            "schema": SCHEMA,
+            "autopilot": self.identity.autopilot,
+            "vehicle": self.identity.kind,
+            "verdict": self.verdict,
+            "summary": self.summary(),
+            "turned": self.turned,
+            "calibration_advised": self.calibration_advised,
+            "items": [item.to_json() for item in self.items],
+            "duration_s": self.duration_s,
+        }
+
+
+def check(
+    context: Context, dialect_for: Callable[[str], Dialect], settings: CheckSettings
+) -> Script[CheckReport]:
+    """Check a live vehicle's compasses.
+
+    Raises Refused where a turn was asked for and is not safe, or the check was stopped; LinkError where
+    the vehicle cannot be heard.
+    """
+    checker = yield from _Checker.open(context, dialect_for, settings)
+    rates = MessageRates()
+    try:
+        yield from rates.ask(context, checker.wanted_rates())
+        yield from checker.look_at_rest()
+        if settings.turn != "none":
+            yield from checker.turn()
+        return checker.report()
+    finally:
+        yield from checker.end()
+        yield from rates.restore(context)
+
+
+@dataclass(slots=True)
+class _Checker:
+    """Hold what one check works with."""
+
+    context: Context
+    settings: CheckSettings
+    identity: VehicleIdentity
+    dialect: Dialect
+    parameters: Mapping[str, float]
+    state: VehicleState
+    builder: TrackBuilder
+    began_s: float
+    gyro: GyroAngle = field(default_factory=GyroAngle)
+    rest: Rest = field(default_factory=Rest)
+    mover: Mover | None = None
+    mobility: Mobility | None = None
+    windows: list[Window] = field(default_factory=list)
+    items: list[CheckItem] = field(default_factory=list)
+    turned: bool = False
+
+    @classmethod
+    def open(
+        cls, context: Context, dialect_for: Callable[[str], Dialect], settings: CheckSettings
+    ) -> Script[_Checker]:
+        """Find the vehicle, read its parameters, start recording."""
+        began_s = context.now
+        context.show("connect", "Waiting for the vehicle's heartbeat.", 0.0)
+        identity = yield from find_vehicle(context, settings.system)
+        # Only now: before, every vehicle on the link is heard.
+        state = VehicleState()
+        context.listeners.append(state.hear)
+        context.show("connect", f"Found {identity.autopilot} {identity.kind}. Reading its parameters.", 0.1)
+        dialect = dialect_for(identity.autopilot)
+        parameters = yield from dialect.compass_parameters(context)
+        builder = TrackBuilder(identity.autopilot, identity.kind)
+        builder.parameters.update(parameters)
+        describe_compasses(builder, dialect, parameters)
+        checker = cls(context, settings, identity, dialect, parameters, state, builder, began_s)
+        context.listeners += [builder.add, checker.gyro.hear, checker.rest.hear]
+        return checker
+
+    @property
+    def instances(self) -> tuple[int, ...]:
+        """List the vehicle's compasses."""
+        return self.dialect.instances(self.parameters)
+
+    def wanted_rates(self) -> dict[type[mav.Message], float]:
+        """List the messages to ask for."""
+        px4 = self.identity.autopilot == "px4"
+        kinds: tuple[type[mav.Message], ...] = (
+            mav.ScaledImu if px4 else mav.RawImu,
+            mav.ScaledImu2,
+            mav.ScaledImu3,
+        )
+        wanted = {kinds[i - 1]: self.settings.rate_hz for i in sorted({1, *self.instances})}
+        wanted |= {mav.Attitude: 10.0, mav.GlobalPositionInt: 4.0, mav.SysStatus: 4.0, mav.SystemTime: 2.0}
+        return wanted if px4 else wanted | {mav.EkfStatusReport: 2.0, mav.RcChannels: 4.0}
+
+    def look_at_rest(self) -> Script[None]:
+        """Dwell, and answer every question that needs no turn."""
+        self.context.show("dwell", "Looking at the compasses at rest.", 0.3)
+        mover = VehicleMover(self.gyro, ())  # nobody moves it yet
+        window = yield from dwell(self.context, self.rest, self.gyro, mover, self.settings.dwell)
+        self.windows.append(window)
+        track = self.builder.build()
+        self._judge_parameters()
+        self._add(items.judge_stillness(self.rest.still_since_s is not None, self.rest.why_not))
+        self._judge_field(track, window)
+        if track.gyro_radps is not None:
+            time_s = track.gyro_radps.time_s
+            resting = (time_s >= window.start_s) & (time_s <= window.end_s)
+            if resting.any():
+                self._add(items.judge_gyro(np.asarray(track.gyro_radps.values)[resting]))
+        self._add(items.judge_estimator(self.state.ekf))
+        self.items += items.judge_prearm(self.state.texts)
+
+    def _judge_parameters(self) -> None:
+        if not self.instances:
+            self._add(CheckItem("compass", "fail", "The vehicle has no compass.", "Connect and enable one."))
+        for instance in self.instances:
+            correction = self.dialect.correction(self.parameters, instance)
+            self._add(items.judge_offsets(instance, correction))
+            self._add(items.judge_matrix(instance, correction))
+            self.items += items.judge_device(instance, self.identity.autopilot, self.parameters)
+
+    def _judge_field(self, track: Track, window: Window) -> None:
+        world = self.world()
+        if world is None:
+            text = "The vehicle does not know its place: the field was not compared with the world's."
+            self._add(CheckItem("place", "warn", text, "Wait for a GPS fix and check again."))
+        readings: list[Reading] = []
+        for instance in self.instances:
+            reading = self._reading(track, instance, window)
+            if reading is None:
+                text = f"Compass {instance} said nothing."
+                self._add(CheckItem("data", "fail", text, "Check its cable and COMPASS_USE.", instance))
+                continue
+            self.items += items.judge_field(reading, world)
+            if readings:
+                self._add(items.judge_agreement(readings[0], reading))
+            readings.append(reading)
+
+    def _reading(self, track: Track, instance: int, window: Window) -> Reading | None:
+        if instance not in track.compasses:
+            return None
+        try:
+            seen = dwell_between(track, instance, window.start_s, window.end_s)
+        except PoorCalibration:
+            return None
+        field_mgauss = self.dialect.correction(self.parameters, instance).apply(seen.mean_mgauss)
+        down = _down(seen)
+        vertical = float(field_mgauss @ down)
+        horizontal = math.sqrt(max(float(field_mgauss @ field_mgauss) - vertical**2, 0.0))
+        return Reading(instance, horizontal, vertical, self._heading_rad(seen, instance))
+
+    def _heading_rad(self, seen: Dwell, instance: int) -> float:
+        field_mgauss = self.dialect.correction(self.parameters, instance).apply(seen.mean_mgauss)
+        return float(tilt_compensated_heading(field_mgauss, roll_rad=seen.roll_rad, pitch_rad=seen.pitch_rad))
+
+    def world(self) -> EarthField | None:
+        """Return the Earth's field at the vehicle, None where it does not know its place."""
+        place, utc = self.state.place, self.state.utc
+        if place is None or (place.lat == 0 and place.lon == 0):
+            return None
+        known = utc is not None and utc.time_unix_usec > 1_400_000_000_000_000
+        year = decimal_year(utc.time_unix_usec * 1e-6) if utc is not None and known else self.settings.year
+        lat_deg, lon_deg = round(place.lat * 1e-7, 2), round(place.lon * 1e-7, 2)
+        return earth_field(lat_deg, lon_deg, place.alt * 1e-3, round(year, 2))
+
+    # --- the turn -----------------------------------------------------------------------------------
+
+    def turn(self) -> Script[None]:
+        """Turn once and compare every compass with the gyro; say so where it cannot be done."""
+        why_not = yield from self._choose_mover()
+        if self.mover is None:
+            if self.settings.turn != "auto":
+                text = f"No turn was made: {why_not}."
+                self._add(CheckItem("turn", "warn", text, "Arm it, or turn it by hand."))
+            return
+        self.context.show("turn", "Turning by 90 deg.", 0.6)
+        yield from self.mover.next(self.context, _STEP_RAD, 1)
+        self.context.show("dwell", "Standing still after the turn.", 0.8)
+        self.windows.append(
+            (yield from dwell(self.context, self.rest, self.gyro, self.mover, self.settings.dwell))
+        )
+        self.turned = True
+        track = self.builder.build()
+        for instance in self.instances:
+            if instance in track.compasses:
+                self._add(self._compare_turn(track, instance))
+
+    def _choose_mover(self) -> Script[str]:
+        """Choose who turns; returns why nobody does."""
+        if self.settings.turn == "hand":
+            if self.state.armed:
+                return "it is armed, and turning it by hand is not safe"
+        elif not self.state.armed:
+            return "it is disarmed"
+        elif not strategies_for(self.identity.kind, self.identity.autopilot):
+            return f"a {self.identity.autopilot} {self.identity.kind} cannot turn on the spot"
+        wishes = Wishes("hand" if self.settings.turn == "hand" else "vehicle", limits=self.settings.limits)
+        self.mobility = Mobility(self.identity, self.state, self.gyro, self.rest, wishes)
+        try:
+            self.mover = yield from self.mobility.take_charge(self.context, self.parameters)
+        except Refused as why:
+            if self.settings.turn == "auto":
+                return why.what.rstrip(".")
+            raise
+        return ""
+
+    def _compare_turn(self, track: Track, instance: int) -> CheckItem:
+        dwells = [dwell_between(track, instance, w.start_s, w.end_s) for w in self.windows]
+        step = assemble(track, dwells, instance).steps[0]
+        first, second = (self._heading_rad(seen, instance) for seen in dwells)
+        field_turned = step.angle_rad + float(wrap_pi(second - first - step.angle_rad))
+        return items.judge_turn(
+            instance, math.degrees(field_turned), math.degrees(step.angle_rad), math.degrees(step.sigma_rad)
+        )
+
+    def end(self) -> Script[None]:
+        """Stop any motion and the watch over it, and give the vehicle back."""
+        if self.mobility is not None:
+            yield from self.mobility.end(self.context, in_a_hurry=not self.turned)
+
+    def report(self) -> CheckReport:
+        """Put the list together."""
+        return CheckReport(self.identity, tuple(self.items), self.turned, self.context.now - self.began_s)
+
+    def _add(self, item: CheckItem | None) -> None:
+        if item is not None:
+            self.items.append(item)
+
+
+def _down(seen: Dwell) -> Any:
+    """Return which way was down, (3,), in body axes."""
+    roll, pitch = seen.roll_rad, seen.pitch_rad
+    return np.array([-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll)])

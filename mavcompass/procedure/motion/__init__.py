@@ -1,0 +1,15 @@
+"""Who turns the vehicle, whether it may and what that takes, and what ends a motion at once."""
+
+from __future__ import annotations
+
+from mavcompass.procedure.motion.mobility import Mobility, Motion, Wishes
+from mavcompass.procedure.motion.readiness import Permissions
+from mavcompass.procedure.motion.safety import SafetyLimits
+
+__all__ = [
+    "Mobility",
+    "Motion",
+    "Permissions",
+    "SafetyLimits",
+    "Wishes",
+]

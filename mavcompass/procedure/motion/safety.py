@@ -1,0 +1,203 @@
+"""What ends a motion at once: the pilot, a failsafe, the vehicle's own state, a silent link.
+
+`MotionGuard.check` is a watch of a Context: called after every event, and a sentence from it stops
+the procedure, which then commands zero rate, puts back what it changed and writes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+from mavcompass import messages as mav
+from mavcompass.enums import EkfFlag, MavState
+from mavcompass.errors import Refused
+from mavcompass.procedure.modes import ModeKeeper, mode_name
+from mavcompass.procedure.turning import GyroAngle
+from mavcompass.procedure.vehicle_state import Kind, VehicleState
+
+# Sticks that rest in the middle, by kind; throttles need not.
+_CENTRED: dict[Kind, tuple[int, ...]] = {"rover": (1,), "boat": (1,), "copter": (1, 2, 4), "sub": (4,)}
+_CENTRE_US, _HELD_US = 1500, 150
+_CIRCLING = (
+    "A copter whose compass is far off circles instead of holding its place: calibrate it on the ground, "
+    "turned by hand."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyLimits:
+    """Hold how far a vehicle may stray while it is turned.
+
+    Attributes:
+        silence_s: no message for this long is a dead link (longer on slow telemetry).
+        stick_us: a stick moved this far from where it was at the start is the pilot's hand.
+        tilt_rad, rate_radps, drift_m: more than this is not a turn on the spot.
+        height_m: a copter must be at least this high.
+        battery_percent: less is no time for turning.
+    """
+
+    silence_s: float = 0.8
+    stick_us: int = 80
+    tilt_rad: float = math.radians(35.0)
+    rate_radps: float = math.radians(200.0)
+    drift_m: float = 5.0
+    height_m: float = 1.5
+    battery_percent: int = 10
+
+    def with_drift(self, drift_m: float) -> SafetyLimits:
+        """Return the same limits with another room to move in."""
+        return replace(self, drift_m=drift_m)
+
+
+@dataclass(slots=True)
+class MotionGuard:
+    """Watch a vehicle from the moment motion begins; `hear` is a listener, `check` a watch.
+
+    Attributes:
+        modes: knows which flight modes are ours; without it the one at the start is.
+        moved_by_us: RC channels that we move ourselves, so that they say nothing about the pilot.
+    """
+
+    state: VehicleState
+    gyro: GyroAngle
+    kind: Kind
+    limits: SafetyLimits = SafetyLimits()
+    modes: ModeKeeper | None = None
+    moved_by_us: frozenset[int] = frozenset()
+    _mode: int = -1
+    _sticks: tuple[int, ...] | None = None
+    _place: mav.GlobalPositionInt | None = None
+    _arrivals: list[float] = field(default_factory=list)
+
+    def begin(self) -> None:
+        """Take the state at the start as what must not change.
+
+        Raises Refused where the vehicle is not fit to be turned.
+        """
+        self._mode = self.state.mode
+        self._sticks = None
+        self._place = self.state.place
+        for reason in (
+            self._pilot(),
+            self._power(),
+            self._estimator(),
+            self._posture(),
+            self._fence(),
+            self._too_low(),
+        ):
+            if reason is not None:
+                raise Refused(reason, "Nothing was moved or written.")
+
+    def hear(self, heard: mav.Incoming) -> None:
+        """Learn the rhythm of the link: on slow telemetry silence is longer."""
+        self._arrivals.append(heard.time_s)
+        del self._arrivals[:-50]
+
+    def silence_limit_s(self) -> float:
+        """Return how long the link may be silent before it counts as dead."""
+        if len(self._arrivals) < 10:
+            return max(self.limits.silence_s, 2.0)
+        mean_gap_s = (self._arrivals[-1] - self._arrivals[0]) / (len(self._arrivals) - 1)
+        return max(self.limits.silence_s, 8.0 * mean_gap_s)
+
+    def check(self, now_s: float) -> str | None:
+        """Return the sentence that ends the motion, None while all is well."""
+        if now_s - self.state.heard_s > self.silence_limit_s():
+            return "The vehicle fell silent: the link is lost."
+        if not self.state.armed:
+            return "The vehicle was disarmed."
+        if self._mode_is_foreign():
+            return f"The flight mode was changed to {self._mode_name()}."
+        return (
+            self._pilot()
+            or self._power()
+            or self._estimator()
+            or self._posture()
+            or self._fence()
+            or self._strayed()
+        )
+
+    def _mode_is_foreign(self) -> bool:
+        return self.state.mode != self._mode if self.modes is None else self.modes.is_foreign()
+
+    def _mode_name(self) -> str:
+        autopilot = "ardupilot" if self.modes is None else self.modes.autopilot
+        return mode_name(self.kind, autopilot, self.state.mode)
+
+    def _pilot(self) -> str | None:
+        now = _stick_values(self.state.sticks)
+        if now is None:
+            return None
+        if self._sticks is None:
+            self._sticks = now
+            held = [c for c in _CENTRED.get(self.kind, ()) if abs(now[c - 1] - _CENTRE_US) > _HELD_US]
+            if set(held) - self.moved_by_us:
+                return "The pilot holds a stick."
+        for channel, (pwm, at_start) in enumerate(zip(now, self._sticks, strict=True), start=1):
+            if channel not in self.moved_by_us and abs(pwm - at_start) > self.limits.stick_us:
+                return "The pilot moved a stick."
+        return None
+
+    def _power(self) -> str | None:
+        beat, battery = self.state.heartbeat, self.state.battery
+        if beat is not None and beat.system_status in (MavState.CRITICAL, MavState.EMERGENCY):
+            return "The vehicle reports a failsafe."
+        if battery is not None and 0 <= battery.battery_remaining < self.limits.battery_percent:
+            return f"The battery is at {battery.battery_remaining} %."
+        return None
+
+    def _estimator(self) -> str | None:
+        ekf = self.state.ekf
+        if ekf is None:
+            return None
+        if ekf.flags & EkfFlag.UNINITIALIZED or not ekf.flags & EkfFlag.ATTITUDE:
+            return "The vehicle's attitude estimate is not healthy."
+        if self.kind == "copter" and ekf.flags & EkfFlag.CONST_POS_MODE:
+            return "The vehicle has lost its position estimate."
+        return None
+
+    def _posture(self) -> str | None:
+        attitude = self.state.attitude
+        if attitude is not None:
+            tilt = math.acos(max(-1.0, min(1.0, math.cos(attitude.roll) * math.cos(attitude.pitch))))
+            if tilt > self.limits.tilt_rad:
+                return f"The vehicle is tilted by {math.degrees(tilt):.0f} deg."
+        if abs(self.gyro.rate_radps) > self.limits.rate_radps:
+            return f"The vehicle turns too fast ({math.degrees(self.gyro.rate_radps):.0f} deg/s)."
+        return None
+
+    def _fence(self) -> str | None:
+        fence = self.state.fence
+        return "The geofence is breached." if fence is not None and fence.breach_status else None
+
+    def _too_low(self) -> str | None:
+        place = self.state.place
+        if self.kind == "copter" and place is not None:
+            height_m = place.relative_alt * 1e-3
+            if height_m < self.limits.height_m:
+                return f"The copter is {height_m:.1f} m above its start, too low to be turned."
+        return None
+
+    def _strayed(self) -> str | None:
+        place, start = self.state.place, self._place
+        if place is None:
+            return None
+        if start is None:
+            self._place = place
+            return None
+        north_m = (place.lat - start.lat) * 1e-7 * 111_319.5
+        east_m = (place.lon - start.lon) * 1e-7 * 111_319.5 * math.cos(math.radians(start.lat * 1e-7))
+        drift_m = math.hypot(north_m, east_m)
+        if drift_m > self.limits.drift_m:
+            reason = f"The vehicle moved {drift_m:.1f} m away from where it started."
+            return f"{reason} {_CIRCLING}" if self.kind == "copter" else reason
+        return self._too_low()
+
+
+def _stick_values(sticks: mav.RcChannels | None) -> tuple[int, ...] | None:
+    """Return the four stick channels; None where there is no receiver."""
+    if sticks is None:
+        return None
+    values = (sticks.chan1_raw, sticks.chan2_raw, sticks.chan3_raw, sticks.chan4_raw)
+    return values if all(800 <= v <= 2200 for v in values) else None

@@ -1,0 +1,28 @@
+"""The still positions of a calibration: visited by the vehicle itself or by hand, proven by one more turn."""
+
+from __future__ import annotations
+
+from mavcompass.procedure.positions.hand import HandMover
+from mavcompass.procedure.positions.proof import Proof, prove
+from mavcompass.procedure.positions.visiting import (
+    DwellSettings,
+    Mover,
+    Rest,
+    VehicleMover,
+    Window,
+    dwell,
+    visit,
+)
+
+__all__ = [
+    "DwellSettings",
+    "HandMover",
+    "Mover",
+    "Proof",
+    "Rest",
+    "VehicleMover",
+    "Window",
+    "dwell",
+    "prove",
+    "visit",
+]

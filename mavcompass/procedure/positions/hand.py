@@ -1,0 +1,161 @@
+"""Turning by hand: tell a person, live, how far to turn, when to level it and when to hold still.
+
+Positions may come in any order and from either side; the gyro counts the turn, so no compass and no
+marks on the ground are needed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from mavcompass.errors import LinkLost, PoorCalibration
+from mavcompass.frames import wrap_pi
+from mavcompass.procedure.positions.visiting import DwellSettings, Rest
+from mavcompass.procedure.script import Context, Script, pause
+from mavcompass.procedure.turning import GyroAngle
+
+_POLL_S = 0.1
+# A prompt that changes faster than this cannot be read.
+_READABLE_S = 0.4
+# Telemetry that is silent for this long leaves the person without a guide.
+_SILENCE_S = 5.0
+
+
+@dataclass(slots=True)
+class HandMover:
+    """Prompt a person who turns the vehicle.
+
+    Attributes:
+        near_rad: so close to a wanted heading it need not be turned further.
+        apart_rad: a position counts when it is at least this far from every one before it.
+        level_rad: tilted further than this, the person is asked to level it.
+        slope_patience_s: held still and tilted for so long, it stands on a slope and is taken as it is.
+        patience_s: how long a person may take for one position.
+        visited_rad: the gyro's angles of the positions so far.
+    """
+
+    gyro: GyroAngle
+    rest: Rest
+    near_rad: float = math.radians(12.0)
+    apart_rad: float = math.radians(50.0)
+    level_rad: float = math.radians(10.0)
+    slope_patience_s: float = 15.0
+    patience_s: float = 180.0
+    visited_rad: list[float] = field(default_factory=list)
+    _said: str = ""
+    _said_s: float = -math.inf
+
+    def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
+        """Prompt until the vehicle is near a heading that is still wanted, or rests anywhere new.
+
+        Raises PoorCalibration when it is not within the patience, LinkLost where telemetry ends.
+        """
+        if not self.visited_rad:
+            self.visited_rad.append(self.gyro.angle_rad)
+        began_rad, began_s = self.gyro.angle_rad, context.now
+        while context.now < began_s + self.patience_s:
+            self._need_telemetry(context, began_s)
+            left_rad = self._left(angle_rad)
+            if abs(left_rad) <= self.near_rad:
+                context.show("turn", "Here.", cue=1.0)
+                return
+            if self._is_new(self.gyro.angle_rad, angle_rad) and self.rest.for_s() > 1.5:
+                return
+            side, degrees = "right" if left_rad > 0.0 else "left", abs(math.degrees(left_rad))
+            turned_deg = math.degrees(self.gyro.angle_rad - began_rad)
+            text = f"Turn {side} {degrees:.0f} deg more."
+            self._prompt(context, text, turned_deg=turned_deg, remaining=float(remaining))
+            yield from pause(context, _POLL_S)
+        raise PoorCalibration(
+            f"The vehicle was not turned to a new position within {self.patience_s:.0f} s.",
+            "Start again and turn it by about 90 degrees when asked.",
+        )
+
+    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
+        """Prompt until the vehicle is level and rests.
+
+        Raises PoorCalibration when it does not within the patience, LinkLost where telemetry ends.
+        """
+        began_s = context.now
+        while context.now < began_s + self.patience_s:
+            self._need_telemetry(context, began_s)
+            tilt_rad, still_s = self.gyro.tilt_rad, rest.for_s()
+            level = tilt_rad <= self.level_rad
+            if still_s >= settings.settle_s and (level or still_s > self.slope_patience_s):
+                return True
+            if level:
+                self._prompt(context, f"Hold still {settings.dwell_s:.0f} s.")
+            else:
+                self._prompt(context, f"Tilted by {math.degrees(tilt_rad):.0f} deg: level it.")
+            yield from pause(context, _POLL_S)
+        raise PoorCalibration(
+            f"The vehicle was not held still within {self.patience_s:.0f} s ({rest.why_not or 'tilted'}).",
+            "Put it down, or rest it against something, and start again.",
+        )
+
+    def hold(self, context: Context, left_s: float) -> None:
+        """Count the dwell down."""
+        self._prompt(context, f"Hold still {max(math.ceil(left_s - 0.2), 1)} s.")
+
+    def accept(self, context: Context, turned_rad: float) -> bool:
+        """Take a position; False for one that is where an earlier one was."""
+        if any(self._apart(turned_rad, seen) < self.apart_rad for seen in self.visited_rad):
+            context.show("turn", "The vehicle stood here before: turn it further.", cue=1.0)
+            return False
+        self.visited_rad.append(turned_rad)
+        context.show("taken", f"Position {len(self.visited_rad)} is taken.", cue=1.0)
+        return True
+
+    def halt(self, context: Context) -> None:
+        """Do nothing: the person holds it."""
+
+    def release(self, context: Context) -> Script[None]:
+        """Do nothing: nothing was taken."""
+        yield from ()
+
+    # --- which way ----------------------------------------------------------------------------------
+
+    def _left(self, step_rad: float) -> float:
+        """Return the turn to the nearest heading that is wanted; of two as near, the one asked for."""
+        now_rad = self.gyro.angle_rad
+        turns = [float(wrap_pi(heading - now_rad)) for heading in self._wanted(step_rad)]
+        return min(turns, key=lambda turn: abs(turn) - (1e-3 if turn * step_rad > 0.0 else 0.0))
+
+    def _wanted(self, step_rad: float) -> list[float]:
+        """List the headings that are still wanted: the steps of the circle, or either side of the last."""
+        first, last = self.visited_rad[0], self.visited_rad[-1]
+        around = round(2.0 * math.pi / abs(step_rad))
+        apart = min(self.apart_rad, 0.6 * abs(step_rad))
+        free = [
+            first + k * step_rad
+            for k in range(1, around)
+            if all(self._apart(first + k * step_rad, seen) >= apart for seen in self.visited_rad)
+        ]
+        return free or [last + step_rad, last - step_rad]
+
+    def _is_new(self, angle_rad: float, step_rad: float) -> bool:
+        """Tell whether a heading is far from every position so far; from the last, once all are taken."""
+        apart = min(self.apart_rad, 0.6 * abs(step_rad))
+        full = len(self.visited_rad) * abs(step_rad) >= 2.0 * math.pi - 1e-6
+        before = self.visited_rad[-1:] if full else self.visited_rad
+        return all(self._apart(angle_rad, seen) >= apart for seen in before)
+
+    @staticmethod
+    def _apart(a_rad: float, b_rad: float) -> float:
+        return abs(float(wrap_pi(a_rad - b_rad)))
+
+    # --- what is said -------------------------------------------------------------------------------
+
+    def _prompt(self, context: Context, text: str, **data: float) -> None:
+        """Tell the person what to do, not faster than can be read."""
+        if text != self._said and context.now - self._said_s >= _READABLE_S:
+            context.show("turn", text, live=1.0, **data)
+            self._said, self._said_s = text, context.now
+
+    def _need_telemetry(self, context: Context, began_s: float) -> None:
+        if context.now - max(self.rest.heard_s, began_s) > _SILENCE_S:
+            raise LinkLost(
+                f"No RAW_IMU or SCALED_IMU message came for {_SILENCE_S:.0f} s.",
+                "Check that the vehicle streams them on this link (SRn_RAW_SENS, MAV_n_MODE).",
+            )

@@ -1,0 +1,141 @@
+"""Prove a written calibration by one more turn: the field's own heading against the gyro.
+
+And by solving anew with the position that this adds: a right calibration hardly changes, while one that a
+position taken in bad air has bent does. One turn alone shows a bend only where it is steep.
+
+Not against ATTITUDE: the autopilot's estimator follows a new calibration only slowly and stays wrong
+by up to twenty degrees through a whole further turn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mavcompass.calibration.observation import Dwell, assemble, dwell_between
+from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.frames import wrap_pi
+from mavcompass.heading.compute import tilt_compensated_heading
+from mavcompass.procedure.positions.visiting import Window
+from mavcompass.track import Track
+
+# What a right calibration may differ by all the same: three sigmas, and never less than this.
+_LEAST_TOLERANCE_RAD = math.radians(1.5)
+_LEAST_CHANGE_DEG = 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class CompassProof:
+    """Hold what the proof turn showed of one compass, degrees.
+
+    Attributes:
+        change_deg, change_allowed_deg: how much the heading changes, rms over the circle, where the
+            solution takes the proof's position in, and how much it may.
+        doubts: why the solution with that position would not be accepted.
+    """
+
+    instance: int
+    field_turned_deg: float
+    gyro_turned_deg: float
+    tolerance_deg: float
+    change_deg: float = 0.0
+    change_allowed_deg: float = _LEAST_CHANGE_DEG
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def difference_deg(self) -> float:
+        """Return field minus gyro, in [-180, 180)."""
+        return math.degrees(float(wrap_pi(math.radians(self.field_turned_deg - self.gyro_turned_deg))))
+
+    @property
+    def passed(self) -> bool:
+        """Tell whether the turns agree and the solution stands."""
+        turned_alike = abs(self.difference_deg) <= self.tolerance_deg
+        return turned_alike and self.change_deg <= self.change_allowed_deg and not self.doubts
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """Hold the proof of all compasses."""
+
+    compasses: tuple[CompassProof, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Tell whether all agree."""
+        return all(compass.passed for compass in self.compasses)
+
+    def summary(self) -> str:
+        """Return the sentence for the person."""
+        parts = [
+            f"compass {c.instance} turned {c.field_turned_deg:.1f} deg, the gyro {c.gyro_turned_deg:.1f} deg"
+            for c in self.compasses
+        ]
+        for compass in self.compasses:
+            if compass.change_deg > compass.change_allowed_deg:
+                parts.append(
+                    f"with this position the heading of compass {compass.instance} would be"
+                    f" {compass.change_deg:.1f} deg another"
+                )
+        doubts = "".join(f" {doubt}" for compass in self.compasses for doubt in compass.doubts)
+        verdict = "Proven" if self.passed else "Not proven"
+        return f"{verdict}: {'; '.join(parts)}.{doubts}"
+
+
+def prove(
+    track: Track,
+    before: Window,
+    after: Window,
+    results: Sequence[CalibrationResult],
+    again: Sequence[CalibrationResult],
+) -> Proof:
+    """Compare the turn between two dwells as the corrected field saw it with the gyro's.
+
+    `after` lies behind the write: there the autopilot itself applies the new values. `again` are the
+    solutions that take `after` in as one more position.
+    """
+    return Proof(
+        tuple(
+            _prove_one(track, before, after, result, anew)
+            for result, anew in zip(results, again, strict=True)
+        )
+    )
+
+
+def _prove_one(
+    track: Track, before: Window, after: Window, result: CalibrationResult, again: CalibrationResult
+) -> CompassProof:
+    dwells = [dwell_between(track, result.instance, w.start_s, w.end_s) for w in (before, after)]
+    data = assemble(track, dwells, result.instance)
+    step = data.steps[0]
+    first, second = (_heading_rad(dwell, result) for dwell in dwells)
+    gyro_rad = math.hypot(
+        step.sigma_rad,
+        data.gyro_scale_sigma * step.angle_rad,
+        data.gyro_bias_sigma_radps * step.duration_s,
+    )
+    # A tilt that is not known turns the field by the dip's tangent.
+    dip = result.vertical_mgauss / max(result.horizontal_mgauss, 1.0)
+    tilt_rad = dip * math.hypot(*(dwell.tilt_sigma_rad for dwell in dwells))
+    sigma_deg = math.hypot(
+        math.sqrt(2.0) * result.heading_sigma_deg, math.degrees(math.hypot(gyro_rad, tilt_rad)), 0.2
+    )
+    change_rad = heading_change_rad(
+        result.correction, again.correction, result.horizontal_mgauss, result.vertical_mgauss
+    )
+    return CompassProof(
+        instance=result.instance,
+        field_turned_deg=math.degrees(step.angle_rad + float(wrap_pi(second - first - step.angle_rad))),
+        gyro_turned_deg=math.degrees(step.angle_rad),
+        tolerance_deg=max(math.degrees(_LEAST_TOLERANCE_RAD), 3.0 * sigma_deg),
+        change_deg=math.degrees(math.sqrt(float((change_rad**2).mean()))),
+        change_allowed_deg=max(_LEAST_CHANGE_DEG, 3.0 * result.heading_sigma_deg),
+        doubts=again.reasons,
+    )
+
+
+def _heading_rad(dwell: Dwell, result: CalibrationResult) -> float:
+    """Return the tilt-compensated magnetic heading of a dwell under the new correction."""
+    field = result.correction.apply(dwell.mean_mgauss)
+    return float(tilt_compensated_heading(field, roll_rad=dwell.roll_rad, pitch_rad=dwell.pitch_rad))

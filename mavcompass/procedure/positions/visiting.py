@@ -1,0 +1,277 @@
+"""Visit the still positions of a calibration: wait for rest, dwell, turn, again.
+
+The vehicle turns itself by a `TurnStrategy`, or a person turns it. Both give the same: stretches of
+the recording, in the vehicle's time, in which it stood still.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from mavcompass import messages as mav
+from mavcompass.calibration.observation import UNREST, StillnessDetector
+from mavcompass.errors import LinkLost, Refused
+from mavcompass.procedure.script import Context, Script, pause
+from mavcompass.procedure.turning import GyroAngle, TurnStrategy
+from mavcompass.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
+
+_HOLD_EVERY_S = 0.5
+_HOLD_WHILE_SETTLING_S = 0.2
+# What happened in a longer silence is not known.
+_LONGEST_GAP_S = 1.0
+# At the turning points of a swing the tilt rests for a moment.
+_CALM_AFTER_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Hold one still stretch: vehicle time, and the gyro's live angle at its end."""
+
+    start_s: float
+    end_s: float
+    turned_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class DwellSettings:
+    """Hold how long to stand still.
+
+    Attributes:
+        dwell_s: length of a dwell; eighteen fresh readings of a compass read at 10 Hz.
+        settle_s: rest before a dwell begins. Rest is judged by the mean of half a second, so by then
+            the chassis and the compass's average of 100 ms have settled.
+        patience_s: a vehicle that hunts longer than this is dwelt upon as it is; the sway is then in
+            the data, where the gyro explains it.
+        tilting_patience_s: the same for one that tilts to and fro, as a copter does until its estimator has
+            made up its mind about a bent compass. That costs more than time.
+    """
+
+    dwell_s: float = 1.7
+    settle_s: float = 0.1
+    patience_s: float = 3.0
+    tilting_patience_s: float = 10.0
+
+
+@dataclass(slots=True)
+class Rest:
+    """Tell live whether the vehicle stands still; `hear` is a listener."""
+
+    detector: StillnessDetector = field(default_factory=lambda: StillnessDetector(hold_s=0.0))
+    time_s: float = -math.inf
+    heard_s: float = -math.inf
+    still_since_s: float | None = None
+    why_not: str = "nothing was heard yet"
+
+    def hear(self, heard: mav.Incoming) -> None:
+        """Take one message; RAW_IMU or SCALED_IMU count."""
+        message = heard.message
+        if type(message) not in (mav.RawImu, mav.ScaledImu):
+            return
+        time_s = float(imu_time_s(message))
+        if time_s <= self.time_s:
+            return
+        self.time_s, self.heard_s = time_s, heard.time_s
+        state = self.detector.update(
+            time_s, angular_rate_radps(message), acceleration_mps2(message), field_mgauss(message)
+        )
+        self.still_since_s = None if math.isnan(state.since_s) else state.since_s
+        self.why_not = state.why_not
+
+    def for_s(self) -> float:
+        """Return for how long it has been still, seconds of the vehicle's time."""
+        return 0.0 if self.still_since_s is None else self.time_s - self.still_since_s
+
+
+class Mover(Protocol):
+    """Bring the vehicle to its next position."""
+
+    def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
+        """Turn by about `angle_rad`; the gyro's angle tells what came of it."""
+        ...
+
+    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
+        """Wait until the vehicle has rested for the settling time; False when it hunts on."""
+        ...
+
+    def hold(self, context: Context, left_s: float) -> None:
+        """Keep it there; called twice a second during a dwell that lasts another `left_s`."""
+        ...
+
+    def accept(self, context: Context, turned_rad: float) -> bool:
+        """Take the position where it dwelt; False where it does not count."""
+        ...
+
+    def halt(self, context: Context) -> None:
+        """Stop any motion now."""
+        ...
+
+    def release(self, context: Context) -> Script[None]:
+        """Give the vehicle back as it was taken."""
+        ...
+
+
+@dataclass(slots=True)
+class VehicleMover:
+    """Let the vehicle turn itself; a strategy that does not move it is replaced by the next."""
+
+    gyro: GyroAngle
+    strategies: Sequence[TurnStrategy]
+    _current: int = 0
+    _used: bool = False
+    _moving: bool = False
+
+    def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
+        """Turn by the current strategy, or by the next that moves the vehicle.
+
+        Raises Refused when none does.
+        """
+        self._used = self._moving = True
+        while self._current < len(self.strategies):
+            strategy = self.strategies[self._current]
+            if (yield from strategy.turn(context, self.gyro, angle_rad)):
+                return
+            self._current += 1
+            if self._current < len(self.strategies):
+                then = self.strategies[self._current].name
+                context.show("turn", f"{strategy.name} did not move the vehicle; trying {then}.")
+        raise Refused(
+            "The vehicle accepted the commands but the gyro saw no turn.",
+            "Put it into GUIDED, armed (a copter: flying), or turn it by hand with --motion hand.",
+        )
+
+    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
+        """Wait for rest; see `wait_still`."""
+        return (yield from wait_still(context, rest, self, settings))
+
+    def hold(self, context: Context, left_s: float) -> None:
+        """Hold by the strategy in use."""
+        if self._used and self._current < len(self.strategies):
+            self.strategies[self._current].hold(context)
+
+    def accept(self, context: Context, turned_rad: float) -> bool:
+        """Take it: the gyro's angle is known, wherever it is."""
+        return True
+
+    def halt(self, context: Context) -> None:
+        """Halt by every strategy that was used; once, until the next turn."""
+        if self._moving:
+            self._moving = False
+            for strategy in self._all_used():
+                strategy.halt(context)
+
+    def release(self, context: Context) -> Script[None]:
+        """Release by every strategy that was used."""
+        for strategy in self._all_used():
+            yield from strategy.release(context)
+
+    def _all_used(self) -> Sequence[TurnStrategy]:
+        return self.strategies[: self._current + 1] if self._used else ()
+
+
+def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettings) -> Script[bool]:
+    """Wait until the vehicle has rested for the settling time; False when it hunts on.
+
+    Raises LinkLost where no IMU messages come.
+    """
+    began_s, heard_at = context.now, rest.time_s
+    shown, held_s, tilted_s = False, -math.inf, -math.inf
+    while rest.for_s() < settings.settle_s:
+        if rest.why_not == "tilting":
+            tilted_s = context.now
+        tilts = context.now - tilted_s < _CALM_AFTER_S
+        if context.now > began_s + (settings.tilting_patience_s if tilts else settings.patience_s):
+            if rest.time_s == heard_at:
+                raise LinkLost(
+                    "No RAW_IMU or SCALED_IMU message came.",
+                    "Check that the vehicle streams them on this link (SRn_RAW_SENS, MAV_n_MODE).",
+                )
+            return False
+        if not shown and rest.why_not and context.now > began_s + 1.0:
+            context.show(
+                "settle", f"Waiting until it stands still: {UNREST.get(rest.why_not, rest.why_not)}."
+            )
+            shown = True
+        if context.now - held_s >= _HOLD_WHILE_SETTLING_S:
+            mover.hold(context, settings.dwell_s)
+            held_s = context.now
+        yield from pause(context, 0.05)
+    return True
+
+
+def dwell(
+    context: Context, rest: Rest, gyro: GyroAngle, mover: Mover, settings: DwellSettings
+) -> Script[Window]:
+    """Stand still for a dwell; one that is disturbed, or partly not heard, begins anew, twice at the most."""
+    for _ in range(3):
+        resting = yield from mover.settle(context, rest, settings)
+        start_s, angle, samples = rest.time_s, gyro.angle_rad, gyro.samples
+        began, held_s = context.now, context.now
+        while rest.time_s - start_s < settings.dwell_s:
+            if context.now - began > 5.0 * settings.dwell_s + 5.0:
+                raise LinkLost("The IMU messages stopped coming.", "Bring the link back and run again.")
+            if context.now - held_s >= _HOLD_EVERY_S:
+                mover.hold(context, settings.dwell_s - (rest.time_s - start_s))
+                held_s = context.now
+            heard_s = rest.time_s
+            yield from pause(context, 0.05)
+            if (resting and rest.still_since_s is None) or rest.time_s - heard_s > _LONGEST_GAP_S:
+                break
+        else:
+            if resting and gyro.samples > samples:
+                _learn_bias(gyro, angle, rest.time_s - start_s)
+            return Window(start_s, rest.time_s, gyro.angle_rad)
+    return Window(start_s, rest.time_s, gyro.angle_rad)
+
+
+def _learn_bias(gyro: GyroAngle, angle_before_rad: float, seconds: float) -> None:
+    """Take what the gyro integrated at rest as its bias; live turns need no better one."""
+    drift = (gyro.angle_rad - angle_before_rad) / seconds
+    if abs(drift) < math.radians(2.0):
+        gyro.note_rest(gyro.bias_radps + drift)
+
+
+def visit(
+    context: Context,
+    rest: Rest,
+    gyro: GyroAngle,
+    mover: Mover,
+    count: int,
+    step_rad: float,
+    settings: DwellSettings,
+    seen: Sequence[Window] = (),
+) -> Script[list[Window]]:
+    """Visit positions, `step_rad` apart as well as the vehicle can; the first is where it is.
+
+    With `count` positions `seen` already, one more is visited, half a step between those.
+    """
+    windows, wanted = list(seen), max(count, len(seen) + 1)
+    while len(windows) < wanted:
+        index = len(windows)
+        if index:
+            context.show(
+                "turn", f"Turning to position {index + 1} of {wanted}.", (index - 0.5) / (wanted + 1.0)
+            )
+            angle_rad = _next_turn(gyro, windows, count, step_rad)
+            yield from mover.next(context, angle_rad, wanted - index)
+        context.show(
+            "dwell",
+            f"Position {index + 1} of {wanted}: standing still for {settings.dwell_s:.0f} s.",
+            index / (wanted + 1.0),
+            position=float(index + 1),
+            turned_deg=math.degrees(gyro.angle_rad),
+        )
+        window = yield from dwell(context, rest, gyro, mover, settings)
+        if mover.accept(context, window.turned_rad):
+            windows.append(window)
+    return windows
+
+
+def _next_turn(gyro: GyroAngle, windows: list[Window], count: int, step_rad: float) -> float:
+    """Return the turn to the next even step of the circle; what went too far or too short is made up."""
+    steps = len(windows) if len(windows) < count else len(windows) - 0.5
+    wanted = windows[0].turned_rad + steps * step_rad
+    share = (wanted - gyro.angle_rad) / step_rad
+    return step_rad * max(0.5, min(1.5, share))

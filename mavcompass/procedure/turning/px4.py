@@ -1,0 +1,112 @@
+"""Turning a flying PX4 multicopter: OFFBOARD, its setpoint stream, and the mode it had before.
+
+PX4 takes no command to turn. It wants setpoints as a stream before it lets itself be switched to
+OFFBOARD, and as long as that lasts; when they stop it leaves OFFBOARD by itself (COM_OF_LOSS_T).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper
+from mavcompass.procedure.script import Context, Script, pause
+from mavcompass.procedure.turning.gyro_angle import GyroAngle
+from mavcompass.procedure.turning.steering import STAND_AND_YAW_RATE, YawRate
+from mavcompass.procedure.turning.strategies import OFFBOARD_YAW_RATES, SteeredTurn
+
+_STREAM_S = 0.1
+_STREAM_BEFORE_S = 1.2
+
+
+@dataclass(slots=True)
+class OffboardTurn:
+    """Turn by yaw rate setpoints at a standstill, in OFFBOARD from the first turn to the release.
+
+    Attributes:
+        rate_radps, slow_down_s, coast_s: as in `SteeredTurn`.
+        modes: knows the mode before and puts it back; without it OFFBOARD must already be there.
+    """
+
+    rate_radps: float
+    slow_down_s: float
+    coast_s: float
+    modes: ModeKeeper | None = field(default=None, compare=False)
+    name: str = OFFBOARD_YAW_RATES
+    _steered: SteeredTurn = field(init=False, compare=False)
+    _wanted_radps: float = field(default=0.0, compare=False)
+    _next_s: float = field(default=-math.inf, compare=False)
+    _streaming: bool = field(default=False, compare=False)
+
+    def __post_init__(self) -> None:
+        self._steered = SteeredTurn(
+            _Wish(self), self.rate_radps, slow_down_s=self.slow_down_s, coast_s=self.coast_s
+        )
+
+    def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
+        """Turn; on the first turn start the stream and switch to OFFBOARD."""
+        if not self._streaming and not (yield from self._enter(context)):
+            return False
+        return (yield from self._steered.turn(context, gyro, angle_rad))
+
+    def _enter(self, context: Context) -> Script[bool]:
+        self._streaming = True
+        # As a watch it is called with every event, whatever the procedure does meanwhile.
+        context.watches.append(lambda now_s: self._stream(context, now_s))
+        yield from pause(context, _STREAM_BEFORE_S)
+        return self.modes is None or (yield from self.modes.change(context, PX4_OFFBOARD))
+
+    def _stream(self, context: Context, now_s: float) -> None:
+        if self._streaming and now_s >= self._next_s:
+            self._send(context)
+            self._next_s = now_s + _STREAM_S
+
+    def _send(self, context: Context) -> None:
+        YawRate(STAND_AND_YAW_RATE).turn(context, self._wanted_radps, 0.0)
+
+    def hold(self, context: Context) -> None:
+        """Stand; the stream goes on."""
+        self._wanted_radps = 0.0
+
+    def halt(self, context: Context) -> None:
+        """Stand, now."""
+        self._wanted_radps = 0.0
+        if self._streaming:
+            self._send(context)
+            self._send(context)
+
+    def release(self, context: Context) -> Script[None]:
+        """Put the old mode back, streaming until it is there, and end the stream."""
+        if not self._streaming:
+            return
+        if self.modes is not None:
+            yield from self._streaming_beside(context, self.modes.restore(context))
+        self._streaming = False
+
+    def _streaming_beside(self, context: Context, script: Script[bool]) -> Script[bool]:
+        """Keep the stream up beside a script: after a stop no watch is called any more."""
+        try:
+            wake_s = next(script)
+            while True:
+                self._stream(context, context.now)
+                event = yield min(wake_s, context.now + _STREAM_S)
+                wake_s = script.send(event)
+        except StopIteration as end:
+            return bool(end.value)
+
+
+@dataclass(frozen=True, slots=True)
+class _Wish:
+    """Be the steering of a stream: only note the wish, the stream carries it."""
+
+    offboard: OffboardTurn
+    name: str = "yaw rate setpoints"
+
+    def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
+        self.offboard._wanted_radps = rate_radps
+
+    def stand(self, context: Context) -> None:
+        self.offboard._wanted_radps = 0.0
+
+    def let_go(self, context: Context) -> None:
+        self.offboard._wanted_radps = 0.0
