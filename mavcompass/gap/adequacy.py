@@ -17,8 +17,8 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.hypothesis import Fit
 from mavcompass.gap.model import Problem
-from mavcompass.gap.newton import block_diagonal
 from mavcompass.gap.noise import group_values
+from mavcompass.gap.nuisance import block_diagonal
 from mavcompass.simulation.effects.effect import Group, Signals
 
 ALPHA = 0.002

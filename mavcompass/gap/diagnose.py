@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from mavcompass.errors import UsageError
-from mavcompass.gap import integrity
 from mavcompass.gap.adequacy import judge
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.compass_rows import shared_period_s
@@ -25,6 +24,7 @@ from mavcompass.gap.result import Cause, Diagnosis
 from mavcompass.gap.scatter import excess_scatter
 from mavcompass.gap.split import split_blocks
 from mavcompass.gap.testable import half_testable, untestable_effects
+from mavcompass.gap.traces import traces_to_name
 from mavcompass.gap.verdict import decide
 from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.simulation.effects.effect import Group
@@ -103,7 +103,8 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     if faults:
         # The attitude has lost a witness that the baseline had.
         floor = floor.larger(_WITHOUT_WITNESS)
-    stale_share, step_mgauss = _traces(replayed, before, floor, frozenset(e.id for e in testable))
+    names = frozenset(e.id for e in testable)
+    stale_share, step_mgauss = traces_to_name(replayed, before, float(floor.noise["mag"].rms.mean()), names)
     how.progress(f"weighing {len(testable)} effects")
     identified, remainder, floor = _explained(replayed, before, floor, testable, step_mgauss)
     how.progress("looking at what is left")
@@ -148,18 +149,6 @@ def _doubting(replayed: Replay, doubtful: Mapping[Group, SensorNoise], useless: 
             notes.append(f"The {_SENSOR_WORDS[group]} does not fit the reference in detail: {how}.")
     kept = tuple(g for g in replayed.groups if g not in useless)
     return replace(replayed, groups=kept, doubtful=doubtful, notes=tuple(notes))
-
-
-def _traces(
-    replayed: Replay, before: Replay | None, floor: Floor, names: frozenset[str]
-) -> tuple[float, float]:
-    """Return the share of repeats and the step of the numbers, zero where they are not to be named."""
-    stale = "stale_samples" in names and integrity.names_stale(replayed, before)
-    noise_mgauss = float(floor.noise["mag"].rms.mean())
-    step = "quantisation" in names and integrity.names_step(replayed, before, noise_mgauss)
-    return integrity.stale_share(
-        replayed, before
-    ) if stale else 0.0, replayed.trace.step_mgauss if step else 0.0
 
 
 def _explained(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,14 +44,3 @@ def invert(normal: FloatArray) -> FloatArray:
     """Return the covariance, without the directions that the data do not tell."""
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.asarray(np.linalg.pinv(normal / np.outer(size, size), rcond=1e-10) / np.outer(size, size))
-
-
-def block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
-    """Put square blocks along a diagonal."""
-    total = sum(len(b) for b in blocks)
-    out = np.zeros((total, total))
-    at = 0
-    for block in blocks:
-        out[at : at + len(block), at : at + len(block)] = block
-        at += len(block)
-    return out

@@ -12,14 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray, rotate_back
-from mavcompass.gap.newton import block_diagonal
+from mavcompass.gap.reference import UNKNOWN_YAW_RAD
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Signals, Stage
 from mavcompass.simulation.effects.sampling import at_times
 
 _Rng = np.random.Generator | None
-# A constant of the yaw that may be off by more has no witness.
-UNKNOWN_YAW_RAD = 0.3
 _TURNS = 6
 REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
 
@@ -59,6 +57,17 @@ class Prior:
     def log_determinant(self) -> float:
         """Return the logarithm of the precision's determinant."""
         return float(np.linalg.slogdet(self.precision)[1]) if self.nuisances else 0.0
+
+
+def block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    """Put square blocks along a diagonal."""
+    total = sum(len(b) for b in blocks)
+    out = np.zeros((total, total))
+    at = 0
+    for block in blocks:
+        out[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    return out
 
 
 def _world_field(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:

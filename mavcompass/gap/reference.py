@@ -21,7 +21,6 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
 from mavcompass.gap.kinematics import exponentials
 from mavcompass.gap.levelling import levelled
-from mavcompass.gap.nuisance import UNKNOWN_YAW_RAD
 from mavcompass.gap.steering import steered_by
 from mavcompass.gap.yaw import Witness, age_of, smoothed
 from mavcompass.simulation.effects.sampling import at_times
@@ -32,6 +31,8 @@ Choice = Literal["auto", "gyro", "gps-yaw", "attitude", "columns"]
 
 # Integrating the gyro needs samples closer together than this; slower recordings use ATTITUDE.
 SLOWEST_GYRO_S = 0.15
+# A constant of the yaw that may be off by more has no witness.
+UNKNOWN_YAW_RAD = 0.3
 _FEWEST = 20
 _UNKNOWN_YAW_RAD = math.radians(60.0)
 # What the level of a good attitude filter is off by.

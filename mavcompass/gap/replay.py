@@ -20,9 +20,9 @@ from mavcompass.gap.in_force import KnownIron, calibration_in_force, known_iron,
 from mavcompass.gap.integrity import Trace
 from mavcompass.gap.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
 from mavcompass.gap.noise import SensorNoise
-from mavcompass.gap.nuisance import AGE, UNKNOWN_YAW_RAD, WORLD_FIELD, Nuisance, reference_yaw
+from mavcompass.gap.nuisance import AGE, WORLD_FIELD, Nuisance, reference_yaw
 from mavcompass.gap.receiver import local_position
-from mavcompass.gap.reference import Choice, Reference, reference_attitude
+from mavcompass.gap.reference import UNKNOWN_YAW_RAD, Choice, Reference, reference_attitude
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.track import MagSeries, Series, Track

@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-if TYPE_CHECKING:
-    from mavcompass.gap.cure import Cured
-    from mavcompass.gap.picture import Picture
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.correction import MotorSource
+from mavcompass.frames import FloatArray
 
 Verdict = Literal["no_gap", "named", "ambiguous", "named_with_remainder", "unknown", "not_testable"]
 SCHEMA = "mavcompass.gap/1"
@@ -69,6 +71,77 @@ class Flight:
     protocol: str
     separates: tuple[str, ...]
     predicted_separation: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cured:
+    """Hold the vehicle's iron as its calibration, and its baseline, describe it: raw = A field + b + motor
+    load.
+
+    Attributes:
+        calibrated: False where no calibration is in force.
+        hard_iron_mgauss, matrix, motor_mgauss: b (3,), A (3, 3) and the field per unit of motor load (3,)
+        that the
+            calibration in force cures.
+        tuned_hard_iron_mgauss, tuned_matrix, tuned_motor_mgauss: the same with what the recordings add to it.
+        motor_source: the load that the motor term goes with.
+        sigma_heading_deg: how far the calibration may be off, in heading.
+    """
+
+    calibrated: bool
+    hard_iron_mgauss: FloatArray
+    matrix: FloatArray
+    motor_mgauss: FloatArray
+    tuned_hard_iron_mgauss: FloatArray
+    tuned_matrix: FloatArray
+    tuned_motor_mgauss: FloatArray
+    motor_source: MotorSource
+    sigma_heading_deg: float
+
+    def to_json(self) -> dict[str, object]:
+        """Return the cures for machines."""
+        return {
+            "cures": {
+                "hard_iron": self.hard_iron_mgauss.tolist(),
+                "matrix": self.matrix.tolist(),
+                "motor": self.motor_mgauss.tolist(),
+            },
+            "sigma_heading_deg": self.sigma_heading_deg,
+        }
+
+    def words(self) -> str | None:
+        """Say in a line what the calibration cures; None where there is nothing to say."""
+        if not self.calibrated:
+            return None
+        said = f"hard iron ({_listed(self.hard_iron_mgauss, 0)}) mG"
+        if not np.allclose(self.matrix, np.eye(3), atol=1e-6):
+            said += f", gains {_listed(np.diag(self.matrix), 3)}"
+        if np.abs(self.motor_mgauss).max() > 0.0:
+            unit = "mG per A" if self.motor_source == "current" else "mG at full throttle"
+            said += f", motors ({_listed(self.motor_mgauss, 1)}) {unit}"
+        return said
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """Hold arrays for plots.
+
+    Attributes:
+        time_s: (N,); valid, test: rows with data, rows held out.
+        before_mgauss, after_mgauss: residual of the field without and with the effects, (N, 3).
+        coordinates: values (N,) and unit by name; tilt and heading in degrees among them.
+        floor_mgauss: the noise of each axis, (3,).
+        innovations: what is left, in sigmas, (N, 3).
+    """
+
+    time_s: FloatArray
+    valid: NDArray[np.bool_]
+    test: NDArray[np.bool_]
+    before_mgauss: FloatArray
+    after_mgauss: FloatArray
+    coordinates: dict[str, tuple[FloatArray, str]]
+    floor_mgauss: FloatArray
+    innovations: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,3 +259,7 @@ def _closing(closing: Closing) -> dict[str, object]:
         "shrink": closing.shrink,
         "shrink_ci95": list(closing.shrink_ci95),
     }
+
+
+def _listed(values: FloatArray, digits: int) -> str:
+    return ", ".join(f"{value:.{digits}f}" for value in values.tolist())

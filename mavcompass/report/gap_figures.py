@@ -10,8 +10,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.locate import bin_means
-from mavcompass.gap.picture import Picture
-from mavcompass.gap.result import Bar, Closing, Diagnosis
+from mavcompass.gap.result import Bar, Closing, Diagnosis, Picture
 from mavcompass.report.svg import Plot, limits
 
 _MOST_POINTS = 1500

@@ -12,10 +12,10 @@ from mavcompass.gap import diagnose_gap
 from mavcompass.gap.cases import PLACE, Recipe, make_track
 from mavcompass.gap.compass_rows import compass_rows
 from mavcompass.gap.floor import from_recording
-from mavcompass.gap.integrity import names_stale, names_step
 from mavcompass.gap.reference import body_rate
 from mavcompass.gap.replay import replay
 from mavcompass.gap.testable import untestable_effects
+from mavcompass.gap.traces import names_stale, names_step
 from mavcompass.simulation.effects import catalogue
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
