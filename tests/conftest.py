@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -22,6 +27,37 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=None,
         help="run the tests that need a vehicle against the one at this address, e.g. udpin:0.0.0.0:14550",
     )
+
+
+_PROCESS_S = 120.0
+
+
+@pytest.fixture
+def start_process() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start a process that ends with the test or after two minutes, whatever the test waits for.
+
+    It hears Ctrl-C, which a shell without job control has the processes in its background ignore.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    started: list[tuple[subprocess.Popen[str], threading.Timer]] = []
+
+    def start(*words: str, **options: Any) -> subprocess.Popen[str]:
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        process = subprocess.Popen(words, **{**pipes, **options})
+        alarm = threading.Timer(_PROCESS_S, process.kill)
+        alarm.start()
+        started.append((process, alarm))
+        return process
+
+    yield start
+    for process, alarm in started:
+        alarm.cancel()
+        process.kill()
+        process.wait()
+        for stream in (process.stdout, process.stderr):
+            if stream is not None:
+                stream.close()
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")

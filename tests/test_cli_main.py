@@ -252,15 +252,15 @@ sys.exit(cli.main(["probe"]))
 """
 
 
-def test_a_reader_that_goes_away_ends_the_program_quietly() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", TALKING_COMMAND], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as running:
-        assert running.stdout is not None and running.stderr is not None
-        running.stdout.readline()
-        running.stdout.close()
-        assert running.stderr.read() == b""
-        assert running.wait(timeout=30) == 141
+def test_a_reader_that_goes_away_ends_the_program_quietly(
+    start_process: Callable[..., subprocess.Popen[str]],
+) -> None:
+    running = start_process(sys.executable, "-c", TALKING_COMMAND)
+    assert running.stdout is not None and running.stderr is not None
+    running.stdout.readline()
+    running.stdout.close()
+    assert running.stderr.read() == ""
+    assert running.wait(timeout=30) == 141
 
 
 def test_a_terminal_without_the_letters_gets_question_marks() -> None:

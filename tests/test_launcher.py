@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -35,10 +36,14 @@ esac
 """
 
 
+Start = Callable[..., subprocess.Popen[str]]
+
+
 class Checkout:
     """A checkout whose Python is the stand-in."""
 
-    def __init__(self, folder: Path, tools: Path) -> None:
+    def __init__(self, folder: Path, tools: Path, start_process: Start) -> None:
+        self.start_process = start_process
         self.folder = folder
         self.tools = tools
         folder.mkdir(parents=True)
@@ -57,15 +62,8 @@ class Checkout:
         return {"PATH": f"{self.tools}:/usr/bin:/bin"}
 
     def start(self, *arguments: str, script: str = "mavcompass") -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [self.folder / "scripts" / script, *arguments],
-            cwd="/",
-            env=self.environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+        words = [str(self.folder / "scripts" / script), *arguments]
+        return self.start_process(*words, cwd="/", env=self.environment, start_new_session=True)
 
     def run(self, *arguments: str, script: str = "mavcompass") -> tuple[int, str, str]:
         running = self.start(*arguments, script=script)
@@ -86,8 +84,8 @@ class Checkout:
 
 
 @pytest.fixture
-def checkout(tmp_path: Path) -> Checkout:
-    return Checkout(tmp_path / "a folder" / "mav compass", tmp_path / "tools")
+def checkout(tmp_path: Path, start_process: Start) -> Checkout:
+    return Checkout(tmp_path / "a folder" / "mav compass", tmp_path / "tools", start_process)
 
 
 def test_first_start_makes_the_environment_and_keeps_standard_output_clean(checkout: Checkout) -> None:
@@ -281,7 +279,7 @@ def test_a_failed_update_leaves_the_environment_of_before(checkout: Checkout) ->
 def test_what_an_ended_set_up_left_is_thrown_away(checkout: Checkout, how: signal.Signals) -> None:
     checkout.write("pip-seconds", "20")
     running = checkout.start()
-    while not checkout.pip_calls:
+    while not checkout.pip_calls and running.poll() is None:
         time.sleep(0.02)
     os.killpg(running.pid, how)
     out, _ = running.communicate(timeout=10)

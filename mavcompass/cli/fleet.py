@@ -17,8 +17,9 @@ from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.terminal.show import is_live
 
 if TYPE_CHECKING:
+    from mavcompass.fleet.engine import Engine
     from mavcompass.fleet.examine import Job, Row
-    from mavcompass.fleet.run import Engine, FleetResult, Progress
+    from mavcompass.fleet.run import FleetResult, Progress
     from mavcompass.fleet.summary import Summary, Vehicle
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -156,7 +157,7 @@ def diagnose(
 
 
 def _engine(workers: int | None, scheduler: str | None, timeout_s: float) -> Engine:
-    from mavcompass.fleet.run import Engine
+    from mavcompass.fleet.engine import Engine
 
     if workers is not None and scheduler is not None:
         raise click.UsageError("--workers and --scheduler exclude each other: a cluster has its own workers.")

@@ -4,43 +4,23 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from mavcompass.errors import UsageError
-from mavcompass.fleet.child import Answer
 from mavcompass.fleet.columns import write_parquet
+from mavcompass.fleet.engine import Engine
 from mavcompass.fleet.examine import Job, Row, error_row, examine
 from mavcompass.fleet.journal import Journal
-from mavcompass.fleet.pool import Task, run_in_processes
 from mavcompass.fleet.recordings import Recording
 from mavcompass.fleet.vehicles import told_apart
 from mavcompass.parts import require
+from mavcompass.workers import Answer
+from mavcompass.workers.children import Task
 
 Examine = Callable[[Job, str], list[Row]]
-
-
-@dataclass(frozen=True, slots=True)
-class Engine:
-    """Say who does the work: `workers` processes of this machine, or a Dask cluster's `scheduler`."""
-
-    workers: int = 1
-    scheduler: str | None = None
-    timeout_s: float = 600.0
-
-    def run(
-        self, function: Examine, tasks: Iterable[Task], on_wait: Callable[[list[tuple[Task, float]]], None]
-    ) -> Iterator[tuple[Task, Answer]]:
-        """Yield each task with its answer, as they are done; `on_wait` as `pool.run_in_processes` has it.
-
-        A cluster does not tell which of its tasks have begun.
-        """
-        if self.scheduler is None:
-            return run_in_processes(function, tasks, self.workers, self.timeout_s, on_wait)
-        from mavcompass.fleet.cluster import run_on_cluster
-
-        return run_on_cluster(function, tasks, self.scheduler, self.timeout_s)
+_ONE_PROCESS = Engine()
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +55,7 @@ def run_fleet(
     job: Job,
     recordings: Sequence[Recording],
     out: Path,
-    engine: Engine = Engine(),
+    engine: Engine = _ONE_PROCESS,
     *,
     fresh: bool = False,
     retry_errors: bool = False,

@@ -13,7 +13,7 @@ from mavcompass.service.config import ServiceConfig
 from mavcompass.service.history import Entry, History
 from mavcompass.service.results import recording_path
 from mavcompass.service.tasks import Desk, GapRequest, Task
-from mavcompass.service.worker import DIAGNOSE_S, Worker
+from mavcompass.service.worker import DIAGNOSE_S, Worker, diagnose
 
 _log = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ class Gaps:
         report = self._config.folder / "reports" / f"gap-{entry.id}.html"
         task.show(Show("diagnose", "Replaying the recording through the simulation.", 0.1))
         try:
-            document = self._worker.call("diagnose", path, report, timeout_s=DIAGNOSE_S)
+            document = self._worker.call(diagnose, path, report, timeout_s=DIAGNOSE_S)
             summary = f"{document.get('verdict', 'unknown')}: {_causes(document) or 'nothing is named'}"
             number = self._history.add(
                 "gap",

@@ -19,6 +19,7 @@ from mavcompass.procedure.script import Context, Machine, Script, expect
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
 from mavcompass.service.tasks import CalibrationRequest, CheckRequest, Task
 from mavcompass.service.worker import Worker
+from mavcompass.service.worker import solve as solve_there
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameters.undo import load_record, undo_saver
 
@@ -80,7 +81,7 @@ def calibration(
 
     def solve(track: Any, instance: int, windows: list[Any], earth: Any) -> CalibrationResult:
         result: CalibrationResult = worker.call(
-            "solve", track, instance, windows, earth, request.method, MAX_HEADING_ERROR_DEG
+            solve_there, track, instance, windows, earth, request.method, MAX_HEADING_ERROR_DEG
         )
         others = (other for other in task.results if other.instance != instance)
         task.results = (*others, result)

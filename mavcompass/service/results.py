@@ -22,7 +22,7 @@ from mavcompass.service.history import Entry, History
 from mavcompass.service.recorder import Recorder
 from mavcompass.service.tasks import CalibrationRequest, Task, UndoRequest
 from mavcompass.service.vehicle_view import VehicleView
-from mavcompass.service.worker import Worker
+from mavcompass.service.worker import Worker, write_calibration_report
 
 _log = logging.getLogger(__name__)
 
@@ -76,7 +76,7 @@ class Results:
         path = self._config.folder / "reports" / f"calibration-{number}.html"
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._worker.call("write_report", report, path)
+            self._worker.call(write_calibration_report, report, path)
         except (OSError, MavCompassError, ImportError) as error:
             _log.warning("the report of calibration %d could not be written: %s", number, error)
         else:

@@ -1,114 +1,71 @@
 """A helper process for heavy work: it starts with a calibration and ends with it.
 
 Solving needs scipy, reports need templates and diagnoses need minutes. Done here they neither make the
-long-running service grow nor hold up its heading. The two speak pickles over a pair of pipes; the child
-trusts nobody else.
+long-running service grow nor hold up its heading.
 """
 
 from __future__ import annotations
 
-import contextlib
-import os
-import pickle
-import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from mavcompass.errors import MavCompassError
+from mavcompass.workers import Child
 
 SOLVE_S = 60.0
 DIAGNOSE_S = 1800.0
 
 
 class Worker:
-    """Be the service's end: start the child, call it, end it."""
+    """Hold the process: start it, have work done in it, end it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._child: subprocess.Popen[bytes] | None = None
+        self._child: Child | None = None
         self._closed = False
 
-    def start(self) -> None:
-        """Start the child, whose imports then run beside whatever comes first.
+    def start(self) -> Child:
+        """Start the process, whose imports (all of scipy) then run beside whatever comes first.
 
         Raises MavCompassError after `close`.
         """
         with self._lock:
             if self._closed:
                 raise MavCompassError("The service is stopping.", "Start it again, then try once more.")
-            if self._child is None or self._child.poll() is not None:
-                self._child = subprocess.Popen(
-                    [sys.executable, "-m", "mavcompass.service.worker"],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                )
+            if self._child is None or not self._child.alive:
+                self._child = Child("mavcompass.vehicle.calibrating", stderr=None)
+            return self._child
 
-    def call(self, job: str, *arguments: Any, timeout_s: float = SOLVE_S) -> Any:
-        """Have a job done and return its result. Raises what the job raises.
+    def call(self, function: Callable[..., Any], *arguments: Any, timeout_s: float = SOLVE_S) -> Any:
+        """Have a function of a module called there and return its result. Raises what it raises.
 
-        Raises MavCompassError where the child died or took too long.
+        Raises MavCompassError where the process died or took too long.
         """
-        self.start()
-        child = self._child
-        assert child is not None and child.stdin is not None and child.stdout is not None
-        # A child that hangs is killed, which ends the read below.
-        alarm = threading.Timer(timeout_s, child.kill)
-        alarm.start()
-        try:
-            _write(child.stdin, (job, arguments))
-            kind, value = _read(child.stdout)
-        except (EOFError, OSError, pickle.UnpicklingError) as error:
-            raise MavCompassError(
-                f"The computation of {job!r} ended without a result.",
-                "Try again; if it stays, see the service's log.",
-            ) from error
-        finally:
-            alarm.cancel()
-        if kind == "error":
-            raise value
-        return value
+        answer = self.start().do(function, arguments, timeout_s)
+        if answer.failure is None:
+            return answer.value
+        raise answer.failure.error or MavCompassError(
+            f"The computation of {function.__name__!r} ended without a result.",
+            "Try again; if it stays, see the service's log.",
+        )
 
     def close(self) -> None:
-        """End the child for good."""
+        """End the process for good."""
         with self._lock:
             self._closed = True
         self.end()
 
     def end(self) -> None:
-        """End the child; the next job starts another."""
+        """End the process; the next call starts another."""
         with self._lock:
             child, self._child = self._child, None
-        if child is None:
-            return
-        with contextlib.suppress(OSError):
-            if child.stdin is not None:
-                child.stdin.close()
-        try:
-            child.wait(timeout=2.0)
-        except subprocess.TimeoutExpired:
-            child.kill()
-            child.wait()
-        if child.stdout is not None:
-            child.stdout.close()
+        if child is not None:
+            child.end()
 
 
-def _write(stream: IO[bytes], value: object) -> None:
-    data = pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
-    stream.write(len(data).to_bytes(8, "big") + data)
-    stream.flush()
-
-
-def _read(stream: IO[bytes]) -> Any:
-    header = stream.read(8)
-    if len(header) < 8:
-        raise EOFError
-    return pickle.loads(stream.read(int.from_bytes(header, "big")))
-
-
-# --- the child -----------------------------------------------------------------------------------
+# --- what is done there; each imports for itself, so that the service does not ----------------------
 
 
 def solve(
@@ -120,41 +77,19 @@ def solve(
     return solver(method, max_heading_error_deg)(track, instance, windows, earth)
 
 
-def write_report(report: Any, path: Path) -> None:
+def write_calibration_report(report: Any, path: Path) -> None:
     """Write the HTML report of a calibration."""
-    from mavcompass.report.calibration import write_report as write
+    from mavcompass.report.calibration import write_report
 
-    write(report, path)
+    write_report(report, path)
 
 
-def diagnose(recording: Path, report: Path) -> Any:
-    """Diagnose the gap of a recording; returns its document, and writes the HTML report."""
+def diagnose(recording: Path, report: Path) -> dict[str, Any]:
+    """Diagnose the gap of a recording; return its document, and write the HTML report."""
     from mavcompass import api
-    from mavcompass.service.gap_report import gap_document
+    from mavcompass.report.gap import write_gap_report
 
-    return gap_document(api.diagnose_gap(api.read_track(recording)), report)
-
-
-JOBS: dict[str, Callable[..., Any]] = {"solve": solve, "write_report": write_report, "diagnose": diagnose}
-
-
-def main() -> None:
-    """Do jobs until the service closes the pipe."""
-    jobs, results = sys.stdin.buffer, os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what libraries print must not look like a result
-    import mavcompass.vehicle.calibrating  # noqa: F401  (all of scipy, before it is needed)
-
-    while True:
-        try:
-            job, arguments = _read(jobs)
-        except EOFError:
-            return
-        try:
-            outcome = ("ok", JOBS[job](*arguments))
-        except Exception as error:
-            outcome = ("error", error)
-        _write(results, outcome)
-
-
-if __name__ == "__main__":
-    main()
+    diagnosis = api.diagnose_gap(api.read_track(recording))
+    report.parent.mkdir(parents=True, exist_ok=True)
+    write_gap_report(diagnosis, report)
+    return diagnosis.to_json()

@@ -22,9 +22,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mavcompass.fleet.engine import Engine
 from mavcompass.fleet.examine import Job, Row, examine
 from mavcompass.fleet.recordings import find_recordings
-from mavcompass.fleet.run import Engine, run_fleet
+from mavcompass.fleet.run import run_fleet
 
 PROJECT = Path(__file__).resolve().parents[2]
 DEADLY = "deadly"

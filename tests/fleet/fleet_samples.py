@@ -50,9 +50,9 @@ def write_recording(
     return path
 
 
-def mark_and_examine(job: Job, path: str) -> list[Row]:
-    """Examine, and leave a line in the file `examined` beside the recording for each time it was done."""
-    with Path(path).with_name("examined").open("a") as file:
+def mark_and_examine(mark: str, job: Job, path: str) -> list[Row]:
+    """Examine, and leave a line in the file `mark` beside the recording for each time it was begun."""
+    with Path(path).with_name(mark).open("a") as file:
         file.write(f"{Path(path).name}\n")
     return examine(job, path)
 
@@ -62,6 +62,13 @@ def examine_or_die(job: Job, path: str) -> list[Row]:
     if "deadly" in path:
         os.kill(os.getpid(), signal.SIGSEGV)
     return examine(job, path)
+
+
+class Stubborn(Exception):
+    """Be an error that can be written, but not read again."""
+
+    def __init__(self, one: str, two: str) -> None:
+        super().__init__(f"{one} {two}")
 
 
 def square(number: int) -> int:
@@ -75,4 +82,8 @@ def square(number: int) -> int:
             time.sleep(60.0)
         case -4:
             print("noise on standard output")
+        case -5:
+            raise Stubborn("two", "words")
+        case -6:
+            os.kill(os.getpid(), signal.SIGSEGV)
     return number * number

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -116,21 +117,21 @@ def test_folders_patterns_files_and_stores_find_the_same(twelve: Path) -> None:
     assert not copy.exists()
 
 
-def test_control_c_stops_at_once_and_the_same_command_goes_on(twelve: Path, tmp_path: Path) -> None:
+def test_control_c_stops_at_once_and_the_same_command_goes_on(
+    twelve: Path, tmp_path: Path, start_process: Callable[..., subprocess.Popen[str]]
+) -> None:
     out = tmp_path / "out.parquet"
     hanging = tmp_path / "hangs.tlog"
     os.mkfifo(hanging)
     command = [sys.executable, "-m", "mavcompass", "fleet", "calibrate", str(twelve), "--out", str(out)]
-    with subprocess.Popen(
-        [*command, str(hanging), "--workers", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as running:
-        journal, until = journal_of(out), time.monotonic() + 60.0
-        while time.monotonic() < until and running.poll() is None:
-            if journal.exists() and journal.read_bytes().count(b"\n") == 13:
-                break
-            time.sleep(0.01)
-        running.send_signal(signal.SIGINT)
-        said, complained = running.communicate(timeout=30.0)
+    running = start_process(*command, str(hanging), "--workers", "2")
+    journal = journal_of(out)
+    while running.poll() is None:
+        if journal.exists() and journal.read_bytes().count(b"\n") == 13:
+            break
+        time.sleep(0.01)
+    running.send_signal(signal.SIGINT)
+    said, complained = running.communicate(timeout=30.0)
     assert running.returncode == 7, complained
     assert "the same command goes on from there" in said
     done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)

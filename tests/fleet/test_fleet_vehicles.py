@@ -7,9 +7,10 @@ from pathlib import Path
 
 from fleet_samples import write_recording
 
+from mavcompass.fleet.engine import Engine
 from mavcompass.fleet.examine import Job, Row, examine
 from mavcompass.fleet.recordings import find_recordings
-from mavcompass.fleet.run import Engine, Progress, run_fleet
+from mavcompass.fleet.run import Progress, run_fleet
 from mavcompass.fleet.summary import summarise
 from mavcompass.fleet.vehicles import accelerometer_mark, told_apart
 

@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -29,48 +29,31 @@ def manager(tmp_path: Path) -> Iterator[socket.socket]:
 
 
 def test_it_serves_tells_the_manager_stays_small_and_ends_on_sigterm(
-    tmp_path: Path, manager: socket.socket
+    tmp_path: Path, manager: socket.socket, start_process: Callable[..., subprocess.Popen[str]]
 ) -> None:
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "mavcompass",
-            "serve",
-            "sim:rover,seed=3",
-            "--http",
-            "127.0.0.1:0",
-            "--storage",
-            str(tmp_path / "data"),
-        ],
-        env={**os.environ, "NOTIFY_SOCKET": manager.getsockname(), "WATCHDOG_USEC": "3000000"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        heard = [manager.recv(1000).decode()]
-        assert heard[0].startswith("READY=1\n")
-        assert process.stdout is not None
-        printed = [process.stdout.readline() for _ in range(3)]
-        page = re.search(r"(http://\S+/)#token=(\S+)", printed[1])
-        assert page is not None, printed
-        while not any(line.endswith(": vehicle heard") for line in heard):
-            heard.append(manager.recv(1000).decode())
-        assert "WATCHDOG=1" in heard
-        with urllib.request.urlopen(f"{page[1]}api/state", timeout=10) as answer:
-            assert json.load(answer)["vehicle"]["kind"] == "rover"
-        pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
-        assert pages * os.sysconf("SC_PAGE_SIZE") < 90e6
-        maps = Path(f"/proc/{process.pid}/maps").read_text()
-        assert "/scipy/" not in maps and "/matplotlib/" not in maps
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(20.0) == 0
-        while heard[-1] != "STOPPING=1":
-            heard.append(manager.recv(1000).decode())
-    finally:
-        process.kill()
-        _, complaints = process.communicate()
+    words = [sys.executable, "-m", "mavcompass", "serve", "sim:rover,seed=3", "--http", "127.0.0.1:0"]
+    environment = {**os.environ, "NOTIFY_SOCKET": manager.getsockname(), "WATCHDOG_USEC": "3000000"}
+    process = start_process(*words, "--storage", str(tmp_path / "data"), env=environment)
+    heard = [manager.recv(1000).decode()]
+    assert heard[0].startswith("READY=1\n")
+    assert process.stdout is not None
+    printed = [process.stdout.readline() for _ in range(3)]
+    page = re.search(r"(http://\S+/)#token=(\S+)", printed[1])
+    assert page is not None, printed
+    while not any(line.endswith(": vehicle heard") for line in heard):
+        heard.append(manager.recv(1000).decode())
+    assert "WATCHDOG=1" in heard
+    with urllib.request.urlopen(f"{page[1]}api/state", timeout=10) as answer:
+        assert json.load(answer)["vehicle"]["kind"] == "rover"
+    pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
+    assert pages * os.sysconf("SC_PAGE_SIZE") < 90e6
+    maps = Path(f"/proc/{process.pid}/maps").read_text()
+    assert "/scipy/" not in maps and "/matplotlib/" not in maps
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(20.0) == 0
+    while heard[-1] != "STOPPING=1":
+        heard.append(manager.recv(1000).decode())
+    _, complaints = process.communicate()
     assert "Traceback" not in complaints
 
 

@@ -7,8 +7,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -22,32 +21,26 @@ from mavcompass.messages import Attitude, Heartbeat
 from mavcompass.vehicle.opening import open_link
 from mavcompass.vehicle.transport.address import Tcp
 
-
-@contextmanager
-def simulate(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
-    words = [sys.executable, "-m", "mavcompass", "simulate", "--listen", "tcp:127.0.0.1:0", *arguments]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        found = re.search(r"tcpin:127\.0\.0\.1:(\d+)", line)
-        assert found, line
-        yield process, int(found[1])
-    finally:
-        process.kill()
-        process.communicate()
+SIMULATE = [sys.executable, "-m", "mavcompass", "simulate", "--listen", "tcp:127.0.0.1:0"]
+Start = Callable[..., subprocess.Popen[str]]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_says_where_it_is_and_ends_cleanly_on_a_signal(number: int, tmp_path: Path) -> None:
+def test_it_says_where_it_is_and_ends_cleanly_on_a_signal(
+    number: int, tmp_path: Path, start_process: Start
+) -> None:
     tlog, result = tmp_path / "a.tlog", tmp_path / "a.json"
-    with simulate("--speed", "5", "--tlog", str(tlog), "--json", str(result)) as (process, port):
-        with open_link(Tcp("127.0.0.1", port)) as link:
-            hear(link, Heartbeat)
-            hear(link, Attitude)
-        process.send_signal(number)
-        _, complaints = process.communicate(timeout=5)
-        assert process.returncode == 0 and not complaints
+    process = start_process(*SIMULATE, "--speed", "5", "--tlog", str(tlog), "--json", str(result))
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    found = re.search(r"tcpin:127\.0\.0\.1:(\d+)", line)
+    assert found, line
+    with open_link(Tcp("127.0.0.1", int(found[1]))) as link:
+        hear(link, Heartbeat)
+        hear(link, Attitude)
+    process.send_signal(number)
+    _, complaints = process.communicate(timeout=5)
+    assert process.returncode == 0 and not complaints
     assert json.loads(result.read_text())["vehicle"] == "rover"
     recording = mavutil.mavlink_connection(str(tlog))
     first = recording.recv_match(type="HEARTBEAT", blocking=False)
@@ -56,9 +49,8 @@ def test_it_says_where_it_is_and_ends_cleanly_on_a_signal(number: int, tmp_path:
     recording.close()
 
 
-def test_quiet_is_quiet() -> None:
-    words = [sys.executable, "-m", "mavcompass", "simulate", "--listen", "tcp:127.0.0.1:0", "--quiet"]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def test_quiet_is_quiet(start_process: Start) -> None:
+    process = start_process(*SIMULATE, "--quiet")
     with pytest.raises(subprocess.TimeoutExpired):
         process.communicate(timeout=1.5)
     process.terminate()

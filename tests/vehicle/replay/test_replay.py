@@ -366,16 +366,18 @@ def test_a_replay_on_a_socket_keeps_even_messages_that_we_do_not_use(tmp_path: P
             assert link.statistics.lost == 0
 
 
-def test_the_command_plays_to_the_end(tlog: Path, tmp_path: Path) -> None:
+def test_the_command_plays_to_the_end(
+    tlog: Path, tmp_path: Path, start_process: Callable[..., subprocess.Popen[str]]
+) -> None:
     result = tmp_path / "r.json"
     words = [sys.executable, "-m", "mavcompass", "replay", str(tlog), "--listen", "tcp:127.0.0.1:0"]
     words += ["--speed", "10", "--fault", "latency=0.05", "--json", str(result)]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        port = int(process.stdout.readline().split(";")[0].rpartition(":")[2])
-        with open_link(Tcp("127.0.0.1", port)) as link:
-            assert hear(link, RawImu)
-            assert process.wait(timeout=10) == 0
+    process = start_process(*words)
+    assert process.stdout is not None
+    port = int(process.stdout.readline().split(";")[0].rpartition(":")[2])
+    with open_link(Tcp("127.0.0.1", port)) as link:
+        assert hear(link, RawImu)
+        assert process.wait(timeout=10) == 0
     assert json.loads(result.read_text())["to_the_end"] is True
 
 
