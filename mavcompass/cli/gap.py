@@ -15,8 +15,8 @@ from mavcompass.cli.options import Output, common_options
 from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
-    from mavcompass.gap.label import Generator
     from mavcompass.gap.result import Closing, Diagnosis
+    from mavcompass.gap.trial import Generator
 
 _WORDS = {
     "no_gap": "no gap: the simulation agrees with the recording down to the noise floor",
@@ -91,7 +91,7 @@ def diagnose(
             output.say(line)
     diagnosis = found[0]
     if len(logs) > 1:
-        from mavcompass.gap.several import together
+        from mavcompass.gap.answer import together
 
         vehicle = together(found)
         for line in vehicle.lines():
@@ -174,7 +174,7 @@ def export(
     \b
     Example: mavcompass gap export flight.tlog --to ardupilot-sitl found.parm
     """
-    from mavcompass.gap.export import ardupilot_sitl, parameter_file, preset, vehicle_settings
+    from mavcompass.gap.answer import ardupilot_sitl, parameter_file, preset, vehicle_settings
 
     require_for(log, baseline)
     diagnosis = _diagnosed(log, instance, baseline, (), reference)

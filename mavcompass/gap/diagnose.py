@@ -8,24 +8,36 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from mavcompass.errors import UsageError
-from mavcompass.gap.adequacy import judge
+from mavcompass.gap.answer import Evidence, decide, describe
+from mavcompass.gap.attitude import Choice, inertial_faults, without_faults
 from mavcompass.gap.blas import single_thread
-from mavcompass.gap.compass_rows import shared_period_s
-from mavcompass.gap.describe import Evidence, describe
-from mavcompass.gap.doubtful import doubtful_sensors
-from mavcompass.gap.floor import Floor, from_baseline, from_recording, with_noise
-from mavcompass.gap.identify import Identified, identify
-from mavcompass.gap.inertial import inertial_faults, without_faults
-from mavcompass.gap.noise import SensorNoise
-from mavcompass.gap.reference import Choice
-from mavcompass.gap.remainder import Remainder, floor_to_start, what_is_left
-from mavcompass.gap.replay import Replay, replay
+from mavcompass.gap.left import (
+    Floor,
+    doubtful_sensors,
+    excess_scatter,
+    from_baseline,
+    from_recording,
+    judge,
+    with_noise,
+)
+from mavcompass.gap.replay import (
+    Replay,
+    SensorNoise,
+    half_testable,
+    replay,
+    shared_period_s,
+    traces_to_name,
+    untestable_effects,
+)
 from mavcompass.gap.result import Cause, Diagnosis
-from mavcompass.gap.scatter import excess_scatter
-from mavcompass.gap.split import split_blocks
-from mavcompass.gap.testable import half_testable, untestable_effects
-from mavcompass.gap.traces import traces_to_name
-from mavcompass.gap.verdict import decide
+from mavcompass.gap.selection import (
+    Identified,
+    Remainder,
+    floor_to_start,
+    identify,
+    split_blocks,
+    what_is_left,
+)
 from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.simulation.effects.effect import Group
 from mavcompass.track import Track

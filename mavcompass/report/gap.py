@@ -11,8 +11,7 @@ from typing import Any
 from mavcompass import __version__
 from mavcompass.errors import UsageError
 from mavcompass.gap.result import Cause, Diagnosis
-from mavcompass.gap.score import wilson
-from mavcompass.gap.trial import Trial
+from mavcompass.gap.trial import Trial, wilson
 from mavcompass.report.calibration import render
 from mavcompass.report.gap_figures import (
     ambiguity_figure,

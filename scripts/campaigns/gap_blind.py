@@ -14,8 +14,8 @@ import sys
 import time
 from pathlib import Path
 
-from mavcompass.gap.label import GENERATORS, TIERS
-from mavcompass.gap.trial import run_trial
+from mavcompass.gap.trial.label import GENERATORS, TIERS
+from mavcompass.gap.trial.trial import run_trial
 
 
 def main() -> None:

@@ -18,11 +18,11 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.blas import single_thread
-from mavcompass.gap.cases import Recipe, ideal, noisy, stimulus_of, to_track
-from mavcompass.gap.model import Problem
-from mavcompass.gap.replay import replay
-from mavcompass.gap.score import CASE_NOISE, wilson
-from mavcompass.gap.search import Search
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.fit.search import Search
+from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.trial.cases import Recipe, ideal, noisy, stimulus_of, to_track
+from mavcompass.gap.trial.score import CASE_NOISE, wilson
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 

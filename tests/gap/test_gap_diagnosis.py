@@ -12,9 +12,9 @@ import pytest
 
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.gap import Diagnosis, diagnose_gap
-from mavcompass.gap.cases import Recipe, make_track
-from mavcompass.gap.export import affine_map, ardupilot_sitl, preset, settings_of
-from mavcompass.gap.sealed import draw_label, tracks_of
+from mavcompass.gap.answer.export import affine_map, ardupilot_sitl, preset, settings_of
+from mavcompass.gap.trial.cases import Recipe, make_track
+from mavcompass.gap.trial.sealed import draw_label, tracks_of
 from mavcompass.simulation import effects
 from mavcompass.track import Series, Track
 
@@ -127,7 +127,7 @@ def test_preset_in_our_simulator_closes_the_gap_as_claimed(baseline: Track, tmp_
     path.write_text(preset(settings_of(diagnosis.causes), "case"), encoding="utf-8")
     distortion = effects.Distortion(effects.read_preset(path))
     truth = effects.distortion(["hard_iron:x=40,y=-25", "misalignment:x=0.03,z=0.02"])
-    from mavcompass.gap.cases import ideal, stimulus_of
+    from mavcompass.gap.trial.cases import ideal, stimulus_of
 
     stimulus = stimulus_of(RICH)
     rng = np.random.default_rng(0)

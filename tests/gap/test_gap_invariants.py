@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from mavcompass.gap import Diagnosis, diagnose, diagnose_gap
-from mavcompass.gap.cases import Motion, Recipe, ideal, make_track, stimulus_of, to_track
-from mavcompass.gap.describe import Evidence, describe
-from mavcompass.gap.vehicles.cases import Tier, VehicleCase, make_case
-from mavcompass.gap.verdict import Answer
+from mavcompass.gap.answer.description import Evidence, describe
+from mavcompass.gap.answer.verdict import Answer
+from mavcompass.gap.trial.cases import Motion, Recipe, ideal, make_track, stimulus_of, to_track
+from mavcompass.gap.trial.vehicles.cases import Tier, VehicleCase, make_case
 from mavcompass.simulation import effects
 from mavcompass.track import Track
 

@@ -15,16 +15,16 @@ from hypothesis import strategies as st
 from mavcompass.cli.main import main
 from mavcompass.frames import euler_to_matrix, rotate_back
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.adequacy import ALPHA, _line, _recurring, _sweep
-from mavcompass.gap.cases import Recipe, make_track, stimulus_of
-from mavcompass.gap.noise import estimate_noise, rough_sigma, white
-from mavcompass.gap.reference import body_rate, reference_attitude
-from mavcompass.gap.score import wilson
-from mavcompass.gap.sealed import draw_label, seal
-from mavcompass.gap.search import CHANCE, least_gain
-from mavcompass.gap.split import probe, split_blocks, with_windows
-from mavcompass.gap.stored import read_case, write_case
-from mavcompass.gap.vehicles import make_case
+from mavcompass.gap.attitude.reference import body_rate, reference_attitude
+from mavcompass.gap.fit.search import CHANCE, least_gain
+from mavcompass.gap.left.adequacy import ALPHA, _line, _recurring, _sweep
+from mavcompass.gap.replay.noise import estimate_noise, rough_sigma, white
+from mavcompass.gap.selection.split import probe, split_blocks, with_windows
+from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
+from mavcompass.gap.trial.score import wilson
+from mavcompass.gap.trial.sealed import draw_label, seal
+from mavcompass.gap.trial.stored import read_case, write_case
+from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.logs import write_track_csv
 from mavcompass.simulation import effects
 from mavcompass.track import Series, Track
@@ -224,7 +224,7 @@ def test_catalogue_is_machine_readable(tmp_path: Path) -> None:
 
 
 def test_field_of_a_replay_is_that_of_the_place() -> None:
-    from mavcompass.gap.replay import replay
+    from mavcompass.gap.replay.nominal import replay
 
     track = make_track(Recipe("yaw-steps", duration_s=30.0, seed=3))
     replayed = replay(track)

@@ -10,11 +10,11 @@ import pytest
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.export import ardupilot_sitl, preset, settings_of, vehicle_settings
-from mavcompass.gap.floor import from_recording
-from mavcompass.gap.hypothesis import Fit, make_term
-from mavcompass.gap.model import Problem
-from mavcompass.gap.replay import replay
+from mavcompass.gap.answer.export import ardupilot_sitl, preset, settings_of, vehicle_settings
+from mavcompass.gap.fit.hypothesis import Fit, make_term
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.floor import from_recording
+from mavcompass.gap.replay.nominal import replay
 from mavcompass.logs import read_track
 from mavcompass.simulation.effects import Setting, read_preset
 from mavcompass.track import Track

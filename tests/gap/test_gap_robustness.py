@@ -9,12 +9,12 @@ import pytest
 
 from mavcompass.errors import UsageError
 from mavcompass.gap import Diagnosis, diagnose_gap
-from mavcompass.gap.cases import Recipe, ideal, make_track, stimulus_of, to_track
-from mavcompass.gap.label import Label
-from mavcompass.gap.noise import SensorNoise, wandering
-from mavcompass.gap.replay import replay
-from mavcompass.gap.score import Answer, Case
-from mavcompass.gap.trial import run_trial
+from mavcompass.gap.replay.noise import SensorNoise, wandering
+from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.trial.cases import Recipe, ideal, make_track, stimulus_of, to_track
+from mavcompass.gap.trial.label import Label
+from mavcompass.gap.trial.score import Answer, Case
+from mavcompass.gap.trial.trial import run_trial
 from mavcompass.simulation import effects
 from mavcompass.track import MagSeries, Series, Track
 

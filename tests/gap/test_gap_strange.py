@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from strange_shapes import FLAGGED, verdict_on
 
-from mavcompass.gap.cases import Recipe
+from mavcompass.gap.trial.cases import Recipe
 
 
 @pytest.mark.parametrize("name", ["chirp", "ring", "heading wave", "bursts"])

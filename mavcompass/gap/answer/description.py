@@ -1,0 +1,187 @@
+"""Put the answer together: how far the gap closes on held-out parts, what was named, what to do next."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.gap.answer.advise import next_flights
+from mavcompass.gap.answer.cure import corrected_rms, cured_iron
+from mavcompass.gap.answer.locate import where
+from mavcompass.gap.answer.naming import named_causes, trace_causes
+from mavcompass.gap.answer.picture import picture
+from mavcompass.gap.answer.shrink import closings, waterfall
+from mavcompass.gap.answer.verdict import Answer, consistent
+from mavcompass.gap.fit import Fit, Problem, difference
+from mavcompass.gap.left import Adequacy, Floor, Scatter
+from mavcompass.gap.replay import Replay
+from mavcompass.gap.result import Bar, Cause, Closing, Diagnosis
+from mavcompass.gap.selection import SILENT, Identified, Remainder
+from mavcompass.track import Track
+
+_MOST_SHAPLEY = 4
+_UNSEEN = "No held-out part shows what is named: its shrink is not measured. Record it again."
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """Hold all that was found about one recording.
+
+    `stale_share` and `step_mgauss` are zero where they are not named.
+    """
+
+    track: Track
+    compass: int
+    replay: Replay
+    floor: Floor
+    identified: Identified
+    remainder: Remainder
+    adequacy: Adequacy
+    stale_share: float
+    step_mgauss: float
+    untestable: dict[str, str]
+    withheld: frozenset[str]
+    faults: tuple[Cause, ...]
+
+
+def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
+    """Measure the closing on held-out rows, and write everything down."""
+    identified, floor, scatter = evidence.identified, evidence.floor, evidence.remainder.scatter
+    problem, test = identified.problem, identified.split.test
+    answer, field, heading = _closed(evidence, answer)
+    named = answer.named
+    causes = named_causes(identified, named)
+    if answer.verdict != "unknown":
+        causes += trace_causes(scatter, evidence.stale_share, evidence.step_mgauss)
+    causes += evidence.faults
+    bars: tuple[Bar, ...] = ()
+    if 1 <= len(named.terms) <= _MOST_SHAPLEY:
+        bars = waterfall(lambda ids: _subset(identified, ids), problem, named.ids, test)
+    rivals = _rivals(identified) if identified.found.best.terms else ()
+    replayed, track = evidence.replay, evidence.track
+    path = Path(track.source) if track.source else None
+    return Diagnosis(
+        path=track.source,
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest() if path and path.is_file() else None,
+        duration_s=float(replayed.time_s[-1] - replayed.time_s[0]),
+        samples=int(replayed.valid.sum()),
+        autopilot=track.autopilot,
+        compass=evidence.compass,
+        reference=replayed.reference.kind,
+        verdict=answer.verdict,
+        causes=causes,
+        look_alikes=() if named.terms else named_causes(identified, identified.fit),
+        ambiguity_set=_ambiguity_set(identified),
+        where=where(problem.with_rows(replayed.valid), named),
+        field=field,
+        heading=heading,
+        waterfall=bars,
+        unknown=answer.flagged,
+        unknown_coordinate=answer.coordinate,
+        tests=tuple((t.name, t.p) for t in evidence.adequacy.tests[:12]),
+        not_testable=tuple(sorted(evidence.untestable.items())),
+        next_flight=next_flights(rivals, replayed.signals.stimulus.field_ned_mgauss[0], floor.noise),
+        folded=floor.folded,
+        withheld=tuple(sorted(evidence.withheld)),
+        seconds=0.0,
+        notes=(
+            *problem.replay.notes,
+            *((_UNSEEN,) if named.terms and not _told(problem, named, test) else ()),
+            *(f"{e} was considered and dropped: {why}." for e, why in identified.dropped),
+        ),
+        corrected_rms_mgauss=corrected_rms(problem, named, test),
+        in_force=cured_iron(problem, named, floor),
+        picture=picture(problem, named, test),
+    )
+
+
+def _ambiguity_set(identified: Identified) -> tuple[tuple[tuple[str, ...], float], ...]:
+    """Return the sets that explain the gap, with their weights; those that reach the floor as well share
+    one."""
+    weights = dict(identified.found.weights)
+    alike = [ids for ids in (identified.fit.ids, *identified.as_good) if ids] if identified.as_good else []
+    if alike:
+        kept = {ids: w for ids, w in weights.items() if ids not in alike}
+        each = max(1.0 - sum(kept.values()), 0.0) / len(alike)
+        weights = {**dict.fromkeys(alike, each), **kept}
+    return tuple((tuple(sorted(ids)), w) for ids, w in weights.items() if ids)
+
+
+def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closing]:
+    """Measure the closing; take a name back that makes held-out readings worse."""
+    identified, floor, scatter = evidence.identified, evidence.floor, evidence.remainder.scatter
+    problem, test = identified.problem, identified.split.test
+    added = evidence.step_mgauss**2 / 12.0
+    if scatter is not None and answer.verdict != "unknown":
+        added += _added_variance(scatter, problem, answer.named, test)
+    field, heading = closings(problem, answer.named, test, floor, added)
+    none = identified.found.null
+    traces = (
+        bool(evidence.faults)
+        or scatter is not None
+        or evidence.stale_share > 0.0
+        or evidence.step_mgauss > 0.0
+    )
+    where_left = evidence.adequacy.tests[0].coordinate if evidence.adequacy.tests else "time"
+    turns = bool(problem.replay.present & {"turning", "tilt"}) or floor.measured
+    said = consistent(answer, field, heading, where_left, floor, none, traces, turns, problem.replay)
+    if said.named is not answer.named:
+        field, heading = closings(problem, said.named, test, floor, added)
+    answer = said
+    if answer.named.terms and _worse_on(problem, answer.named, test):
+        # A name that makes held-out data worse is no explanation.
+        answer = Answer("unknown", none, True, evidence.adequacy.tests[0].coordinate)
+        field, heading = closings(problem, none, test, floor)
+    return answer, _never_worse(field), _never_worse(heading)
+
+
+def _worse_on(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
+    """Tell whether the effects make held-out readings of all sensors less likely."""
+    held = problem.with_rows(test)
+    before, after = held.residual(held.predict(fit, effects=False)), held.residual(held.predict(fit))
+    return _told(problem, fit, test) and float(after @ after) > float(before @ before)
+
+
+def _told(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
+    """Tell whether the effects change held-out readings enough to be judged by them."""
+    held = problem.with_rows(test)
+    change = held.whitened([difference(held.predict(fit), held.predict(fit, effects=False))])
+    return float(np.sum(change**2)) > SILENT
+
+
+def _never_worse(closing: Closing) -> Closing:
+    """Say no change where effects that show elsewhere (accelerometer, gyro) leave one figure as it was.
+
+    All sensors together became better; one that has no part in it differs by its noise.
+    """
+    if closing.after <= closing.nominal:
+        return closing
+    return replace(closing, after=closing.nominal, shrink=0.0)
+
+
+def _added_variance(scatter: Scatter, problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> float:
+    if scatter.effect == "noise_excess":
+        return scatter.size**2
+    field = problem.signals(fit).reading.mag_mgauss
+    change = np.gradient(field, problem.replay.time_s, axis=0)[test]
+    return float(np.mean((scatter.size * change) ** 2))
+
+
+def _subset(identified: Identified, ids: frozenset[str]) -> Fit:
+    fit = identified.fit
+    if ids == fit.ids:
+        return fit
+    keep = [i for i, t in enumerate(fit.terms) if t.effect.id in ids]
+    # What is not an effect stays as the whole explanation has it, so that steps add up from the nominal.
+    steady = identified.problem.steady(fit)
+    return steady.fit([fit.terms[i] for i in keep], [fit.thetas[i] for i in keep], fit.nuisance_thetas)
+
+
+def _rivals(identified: Identified) -> Sequence[tuple[frozenset[str], Fit]]:
+    explored = identified.found.explored
+    return [(ids, explored[ids]) for ids, _ in identified.found.weights if ids in explored and ids]

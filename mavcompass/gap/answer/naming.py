@@ -1,0 +1,82 @@
+"""Put the named effects in words that a person can use: values, intervals, probabilities, rivals."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mavcompass.gap.fit import Fit, Problem, make_term
+from mavcompass.gap.left import Scatter, rms
+from mavcompass.gap.result import Cause
+from mavcompass.gap.selection import Identified, between_rows
+from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
+
+
+def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
+    """Describe the effects of a fit: values, intervals, probability, rivals; the largest first."""
+    weights = dict(identified.found.weights)
+    own = weights.get(fit.ids, 1.0)
+    problem = identified.problem
+    measured = problem.replay.measured.mag_mgauss[problem.index]
+    after = rms(measured - problem.predict(fit).mag_mgauss[problem.index])
+    out = []
+    at = sum(n.mean.size for n in problem.nuisances)
+    for i, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
+        index = np.flatnonzero(term.free)
+        block = fit.covariance[at : at + index.size, at : at + index.size]
+        sigma = np.zeros(theta.size)
+        if block.shape == (index.size, index.size):
+            sigma[index] = np.sqrt(np.maximum(np.diag(block), 0.0))
+        at += index.size
+        left = rms(measured - problem.predict(fit.without(i)).mag_mgauss[problem.index])
+        others = sorted(
+            {e for ids, _ in identified.found.weights if term.effect.id not in ids for e in ids - fit.ids}
+        )
+        free = make_term(term.effect, problem.replay.signals).free
+        shown = [
+            (p, float(v), float(s))
+            for p, v, s, f in zip(term.effect.parameters, theta, sigma, free, strict=True)
+            if f or p.integer or p.scale == 0.0
+        ]
+        out.append(
+            Cause(
+                effect=term.effect.id,
+                parameters={p.name: value for p, value, _ in shown},
+                ci95={p.name: _interval(problem, p, value, s) for p, value, s in shown},
+                probability=sum(w for ids, w in weights.items() if term.effect.id in ids) or own,
+                ambiguous_with=tuple(others),
+                separation=_separation(identified, fit, term.effect.id),
+                removes_mgauss=float(np.sqrt(max(left**2 - after**2, 0.0))),
+            )
+        )
+    return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
+
+
+def _interval(problem: Problem, parameter: Parameter, value: float, sigma: float) -> tuple[float, float]:
+    low, high = value - 1.96 * sigma, value + 1.96 * sigma
+    if parameter.name in MOMENTS and abs(value) < NEVER_S:
+        before, after = between_rows(problem, value)
+        return min(low, before), max(high, after)
+    return max(low, parameter.low), min(high, parameter.high)
+
+
+def _separation(identified: Identified, fit: Fit, effect_id: str) -> float | None:
+    """Return how far, in sigmas, the best explored set without the effect falls short."""
+    rivals = [
+        f.sse
+        for ids, f in identified.found.explored.items()
+        if effect_id not in ids and len(ids) <= len(fit.ids)
+    ]
+    return float(np.sqrt(max(min(rivals) - fit.sse, 0.0))) if rivals else None
+
+
+def trace_causes(scatter: Scatter | None, stale_share: float, step_mgauss: float) -> tuple[Cause, ...]:
+    """Describe effects that were found by their scatter or by an exact trace."""
+    found = []
+    if scatter is not None:
+        name = "sigma_s" if scatter.effect == "timestamp_jitter" else "sigma_mgauss"
+        found.append((scatter.effect, name, scatter.size))
+    if stale_share > 0.0:
+        found.append(("stale_samples", "fraction", stale_share))
+    if step_mgauss > 0.0:
+        found.append(("quantisation", "step_mgauss", step_mgauss))
+    return tuple(Cause(e, {n: v}, {n: (v, v)}, 1.0, ()) for e, n, v in found)

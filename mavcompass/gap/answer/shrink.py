@@ -1,0 +1,180 @@
+"""How far the gap closes on held-out rows once the named effects are in the simulator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit import Fit, Problem
+from mavcompass.gap.left import Floor, heading_error_rad, rms, rms_deg
+from mavcompass.gap.result import Bar, Closing
+from mavcompass.simulation.physics.signals import Reading
+
+_RESAMPLES = 1000
+_BLOCK_S = 1.0
+# A shrink that may lie anywhere is not told farther than this beyond nothing and everything.
+_FARTHEST = 1.0
+_AT_THE_LIMIT = 1.0 - 1e-4
+_SEED = 7
+
+
+def closings(
+    problem: Problem, fit: Fit, test: NDArray[np.bool_], floor: Floor, added_mgauss2: float = 0.0
+) -> tuple[Closing, Closing]:
+    """Measure field and heading on held-out rows: nominal, after, floor, shrink with its interval.
+
+    `added_mgauss2` is the variance that a named scatter effect adds to what the simulator makes.
+    """
+    measured = problem.replay.measured.mag_mgauss
+    nominal, after = problem.predict(fit, effects=False), problem.predict(fit)
+    before_field = measured - nominal.mag_mgauss
+    after_field = measured - after.mag_mgauss if fit.terms else before_field
+    rows = np.flatnonzero(test)
+    # A reading at the limit of a saturated sensor has no scatter of its own.
+    free = _free_share(fit, measured[rows])
+    field = _closing(
+        before_field[rows], after_field[rows], floor.field_rms_mgauss * math.sqrt(free), floor.measured,
+        added_mgauss2, floor.error_mgauss * math.sqrt(free), _blocks(problem, rows),
+    )  # fmt: skip
+    h0, h1 = _headings(problem, nominal), _headings(problem, after)
+    level = max(float(np.hypot(*problem.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
+    added_deg2 = math.degrees(1.0) ** 2 * added_mgauss2 / level**2
+    heading = _closing(
+        np.degrees(h0[rows])[:, None], np.degrees(h1[rows])[:, None], floor.heading_rms_deg, floor.measured,
+        added_deg2, np.zeros((0, 1)), _blocks(problem, rows),
+    )  # fmt: skip
+    return field, heading
+
+
+def _free_share(fit: Fit, measured: FloatArray) -> float:
+    """Return the share of readings that are not at the limit of a saturated sensor."""
+    if "clipping" not in fit.ids or not measured.size:
+        return 1.0
+    return float(np.mean(np.abs(measured) < _AT_THE_LIMIT * float(fit.theta("clipping")[0])))
+
+
+def _headings(problem: Problem, predicted: Reading) -> FloatArray:
+    return heading_error_rad(problem.replay, problem.replay.measured.mag_mgauss, predicted.mag_mgauss)
+
+
+def _blocks(problem: Problem, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    time = problem.replay.time_s[rows]
+    step = float(np.median(np.diff(problem.replay.time_s)))
+    return np.floor((time - time[0]) / max(_BLOCK_S, 10.0 * step)).astype(np.int64) if rows.size else rows
+
+
+def _closing(
+    before: FloatArray,
+    after: FloatArray,
+    floor: float,
+    measured: bool,
+    added: float,
+    floor_error: FloatArray,
+    blocks: NDArray[np.int64],
+) -> Closing:
+    nominal2, after2 = float(np.mean(before**2)), float(np.mean(after**2))
+    after2 = max(after2 - added, min(after2, floor**2)) if added else after2
+    shrink = _shrink(nominal2, after2, floor**2)
+    interval = _interval(before, after, added, floor, floor_error, blocks)
+    # What is left may lie below the floor by chance: no more than all of the gap closes.
+    shrink = min(shrink, 1.0)
+    if not measured:
+        interval = (min(interval[0], 1.0), min(interval[1], 1.0))
+    return Closing(math.sqrt(nominal2), math.sqrt(after2), floor, shrink, interval)
+
+
+def _shrink(nominal2: float, after2: float, floor2: float) -> float:
+    excess = nominal2 - floor2
+    if excess <= 0.0:
+        return 0.0
+    return 1.0 - (after2 - floor2) / excess
+
+
+def _interval(
+    before: FloatArray,
+    after: FloatArray,
+    added: float,
+    floor: float,
+    floor_error: FloatArray,
+    blocks: NDArray[np.int64],
+) -> tuple[float, float]:
+    """Resample blocks (the same before and after) and the floor's; take the middle 95 %."""
+    _, label = np.unique(blocks, return_inverse=True)
+    count = int(label.max()) + 1 if label.size else 0
+    if count < 4:
+        return (math.nan, math.nan)
+    rng = np.random.default_rng(_SEED)
+    size = np.bincount(label).astype(np.float64) * before.shape[1]
+    sums0 = np.bincount(label, (before**2).sum(axis=1))
+    sums1 = np.bincount(label, (after**2).sum(axis=1))
+    picks = rng.integers(count, size=(_RESAMPLES, count))
+    n = size[picks].sum(axis=1)
+    nominal2 = sums0[picks].sum(axis=1) / n
+    after2 = np.maximum(sums1[picks].sum(axis=1) / n - added, 0.0)
+    floor2 = np.full(_RESAMPLES, floor**2)
+    if len(floor_error) > 40:
+        per = (floor_error**2).mean(axis=1)
+        cells = per[: len(per) // 20 * 20].reshape(-1, 20).mean(axis=1)
+        floor2 = cells[rng.integers(cells.size, size=(_RESAMPLES, cells.size))].mean(axis=1)
+    excess = nominal2 - floor2
+    gap = excess > 0.0
+    if not gap.any():
+        return (0.0, 0.0)
+    values = 1.0 - (after2[gap] - floor2[gap]) / excess[gap]
+    low, high = np.quantile(values, [0.025, 0.975]).tolist()
+    # Few blocks scatter less among their resamples than they do themselves: Student's t for the normal.
+    middle, widening = float(np.median(values)), _student(count) * math.sqrt(count / (count - 1.0))
+    low, high = middle + widening * (low - middle), middle + widening * (high - middle)
+    if not gap.mean() > 0.975:
+        # So small a gap may be none at all: anything between nothing and everything may be closed.
+        low, high = min(low, 0.0), max(high, 1.0)
+    return max(float(low), -_FARTHEST), min(float(high), 1.0 + _FARTHEST)
+
+
+def _student(count: int) -> float:
+    """Return the 97.5 % point of Student's t with count - 1 degrees of freedom over that of the normal."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(count - 1, 0.975)) / 1.959964
+
+
+def waterfall(
+    refit: Callable[[frozenset[str]], Fit],
+    problem: Problem,
+    ids: frozenset[str],
+    test: NDArray[np.bool_],
+) -> tuple[Bar, ...]:
+    """Share the fall of the mean square on held-out rows among effects: Shapley's value and its range.
+
+    Every subset is fitted on the training rows; the range is over all orders of adding the effects.
+    """
+    members = sorted(ids)
+    value: dict[frozenset[str], float] = {}
+    measured = problem.replay.measured.mag_mgauss[test]
+    full = refit(ids)
+    value[frozenset()] = rms(measured - problem.predict(full, effects=False).mag_mgauss[test]) ** 2
+    for size in range(1, len(members) + 1):
+        for subset in combinations(members, size):
+            fit = full if size == len(members) else refit(frozenset(subset))
+            value[frozenset(subset)] = rms(measured - problem.predict(fit).mag_mgauss[test]) ** 2
+    bars = []
+    for member in members:
+        others = [m for m in members if m != member]
+        parts, total = [], 0.0
+        for size in range(len(others) + 1):
+            weight = 1.0 / (len(members) * math.comb(len(others), size))
+            for subset in combinations(others, size):
+                before = frozenset(subset)
+                part = value[before] - value[before | {member}]
+                total += weight * part
+                parts.append(part)
+        bars.append(Bar(member, total, min(parts), max(parts)))
+    return tuple(sorted(bars, key=lambda b: -b.part_mgauss2))
+
+
+__all__ = ["closings", "rms_deg", "waterfall"]

@@ -1,0 +1,181 @@
+"""The verdict: what may be said of a gap, from what was found and from what is left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.gap.fit import Fit, Problem, least_gain
+from mavcompass.gap.left import Adequacy, Floor, drift_gain, rms
+from mavcompass.gap.replay import Replay
+from mavcompass.gap.result import Closing, Verdict
+from mavcompass.gap.selection import Identified, Remainder
+
+_SURE = 0.90
+_REMAINDER = 0.05
+# Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
+_REMAINDER_UNTRUSTED = 0.4
+# What lies above the floor by less may be the floor's own uncertainty.
+_ABOVE, _AT_FLOOR = 1.3, 1.25
+_FEW_NAMES = 2
+# Effects that follow one moment, one place or one load, and so fit much that they did not make.
+_PLIANT = frozenset(
+    {
+        "hard_iron_step", "relay_field", "spatial_dipole", "field_gradient", "hysteresis", "eddy_current",
+        "temperature_bias", "temperature_sensitivity", "ac_interference", "per_motor",
+    }
+)  # fmt: skip
+_TURNS = frozenset({"misalignment", "orientation", "declination"})
+_NEARLY_ALTERNATING = 0.85
+_DRIFT_RIVALS = 6
+_DRIFT_MARGIN = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Hold the verdict, the fit whose effects are named, and whether and where something is left."""
+
+    verdict: Verdict
+    named: Fit
+    flagged: bool
+    coordinate: str | None
+
+
+def decide(
+    identified: Identified,
+    floor: Floor,
+    remainder: Remainder,
+    adequacy: Adequacy,
+    traces: bool,
+    half_testable: frozenset[str],
+) -> Answer:
+    """Decide what is said.
+
+    `traces`: scatter, repeats or steps were named besides the fitted effects. `half_testable`: effects of
+    which the recording shows a part only.
+    """
+    fit, none = identified.fit, identified.found.null
+    flagged = adequacy.flagged and floor.representative
+    coordinate = adequacy.coordinate if flagged else None
+    if floor.representative and wanders(identified):
+        return Answer("unknown", none, True, coordinate or "time")
+    if not fit.terms and not traces:
+        return Answer("unknown" if flagged else "no_gap", none, flagged, coordinate)
+    if flagged:
+        if not fit.terms or _confirmed(remainder.problem, remainder.fit, floor):
+            return Answer("named_with_remainder", fit, True, coordinate)
+        return Answer("unknown", none, True, coordinate)
+    weight = dict(identified.found.weights).get(fit.ids, 1.0)
+    unique = weight >= _SURE and not fit.ids & half_testable and not identified.as_good
+    sure = unique or not fit.terms
+    return Answer("named" if sure else "ambiguous", fit, False, None)
+
+
+def consistent(
+    answer: Answer,
+    field: Closing,
+    heading: Closing,
+    coordinate: str | None,
+    floor: Floor,
+    none: Fit,
+    traces: bool,
+    turns: bool,
+    replay: Replay,
+) -> Answer:
+    """Return an answer that does not contradict its own figures.
+
+    Where a vehicle neither turns nor tilts and no baseline tells (not `turns`), silence says nothing. No
+    gap only where nothing lies above the floor; named only where what is left does not; beside a remainder
+    only causes that hold nearly all of the gap, and few of them, since many together imitate anything
+    unknown.
+    """
+    if not turns and answer.verdict == "no_gap":
+        return Answer("not_testable", none, False, None)
+    if floor.representative:
+        return answer
+    quiet = field.nominal < _AT_FLOOR * field.floor and heading.nominal < _AT_FLOOR * heading.floor
+    if floor.measured and quiet and not traces:
+        return Answer("no_gap", none, False, None)
+    if answer.verdict == "unknown":
+        return (
+            answer
+            if _above(field.nominal, field.floor) or _above(heading.nominal, heading.floor)
+            else (replace(answer, verdict="no_gap", flagged=False, coordinate=None))
+        )
+    left = _above(field.after, field.floor) or _above(heading.after, heading.floor)
+    if not answer.named.terms:
+        if not left:
+            return answer
+        verdict: Verdict = "named_with_remainder" if traces else "unknown"
+        return Answer(verdict, none, True, coordinate)
+    if not left:
+        unsure = answer.verdict == "named" and _unsure(answer.named, floor, replay, traces)
+        # Many names, or one that bends to anything beside another, are an explanation but not the only one.
+        return replace(answer, verdict="ambiguous") if unsure else answer
+    explained = min(
+        (c.nominal**2 - c.after**2) / max(c.nominal**2 - c.floor**2, 1e-12)
+        for c in (field, heading)
+        if _above(c.nominal, c.floor)
+    )
+    if len(answer.named.terms) <= _FEW_NAMES and explained > 1.0 - _REMAINDER_UNTRUSTED:
+        return Answer("named_with_remainder", answer.named, True, coordinate)
+    return Answer("unknown", none, True, coordinate)
+
+
+def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:
+    """Tell whether names that reach the floor are an explanation, but not the only one.
+
+    Many names are, and one that bends to anything, beside another or without a baseline; so is a turn of the
+    mounting where nothing fixes the yaw, and a line at half the sampling rate, where a sensor that sets and
+    resets alternates.
+    """
+    alone = not floor.measured and replay.reference.kind != "columns"
+    many = len(named.terms) > _FEW_NAMES or (alone and traces and bool(named.terms))
+    pliant = bool(named.ids & _PLIANT) and (alone or len(named.terms) > 1)
+    turned = alone and replay.reference.yaw_unknown and bool(named.ids & _TURNS)
+    step_s = float(np.median(np.diff(replay.time_s)))
+    fastest = _NEARLY_ALTERNATING * 0.5 / step_s
+    alternates = "ac_interference" in named.ids and float(named.theta("ac_interference")[6]) > fastest
+    return many or pliant or turned or alternates
+
+
+def _above(value: float, floor: float) -> bool:
+    return value > _ABOVE * floor
+
+
+def wanders(identified: Identified) -> bool:
+    """Tell whether a wandering offset explains the gap better than the named effects do.
+
+    It may stand beside any explored set that is smaller than the best one.
+    """
+    best, problem = identified.found.best, identified.first
+    search = identified.search.on(problem)
+    own = search.score(best)
+    rivals = [f for f in identified.found.explored.values() if len(f.terms) <= len(best.terms)]
+    rivals = sorted({f.ids: f for f in [*rivals, best]}.values(), key=search.score)[:_DRIFT_RIVALS]
+    cost = search.cost(1)
+    for fit in rivals:
+        gain, size = drift_gain(problem, fit)
+        if size > 0.0 and gain > least_gain(4) and search.score(fit) - gain + cost < own - _DRIFT_MARGIN:
+            return True
+    return False
+
+
+def _confirmed(problem: Problem, fit: Fit, floor: Floor) -> bool:
+    """Tell whether named effects stand although something is left.
+
+    They must hold nearly all of the gap: a look-alike of an unknown cause leaves much of it. What is left
+    is measured above the floor, by the whitened sum of squares where the floor can be trusted in detail,
+    otherwise by the field's mean square.
+    """
+    nominal, after = problem.predict(fit, effects=False), problem.predict(fit)
+    share = _REMAINDER if floor.representative else _REMAINDER_UNTRUSTED
+    if floor.representative:
+        r0, r1 = problem.residual(nominal), problem.residual(after)
+        before_excess, after_excess = float(r0 @ r0) - r0.size, float(r1 @ r1) - r1.size
+    else:
+        measured, rows = problem.replay.measured.mag_mgauss, problem.usable
+        before_excess = rms((measured - nominal.mag_mgauss)[rows]) ** 2 - floor.field_rms_mgauss**2
+        after_excess = rms((measured - after.mag_mgauss)[rows]) ** 2 - floor.field_rms_mgauss**2
+    return before_excess > 0.0 and after_excess < share * before_excess

@@ -1,0 +1,17 @@
+"""Fit hypotheses to a replay, and search the set of effects that explains it best."""
+
+from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, make_term
+from mavcompass.gap.fit.model import Problem, difference
+from mavcompass.gap.fit.search import Found, Search, least_gain
+
+__all__ = [
+    "Fit",
+    "Found",
+    "Mask",
+    "Problem",
+    "Search",
+    "Term",
+    "difference",
+    "least_gain",
+    "make_term",
+]

@@ -1,0 +1,367 @@
+"""Fit hypotheses (nuisances and effects with values) to a replay by Gauss and Newton.
+
+The residual is whitened by the noise floor, so that its sum of squares is minus twice the logarithm of
+the likelihood, up to a constant. Derivatives are differences of the forward models: each parameter runs
+the composition again from its own stage on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
+from mavcompass.gap.fit.newton import bridge, invert, moved, solve
+from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Noise, Nuisance, Prior, Replay, group_values
+from mavcompass.simulation.effects.effect import Effect, Signals
+from mavcompass.simulation.effects.sampling import at_times
+from mavcompass.simulation.physics.signals import Reading
+
+_STEP = 1e-3
+_ITERATIONS = 12
+_CONVERGED = 0.02
+# The first nuisance, the world field, is linear; of the others a derivative serves as far as this.
+_FAR = 0.3
+# The precision, in natural sizes, of what is not to move.
+_HELD = 1e14
+
+
+def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
+    """Return the change of a reading, over a step."""
+    return Reading(
+        *(
+            np.zeros_like(b) if a is b else (a - b) / step
+            for a, b in (
+                (after.mag_mgauss, before.mag_mgauss),
+                (after.acc_mps2, before.acc_mps2),
+                (after.gyro_radps, before.gyro_radps),
+            )
+        )
+    )
+
+
+class Problem:
+    """Fit hypotheses to the rows of a replay under a noise floor."""
+
+    def __init__(self, replay: Replay, noise: Noise, rows: Mask, prior: Prior) -> None:
+        self.replay = replay
+        self.noise = noise
+        self.rows = rows
+        self.prior = prior
+        self.nuisances = prior.nuisances
+        self.groups = replay.groups
+        usable = replay.valid.copy()
+        most = max((noise[g].coefficients.shape[0] for g in self.groups), default=0)
+        for lag in range(1, most + 1):
+            usable[lag:] &= replay.valid[:-lag]
+            usable[:lag] = False
+        step = np.diff(replay.time_s, prepend=replay.time_s[0])
+        gap = step > 3.0 * float(np.median(step[1:]))
+        for lag in range(most):
+            usable[lag:] &= ~gap[: gap.size - lag]
+        self.usable = usable
+        self.index = np.flatnonzero(rows & usable)
+        self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
+        self._precision = prior.precision
+        self._bridge = bridge(replay.valid) if any(noise[g].moving.any() for g in self.groups) else None
+        self._lent: tuple[FloatArray, list[FloatArray]] | None = None
+        self._prior = prior.mean
+
+    @property
+    def sigma_mgauss(self) -> FloatArray:
+        """Return the noise of the compass in its own axes, (3,)."""
+        noise = self.noise["mag"]
+        return noise.rms if noise.channels is None else np.full(3, float(np.sqrt(np.mean(noise.rms**2))))
+
+    @property
+    def count(self) -> int:
+        """Count the fitted rows."""
+        return int(self.index.size)
+
+    def with_rows(self, rows: Mask) -> Problem:
+        """Return the same problem on other rows."""
+        return Problem(self.replay, self.noise, rows, self.prior)
+
+    def steady(self, fit: Fit) -> Problem:
+        """Return the same problem with the nuisances held where a fit has them."""
+        held = [
+            Nuisance(n.effect, theta, np.eye(theta.size) * _HELD / np.square(n.effect.scale))
+            for n, theta in zip(self.nuisances, fit.nuisance_thetas, strict=True)
+        ]
+        return Problem(self.replay, self.noise, self.rows, Prior.of(held))
+
+    def predict(self, fit: Fit, effects: bool = True) -> Reading:
+        """Return what the simulation says under a hypothesis, or under its nuisances alone."""
+        terms = fit.terms if effects else ()
+        thetas = fit.thetas if effects else ()
+        return self.states(terms, thetas, fit.nuisance_thetas)[-1].reading
+
+    def signals(self, fit: Fit) -> Signals:
+        """Return the simulated signals under a hypothesis."""
+        return self.states(fit.terms, fit.thetas, fit.nuisance_thetas)[-1]
+
+    def innovations(self, reading: Reading) -> dict[str, FloatArray]:
+        """Return measured minus predicted, whitened, (N, 3) per sensor."""
+        return {
+            g: self.noise[g].whiten(self._bridged(self._measured[g] - group_values(reading, g)))
+            for g in self.groups
+        }
+
+    def residual(self, reading: Reading) -> FloatArray:
+        """Return the whitened residual of the fitted rows as one vector."""
+        return np.concatenate(
+            [
+                self.noise[g]
+                .whiten(self._bridged(self._measured[g] - group_values(reading, g)))[self.index]
+                .ravel()
+                for g in self.groups
+            ]
+        )
+
+    def _bridged(self, values: FloatArray) -> FloatArray:
+        """Hold values across rows without a reading, so that what is correlated stays so."""
+        return values if self._bridge is None else values[self._bridge]
+
+    def _ordered(self, terms: Sequence[Term]) -> list[tuple[Effect, int]]:
+        """List the effects of the composition in order, with their places in the list of parameters."""
+        members = [(n.effect, i) for i, n in enumerate(self.nuisances)]
+        members += [(t.effect, len(self.nuisances) + i) for i, t in enumerate(terms)]
+        # Sorting is stable: a nuisance acts before the effects of its stage.
+        return sorted(members, key=lambda member: member[0].stage)
+
+    def states(
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray]
+    ) -> list[Signals]:
+        """Return the signals after each member of the composition, the replay's own first."""
+        everything = [*nuisance_thetas, *thetas]
+        states = [self.replay.signals]
+        for effect, place in self._ordered(terms):
+            states.append(effect.forward(states[-1], everything[place], {}, None))
+        return states
+
+    def _run_from(
+        self, order: list[tuple[Effect, int]], at: int, state: Signals, thetas: list[FloatArray]
+    ) -> Reading:
+        for effect, place in order[at:]:
+            state = effect.forward(state, thetas[place], {}, None)
+        return state.reading
+
+    def columns(
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
+        states: list[Signals], wanted: Sequence[int],
+    ) -> FloatArray:  # fmt: skip
+        """Return the derivatives of the whitened prediction by the free parameters of some members.
+
+        `wanted` holds places: nuisances first, then terms. One column per free parameter.
+        """
+        order = self._ordered(terms)
+        everything = [*nuisance_thetas, *thetas]
+        places = {place: at for at, (_, place) in enumerate(order)}
+        # A common delay comes last and is the same for all that comes before it: once for all columns.
+        late = order[-1][0].id == TELEMETRY_AGE if order else False
+        end = len(order) - 1 if late else len(order)
+        changes: list[Reading] = []
+        early: list[int] = []
+        for place in wanted:
+            at = places[place]
+            effect = order[at][0]
+            stop = end if at < end else len(order)
+            base = states[stop].reading
+            free = np.flatnonzero(self._free(terms, place))
+            for j in free[:1] if effect.id == REFERENCE_YAW else free:
+                theta = everything[place].copy()
+                step = _STEP * max(effect.parameters[j].scale, 1e-12)
+                if theta[j] + step > effect.parameters[j].high:
+                    step = -step
+                theta[j] += step
+                moved = everything.copy()
+                moved[place] = theta
+                if stop < len(order):
+                    early.append(len(changes))
+                changes.append(difference(self._run_from(order[:stop], at, states[at], moved), base, step))
+            if effect.id == REFERENCE_YAW:
+                # What a curve of the yaw changes is the constant's change times the curve.
+                turn = changes[-1].mag_mgauss
+                for curve in self.replay.reference.yaw_curves_rad.T:
+                    early += [len(changes)] if stop < len(order) else []
+                    changes.append(
+                        Reading(turn * curve[:, None], changes[-1].acc_mps2, changes[-1].gyro_radps)
+                    )
+        if early and late:
+            self._delay(changes, early, float(everything[order[-1][1]][0]))
+        return self.whitened(changes)
+
+    def _delay(self, changes: list[Reading], which: Sequence[int], delay_s: float) -> None:
+        time = self.replay.time_s
+        stacked = np.concatenate([changes[i].mag_mgauss for i in which], axis=1)
+        late = at_times(time, stacked, time - delay_s)
+        for n, i in enumerate(which):
+            changes[i] = Reading(late[:, 3 * n : 3 * n + 3], changes[i].acc_mps2, changes[i].gyro_radps)
+
+    def whitened(self, changes: Sequence[Reading]) -> FloatArray:
+        """Return changes of the prediction as whitened columns, one for each; rows as in `residual`."""
+        rows = self.index
+        if not changes:
+            return np.zeros((rows.size * 3 * len(self.groups), 0))
+        parts = []
+        for g in self.groups:
+            values = np.stack([group_values(change, g) for change in changes], axis=2)
+            out = np.zeros((rows.size * 3, len(changes)))
+            some = np.flatnonzero(values.any(axis=(0, 1)))
+            if some.size:
+                white = self.noise[g].whiten_many(self._bridged(values[:, :, some]))[rows]
+                out[:, some] = white.reshape(rows.size * 3, some.size)
+            parts.append(out)
+        return np.concatenate(parts)
+
+    def _free(self, terms: Sequence[Term], place: int) -> Mask:
+        n = len(self.nuisances)
+        if place < n:
+            return np.ones(len(self.nuisances[place].effect.parameters), dtype=np.bool_)
+        return terms[place - n].free
+
+    def strain(self, fit: Fit) -> float:
+        """Return how far a fit strains what is known of vehicle and place together, in squared sigmas.
+
+        What the yaw may do is no knowledge of them.
+        """
+        known = [n.effect.id != REFERENCE_YAW for n in self.nuisances]
+        rows = (
+            np.repeat(known, [n.mean.size for n in self.nuisances]) if known else np.zeros(0, dtype=np.bool_)
+        )
+        off = (np.concatenate([*fit.nuisance_thetas, np.zeros(0)]) - self._prior)[rows]
+        return float(off @ self._precision[np.ix_(rows, rows)] @ off)
+
+    def strains(self, fit: Fit) -> list[tuple[float, int]]:
+        """Return how far a fit strains each nuisance but the yaw by itself, in squared sigmas of so many."""
+        covariance = np.linalg.pinv(self._precision) if self.nuisances else self._precision
+        out, at = [], 0
+        for nuisance, theta in zip(self.nuisances, fit.nuisance_thetas, strict=True):
+            own = slice(at, at + theta.size)
+            at += theta.size
+            if nuisance.effect.id != REFERENCE_YAW:
+                off = theta - nuisance.mean
+                out.append((float(off @ np.linalg.pinv(covariance[own, own]) @ off), theta.size))
+        return out
+
+    def null(self) -> Fit:
+        """Fit the nuisances alone."""
+        return self.fit((), (), tuple(n.mean.copy() for n in self.nuisances))
+
+    def refit(self, fit: Fit) -> Fit:
+        """Fit the same hypothesis to the rows of this problem, from the values that it has."""
+        return self.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+
+    def fit(
+        self,
+        terms: Sequence[Term],
+        thetas: Sequence[FloatArray],
+        nuisance_thetas: Sequence[FloatArray],
+        iterations: int = _ITERATIONS,
+    ) -> Fit:
+        """Fit from a start by Levenberg and Marquardt; parameters stay inside their physical ranges."""
+        terms = tuple(terms)
+        x = [np.array(t, dtype=np.float64) for t in (*nuisance_thetas, *thetas)]
+        n = len(self.nuisances)
+        free = [np.flatnonzero(self._free(terms, i)) for i in range(len(x))]
+        weak = weak_precision(terms)
+        states = self.states(terms, x[n:], x[:n])
+        r = self.residual(states[-1].reading)
+        cost = self._cost(r, x, free, weak)
+        damping = 1e-6
+        normal = np.zeros((0, 0))
+        first, made_at = self._borrowed(terms, x[:n])
+        borrowed = first is not None
+        for _ in range(iterations):
+            if first is None or not terms or self._moved_far(x[:n], made_at):
+                first, made_at, borrowed = self.columns(terms, x[n:], x[:n], states, range(n)), x[:n], False
+                self._lend(terms, first, made_at)
+            own = self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))
+            normal, gradient = self._equations(np.hstack([first, own]), r, x, free, weak)
+            if not normal.size:
+                break
+            improved = False
+            for _ in range(6):
+                step = solve(normal, gradient, damping)
+                trial = moved(x, step, free, self._bounds(terms))
+                trial_states = self.states(terms, trial[n:], trial[:n])
+                trial_r = self.residual(trial_states[-1].reading)
+                trial_cost = self._cost(trial_r, trial, free, weak)
+                if trial_cost < cost:
+                    improved = True
+                    break
+                damping = max(damping, 1e-7) * 30.0
+            if not improved:
+                if not borrowed:
+                    break
+                # Perhaps the fault of another hypothesis's derivatives: once more with its own.
+                first, damping = None, 1e-6
+                continue
+            gained = cost - trial_cost
+            x, states, r, cost = trial, trial_states, trial_r, trial_cost
+            damping *= 0.03
+            if gained < _CONVERGED:
+                break
+        covariance = invert(normal) if normal.size else normal
+        return Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
+
+    def _borrowed(
+        self, terms: tuple[Term, ...], thetas: list[FloatArray]
+    ) -> tuple[FloatArray | None, list[FloatArray]]:
+        """Return the derivatives by the nuisances that an earlier fit made nearby, or None."""
+        if self._lent is None or any(t.effect.kind == "discrete" for t in terms):
+            return None, thetas
+        columns, made_at = self._lent
+        return (columns, made_at) if not self._moved_far(thetas, made_at) else (None, thetas)
+
+    def _lend(self, terms: tuple[Term, ...], columns: FloatArray, made_at: list[FloatArray]) -> None:
+        if self._lent is None and not any(t.effect.kind == "discrete" for t in terms):
+            self._lent = (columns, made_at)
+
+    def _equations(
+        self,
+        J: FloatArray,
+        r: FloatArray,
+        x: list[FloatArray],
+        free: list[NDArray[np.int64]],
+        weak: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the normal matrix and the gradient, priors included."""
+        n, n_dim = len(self.nuisances), self._prior.size
+        normal, gradient = J.T @ J, J.T @ r
+        if n_dim:
+            normal[:n_dim, :n_dim] += self._precision
+            gradient[:n_dim] += self._precision @ (self._prior - np.concatenate(x[:n]))
+        if weak.size:
+            amplitudes = np.concatenate([v[f] for v, f in zip(x[n:], free[n:], strict=True)])
+            place = np.arange(n_dim, len(normal))
+            normal[place, place] += weak
+            gradient[n_dim:] -= weak * amplitudes
+        return normal, gradient
+
+    def _cost(
+        self, r: FloatArray, x: list[FloatArray], free: list[NDArray[np.int64]], weak: FloatArray
+    ) -> float:
+        n = len(self.nuisances)
+        return float(r @ r) + self._prior_cost(x[:n]) + weak_cost(x[n:], free[n:], weak)
+
+    def _moved_far(self, thetas: Sequence[FloatArray], made_at: Sequence[FloatArray]) -> bool:
+        """Tell whether nuisances moved a third of a natural size: their derivatives have changed."""
+        return any(
+            bool((np.abs(now - then) > _FAR * nuisance.effect.scale).any())
+            for nuisance, now, then in zip(self.nuisances, thetas, made_at, strict=True)
+            if nuisance.effect is not self.nuisances[0].effect
+        )
+
+    def _prior_cost(self, thetas: Sequence[FloatArray]) -> float:
+        if not thetas:
+            return 0.0
+        off = np.concatenate(list(thetas)) - self._prior
+        return float(off @ self._precision @ off)
+
+    def _bounds(self, terms: Sequence[Term]) -> list[tuple[FloatArray, FloatArray]]:
+        known = [(n.effect.lower, n.effect.upper) for n in self.nuisances]
+        return [*known, *((t.lower, t.upper) for t in terms)]

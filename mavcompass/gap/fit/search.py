@@ -1,0 +1,486 @@
+"""Search the set of effects that explains a gap: beam search under a penalised likelihood.
+
+The catalogue is linearised once beside what is known, and sets are weighed by their normal equations; only
+the few that could win are fitted through the simulation. Beside the best one the catalogue is linearised
+again, until nothing changes. Two questions have two criteria. *How many* effects: one more is taken only
+where the whitened sum of squares falls by more than chance allows once in 50 000 (chi-squared tail,
+corrected for the moments of change and frequencies that were tried), and where the noise is not exact, by as
+much again as blocks contradict each other. *Which*: sets of equal size compete by EBIC, SSE + k ln n + 2 m
+ln C, and the weights exp(-EBIC / 2) tell how sure that is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.gap.fit.candidates import Candidate, Candidates, misfit_of
+from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, make_term
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.replay import REFERENCE_YAW, yaw_starts
+from mavcompass.simulation.effects.effect import MOMENTS, Effect
+
+MOST_EFFECTS = 4
+CHANCE = 2.0e-5
+_BEAM = 5
+_ROUNDS = 4
+_CATALOGUE_SIZE = 39
+_SHORT = 3
+# Sets that come so near to the best one of their size are fitted through the simulation, so many at most.
+_NEAR, _FITTED = 40.0, 4
+_HOPEFUL = 0.7
+# Twice the gain that a useless parameter has on average.
+_PRUNING = 2.0
+_SEARCHED = MOMENTS | {"frequency_hz", "threshold", "source", "orientation"}
+_BLOCK_S, _MOST_BLOCKS = 5.0, 30
+
+
+@lru_cache(maxsize=1024)
+def least_gain(dimension: int, trials: int = 1) -> float:
+    """Return the fall of the sum of squares that chance reaches with probability CHANCE.
+
+    `trials` is how many places (moments, frequencies, thresholds) were tried for it.
+    """
+    from scipy.special import chdtri
+
+    return float(chdtri(max(dimension, 1), CHANCE / max(trials, 1)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Hold the result of a search.
+
+    Attributes:
+        null: the fit without effects; best: the fit of the best set (perhaps the null).
+        explored: every fitted set by its ids; scores: their EBIC.
+        weights: of the sets as large as the best one, sorted, those above 1 %.
+    """
+
+    null: Fit
+    best: Fit
+    explored: dict[frozenset[str], Fit]
+    weights: tuple[tuple[frozenset[str], float], ...]
+
+
+class Search:
+    """Search sets of effects on one problem.
+
+    `worthwhile` tells whether what a fit leaves could still hold an effect that may be named; the search
+    goes on only then. `exact` says that the noise is known in detail; otherwise gains are held against how
+    far blocks contradict each other.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        effects: Iterable[Effect],
+        worthwhile: Callable[[Fit], bool] = lambda fit: True,
+        exact: bool = True,
+    ) -> None:
+        self.problem = problem
+        self.worthwhile = worthwhile
+        self.exact = exact
+        signals = problem.replay.signals
+        self.terms = [
+            term
+            for effect in effects
+            if effect.kind in ("mean", "discrete") and (term := make_term(effect, signals)).dimension >= 0
+        ]
+        self._log_n = math.log(max(problem.count, 2))
+        self._log_c = math.log(_CATALOGUE_SIZE)
+        self.explored: dict[frozenset[str], Fit] = {}
+        self._candidates: Candidates | None = None
+        # By how much errors that last for seconds make sums of squares larger than they should be.
+        self._temper = 1.0
+
+    def on(self, problem: Problem) -> Search:
+        """Return a search of the same terms on other rows or under another noise, nothing explored yet."""
+        other = Search(problem, (), self.worthwhile, self.exact)
+        other.terms, other._temper = self.terms, self._temper
+        return other
+
+    def score(self, fit: Fit) -> float:
+        """Return the EBIC of a fit."""
+        return fit.sse / self._temper + self.cost(fit.dimension, len(fit.terms))
+
+    def cost(self, dimension: int, effects: int = 1) -> float:
+        """Return EBIC's penalty for so many parameters and effects."""
+        return dimension * self._log_n + 2.0 * effects * self._log_c
+
+    def run(self, most: int = MOST_EFFECTS) -> Found:
+        """Search up to `most` effects."""
+        null = self.problem.null()
+        self.explored[frozenset()] = null
+        best = self._rounds(null, most, ())
+        for turned in self._turned(null, best):
+            rival = self._rounds(turned, most, turned.terms)
+            if self.score(rival) < self.score(best):
+                best = rival
+        best = self.polished(best)
+        self.explored[best.ids] = best
+        self._remember(self._rivals(best))
+        return Found(self._unbent(null), best, self.explored, self._weights(best))
+
+    def nearest(self, most: int) -> Fit:
+        """Return the fit that comes nearest with up to `most` effects, needed or not.
+
+        On noiseless readings its sum of squares is the squared distance to all that these effects can make.
+        """
+        best = self.problem.null()
+        for _ in range(_ROUNDS):
+            candidates = self._linearised(best, ())
+            sets = self._beam(candidates, most)
+            trials = [s for size in sorted(sets) for s in sets[size][: 2 if size == max(sets) else 1]]
+            fits = [self._fitted(candidates, chosen, Fit((), (), (), np.inf), 8) for chosen in trials]
+            better = min([best, *fits], key=lambda f: f.sse)
+            if better.sse > 0.99 * best.sse:
+                best = better
+                break
+            best = better
+        return best
+
+    def _turned(self, null: Fit, best: Fit) -> list[Fit]:
+        """Fit a compass in another orientation, where one would explain most of what there is to explain."""
+        out: list[Fit] = []
+        for term in self.terms:
+            if term.effect.kind != "discrete" or term.effect.starts is None:
+                continue
+            means = tuple(n.mean for n in self.problem.nuisances)
+            for guess in term.effect.starts(misfit_of(self.problem, Fit((), (), means, np.inf))):
+                starts = yaw_starts(self.problem.nuisances)
+                fits = [self.problem.fit((term,), (guess,), start, _SHORT) for start in starts]
+                fit = self.problem.refit(min(fits, key=lambda f: f.sse))
+                if null.sse - fit.sse > 0.5 * (null.sse - best.sse) and self.grows(null, fit):
+                    out.append(fit)
+        self._remember(out)
+        return sorted(out, key=lambda f: f.sse)[:2]
+
+    def _rounds(self, first: Fit, most: int, held: Sequence[Term]) -> Fit:
+        """Linearise beside the best set, weigh all sets, fit the likeliest; again until nothing changes."""
+        kept = Fit(first.terms, first.thetas, (), np.inf) if held else Fit((), (), (), np.inf)
+        smallest = best = first
+        for _ in range(_ROUNDS):
+            candidates = self._linearised(self._unbent(best), held)
+            sets = self._beam(candidates, most - len(held))
+            chosen = self._to_fit(candidates, sets, len(best.terms) - len(held))
+            fits = [self._fitted(candidates, c, kept, _SHORT) for c in chosen]
+            self._remember(fits)
+            if not self.exact and fits:
+                likeliest = min(fits, key=lambda f: f.sse)
+                self._temper = max(1.0, self.contradiction(smallest, likeliest))
+            better = self._largest_needed(smallest, [best, *fits])
+            same = better.ids == best.ids and better.sse > best.sse - 1.0
+            best = min(better, best, key=lambda f: f.sse) if same else better
+            if same or not self.worthwhile(best):
+                break
+        return best
+
+    def _linearised(self, base: Fit, held: Sequence[Term]) -> Candidates:
+        self._candidates = Candidates(self.problem, self.terms, base, self._blocks(), held)
+        return self._candidates
+
+    def _blocks(self) -> NDArray[np.int64]:
+        time = self.problem.replay.time_s
+        length = max(_BLOCK_S, float(time[-1] - time[0]) / _MOST_BLOCKS)
+        return np.floor((time - time[0]) / length).astype(np.int64)
+
+    def _unbent(self, fit: Fit) -> Fit:
+        """Return nuisances to their prior where a gap has bent them far: what is wrong must show to be
+        found."""
+        if fit.terms or not self.problem.nuisances:
+            return fit
+        nuisances = self.problem.nuisances
+        known = sum(n.mean.size for n in nuisances if n.effect.id != REFERENCE_YAW)
+        together = self.problem.strain(fit) < least_gain(known)
+        if together and all(cost < least_gain(size) for cost, size in self.problem.strains(fit)):
+            return fit
+        kept = (
+            x if n.effect.id == REFERENCE_YAW else n.mean.copy()
+            for n, x in zip(nuisances, fit.nuisance_thetas, strict=True)
+        )
+        return replace(fit, nuisance_thetas=tuple(kept))
+
+    def _beam(self, candidates: Candidates, most: int) -> dict[int, list[tuple[Candidate, ...]]]:
+        """Return the likeliest sets of each size by their normal equations, the best first."""
+        every = candidates.list
+        if not every:
+            return {}
+        scores: dict[tuple[int, ...], float] = {}
+
+        def score(members: tuple[int, ...]) -> float:
+            if members not in scores:
+                chosen = [every[i] for i in members]
+                dimension = sum(_dimension(c) for c in chosen)
+                expected = candidates.expected(chosen) / self._temper
+                scores[members] = expected + self.cost(dimension, len(chosen))
+            return scores[members]
+
+        out: dict[int, list[tuple[Candidate, ...]]] = {}
+        beam: list[tuple[int, ...]] = [()]
+        for size in range(1, most + 1):
+            grown = {
+                tuple(sorted((*parent, i)))
+                for parent in beam
+                for i, c in enumerate(every)
+                if all(every[m].term.effect.id != c.term.effect.id for m in parent)
+            }
+            if not grown:
+                break
+            if size > 1:
+                grown |= {
+                    tuple(sorted((*(m for m in best if m != gone), i)))
+                    for best in [min(grown, key=score)]
+                    for gone in best
+                    for i, c in enumerate(every)
+                    if all(every[m].term.effect.id != c.term.effect.id for m in best if m != gone)
+                }
+            ranked = sorted(grown, key=score)
+            beam = ranked[: _BEAM if size > 1 else 2 * _BEAM]
+            lowest = score(ranked[0])
+            seen: dict[frozenset[str], tuple[int, ...]] = {}
+            for members in ranked[: 8 * _FITTED]:
+                seen.setdefault(frozenset(every[i].term.effect.id for i in members), members)
+            near = [m for m in seen.values() if score(m) < lowest + _NEAR]
+            out[size] = [tuple(every[i] for i in members) for members in near[:_FITTED]]
+            if size > 1 and lowest > min(score(m) for m in scores if len(m) == size - 1) + self.cost(2):
+                break
+        return out
+
+    def _to_fit(
+        self, candidates: Candidates, sets: dict[int, list[tuple[Candidate, ...]]], now: int
+    ) -> list[tuple[Candidate, ...]]:
+        """Choose the sets that could be the best one: those of the size that is needed, and its
+        neighbours'."""
+        if not sets:
+            return []
+        needed, before = 0, candidates.expected(())
+        for size, ranked in sets.items():
+            after = candidates.expected(ranked[0])
+            if before - after > _HOPEFUL * self._least(candidates, ranked[0]):
+                needed, before = size, after
+        chosen: list[tuple[Candidate, ...]] = list(sets.get(needed, ()))
+        for size in sets:
+            if size != needed and (size <= needed + 1 or size == now):
+                chosen += sets[size][:1]
+        return chosen
+
+    def _least(self, candidates: Candidates, chosen: tuple[Candidate, ...]) -> float:
+        """Return the least gain of the member of a set that needs least."""
+        least = math.inf
+        for candidate in chosen:
+            names = [p.name for p in candidate.term.effect.parameters if p.name in _SEARCHED]
+            trials = math.exp(_log_trials_of(names[:1], self.problem.count))
+            gain = least_gain(_dimension(candidate), round(trials))
+            if not self.exact:
+                gain *= candidates.contradiction(chosen, [candidate])
+            least = min(least, gain)
+        return least
+
+    def _fitted(
+        self, candidates: Candidates, chosen: tuple[Candidate, ...], held: Fit, iterations: int
+    ) -> Fit:
+        start = candidates.start(chosen, held)
+        fit = self.problem.fit(start.terms, start.thetas, start.nuisance_thetas, iterations)
+        known = self.explored.get(fit.ids)
+        return fit if known is None or fit.sse < known.sse else known
+
+    def _largest_needed(self, smallest: Fit, fits: Sequence[Fit]) -> Fit:
+        """Return the best set of the largest size whose growth is needed, size after size or two at a
+        time."""
+        by_size: dict[int, Fit] = {}
+        for fit in [smallest, *fits, *self.explored.values()]:
+            if not smallest.ids <= fit.ids:
+                continue
+            size = len(fit.terms)
+            if size not in by_size or self.score(fit) < self.score(by_size[size]):
+                by_size[size] = fit
+        best = smallest
+        for size in sorted(by_size):
+            if size > len(best.terms) and self.grows(best, by_size[size]):
+                best = by_size[size]
+        return best
+
+    def _rivals(self, best: Fit) -> list[Fit]:
+        """Fit what else could explain as much with as many effects, for the weights."""
+        if self._candidates is None or any(t.effect.kind == "discrete" for t in best.terms):
+            return []
+        candidates = self._linearised(self._unbent(best), ()) if best.terms else self._candidates
+        size = max(len(best.terms), 1)
+        sets = self._beam(candidates, size).get(size, [])
+        empty = Fit((), (), (), np.inf)
+        return [
+            self._fitted(candidates, chosen, empty, _SHORT)
+            for chosen in sets
+            if frozenset(c.term.effect.id for c in chosen) != best.ids
+        ]
+
+    def grows(self, smaller: Fit, larger: Fit) -> bool:
+        """Tell whether the larger set is needed."""
+        rows = self.problem.count
+        extra = max(_linear_dimension(larger) - _linear_dimension(smaller), 1)
+        trials = max(_log_trials(larger, rows) - _log_trials(smaller, rows), 0.0)
+        least = least_gain(extra, round(math.exp(trials)))
+        gain = smaller.sse - larger.sse
+        return gain > least and (self.exact or gain > least * self.contradiction(smaller, larger))
+
+    def contradiction(self, smaller: Fit, larger: Fit) -> float:
+        """Return by how much blocks contradict each other about what a larger set has more, 1 where they do
+        not."""
+        more = larger.ids - smaller.ids
+        if not more:
+            return 1.0
+        candidates = Candidates(self.problem, (), larger, self._blocks())
+        members = candidates.list
+        of = [c for c in members if c.term.effect.id in more]
+        return candidates.contradiction(members, of) if of else 1.0
+
+    def _weights(self, best: Fit) -> tuple[tuple[frozenset[str], float], ...]:
+        if best.terms:
+            rivals = {i: self.score(f) for i, f in self.explored.items() if len(i) == len(best.terms)}
+        else:
+            # Nothing is named; what it would most likely be is weighed by Akaike's criterion.
+            rivals = {
+                i: f.sse + 2.0 * f.dimension + self.cost(0, len(i))
+                for i, f in self.explored.items()
+                if len(i) <= 1
+            }
+        lowest = min(rivals.values())
+        raw = {ids: math.exp(-0.5 * min(score - lowest, 1400.0)) for ids, score in rivals.items()}
+        total = sum(raw.values())
+        ranked = sorted(((ids, w / total) for ids, w in raw.items()), key=lambda item: -item[1])
+        return tuple(item for item in ranked if item[1] > 0.01)
+
+    def _remember(self, fits: Iterable[Fit]) -> None:
+        for fit in fits:
+            if fit.ids not in self.explored or fit.sse < self.explored[fit.ids].sse:
+                self.explored[fit.ids] = fit
+
+    def without(self, fit: Fit, effect_id: str) -> Fit:
+        """Return the fit of the same set without one effect."""
+        keep = [i for i, t in enumerate(fit.terms) if t.effect.id != effect_id]
+        terms = [fit.terms[i] for i in keep]
+        refitted = self.problem.fit(terms, [fit.thetas[i] for i in keep], fit.nuisance_thetas)
+        known = self.explored.get(refitted.ids)
+        if known is not None:
+            # It may have been fitted a few steps only, or from a better start.
+            known = self.problem.refit(known)
+            refitted = min(refitted, known, key=lambda f: f.sse)
+        self.explored[refitted.ids] = refitted
+        return refitted
+
+    def polished(self, fit: Fit) -> Fit:
+        """Fit to convergence; look again for moments, places and frequencies beside the other effects."""
+        if not fit.terms:
+            return fit
+        best = self.problem.refit(fit)
+        for i, term in enumerate(best.terms):
+            if term.effect.starts is None or term.effect.kind == "discrete":
+                continue
+            rest = best.without(i)
+            for start in term.effect.starts(misfit_of(self.problem, rest)):
+                terms = (*rest.terms, term)
+                trial = self.problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas, _SHORT)
+                if self.score(trial) < self.score(best) - 1e-6:
+                    best = _in_order(self.problem.refit(trial), best)
+        return self._settled(best)
+
+    def _settled(self, fit: Fit) -> Fit:
+        """Take back moments of change that the data do not need: they were sought at many places."""
+        for i, term in enumerate(fit.terms):
+            for j, parameter in enumerate(term.effect.parameters):
+                if parameter.name not in term.effect.optional:
+                    continue
+                if not parameter.low < fit.thetas[i][j] < parameter.high:
+                    continue
+                never = fit.thetas[i].copy()
+                never[j] = term.effect.neutral()[j]
+                thetas = (*fit.thetas[:i], never, *fit.thetas[i + 1 :])
+                always = self.problem.fit(fit.terms, thetas, fit.nuisance_thetas)
+                if not self.grows(always, fit):
+                    fit = always
+        return fit
+
+    def pruned(self, fit: Fit) -> Fit:
+        """Hold parameters at zero that the data do not need beside the others, one after another.
+
+        Of several that could go, that one goes which leaves the smallest parameters in natural sizes.
+        """
+        if len(fit.terms) < 2:
+            return fit
+        while True:
+            options = []
+            for i, term in enumerate(fit.terms):
+                if not term.effect.affine or term.dimension < 2:
+                    continue
+                for j in np.flatnonzero(term.free):
+                    free = term.free.copy()
+                    free[j] = False
+                    theta = fit.thetas[i].copy()
+                    theta[j] = 0.0
+                    terms = (*fit.terms[:i], replace(term, free=free), *fit.terms[i + 1 :])
+                    thetas = (*fit.thetas[:i], theta, *fit.thetas[i + 1 :])
+                    trial = self.problem.fit(terms, thetas, fit.nuisance_thetas, _SHORT)
+                    if trial.sse < fit.sse + _PRUNING:
+                        options.append(trial)
+            if not options:
+                return fit
+            fit = min(options, key=_natural_size)
+
+
+def _dimension(candidate: Candidate) -> int:
+    """Count the parameters of a candidate as `active_dimension` does of a fitted term."""
+    return active_dimension(candidate.term, candidate.theta)
+
+
+def _natural_size(fit: Fit) -> float:
+    return sum(
+        float(np.sum((x / np.maximum(t.effect.scale, 1e-12))[t.free] ** 2))
+        for t, x in zip(fit.terms, fit.thetas, strict=True)
+        if t.effect.affine
+    )
+
+
+def _searched(fit: Fit) -> list[str]:
+    """List the parameters of a fit that were searched over a range, not fitted from nothing."""
+    return [
+        p.name
+        for term, theta in zip(fit.terms, fit.thetas, strict=True)
+        for p, v in zip(term.effect.parameters, theta, strict=True)
+        if p.name in _SEARCHED and not (p.name in term.effect.optional and not p.low < v < p.high)
+    ]
+
+
+def _linear_dimension(fit: Fit) -> int:
+    total = sum(active_dimension(t, x) for t, x in zip(fit.terms, fit.thetas, strict=True))
+    return total - len(_searched(fit))
+
+
+def _log_trials(fit: Fit, rows: int) -> float:
+    """Return the logarithm of how many independent places were tried.
+
+    Neighbouring moments are hardly independent: about a third of the rows counts.
+    """
+    return _log_trials_of(_searched(fit), rows)
+
+
+def _log_trials_of(names: Sequence[str], rows: int) -> float:
+    each = {**dict.fromkeys(MOMENTS, rows / 3.0), "frequency_hz": 2.0 * rows}
+    return sum(math.log(max(each.get(name, 24.0), 1.0)) for name in names)
+
+
+def _in_order(fit: Fit, like: Fit) -> Fit:
+    """Put the terms of a fit in the order of another fit of the same set."""
+    place = {t.effect.id: i for i, t in enumerate(fit.terms)}
+    order = [place[t.effect.id] for t in like.terms]
+    return Fit(
+        tuple(fit.terms[i] for i in order),
+        tuple(fit.thetas[i] for i in order),
+        fit.nuisance_thetas,
+        fit.sse,
+        fit.covariance,
+    )

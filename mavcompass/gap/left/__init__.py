@@ -1,0 +1,44 @@
+"""What a fit leaves: the floor where nothing is wrong, and tests whether the rest is chance."""
+
+from mavcompass.gap.left.adequacy import Adequacy, judge
+from mavcompass.gap.left.doubtful import doubtful_sensors
+from mavcompass.gap.left.floor import (
+    Floor,
+    from_baseline,
+    from_recording,
+    heading_error_rad,
+    measured_noise,
+    rms,
+    rms_deg,
+    widened,
+    with_noise,
+)
+from mavcompass.gap.left.scatter import (
+    Scatter,
+    drift_gain,
+    early_scale,
+    excess_scatter,
+    find_scatter,
+    noise_with,
+)
+
+__all__ = [
+    "Adequacy",
+    "Floor",
+    "Scatter",
+    "doubtful_sensors",
+    "drift_gain",
+    "early_scale",
+    "excess_scatter",
+    "find_scatter",
+    "from_baseline",
+    "from_recording",
+    "heading_error_rad",
+    "judge",
+    "measured_noise",
+    "noise_with",
+    "rms",
+    "rms_deg",
+    "widened",
+    "with_noise",
+]

@@ -1,0 +1,316 @@
+"""What is left: tests whether the innovations of a model still hold structure, and where.
+
+Each test asks about one coordinate (heading, time, current ...). Smooth structure is sought by score
+tests: regressors of the coordinate, orthogonalised to everything the model could still fit, give a
+chi-squared number. Scatter, lines, bursts and correlation have tests of their own. Holm's procedure
+turns all of them into one decision; the smallest p names the coordinate, never a cause.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit import Fit, Problem
+from mavcompass.gap.replay import block_diagonal, group_values
+from mavcompass.simulation.effects.effect import Group, Signals
+
+ALPHA = 0.002
+# Columns have unit length: what is left of a direction below this share is the model's own.
+_RANK = 1e-4
+_SLOW_HZ = 0.5
+_MOST_SWEEPS = 400
+
+
+@dataclass(frozen=True, slots=True)
+class Test:
+    """Hold one test: what it looked at, and its p-value before Holm's correction.
+
+    `excess` is its statistic over the degrees of freedom, where it has any: about one when all is well.
+    """
+
+    name: str
+    coordinate: str
+    p: float
+    excess: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Adequacy:
+    """Hold all tests, sorted by p, and the decision."""
+
+    tests: tuple[Test, ...]
+    flagged: bool
+
+    @property
+    def p(self) -> float:
+        """Return the probability that chance alone makes the smallest p this small (Bonferroni)."""
+        return min(1.0, self.tests[0].p * len(self.tests)) if self.tests else 1.0
+
+    @property
+    def coordinate(self) -> str | None:
+        """Return where the unexplained structure shows most, None where there is none."""
+        return self.tests[0].coordinate if self.flagged and self.tests else None
+
+
+def judge(problem: Problem, fit: Fit, compare_scatter: bool, thorough: bool = True) -> Adequacy:
+    """Test what a fit leaves, on all usable rows (the fit must have been made on all of them too).
+
+    `compare_scatter` also compares the scatter with the floor's, which must then be representative;
+    `thorough` also looks for lines that sweep, which takes a while.
+    """
+    tests = [*_structure(problem, fit), *_scatter(problem, fit, compare_scatter, thorough)]
+    tests.sort(key=lambda test: test.p)
+    return Adequacy(tuple(tests), bool(tests) and tests[0].p * len(tests) < ALPHA)
+
+
+def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
+    z = problem.innovations(problem.predict(fit))
+    states = problem.states(fit.terms, fit.thetas, fit.nuisance_thetas)
+    count = len(problem.nuisances) + len(fit.terms)
+    J = problem.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, range(count))
+    n = problem.index.size
+    size = np.sqrt(np.maximum((J**2).sum(axis=0), 1e-300))
+    J = J / size
+    spectrum, vectors = np.linalg.eigh(J.T @ J) if J.shape[1] else (np.zeros(0), np.zeros((0, 0)))
+    root = vectors[:, spectrum > 1e-9] / np.sqrt(spectrum[spectrum > 1e-9])
+    # Priors keep a fit off its optimum: take out what the model could still fit.
+    left = np.concatenate([z[group][problem.index].ravel() for group in problem.groups])
+    left = left - J @ (root @ (root.T @ (J.T @ left)))
+    rest = left.reshape(len(problem.groups), n, 3)
+    for at, group in enumerate(problem.groups):
+        if group in problem.replay.doubtful:
+            continue
+        part = J[at * 3 * n : (at + 1) * 3 * n].reshape(n, 3, -1) if J.shape[1] else np.zeros((n, 3, 0))
+        whitener = problem.noise[group]
+        for name, coordinate, regressors in _blocks(group, states[-1]):
+            T = [whitener.filter_columns(regressors, c)[problem.index] for c in range(3)]
+            yield _score_test(name, coordinate, T, rest[at], part, root)
+
+
+def _score_test(
+    name: str, coordinate: str, T: list[FloatArray], z: FloatArray, part: FloatArray, root: FloatArray
+) -> Test:
+    """Return the p-value of the score of regressors (n, q), one for each channel, beside the model's
+    columns."""
+    from scipy.special import chdtrc
+
+    T = [t / np.sqrt(np.maximum((t**2).sum(axis=0), 1e-300)) for t in T]
+    score = np.concatenate([t.T @ z[:, c] for c, t in enumerate(T)])
+    V = block_diagonal([t.T @ t for t in T])
+    if part.shape[2]:
+        cross = np.concatenate([t.T @ part[:, c] for c, t in enumerate(T)]) @ root
+        V = V - cross @ cross.T
+    values, vectors = np.linalg.eigh(V)
+    keep = values > _RANK
+    if not keep.any():
+        return Test(name, coordinate, 1.0)
+    rotated = vectors[:, keep].T @ score
+    statistic = float(np.sum(rotated**2 / values[keep]))
+    freedom = int(keep.sum())
+    return Test(name, coordinate, float(chdtrc(freedom, statistic)), statistic / freedom)
+
+
+def _blocks(group: Group, signals: Signals) -> Iterator[tuple[str, str, FloatArray]]:
+    """List the regressors of each coordinate, (N, q): name, coordinate, columns."""
+    s = signals.stimulus
+    n = s.time_s.size
+    one = np.ones((n, 1))
+    heading = np.arctan2(s.rotation[:, 1, 0], s.rotation[:, 0, 0])
+    orders = np.arange(1, 5)
+    waves = heading[:, None] * orders
+    yield f"{group}: heading harmonics", "heading", np.hstack([one, np.cos(waves), np.sin(waves)])
+    reading = group_values(signals.reading, group)
+    # Direction seen by the sensor: field, or gravity, or rate.
+    size = np.sqrt(np.mean(np.sum(reading**2, axis=1))) or 1.0
+    u = reading / size
+    yield f"{group}: direction, cubic", "tilt" if group == "acc" else "axis", _cubic(u)
+    u_time = (s.time_s - s.time_s[0]) / max(float(s.time_s[-1] - s.time_s[0]), 1e-9)
+    modes = np.cos(np.pi * u_time[:, None] * np.arange(1, 21))
+    yield f"{group}: slow time", "time", modes
+    slow = np.stack([u_time - 0.5, (u_time - 0.5) ** 2], axis=1)
+    yield f"{group}: stability", "time", _products(slow, u)
+    for name, load in (
+        ("current", s.current_a),
+        ("throttle", s.throttle),
+        ("temperature", s.temperature_degc),
+    ):
+        if np.isfinite(load).all() and float(load.std()) > 1e-6:
+            yield f"{group}: {name}", name, _loads(load, u)
+    if s.motors.size and float(s.motors.std(axis=0).max()) > 1e-6:
+        motors = s.motors - s.motors.mean(axis=0)
+        yield f"{group}: motors", "throttle", np.hstack([motors, motors**2])
+    rate = s.rate_radps
+    if float(rate.std()) > 1e-6:
+        change = np.gradient(reading, s.time_s, axis=0)
+        second = np.gradient(change, s.time_s, axis=0)
+        squares = np.stack([rate[:, i] * rate[:, j] for i in range(3) for j in range(i, 3)], axis=1)
+        acceleration = np.gradient(rate, s.time_s, axis=0)
+        parts = (
+            [rate, squares, change, second, acceleration]
+            if group != "gyro"
+            else [rate, squares, acceleration]
+        )
+        yield f"{group}: rate", "rate", np.hstack(parts)
+    position = s.position_ned_m
+    if np.isfinite(position).all() and float(position.std(axis=0).max()) > 0.02:
+        spread = np.maximum(position.std(axis=0), 1e-3)
+        p = (position - position.mean(axis=0)) / spread
+        field = _cubic(p)
+        world = np.hstack([_products(p, s.rotation[:, i, :]) for i in range(3)])
+        yield f"{group}: position", "position", field
+        if group == "mag":
+            yield f"{group}: position in the world", "position", world
+
+
+def _cubic(u: FloatArray) -> FloatArray:
+    columns = [np.ones(len(u))]
+    for i in range(3):
+        columns.append(u[:, i])
+        for j in range(i, 3):
+            columns.append(u[:, i] * u[:, j])
+            columns.extend(u[:, i] * u[:, j] * u[:, k] for k in range(j, 3))
+    return np.stack(columns, axis=1)
+
+
+def _products(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray((a[:, :, None] * b[:, None, :]).reshape(len(a), -1))
+
+
+def _loads(load: FloatArray, u: FloatArray) -> FloatArray:
+    x = (load - load.mean()) / max(float(load.std()), 1e-9)
+    lagged = np.stack([np.concatenate([np.full(k, x[0]), x[:-k]]) for k in (2, 5, 10, 20)], axis=1)
+    step = np.gradient(x)
+    own = np.stack([x, x**2, x**3, step, np.abs(step)], axis=1)
+    return np.hstack([own, lagged, x[:, None] * u])
+
+
+def _scatter(problem: Problem, fit: Fit, compare: bool, thorough: bool) -> Iterator[Test]:
+    """Test lines, correlation, bursts and the amount of scatter."""
+    from scipy.special import chdtrc
+
+    innovations = problem.innovations(problem.predict(fit))
+    signals = problem.signals(fit)
+    for group in problem.groups:
+        if group in problem.replay.doubtful:
+            continue
+        z = innovations[group][problem.index]
+        z = z - z.mean(axis=0)
+        scale = z.std(axis=0)
+        z = z / np.maximum(scale, 1e-9)
+        yield Test(f"{group}: spectral line", "frequency", _line(z))
+        if group == "mag" and thorough:
+            yield Test(f"{group}: sweeping line", "frequency", _sweep(z))
+        lags = 20
+        rho = np.stack([(z[lag:] * z[:-lag]).mean(axis=0) for lag in range(1, lags + 1)])
+        # Their estimate has used up a correlation coefficient or so per lag of the floor's model.
+        portmanteau = float((rho**2).sum()) * len(z)
+        yield Test(f"{group}: correlation", "frequency", float(chdtrc(3 * lags, portmanteau)))
+        yield from _variance_tests(group, z, signals, problem)
+        if compare and math.isfinite(problem.noise[group].samples):
+            yield Test(f"{group}: amount of scatter", "time", _variance_ratio(scale, len(z), problem, group))
+
+
+def _line(z: FloatArray) -> float:
+    """Return the p-value of the highest line of the periodogram, over axes together and alone."""
+    from scipy.special import chdtrc
+
+    power = np.abs(np.fft.rfft(z, axis=0)[1:-1]) ** 2 * 2.0 / len(z)
+    together = float(power.sum(axis=1).max())
+    alone = float(power.max())
+    count = len(power)
+    p = min(float(chdtrc(6, together)) * count, float(chdtrc(2, alone)) * 3 * count)
+    return min(1.0, 2.0 * p)
+
+
+def _sweep(z: FloatArray) -> float:
+    """Return the p-value of the highest line whose frequency grows or falls evenly, axes together.
+
+    Each rate of change that the length can tell from its neighbour is taken out of z (N, 3) before the
+    transform: a motor that speeds up makes such a line, and no line of one frequency.
+    """
+    from scipy.fft import fft
+    from scipy.special import chdtrc
+
+    n = len(z)
+    t = np.arange(n) - 0.5 * (n - 1)
+    # Neighbours differ by a third of a turn at the ends; the fastest goes from zero to Nyquist's frequency.
+    step, fastest = 8.0 / (3.0 * n * n), 0.5 / n
+    count = min(int(fastest / step), _MOST_SWEEPS)
+    highest = 0.0
+    for rate in step * np.arange(1, count + 1):
+        # Falling ones are the negative frequencies.
+        turned = fft(z * np.exp(-1j * np.pi * rate * t * t)[:, None], axis=0)
+        highest = max(highest, float((np.abs(turned) ** 2).sum(axis=1).max()))
+    return min(1.0, float(chdtrc(6, 2.0 * highest / n)) * n * count)
+
+
+def _kurtosis_factor(z: FloatArray) -> float:
+    """Return the variance of z^2 over that of a Gaussian's, from the bulk of the sample."""
+    return max(float(np.mean(z**4) - 1.0) / 2.0, 1.0)
+
+
+def _variance_tests(group: Group, z: FloatArray, signals: Signals, problem: Problem) -> Iterator[Test]:
+    from scipy.special import chdtrc, ndtr
+
+    power = (z**2).mean(axis=1) - 1.0
+    step_s = float(np.median(np.diff(signals.stimulus.time_s)))
+    factor = _kurtosis_factor(z)
+    deviation = math.sqrt(2.0 * factor / 3.0)
+    # Bursts: windows of half a second to eight seconds, each half overlapping the next.
+    lowest, tried = 1.0, 0
+    sums = np.concatenate([[0.0], np.cumsum(power)])
+    means = np.vstack([np.zeros(3), np.cumsum(z, axis=0)])
+    for width in (10, 20, 40, 80, 160):
+        if width * 4 > len(z):
+            break
+        starts = np.arange(0, len(z) - width + 1, width // 2)
+        excess = (sums[starts + width] - sums[starts]) / (deviation * math.sqrt(width))
+        # A sum of squares is skewed: Wilson and Hilferty's cube root makes it normal.
+        nu = 3.0 * width / factor
+        ratio = np.maximum(1.0 + excess * deviation / math.sqrt(width), 1e-9)
+        normal = (ratio ** (1.0 / 3.0) - (1.0 - 2.0 / (9.0 * nu))) / math.sqrt(2.0 / (9.0 * nu))
+        shift = ((means[starts + width] - means[starts]) ** 2).sum(axis=1) / width
+        lowest = min(lowest, float(ndtr(-normal.max())), float(chdtrc(3, shift.max())))
+        tried += 2 * starts.size
+    yield Test(f"{group}: bursts", "time", min(1.0, lowest * tried))
+    yield Test(f"{group}: scatter that comes and goes", "time", _recurring(power / deviation, step_s))
+    coordinates = _scatter_coordinates(group, signals, problem)
+    for name, x in coordinates:
+        x = (x - x.mean()) / max(float(x.std()), 1e-12)
+        statistic = float(power @ x) / (deviation * math.sqrt(float(x @ x)))
+        yield Test(f"{group}: scatter with {name}", name, float(chdtrc(1, statistic**2)))
+
+
+def _recurring(power: FloatArray, step_s: float) -> float:
+    """Return the p-value of the highest line in the periodogram of power (N,) of unit variance, below 0.5 Hz.
+
+    Scatter that comes again and again is seen in its rhythm long before any one of its bursts stands out.
+    """
+    waves = np.abs(np.fft.rfft(power)) ** 2 / len(power)
+    slow = waves[1 : max(int(_SLOW_HZ * step_s * len(power)), 1) + 1]
+    return min(1.0, len(slow) * math.exp(-float(slow.max()))) if len(slow) else 1.0
+
+
+def _scatter_coordinates(group: Group, signals: Signals, problem: Problem) -> list[tuple[str, FloatArray]]:
+    s = signals.stimulus
+    rows = problem.index
+    change = np.gradient(group_values(signals.reading, group), s.time_s, axis=0)
+    found = [("rate", (change**2).sum(axis=1)[rows]), ("time", s.time_s[rows])]
+    for name, load in (("current", s.current_a), ("temperature", s.temperature_degc)):
+        if np.isfinite(load).all() and float(load.std()) > 1e-6:
+            found.append((name, load[rows]))
+    return [(name, x) for name, x in found if float(x.std()) > 0.0]
+
+
+def _variance_ratio(scale: FloatArray, count: int, problem: Problem, group: Group) -> float:
+    """Return the two-sided p-value of the scatter against the floor's, normal for the log ratio."""
+    from scipy.special import ndtr
+
+    log_ratio = 2.0 * float(np.log(np.maximum(scale, 1e-9)).sum())
+    sigma = math.sqrt(3.0 * (2.0 / count + 2.0 / problem.noise[group].samples))
+    return float(2.0 * ndtr(-abs(log_ratio) / sigma))

@@ -1,0 +1,222 @@
+"""Effects that do not shift readings but scatter them: more noise, jittering time stamps; slow drift."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit import Fit, Problem, least_gain
+from mavcompass.gap.left.floor import Floor
+from mavcompass.gap.replay import (
+    USUAL_SCATTER_MGAUSS,
+    WORST_SCATTER_MGAUSS,
+    Noise,
+    Replay,
+    estimate_noise,
+    rough_sigma,
+)
+
+_DRIFT_MODES = 80
+# The scatter's own distribution is only known from the recording: be slower to name it.
+_SCATTER_TRIALS = 50
+# How much larger than a baseline's the variance of the scatter must be where noise is not known in detail.
+_DOUBTFUL_EXCESS = 1.0
+# Without a baseline, times may scatter by this much and be healthy.
+_DOUBTFUL_JITTER_S = 0.02
+_DRIFT_SIZES = (0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 13.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Hold a named scatter effect, its size, and the gain of twice the log-likelihood."""
+
+    effect: str
+    size: float
+    gain: float
+
+
+def find_scatter(
+    problem: Problem, fit: Fit, allowed: frozenset[str], floor: Floor, excess: float = 0.0
+) -> Scatter | None:
+    """Compare even and rate-dependent excess scatter of the magnetometer with the floor's.
+
+    Even excess needs a representative floor; the scatter of time stamps shows by its dependence on the
+    rate of change alone, and then competes against even excess of any size. Without one, only what no data
+    sheet allows is called excess.
+    """
+    rows = problem.usable
+    noise = problem.noise["mag"]
+    error = noise.in_channels(problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss)
+    error = (error / noise.rms)[rows]
+    if noise.row_scale is not None and floor.noise["mag"].row_scale is not None:
+        error = error / floor.noise["mag"].row_scale[rows]
+    field = problem.signals(fit).reading.mag_mgauss
+    change = noise.in_channels(np.gradient(field, problem.replay.time_s, axis=0))[rows] / noise.rms
+    x = change**2
+    y = error**2
+    fourth = float(np.mean(y * y)) / max(float(np.mean(y)), 1e-12) ** 2
+    kurtosis = max(fourth - 1.0, 2.0) / 2.0
+    if np.isfinite(noise.samples):
+        kurtosis *= 1.0 + len(y) / noise.samples
+    # Correlation makes fewer independent squares.
+    inflation = kurtosis * noise.square_inflation
+    even, even_size = _even_gain(y)
+    late, late_size = _late_gain(y, x, 1.0)
+    candidates = []
+    representative = floor.representative
+    if representative and "noise_excess" in allowed and even_size > 0.0:
+        size = math.sqrt(even_size) * float(np.sqrt(np.mean(noise.rms**2)))
+        candidates.append(Scatter("noise_excess", size, even / inflation))
+    trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
+    if "timestamp_jitter" in allowed and late_size > 0.0 and trusted:
+        gain = late if representative else _beyond_even(y, x)
+        candidates.append(Scatter("timestamp_jitter", math.sqrt(late_size), gain / inflation))
+    if not floor.measured and "noise_excess" in allowed:
+        sigma = math.sqrt(
+            float(np.mean(rough_sigma(error * noise.rms, np.ones(len(error), dtype=np.bool_)) ** 2))
+        )
+        if sigma > WORST_SCATTER_MGAUSS:
+            size = math.sqrt(sigma**2 - USUAL_SCATTER_MGAUSS**2)
+            candidates.append(Scatter("noise_excess", size, float(error.size)))
+    if floor.measured and not representative and "noise_excess" in allowed and excess > 0.0:
+        size = math.sqrt(excess * float(np.mean(floor.noise["mag"].rms ** 2)))
+        left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
+        beyond = float(np.mean(left[rows] ** 2)) - floor.field_rms_mgauss**2
+        # Scatter between neighbours is scatter of the readings only if it shows in what is left.
+        if beyond > 0.5 * size**2:
+            candidates.append(Scatter("noise_excess", size, float(error.size)))
+    candidates = [c for c in candidates if c.gain > least_gain(1, _SCATTER_TRIALS)]
+    return max(candidates, key=lambda c: c.gain) if candidates else None
+
+
+def early_scale(replay: Replay, baseline: Replay, exact: bool) -> FloatArray | None:
+    """Return how much larger than the baseline's the scatter between neighbours is, per row (N, 3).
+
+    Second differences hold next to nothing of slow causes, so that this can be told before any search.
+    None where the scatter is the baseline's. Where the noise is not `exact`, only much more counts.
+    """
+    if not exact:
+        excess = excess_scatter(replay, baseline)
+        return np.full(replay.nominal_mgauss.shape, math.sqrt(1.0 + excess)) if excess > 0.0 else None
+    own, nominal = _neighbours(replay), _neighbours(baseline)
+    size = np.sqrt(np.mean(nominal[baseline.valid] ** 2, axis=0))
+    y = (own / size)[replay.valid] ** 2
+    change = np.gradient(replay.signals.reading.mag_mgauss, replay.time_s, axis=0) / size
+    # Second differences of neighbours are correlated: a third of them counts.
+    even, even_size = _even_gain(y)
+    late, late_size = _late_gain(y, (change**2)[replay.valid], 1.0)
+    if max(even, late) / 3.0 < least_gain(1, _SCATTER_TRIALS) or max(even_size, late_size) <= 0.0:
+        return None
+    if late > even:
+        return np.asarray(np.sqrt(1.0 + late_size * change**2))
+    return np.full(change.shape, math.sqrt(1.0 + even_size))
+
+
+def excess_scatter(replay: Replay, baseline: Replay) -> float:
+    """Return the excess variance of the scatter over the baseline's, both where the field hardly turns.
+
+    0 where it is not much more: readings that are late, averaged or repeated scatter while the vehicle turns.
+    """
+    now, before = _quiet_scatter(replay), _quiet_scatter(baseline)
+    excess = (now / max(before, 1e-9)) ** 2 - 1.0
+    return excess if excess > _DOUBTFUL_EXCESS else 0.0
+
+
+def _quiet_scatter(replay: Replay) -> float:
+    """Return the scatter between neighbours in mG, robustly, on the quieter half of the rows."""
+    turning = np.linalg.norm(np.gradient(replay.nominal_mgauss, replay.time_s, axis=0), axis=1)
+    slow = turning <= np.quantile(turning[replay.valid], 0.4)
+    rows = replay.valid & slow
+    rows[1:-1] &= slow[:-2] & slow[2:]
+    size = np.median(np.abs(_neighbours(replay)[rows]), axis=0) if rows.sum() > 20 else np.zeros(3)
+    return float(1.4826 * np.sqrt(np.mean(size**2)))
+
+
+def _neighbours(replay: Replay) -> FloatArray:
+    """Return second differences of measured minus ideal, scaled to the deviation of white noise, (N, 3)."""
+    error = replay.measured.mag_mgauss - replay.nominal_mgauss
+    out = np.zeros_like(error)
+    out[1:-1] = (error[2:] - 2.0 * error[1:-1] + error[:-2]) / math.sqrt(6.0)
+    return out
+
+
+def _even_gain(y: FloatArray) -> tuple[float, float]:
+    mean = float(y.mean())
+    return y.size * (mean - 1.0 - math.log(max(mean, 1e-12))), mean - 1.0
+
+
+def _late_gain(y: FloatArray, x: FloatArray, base: float) -> tuple[float, float]:
+    """Maximise the likelihood of variances base + a x over a."""
+    sizes = np.exp(np.linspace(math.log(1e-7), math.log(0.04), 90))
+    gains = np.array([_log_ratio(y, x, base, float(a)) for a in sizes])
+    best = int(np.argmax(gains))
+    return float(gains[best]), float(sizes[best]) if gains[best] > 0.0 else 0.0
+
+
+def _log_ratio(y: FloatArray, x: FloatArray, base: float, a: float) -> float:
+    v = base + a * x
+    return float(np.sum(y / base - y / v - np.log(v / base)))
+
+
+def _beyond_even(y: FloatArray, x: FloatArray) -> float:
+    """Return what the dependence on the rate explains beyond even scatter of any size."""
+    even = max(float(y.mean()), 1e-12)
+    best = 0.0
+    for share in (0.2, 0.5, 0.8, 0.95):
+        best = max(best, _late_gain(y, x, share * even)[0] + _even_part(y, share * even))
+    return best - _even_part(y, even)
+
+
+def _even_part(y: FloatArray, variance: float) -> float:
+    return float(np.sum(y - y / variance) - y.size * math.log(variance))
+
+
+def noise_with(problem: Problem, fit: Fit, scatter: Scatter) -> Noise:
+    """Return the floor with a scatter effect added: what the simulator then makes."""
+    replay = problem.replay
+    error = replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
+    floor = problem.noise["mag"]
+    if scatter.effect == "noise_excess" and floor.channels is not None:
+        larger = math.sqrt(1.0 + scatter.size**2 / float(np.mean(floor.rms**2)))
+        return {**problem.noise, "mag": replace(floor, sigma=floor.sigma * larger, rms=floor.rms * larger)}
+    if scatter.effect == "noise_excess":
+        return {**problem.noise, "mag": estimate_noise(error, problem.usable, replay.resolution_mgauss)}
+    change = floor.in_channels(np.gradient(problem.signals(fit).reading.mag_mgauss, replay.time_s, axis=0))
+    scale = np.sqrt(1.0 + (scatter.size * change / floor.rms) ** 2)
+    if floor.channels is not None:
+        return {**problem.noise, "mag": replace(floor, row_scale=scale)}
+    scaled = estimate_noise(error / scale, problem.usable, replay.resolution_mgauss)
+    return {**problem.noise, "mag": replace(scaled, row_scale=scale)}
+
+
+def drift_gain(problem: Problem, fit: Fit) -> tuple[float, float]:
+    """Return how much a random walk of the offset adds to twice the log evidence of a fit, and its size.
+
+    The walk is expanded in its own (Karhunen and Loeve) modes sqrt(2) sin((k - 1/2) pi t / T), of
+    variance q^2 T^2 / ((k - 1/2) pi)^2 / T; their amplitudes are integrated out. Size in mG per sqrt(s).
+    """
+    replay = problem.replay
+    noise = problem.noise["mag"]
+    z = problem.innovations(problem.predict(fit))["mag"][problem.index]
+    span = float(replay.time_s[-1] - replay.time_s[0])
+    order = np.arange(1, _DRIFT_MODES + 1) - 0.5
+    modes = np.sqrt(2.0) * np.sin(np.pi * order * ((replay.time_s - replay.time_s[0]) / span)[:, None])
+    modes = modes * np.sqrt(span) / (np.pi * order)
+    modes = np.hstack([modes, np.ones((replay.time_s.size, 1)) * 10.0])
+    each = []
+    for axis in range(3):
+        white = noise.filter_columns(modes, axis)[problem.index]
+        values, vectors = np.linalg.eigh(white.T @ white)
+        each.append((np.maximum(values, 0.0), (vectors.T @ (white.T @ z[:, axis])) ** 2))
+    best, best_size = 0.0, 0.0
+    for size in _DRIFT_SIZES:
+        gain = 0.0
+        for axis in range(3):
+            q2, (values, projected) = (size / noise.sigma[axis]) ** 2, each[axis]
+            gain += float(np.sum(projected * q2 / (1.0 + q2 * values) - np.log1p(q2 * values)))
+        if gain > best:
+            best, best_size = gain, size
+    return best, best_size

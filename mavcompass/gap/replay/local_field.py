@@ -1,0 +1,88 @@
+"""The world's field at the place of a recording: the world model's, or what other compasses measure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mavcompass.earth_field import decimal_year, earth_field
+from mavcompass.errors import BadRecording
+from mavcompass.frames import FloatArray, rotate
+from mavcompass.gap.attitude import Reference
+from mavcompass.gap.replay.rows import FEWEST_ROWS
+from mavcompass.track import Series, Track
+
+UNKNOWN_SIGMA_MGAUSS = 300.0
+_ANOMALY_SHARE = 0.01
+_LOCAL_SIGMA_MGAUSS = 0.7
+_STEADY_MGAUSS = 3.0
+_AGREES_MGAUSS = 8.0
+_YEAR_WHERE_UNKNOWN = 2026.5
+
+
+def world_field(
+    track: Track, instance: int, time_s: FloatArray, reference: Reference, raw: FloatArray
+) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
+    """Return the field in NED, its sigma, and what to say about it."""
+    if track.place is not None and np.isfinite(track.place.values).all(axis=1).any():
+        place = track.place.values[np.isfinite(track.place.values).all(axis=1)]
+        lat, lon, alt = np.median(place, axis=0).tolist()
+        year = decimal_year(track.utc_offset_s) if track.utc_offset_s else _YEAR_WHERE_UNKNOWN
+        earth = earth_field(round(lat, 5), round(lon, 5), round(alt, 1), round(year, 3))
+        refined = _measured_by_others(track, instance, time_s, reference, earth.vector_mgauss)
+        if refined is not None:
+            note = "The vehicle's other compasses agree with the world model; they give the local field."
+            return (
+                refined,
+                np.array([_LOCAL_SIGMA_MGAUSS, earth.sigma_mgauss[1], _LOCAL_SIGMA_MGAUSS]),
+                (note,),
+            )
+        return earth.vector_mgauss, _with_anomaly(earth.vector_mgauss, earth.sigma_mgauss, reference), ()
+    rows = reference.known & np.isfinite(raw).all(axis=1)
+    if not rows.any():
+        raise BadRecording("The attitude reference and the compass never speak at the same time.", "")
+    field = np.median(rotate(reference.rotation[rows], raw[rows]), axis=0)
+    note = (
+        "The recording does not say where it was made: the field is estimated from it, so that the field's"
+        " intensity, inclination and declination cannot be judged."
+    )
+    return field, np.full(3, UNKNOWN_SIGMA_MGAUSS), (note,)
+
+
+def _with_anomaly(field: FloatArray, sigma: Sequence[float], reference: Reference) -> FloatArray:
+    """Return the sigma of the world model with what rocks and buildings add to it.
+
+    Beside an independent attitude (a laboratory's) such an anomaly shows itself, and is judged as a cause.
+    """
+    anomaly = 0.0 if reference.kind == "columns" else _ANOMALY_SHARE * float(np.linalg.norm(field))
+    return np.hypot(np.asarray(sigma), anomaly)
+
+
+def _measured_by_others(
+    track: Track, instance: int, time_s: FloatArray, reference: Reference, model: FloatArray
+) -> FloatArray | None:
+    """Return the local field as at least two other, calibrated compasses measure it.
+
+    They count where each sees a constant field and its level and vertical parts agree with the model's;
+    the declination stays the model's, since yaw may come from a compass.
+    """
+    seen = []
+    level = float(np.hypot(model[0], model[1]))
+    for number, compass in track.compasses.items():
+        if number == instance or not compass.correction_known or len(compass.reported) < FEWEST_ROWS:
+            continue
+        values = compass.reported.values + 0.5 * compass.quantum_mgauss * compass.truncated * np.sign(
+            compass.reported.values
+        )
+        world = rotate(
+            reference.rotation[reference.known], Series.of(compass.time_s, values).at(time_s)[reference.known]
+        )
+        parts = np.array([np.median(np.hypot(world[:, 0], world[:, 1])), np.median(world[:, 2])])
+        spread = 1.4826 * np.median(np.abs(np.hypot(world[:, 0], world[:, 1]) - parts[0]))
+        if spread < _STEADY_MGAUSS and np.abs(parts - (level, model[2])).max() < _AGREES_MGAUSS:
+            seen.append(parts)
+    if len(seen) < 2 or float(np.ptp(np.array(seen), axis=0).max()) > 2.0 * _LOCAL_SIGMA_MGAUSS:
+        return None
+    horizontal, down = np.mean(seen, axis=0)
+    return np.array([model[0] * horizontal / level, model[1] * horizontal / level, down])

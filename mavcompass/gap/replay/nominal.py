@@ -1,0 +1,324 @@
+"""Replay a recording through the simulation: its own inputs in, the nominal readings out.
+
+The calibration in force is undone first; the field is the world model's; what a healthy autopilot does
+to a reading (ten readings a second, averaged, repeated, late) belongs to the replay, not to the gap.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.errors import BadRecording
+from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
+from mavcompass.gap.attitude import UNKNOWN_YAW_RAD, Choice, Reference, local_position, reference_attitude
+from mavcompass.gap.replay.in_force import KnownIron, calibration_in_force, known_iron, load_of
+from mavcompass.gap.replay.integrity import Trace
+from mavcompass.gap.replay.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
+from mavcompass.gap.replay.noise import SensorNoise
+from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_yaw
+from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
+from mavcompass.simulation.effects.effect import Group, Signals
+from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.track import MagSeries, Series, Track
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+_UNKNOWN_MOTION_MPS2 = 0.3
+_TURNING_RAD = math.radians(25.0)
+_TILT_RAD = math.radians(4.0)
+# What a load must at least vary by to be told from everything else that happens meanwhile.
+_LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
+# Standard deviations of a path beside which the errors of a position are small.
+_LEAST_PATH_M, _LEAST_RECEIVED_PATH_M = 0.05, 1.5
+# Motors that turn both ways stand still at half of their output.
+_NEUTRAL_IN_THE_MIDDLE = frozenset({"rover", "ackermann-rover", "boat", "sub"})
+_NO_TURN = (
+    "The vehicle hardly turns: a constant offset cannot be told from the field, so that it counts as the"
+    " field's."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replay:
+    """Hold the nominal simulation of a recording beside what was measured.
+
+    Attributes:
+        signals: the inputs, and what ideal sensors would have said.
+        measured: what the sensors said, the calibration in force undone, (N, 3) each.
+        corrected_mgauss: the compass with the calibration in force, (N, 3); None where none is known.
+        valid: rows with a reading and a reference, (N,).
+        groups: the sensors that can be compared: the compass always, accelerometer and gyro where the
+            reference did not come from them.
+        nuisances: what must be solved for besides any effect.
+        present: what the recording contains of the needs of effects.
+        reference: where the attitude comes from.
+        resolution_mgauss: the noise that the numbers' steps alone make.
+        telemetry: True where readings are repeated and late by the autopilot's nature.
+        field_known: True where the world model gave the field.
+        trace: repeats and steps of the numbers, as they were logged.
+        iron: what the calibration in force says of the raw sensor.
+        nominal_mgauss: what the raw sensor says if that is right and nothing else is wrong, (N, 3).
+        averaged: how many neighbouring readings each row is the mean of.
+        place: latitude, longitude in degrees, altitude in metres; None where unknown.
+        doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
+            noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
+        notes: what a reader of the result must know.
+    """
+
+    signals: Signals
+    measured: Reading
+    valid: NDArray[np.bool_]
+    groups: tuple[Group, ...]
+    nuisances: tuple[Nuisance, ...]
+    present: frozenset[str]
+    reference: Reference
+    resolution_mgauss: float
+    telemetry: bool
+    field_known: bool
+    trace: Trace
+    notes: tuple[str, ...]
+    iron: KnownIron
+    nominal_mgauss: FloatArray
+    corrected_mgauss: FloatArray | None = None
+    averaged: int = 1
+    place: tuple[float, float, float] | None = None
+    doubtful: Mapping[Group, SensorNoise] = field(default_factory=dict)
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Return the times of the rows, (N,)."""
+        return self.signals.stimulus.time_s
+
+
+def replay(track: Track, instance: int = 1, choice: Choice = "auto", period_s: float | None = None) -> Replay:
+    """Build the nominal simulation of one compass of a recording, averaged to rows of a period.
+
+    Raises BadRecording where there is no such compass, or too little to compare.
+    """
+    compass = _compass(track, instance)
+    period_s = shared_period_s([track], instance) if period_s is None else period_s
+    rows = compass_rows(track, compass, period_s)
+    whole = reference_attitude(track, rows.time_s, choice, instance)
+    field, sigma, field_notes = world_field(
+        track,
+        instance,
+        rows.time_s,
+        whole,
+        rows.raw_mgauss if rows.corrected_mgauss is None else rows.corrected_mgauss,
+    )
+    correction = calibration_in_force(compass)
+    picked = _middles(rows.time_s.size, rows.width)
+    time_s, reference, usable = rows.time_s[picked], whole.at(picked), rows.usable
+    stimulus = _stimulus(track, time_s, reference, field)
+    load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
+    iron = known_iron(correction, load, source)
+    raw, corrected = rows.raw_mgauss, rows.corrected_mgauss
+    if rows.width > 1:
+        # What is averaged is the difference to the nominal field, which hardly turns with the vehicle.
+        ideal_all = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape))
+        turning = ideal_all @ iron.matrix.T
+        raw = averaged(raw - turning, rows.width)[picked] + turning[picked]
+        if corrected is not None:
+            corrected = averaged(corrected - ideal_all, rows.width)[picked] + ideal_all[picked]
+        usable = np.asarray(np.isfinite(raw).all(axis=1))
+    acc = _column(track.acc_mps2, time_s, rows.width)
+    gyro = _column(track.gyro_radps, time_s, rows.width)
+    measured = Reading(raw, acc, gyro)
+    stimulus = _with_linear_acceleration(stimulus, acc, reference)
+    ideal = Reading(
+        rotate_back(stimulus.rotation, stimulus.field_ned_mgauss),
+        stimulus.specific_force_mps2,
+        stimulus.rate_radps,
+    )
+    independent = reference.kind == "columns"
+    present = _present(track, stimulus, reference, reference.known & usable)
+    if not present & {"turning", "tilt"}:
+        # A constant offset in body axes is then a constant field: its size can be anything.
+        sigma = np.maximum(sigma, UNKNOWN_SIGMA_MGAUSS)
+        field_notes = (*field_notes, _NO_TURN)
+    groups: tuple[Group, ...] = ("mag",)
+    valid = reference.known & usable
+    inertial: tuple[tuple[Group, FloatArray], ...] = (("acc", acc), ("gyro", gyro))
+    motion_note: tuple[str, ...] = ()
+    for name, values in inertial:
+        if independent and np.isfinite(values[valid]).all() and np.abs(values).sum() > 0.0:
+            off = np.median(np.abs(values - (ideal.acc_mps2 if name == "acc" else ideal.gyro_radps))[valid])
+            if name == "acc" and off > _UNKNOWN_MOTION_MPS2:
+                motion_note = ("The accelerometer feels motion that the recording does not tell: left out.",)
+                continue
+            groups = (*groups, name)
+    return Replay(
+        signals=Signals(stimulus, ideal),
+        measured=measured,
+        valid=valid,
+        groups=groups,
+        nuisances=_nuisances(
+            reference, stimulus, raw if corrected is None else corrected, sigma, rows.telemetry, valid
+        ),
+        present=present,
+        reference=reference,
+        resolution_mgauss=track.compasses[instance].quantum_mgauss / math.sqrt(12.0),
+        telemetry=rows.telemetry,
+        trace=rows.trace,
+        field_known=sigma[0] < UNKNOWN_SIGMA_MGAUSS,
+        notes=(*track.notes, *reference.notes, *field_notes, *motion_note),
+        corrected_mgauss=corrected,
+        iron=iron,
+        nominal_mgauss=iron.raw(ideal.mag_mgauss),
+        averaged=rows.width,
+        place=_place(track),
+    )
+
+
+def _place(track: Track) -> tuple[float, float, float] | None:
+    """Return latitude, longitude and altitude in the middle of a recording's places."""
+    if track.place is None or not np.isfinite(track.place.values).all(axis=1).any():
+        return None
+    lat, lon, alt = np.nanmedian(track.place.values, axis=0).tolist()
+    return lat, lon, alt
+
+
+def _middles(count: int, width: int) -> slice:
+    """Return the middles of averages over an odd number of neighbours."""
+    return slice(None) if width == 1 else slice(width // 2, count - width // 2, width)
+
+
+def _compass(track: Track, instance: int) -> MagSeries:
+    if instance not in track.compasses:
+        have = ", ".join(str(i) for i in sorted(track.compasses)) or "none"
+        raise BadRecording(
+            f"{track.source or 'The recording'} has no compass {instance} (it has {have}).",
+            "Choose one of them with --compass.",
+        )
+    return track.compasses[instance]
+
+
+def _column(series: Series | None, time_s: FloatArray, width: int = 1) -> FloatArray:
+    if series is None or len(series) < 2:
+        return np.full((time_s.size, 3), np.nan)
+    if width > 1 and np.isfinite(series.values).all():
+        series = Series.of(series.time_s, averaged(series.values, width))
+    return np.ascontiguousarray(series.at(time_s))
+
+
+def _scalar(series: Series | None, time_s: FloatArray) -> FloatArray:
+    if series is None or not np.isfinite(series.values).any():
+        return np.full(time_s.size, np.nan)
+    finite = np.isfinite(series.values)
+    return np.interp(time_s, series.time_s[finite], series.values[finite])
+
+
+def _stimulus(track: Track, time_s: FloatArray, reference: Reference, field: FloatArray) -> Stimulus:
+    n = time_s.size
+    motors = np.empty((n, 0))
+    if track.motors is not None and len(track.motors) > 1:
+        motors = np.nan_to_num(track.motors.at(time_s))
+        if track.vehicle in _NEUTRAL_IN_THE_MIDDLE:
+            motors = 2.0 * np.abs(motors - 0.5)
+    return Stimulus(
+        time_s=time_s,
+        rotation=reference.rotation,
+        field_ned_mgauss=np.tile(field, (n, 1)),
+        rate_radps=reference.rate_radps,
+        specific_force_mps2=reference.rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2,
+        position_ned_m=_column(_position(track, reference), time_s),
+        velocity_ned_mps=_column(track.gps_velocity_mps, time_s),
+        current_a=_scalar(track.current_a, time_s),
+        throttle=_scalar(track.throttle, time_s),
+        temperature_degc=_scalar(track.temperature_degc, time_s),
+        motors=motors,
+    )
+
+
+def _position(track: Track, reference: Reference) -> Series | None:
+    """Return the best position there is: measured, or the receiver's where the vehicle goes far enough."""
+    measured = track.position_ned_m
+    if measured is not None and len(measured) > 1:
+        return measured
+    received = local_position(track.place)
+    return received if received is not None and _goes_about(received.values, reference) else None
+
+
+def _goes_about(position: FloatArray, reference: Reference) -> bool:
+    """Tell whether a path (N, 3) is longer than its errors, which an independent reference does not have."""
+    if not np.isfinite(position).all(axis=1).any():
+        return False
+    least = _LEAST_PATH_M if reference.kind == "columns" else _LEAST_RECEIVED_PATH_M
+    return float(np.nanmax(np.nanstd(position, axis=0))) > least
+
+
+def _with_linear_acceleration(stimulus: Stimulus, acc: FloatArray, reference: Reference) -> Stimulus:
+    """Add the acceleration of the recorded path, where that explains the accelerometer better."""
+    position = stimulus.position_ned_m
+    known = np.isfinite(position).all(axis=1) & np.isfinite(acc).all(axis=1) & reference.known
+    if reference.kind != "columns" or known.sum() < 0.9 * len(position):
+        return stimulus
+    from scipy.signal import savgol_filter
+
+    step = float(np.median(np.diff(stimulus.time_s)))
+    window = max(5, 2 * round(0.08 / step) + 1)
+    path = np.stack(
+        [np.interp(stimulus.time_s, stimulus.time_s[known], p[known]) for p in position.T], axis=1
+    )
+    linear = savgol_filter(path, window, 3, deriv=2, delta=step, axis=0)
+    moving = stimulus.specific_force_mps2 + rotate_back(stimulus.rotation, linear)
+    at_rest_error = np.median(np.abs(acc - stimulus.specific_force_mps2)[known])
+    moving_error = np.median(np.abs(acc - moving)[known])
+    return replace(stimulus, specific_force_mps2=moving) if moving_error < 0.9 * at_rest_error else stimulus
+
+
+def _nuisances(
+    reference: Reference,
+    stimulus: Stimulus,
+    calibrated: FloatArray,
+    field_sigma: FloatArray,
+    telemetry: bool,
+    valid: NDArray[np.bool_],
+) -> tuple[Nuisance, ...]:
+    field_unknown = bool(field_sigma[0] >= UNKNOWN_SIGMA_MGAUSS)
+    found = [Nuisance.of(WORLD_FIELD, np.zeros(3), field_sigma)]
+    # With an unknown field, north is where the field points: a constant yaw error means nothing.
+    constant = 0.0 if field_unknown else reference.yaw_sigma_rad
+    if constant > 0.0 or reference.yaw_curves_rad.size:
+        world = np.mean(rotate(stimulus.rotation[valid], calibrated[valid]), axis=0)
+        field = stimulus.field_ned_mgauss[0]
+        offset = math.atan2(field[1], field[0]) - math.atan2(world[1], world[0])
+        mean, sigma = np.zeros((2, 1 + reference.yaw_curves_rad.shape[1]))
+        mean[0] = float(wrap_pi(offset)) if constant > UNKNOWN_YAW_RAD else 0.0
+        sigma[:], sigma[0] = 1.0, max(constant, 1e-9)
+        found.append(Nuisance.of(reference_yaw(reference.yaw_curves_rad), mean, sigma))
+    if telemetry:
+        found.append(Nuisance.of(AGE, np.array([0.06]), np.array([0.05])))
+    return tuple(found)
+
+
+def _present(
+    track: Track, stimulus: Stimulus, reference: Reference, valid: NDArray[np.bool_]
+) -> frozenset[str]:
+    present = set()
+    for name, values in (
+        ("current", stimulus.current_a),
+        ("throttle", stimulus.throttle),
+        ("temperature", stimulus.temperature_degc),
+    ):
+        if np.isfinite(values).any() and float(np.ptp(values[np.isfinite(values)])) > _LEAST_RANGE[name]:
+            present.add(name)
+    if stimulus.motors.size and float(np.ptp(stimulus.motors, axis=0).max()) > _LEAST_RANGE["throttle"]:
+        present.add("motors")
+    if _goes_about(stimulus.position_ned_m, reference):
+        present.add("position")
+    rotation = stimulus.rotation[valid]
+    if len(rotation):
+        ahead = rotation[:, :2, 0] / np.maximum(np.linalg.norm(rotation[:, :2, 0], axis=1), 1e-9)[:, None]
+        if float(np.hypot(*np.mean(ahead, axis=0))) < math.cos(_TURNING_RAD):
+            present.add("turning")
+        spread = np.sqrt(np.var(rotation[:, 2, 0]) + np.var(rotation[:, 2, 1]))
+        if spread > math.sin(_TILT_RAD):
+            present.add("tilt")
+    if reference.kind == "columns":
+        present.add("reference")
+    return frozenset(present)

@@ -1,0 +1,136 @@
+"""What a replay does not know exactly and must solve for besides any effect: never named as a cause.
+
+Nuisances have a forward model like effects, and a prior: the field's model error, the reference's yaw,
+the age of telemetry. A gap that fits inside these priors is no gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.frames import FloatArray, rotate_back
+from mavcompass.gap.attitude import UNKNOWN_YAW_RAD
+from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
+from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Signals, Stage
+from mavcompass.simulation.effects.sampling import at_times
+
+_Rng = np.random.Generator | None
+_TURNS = 6
+REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nuisance:
+    """Hold a nuisance effect, its prior mean (k,) and the inverse of its prior covariance (k, k)."""
+
+    effect: Effect
+    mean: FloatArray
+    precision: FloatArray
+
+    @classmethod
+    def of(cls, effect: Effect, mean: FloatArray, sigma: FloatArray) -> Nuisance:
+        """Build one with independent priors."""
+        return cls(effect, mean, np.diag(1.0 / np.square(sigma)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """Hold nuisances with the inverse of their joint prior covariance (K, K), K parameters in their order."""
+
+    nuisances: tuple[Nuisance, ...]
+    precision: FloatArray
+
+    @classmethod
+    def of(cls, nuisances: Sequence[Nuisance]) -> Prior:
+        """Build the prior of nuisances that know nothing of each other."""
+        return cls(tuple(nuisances), block_diagonal([n.precision for n in nuisances]))
+
+    @property
+    def mean(self) -> FloatArray:
+        """Return the prior means of all parameters, (K,)."""
+        return np.concatenate([n.mean for n in self.nuisances]) if self.nuisances else np.zeros(0)
+
+    @property
+    def log_determinant(self) -> float:
+        """Return the logarithm of the precision's determinant."""
+        return float(np.linalg.slogdet(self.precision)[1]) if self.nuisances else 0.0
+
+
+def block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    """Put square blocks along a diagonal."""
+    total = sum(len(b) for b in blocks)
+    out = np.zeros((total, total))
+    at = 0
+    for block in blocks:
+        out[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    return out
+
+
+def _world_field(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    return signals.in_field(signals.stimulus.field_ned_mgauss + theta)
+
+
+WORLD_FIELD = Effect(
+    id="world field",
+    title="what the field's model does not know",
+    stage=Stage.WORLD,
+    parameters=tuple(Parameter(n, "mG", -2000.0, 2000.0, 0.0, 1.0) for n in ("north", "east", "down")),
+    forward=_world_field,
+)
+
+
+def reference_yaw(curves_rad: FloatArray) -> Effect:
+    """Build what an attitude reference does not know of the yaw: a constant, and curves (N, k) over time."""
+
+    def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+        s = signals.stimulus
+        angle = theta[0] + curves_rad @ theta[1:] if curves_rad.size else np.full(s.time_s.size, theta[0])
+        c, d = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        rotation = s.rotation.copy()
+        rotation[:, 0] = c * s.rotation[:, 0] - d * s.rotation[:, 1]
+        rotation[:, 1] = d * s.rotation[:, 0] + c * s.rotation[:, 1]
+        # In world axes the field turns the other way: only its level part changes.
+        change = rotate_back(rotation, s.field_ned_mgauss) - rotate_back(s.rotation, s.field_ned_mgauss)
+        moved = Signals(replace(s, rotation=rotation), signals.reading)
+        return moved.with_mag(signals.reading.mag_mgauss + change)
+
+    amplitudes = (Parameter(f"curve {i + 1}", "1", -30.0, 30.0, 0.0, 1.0) for i in range(curves_rad.shape[1]))
+    return Effect(
+        id=REFERENCE_YAW,
+        title="what the attitude reference does not know of the yaw",
+        stage=Stage.ATTITUDE,
+        parameters=(Parameter("constant", "rad", -10.0, 10.0, 0.0, 0.01), *amplitudes),
+        forward=forward,
+    )
+
+
+def yaw_starts(nuisances: Sequence[Nuisance]) -> list[tuple[FloatArray, ...]]:
+    """List where to start a fit that may turn the attitude: from the prior; all around if that is wide."""
+    means = tuple(n.mean for n in nuisances)
+    for place, nuisance in enumerate(nuisances):
+        if nuisance.effect.id == REFERENCE_YAW and nuisance.precision[0, 0] < 1.0 / UNKNOWN_YAW_RAD**2:
+            starts = []
+            for turn in np.arange(_TURNS) * 2.0 * np.pi / _TURNS:
+                mean = nuisance.mean.copy()
+                mean[0] = (mean[0] + turn + np.pi) % (2.0 * np.pi) - np.pi
+                starts.append((*means[:place], mean, *means[place + 1 :]))
+            return starts
+    return [means]
+
+
+def _telemetry_age(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+    time = signals.stimulus.time_s
+    return signals.with_mag(at_times(time, signals.reading.mag_mgauss, time - theta[0]))
+
+
+AGE = Effect(
+    id=TELEMETRY_AGE,
+    title="how old a reading is when the autopilot reports it",
+    stage=Stage.TIMING,
+    parameters=(Parameter("age", "s", -0.2, LONGEST_LAG_S, 0.08, 0.005),),
+    forward=_telemetry_age,
+)

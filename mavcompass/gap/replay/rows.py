@@ -1,0 +1,146 @@
+"""The rows of a compass that a replay compares: raw, not repeated, and not too many."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.correction import IDENTITY
+from mavcompass.errors import BadRecording
+from mavcompass.frames import FloatArray
+from mavcompass.gap.replay.integrity import Trace, inspect
+from mavcompass.track import MagSeries, Series, Track
+
+FEWEST_ROWS = 60
+_MOST_ROWS, _MOST_ROWS_IN_FLIGHT = 3_000, 1_600
+_SLOWER_SHARE = 0.3
+_EVEN_RHYTHM = 0.4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Hold the compared readings of one compass.
+
+    Attributes:
+        time_s: (N,), repeats left out.
+        raw_mgauss: (N, 3), the calibration in force undone.
+        corrected_mgauss: (N, 3), with it; None where none is in force, or it is not known.
+        telemetry: True where an autopilot repeats readings and sends them late by nature.
+        width: how many neighbours are to be averaged to one, an odd number.
+        trace: repeats and steps of the numbers as they were logged; usable: rows that are no lost readings,
+        (N,).
+    """
+
+    time_s: FloatArray
+    raw_mgauss: FloatArray
+    corrected_mgauss: FloatArray | None
+    telemetry: bool
+    width: int
+    trace: Trace
+    usable: NDArray[np.bool_]
+
+
+def compass_rows(track: Track, compass: MagSeries, period_s: float = 0.0) -> Rows:
+    """Choose the rows of a compass, averaged to `period_s` where they come faster.
+
+    Raises BadRecording where there are too few.
+    """
+    time_s, keep = np.unique(compass.time_s, return_index=True)
+    reported = compass.reported.values[keep]
+    logged = inspect(reported, np.asarray(np.isfinite(reported).all(axis=1)), time_s)
+    telemetry = track.autopilot != "unknown" or _slower_than_logged(reported)
+    if telemetry:
+        # A reading that is sent again says nothing new; one that is frozen for longer is a finding of its
+        # own.
+        keep = keep[_fresh(reported)]
+        time_s = compass.time_s[keep]
+    if time_s.size < FEWEST_ROWS:
+        raise BadRecording(
+            f"{track.source or 'The recording'} has {time_s.size} readings of compass {compass.instance},"
+            " too few.",
+            "Record at least half a minute of turning.",
+        )
+    restored = _restored(compass)
+    raw = replace(track, compasses={compass.instance: restored}).raw_field(compass.instance)[keep]
+    corrected = _corrected(track, restored)
+    corrected = None if corrected is None else corrected[keep]
+    finite = np.asarray(np.isfinite(raw).all(axis=1))
+    usable = finite
+    trace = logged if telemetry else inspect(raw, finite, time_s)
+    fine = trace.step_mgauss == 0.0 and compass.quantum_mgauss == 0.0
+    if not telemetry and trace.stale_share > 0.0 and fine:
+        usable = np.asarray(finite & ~trace.stale)
+    return Rows(time_s, raw, corrected, telemetry, _odd_width(time_s, period_s), trace, usable)
+
+
+def _restored(compass: MagSeries) -> MagSeries:
+    """Put the mean half step back where numbers were cut toward zero."""
+    if not compass.truncated or compass.quantum_mgauss <= 0.0:
+        return compass
+    values = compass.reported.values
+    half = 0.5 * compass.quantum_mgauss * np.sign(values)
+    return replace(compass, reported=Series.of(compass.time_s, values + half))
+
+
+def _corrected(track: Track, compass: MagSeries) -> FloatArray | None:
+    """Return the readings (N, 3) with the calibration in force; None where there is none."""
+    if not compass.correction_known:
+        return None
+    if compass.not_applied is not None:
+        load = track.motor_load(compass.time_s, compass.not_applied.motor_source)
+        return compass.not_applied.apply(compass.reported.values, load)
+    if all(step.correction == IDENTITY for step in compass.in_force):
+        return None
+    return np.asarray(compass.reported.values)
+
+
+def shared_period_s(tracks: Sequence[Track], instance: int) -> float:
+    """Return the time between rows, in seconds, that keeps each of some recordings within what is compared.
+
+    A recording and its baseline are averaged alike: noise and its correlation are then the same in both.
+    """
+    longest = 0.0
+    for track in tracks:
+        if instance in track.compasses and len(track.compasses[instance].reported) > 1:
+            time_s = track.compasses[instance].time_s
+            # Beside a laboratory's attitude single readings tell more than beside one that wanders itself.
+            most = _MOST_ROWS if track.reference_q is not None else _MOST_ROWS_IN_FLIGHT
+            if time_s.size > most:
+                longest = max(longest, float(time_s[-1] - time_s[0]) / most)
+    return longest
+
+
+def _odd_width(time_s: FloatArray, period_s: float) -> int:
+    """Return how many neighbours are averaged to rows of a period: an odd number."""
+    step = float(np.median(np.diff(time_s)))
+    width = max(math.ceil(period_s / max(step, 1e-6) - 0.2), 1)
+    return width if width % 2 else width + 1
+
+
+def averaged(values: FloatArray, width: int) -> FloatArray:
+    """Return centred running means of columns (N, k); the ends are held."""
+    half = width // 2
+    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(padded, axis=0)])
+    return np.asarray((total[width:] - total[:-width]) / width)
+
+
+def _fresh(reported: FloatArray) -> NDArray[np.bool_]:
+    """Tell which readings (N, 3) are not the one before again."""
+    return np.concatenate([[True], (np.diff(reported, axis=0) != 0.0).any(axis=1)])
+
+
+def _slower_than_logged(reported: FloatArray) -> bool:
+    """Tell a compass that is read more slowly than it is logged: repeats in an even rhythm.
+
+    Readings that are lost by chance repeat in runs of all lengths.
+    """
+    fresh = np.flatnonzero(_fresh(reported))
+    if fresh.size < FEWEST_ROWS or fresh.size > (1.0 - _SLOWER_SHARE) * len(reported):
+        return False
+    gaps = np.diff(fresh)
+    return float(gaps.std()) < _EVEN_RHYTHM * float(gaps.mean())

@@ -1,0 +1,82 @@
+"""Which traces in the numbers are effects: repeats and steps that no healthy vehicle shows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mavcompass.gap.replay.nominal import Replay
+
+# MAVLink's messages and ArduPilot's parameters count whole milligauss.
+_USUAL_STEP_MGAUSS = 1.0 + 1e-6
+_REPEATS_WORTH_NAMING = 0.003
+# Autopilots read their compass ten times a second and repeat it meanwhile; a rest may look like a repeat.
+# While the field changes by this a live sensor changes too; at rest its noise does within some seconds.
+_MOVED_MGAUSS, _NO_REST_S = 5.0, 5.0
+_TELEMETRY_HOLDS_S, _FAR_LONGER = 0.3, 1.5
+
+
+def traces_to_name(
+    replay: Replay, baseline: Replay | None, noise_mgauss: float, names: frozenset[str]
+) -> tuple[float, float]:
+    """Return the share of repeats and the step of the numbers, zero where they are not to be named."""
+    stale = "stale_samples" in names and names_stale(replay, baseline)
+    step = "quantisation" in names and names_step(replay, baseline, noise_mgauss)
+    return stale_share(replay, baseline) if stale else 0.0, replay.trace.step_mgauss if step else 0.0
+
+
+def names_stale(replay: Replay, baseline: Replay | None) -> bool:
+    """Tell whether the repeats are an effect: more than by chance, than the baseline's, than telemetry's."""
+    if replay.telemetry:
+        return _frozen_share(replay, baseline) > _REPEATS_WORTH_NAMING
+    found, nominal = replay.trace, baseline.trace if baseline is not None else None
+    expected = nominal.stale_share if nominal is not None else 0.0
+    coarse = found.step_mgauss > 0.0 or replay.resolution_mgauss > 0.0
+    if coarse and (baseline is None or _steps_of(replay) != _steps_of(baseline)):
+        # Coarse numbers repeat by chance, and no baseline tells how often.
+        return False
+    count = found.stale.size
+    noise = math.sqrt(max(expected * (1.0 - expected), 1.0 / count) / count)
+    return found.stale_share > max(_REPEATS_WORTH_NAMING, expected + 5.0 * noise)
+
+
+def stale_share(replay: Replay, baseline: Replay | None) -> float:
+    """Return the share of readings that only repeat the one before, beyond what telemetry does by nature."""
+    return _frozen_share(replay, baseline) if replay.telemetry else replay.trace.stale_share
+
+
+def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
+    """Return the share of time in which readings stayed far longer than they do in a healthy vehicle.
+
+    Only while the field changes by more than chance: numbers of a vehicle at rest may repeat for long.
+    """
+    held, since = replay.trace.held_s, replay.trace.fresh_s
+    moved = np.zeros(held.size)
+    for axis in range(3):
+        then, now = (
+            np.interp(t, replay.time_s, replay.nominal_mgauss[:, axis]) for t in (since, since + held)
+        )
+        moved = np.maximum(moved, np.abs(now - then))
+    held = np.where((moved > _MOVED_MGAUSS) | (held > _NO_REST_S), held, 0.0)
+    usual = _TELEMETRY_HOLDS_S
+    if baseline is not None and baseline.telemetry and baseline.trace.held_s.size:
+        usual = max(float(baseline.trace.held_s.max()), 0.5 * float(np.median(np.diff(replay.time_s))))
+    span = float((since + replay.trace.held_s).max(initial=replay.time_s[-1]) - replay.time_s[0])
+    return float(held[held > _FAR_LONGER * usual].sum()) / max(span, 1e-9)
+
+
+def _steps_of(replay: Replay) -> tuple[float, float]:
+    return replay.trace.step_mgauss, replay.resolution_mgauss
+
+
+def names_step(replay: Replay, baseline: Replay | None, noise_mgauss: float) -> bool:
+    """Tell whether the step of the numbers is an effect: coarse beside the noise, and not nominal."""
+    found, nominal = replay.trace, baseline.trace if baseline is not None else None
+    if found.step_mgauss <= 0.0 or replay.resolution_mgauss > 0.0:
+        return False
+    if found.step_mgauss <= _USUAL_STEP_MGAUSS:
+        return False
+    if nominal is not None and nominal.step_mgauss > 0.9 * found.step_mgauss:
+        return False
+    return found.step_mgauss > 0.5 * noise_mgauss

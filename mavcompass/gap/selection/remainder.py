@@ -1,0 +1,142 @@
+"""What the chosen effects leave on all rows, with the noise that this recording shows.
+
+Numbers that are rounded, saturated or scattered more than the floor's have another noise than the
+floor's. What is left is judged under that noise; otherwise each of these would look like an unknown cause.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit import Fit, Problem
+from mavcompass.gap.left import (
+    Floor,
+    Scatter,
+    early_scale,
+    find_scatter,
+    measured_noise,
+    noise_with,
+    with_noise,
+)
+from mavcompass.gap.replay import Noise, Replay
+from mavcompass.gap.selection.identification import Identified
+from mavcompass.simulation.physics.signals import Reading
+
+_LEAST_MGAUSS = 0.3
+# Moments and thresholds lie between readings: all rows place them better than the training rows.
+_PLACED = frozenset({"hard_iron_step", "relay_field"})
+_SEED = 20260102
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Remainder:
+    """Hold the chosen effects refitted on all rows, and extra scatter if there is some.
+
+    `comparable` is False where the readings' own noise cannot be compared with the floor's.
+    """
+
+    problem: Problem
+    fit: Fit
+    scatter: Scatter | None
+    comparable: bool
+
+
+def floor_to_start(floor: Floor, replay: Replay, baseline: Replay | None, step_mgauss: float) -> Floor:
+    """Add to the floor what the numbers tell before any search: their steps, and scatter between neighbours.
+
+    With too small a noise everything looks like an effect, and the search for it is long and vain.
+    """
+    if step_mgauss > 0.0:
+        return with_noise(floor, with_steps(floor.noise, step_mgauss))
+    if baseline is None or not floor.measured:
+        return floor
+    scale = early_scale(replay, baseline, floor.representative)
+    if scale is None:
+        return floor
+    return with_noise(floor, {**floor.noise, "mag": replace(floor.noise["mag"], row_scale=scale)})
+
+
+def with_steps(noise: Noise, step_mgauss: float) -> Noise:
+    """Add the rounding's own noise, step^2 / 12, to the floor's."""
+    mag, added = noise["mag"], step_mgauss**2 / 12.0
+    return {
+        **noise,
+        "mag": replace(mag, sigma=np.sqrt(mag.sigma**2 + added), rms=np.sqrt(mag.rms**2 + added)),
+    }
+
+
+def what_is_left(
+    identified: Identified, floor: Floor, names: frozenset[str], step_mgauss: float, excess: float = 0.0
+) -> Remainder:
+    """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise.
+
+    `excess` is how much larger than a baseline's the variance of the scatter was found before any search.
+    """
+    replay, chosen = identified.problem.replay, identified.fit
+    noise = with_steps(floor.noise, step_mgauss) if step_mgauss > 0.0 else floor.noise
+    problem = Problem(replay, noise, replay.valid, floor.prior)
+    fit = problem.refit(chosen)
+    if fit.ids & _PLACED:
+        fit = identified.search.on(problem).polished(fit)
+    problem = _without_plateaus(problem, fit)
+    if step_mgauss > 0.0:
+        return _unrounded(problem, fit, floor, step_mgauss)
+    scatter = find_scatter(problem, fit, names, floor, excess)
+    if scatter is None:
+        # A saturated reading has no scatter.
+        return Remainder(problem, fit, None, "clipping" not in fit.ids)
+    noisy = Problem(problem.replay, noise_with(problem, fit, scatter), problem.rows, floor.prior)
+    return Remainder(noisy, noisy.refit(fit), scatter, False)
+
+
+def _without_plateaus(problem: Problem, fit: Fit) -> Problem:
+    """Put what the floor would make in the place of readings at the limit of a saturated sensor.
+
+    They have no noise to be judged by, and one axis may be at its limit nearly all the time.
+    """
+    if "clipping" not in fit.ids:
+        return problem
+    noise, replay = problem.noise["mag"], problem.replay
+    near = float(fit.theta("clipping")[0]) - 3.0 * noise.rms
+    predicted, measured = problem.predict(fit).mag_mgauss, replay.measured
+    plateau = (np.abs(predicted) > near) | (np.abs(measured.mag_mgauss) > near)
+    error = measured.mag_mgauss - predicted
+    error = noise.filled(error, plateau | ~np.isfinite(error), np.random.default_rng(_SEED))
+    free = Reading(predicted + error, measured.acc_mps2, measured.gyro_radps)
+    return Problem(replace(replay, measured=free), problem.noise, problem.rows, problem.prior)
+
+
+def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> Remainder:
+    """Draw what coarse numbers may have been before they were rounded, given the model and the floor.
+
+    If the model is true, the drawn errors are exactly the floor's (randomised quantile residuals, Dunn and
+    Smyth 1996), however coarse the steps are; errors of rounding themselves go with the field.
+    """
+    replay = problem.replay
+    measured = replay.measured
+    sigma = floor.noise["mag"].rms
+    if not floor.measured:
+        # The scatter that was read off the rounded numbers holds that of the rounding.
+        sigma = np.sqrt(np.maximum(sigma**2 - step_mgauss**2 / 12.0, _LEAST_MGAUSS**2))
+    drawn = _before_rounding(measured.mag_mgauss, problem.predict(fit).mag_mgauss, sigma, step_mgauss)
+    fine = replace(replay, measured=Reading(drawn, measured.acc_mps2, measured.gyro_radps))
+    fresh = Problem(fine, problem.noise, problem.rows, problem.prior)
+    noise = {**floor.noise, "mag": measured_noise(fresh, fit)["mag"]}
+    judged = Problem(fine, noise, problem.rows, problem.prior)
+    return Remainder(judged, judged.refit(fit), None, False)
+
+
+def _before_rounding(
+    rounded: FloatArray, predicted: FloatArray, sigma: FloatArray, step_mgauss: float
+) -> FloatArray:
+    """Draw normal values about a prediction, each inside the step that its rounded value stands for."""
+    from scipy.special import ndtr, ndtri
+
+    low, high = rounded - 0.5 * step_mgauss, rounded + 0.5 * step_mgauss
+    p_low, p_high = ndtr((low - predicted) / sigma), ndtr((high - predicted) / sigma)
+    share = np.random.default_rng(_SEED).random(rounded.shape)
+    p = np.clip(p_low + share * (p_high - p_low), 1e-12, 1.0 - 1e-12)
+    return np.asarray(np.clip(predicted + sigma * ndtri(p), low, high))

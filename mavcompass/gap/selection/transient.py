@@ -1,0 +1,91 @@
+"""Changes that take time: a hand that attaches a magnet needs a second, a step of the model none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mavcompass.gap.fit import Fit, Mask, Problem
+from mavcompass.gap.replay import Replay
+from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S
+
+_BIN_S = 0.25
+_LONGEST_S = 3.0
+# How much worse than the rest readings must fit, in mean squares, to be part of a change.
+_WORSE = 4.0
+# The median of a mean of three squares of standard normal values.
+_MEDIAN = 0.789
+
+
+def moments(fit: Fit) -> list[float]:
+    """List when something changes under a fit, in seconds."""
+    return [
+        float(value)
+        for term, theta in zip(fit.terms, fit.thetas, strict=True)
+        for parameter, value in zip(term.effect.parameters, theta, strict=True)
+        if parameter.name in MOMENTS and abs(value) < NEVER_S
+    ]
+
+
+def transients(problem: Problem, fit: Fit, when_s: Sequence[float]) -> Mask:
+    """Tell which rows (N,) belong to a change that is going on, outwards from each moment.
+
+    Under correlated noise the readings beside a change would settle its size nearly alone: while it goes
+    on, they must not.
+    """
+    time = problem.replay.time_s
+    z = problem.innovations(problem.predict(fit))["mag"]
+    power = np.where(problem.usable, (z**2).mean(axis=1), np.nan)
+    aside = np.zeros(time.size, dtype=np.bool_)
+    if not problem.usable.any():
+        return aside
+    usual = float(np.nanmedian(power)) / _MEDIAN
+    width = max(_BIN_S, 4.0 * float(np.median(np.diff(time))))
+    for moment in when_s:
+        for side in (-1.0, 1.0):
+            reach = 0.0
+            while reach < _LONGEST_S:
+                away = side * (time - moment)
+                rows = (away >= reach) & (away < reach + width) & problem.usable
+                if not rows.any() or float(np.mean(power[rows])) < _WORSE * usual:
+                    break
+                reach += width
+            if reach > 0.0:
+                aside |= (side * (time - moment) > -width) & (side * (time - moment) < reach + width)
+    return aside
+
+
+def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:
+    """Return the fitted rows before and after a moment: anywhere between them it fits as well."""
+    time = problem.replay.time_s[problem.index]
+    place = int(np.searchsorted(time, moment_s, side="right"))
+    low = float(time[place - 1]) if place > 0 else moment_s
+    return low, float(time[place]) if place < time.size else moment_s
+
+
+def told(replay: Replay, aside: Mask) -> tuple[str, ...]:
+    """Say in words which stretches were set aside because something was changing."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], aside.astype(np.int8), [0]])))
+    return tuple(
+        f"From {replay.time_s[first]:.1f} to {replay.time_s[end - 1]:.1f} s something changes faster than the"
+        " model can follow: these readings were not fitted."
+        for first, end in zip(edges[::2], edges[1::2], strict=True)
+    )
+
+
+def with_moments(problem: Problem, fit: Fit, seen_s: Sequence[float]) -> Fit:
+    """Put moments back to where they were seen, where no fitted row lies between: there any will do."""
+    time, thetas = problem.replay.time_s[problem.index], []
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        moved = theta.copy()
+        for j, parameter in enumerate(term.effect.parameters):
+            if parameter.name not in MOMENTS or not seen_s:
+                continue
+            nearest = min(seen_s, key=lambda m, v=float(theta[j]): abs(m - v))  # type: ignore[misc]
+            low, high = sorted((nearest, float(theta[j])))
+            if not ((time > low) & (time < high)).any():
+                moved[j] = nearest
+        thetas.append(moved)
+    return replace(fit, thetas=tuple(thetas))

@@ -1,0 +1,175 @@
+"""Recordings with a known cause, for the self-examination: motion, sensors, noise and effects.
+
+The motions are three: level turns in steps of 90 degrees with dwells; figures of eight with some bank;
+a rich one that tumbles, works the throttle, warms up and cools down, and moves about.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mavcompass.frames import FloatArray, euler_to_matrix, euler_to_quaternion, rotate_back
+from mavcompass.gap.attitude import body_rate
+from mavcompass.simulation.effects import Distortion, Setting
+from mavcompass.simulation.effects.effect import Stage
+from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.track import MagSeries, Series, Track
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+Motion = Literal["yaw-steps", "figure-8", "rich"]
+MOTIONS: tuple[Motion, ...] = ("yaw-steps", "figure-8", "rich")
+PLACE = (47.3977, 8.5456, 488.0)
+UTC_S = 1_780_272_000.0
+_NOISE = {"mag": (3.0, 0.3), "acc": (0.03, 0.0), "gyro": (0.003, 0.0)}
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """Say how to make a recording: motion, length, rate, seed."""
+
+    motion: Motion = "rich"
+    duration_s: float = 100.0
+    rate_hz: float = 20.0
+    seed: int = 0
+
+
+def _smooth(time_s: FloatArray, rng: np.random.Generator, slowest_s: float, fastest_s: float) -> FloatArray:
+    """Return a smooth random function of unit rms: six sines between two periods."""
+    period = np.exp(rng.uniform(math.log(fastest_s), math.log(slowest_s), 6))
+    phase = rng.uniform(0.0, 2.0 * math.pi, 6)
+    waves = np.sin(2.0 * math.pi * time_s[:, None] / period + phase)
+    return np.asarray(waves.sum(axis=1) / math.sqrt(3.0))
+
+
+def _angles(recipe: Recipe, t: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, ...]:
+    if recipe.motion == "yaw-steps":
+        dwell, turn = rng.uniform(4.0, 7.0), rng.uniform(2.0, 3.5)
+        phase = t / (dwell + turn)
+        part = np.clip((phase % 1.0 * (dwell + turn) - dwell) / turn, 0.0, 1.0)
+        yaw = 0.5 * math.pi * (np.floor(phase) + part**3 * (10.0 - 15.0 * part + 6.0 * part**2))
+        tilt = rng.normal(0.0, math.radians(0.7), 2)
+        return tilt[0] + np.zeros_like(t), tilt[1] + np.zeros_like(t), yaw + rng.uniform(0.0, 6.0)
+    if recipe.motion == "figure-8":
+        period = rng.uniform(16.0, 24.0)
+        rate = 2.0 * math.pi / period
+        yaw = 1.25 * math.pi * np.sin(rate * t + rng.uniform(0.0, 6.0)) + 0.03 * t
+        bank = math.radians(18.0) * np.sin(rate * t + rng.uniform(0.0, 6.0))
+        pitch = math.radians(6.0) * _smooth(t, rng, 15.0, 5.0)
+        return bank, pitch, yaw
+    roll = math.radians(28.0) * _smooth(t, rng, 20.0, 4.0)
+    pitch = math.radians(22.0) * _smooth(t, rng, 20.0, 4.0)
+    yaw = rng.choice([-1.0, 1.0]) * 0.35 * t + 1.0 * _smooth(t, rng, 30.0, 5.0)
+    return roll, pitch, yaw
+
+
+def _stimulus(recipe: Recipe, field: FloatArray, rng: np.random.Generator) -> Stimulus:
+    n = round(recipe.duration_s * recipe.rate_hz)
+    t = np.arange(n) / recipe.rate_hz
+    rotation = euler_to_matrix(*_angles(recipe, t, rng))
+    rich = recipe.motion == "rich"
+    throttle = np.full(n, 0.4)
+    temperature = np.full(n, 25.0)
+    position = np.zeros((n, 3))
+    motors = np.repeat(throttle[:, None], 4, axis=1)
+    if rich:
+        throttle = np.clip(0.45 + 0.25 * _smooth(t, rng, 15.0, 2.0), 0.0, 1.0)
+        shares = np.stack([_smooth(t, rng, 12.0, 2.0) for _ in range(4)], axis=1)
+        motors = np.clip(throttle[:, None] + 0.12 * (shares - shares.mean(axis=1, keepdims=True)), 0.0, 1.0)
+        temperature = 25.0 + 12.0 * np.sin(math.pi * t / recipe.duration_s) ** 2 + 0.05 * t
+        position = np.stack([2.0 * _smooth(t, rng, 40.0, 15.0) for _ in range(3)], axis=1)
+        position[:, 2] *= 0.4
+    current = 1.0 + 28.0 * throttle**1.5
+    return Stimulus(
+        time_s=t,
+        rotation=rotation,
+        field_ned_mgauss=np.tile(field, (n, 1)),
+        rate_radps=body_rate(t, rotation),
+        specific_force_mps2=rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2,
+        position_ned_m=position,
+        velocity_ned_mps=np.zeros((n, 3)),
+        current_a=current,
+        throttle=throttle,
+        temperature_degc=temperature,
+        motors=motors,
+    )
+
+
+def stimulus_of(recipe: Recipe) -> Stimulus:
+    """Make the inputs of a recording."""
+    from mavcompass.earth_field import decimal_year, earth_field
+
+    field = earth_field(*PLACE, round(decimal_year(UTC_S), 3)).vector_mgauss
+    return _stimulus(recipe, field, np.random.default_rng([recipe.seed, 1]))
+
+
+def ideal(stimulus: Stimulus) -> Reading:
+    """Return what perfect sensors say."""
+    return Reading(
+        rotate_back(stimulus.rotation, stimulus.field_ned_mgauss),
+        stimulus.specific_force_mps2,
+        stimulus.rate_radps,
+    )
+
+
+def noisy(reading: Reading, rng: np.random.Generator, tails: float = np.inf) -> Reading:
+    """Add the sensors' noise, of first-order correlation; `tails` degrees of freedom of Student's t."""
+    return Reading(
+        *(
+            values + _noise(values.shape, *_NOISE[name], rng, tails)
+            for name, values in zip(
+                ("mag", "acc", "gyro"),
+                (reading.mag_mgauss, reading.acc_mps2, reading.gyro_radps),
+                strict=True,
+            )
+        )
+    )
+
+
+def _noise(
+    shape: tuple[int, ...], sigma: float, rho: float, rng: np.random.Generator, tails: float
+) -> FloatArray:
+    from scipy.signal import lfilter
+
+    n = rng.standard_normal(shape)
+    if np.isfinite(tails):
+        n = rng.standard_t(tails, shape) / math.sqrt(tails / (tails - 2.0))
+    return np.asarray(lfilter([sigma * math.sqrt(1.0 - rho**2)], [1.0, -rho], n, axis=0))
+
+
+def to_track(stimulus: Stimulus, reading: Reading, name: str = "case") -> Track:
+    """Write a recording down as a Track with the attitude as an independent reference."""
+    t = stimulus.time_s
+    r = stimulus.rotation
+    roll = np.arctan2(r[:, 2, 1], r[:, 2, 2])
+    pitch = np.arcsin(np.clip(-r[:, 2, 0], -1.0, 1.0))
+    yaw = np.arctan2(r[:, 1, 0], r[:, 0, 0])
+    return Track(
+        source=name,
+        compasses={1: MagSeries(1, Series.of(t, reading.mag_mgauss))},
+        acc_mps2=Series.of(t, reading.acc_mps2),
+        gyro_radps=Series.of(t, reading.gyro_radps),
+        reference_q=Series.of(t, euler_to_quaternion(roll, pitch, yaw)),
+        position_ned_m=Series.of(t, stimulus.position_ned_m),
+        place=Series.of(t[:1], np.array([PLACE])),
+        current_a=Series.of(t, stimulus.current_a),
+        throttle=Series.of(t, stimulus.throttle),
+        temperature_degc=Series.of(t, stimulus.temperature_degc),
+        motors=Series.of(t, stimulus.motors),
+        utc_offset_s=UTC_S,
+    )
+
+
+def make_track(recipe: Recipe, settings: Sequence[Setting] = (), noise_seed: int = 0) -> Track:
+    """Make a recording with effects; the same recipe with another noise seed repeats the motion."""
+    stimulus = stimulus_of(recipe)
+    rng = np.random.default_rng([recipe.seed, noise_seed, 2])
+    clean = [s for s in settings if s.effect.stage < Stage.SENSOR]
+    late = [s for s in settings if s.effect.stage >= Stage.SENSOR]
+    reading = Distortion(clean).apply(stimulus, ideal(stimulus), rng)
+    reading = Distortion(late).apply(stimulus, noisy(reading, rng), rng)
+    return to_track(stimulus, reading)

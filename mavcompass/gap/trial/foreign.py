@@ -1,0 +1,103 @@
+"""Cases of the second generator, vehicles of another make, as the blind trial seals and scores them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from mavcompass.frames import FloatArray, quaternion_to_matrix, rotate_back
+from mavcompass.gap.fit import Problem
+from mavcompass.gap.left import from_baseline
+from mavcompass.gap.replay import (
+    REFERENCE_YAW,
+    Prior,
+    averaged,
+    compass_rows,
+    replay,
+    shared_period_s,
+    untestable_effects,
+)
+from mavcompass.gap.trial.label import SHARES, Label, Tier
+from mavcompass.gap.trial.vehicles import VehicleCase, make_case
+from mavcompass.simulation.effects import catalogue
+from mavcompass.simulation.effects.effect import Effect, Signals
+from mavcompass.track import Track
+
+
+def case_of(tier: Tier, seed: int) -> VehicleCase:
+    """Make the case of a label: one whose cause is withheld is a single one."""
+    return make_case(seed, "single" if tier == "withheld" else tier)
+
+
+def shifts(names: Iterable[str]) -> bool:
+    """Tell whether all of these effects move the readings, rather than scatter or repeat them."""
+    every = catalogue()
+    return all(name not in every or every[name].kind in ("mean", "discrete") for name in names)
+
+
+def draw_case(seed: int, index: int, tier: Tier | None) -> tuple[Label, Track, Track]:
+    """Draw one case: its label, the recording and the baseline."""
+    rng = np.random.default_rng([seed, index, 78])
+    shares = SHARES["vehicles"]
+    chosen: Tier = tier or rng.choice(list(shares), p=list(shares.values()))
+    while True:
+        own = int(rng.integers(2**31))
+        case = case_of(chosen, own)
+        # Without the cause that leaves only a trace, there is nothing left to be flagged.
+        if chosen != "withheld" or shifts(name for name, _ in case.effects):
+            break
+    told = case.description
+    effects = tuple(
+        f"{name}:" + ",".join(f"{key}={value:.9g}" for key, value in values.items())
+        for name, values in case.effects
+    )
+    label = Label(chosen, f"{told['vehicle']} {told['motion']}", own, effects, generator="vehicles")
+    assert case.baseline is not None
+    return label, case.track, case.baseline
+
+
+def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
+    """Return the flight without noise, as the diagnosis would see it, and the effects that it could choose.
+
+    The vehicle is as what is known of it has it, its attitude the true one, and the readings are changed by
+    what the effects make; noise and priors (yaw, field, iron in force, age) are the diagnosis's own.
+    """
+    case = case_of(label.tier, label.seed)
+    track, baseline = case.track, case.baseline
+    assert baseline is not None and track.truth_q is not None
+    period_s = shared_period_s([track, baseline], 1)
+    replayed, before = replay(track, period_s=period_s), replay(baseline, period_s=period_s)
+    compass = track.compasses[1]
+    rows = compass_rows(track, compass, period_s)
+    index = np.searchsorted(compass.time_s, rows.time_s)
+    middles = np.searchsorted(rows.time_s, replayed.time_s)
+    change = (case.clean_mgauss - case.clean_nominal_mgauss)[index]
+    if rows.width > 1:
+        change = averaged(change, rows.width)
+    rotation = quaternion_to_matrix(track.truth_q.values[index][middles])
+    stimulus = replace(replayed.signals.stimulus, rotation=rotation)
+    reading = replace(replayed.signals.reading, mag_mgauss=rotate_back(rotation, stimulus.field_ned_mgauss))
+    exact = replace(
+        replayed,
+        signals=Signals(stimulus, reading),
+        nominal_mgauss=replayed.iron.raw(reading.mag_mgauss),
+    )
+    every = list(catalogue().values())
+    unseen = untestable_effects(before, every)
+    floor = from_baseline(exact, before, [e for e in every if e.id not in unseen])
+    prior = Prior(
+        tuple(
+            replace(n, mean=np.zeros(n.mean.size)) if n.effect.id == REFERENCE_YAW else n
+            for n in floor.prior.nuisances
+        ),
+        floor.prior.precision,
+    )
+    as_known = Problem(exact, floor.noise, exact.valid, prior).states(
+        (), (), [n.mean for n in prior.nuisances]
+    )
+    made: FloatArray = as_known[-1].reading.mag_mgauss + change[middles]
+    exact = replace(exact, measured=replace(exact.measured, mag_mgauss=made))
+    unable = untestable_effects(exact, every, before.telemetry)
+    return Problem(exact, floor.noise, exact.valid, prior), [e for e in every if e.id not in unable]

@@ -1,0 +1,261 @@
+"""Score answers against their labels: distances, the oracle, the true shrink, counts with intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.blas import single_thread
+from mavcompass.gap.diagnose import withheld_effects
+from mavcompass.gap.fit import Problem, Search, Term
+from mavcompass.gap.replay import Noise, Prior, SensorNoise, replay
+from mavcompass.gap.trial.cases import ideal, stimulus_of, to_track
+from mavcompass.gap.trial.foreign import noiseless, shifts
+from mavcompass.gap.trial.label import Label
+from mavcompass.gap.trial.sealed import recipe_of, tracks_of
+from mavcompass.simulation.effects import Distortion, catalogue, parse
+from mavcompass.simulation.effects.effect import Effect
+
+CASE_NOISE: Noise = {
+    "mag": SensorNoise(np.full((1, 3), 0.3), np.full(3, 3.0 * math.sqrt(0.91)), np.full(3, 3.0), 6000.0),
+    "acc": SensorNoise(np.zeros((0, 3)), np.full(3, 0.03), np.full(3, 0.03), 6000.0),
+    "gyro": SensorNoise(np.zeros((0, 3)), np.full(3, 0.003), np.full(3, 0.003), 6000.0),
+}
+
+
+_NO_NEARER = 0.99
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Hold what the diagnosis said of one case, before the label was opened.
+
+    `residuals_mgauss` are those of the field without and with the named effects, (N, 3) each, `held_out` the
+    rows that the closing was measured on, (N,).
+    """
+
+    verdict: str
+    effects: tuple[str, ...]
+    in_set: tuple[tuple[str, ...], ...]
+    nominal: float
+    after: float
+    shrink: float
+    shrink_ci95: tuple[float, float]
+    seconds: float
+    cpu_seconds: float = math.nan
+    residuals_mgauss: tuple[FloatArray, FloatArray] | None = field(default=None, repr=False, compare=False)
+    held_out: NDArray[np.bool_] | None = field(default=None, repr=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Hold one scored case.
+
+    Attributes:
+        label: the truth; answer: with the whole catalogue; withheld: without the truth and its aliases.
+        separation: d_sep in sigmas (single, pair) or d_perp (withheld, outside); nan where an effect only
+            scatters or leaves traces. In vehicles, beside the noise and priors of the diagnosis.
+        own_separation: of a withheld case, d_sep from all others once it is restored.
+        truth_distance: how far the catalogue's model of the truth itself stays from it (of vehicles): beside
+            a distance that is no greater no diagnosis can name it. nan where the flight cannot test it.
+        exact, in_set: whether the answer names the truth, alone or among its set.
+        true_shrink: what the named effects take away of the true gap, free of noise; nan where none is named.
+        oracle_shrink: shrink of the answer over that of the true effect, on the same held-out rows. Both need
+            the exact attitude that the diagnosis of the bench has: nan in vehicles.
+    """
+
+    label: Label
+    answer: Answer
+    withheld: Answer | None
+    separation: float
+    exact: bool
+    in_set: bool
+    oracle_shrink: float
+    true_shrink: float = math.nan
+    own_separation: float = math.nan
+    truth_distance: float = math.nan
+
+    @property
+    def flagged(self) -> bool:
+        """Tell whether the answer owns up to something that it does not know."""
+        return self.answer.verdict in _NOT_SURE
+
+    @property
+    def wrong_name(self) -> bool:
+        """Tell whether something is named, without remainder, that is neither the truth nor like it."""
+        named = set(self.answer.effects) if self.answer.verdict == "named" else set()
+        return not named <= _akin(self.label.ids)
+
+
+def wilson(hits: int, of: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a share."""
+    if of == 0:
+        return (0.0, 1.0)
+    z, p = 1.96, hits / of
+    middle = (p + z * z / (2 * of)) / (1 + z * z / of)
+    half = z / (1 + z * z / of) * math.sqrt(p * (1 - p) / of + z * z / (4 * of * of))
+    return (max(middle - half, 0.0), min(middle + half, 1.0))
+
+
+def score(label: Label, answer: Answer, withheld: Answer | None) -> Case:
+    """Compare an answer with its label."""
+    truth = label.ids
+    exact = answer.effects == truth and answer.verdict in ("named", "ambiguous", "no_gap")
+    in_set = exact or truth in {tuple(sorted(ids)) for ids in answer.in_set}
+    separation = own = oracle = true_shrink = truth_distance = math.nan
+    if label.effects:
+        with single_thread():
+            foreign = label.generator == "vehicles"
+            problem, others = noiseless(label) if foreign else _noiseless(label)
+            if foreign:
+                label = replace(label, size_sigma=_size(problem))
+            else:
+                oracle, true_shrink = closing_of_the_truth(label, answer)
+            if shifts(truth):
+                near = Search(problem, others)
+                separation = _separation(label, near)
+                truth_distance = _truth_distance(label, near) if foreign else 0.0
+                if label.tier == "withheld":
+                    own = _distance(near, frozenset(truth), most=1)
+    return Case(label, answer, withheld, separation, exact, in_set, oracle, true_shrink, own, truth_distance)
+
+
+def _separation(label: Label, search: Search) -> float:
+    """Return how far, in sigmas of the whole recording, the case is from what other effects can make.
+
+    For a pair it is the lesser of the two distances with one member removed; for what the catalogue does not
+    have, or is not to use, the distance to all that three others can make together.
+    """
+    if label.tier == "pair":
+        return min(_distance(search, frozenset({name}), most=2) for name in label.ids)
+    if label.tier == "single":
+        return _distance(search, frozenset(label.ids), most=1)
+    return _distance(search, _akin(label.ids), most=3)
+
+
+def _akin(names: Iterable[str]) -> frozenset[str]:
+    """Return effects of the catalogue with all that can look like them."""
+    return withheld_effects(name for name in names if name in catalogue())
+
+
+def _distance(search: Search, removed: frozenset[str], most: int) -> float:
+    def nearest(terms: list[Term]) -> float:
+        rest = search.on(search.problem)
+        rest.terms = terms
+        return rest.nearest(most).sse
+
+    usable = [term for term in search.terms if term.effect.id not in removed]
+    least = nearest(usable)
+    if search.problem.nuisances and least > _NO_NEARER * search.problem.null().sse:
+        # Beside bent nuisances the normal equations may have pointed nowhere: each by itself.
+        least = min([least, *(nearest([term]) for term in usable)])
+    return math.sqrt(max(least, 0.0))
+
+
+def _truth_distance(label: Label, search: Search) -> float:
+    """Return how far the catalogue's own model of the truth stays from it; nan where it is not testable."""
+    terms = {term.effect.id: term for term in search.terms}
+    if not terms.keys() >= set(label.ids):
+        return math.nan
+    settings = [parse(text) for text in label.effects]
+    fit = search.problem.fit(
+        [terms[s.effect.id] for s in settings],
+        [s.theta for s in settings],
+        [n.mean for n in search.problem.nuisances],
+    )
+    return math.sqrt(max(fit.sse, 0.0))
+
+
+def _noiseless(label: Label) -> tuple[Problem, list[Effect]]:
+    stimulus = stimulus_of(recipe_of(label))
+    settings = [parse(text) for text in label.effects]
+    reading = Distortion(settings).apply(stimulus, ideal(stimulus), np.random.default_rng(0))
+    replayed = replay(to_track(stimulus, reading))
+    return Problem(replayed, CASE_NOISE, replayed.valid, Prior.of(())), list(catalogue().values())
+
+
+def _size(problem: Problem) -> float:
+    """Return the whitened length of what the effects change, nothing else being fitted."""
+    known = [n.mean for n in problem.nuisances]
+    return float(np.linalg.norm(problem.residual(problem.states((), (), known)[-1].reading)))
+
+
+def closing_of_the_truth(label: Label, answer: Answer) -> tuple[float, float]:
+    """Return the shrink over the oracle's, and the true shrink; nan where neither is defined.
+
+    The oracle is the true effect, without any fitting, on the same held-out rows. The true shrink is free
+    of noise: 1 - |made - true|^2 / |nominal - true|^2 over all rows, with the noise of the case known.
+    """
+    if answer.verdict not in ("named", "ambiguous", "named_with_remainder"):
+        return math.nan, math.nan
+    settings = [parse(text) for text in label.effects]
+    if any(s.effect.kind not in ("mean", "discrete") or s.effect.groups != ("mag",) for s in settings):
+        return math.nan, math.nan
+    replayed = replay(tracks_of(label)[0])
+    test = answer.held_out
+    if test is None:
+        return math.nan, math.nan
+    stimulus = stimulus_of(recipe_of(label))
+    nominal = ideal(stimulus).mag_mgauss
+    made = Distortion(settings).apply(stimulus, ideal(stimulus), np.random.default_rng(0)).mag_mgauss
+    noise = replayed.measured.mag_mgauss - made
+    left = float(np.mean(noise[test] ** 2))
+    before = float(np.mean((noise + made - nominal)[test] ** 2))
+    oracle = (answer.nominal**2 - answer.after**2) / (before - left) if before > left else math.nan
+    if answer.residuals_mgauss is None:
+        return oracle, math.nan
+    unclosed, closed = (float(np.mean((r - noise)[replayed.valid] ** 2)) for r in answer.residuals_mgauss)
+    return oracle, 1.0 - closed / unclosed if unclosed > 0.0 else math.nan
+
+
+def scoreboard(cases: Sequence[Case]) -> dict[str, tuple[int, int]]:
+    """Count the figures of a trial, stratified by separability."""
+
+    def count(chosen: list[Case], hit: Callable[[Case], bool]) -> tuple[int, int]:
+        return sum(map(hit, chosen)), len(chosen)
+
+    none = [c for c in cases if c.label.tier == "none"]
+    single = [c for c in cases if c.label.tier == "single" and math.isfinite(c.separation)]
+    traces = [c for c in cases if c.label.tier == "single" and not math.isfinite(c.separation)]
+    pairs = [c for c in cases if c.label.tier == "pair"]
+    withheld = [c for c in cases if c.label.tier == "withheld"]
+    clear = [c for c in single if c.separation >= 9.0]
+    middling = [c for c in single if 5.0 <= c.separation < 9.0]
+    both = [c for c in pairs if c.separation >= 9.0]
+    new = [c for c in withheld if c.separation >= 12.0]
+    outside = [c for c in cases if c.label.tier == "outside" and c.separation >= 12.0]
+    told = [c for c in new if c.own_separation >= 9.0]
+    oracle = [c for c in new if math.isfinite(c.oracle_shrink)]
+    claimed = [c for c in cases if math.isfinite(c.true_shrink) and math.isfinite(c.answer.shrink_ci95[0])]
+    return {
+        "no effect: named or unknown": count(none, lambda c: c.answer.verdict != "no_gap"),
+        "single, d_sep >= 9: exact": count(clear, lambda c: c.exact),
+        "single, d_sep 5 to 9: in the set": count(middling, lambda c: c.in_set),
+        "single without shift (noise, steps, repeats): exact": count(traces, lambda c: c.exact),
+        "pair, both d_sep >= 9: exact": count(both, lambda c: c.exact),
+        "pair, both d_sep >= 9: in the set": count(both, lambda c: c.in_set),
+        "withheld, d_perp >= 12: flagged": count(
+            new, lambda c: c.withheld is not None and c.withheld.verdict in _NOT_SURE
+        ),
+        "withheld, d_perp >= 12: misnamed": count(
+            new, lambda c: c.withheld is not None and c.withheld.verdict == "named"
+        ),
+        "outside, d_perp >= 12: flagged": count(outside, lambda c: c.flagged),
+        "outside, d_perp >= 12: misnamed": count(outside, lambda c: c.answer.verdict == "named"),
+        "restored, d_perp >= 12 and d_sep >= 9: exact": count(told, lambda c: c.exact),
+        "restored, d_perp >= 12: in the set": count(new, lambda c: c.in_set),
+        "restored: within 5 % of the oracle": count(oracle, lambda c: abs(c.oracle_shrink - 1.0) <= 0.05),
+        "shrink's interval covers the true shrink": count(
+            claimed, lambda c: c.answer.shrink_ci95[0] <= c.true_shrink <= c.answer.shrink_ci95[1]
+        ),
+        "confident wrong names": count(list(cases), lambda c: c.wrong_name),
+        "after above nominal": count(list(cases), lambda c: c.answer.after > c.answer.nominal * (1 + 1e-9)),
+    }
+
+
+_NOT_SURE = ("unknown", "ambiguous", "named_with_remainder")

@@ -1,0 +1,195 @@
+"""Fields of the world and of the vehicle that the catalogue names: iron, currents, places, hulls."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mavcompass.gap.trial.vehicles.effects.kind import (
+    AXES,
+    Grow,
+    Kind,
+    Rng,
+    above,
+    along,
+    grown,
+    of,
+    reference,
+)
+from mavcompass.gap.trial.vehicles.motion import STEP_S
+from mavcompass.gap.trial.vehicles.rotations import Array
+from mavcompass.gap.trial.vehicles.scene import Scene, Stage, Values
+
+_FARTHEST_M = 800.0
+_PAIRS = ("xx", "yy", "zz", "xy", "xz", "yz")
+
+
+def _hard_iron_step(rng: Rng, scene: Scene) -> Grow:
+    length = scene.motion.time_s[-1]
+    on = rng.uniform(0.15, 0.7) * length
+    moments = {"on_s": scene.start_s + on}
+    if rng.random() < 0.5:
+        moments["off_s"] = scene.start_s + on + max(rng.uniform(0.15, 0.8) * (length - on), 6.0)
+    return grown(rng, AXES, **moments)
+
+
+def _act_step(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
+    time = scene.start_s + scene.motion.time_s
+    there = (time >= p["on_s"]) & (time < p.get("off_s", np.inf))
+    return values + np.where(there[:, None], of(p), 0.0)
+
+
+def _act_soft_iron(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
+    xx, yy, zz, xy, xz, yz = of(p, _PAIRS)
+    return values + values @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _draw_per_motor(rng: Rng, scene: Scene) -> Grow:
+    count = scene.loads.motors.shape[1]
+    return grown(rng, tuple(f"motor{m + 1}_{axis}" for m in range(count) for axis in AXES))
+
+
+def _act_per_motor(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
+    out = values.copy()
+    for motor, output in enumerate(scene.loads.motors.T):
+        out += np.outer(output, [p[f"motor{motor + 1}_{axis}"] for axis in AXES])
+    return out
+
+
+def _load(scene: Scene, source: int) -> Array:
+    loads = scene.loads
+    return (loads.throttle, loads.current_a)[source] if source < 2 else loads.motors[:, source - 2]
+
+
+def _draw_relay(rng: Rng, scene: Scene) -> Grow:
+    source = int(rng.integers(2 + scene.loads.motors.shape[1]))
+    threshold = float(np.quantile(_load(scene, source), rng.uniform(0.3, 0.7)))
+    return grown(rng, source=float(source), threshold=threshold)
+
+
+def _act_relay(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
+    closed = _load(scene, round(p["source"])) > p["threshold"]
+    return values + np.outer(closed, of(p))
+
+
+def _draw_dipole(rng: Rng, scene: Scene) -> Grow:
+    path = scene.motion.position_m
+    path = path[np.abs(path).max(axis=1) < _FARTHEST_M]
+    closest = 1.0 if scene.vehicle.receiver == "gps" else 0.6
+    place = path[0] + np.array([4.0, 0.0, 0.0])
+    for _ in range(10):
+        near = path[round(rng.uniform(0.15, 0.85) * (len(path) - 1))]
+        away, toward = np.exp(rng.uniform(np.log(closest), np.log(4.0))), rng.uniform(0.0, 2.0 * np.pi)
+        place = near + away * np.array([np.cos(toward), np.sin(toward), rng.uniform(-0.3, 0.5)])
+        if ((path[::20] - place) ** 2).sum(axis=1).min() > (0.8 * closest) ** 2:
+            break
+    where = dict(zip(("north_m", "east_m", "down_m"), place.tolist(), strict=True))
+    return grown(rng, ("moment_north", "moment_east", "moment_down"), **where)
+
+
+def _act_dipole(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
+    apart = scene.motion.position_m - of(p, ("north_m", "east_m", "down_m"))
+    return values + dipole(apart, of(p, ("moment_north", "moment_east", "moment_down")))
+
+
+def dipole(apart_m: Array, moment_mgauss_m3: Array) -> Array:
+    """Return the field (N, 3) at places (N, 3) from a dipole; mu0 / 4 pi is in its mG m^3."""
+    square = np.maximum((apart_m**2).sum(axis=1, keepdims=True), 0.01)
+    along = (apart_m * moment_mgauss_m3).sum(axis=1, keepdims=True)
+    return np.asarray(3.0 * apart_m * along / square**2.5 - moment_mgauss_m3 / square**1.5)
+
+
+def _act_gradient(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
+    nn, ee, ne, nd, ed = of(p, ("nn", "ee", "ne", "nd", "ed"))
+    n, e, d = scene.motion.position_m.T
+    # The gradient of a potential that solves Laplace's equation.
+    return values + np.stack(
+        [nn * n + ne * e + nd * d, ne * n + ee * e + ed * d, nd * n + ed * e - (nn + ee) * d], 1
+    )
+
+
+def _draw_eddy(rng: Rng, scene: Scene) -> Grow:
+    shares = np.exp(rng.uniform(-1.0, 0.0, 3))
+    return lambda size: dict(zip(AXES, (size * shares).tolist(), strict=True))
+
+
+def _act_eddy(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
+    return values - of(p) * np.gradient(values, STEP_S, axis=0)
+
+
+def _draw_hysteresis(rng: Rng, scene: Scene) -> Grow:
+    width, sign = (
+        float(np.exp(rng.uniform(np.log(30.0), np.log(200.0)))),
+        rng.choice([-1.0, 1.0], p=[0.2, 0.8]),
+    )
+    return lambda size: {"remanence_mgauss": float(sign * size), "width_mgauss": width}
+
+
+def _act_hysteresis(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
+    """Let domains of four coercivities around the width follow the field with play (Prandtl-Ishlinskii)."""
+    every = 4
+    widths = p["width_mgauss"] * np.array([0.7, 0.9, 1.1, 1.3])[:, None]
+    field = values[::every]
+    low, high = field[:, None, :] - widths, field[:, None, :] + widths
+    behind = np.empty((len(field), 3))
+    state = np.repeat(field[:1], 4, axis=0)
+    for row in range(len(field)):
+        state = np.minimum(np.maximum(state, low[row]), high[row])
+        behind[row] = ((state - field[row]) / widths).mean(axis=0)
+    time = scene.motion.time_s
+    return values + p["remanence_mgauss"] * np.stack(
+        [np.interp(time, time[::every], column) for column in behind.T], axis=1
+    )
+
+
+def _draw_ac(rng: Rng, scene: Scene) -> Grow:
+    top = 4.0 if scene.compass.averaged else 0.45 * scene.vehicle.rate_hz
+    frequency = float(rng.uniform(0.6, top))
+    return grown(
+        rng, tuple(f"{wave}_{axis}" for wave in ("sin", "cos") for axis in AXES), frequency_hz=frequency
+    )
+
+
+def _act_ac(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
+    phase = 2.0 * np.pi * p["frequency_hz"] * (scene.start_s + scene.motion.time_s)
+    sine, cosine = ([p[f"{wave}_{axis}"] for axis in AXES] for wave in ("sin", "cos"))
+    return values + np.outer(np.sin(phase), sine) + np.outer(np.cos(phase), cosine)
+
+
+FIELDS = (
+    Kind("hard_iron", Stage.OUTPUT, along(), lambda v, p, s, r: v + of(p), 20.0, 300.0),
+    Kind("hard_iron_step", Stage.OUTPUT, _hard_iron_step, _act_step, 20.0, 600.0),
+    Kind("soft_iron", Stage.AMBIENT, along(_PAIRS), _act_soft_iron, 0.03, 0.25),
+    Kind(
+        "motor_current",
+        Stage.OUTPUT,
+        along(),
+        lambda v, p, s, r: v + np.outer(s.loads.current_a, of(p)),
+        1.0,
+        20.0,
+        frozenset({"loads"}),
+    ),
+    Kind("per_motor", Stage.OUTPUT, _draw_per_motor, _act_per_motor, 20.0, 400.0, frozenset({"loads"})),
+    Kind("relay_field", Stage.OUTPUT, _draw_relay, _act_relay, 20.0, 200.0, frozenset({"loads"})),
+    Kind(
+        "temperature_bias",
+        Stage.OUTPUT,
+        lambda r, s: grown(r, reference_degc=reference(r, s)),
+        lambda v, p, s, r: v + above(p, s) * of(p),
+        1.0,
+        8.0,
+        frozenset({"warming"}),
+    ),
+    Kind("spatial_dipole", Stage.WORLD, _draw_dipole, _act_dipole, 50.0, 8000.0, frozenset({"way"})),
+    Kind(
+        "field_gradient",
+        Stage.WORLD,
+        along(("nn", "ee", "ne", "nd", "ed")),
+        _act_gradient,
+        1.0,
+        60.0,
+        frozenset({"way", "near"}),
+    ),
+    Kind("eddy_current", Stage.AMBIENT, _draw_eddy, _act_eddy, 0.03, 0.18),
+    Kind("hysteresis", Stage.AMBIENT, _draw_hysteresis, _act_hysteresis, 10.0, 60.0),
+    Kind("ac_interference", Stage.OUTPUT, _draw_ac, _act_ac, 10.0, 200.0),
+)

@@ -1,0 +1,66 @@
+"""The noise of a sensor that also carries an error which wanders for seconds."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import lfilter
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.replay.noise import SensorNoise, estimate_noise
+
+
+def wandering(seed: int, n: int = 3000, share: float = 0.45, memory: float = 60.0) -> FloatArray:
+    """Make white scatter of 1 on an error of `share` that lasts for `memory` readings, (n, 3)."""
+    rng = np.random.default_rng(seed)
+    rho = 1.0 - 1.0 / memory
+    slow = lfilter([np.sqrt(1.0 - rho**2)], [1.0, -rho], rng.standard_normal((n + 500, 3)), axis=0)[500:]
+    return np.asarray(share * slow + rng.standard_normal((n, 3)))
+
+
+def slow_gain(noise: SensorNoise, error: FloatArray) -> float:
+    """Return what a constant and a slow sine gain in twice the log likelihood, three axes together."""
+    phase = np.linspace(0.0, 6.0 * np.pi, len(error))
+    columns = np.stack([np.ones_like(phase), np.sin(phase), np.cos(phase)], axis=1)
+    white, target = noise.decorrelated(columns), noise.whiten(error)
+    left = target - white @ np.linalg.lstsq(white, target, rcond=None)[0]
+    return float(np.sum(target**2) - np.sum(left**2))
+
+
+def test_slow_error_under_scatter_is_no_cause() -> None:
+    noise = estimate_noise(wandering(1), np.ones(3000, dtype=bool), 0.0)
+    assert (noise.moving > 0.0).all() and 0.9 < noise.coefficients[0, 0] < 1.0
+    # Nine free parameters of nothing gain nine on the average, on other recordings of the same error too.
+    gains = [slow_gain(noise, wandering(seed)) for seed in range(2, 22)]
+    assert 4.0 < np.mean(gains) < 20.0
+
+
+def test_short_correlation_stays_a_few_lags() -> None:
+    rng = np.random.default_rng(3)
+    error = np.asarray(lfilter([1.0], [1.0, -0.4], rng.standard_normal((3000, 3)), axis=0))
+    noise = estimate_noise(error, np.ones(3000, dtype=bool), 0.0)
+    assert not noise.moving.any()
+    np.testing.assert_allclose(noise.coefficients[0], 0.4, atol=0.05)
+
+
+def test_rows_without_a_reading_do_not_hide_the_slow_error() -> None:
+    error, usable = wandering(4), np.random.default_rng(5).random(3000) > 0.02
+    error[~usable] = 0.0
+    noise = estimate_noise(error, usable, 0.0)
+    assert (noise.moving > 0.0).all() and 0.9 < noise.coefficients[0, 0] < 1.0
+
+
+def test_missing_readings_are_drawn_from_the_noise() -> None:
+    noise = SensorNoise(
+        np.full((1, 3), 0.6), np.full(3, 2.0), np.full(3, 2.5), 6000.0, moving=np.full(3, 0.3)
+    )
+    rng = np.random.default_rng(6)
+    error = np.asarray(lfilter([2.0, -0.6], [1.0, -0.6], rng.standard_normal((4000, 3)), axis=0))
+    missing = np.zeros(error.shape, dtype=bool)
+    missing[500:3500, 2] = True
+    missing[:40, 0] = True
+    spoiled = np.where(missing, np.nan, error)
+    filled = noise.filled(spoiled, missing, rng)
+    np.testing.assert_array_equal(filled[~missing], error[~missing])
+    z = noise.whiten(filled)[1:]
+    np.testing.assert_allclose(z.std(axis=0), 1.0, atol=0.04)
+    assert abs(float(np.mean(z[1:] * z[:-1]))) < 0.03

@@ -1,0 +1,93 @@
+"""What a replay makes of a recording's own clock, numbers and path."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
+from mavcompass.gap import diagnose_gap
+from mavcompass.gap.attitude.reference import body_rate
+from mavcompass.gap.left.floor import from_recording
+from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.replay.rows import compass_rows
+from mavcompass.gap.replay.testable import untestable_effects
+from mavcompass.gap.replay.traces import names_stale, names_step
+from mavcompass.gap.trial.cases import PLACE, Recipe, make_track
+from mavcompass.simulation.effects import catalogue
+from mavcompass.track import MagSeries, Series, Track
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+_FIELD_MGAUSS = np.array([180.0, 20.0, 480.0])
+_METRES_PER_DEG = 111_195.0
+
+
+def driven(t: FloatArray, radius_m: float, every: int = 1) -> Track:
+    """Drive circles with a receiver of 0.3 m, the compass read at every so many rows and repeated."""
+    rng = np.random.default_rng(8)
+    turn = 0.25
+    rotation = euler_to_matrix(0.03 * np.sin(0.9 * t), 0.02 * np.sin(0.7 * t), turn * t)
+    nothing = np.zeros_like(t)
+    path = radius_m * np.stack([np.sin(turn * t), 1.0 - np.cos(turn * t), nothing], axis=1)
+    pull = radius_m * turn**2 * np.stack([-np.sin(turn * t), np.cos(turn * t), nothing], axis=1)
+    force = rotate_back(rotation, pull - np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2]))
+    field = rotate_back(rotation, np.tile(_FIELD_MGAUSS, (t.size, 1)))
+    field = field + 0.8 * rng.standard_normal(field.shape)
+    field = field[np.arange(t.size) // every * every]
+    heard = slice(None, None, 5)
+    wander = 0.3 * np.convolve(rng.standard_normal(t[heard].size), np.ones(5) / 5.0, mode="same")
+    north, east, down = (path[heard] + wander[:, None]).T
+    lat = PLACE[0] + north / _METRES_PER_DEG
+    lon = PLACE[1] + east / (_METRES_PER_DEG * np.cos(np.radians(PLACE[0])))
+    return Track(
+        compasses={1: MagSeries(1, Series.of(t, field))},
+        acc_mps2=Series.of(t, force + 0.05 * rng.standard_normal(force.shape)),
+        gyro_radps=Series.of(t, body_rate(t, rotation) + 0.002 * rng.standard_normal(force.shape)),
+        place=Series.of(t[heard], np.stack([lat, lon, PLACE[2] - down], axis=1)),
+    )
+
+
+def test_magnet_at_a_place_is_testable_with_a_receivers_path() -> None:
+    t = np.arange(0.0, 60.0, 0.05)
+    driving = untestable_effects(replay(driven(t, 8.0)), catalogue().values())
+    standing = untestable_effects(replay(driven(t, 0.2)), catalogue().values())
+    assert not {"spatial_dipole", "field_gradient"} & driving.keys()
+    assert {"spatial_dipole", "field_gradient"} <= standing.keys()
+
+
+def test_compass_read_more_slowly_than_logged_is_no_lag_and_no_repeats() -> None:
+    t = np.arange(0.0, 90.0, 0.04)
+    track = driven(t, 0.2, every=3)
+    replayed = replay(track)
+    assert replayed.telemetry and replayed.time_s.size == t.size // 3
+    diagnosis = diagnose_gap(track)
+    assert not diagnosis.effects & {"transport_lag", "low_pass", "stale_samples", "timestamp_jitter"}
+
+
+def test_readings_lost_by_chance_are_no_slow_compass() -> None:
+    track = make_track(Recipe("rich", duration_s=60.0, seed=4))
+    field = track.compasses[1].reported.values.copy()
+    lost = np.flatnonzero(np.random.default_rng(3).random(len(field)) < 0.4)
+    for row in lost[lost > 0]:
+        field[row] = field[row - 1]
+    stale = replace(track, compasses={1: MagSeries(1, Series.of(track.compasses[1].time_s, field))})
+    rows = compass_rows(stale, stale.compasses[1])
+    assert not rows.telemetry and rows.trace.stale_share == pytest.approx(0.4, abs=0.05)
+
+
+def test_doubt_of_the_floor_grows_with_that_of_the_level() -> None:
+    replayed = replay(driven(np.arange(0.0, 60.0, 0.05), 8.0))
+    shaky = replace(replayed, reference=replace(replayed.reference, tilt_sigma_rad=0.03))
+    assert from_recording(shaky).field_rms_mgauss > 2.0 * from_recording(replayed).field_rms_mgauss
+
+
+def test_whole_milligauss_repeat_by_chance() -> None:
+    track = driven(np.arange(0.0, 90.0, 0.05), 0.2)
+    compass = track.compasses[1]
+    slow = np.round(0.3 * compass.reported.values)
+    counted = MagSeries(1, Series.of(compass.time_s, slow), quantum_mgauss=1.0)
+    replayed = replay(replace(track, compasses={1: counted}))
+    assert replayed.trace.stale_share > 0.003 and not names_stale(replayed, None)
+    assert not names_step(replayed, None, 1.0)
