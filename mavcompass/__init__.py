@@ -32,7 +32,7 @@ _PUBLIC = {  # name: (module, attribute)
     "Track": ("mavcompass.track", "Track"),
     "FieldCorrection": ("mavcompass.correction", "FieldCorrection"),
     "MavCompassError": ("mavcompass.errors", "MavCompassError"),
-    "init": ("mavcompass.service.mavproxy_mavcompass", "init"),  # MAVProxy's `module load mavcompass`
+    "init": ("mavcompass.service.mavproxy", "init"),  # MAVProxy's `module load mavcompass`
 }
 
 # `mavcompass.heading` is a function of the public interface and also a room, and the import system binds

@@ -40,6 +40,19 @@ ROWS = {
         {"wire", "transport", "parameters"},
         {"link", "stopping"},
     ],
+    "service": [
+        {"run", "mavproxy"},
+        {"web", "systemd"},
+        {"station"},
+        {"mavlink", "publisher"},
+        {"work"},
+        {"view"},
+        {"watch"},
+        {"config", "schedule"},
+    ],
+    "fleet": [{"run", "summary"}, {"columns", "engine", "journal"}, {"examine"}, {"recordings", "vehicles"}],
+    "report": [{"fleet", "gap", "figures"}, {"calibration", "gap_figures", "document"}, {"svg"}],
+    "workers": [{"__main__", "children"}, {"child"}],
 }
 MODULES_IN_A_FOLDER = 13
 MAY_IMPORT_EVERYTHING = {"service", "report", "cli", "fleet", "plot", "api", "__main__"}

@@ -13,12 +13,12 @@ import uvicorn
 
 from mavcompass.errors import UsageError
 from mavcompass.service.config import ServiceConfig, split_host_port
-from mavcompass.service.gaps import Gaps
-from mavcompass.service.history import History
-from mavcompass.service.http import build_app
-from mavcompass.service.security import load_token
 from mavcompass.service.station import OpenLink, Station
 from mavcompass.service.systemd import Notifier
+from mavcompass.service.web.app import build_app
+from mavcompass.service.web.security import load_token
+from mavcompass.service.work.gaps import Gaps
+from mavcompass.service.work.history import History
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.transport.address import Simulated, parse_address
 from mavcompass.vehicle.transport.transport import Reconnect

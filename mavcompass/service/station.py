@@ -18,15 +18,15 @@ from mavcompass.errors import MavCompassError
 from mavcompass.messages import Incoming
 from mavcompass.procedure.vehicle_state import VehicleIdentity, identify
 from mavcompass.service.config import ServiceConfig
-from mavcompass.service.history import History
-from mavcompass.service.jobs import Jobs
+from mavcompass.service.mavlink.rates import RateKeeper
+from mavcompass.service.mavlink.teller import Teller
 from mavcompass.service.publisher import HeadingPublisher
-from mavcompass.service.rates import RateKeeper
 from mavcompass.service.schedule import Schedule
-from mavcompass.service.tasks import Desk
-from mavcompass.service.teller import Teller
-from mavcompass.service.vehicle_view import GONE_S, VehicleView
+from mavcompass.service.view import GONE_S, VehicleView
 from mavcompass.service.watch import CompassWatch, Finding
+from mavcompass.service.work.history import History
+from mavcompass.service.work.jobs import Jobs
+from mavcompass.service.work.tasks import Desk
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.stopping import StopRequest
 

@@ -27,9 +27,9 @@ sys.path.insert(0, str(PROJECT))
 
 from mavcompass.messages import Incoming, MagCalReport, Message  # noqa: E402
 from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfig  # noqa: E402
-from mavcompass.service.history import History  # noqa: E402
 from mavcompass.service.station import Station  # noqa: E402
-from mavcompass.service.tasks import CalibrationRequest, Task  # noqa: E402
+from mavcompass.service.work.history import History  # noqa: E402
+from mavcompass.service.work.tasks import CalibrationRequest, Task  # noqa: E402
 from mavcompass.simulation.vehicle import SimulatedAutopilot  # noqa: E402
 from mavcompass.vehicle.link import Link  # noqa: E402
 from mavcompass.vehicle.links.simulated import SimulatedLink  # noqa: E402

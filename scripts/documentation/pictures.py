@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(PROJECT / "tests" / "service"))
+sys.path.insert(0, str(PROJECT / "tests" / "service" / "web"))
 
 from chromium import Page, find_chromium  # noqa: E402
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 
 from mavcompass.errors import MavCompassError, Refused
 from mavcompass.procedure.script import Show
-from mavcompass.service.history import Kind
+from mavcompass.service.work.history import Kind
 from mavcompass.vehicle.stopping import StopRequest
 
 Writing = Literal["ask", "yes", "never"]

@@ -17,7 +17,7 @@ from mavcompass.simulation.truth import heading_error_rms_deg
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
 SCREENSHOTS = Path(
-    os.environ.get("MAVCOMPASS_SCREENSHOTS") or Path(__file__).parents[2] / "build" / "screenshots"
+    os.environ.get("MAVCOMPASS_SCREENSHOTS") or Path(__file__).parents[3] / "build" / "screenshots"
 )
 PHONE, DESK = (390, 844), (1200, 900)
 

@@ -8,7 +8,7 @@ from typing import Any
 from mavcompass import __version__
 from mavcompass.heading.live import Heading
 from mavcompass.service.station import Station
-from mavcompass.service.vehicle_view import VehicleView
+from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
 
 SCHEMA = "mavcompass.state/1"

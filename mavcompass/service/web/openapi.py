@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mavcompass import __version__
-from mavcompass.service import bodies
+from mavcompass.service.web import bodies
 
 _ENTRY = {
     "name": "entry",

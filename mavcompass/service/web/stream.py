@@ -12,8 +12,8 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from mavcompass.service.statedoc import finding_json, moment_json
 from mavcompass.service.station import Station
+from mavcompass.service.web.state import finding_json, moment_json
 
 DEFAULT_HZ, MOST_HZ = 10.0, 20.0
 MOST_LISTENERS = 16

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from datetime import datetime
 
 from mavcompass.procedure.dialect import Dialect
-from mavcompass.service.history import Entry
 from mavcompass.service.watch import Finding
+from mavcompass.service.work.history import Entry
 
 _SAME = 1e-3  # relative: parameters travel as 32 bit floats
 

@@ -13,8 +13,8 @@ from websockets.sync.client import connect
 
 from mavcompass.errors import UsageError
 from mavcompass.service.config import HttpConfig
-from mavcompass.service.openapi import OPERATIONS
-from mavcompass.service.security import load_token
+from mavcompass.service.web.openapi import OPERATIONS
+from mavcompass.service.web.security import load_token
 
 WRITING = [operation.path for operation in OPERATIONS if operation.method == "post"]
 
@@ -146,7 +146,7 @@ def test_pages_are_served_with_careful_headers(quiet: RunningService) -> None:
         assert headers["x-frame-options"] == "DENY"
 
 
-@pytest.mark.parametrize("path", ["/web/../service/http.py", "/web/%2e%2e/http.py", "/web/..%2fhttp.py"])
+@pytest.mark.parametrize("path", ["/web/../app.py", "/web/%2e%2e/app.py", "/web/..%2fapp.py"])
 def test_only_the_page_s_files_are_served(quiet: RunningService, path: str) -> None:
     with httpx.Client() as client:
         answer = client.get(quiet.service.url.rstrip("/") + path)

@@ -10,7 +10,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
 from mavcompass.service.station import Station
-from mavcompass.service.vehicle_view import VehicleView
+from mavcompass.service.view import VehicleView
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 

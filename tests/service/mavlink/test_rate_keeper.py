@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mavcompass import messages as mav
-from mavcompass.service.rates import RateKeeper
+from mavcompass.service.mavlink.rates import RateKeeper
 
 
 def ask(keeper: RateKeeper, start_s: float, seconds: float, heard_hz: float = 0.0) -> list[mav.CommandLong]:

@@ -17,9 +17,9 @@ from mavcompass.procedure.dialect import WriteOutcome
 from mavcompass.procedure.positions import DwellSettings
 from mavcompass.procedure.script import Context, Machine, Script, expect
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
-from mavcompass.service.tasks import CalibrationRequest, CheckRequest, Task
-from mavcompass.service.worker import Worker
-from mavcompass.service.worker import solve as solve_there
+from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Task
+from mavcompass.service.work.worker import Worker
+from mavcompass.service.work.worker import solve as solve_there
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameters.undo import load_record, undo_saver
 

@@ -8,12 +8,12 @@ from typing import Any
 
 from mavcompass.errors import MavCompassError
 from mavcompass.procedure.script import Show
-from mavcompass.service.clock import utc_now
 from mavcompass.service.config import ServiceConfig
-from mavcompass.service.history import Entry, History
-from mavcompass.service.results import recording_path
-from mavcompass.service.tasks import Desk, GapRequest, Task
-from mavcompass.service.worker import DIAGNOSE_S, Worker, diagnose
+from mavcompass.service.work.clock import utc_now
+from mavcompass.service.work.history import Entry, History
+from mavcompass.service.work.results import recording_path
+from mavcompass.service.work.tasks import Desk, GapRequest, Task
+from mavcompass.service.work.worker import DIAGNOSE_S, Worker, diagnose
 
 _log = logging.getLogger(__name__)
 

@@ -173,7 +173,7 @@ def test_the_json_alone_goes_to_standard_output() -> None:
 
 
 def test_preflight_keeps_its_report_and_passes_the_exit_code_on(tmp_path: Path) -> None:
-    script = Path(__file__).parents[2] / "scripts" / "preflight"
+    script = Path(__file__).parents[3] / "scripts" / "preflight"
     done = subprocess.run(
         [script, "sim:rover,seed=3"], cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True
     )

@@ -87,12 +87,12 @@ def test_mavproxy_loads_the_module_and_calibrates(
 
 
 def test_the_module_states_its_licence_and_no_other_file_imports_mavproxy() -> None:
-    package = Path(__file__).parents[2] / "mavcompass"
+    package = Path(__file__).parents[3] / "mavcompass"
     importing = [
         path.relative_to(package).as_posix()
         for path in package.rglob("*.py")
         if "from MAVProxy" in path.read_text() or "import MAVProxy" in path.read_text()
     ]
-    assert importing == ["service/mavproxy_mavcompass.py"]
+    assert importing == ["service/mavproxy.py"]
     head = (package / importing[0]).read_text()[:1200]
     assert "SPDX-License-Identifier: GPL-3.0-or-later" in head

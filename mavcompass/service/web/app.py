@@ -18,22 +18,22 @@ from starlette.staticfiles import StaticFiles
 
 from mavcompass import __version__
 from mavcompass.errors import MavCompassError
-from mavcompass.service import bodies
-from mavcompass.service.clock import utc_now
 from mavcompass.service.config import ServiceConfig
-from mavcompass.service.gaps import Gaps
-from mavcompass.service.history import KINDS, Entry, History
-from mavcompass.service.metrics import CONTENT_TYPE, Metrics
-from mavcompass.service.openapi import openapi
-from mavcompass.service.results import recording_path
-from mavcompass.service.security import MOST_BODY_BYTES, PAGE_POLICY, Guard
-from mavcompass.service.statedoc import moment_json, state_json
 from mavcompass.service.station import Station
-from mavcompass.service.stream import Stream
-from mavcompass.service.tasks import Busy, CalibrationRequest, CheckRequest, Task, UndoRequest
-from mavcompass.service.tasks import Request as TaskRequest
+from mavcompass.service.web import bodies
+from mavcompass.service.web.metrics import CONTENT_TYPE, Metrics
+from mavcompass.service.web.openapi import openapi
+from mavcompass.service.web.security import MOST_BODY_BYTES, PAGE_POLICY, Guard
+from mavcompass.service.web.state import moment_json, state_json
+from mavcompass.service.web.stream import Stream
+from mavcompass.service.work.clock import utc_now
+from mavcompass.service.work.gaps import Gaps
+from mavcompass.service.work.history import KINDS, Entry, History
+from mavcompass.service.work.results import recording_path
+from mavcompass.service.work.tasks import Busy, CalibrationRequest, CheckRequest, Task, UndoRequest
+from mavcompass.service.work.tasks import Request as TaskRequest
 
-WEB = Path(__file__).with_name("web")
+PAGE = Path(__file__).with_name("page")
 _REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 _MOST_NUMBER = 2**53
 
@@ -74,7 +74,7 @@ def build_app(
         Route("/api/gap", api.gap_task),
         Route("/api/gap", api.gap, methods=["POST"]),
         WebSocketRoute("/api/stream", Stream(station).endpoint),
-        Mount("/web", StaticFiles(directory=WEB)),
+        Mount("/web", StaticFiles(directory=PAGE)),
     ]
     guard = Middleware(
         Guard,
@@ -92,7 +92,7 @@ async def _page(request: Request) -> Response:
 
 @cache
 def _page_text() -> bytes:
-    return (WEB / "index.html").read_bytes()
+    return (PAGE / "index.html").read_bytes()
 
 
 async def _register(request: Request) -> Response:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from mavcompass.errors import MavCompassError
-from mavcompass.service.history import History
+from mavcompass.service.work.history import History
 
 
 def add(history: History, day: int = 1, ok: bool = True, device: int = 7, vehicle: str = "boat") -> int:

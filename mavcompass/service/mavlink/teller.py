@@ -10,13 +10,13 @@ from mavcompass import messages as mav
 from mavcompass.enums import MavResult
 from mavcompass.errors import MavCompassError
 from mavcompass.messages import Incoming
-from mavcompass.service import component
-from mavcompass.service.clock import utc_now
 from mavcompass.service.config import ServiceConfig
+from mavcompass.service.mavlink import component
 from mavcompass.service.schedule import Schedule
-from mavcompass.service.tasks import Busy, CalibrationRequest, Desk, Task
-from mavcompass.service.vehicle_view import GONE_S, VehicleView
+from mavcompass.service.view import GONE_S, VehicleView
 from mavcompass.service.watch import Finding
+from mavcompass.service.work.clock import utc_now
+from mavcompass.service.work.tasks import Busy, CalibrationRequest, Desk, Task
 from mavcompass.vehicle.link import Link
 
 _log = logging.getLogger(__name__)

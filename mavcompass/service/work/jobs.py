@@ -11,16 +11,16 @@ from typing import Any
 from mavcompass.errors import MavCompassError
 from mavcompass.messages import Incoming
 from mavcompass.procedure.script import Machine, Show
-from mavcompass.service import procedures
 from mavcompass.service.config import ServiceConfig
-from mavcompass.service.history import History
-from mavcompass.service.recorder import Recorder
-from mavcompass.service.results import Results, sigma_deg
-from mavcompass.service.staleness import stale_findings
-from mavcompass.service.tasks import CalibrationRequest, CheckRequest, Task, UndoRequest
-from mavcompass.service.vehicle_view import VehicleView
+from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
-from mavcompass.service.worker import Worker
+from mavcompass.service.work import procedures
+from mavcompass.service.work.history import History
+from mavcompass.service.work.recorder import Recorder
+from mavcompass.service.work.results import Results, sigma_deg
+from mavcompass.service.work.staleness import stale_findings
+from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Task, UndoRequest
+from mavcompass.service.work.worker import Worker
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import PollAnswer, run
 from mavcompass.vehicle.link import Link

@@ -14,8 +14,8 @@ from typing import Any, Literal
 from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.enums import MagCalStatus, MavCmd, MavResult, MavSeverity
-from mavcompass.service.tasks import CalibrationRequest, Task
 from mavcompass.service.watch import Finding
+from mavcompass.service.work.tasks import CalibrationRequest, Task
 
 HEADING_NAME = "MC_HDG"
 SIGMA_NAME = "MC_HDG_SD"

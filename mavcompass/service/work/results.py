@@ -16,13 +16,13 @@ from mavcompass.procedure.calibrate import CalibrationReport
 from mavcompass.procedure.check import CheckReport
 from mavcompass.procedure.dialect import WriteOutcome
 from mavcompass.report.document import live_document
-from mavcompass.service.clock import utc_now
 from mavcompass.service.config import ServiceConfig
-from mavcompass.service.history import Entry, History
-from mavcompass.service.recorder import Recorder
-from mavcompass.service.tasks import CalibrationRequest, Task, UndoRequest
-from mavcompass.service.vehicle_view import VehicleView
-from mavcompass.service.worker import Worker, write_calibration_report
+from mavcompass.service.view import VehicleView
+from mavcompass.service.work.clock import utc_now
+from mavcompass.service.work.history import Entry, History
+from mavcompass.service.work.recorder import Recorder
+from mavcompass.service.work.tasks import CalibrationRequest, Task, UndoRequest
+from mavcompass.service.work.worker import Worker, write_calibration_report
 
 _log = logging.getLogger(__name__)
 

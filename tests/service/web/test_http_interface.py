@@ -198,7 +198,7 @@ def test_what_is_not_there_is_told(quiet: RunningService) -> None:
 def test_every_path_that_is_served_is_described(quiet: RunningService) -> None:
     from starlette.routing import Route
 
-    from mavcompass.service.http import build_app
+    from mavcompass.service.web.app import build_app
 
     service = quiet.service
     app = build_app(service.config, service.station, service.history, service.gaps, service.token)

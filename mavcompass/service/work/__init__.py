@@ -1,0 +1,1 @@
+"""What the service does when asked: calibrations, checks, undoing and diagnoses, and what is kept of them."""
