@@ -51,7 +51,7 @@ ROWS = {
         {"config", "schedule"},
     ],
     "fleet": [{"run", "summary"}, {"columns", "engine", "journal"}, {"examine"}, {"recordings", "vehicles"}],
-    "report": [{"fleet", "gap", "figures"}, {"calibration", "gap_figures", "document"}, {"svg"}],
+    "report": [{"fleet", "gap"}, {"calibration"}, {"document", "figures", "gap_figures"}, {"svg"}],
     "workers": [{"__main__", "children"}, {"child"}],
 }
 MODULES_IN_A_FOLDER = 13
