@@ -31,6 +31,17 @@ MAY_IMPORT = {  # each also its own files and the ground floor
 # What lives in a room, from the top down: a row may import the rows below it, and nothing of its own row.
 # A folder of one of these rooms holds about a dozen modules, and no module of them takes part in a circle.
 ROWS = {
+    "gap": [
+        {"trial"},
+        {"diagnose"},
+        {"answer"},
+        {"selection"},
+        {"left"},
+        {"fit"},
+        {"replay"},
+        {"attitude"},
+        {"blas", "result"},
+    ],
     "vehicle": [
         {"connection", "heading_stream", "session"},
         {"calibrating"},
