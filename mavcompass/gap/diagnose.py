@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 
 from mavcompass.errors import UsageError
 from mavcompass.gap.answer import Evidence, decide, describe
@@ -13,7 +12,7 @@ from mavcompass.gap.attitude import Choice, inertial_faults, without_faults
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.left import (
     Floor,
-    doubtful_sensors,
+    doubting,
     excess_scatter,
     from_baseline,
     from_recording,
@@ -22,7 +21,6 @@ from mavcompass.gap.left import (
 )
 from mavcompass.gap.replay import (
     Replay,
-    SensorNoise,
     half_testable,
     replay,
     shared_period_s,
@@ -39,13 +37,10 @@ from mavcompass.gap.selection import (
     what_is_left,
 )
 from mavcompass.simulation.effects import Effect, catalogue
-from mavcompass.simulation.effects.effect import Group
 from mavcompass.track import Track
 
 _WITHOUT_WITNESS = 1.5
 _THOROUGH = 3.0
-_OF_MOTION = frozenset({"linear_acceleration", "vibration_rectification"})
-_SENSOR_WORDS: dict[Group, str] = {"mag": "compass", "acc": "accelerometer", "gyro": "gyro"}
 
 
 def diagnose_gap(
@@ -97,70 +92,58 @@ class _How:
 
 
 def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], how: _How) -> Diagnosis:
-    how.progress("finding the attitude")
+    """Go through the nine steps of docs/gap.md."""
     every = catalogue().values()
+    how.progress("finding the attitude")
+
+    # 1. Gyro and accelerometer
     faults: tuple[Cause, ...] = ()
     if baseline is not None and track.reference_q is None:
         faults = tuple(f for f in inertial_faults(track, baseline) if f.effect not in withheld)
+
+    # 2. Replay
     replayed, before = _replays(without_faults(track, faults), baseline, how)
+
+    # 3. Doubtful sensors, and with them what the recording can tell
+    replayed, before = doubting(replayed, before, every)
     untestable = untestable_effects(replayed, every, before is not None and before.telemetry)
     half = half_testable(replayed, every)
     testable = [e for e in every if e.id not in withheld and (e.id in half or e.id not in untestable)]
+
+    # 4. Floor
     how.progress("measuring the floor")
-    if before is None:
-        floor = from_recording(replayed)
-    else:
-        unseen = untestable_effects(before, every)
-        floor = from_baseline(replayed, before, [e for e in every if e.id not in unseen])
+    floor = from_recording(replayed) if before is None else from_baseline(replayed, before, every)
     if faults:
         # The attitude has lost a witness that the baseline had.
         floor = floor.larger(_WITHOUT_WITNESS)
+
+    # 5. Traces
     names = frozenset(e.id for e in testable)
     stale_share, step_mgauss = traces_to_name(replayed, before, float(floor.noise["mag"].rms.mean()), names)
+
+    # 6. Split, 7. Search, 8. What is left
     how.progress(f"weighing {len(testable)} effects")
     identified, remainder, floor = _explained(replayed, before, floor, testable, step_mgauss)
     how.progress("looking at what is left")
     adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
-    traces = bool(faults) or remainder.scatter is not None or stale_share > 0.0 or step_mgauss > 0.0
-    answer = decide(identified, floor, remainder, adequacy, traces, half)
+
+    # 9. Answer
     evidence = Evidence(
         track, how.compass, replayed, floor, identified, remainder, adequacy, stale_share, step_mgauss,
         untestable, withheld, faults,
     )  # fmt: skip
-    return describe(evidence, answer)
+    return describe(evidence, decide(identified, floor, remainder, adequacy, evidence.traces, half))
 
 
 def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, Replay | None]:
-    """Replay the recording and its baseline, with the sensors that can bear witness."""
-    compass, reference = how.compass, how.reference
+    """Replay the recording and its baseline, with rows that follow each other alike."""
     tracks = [track] if baseline is None else [track, baseline]
-    period_s = shared_period_s(tracks, compass) / (_THOROUGH if how.thorough else 1.0)
-    replayed = replay(track, compass, reference, period_s)
-    before = None
-    if baseline is not None:
-        before = replay(baseline, compass if compass in baseline.compasses else 1, reference, period_s)
-    every = catalogue().values()
-    known = [e for e in every if e.id not in untestable_effects(replayed, every)]
-    doubtful, useless = doubtful_sensors(replayed, known)
-    if before is not None:
-        unseen = untestable_effects(before, every)
-        # What a baseline's motion makes its accelerometer feel is no cause that would come again.
-        steady = [e for e in every if e.id not in unseen and e.id not in _OF_MOTION]
-        more, also = doubtful_sensors(before, steady)
-        doubtful, useless = {**doubtful, **more}, useless | also
-    with_doubt = partial(_doubting, doubtful=doubtful, useless=useless)
-    return with_doubt(replayed), with_doubt(before) if before is not None else None
-
-
-def _doubting(replayed: Replay, doubtful: Mapping[Group, SensorNoise], useless: frozenset[Group]) -> Replay:
-    """Let sensors that the simulation cannot explain where nothing is wrong count for less, and say so."""
-    notes = list(replayed.notes)
-    for group in replayed.groups:
-        if group in doubtful or group in useless:
-            how = "left out" if group in useless else "it counts for less"
-            notes.append(f"The {_SENSOR_WORDS[group]} does not fit the reference in detail: {how}.")
-    kept = tuple(g for g in replayed.groups if g not in useless)
-    return replace(replayed, groups=kept, doubtful=doubtful, notes=tuple(notes))
+    period_s = shared_period_s(tracks, how.compass) / (_THOROUGH if how.thorough else 1.0)
+    replayed = replay(track, how.compass, how.reference, period_s)
+    if baseline is None:
+        return replayed, None
+    compass = how.compass if how.compass in baseline.compasses else 1
+    return replayed, replay(baseline, compass, how.reference, period_s)
 
 
 def _explained(
@@ -169,8 +152,8 @@ def _explained(
     """Search, and search again where the noise turns out to be another than the search assumed."""
     split = split_blocks(replayed.time_s, replayed.valid)
     names = frozenset(e.id for e in testable)
-    start = floor_to_start(floor, replayed, baseline, step_mgauss)
     excess = excess_scatter(replayed, baseline) if baseline is not None else 0.0
+    start = floor_to_start(floor, replayed, baseline, step_mgauss, excess)
     identified, widened = identify(replayed, start, split, testable)
     if not floor.measured:
         floor = widened

@@ -48,6 +48,12 @@ class Evidence:
     withheld: frozenset[str]
     faults: tuple[Cause, ...]
 
+    @property
+    def traces(self) -> bool:
+        """Tell whether something is named besides the fitted effects: faults, scatter, repeats or steps."""
+        told = bool(self.faults) or self.remainder.scatter is not None
+        return told or self.stale_share > 0.0 or self.step_mgauss > 0.0
+
 
 def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     """Measure the closing on held-out rows, and write everything down."""
@@ -121,15 +127,9 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
         added += _added_variance(scatter, problem, answer.named, test)
     field, heading = closings(problem, answer.named, test, floor, added)
     none = identified.found.null
-    traces = (
-        bool(evidence.faults)
-        or scatter is not None
-        or evidence.stale_share > 0.0
-        or evidence.step_mgauss > 0.0
-    )
     where_left = evidence.adequacy.tests[0].coordinate if evidence.adequacy.tests else "time"
     turns = bool(problem.replay.present & {"turning", "tilt"}) or floor.measured
-    said = consistent(answer, field, heading, where_left, floor, none, traces, turns, problem.replay)
+    said = consistent(answer, field, heading, where_left, floor, none, evidence.traces, turns, problem.replay)
     if said.named is not answer.named:
         field, heading = closings(problem, said.named, test, floor, added)
     answer = said

@@ -1,7 +1,7 @@
 """What a fit leaves: the floor where nothing is wrong, and tests whether the rest is chance."""
 
 from mavcompass.gap.left.adequacy import Adequacy, judge
-from mavcompass.gap.left.doubtful import doubtful_sensors
+from mavcompass.gap.left.doubtful import doubting
 from mavcompass.gap.left.floor import (
     Floor,
     from_baseline,
@@ -26,7 +26,7 @@ __all__ = [
     "Adequacy",
     "Floor",
     "Scatter",
-    "doubtful_sensors",
+    "doubting",
     "drift_gain",
     "early_scale",
     "excess_scatter",

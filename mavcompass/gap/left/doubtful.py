@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from mavcompass.gap.fit import Problem, make_term
 from mavcompass.gap.left.adequacy import judge
 from mavcompass.gap.left.floor import first_noise, measured_noise
-from mavcompass.gap.replay import Prior, Replay, SensorNoise
+from mavcompass.gap.replay import Prior, Replay, SensorNoise, untestable_effects
 from mavcompass.simulation.effects.effect import Effect, Group
 
 # A sensor is doubted where structure shows in it that chance makes once in a thousand recordings.
 _EXPLAINED_P = 1e-5
 # Six degrees of tilt, three degrees a second: sensors that leave more unexplained tell nothing.
 _USELESS: dict[Group, float] = {"acc": 1.0, "gyro": 0.05}
+_OF_MOTION = frozenset({"linear_acceleration", "vibration_rectification"})
+_SENSOR_WORDS: dict[Group, str] = {"mag": "compass", "acc": "accelerometer", "gyro": "gyro"}
 # fmt: off
 _INERTIAL: dict[Group, tuple[str, ...]] = {
     "acc": (
@@ -57,3 +59,29 @@ def doubtful_sensors(
         else:
             out[group] = replace(own, sigma=own.sigma * worse, rms=own.rms * worse)
     return out, frozenset(useless)
+
+
+def doubting(
+    replayed: Replay, baseline: Replay | None, effects: Collection[Effect]
+) -> tuple[Replay, Replay | None]:
+    """Let sensors that the simulation cannot explain, here or in the baseline, count for less in both."""
+    unseen = untestable_effects(replayed, effects)
+    doubtful, useless = doubtful_sensors(replayed, [e for e in effects if e.id not in unseen])
+    if baseline is None:
+        return _with_doubt(replayed, doubtful, useless), None
+    unseen = untestable_effects(baseline, effects)
+    # What a baseline's motion makes its accelerometer feel is no cause that would come again.
+    steady = [e for e in effects if e.id not in unseen and e.id not in _OF_MOTION]
+    more, also = doubtful_sensors(baseline, steady)
+    doubtful, useless = {**doubtful, **more}, useless | also
+    return _with_doubt(replayed, doubtful, useless), _with_doubt(baseline, doubtful, useless)
+
+
+def _with_doubt(replayed: Replay, doubtful: Mapping[Group, SensorNoise], useless: frozenset[Group]) -> Replay:
+    notes = list(replayed.notes)
+    for group in replayed.groups:
+        if group in doubtful or group in useless:
+            how = "left out" if group in useless else "it counts for less"
+            notes.append(f"The {_SENSOR_WORDS[group]} does not fit the reference in detail: {how}.")
+    kept = tuple(g for g in replayed.groups if g not in useless)
+    return replace(replayed, groups=kept, doubtful=doubtful, notes=tuple(notes))

@@ -10,7 +10,7 @@ the attitude reference; the verdict is more careful.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +37,7 @@ from mavcompass.gap.replay import (
     estimate_noise,
     group_values,
     rough_sigma,
+    untestable_effects,
     wandering,
     white,
 )
@@ -177,17 +178,18 @@ def field_channels(replay: Replay) -> FloatArray | None:
     return np.asarray(turn @ replay.signals.stimulus.rotation @ np.linalg.inv(replay.iron.matrix))
 
 
-def from_baseline(replay: Replay, baseline: Replay, effects: Sequence[Effect]) -> Floor:
-    """Tune the simulator to a baseline and measure what it leaves."""
+def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect]) -> Floor:
+    """Tune the simulator to a baseline, with those effects that it can tell, and measure what it leaves."""
     trust, problem, fit = _tuned(baseline)
     sharp = baseline.reference.kind == "columns"
     if sharp and _has_gap(problem, fit):
-        mean_effects = [e for e in effects if e.kind == "mean" and e.id not in _NEVER_FOLDED]
-        fit = Search(problem, mean_effects).run(_MOST_FOLDED).best
+        never = _NEVER_FOLDED | untestable_effects(baseline, effects).keys()
+        foldable = [e for e in effects if e.kind == "mean" and e.id not in never]
+        fit = Search(problem, foldable).run(_MOST_FOLDED).best
         problem = Problem(baseline, measured_noise(problem, fit), baseline.valid, problem.prior)
         fit = problem.refit(fit)
         if fit.terms:
-            fit = Search(problem, mean_effects).run(_MOST_FOLDED).best
+            fit = Search(problem, foldable).run(_MOST_FOLDED).best
     noise = measured_noise(problem, fit)
     problem = Problem(baseline, noise, baseline.valid, problem.prior)
     fit = problem.refit(fit)

@@ -92,15 +92,12 @@ def find_scatter(
     return max(candidates, key=lambda c: c.gain) if candidates else None
 
 
-def early_scale(replay: Replay, baseline: Replay, exact: bool) -> FloatArray | None:
+def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:
     """Return how much larger than the baseline's the scatter between neighbours is, per row (N, 3).
 
     Second differences hold next to nothing of slow causes, so that this can be told before any search.
-    None where the scatter is the baseline's. Where the noise is not `exact`, only much more counts.
+    None where the scatter is the baseline's.
     """
-    if not exact:
-        excess = excess_scatter(replay, baseline)
-        return np.full(replay.nominal_mgauss.shape, math.sqrt(1.0 + excess)) if excess > 0.0 else None
     own, nominal = _neighbours(replay), _neighbours(baseline)
     size = np.sqrt(np.mean(nominal[baseline.valid] ** 2, axis=0))
     y = (own / size)[replay.valid] ** 2

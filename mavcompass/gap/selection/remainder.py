@@ -6,6 +6,7 @@ floor's. What is left is judged under that noise; otherwise each of these would 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,16 +45,23 @@ class Remainder:
     comparable: bool
 
 
-def floor_to_start(floor: Floor, replay: Replay, baseline: Replay | None, step_mgauss: float) -> Floor:
+def floor_to_start(
+    floor: Floor, replay: Replay, baseline: Replay | None, step_mgauss: float, excess: float
+) -> Floor:
     """Add to the floor what the numbers tell before any search: their steps, and scatter between neighbours.
 
-    With too small a noise everything looks like an effect, and the search for it is long and vain.
+    With too small a noise everything looks like an effect, and the search for it is long and vain. Where the
+    noise is not known in detail only `excess` counts: how much larger than the baseline's the variance of the
+    scatter is.
     """
     if step_mgauss > 0.0:
         return with_noise(floor, with_steps(floor.noise, step_mgauss))
     if baseline is None or not floor.measured:
         return floor
-    scale = early_scale(replay, baseline, floor.representative)
+    if floor.representative:
+        scale = early_scale(replay, baseline)
+    else:
+        scale = np.full(replay.nominal_mgauss.shape, math.sqrt(1.0 + excess)) if excess > 0.0 else None
     if scale is None:
         return floor
     return with_noise(floor, {**floor.noise, "mag": replace(floor.noise["mag"], row_scale=scale)})

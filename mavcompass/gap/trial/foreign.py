@@ -85,8 +85,7 @@ def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
         nominal_mgauss=replayed.iron.raw(reading.mag_mgauss),
     )
     every = list(catalogue().values())
-    unseen = untestable_effects(before, every)
-    floor = from_baseline(exact, before, [e for e in every if e.id not in unseen])
+    floor = from_baseline(exact, before, every)
     prior = Prior(
         tuple(
             replace(n, mean=np.zeros(n.mean.size)) if n.effect.id == REFERENCE_YAW else n
