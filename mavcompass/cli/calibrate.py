@@ -16,7 +16,7 @@ from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 
 if TYPE_CHECKING:
     from mavcompass.calibration.result import CalibrationResult
-    from mavcompass.procedure.calibrate import CalibrationReport
+    from mavcompass.procedure.report import CalibrationReport
     from mavcompass.track import Track
     from mavcompass.vehicle.link import Link
     from mavcompass.vehicle.transport.address import Address
@@ -344,7 +344,7 @@ def _true_error_deg(link: Link, instances: tuple[int, ...]) -> float | None:
 
 
 def _say_result(output: Output, result: CalibrationResult) -> None:
-    from mavcompass.calibration.summary import summary
+    from mavcompass.calibration.result import summary
 
     output.say(summary(result))
     for reason in (*result.reasons, *result.warnings):

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from mavcompass import __version__
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad
-from mavcompass.calibration.summary import summary
+from mavcompass.calibration.result import CalibrationResult, heading_change_rad, summary
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import UsageError
 from mavcompass.parts import require
-from mavcompass.procedure.calibrate import CalibrationReport
+from mavcompass.procedure.report import CalibrationReport
 from mavcompass.report import figures
 from mavcompass.track import Track
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mavcompass.calibration.result import CalibrationResult
-from mavcompass.procedure.calibrate import CalibrationReport
+from mavcompass.procedure.report import CalibrationReport
 from mavcompass.track import Track
 
 SCHEMA = "mavcompass.calibration/1"

@@ -9,8 +9,9 @@ from mavcompass.calibration import calibrate_track
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.verdict import Limits
 from mavcompass.earth_field import EarthField
-from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport, Services, Solve, calibrate
+from mavcompass.procedure.calibrate import CalibrateSettings, Services, Solve, calibrate
 from mavcompass.procedure.positions import Window
+from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Machine, Show
 from mavcompass.track import Track
 from mavcompass.vehicle.dialects import make_dialect

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 
 from mavcompass.messages import Incoming
-from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport
+from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.dialect import describe_compasses
+from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script, Show
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
 from mavcompass.track import Track

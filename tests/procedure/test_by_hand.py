@@ -13,7 +13,8 @@ from bent_vehicles import calibrated
 from mavcompass.enums import MavCmd
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.messages import CommandLong, Incoming, Message
-from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport
+from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.report import CalibrationReport
 from mavcompass.simulation.physics.hand import HandMove, four_turns
 from mavcompass.simulation.truth import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot

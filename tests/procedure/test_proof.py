@@ -11,8 +11,9 @@ from bent_vehicles import bent_vehicle, calibrated
 
 from mavcompass.calibration import calibrate_track
 from mavcompass.correction import FieldCorrection
-from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport
+from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.positions import Proof, prove
+from mavcompass.procedure.report import CalibrationReport
 from mavcompass.simulation.truth import heading_error_rms_deg
 
 

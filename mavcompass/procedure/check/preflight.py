@@ -7,7 +7,7 @@ safety rules of a calibration hold for it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -22,14 +22,14 @@ from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.procedure.check import items
 from mavcompass.procedure.check.items import CheckItem, Reading, Verdict
 from mavcompass.procedure.commands import MessageRates
-from mavcompass.procedure.dialect import Dialect, describe_compasses
+from mavcompass.procedure.desk import Desk
+from mavcompass.procedure.dialect import Dialect
 from mavcompass.procedure.motion import Mobility, SafetyLimits, Wishes
-from mavcompass.procedure.positions import DwellSettings, Mover, Rest, VehicleMover, Window, dwell
+from mavcompass.procedure.positions import DwellSettings, Mover, VehicleMover, Window
 from mavcompass.procedure.script import Context, Script
-from mavcompass.procedure.turning import GyroAngle, strategies_for
-from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
+from mavcompass.procedure.turning import strategies_for
+from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.track import Track
-from mavcompass.track_builder import TrackBuilder
 
 SCHEMA = "mavcompass.check/1"
 Turn = Literal["none", "auto", "vehicle", "hand"]
@@ -109,8 +109,8 @@ def check(
     Raises Refused where a turn was asked for and is not safe, or the check was stopped; LinkError where
     the vehicle cannot be heard.
     """
-    checker = yield from _Checker.open(context, dialect_for, settings)
-    rates = MessageRates()
+    desk = yield from Desk.open(context, dialect_for, settings.system)
+    checker, rates = _Checker(desk, settings), MessageRates()
     try:
         yield from rates.ask(context, checker.wanted_rates())
         yield from checker.look_at_rest()
@@ -124,88 +124,49 @@ def check(
 
 @dataclass(slots=True)
 class _Checker:
-    """Hold what one check works with."""
+    """Hold what one check works with and finds."""
 
-    context: Context
+    desk: Desk
     settings: CheckSettings
-    identity: VehicleIdentity
-    dialect: Dialect
-    parameters: Mapping[str, float]
-    state: VehicleState
-    builder: TrackBuilder
-    began_s: float
-    gyro: GyroAngle = field(default_factory=GyroAngle)
-    rest: Rest = field(default_factory=Rest)
     mover: Mover | None = None
     mobility: Mobility | None = None
     windows: list[Window] = field(default_factory=list)
     items: list[CheckItem] = field(default_factory=list)
     turned: bool = False
 
-    @classmethod
-    def open(
-        cls, context: Context, dialect_for: Callable[[str], Dialect], settings: CheckSettings
-    ) -> Script[_Checker]:
-        """Find the vehicle, read its parameters, start recording."""
-        began_s = context.now
-        context.show("connect", "Waiting for the vehicle's heartbeat.", 0.0)
-        identity = yield from find_vehicle(context, settings.system)
-        # Only now: before, every vehicle on the link is heard.
-        state = VehicleState()
-        context.listeners.append(state.hear)
-        context.show("connect", f"Found {identity.autopilot} {identity.kind}. Reading its parameters.", 0.1)
-        dialect = dialect_for(identity.autopilot)
-        parameters = yield from dialect.compass_parameters(context)
-        builder = TrackBuilder(identity.autopilot, identity.kind)
-        builder.parameters.update(parameters)
-        describe_compasses(builder, dialect, parameters)
-        checker = cls(context, settings, identity, dialect, parameters, state, builder, began_s)
-        context.listeners += [builder.add, checker.gyro.hear, checker.rest.hear]
-        return checker
-
-    @property
-    def instances(self) -> tuple[int, ...]:
-        """List the vehicle's compasses."""
-        return self.dialect.instances(self.parameters)
-
     def wanted_rates(self) -> dict[type[mav.Message], float]:
         """List the messages to ask for."""
-        px4 = self.identity.autopilot == "px4"
-        kinds: tuple[type[mav.Message], ...] = (
-            mav.ScaledImu if px4 else mav.RawImu,
-            mav.ScaledImu2,
-            mav.ScaledImu3,
-        )
-        wanted = {kinds[i - 1]: self.settings.rate_hz for i in sorted({1, *self.instances})}
+        wanted = self.desk.imu_rates(self.desk.instances, self.settings.rate_hz)
         wanted |= {mav.Attitude: 10.0, mav.GlobalPositionInt: 4.0, mav.SysStatus: 4.0, mav.SystemTime: 2.0}
+        px4 = self.desk.identity.autopilot == "px4"
         return wanted if px4 else wanted | {mav.EkfStatusReport: 2.0, mav.RcChannels: 4.0}
 
     def look_at_rest(self) -> Script[None]:
         """Dwell, and answer every question that needs no turn."""
-        self.context.show("dwell", "Looking at the compasses at rest.", 0.3)
-        mover = VehicleMover(self.gyro, ())  # nobody moves it yet
-        window = yield from dwell(self.context, self.rest, self.gyro, mover, self.settings.dwell)
+        self.desk.context.show("dwell", "Looking at the compasses at rest.", 0.3)
+        mover = VehicleMover(self.desk.gyro, ())  # nobody moves it yet
+        window = yield from self.desk.dwell(mover, self.settings.dwell)
         self.windows.append(window)
-        track = self.builder.build()
+        track = self.desk.builder.build()
         self._judge_parameters()
-        self._add(items.judge_stillness(self.rest.still_since_s is not None, self.rest.why_not))
+        self._add(items.judge_stillness(self.desk.rest.still_since_s is not None, self.desk.rest.why_not))
         self._judge_field(track, window)
         if track.gyro_radps is not None:
             time_s = track.gyro_radps.time_s
             resting = (time_s >= window.start_s) & (time_s <= window.end_s)
             if resting.any():
                 self._add(items.judge_gyro(np.asarray(track.gyro_radps.values)[resting]))
-        self._add(items.judge_estimator(self.state.ekf))
-        self.items += items.judge_prearm(self.state.texts)
+        self._add(items.judge_estimator(self.desk.state.ekf))
+        self.items += items.judge_prearm(self.desk.state.texts)
 
     def _judge_parameters(self) -> None:
-        if not self.instances:
+        if not self.desk.instances:
             self._add(CheckItem("compass", "fail", "The vehicle has no compass.", "Connect and enable one."))
-        for instance in self.instances:
-            correction = self.dialect.correction(self.parameters, instance)
+        for instance in self.desk.instances:
+            correction = self.desk.dialect.correction(self.desk.parameters, instance)
             self._add(items.judge_offsets(instance, correction))
             self._add(items.judge_matrix(instance, correction))
-            self.items += items.judge_device(instance, self.identity.autopilot, self.parameters)
+            self.items += items.judge_device(instance, self.desk.identity.autopilot, self.desk.parameters)
 
     def _judge_field(self, track: Track, window: Window) -> None:
         world = self.world()
@@ -213,7 +174,7 @@ class _Checker:
             text = "The vehicle does not know its place: the field was not compared with the world's."
             self._add(CheckItem("place", "warn", text, "Wait for a GPS fix and check again."))
         readings: list[Reading] = []
-        for instance in self.instances:
+        for instance in self.desk.instances:
             reading = self._reading(track, instance, window)
             if reading is None:
                 text = f"Compass {instance} said nothing."
@@ -231,19 +192,19 @@ class _Checker:
             seen = dwell_between(track, instance, window.start_s, window.end_s)
         except PoorCalibration:
             return None
-        field_mgauss = self.dialect.correction(self.parameters, instance).apply(seen.mean_mgauss)
+        field_mgauss = self.desk.dialect.correction(self.desk.parameters, instance).apply(seen.mean_mgauss)
         down = _down(seen)
         vertical = float(field_mgauss @ down)
         horizontal = math.sqrt(max(float(field_mgauss @ field_mgauss) - vertical**2, 0.0))
         return Reading(instance, horizontal, vertical, self._heading_rad(seen, instance))
 
     def _heading_rad(self, seen: Dwell, instance: int) -> float:
-        field_mgauss = self.dialect.correction(self.parameters, instance).apply(seen.mean_mgauss)
+        field_mgauss = self.desk.dialect.correction(self.desk.parameters, instance).apply(seen.mean_mgauss)
         return float(tilt_compensated_heading(field_mgauss, roll_rad=seen.roll_rad, pitch_rad=seen.pitch_rad))
 
     def world(self) -> EarthField | None:
         """Return the Earth's field at the vehicle, None where it does not know its place."""
-        place, utc = self.state.place, self.state.utc
+        place, utc = self.desk.state.place, self.desk.state.utc
         if place is None or (place.lat == 0 and place.lon == 0):
             return None
         known = utc is not None and utc.time_unix_usec > 1_400_000_000_000_000
@@ -261,31 +222,29 @@ class _Checker:
                 text = f"No turn was made: {why_not}."
                 self._add(CheckItem("turn", "warn", text, "Arm it, or turn it by hand."))
             return
-        self.context.show("turn", "Turning by 90 deg.", 0.6)
-        yield from self.mover.next(self.context, _STEP_RAD, 1)
-        self.context.show("dwell", "Standing still after the turn.", 0.8)
-        self.windows.append(
-            (yield from dwell(self.context, self.rest, self.gyro, self.mover, self.settings.dwell))
-        )
+        self.desk.context.show("turn", "Turning by 90 deg.", 0.6)
+        yield from self.mover.next(self.desk.context, _STEP_RAD, 1)
+        self.desk.context.show("dwell", "Standing still after the turn.", 0.8)
+        self.windows.append((yield from self.desk.dwell(self.mover, self.settings.dwell)))
         self.turned = True
-        track = self.builder.build()
-        for instance in self.instances:
+        track = self.desk.builder.build()
+        for instance in self.desk.instances:
             if instance in track.compasses:
                 self._add(self._compare_turn(track, instance))
 
     def _choose_mover(self) -> Script[str]:
         """Choose who turns; returns why nobody does."""
         if self.settings.turn == "hand":
-            if self.state.armed:
+            if self.desk.state.armed:
                 return "it is armed, and turning it by hand is not safe"
-        elif not self.state.armed:
+        elif not self.desk.state.armed:
             return "it is disarmed"
-        elif not strategies_for(self.identity.kind, self.identity.autopilot):
-            return f"a {self.identity.autopilot} {self.identity.kind} cannot turn on the spot"
+        elif not strategies_for(self.desk.identity.kind, self.desk.identity.autopilot):
+            return f"a {self.desk.identity.autopilot} {self.desk.identity.kind} cannot turn on the spot"
         wishes = Wishes("hand" if self.settings.turn == "hand" else "vehicle", limits=self.settings.limits)
-        self.mobility = Mobility(self.identity, self.state, self.gyro, self.rest, wishes)
+        self.mobility = self.desk.mobility(wishes)
         try:
-            self.mover = yield from self.mobility.take_charge(self.context, self.parameters)
+            self.mover = yield from self.mobility.take_charge(self.desk.context, self.desk.parameters)
         except Refused as why:
             if self.settings.turn == "auto":
                 return why.what.rstrip(".")
@@ -304,11 +263,11 @@ class _Checker:
     def end(self) -> Script[None]:
         """Stop any motion and the watch over it, and give the vehicle back."""
         if self.mobility is not None:
-            yield from self.mobility.end(self.context, in_a_hurry=not self.turned)
+            yield from self.mobility.end(self.desk.context, in_a_hurry=not self.turned)
 
     def report(self) -> CheckReport:
         """Put the list together."""
-        return CheckReport(self.identity, tuple(self.items), self.turned, self.context.now - self.began_s)
+        return CheckReport(self.desk.identity, tuple(self.items), self.turned, self.desk.duration_s())
 
     def _add(self, item: CheckItem | None) -> None:
         if item is not None:

@@ -15,7 +15,6 @@ from mavcompass.procedure.positions import HandMover, Mover, Rest, VehicleMover
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.turning import (
     GyroAngle,
-    OffboardTurn,
     TurnBy,
     TurnStrategy,
     strategies_for,
@@ -80,15 +79,14 @@ class Mobility:
 
     def _strategies(self, parameters: Mapping[str, float]) -> tuple[TurnStrategy, ...]:
         kind, autopilot = self.identity.kind, self.identity.autopilot
-        strategies = strategies_for(kind, autopilot, self._is_ackermann(parameters), self.wishes.turn_by)
+        strategies = strategies_for(
+            kind, autopilot, self._is_ackermann(parameters), self.wishes.turn_by, self._modes
+        )
         if not strategies:
             raise Refused(
                 f"There is no known way in which this {autopilot} {kind} turns itself on the spot.",
                 "Disarm it and turn it by hand with --motion hand.",
             )
-        for strategy in strategies:
-            if isinstance(strategy, OffboardTurn):
-                strategy.modes = self._modes
         return strategies
 
     def _watch(self, context: Context, parameters: Mapping[str, float]) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from mavcompass.procedure.turning.gyro_angle import GyroAngle
+from mavcompass.procedure.turning.pilots_controls import TurnBy
 from mavcompass.procedure.turning.profiles import vehicle_profile
-from mavcompass.procedure.turning.px4 import OffboardTurn
-from mavcompass.procedure.turning.strategies import SteeredTurn, TurnBy, TurnStrategy, strategies_for
+from mavcompass.procedure.turning.steered import SteeredTurn, TurnStrategy
+from mavcompass.procedure.turning.strategies import strategies_for
 
 __all__ = [
     "GyroAngle",
-    "OffboardTurn",
     "SteeredTurn",
     "TurnBy",
     "TurnStrategy",

@@ -18,7 +18,7 @@ class TurnWay:
     """Hold one way to turn a vehicle.
 
     Attributes:
-        name: as a person is told; `turning` knows the message behind it.
+        name: as a person is told; a file of `ways/` knows the message behind it.
         rate_radps: of the turn. slow_down_s: the rate is at most what is left divided by this.
         coast_s: angle coasted after the last command, per rate at that moment.
         gain_per_s: rate of turn per radian of heading error, for ways that name a heading.

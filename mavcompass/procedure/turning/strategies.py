@@ -1,213 +1,49 @@
-"""Turn strategies: how each kind of vehicle is made to turn on the spot, and stopped.
-
-A strategy commands; the gyro tells whether and how far the vehicle turned. An acknowledgement
-proves nothing: ArduCopter accepts CONDITION_YAW in every mode and moves only in some.
-"""
+"""Which ways there are to turn a vehicle, best first."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from collections.abc import Mapping
+from functools import cache
 
+from mavcompass.additions import modules_in
 from mavcompass.errors import MavCompassError
-from mavcompass.procedure.script import Context, Script, pause
-from mavcompass.procedure.turning.gyro_angle import GyroAngle
+from mavcompass.procedure.modes import ModeKeeper
+from mavcompass.procedure.turning import ways
+from mavcompass.procedure.turning.pilots_controls import TurnBy, turn_by_controls
 from mavcompass.procedure.turning.profiles import TurnWay, vehicle_profile
-from mavcompass.procedure.turning.steering import (
-    STAND_AND_YAW_RATE,
-    AttitudeRate,
-    HeadingAhead,
-    ManualAxis,
-    Steer,
-    SteeringOverride,
-    YawRate,
-    YawStep,
-)
-
-# How often a target is repeated: several in the time in which one that ends by itself ends.
-REPEAT_S = 0.1
-POLL_S = 0.05
-MOVES_WITHIN_S = 3.0
-MOVED_RAD = math.radians(6.0)
-# How long a vehicle takes to gather way, and how its rate is then brought to what was asked for.
-_GATHERS_WAY_S = 0.5
-_BOOST_GAIN, _MOST_BOOST = 0.15, 1.6
-_SLOW_RADPS = math.radians(5.0)
-
-TurnBy = Literal["auto", "rc-override", "manual-control"]
-OFFBOARD_YAW_RATES = "yaw rate setpoints in OFFBOARD"
-
-
-class TurnStrategy(Protocol):
-    """Turn the vehicle by an angle measured by the gyro."""
-
-    @property
-    def name(self) -> str:
-        """Return what the person is told."""
-        ...
-
-    def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
-        """Turn by about `angle_rad` (clockwise positive); False where the vehicle does not move."""
-        ...
-
-    def hold(self, context: Context) -> None:
-        """Leave a message that keeps the vehicle where it is; called several times a second."""
-        ...
-
-    def halt(self, context: Context) -> None:
-        """Leave messages that stop any rotation now."""
-        ...
-
-    def release(self, context: Context) -> Script[None]:
-        """Give the vehicle back as it was taken, after `halt`."""
-        ...
-
-
-@dataclass(slots=True)
-class SteeredTurn:
-    """Turn by repeated commands, closed on the gyro.
-
-    The rate falls toward the end, so that late telemetry costs degrees, not quarter turns. How far the
-    vehicle coasts after the last command is learned from one turn to the next.
-
-    Attributes:
-        steer: the message that turns it.
-        rate_radps, slowest_radps: the rate of turn, and that at which the turn ends.
-        slow_down_s: the rate is at most what is left divided by this.
-        coast_s: angle coasted after the last command per rate at that moment.
-        arrives: the commands name angles, and the vehicle comes to rest there by itself.
-    """
-
-    steer: Steer
-    rate_radps: float
-    slowest_radps: float = math.radians(15.0)
-    slow_down_s: float = 0.6
-    coast_s: float = 0.3
-    arrives: bool = False
-    _learned_s: float | None = field(default=None, compare=False)
-    _ended: tuple[float, float] | None = field(default=None, compare=False)
-
-    @property
-    def name(self) -> str:
-        """Return what the person is told."""
-        return self.steer.name
-
-    def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
-        """Command the rate until the gyro says that the rest is what stopping takes."""
-        self._learn_coasting(gyro)
-        start_rad, start_s = gyro.angle_rad, context.now
-        sign = math.copysign(1.0, angle_rad)
-        longest_s = MOVES_WITHIN_S + 3.0 * abs(angle_rad) / self.slowest_radps
-        said_s, boost = -math.inf, 1.0
-        while True:
-            turned = (gyro.angle_rad - start_rad) * sign
-            left, speed, so_far_s = abs(angle_rad) - turned, gyro.rate_radps * sign, context.now - start_s
-            if so_far_s > MOVES_WITHIN_S and turned < MOVED_RAD:
-                self.halt(context)
-                return False
-            if self._is_there(left, speed, turned) or so_far_s > longest_s:
-                break
-            if context.now - said_s >= REPEAT_S - 1e-3:
-                wanted = min(self.rate_radps, max(self.slowest_radps, left / self.slow_down_s))
-                boost = self._boosted(boost, wanted, speed, so_far_s)
-                self.steer.turn(context, sign * wanted * boost, left)
-                said_s = context.now
-            yield from pause(context, POLL_S)
-        self._ended = None if self.arrives else (gyro.angle_rad, gyro.rate_radps)
-        self._stand(context)
-        return True
-
-    def _is_there(self, left: float, speed: float, turned: float) -> bool:
-        if self.arrives:
-            return left < MOVED_RAD or (turned > 0.6 * (turned + left) and speed < _SLOW_RADPS)
-        coast_s = self.coast_s if self._learned_s is None else self._learned_s
-        return left <= max(speed, 0.0) * coast_s
-
-    def _boosted(self, boost: float, wanted: float, speed: float, so_far_s: float) -> float:
-        """Ask for more where the vehicle turns more slowly than it is asked to."""
-        if self.arrives or so_far_s < _GATHERS_WAY_S or wanted < self.rate_radps:
-            return boost
-        return max(1.0, min(_MOST_BOOST, boost + _BOOST_GAIN * (wanted - speed) / wanted))
-
-    def _learn_coasting(self, gyro: GyroAngle) -> None:
-        """Compare where the vehicle came to rest with where the last turn's commands ended."""
-        if self._ended is not None and abs(self._ended[1]) > _SLOW_RADPS:
-            coasted_s = (gyro.angle_rad - self._ended[0]) / self._ended[1]
-            self._learned_s = max(0.1, min(2.5, coasted_s))
-        self._ended = None
-
-    def _stand(self, context: Context) -> None:
-        # Twice over: one may be lost.
-        for _ in range(2):
-            self.steer.stand(context)
-
-    def hold(self, context: Context) -> None:
-        """Ask for no turn."""
-        self.steer.stand(context)
-
-    def halt(self, context: Context) -> None:
-        """Ask for no turn, and let go."""
-        self._stand(context)
-        for _ in range(2):
-            self.steer.let_go(context)
-
-    def release(self, context: Context) -> Script[None]:
-        """Do nothing: nothing was taken but what `halt` gives back."""
-        yield from ()
+from mavcompass.procedure.turning.steered import Builder, TurnStrategy
 
 
 def strategies_for(
-    kind: str, autopilot: str, ackermann: bool = False, by: TurnBy = "auto"
+    kind: str,
+    autopilot: str,
+    ackermann: bool = False,
+    by: TurnBy = "auto",
+    modes: ModeKeeper | None = None,
 ) -> tuple[TurnStrategy, ...]:
     """List the ways to turn a vehicle, best first; empty where only a person can turn it.
 
     Which and how fast stands in `params/vehicles`. `by` other than "auto" moves the pilot's own controls
-    instead, in a mode in which they steer.
+    instead, in a mode in which they steer. `modes` knows the mode before and puts it back.
+    Raises MavCompassError where a profile names a way that does not exist.
     """
     if by != "auto":
-        return _by_the_pilots_controls(kind, by) if autopilot == "ardupilot" else ()
+        turn = turn_by_controls(kind, by) if autopilot == "ardupilot" else None
+        return () if turn is None else (turn,)
     profile = vehicle_profile(kind, autopilot, ackermann)
-    return () if profile is None else tuple(_strategy(way) for way in profile.ways)
+    return () if profile is None else tuple(_strategy(way, modes) for way in profile.ways)
 
 
-def _strategy(way: TurnWay) -> TurnStrategy:
-    """Build the strategy behind a way's name. Raises MavCompassError for a name that means nothing."""
-    if way.name == OFFBOARD_YAW_RATES:
-        from mavcompass.procedure.turning.px4 import OffboardTurn
-
-        return OffboardTurn(way.rate_radps, way.slow_down_s, way.coast_s)
-    steers: dict[str, Steer] = {
-        "heading targets": HeadingAhead(way.gain_per_s),
-        "yaw rate targets": YawRate(),
-        "attitude targets": AttitudeRate(),
-        "slow arcs": YawRate(STAND_AND_YAW_RATE, forward_mps=way.forward_mps, name=way.name),
-        "CONDITION_YAW": YawStep(),
-        "yaw rate targets at a standstill": YawRate(STAND_AND_YAW_RATE, name=way.name),
-    }
-    if way.name not in steers:
+def _strategy(way: TurnWay, modes: ModeKeeper | None) -> TurnStrategy:
+    if way.name not in known_ways():
         raise MavCompassError(
             f"A vehicle profile names a way to turn that does not exist: {way.name!r}.",
-            f"Choose from: {', '.join([*steers, OFFBOARD_YAW_RATES])}.",
+            f"Choose from: {', '.join(known_ways())}.",
         )
-    steer = steers[way.name]
-    return SteeredTurn(
-        steer,
-        way.rate_radps,
-        slow_down_s=way.slow_down_s,
-        coast_s=way.coast_s,
-        arrives=isinstance(steer, YawStep),
-    )
+    return known_ways()[way.name](way, modes)
 
 
-def _by_the_pilots_controls(kind: str, by: TurnBy) -> tuple[TurnStrategy, ...]:
-    steers: dict[tuple[str, TurnBy], Steer] = {
-        ("rover", "rc-override"): SteeringOverride(),
-        ("boat", "rc-override"): SteeringOverride(),
-        ("sub", "rc-override"): SteeringOverride(channel=4),
-        ("rover", "manual-control"): ManualAxis(),
-        ("boat", "manual-control"): ManualAxis(),
-        ("sub", "manual-control"): ManualAxis(axis="r", middle=500),
-    }
-    steer = steers.get((kind, by))
-    return () if steer is None else (SteeredTurn(steer, math.radians(40.0), coast_s=0.5),)
+@cache
+def known_ways() -> Mapping[str, Builder]:
+    """Return the ways to turn by name; each file of `ways/` names its own in `WAYS`."""
+    return {name: build for module in modules_in(ways) for name, build in module.WAYS.items()}

@@ -10,11 +10,12 @@ from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.enums import MavCmd
 from mavcompass.errors import MavCompassError
-from mavcompass.procedure.calibrate import CalibrateSettings, CalibrationReport, Services, calibrate
+from mavcompass.procedure.calibrate import CalibrateSettings, Services, calibrate
 from mavcompass.procedure.check import CheckReport, CheckSettings
 from mavcompass.procedure.check import check as check_script
 from mavcompass.procedure.dialect import WriteOutcome
 from mavcompass.procedure.positions import DwellSettings
+from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script, expect
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
 from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Task

@@ -12,9 +12,9 @@ import numpy as np
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import MavCompassError, UsageError
-from mavcompass.procedure.calibrate import CalibrationReport
 from mavcompass.procedure.check import CheckReport
 from mavcompass.procedure.dialect import WriteOutcome
+from mavcompass.procedure.report import CalibrationReport
 from mavcompass.report.document import live_document
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.view import VehicleView

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning.gyro_angle import GyroAngle
-from mavcompass.procedure.turning.steering import STAND_AND_YAW_RATE, YawRate
-from mavcompass.procedure.turning.strategies import OFFBOARD_YAW_RATES, SteeredTurn
+from mavcompass.procedure.turning.profiles import TurnWay
+from mavcompass.procedure.turning.steered import Builder, SteeredTurn
+from mavcompass.procedure.turning.targets import STAND_AND_YAW_RATE, send_target
 
 _STREAM_S = 0.1
 _STREAM_BEFORE_S = 1.2
@@ -23,25 +24,23 @@ _STREAM_BEFORE_S = 1.2
 class OffboardTurn:
     """Turn by yaw rate setpoints at a standstill, in OFFBOARD from the first turn to the release.
 
-    Attributes:
-        rate_radps, slow_down_s, coast_s: as in `SteeredTurn`.
-        modes: knows the mode before and puts it back; without it OFFBOARD must already be there.
+    `modes` knows the mode before and puts it back; without it OFFBOARD must already be there.
     """
 
-    rate_radps: float
-    slow_down_s: float
-    coast_s: float
+    way: TurnWay
     modes: ModeKeeper | None = field(default=None, compare=False)
-    name: str = OFFBOARD_YAW_RATES
     _steered: SteeredTurn = field(init=False, compare=False)
     _wanted_radps: float = field(default=0.0, compare=False)
     _next_s: float = field(default=-math.inf, compare=False)
     _streaming: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
-        self._steered = SteeredTurn(
-            _Wish(self), self.rate_radps, slow_down_s=self.slow_down_s, coast_s=self.coast_s
-        )
+        self._steered = SteeredTurn.by(_Wish(self), self.way)
+
+    @property
+    def name(self) -> str:
+        """Return what the person is told."""
+        return self.way.name
 
     def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
         """Turn; on the first turn start the stream and switch to OFFBOARD."""
@@ -62,7 +61,7 @@ class OffboardTurn:
             self._next_s = now_s + _STREAM_S
 
     def _send(self, context: Context) -> None:
-        YawRate(STAND_AND_YAW_RATE).turn(context, self._wanted_radps, 0.0)
+        send_target(context, STAND_AND_YAW_RATE, yaw_rate_radps=self._wanted_radps)
 
     def hold(self, context: Context) -> None:
         """Stand; the stream goes on."""
@@ -110,3 +109,6 @@ class _Wish:
 
     def let_go(self, context: Context) -> None:
         self.offboard._wanted_radps = 0.0
+
+
+WAYS: dict[str, Builder] = {"yaw rate setpoints in OFFBOARD": OffboardTurn}

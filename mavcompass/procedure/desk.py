@@ -1,0 +1,95 @@
+"""What a procedure on a live vehicle works with, from the first heartbeat on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from mavcompass import messages as mav
+from mavcompass.errors import Refused
+from mavcompass.procedure.dialect import Dialect, describe_compasses
+from mavcompass.procedure.motion import Mobility, Wishes
+from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Window, dwell
+from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.turning import GyroAngle
+from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
+from mavcompass.track_builder import TrackBuilder
+
+
+@dataclass(slots=True)
+class Desk:
+    """Hold who the vehicle is, its parameters, and what it says: its state, its turning, its recording.
+
+    Attributes:
+        parameters: in force when the desk was opened.
+        builder: records from then on.
+        began_s: when the desk began to wait for the vehicle.
+    """
+
+    context: Context
+    identity: VehicleIdentity
+    dialect: Dialect
+    parameters: dict[str, float]
+    state: VehicleState
+    builder: TrackBuilder
+    began_s: float
+    gyro: GyroAngle = field(default_factory=GyroAngle)
+    rest: Rest = field(default_factory=Rest)
+
+    @classmethod
+    def open(
+        cls, context: Context, dialect_for: Callable[[str], Dialect], system: int | None
+    ) -> Script[Desk]:
+        """Find the vehicle, read its parameters, start recording. Raises LinkError where it is not heard."""
+        began_s = context.now
+        context.show("connect", "Waiting for the vehicle's heartbeat.", 0.0)
+        identity = yield from find_vehicle(context, system)
+        # Only now: before, every vehicle on the link is heard.
+        state = VehicleState()
+        context.listeners.append(state.hear)
+        context.show("connect", f"Found {identity.autopilot} {identity.kind} (system {identity.system}).")
+        dialect = dialect_for(identity.autopilot)
+        parameters = yield from dialect.compass_parameters(context)
+        builder = TrackBuilder(identity.autopilot, identity.kind)
+        builder.parameters.update(parameters)
+        describe_compasses(builder, dialect, parameters)
+        desk = cls(context, identity, dialect, parameters, state, builder, began_s)
+        context.listeners += [builder.add, desk.gyro.hear, desk.rest.hear]
+        return desk
+
+    @property
+    def instances(self) -> tuple[int, ...]:
+        """List the vehicle's compasses, from 1."""
+        return self.dialect.instances(self.parameters)
+
+    def chosen(self, wanted: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the compasses to work on, all where none is named. Raises Refused for a missing one."""
+        present = self.instances
+        missing = [str(i) for i in wanted if i not in present]
+        if missing:
+            raise Refused(
+                f"The vehicle has no compass {', '.join(missing)}; it has {len(present) or 'none'}.",
+                "Choose with --compass, or connect and enable the compass.",
+            )
+        return wanted or present
+
+    def imu_rates(self, instances: tuple[int, ...], rate_hz: float) -> dict[type[mav.Message], float]:
+        """List the messages that carry these compasses; the first one's brings the gyro along."""
+        kinds: dict[int, type[mav.Message]] = {
+            1: mav.ScaledImu if self.identity.autopilot == "px4" else mav.RawImu,
+            2: mav.ScaledImu2,
+            3: mav.ScaledImu3,
+        }
+        return {kinds[i]: rate_hz for i in sorted({1, *instances}) if i in kinds}
+
+    def mobility(self, wishes: Wishes) -> Mobility:
+        """Return what chooses who turns the vehicle."""
+        return Mobility(self.identity, self.state, self.gyro, self.rest, wishes)
+
+    def dwell(self, mover: Mover, settings: DwellSettings) -> Script[Window]:
+        """Wait for rest and stand still; see `positions.dwell`."""
+        return (yield from dwell(self.context, self.rest, self.gyro, mover, settings))
+
+    def duration_s(self) -> float:
+        """Return how long the desk has been open."""
+        return self.context.now - self.began_s

@@ -1,0 +1,175 @@
+"""A turn by repeated commands, closed on the gyro, whichever message commands it.
+
+A strategy commands; the gyro tells whether and how far the vehicle turned. An acknowledgement
+proves nothing: ArduCopter accepts CONDITION_YAW in every mode and moves only in some.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from mavcompass.procedure.modes import ModeKeeper
+from mavcompass.procedure.script import Context, Script, pause
+from mavcompass.procedure.turning.gyro_angle import GyroAngle
+from mavcompass.procedure.turning.profiles import TurnWay
+
+# How often a target is repeated: several in the time in which one that ends by itself ends.
+_REPEAT_S = 0.1
+_POLL_S = 0.05
+_MOVES_WITHIN_S = 3.0
+_MOVED_RAD = math.radians(6.0)
+# How long a vehicle takes to gather way, and how its rate is then brought to what was asked for.
+_GATHERS_WAY_S = 0.5
+_BOOST_GAIN, _MOST_BOOST = 0.15, 1.6
+_SLOW_RADPS = math.radians(5.0)
+
+
+class TurnStrategy(Protocol):
+    """Turn the vehicle by an angle measured by the gyro."""
+
+    @property
+    def name(self) -> str:
+        """Return what the person is told."""
+        ...
+
+    def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
+        """Turn by about `angle_rad` (clockwise positive); False where the vehicle does not move."""
+        ...
+
+    def hold(self, context: Context) -> None:
+        """Leave a message that keeps the vehicle where it is; called several times a second."""
+        ...
+
+    def halt(self, context: Context) -> None:
+        """Leave messages that stop any rotation now."""
+        ...
+
+    def release(self, context: Context) -> Script[None]:
+        """Give the vehicle back as it was taken, after `halt`."""
+        ...
+
+
+class Steer(Protocol):
+    """Ask a vehicle to turn by one kind of message."""
+
+    @property
+    def name(self) -> str:
+        """Return what the person is told."""
+        ...
+
+    def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
+        """Ask for a rate of turn, clockwise positive; `left_rad` is what is left of the whole turn."""
+        ...
+
+    def stand(self, context: Context) -> None:
+        """Ask for no turn at all."""
+        ...
+
+    def let_go(self, context: Context) -> None:
+        """End what was asked for; called once, after the last `stand`."""
+        ...
+
+
+@dataclass(slots=True)
+class SteeredTurn:
+    """Turn by repeated commands, closed on the gyro.
+
+    The rate falls toward the end, so that late telemetry costs degrees, not quarter turns. How far the
+    vehicle coasts after the last command is learned from one turn to the next.
+
+    Attributes:
+        steer: the message that turns it.
+        rate_radps, slowest_radps: the rate of turn, and that at which the turn ends.
+        slow_down_s: the rate is at most what is left divided by this.
+        coast_s: angle coasted after the last command per rate at that moment.
+        arrives: the commands name angles, and the vehicle comes to rest there by itself.
+    """
+
+    steer: Steer
+    rate_radps: float
+    slowest_radps: float = math.radians(15.0)
+    slow_down_s: float = 0.6
+    coast_s: float = 0.3
+    arrives: bool = False
+    _learned_s: float | None = field(default=None, compare=False)
+    _ended: tuple[float, float] | None = field(default=None, compare=False)
+
+    @classmethod
+    def by(cls, steer: Steer, way: TurnWay, arrives: bool = False) -> SteeredTurn:
+        """Turn by a message at the rates of a vehicle's profile."""
+        return cls(steer, way.rate_radps, slow_down_s=way.slow_down_s, coast_s=way.coast_s, arrives=arrives)
+
+    @property
+    def name(self) -> str:
+        """Return what the person is told."""
+        return self.steer.name
+
+    def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
+        """Command the rate until the gyro says that the rest is what stopping takes."""
+        self._learn_coasting(gyro)
+        start_rad, start_s = gyro.angle_rad, context.now
+        sign = math.copysign(1.0, angle_rad)
+        longest_s = _MOVES_WITHIN_S + 3.0 * abs(angle_rad) / self.slowest_radps
+        said_s, boost = -math.inf, 1.0
+        while True:
+            turned = (gyro.angle_rad - start_rad) * sign
+            left, speed, so_far_s = abs(angle_rad) - turned, gyro.rate_radps * sign, context.now - start_s
+            if so_far_s > _MOVES_WITHIN_S and turned < _MOVED_RAD:
+                self.halt(context)
+                return False
+            if self._is_there(left, speed, turned) or so_far_s > longest_s:
+                break
+            if context.now - said_s >= _REPEAT_S - 1e-3:
+                wanted = min(self.rate_radps, max(self.slowest_radps, left / self.slow_down_s))
+                boost = self._boosted(boost, wanted, speed, so_far_s)
+                self.steer.turn(context, sign * wanted * boost, left)
+                said_s = context.now
+            yield from pause(context, _POLL_S)
+        self._ended = None if self.arrives else (gyro.angle_rad, gyro.rate_radps)
+        self._stand(context)
+        return True
+
+    def _is_there(self, left: float, speed: float, turned: float) -> bool:
+        if self.arrives:
+            return left < _MOVED_RAD or (turned > 0.6 * (turned + left) and speed < _SLOW_RADPS)
+        coast_s = self.coast_s if self._learned_s is None else self._learned_s
+        return left <= max(speed, 0.0) * coast_s
+
+    def _boosted(self, boost: float, wanted: float, speed: float, so_far_s: float) -> float:
+        """Ask for more where the vehicle turns more slowly than it is asked to."""
+        if self.arrives or so_far_s < _GATHERS_WAY_S or wanted < self.rate_radps:
+            return boost
+        return max(1.0, min(_MOST_BOOST, boost + _BOOST_GAIN * (wanted - speed) / wanted))
+
+    def _learn_coasting(self, gyro: GyroAngle) -> None:
+        """Compare where the vehicle came to rest with where the last turn's commands ended."""
+        if self._ended is not None and abs(self._ended[1]) > _SLOW_RADPS:
+            coasted_s = (gyro.angle_rad - self._ended[0]) / self._ended[1]
+            self._learned_s = max(0.1, min(2.5, coasted_s))
+        self._ended = None
+
+    def _stand(self, context: Context) -> None:
+        # Twice over: one may be lost.
+        for _ in range(2):
+            self.steer.stand(context)
+
+    def hold(self, context: Context) -> None:
+        """Ask for no turn."""
+        self.steer.stand(context)
+
+    def halt(self, context: Context) -> None:
+        """Ask for no turn, and let go."""
+        self._stand(context)
+        for _ in range(2):
+            self.steer.let_go(context)
+
+    def release(self, context: Context) -> Script[None]:
+        """Do nothing: nothing was taken but what `halt` gives back."""
+        yield from ()
+
+
+# Builds a strategy from the numbers of a profile; the modes are for one that needs a mode of its own.
+Builder = Callable[[TurnWay, ModeKeeper | None], TurnStrategy]
