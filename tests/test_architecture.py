@@ -51,6 +51,18 @@ ROWS = {
         {"wire", "transport", "parameters"},
         {"link", "stopping"},
     ],
+    "procedure": [
+        {"calibrate", "check"},
+        {"writing"},
+        {"desk", "report"},
+        {"motion"},
+        {"positions"},
+        {"turning", "commands"},
+        {"modes", "dialect"},
+        {"vehicle_state"},
+        {"script"},
+    ],
+    "logs": [{"reading"}, {"companion"}, {"formats"}, {"common"}],
     "service": [
         {"run", "mavproxy"},
         {"web", "systemd"},
