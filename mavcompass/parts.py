@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from mavcompass.errors import UsageError
+from mavcompass.invocation import pip_install
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,10 @@ def missing(part: Part) -> tuple[str, ...]:
     return tuple(module for module in part.modules if find_spec(module) is None)
 
 
+def _listed(names: tuple[str, ...]) -> str:
+    return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else names[0]
+
+
 def require(*needs: str) -> None:
     """Raise UsageError, with the one command that installs all that is missing, where a need cannot be met.
 
@@ -46,6 +51,6 @@ def require(*needs: str) -> None:
     lacking = [(PARTS[need], modules) for need in needs if (modules := missing(PARTS[need]))]
     if not lacking:
         return
-    sentences = [f"{p.need} needs {' and '.join(modules)}, not installed here." for p, modules in lacking]
+    sentences = [f"{p.need} needs {_listed(modules)}, not installed here." for p, modules in lacking]
     extras = ",".join(dict.fromkeys(part.extra for part, _ in lacking))
-    raise UsageError(" ".join(sentences), f"Install it with: pip install 'mavcompass[{extras}]'")
+    raise UsageError(" ".join(sentences), f"Install it with: {pip_install(f'mavcompass[{extras}]')}")

@@ -35,7 +35,15 @@ def test_a_missing_part_comes_with_the_command_that_installs_it(monkeypatch: pyt
     monkeypatch.setitem(sys.modules, "pyulog", None)
     (finding,) = computer.parts()
     assert finding.verdict == "warn" and "pyulog" in finding.text
-    assert finding.remedy == "pip install 'mavcompass[ulog]'"
+    assert finding.remedy.endswith("pip install 'mavcompass[ulog]'")
+
+
+def test_parts_of_one_extra_are_one_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("pyarrow", "distributed", "jinja2"):
+        monkeypatch.setitem(sys.modules, module, None)
+    report, fleet = computer.parts()
+    assert "jinja2" in report.text and report.remedy.endswith("pip install 'mavcompass[report]'")
+    assert "pyarrow, distributed" in fleet.text and fleet.remedy.endswith("pip install 'mavcompass[fleet]'")
 
 
 def test_who_listens_on_the_port_is_named() -> None:

@@ -30,7 +30,7 @@ def begun(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
         "mavcompass.vehicle.open_link",
         "mavcompass.vehicle.transport.opening.open_transport",
         "mavcompass.logs.read_track",
-        "mavcompass.logs.reading.read_track",
+        "mavcompass.logs.read_track",
         "mavcompass.gap.trial.run_trial",
         "mavcompass.fleet.run.run_fleet",
     ):

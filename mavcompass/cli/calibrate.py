@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.terminal.colour import styled
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 
 if TYPE_CHECKING:
@@ -283,7 +283,7 @@ def _live(
 
     with open_source(address, effects, as_ground_station=settings.turn_by != "auto") as link:
         before_deg = _true_error_deg(link, settings.instances)
-        told_later = ("solve", "prove") if sys.stdout.isatty() and output.json_file != "-" else ()
+        told_later = _told_later(output, settings.writing)
         with showing(told_later=told_later) as shown, speaking(shown, speak) as show:
             try:
                 report = calibrate_on(
@@ -317,6 +317,16 @@ def _live(
     return _exit_code(report)
 
 
+def _told_later(output: Output, writing: str) -> tuple[str, ...]:
+    """Name the steps whose outcome the same eyes see again, as the result: it is not shown twice.
+
+    Who is asked whether to write sees what was found before the question.
+    """
+    if output.json_file == "-" or sys.stdout.isatty() != sys.stderr.isatty():
+        return ()
+    return ("prove",) if writing == "ask" else ("solve", "prove")
+
+
 def open_source(address: Address, effects: Sequence[str], as_ground_station: bool = False) -> Link:
     """Open a live address; effects go to an embedded simulated vehicle only.
 
@@ -346,7 +356,7 @@ def _true_error_deg(link: Link, instances: tuple[int, ...]) -> float | None:
 def _say_result(output: Output, result: CalibrationResult) -> None:
     from mavcompass.calibration.result import summary
 
-    output.say(summary(result))
+    output.say(styled(summary(result), fg="green" if result.accepted else "red"))
     for reason in (*result.reasons, *result.warnings):
         output.say(f"  - {reason}")
 
@@ -369,8 +379,7 @@ def _say_outcome(output: Output, report: CalibrationReport, source: str) -> None
         if report.proof is not None:
             output.say(report.proof.summary())
         if outcome.undo_file is not None:
-            restore = f"mavcompass params restore {shlex.quote(source)} {shlex.quote(str(outcome.undo_file))}"
-            output.say(f"To undo: {restore}")
+            output.say(f"To undo: {outcome.restore_command}")
     elif report.undone:
         output.say("The old values are back on the vehicle.")
     else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from pathlib import Path
@@ -12,6 +11,8 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.terminal.colour import styled
+from mavcompass.invocation import program
 
 if TYPE_CHECKING:
     from mavcompass.procedure.check import CheckReport, CheckSettings
@@ -110,16 +111,14 @@ def _say(report: CheckReport, source: str, output: Output, everything: bool) -> 
         output.say(f"{mark('pass')}  {passed} of {len(report.items)} questions.")
     turned = "" if report.turned else " No turn was made."
     words = {"pass": "Fit to go.", "warn": "Go with care.", "fail": "Do not go."}[report.verdict]
-    advice = f" Next: mavcompass calibrate {shlex.quote(source)}" if report.calibration_advised else ""
+    advice = f" Next: {program()} calibrate {shlex.quote(source)}" if report.calibration_advised else ""
     output.say(f"{mark(report.verdict)}  {words}{turned}{advice}")
 
 
 def mark(verdict: str) -> str:
     """Return PASS, WARN or FAIL, coloured on a terminal that has colours."""
     word = verdict.upper()
-    if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
-        return click.style(word, fg=_COLOURS[verdict], bold=True)
-    return word
+    return styled(word, fg=_COLOURS[verdict], bold=True)
 
 
 def _calibrate(link: Link, source: str, system: int | None, output: Output) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,29 +13,14 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.terminal.colour import styled
 from mavcompass.errors import UsageError
+from mavcompass.invocation import program
 
 if TYPE_CHECKING:
-    from mavcompass.gap.result import Closing, Diagnosis
+    from mavcompass.gap.result import Diagnosis
     from mavcompass.gap.trial import Generator
 
-_WORDS = {
-    "no_gap": "no gap: the simulation agrees with the recording down to the noise floor",
-    "named": "explained",
-    "ambiguous": "explained, but not by one cause alone",
-    "named_with_remainder": "explained in part; something else is left",
-    "unknown": "unknown: none of the effects in the catalogue explains it",
-    "not_testable": "not testable",
-}
-_SHARP_PERCENT = 1.0
-_ADVICE = {
-    "no_gap": "Nothing to do: the vehicle is what its calibration says.",
-    "named": "Put the cause right, or into the simulator: `mavcompass gap export`.",
-    "ambiguous": "Fly what is proposed below to decide, before anything is changed.",
-    "named_with_remainder": "Put the named cause right first, then record and diagnose again.",
-    "unknown": "Look where it shows; a baseline of the same vehicle in a good state tells more.",
-    "not_testable": "Record again with turns through all headings, and with tilt if the vehicle can.",
-}
 REFERENCES = ("auto", "gyro", "gps-yaw", "attitude", "columns")
 
 
@@ -87,8 +73,7 @@ def diagnose(
     for log, diagnosis in zip(logs, found, strict=True):
         if len(logs) > 1:
             output.say(f"{log}:")
-        for line in summary(diagnosis):
-            output.say(line)
+        _say(diagnosis, output)
     diagnosis = found[0]
     if len(logs) > 1:
         from mavcompass.gap.answer import together
@@ -103,7 +88,7 @@ def diagnose(
         from mavcompass.report.gap import write_gap_report
 
         write_gap_report(diagnosis, report)
-        output.say(f"report: {report}")
+        output.say(f"Report: {report}")
 
 
 @command.command()
@@ -175,6 +160,7 @@ def export(
     Example: mavcompass gap export flight.tlog --to ardupilot-sitl found.parm
     """
     from mavcompass.gap.answer import ardupilot_sitl, parameter_file, preset, vehicle_settings
+    from mavcompass.report.gap_words import VERDICTS
 
     require_for(log, baseline)
     diagnosis = _diagnosed(log, instance, baseline, (), reference)
@@ -188,12 +174,14 @@ def export(
             f"{file} could not be written ({error.strerror}).",
             "Name a file in a folder that you may write to.",
         ) from error
-    output.say(
-        f"{diagnosis.verdict}: {', '.join(sorted(diagnosis.effects)) or 'no effect'} written to {file}"
-    )
+    found = ", ".join(sorted(diagnosis.effects)) or "no effect"
+    output.say(f"{file}: the vehicle's known iron and {found} ({VERDICTS[diagnosis.verdict]}).")
     if target == "ardupilot-sitl":
         for sentence in exported.lacking:
-            output.say(f"not in the simulator: {sentence}")
+            output.say(f"Not in the simulator: {sentence}")
+        output.say(f"Use it: sim_vehicle.py --add-param-file={shlex.quote(str(file))}")
+    else:
+        output.say(f"Use it: {program()} calibrate sim:rover --dry-run --effect @{shlex.quote(str(file))}")
     output.write_json(
         {
             "schema": "mavcompass.gap-export/1",
@@ -224,9 +212,9 @@ def blind_trial(cases: int, seed: int, generator: Generator, report: Path | None
     \b
     Example: mavcompass gap blind-trial --cases 40 --seed 7
     """
+    require_for(report=report)
     from mavcompass.gap.trial import run_trial
 
-    require_for(report=report)
     trial = run_trial(cases, seed, generator=generator)
     for line in trial.lines():
         output.say(line)
@@ -235,7 +223,7 @@ def blind_trial(cases: int, seed: int, generator: Generator, report: Path | None
         from mavcompass.report.gap import write_trial_report
 
         write_trial_report(trial, report)
-        output.say(f"report: {report}")
+        output.say(f"Report: {report}")
 
 
 def _diagnosed(
@@ -259,6 +247,15 @@ def _diagnosed(
         )  # fmt: skip
 
 
+def _say(diagnosis: Diagnosis, output: Output) -> None:
+    from mavcompass.report.gap_words import summary
+
+    first, *rest = summary(diagnosis, everything=output.verbose)
+    output.say(styled(first, bold=True, fg="green" if diagnosis.verdict == "no_gap" else "yellow"))
+    for line in rest:
+        output.say(line)
+
+
 @contextmanager
 def _progress(name: str) -> Iterator[Callable[[str], None]]:
     """Show what is being done on a terminal, from the first moment; stay quiet in a pipe."""
@@ -269,49 +266,3 @@ def _progress(name: str) -> Iterator[Callable[[str], None]]:
 
     with Console(stderr=True).status(f"{name}: reading") as status:
         yield lambda doing: status.update(f"{name}: {doing}")
-
-
-def summary(diagnosis: Diagnosis) -> list[str]:
-    """Put a diagnosis in a few lines for a terminal."""
-    lines = [f"{_WORDS[diagnosis.verdict]}  (attitude: {diagnosis.reference}, compass {diagnosis.compass})"]
-    lines.append(f"  {_ADVICE[diagnosis.verdict]}")
-    for cause in diagnosis.causes:
-        values = ", ".join(f"{name} {value:.4g}" for name, value in cause.parameters.items())
-        lines.append(f"  {cause.effect} ({100.0 * cause.probability:.0f} %): {values}")
-        if cause.ambiguous_with:
-            lines.append(f"    may also be {', '.join(cause.ambiguous_with)}")
-    for cause in diagnosis.look_alikes:
-        lines.append(f"  looks most like {cause.effect}, which does not explain it")
-    lines.append(_closing_line("field", diagnosis.field, "mG"))
-    if diagnosis.corrected_rms_mgauss is not None:
-        lines.append(
-            f"    corrected readings beside the plain field: {diagnosis.corrected_rms_mgauss:.2f} mG"
-        )
-    if diagnosis.in_force is not None and (cured := diagnosis.in_force.words()) is not None:
-        lines.append(f"  the calibration in force cures: {cured}")
-    lines.append(_closing_line("heading", diagnosis.heading, "deg"))
-    places = [f"{p.channel} with {p.coordinate} ({100.0 * p.share:.0f} %)" for p in diagnosis.where[:3]]
-    if places:
-        lines.append(f"  where: {', '.join(places)}")
-    if diagnosis.unknown:
-        lines.append(f"  left unexplained: shows with {diagnosis.unknown_coordinate}")
-    if diagnosis.not_testable:
-        lines.append(f"  {len(diagnosis.not_testable)} effects cannot be tested here (the JSON says why)")
-    for flight in diagnosis.next_flight[:2]:
-        lines.append(f"  to decide, record: {flight.protocol} ({flight.predicted_separation:.0f} sigma)")
-    return lines
-
-
-def _closing_line(name: str, closing: Closing, unit: str) -> str:
-    said = f"  {name}: {closing.nominal:.2f} -> {closing.after:.2f} {unit} on held-out parts"
-    said += f", floor {closing.floor:.2f}"
-    if closing.after == closing.nominal:
-        return said
-    low, high = (100.0 * end for end in closing.shrink_ci95)
-    if high - low < _SHARP_PERCENT:
-        return f"{said}; shrinks by {100.0 * closing.shrink:.0f} %"
-    sure = 0.0 <= closing.shrink <= 1.0 and low > 0.0
-    ends = f"{max(low, 0.0):.0f} .. {min(high, 100.0):.0f}"
-    return f"{said}; shrinks by {100.0 * min(max(closing.shrink, 0.0), 1.0):.0f} % ({ends})" + (
-        "" if sure else ", uncertain"
-    )

@@ -17,6 +17,7 @@ import click
 
 from mavcompass import __version__
 from mavcompass.cli.options import verbose_option
+from mavcompass.cli.terminal.colour import styled
 from mavcompass.errors import MavCompassError
 
 COMMANDS = {
@@ -145,7 +146,7 @@ def _log_warning(
 
 
 def _complain(sentence: str) -> None:
-    print(f"mavcompass: {sentence}", file=sys.stderr)
+    print(f"{styled('mavcompass:', fg='red', bold=True, err=True)} {sentence}", file=sys.stderr)
 
 
 def _log_traceback(error: Exception) -> None:

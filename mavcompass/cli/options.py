@@ -48,8 +48,9 @@ class Output:
     With `--json -` standard output holds the JSON document and nothing else.
     """
 
-    def __init__(self, json_file: str | None = None) -> None:
+    def __init__(self, json_file: str | None = None, verbose: bool = False) -> None:
         self.json_file = json_file
+        self.verbose = verbose
 
     def say(self, text: str = "") -> None:
         """Print a line for a person on standard output, unless that belongs to the JSON document."""
@@ -77,7 +78,7 @@ class Output:
 def _output(context: click.Context, parameter: click.Parameter, value: str | None) -> Output:
     if value is not None and value != "-" and not Path(value).absolute().parent.is_dir():
         raise click.BadParameter(f"the folder of {value} does not exist.", context, parameter)
-    return Output(value)
+    return Output(value, verbose=bool(context.meta.get(_VERBOSITY)))
 
 
 def _raise_verbosity(context: click.Context, parameter: click.Parameter, value: int) -> None:
@@ -100,7 +101,7 @@ def verbose_option(function: Function) -> Function:
         expose_value=False,
         is_eager=True,
         callback=_raise_verbosity,
-        help="Log to standard error; -vv logs more.",
+        help="Tell more, and log to standard error; -vv logs more.",
     )(function)
 
 

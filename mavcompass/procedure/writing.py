@@ -32,7 +32,6 @@ class Writer:
             return report
         if self.asks and not (yield from ask(desk.context, _question(plan))):
             return report.noting("Not written: the answer was no.")
-        desk.context.show("write", f"Writing {len(plan.changes)} parameters.")
         outcome = yield from desk.dialect.write(desk.context, plan, self.save_undo)
         for instance, correction in corrections.items():
             if desk.dialect.raw_rotation(desk.parameters, instance) is None:

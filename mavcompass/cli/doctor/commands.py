@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.terminal.colour import styled
 
 if TYPE_CHECKING:
     from mavcompass.cli.doctor.computer import Verdict
@@ -42,7 +43,7 @@ def command(output: Output) -> int:
             output.say(f"      {finding.remedy}")
     verdicts = {finding.verdict for finding in findings}
     worst: Verdict = "fail" if "fail" in verdicts else "warn" if "warn" in verdicts else "pass"
-    output.say(_WORDS[worst])
+    output.say(styled(_WORDS[worst], bold=True))
     rows = [{"name": f.name, "verdict": f.verdict, "text": f.text, "remedy": f.remedy} for f in findings]
     output.write_json({"schema": "mavcompass.doctor/1", "verdict": worst, "findings": rows})
     return NOT_FIT if worst == "fail" else 0

@@ -56,17 +56,16 @@ def python() -> Finding:
 
 def parts() -> Iterator[Finding]:
     """Tell which parts of the program are not installed."""
+    from mavcompass.invocation import pip_install
     from mavcompass.parts import PARTS, missing
 
     lacking = [part for part in PARTS.values() if missing(part)]
-    for part in lacking:
-        modules = ", ".join(missing(part))
-        yield Finding(
-            "parts",
-            "warn",
-            f"{part.need} is not possible here: {modules} not installed.",
-            f"pip install 'mavcompass[{part.extra}]'",
-        )
+    for extra in dict.fromkeys(part.extra for part in lacking):
+        of_extra = [part for part in lacking if part.extra == extra]
+        needs = ", ".join(part.need[0].lower() + part.need[1:] for part in of_extra)
+        modules = ", ".join(module for part in of_extra for module in missing(part))
+        text = f"Not possible here: {needs} ({modules} not installed)."
+        yield Finding("parts", "warn", text, pip_install(f"mavcompass[{extra}]"))
     if not lacking:
         yield Finding("parts", "pass", f"All {len(PARTS)} optional parts are installed.")
 

@@ -39,20 +39,22 @@ def show_difference(
         (name, "absent" if old is None else _number(old), _number(new))
         for name, (old, new) in differing.items()
     ]
-    _rows(output, ["parameter", "vehicle", "file"], cells)
+    _rows(output, ["parameter", "vehicle", "file"], cells, "{:<16} vehicle {}, file {}")
 
 
 def show_changes(output: Output, changes: Iterable[Change]) -> None:
     """Show what a write will do."""
-    _rows(output, ["parameter", "old", "new"], [(c.name, _number(c.old), _number(c.new)) for c in changes])
+    cells = [(c.name, _number(c.old), _number(c.new)) for c in changes]
+    _rows(output, ["parameter", "old", "new"], cells, "{:<16} {} -> {}")
 
 
-def _rows(output: Output, head: Sequence[str], cells: Sequence[Sequence[str]]) -> None:
+def _rows(output: Output, head: Sequence[str], cells: Sequence[Sequence[str]], line: str) -> None:
+    """Show cells below their head on a terminal, and as `line` has them in a pipe."""
     if _is_table_wanted(output):
         _table(head, cells)
         return
-    for name, old, new in cells:
-        output.say(f"{name:<16} {old} -> {new}")
+    for row in cells:
+        output.say(line.format(*row))
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

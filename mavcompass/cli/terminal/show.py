@@ -41,14 +41,15 @@ class PlainShow:
     Prompts that change all the time ("Turn right 34 deg more.") are printed once a second.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, told_later: Container[str] = (), clock: Callable[[], float] = time.monotonic) -> None:
+        self._told_later = told_later
         self._last = ""
         self._clock = clock
         self._prompted_s = -math.inf
 
     def __call__(self, show: Show) -> None:
         """Print a line."""
-        if show.text == self._last:
+        if show.text == self._last or (show.step in self._told_later and show.fraction is not None):
             return
         if _has(show, "live"):
             now_s = self._clock()
@@ -93,13 +94,13 @@ def showing(quiet: bool = False, told_later: Container[str] = ()) -> Iterator[Ca
     """Show a procedure's progress on standard error while the block runs.
 
     Args:
-        told_later: steps whose sentence the same terminal shows again, as the result.
+        told_later: steps whose outcome is shown again in the same place, as the result.
     """
     if quiet:
         yield lambda _: None
         return
     if not is_live():
-        yield PlainShow()
+        yield PlainShow(told_later)
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn

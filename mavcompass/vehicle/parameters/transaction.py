@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mavcompass.errors import MavCompassError, Refused, WriteFailed
+from mavcompass.invocation import program
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters import protocol as wire
@@ -145,7 +146,7 @@ def counted(parameters: int) -> str:
 
 def restore_command(source: str, undo_file: Path) -> str:
     """Spell the command that puts back what an undo file holds."""
-    return f"mavcompass params restore {shlex.quote(source)} {shlex.quote(str(undo_file))}"
+    return f"{program()} params restore {shlex.quote(source)} {shlex.quote(str(undo_file))}"
 
 
 def _sentence(error: Exception) -> str:

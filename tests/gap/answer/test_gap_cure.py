@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavcompass.cli.gap import summary
 from mavcompass.correction import FieldCorrection
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.answer.export import ardupilot_sitl, vehicle_settings
 from mavcompass.gap.trial.cases import Recipe, make_track
+from mavcompass.report.gap_words import summary
 from mavcompass.simulation import effects
 from mavcompass.track import InForce, MagSeries, Series, Track
 
@@ -37,7 +37,7 @@ def test_iron_that_the_calibration_cures_is_no_cause() -> None:
     assert diagnosis.corrected_rms_mgauss < 5.0
     document = diagnosis.to_json()
     assert document["in_force"]["cures"]["hard_iron"] == [-30.0, 20.0, 12.0]  # type: ignore[index]
-    assert "the calibration in force cures: hard iron (-30, 20, 12) mG" in "\n".join(summary(diagnosis))
+    assert "the calibration in force cures: hard iron (-30, 20, 12) mG" in "\n".join(summary(diagnosis, True))
 
 
 @pytest.mark.parametrize("offsets", [(15.0, -10.0, -6.0), (60.0, -40.0, -24.0)])
@@ -69,4 +69,4 @@ def test_what_a_baseline_teaches_goes_to_the_simulator_too() -> None:
 def test_without_a_calibration_nothing_is_said_of_it() -> None:
     diagnosis = diagnose_gap(made())
     assert diagnosis.corrected_rms_mgauss is None and diagnosis.effects == {"hard_iron"}
-    assert "calibration" not in "\n".join(summary(diagnosis))
+    assert "calibration" not in "\n".join(summary(diagnosis, True))

@@ -100,7 +100,8 @@ def _notes_about_time(clock: BootClock, placer: Placer) -> list[str]:
             f"The autopilot was started {restarts + 1} times; time_s goes on across the restarts (at {at} s)."
         )
     if placer.misplaced:
-        notes.append(f"{placer.misplaced} messages carry an impossible time; they were placed by arrival.")
+        carry = "1 message carries" if placer.misplaced == 1 else f"{placer.misplaced} messages carry"
+        notes.append(f"{carry} an impossible time: placed by arrival.")
     if placer.repeats:
         notes.append(f"Left out {placer.repeats} messages that were recorded twice.")
     if clock.log_jumps:

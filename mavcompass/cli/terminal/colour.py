@@ -1,0 +1,16 @@
+"""Colour on a terminal that has it; plain text elsewhere."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import click
+
+
+def styled(text: str, *, fg: str | None = None, bold: bool = False, err: bool = False) -> str:
+    """Colour a text for standard output (or `err`: standard error) where that is a terminal with colours."""
+    stream = sys.stderr if err else sys.stdout
+    if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM", "dumb") == "dumb":
+        return text
+    return click.style(text, fg=fg, bold=bold)

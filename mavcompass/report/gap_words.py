@@ -1,0 +1,175 @@
+"""A diagnosis in words for a person: first what to do, then why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mavcompass.gap.result import Cause, Closing, Diagnosis, Place
+from mavcompass.simulation.effects import get
+
+VERDICTS = {
+    "no_gap": "no gap",
+    "named": "explained",
+    "ambiguous": "explained, but not by one cause alone",
+    "named_with_remainder": "explained in part; something else is left",
+    "unknown": "unknown: none of the effects in the catalogue explains it",
+    "not_testable": "not testable",
+}
+_CALIBRATE = "Calibrate: the vehicle's iron is not what its parameters say"
+_MOVE_AWAY = "Move the compass away from the power leads, or set the motor compensation (COMPASS_MOT)"
+_OF_THE_PLACE = "Record elsewhere: it is of the place, not of the vehicle"
+_IMU = "Calibrate accelerometer and gyro in the ground station: it is not the compass"
+_BUS = "Look at the compass's driver and the logging rate: readings come late or twice"
+_SOURCE = "Find what switches or hums near the compass, and move one of the two"
+_MOUNTING = "Put the mounting right: turn the compass back, or set its orientation parameter"
+_REMEDIES = {
+    "hard_iron": _CALIBRATE,
+    "soft_iron": _CALIBRATE,
+    "axis_scale": _CALIBRATE,
+    "non_orthogonality": _CALIBRATE,
+    "hard_iron_step": "Find what came loose or was put on during the recording, then calibrate",
+    "motor_current": _MOVE_AWAY,
+    "per_motor": _MOVE_AWAY,
+    "relay_field": _SOURCE,
+    "ac_interference": _SOURCE,
+    "noise_excess": _SOURCE,
+    "misalignment": _MOUNTING,
+    "orientation": _MOUNTING,
+    "spatial_dipole": _OF_THE_PLACE,
+    "field_gradient": _OF_THE_PLACE,
+    "field_intensity": _OF_THE_PLACE,
+    "inclination": _OF_THE_PLACE,
+    "declination": "Let the autopilot take the declination from its model (COMPASS_AUTODEC 1)",
+    "temperature_bias": "Let the vehicle reach its temperature before it is calibrated and flown",
+    "temperature_sensitivity": "Let the vehicle reach its temperature before it is calibrated and flown",
+    "clipping": "Take the magnet away: the sensor is at its limit",
+    "hysteresis": "Move the compass away from the iron that remembers",
+    "eddy_current": "Move the compass away from the metal around it",
+    "transport_lag": _BUS,
+    "low_pass": _BUS,
+    "timestamp_jitter": _BUS,
+    "stale_samples": _BUS,
+    "gyro_bias": _IMU,
+    "gyro_scale": _IMU,
+    "accel_bias": _IMU,
+    "accel_scale": _IMU,
+    "vibration_rectification": "Damp the autopilot's vibrations: it is not the compass",
+}
+_COARSE_DEG = 3.0
+_SHARP_PERCENT = 1.0
+_SHOWN_VALUES = 9
+
+
+def advice(diagnosis: Diagnosis) -> str:
+    """Say in one sentence what to do."""
+    match diagnosis.verdict:
+        case "no_gap" if diagnosis.heading.floor > _COARSE_DEG:
+            return (
+                f"Nothing to do that this recording could tell: heading errors below"
+                f" {diagnosis.heading.floor:.0f} deg do not show in it."
+            )
+        case "no_gap":
+            return (
+                f"Nothing to do: the heading is right to {max(diagnosis.heading.nominal, 0.1):.1f} deg rms,"
+                " which is the noise of this recording."
+            )
+        case "named":
+            return f"{_remedy(diagnosis)}."
+        case "named_with_remainder":
+            return f"{_remedy(diagnosis)}. Then record and diagnose again: something else is left."
+        case "ambiguous" if diagnosis.next_flight:
+            return f"Change nothing yet; record this to decide: {diagnosis.next_flight[0].protocol}."
+        case "ambiguous":
+            return "Change nothing yet: a recording of the vehicle in a good state (--baseline) would decide."
+        case "unknown":
+            return (
+                "Look at what goes with it (below); a recording of the vehicle in a good state"
+                " (--baseline) tells more."
+            )
+    return "Record again, with turns through all headings, and with tilt if the vehicle can."
+
+
+def _remedy(diagnosis: Diagnosis) -> str:
+    largest = max(diagnosis.causes, key=lambda cause: cause.removes_mgauss)
+    return _REMEDIES.get(largest.effect, f"Put this right, or simulate it: {get(largest.effect).title}")
+
+
+def summary(diagnosis: Diagnosis, everything: bool = False) -> list[str]:
+    """Put a diagnosis in a few lines for a terminal: what to do, then why.
+
+    Args:
+        everything: also what is only for those who want to know how it came about.
+    """
+    lines = [advice(diagnosis)]
+    lines.append(f"  verdict: {VERDICTS[diagnosis.verdict]} (compass {diagnosis.compass})")
+    for cause in diagnosis.causes:
+        lines += _cause(cause)
+    for cause in diagnosis.look_alikes:
+        lines.append(f"  looks most like {cause.effect}, which does not explain it")
+    lines.append(_closing("heading", diagnosis.heading, "deg"))
+    lines.append(_closing("field", diagnosis.field, "mG"))
+    if diagnosis.verdict != "no_gap" and diagnosis.where:
+        lines.append(f"  where: {_places(diagnosis.where)}")
+    if diagnosis.unknown and diagnosis.unknown_coordinate:
+        lines.append(f"  what is left goes with: {diagnosis.unknown_coordinate}")
+    if diagnosis.verdict != "no_gap":
+        for flight in diagnosis.next_flight[:2]:
+            lines.append(
+                f"  to tell more, record: {flight.protocol} ({flight.predicted_separation:.0f} sigma)"
+            )
+    if everything:
+        lines += _background(diagnosis)
+    elif diagnosis.not_testable:
+        lines.append(f"  {len(diagnosis.not_testable)} effects could not show in this recording (-v: which)")
+    return lines
+
+
+def _cause(cause: Cause) -> list[str]:
+    effect = get(cause.effect)
+    units = {p.name: "" if p.unit == "1" else f" {p.unit}" for p in effect.parameters}
+    shown = list(cause.parameters.items())[:_SHOWN_VALUES]
+    values = ", ".join(f"{name} {value:.3g}{units.get(name, '')}" for name, value in shown)
+    if len(shown) < len(cause.parameters):
+        values += ", ..."
+    lines = [f"  {cause.effect} ({100.0 * cause.probability:.0f} %), {effect.title}: {values}"]
+    if cause.ambiguous_with:
+        lines.append(f"    may also be {', '.join(cause.ambiguous_with)}")
+    return lines
+
+
+def _closing(name: str, closing: Closing, unit: str) -> str:
+    said = f"  {name}: {closing.nominal:.1f} {unit} rms off, of which {closing.floor:.1f} may be noise"
+    if closing.after == closing.nominal:
+        return said
+    said += f"; {closing.after:.1f} with this in the simulator"
+    low, high = (100.0 * end for end in closing.shrink_ci95)
+    if high - low < _SHARP_PERCENT:
+        return f"{said} (the gap shrinks by {100.0 * closing.shrink:.0f} %)"
+    sure = 0.0 <= closing.shrink <= 1.0 and low > 0.0
+    shrink = 100.0 * min(max(closing.shrink, 0.0), 1.0)
+    ends = f"{max(low, 0.0):.0f} .. {min(high, 100.0):.0f}"
+    return f"{said} (the gap shrinks by {shrink:.0f} %, {ends}{'' if sure else ', uncertain'})"
+
+
+def _places(places: Sequence[Place]) -> str:
+    """Name the channel that holds most of the gap, and what it goes with."""
+    channels = [p for p in places if p.coordinate == "axis"]
+    goes_with: dict[str, float] = {}
+    for place in places:
+        if place.coordinate != "axis":
+            goes_with[place.coordinate] = max(place.share, goes_with.get(place.coordinate, 0.0))
+    parts = [f"{p.channel} ({100.0 * p.share:.0f} %)" for p in channels[:1]]
+    largest = sorted(goes_with.items(), key=lambda item: -item[1])[:3]
+    if largest:
+        parts.append("goes with " + ", ".join(f"{name} ({100.0 * share:.0f} %)" for name, share in largest))
+    return "; ".join(parts)
+
+
+def _background(diagnosis: Diagnosis) -> list[str]:
+    lines = [f"  attitude from: {diagnosis.reference}"]
+    if diagnosis.in_force is not None and (cured := diagnosis.in_force.words()) is not None:
+        lines.append(f"  the calibration in force cures: {cured}")
+    if diagnosis.corrected_rms_mgauss is not None:
+        lines.append(f"  corrected readings less the field: {diagnosis.corrected_rms_mgauss:.2f} mG rms")
+    lines += [f"  {note}" for note in diagnosis.notes]
+    return lines + [f"  could not show here: {effect}: {why}" for effect, why in diagnosis.not_testable]
