@@ -74,7 +74,12 @@ ROWS = {
         {"config", "schedule"},
     ],
     "fleet": [{"run", "summary"}, {"columns", "engine", "journal"}, {"examine"}, {"recordings", "vehicles"}],
-    "report": [{"fleet", "gap"}, {"calibration"}, {"document", "figures", "gap_figures", "gap_words"}, {"svg"}],
+    "report": [
+        {"fleet", "gap"},
+        {"calibration"},
+        {"document", "figures", "gap_figures", "gap_words"},
+        {"svg"},
+    ],
     "workers": [{"__main__", "children"}, {"child"}],
 }
 MODULES_IN_A_FOLDER = 13

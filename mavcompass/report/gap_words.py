@@ -108,7 +108,7 @@ def summary(diagnosis: Diagnosis, everything: bool = False) -> list[str]:
         lines.append(f"  looks most like {cause.effect}, which does not explain it")
     lines.append(_closing("heading", diagnosis.heading, "deg"))
     lines.append(_closing("field", diagnosis.field, "mG"))
-    if diagnosis.verdict != "no_gap" and diagnosis.where:
+    if diagnosis.verdict not in ("no_gap", "not_testable") and diagnosis.where:
         lines.append(f"  where: {_places(diagnosis.where)}")
     if diagnosis.unknown and diagnosis.unknown_coordinate:
         lines.append(f"  what is left goes with: {diagnosis.unknown_coordinate}")
