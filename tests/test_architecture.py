@@ -42,6 +42,13 @@ ROWS = {
         {"attitude"},
         {"blas", "result"},
     ],
+    "simulation": [
+        {"heading_error"},
+        {"vehicle"},
+        {"ardupilot", "px4", "happenings"},
+        {"autopilot", "effects"},
+        {"physics"},
+    ],
     "vehicle": [
         {"connection", "heading_stream", "session"},
         {"calibrating"},

@@ -348,7 +348,7 @@ def _true_error_deg(link: Link, instances: tuple[int, ...]) -> float | None:
     autopilot = getattr(link, "autopilot", None)
     if autopilot is None:
         return None
-    from mavcompass.simulation.truth import heading_error_rms_deg
+    from mavcompass.simulation.heading_error import heading_error_rms_deg
 
     return heading_error_rms_deg(autopilot, instances[0] if instances else 1)
 

@@ -111,7 +111,7 @@ def command(
             autopilot,
             transport,
             speed=speed,
-            is_rebooting=lambda: autopilot.silent_until_us is not None,
+            is_rebooting=lambda: autopilot.rebooting,
             record=record,
         )
         open_things.enter_context(stop_signals(stop))

@@ -17,11 +17,11 @@ class Happenings:
 
     def disarm(self) -> None:
         """Let the pilot disarm."""
-        self.firmware.pilot_disarms()
+        self.firmware.arming.disarm()
 
     def pilot_switches_mode(self, mode: str) -> None:
         """Let the pilot move the mode switch."""
-        self.firmware.pilot_switches_mode(mode)
+        self.firmware.modes.enter(mode)
 
     def pilot_moves_stick(self, channel: int = 1, pwm: int = 1800, for_s: float = 3.0) -> None:
         """Let the pilot hold a stick (RC channel) away from its centre for a while."""
@@ -41,12 +41,12 @@ class Happenings:
 
     def cut_sensor(self, instance: int = 1) -> None:
         """Unplug a compass: its last value keeps streaming, its health falls."""
-        self.firmware.lose_compass(instance, healthy=False, value=None)
+        self.firmware.compasses.lose(instance, healthy=False, value=None)
 
     def freeze_compass(self, instance: int = 1) -> None:
         """Let a compass repeat its last value for ever, and look healthy."""
-        self.firmware.lose_compass(instance, healthy=True, value=None)
+        self.firmware.compasses.lose(instance, healthy=True, value=None)
 
     def zero_compass(self, instance: int = 1) -> None:
         """Let a compass deliver zeros: what is left are its offsets."""
-        self.firmware.lose_compass(instance, healthy=True, value=(0.0, 0.0, 0.0))
+        self.firmware.compasses.lose(instance, healthy=True, value=(0.0, 0.0, 0.0))

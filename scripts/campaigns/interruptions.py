@@ -24,7 +24,7 @@ from pathlib import Path
 from mavcompass.errors import MavCompassError, WriteFailed
 from mavcompass.messages import CommandLong, Message, SetAttitudeTarget, SetPositionTargetLocalNed
 from mavcompass.procedure.calibrate import CalibrateSettings
-from mavcompass.simulation.autopilot.outgoing import Outgoing
+from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.links.faults import Faults, FaultyLink
@@ -105,9 +105,9 @@ class Outcome:
 
 def state_of(vehicle: SimulatedAutopilot) -> tuple[dict[str, float], int, dict[int, int]]:
     """Read parameters, mode and rates straight off the vehicle."""
-    streams = vehicle.streams(0)
-    rates = {number: streams.interval_us(number) for number in vehicle.firmware.available}
-    return dict(vehicle.firmware.store.values), vehicle.firmware.heartbeat().custom_mode, rates
+    streams = vehicle.firmware.telemetry.streams(0)
+    rates = {number: streams.interval_us(number) for number in vehicle.firmware.telemetry.available}
+    return dict(vehicle.firmware.store.values), vehicle.firmware.reports.heartbeat().custom_mode, rates
 
 
 def interrupt(kind: str, event: str, seed: int, duration_s: float) -> Outcome | None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from mavcompass.errors import MavCompassError
 from mavcompass.procedure.calibrate import CalibrateSettings
-from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.links.faults import Faults, FaultyLink
 from mavcompass.vehicle.links.simulated import SimulatedLink, simulated_autopilot

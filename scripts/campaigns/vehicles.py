@@ -18,9 +18,9 @@ from pathlib import Path
 
 from mavcompass.errors import MavCompassError
 from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.physics.profiles import PROFILES
-from mavcompass.simulation.truth import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.links.simulated import SimulatedLink

@@ -16,7 +16,7 @@ from mavcompass.cli.main import main
 from mavcompass.frames import matrix_to_euler, quaternion_to_matrix, wrap_pi
 from mavcompass.heading import heading_of_track
 from mavcompass.procedure.calibrate import CalibrateSettings
-from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.track import Track
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.links.simulated import SimulatedLink

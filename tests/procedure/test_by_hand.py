@@ -15,8 +15,8 @@ from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.messages import CommandLong, Incoming, Message
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.report import CalibrationReport
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.hand import HandMove, four_turns
-from mavcompass.simulation.truth import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.links.faults import Faults, FaultyLink

@@ -10,7 +10,7 @@ import pytest
 from bent_vehicles import KINDS, bent_vehicle, calibrated
 
 from mavcompass.procedure.calibrate import CalibrateSettings
-from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.faults import Faults, FaultyLink
 from mavcompass.vehicle.links.simulated import SimulatedLink
@@ -22,12 +22,12 @@ def untouched(vehicle: SimulatedAutopilot) -> tuple[object, ...]:
     """Return everything that a calibration of compass 1 leaves as it was."""
     # STAT_RUNTIME counts seconds.
     ours = ("COMPASS_OFS_", "COMPASS_DIA_", "COMPASS_ODI_", "COMPASS_SCALE", "CAL_MAG0_", "STAT_")
-    streams = vehicle.streams(0)
+    streams = vehicle.firmware.telemetry.streams(0)
     return (
         {name: value for name, value in vehicle.firmware.store.values.items() if not name.startswith(ours)},
-        vehicle.firmware.heartbeat().custom_mode,
-        vehicle.firmware.heartbeat().base_mode,
-        {number: streams.interval_us(number) for number in vehicle.firmware.available},
+        vehicle.firmware.reports.heartbeat().custom_mode,
+        vehicle.firmware.reports.heartbeat().base_mode,
+        {number: streams.interval_us(number) for number in vehicle.firmware.telemetry.available},
     )
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.hand import HandMove
-from mavcompass.simulation.truth import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.server import VehicleServer
 from mavcompass.vehicle.transport.address import TcpIn

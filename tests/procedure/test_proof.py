@@ -14,7 +14,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.positions import Proof, prove
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_the_old_values_of_px4_are_judged_by_what_was_in_force(tmp_path: Path) -
     before_deg = heading_error_rms_deg(vehicle)
     settings = CalibrateSettings(writing="never", positions=4, most_positions=4)
     result = calibrated(vehicle, tmp_path, settings).results[0]
-    in_force = vehicle.firmware.correction(1)
+    in_force = vehicle.firmware.compasses.correction(1)
     assert isinstance(in_force, FieldCorrection)
     assert result.in_force.offsets_mgauss == pytest.approx(in_force.offsets_mgauss, abs=0.1)
     assert np.allclose(result.in_force.matrix, in_force.matrix, atol=1e-3)

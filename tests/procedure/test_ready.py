@@ -13,7 +13,7 @@ from mavcompass.errors import Refused
 from mavcompass.messages import CommandLong, Message
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.motion import Permissions
-from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.stopping import StopRequest
 
@@ -78,38 +78,38 @@ def test_a_copter_on_the_ground_is_not_turned_even_when_armed(tmp_path: Path) ->
     vehicle.pilot_switches_mode("GUIDED")
     with pytest.raises(Refused, match="too low to be turned"):
         calibrated(vehicle, tmp_path, allow(Permissions(arm=True)))
-    assert not vehicle.firmware.heartbeat().base_mode & 128
+    assert not vehicle.firmware.reports.heartbeat().base_mode & 128
 
 
 def test_a_rover_is_switched_armed_calibrated_disarmed_and_switched_back(tmp_path: Path) -> None:
     vehicle = on_the_ground("rover")
-    before = vehicle.firmware.heartbeat()
+    before = vehicle.firmware.reports.heartbeat()
     report = calibrated(vehicle, tmp_path, allow(Permissions(set_mode=True, arm=True)))
     assert report.written and heading_error_rms_deg(vehicle) < 0.5
-    assert vehicle.firmware.heartbeat() == before
+    assert vehicle.firmware.reports.heartbeat() == before
 
 
 @pytest.mark.parametrize("kind", ["copter", "px4-copter"])
 def test_a_copter_takes_off_is_calibrated_and_lands_where_it_was(kind: str, tmp_path: Path) -> None:
     vehicle = on_the_ground(kind)
-    before = vehicle.firmware.heartbeat()
+    before = vehicle.firmware.reports.heartbeat()
     shown: list[str] = []
     permissions = Permissions(set_mode=True, arm=True, takeoff_m=5.0)
     report = calibrated(vehicle, tmp_path, allow(permissions), shown=shown)
     assert report.written and heading_error_rms_deg(vehicle) < 0.5
     assert "Taking off to 5 m." in shown and "Landing." in shown
     assert vehicle.body.landed
-    assert vehicle.firmware.heartbeat() == before
+    assert vehicle.firmware.reports.heartbeat() == before
 
 
 def test_a_vehicle_that_will_not_arm_says_why_and_keeps_its_mode(tmp_path: Path) -> None:
     never_calibrated = {f"COMPASS_OFS_{axis}": 0.0 for axis in "XYZ"}
     vehicle = SimulatedAutopilot("rover", seed=1, armed=False, parameters=never_calibrated)
     vehicle.advance(10.0)
-    before = vehicle.firmware.heartbeat()
+    before = vehicle.firmware.reports.heartbeat()
     with pytest.raises(Refused, match=r"refused to arm\. It said: Arm: .+"):
         calibrated(vehicle, tmp_path, allow(Permissions(set_mode=True, arm=True)))
-    assert vehicle.firmware.heartbeat() == before
+    assert vehicle.firmware.reports.heartbeat() == before
 
 
 def test_a_stop_in_the_air_tells_the_copter_to_land(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_a_stop_in_the_air_tells_the_copter_to_land(tmp_path: Path) -> None:
     with pytest.raises(Refused, match="Stopped by Ctrl-C"):
         calibrated(vehicle, tmp_path, allow(permissions), shown=shown, stop=stop)
     vehicle.advance(vehicle.time_s + 40.0)
-    assert vehicle.body.landed and not vehicle.firmware.heartbeat().base_mode & 128
+    assert vehicle.body.landed and not vehicle.firmware.reports.heartbeat().base_mode & 128
 
 
 @pytest.mark.parametrize("by", [("rc-override", "MANUAL"), ("manual-control", "MANUAL")])

@@ -90,21 +90,22 @@ def test_steered_wheels_turn_on_an_arc_and_stop() -> None:
 
 def test_px4_turns_in_offboard_and_gets_its_mode_back() -> None:
     vehicle = bent_vehicle("px4-copter", seed=1)
-    before = vehicle.firmware.heartbeat().custom_mode
+    before = vehicle.firmware.reports.heartbeat().custom_mode
     seen: set[int] = set()
     strategy = strategies_for("copter", "px4")[0]
-    stream = vehicle.firmware.flight.take_setpoint  # type: ignore[attr-defined]
+    setpoints = vehicle.firmware.flight.setpoints  # type: ignore[attr-defined]
+    heard = setpoints.heard
 
-    def witness(message: object) -> None:
-        seen.add(vehicle.firmware.heartbeat().custom_mode)
-        stream(message)
+    def witness() -> None:
+        seen.add(vehicle.firmware.reports.heartbeat().custom_mode)
+        heard()
 
-    vehicle.firmware.flight.take_setpoint = witness  # type: ignore[attr-defined]
+    setpoints.heard = witness
     turned = turn(vehicle, strategy, 90.0)
     assert turned.moved and turned.truly_deg == pytest.approx(90.0, abs=25.0)
     # Setpoints flowed before the switch and in it, and the mode is the old one again.
     assert {before, PX4_OFFBOARD} <= seen
-    assert vehicle.firmware.heartbeat().custom_mode == before
+    assert vehicle.firmware.reports.heartbeat().custom_mode == before
 
 
 @pytest.mark.parametrize("by", ["rc-override", "manual-control"])
@@ -116,7 +117,7 @@ def test_the_pilots_controls_turn_a_vehicle_in_manual(name: str, by: TurnBy) -> 
     assert turned.moved and turned.truly_deg == pytest.approx(90.0, abs=35.0)
     radio = vehicle.firmware.radio  # type: ignore[attr-defined]
     vehicle.advance(vehicle.time_s + 4.0)
-    assert radio.channel(1, vehicle.boot_time_s) == 1500
+    assert radio.channel(1, vehicle.board.boot_time_s) == 1500
 
 
 def test_a_heading_target_ends_by_itself_when_the_link_dies() -> None:

@@ -3,34 +3,28 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavcompass.compass_parameters import ardupilot_correction, ardupilot_name
 from mavcompass.correction import FieldCorrection, Vector
 from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, sensor_orientation_matrix
+from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot.compasses import Compasses
 from mavcompass.simulation.autopilot.parameter_store import ParameterStore
-
-if TYPE_CHECKING:
-    from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 INSTANCES = (1, 2, 3)
 _ROTATION_NONE = 0
 
 
-class CompassBank:
-    """Hold the three compasses' corrected fields, brought up to date at 10 Hz."""
+class CompassBank(Compasses):
+    """Hold ArduPilot's three compasses."""
 
-    def __init__(self, vehicle: SimulatedAutopilot, store: ParameterStore) -> None:
-        self._vehicle = vehicle
-        self._store = store
+    def __init__(self, board: Board, store: ParameterStore) -> None:
+        super().__init__(board, store, len(INSTANCES))
         self.hardware_ids = tuple(store.factory_value(ardupilot_name("DEV_ID", i)) for i in INSTANCES)
-        self.fields: list[Vector] = [(0.0, 0.0, 0.0)] * len(INSTANCES)
         self.order: tuple[int, ...] = INSTANCES
-        self.steering: int | None = None
         self.bad_rotation = False
-        self._lost: dict[int, tuple[bool, Vector | None]] = {}
         self._corrections: list[FieldCorrection] = []
         self._matrices: list[tuple[float, ...]] = []
         self._rotations: list[tuple[float, ...] | None] = []
@@ -52,13 +46,11 @@ class CompassBank:
         """Tell whether COMPASS_USE lets a compass be used."""
         return bool(self._store.get(ardupilot_name("USE", instance), 1.0))
 
-    def healthy(self, instance: int) -> bool:
-        """Tell whether a compass delivers data."""
-        return self._lost.get(instance, (True, None))[0]
-
-    def lose(self, instance: int, healthy: bool, value: Vector | None) -> None:
-        """Stop a compass, at a raw value or at its last reading."""
-        self._lost[instance] = (healthy, value)
+    def yaw(self) -> float | None:
+        """Return the heading of the compass that steers; None where there is none to believe."""
+        if not self._store["COMPASS_ENABLE"] or self.steering is None or not self.in_use(self.steering):
+            return None
+        return self._yaw(self._store["COMPASS_DEC"])
 
     def parameters_changed(self) -> None:
         """Take the parameters over: offsets, matrix, scale, motor terms, orientation."""
@@ -74,8 +66,8 @@ class CompassBank:
 
     def raw(self, instance: int) -> Vector:
         """Return a compass's present reading in body axes, before the correction."""
-        _, stuck = self._lost.get(instance, (True, None))
-        raw = stuck or self._vehicle.sensors.compasses[instance - 1].raw_mgauss
+        stuck = self._stuck(instance)
+        raw = stuck or self._board.sensors.compasses[instance - 1].raw_mgauss
         m = self._rotations[instance - 1]
         if m is None or stuck is not None:
             return raw
@@ -92,11 +84,10 @@ class CompassBank:
             return
         load = 0.0
         if self._motor_source != "none":
-            around = self._vehicle.surroundings()
+            around = self._board.surroundings()
             load = around.current_a if self._motor_source == "current" else around.throttle
         for i in INSTANCES:
-            lost = self._lost.get(i)
-            if lost is None or lost[1] is not None:
+            if not self._repeats(i):
                 self.fields[i - 1] = self._correct(i, load)
 
     def field(self, instance: int) -> Vector:
@@ -133,7 +124,7 @@ class CompassBank:
             return None
         if orientation not in SENSOR_ORIENTATIONS_DEG:
             if not self.bad_rotation:
-                self._vehicle.say("Internal errors 0x400000 l:0 bad_rotation")
+                self._board.say("Internal errors 0x400000 l:0 bad_rotation")
             self.bad_rotation = True
             return None
         return tuple(sensor_orientation_matrix(orientation).ravel().tolist())

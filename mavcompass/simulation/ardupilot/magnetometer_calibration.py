@@ -20,10 +20,15 @@ class MagnetometerCalibration:
     """Hold the state of DO_START_MAG_CAL."""
 
     def __init__(self) -> None:
+        self._headings: set[int] = set()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all, as a power-up does."""
         self.running = False
         self.reboot_wanted = False
         self._mask = 0
-        self._headings: set[int] = set()
+        self._headings.clear()
 
     def start(self, mask: int) -> None:
         """Begin to collect; mask 0 means all compasses."""

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mavcompass.enums import CopterMode, MavModeFlag, RoverMode, SubMode
+from mavcompass.enums import CopterMode, MavModeFlag, MavSeverity, RoverMode, SubMode
+from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot.guidance import GroundGuidance, HoverGuidance
+from mavcompass.simulation.autopilot.status import Status
 from mavcompass.simulation.physics.profiles import VehicleProfile
 
 _NAMES: dict[str, dict[str, int]] = {
@@ -78,3 +81,34 @@ _RULES = {
 def mode_rules(profile: VehicleProfile) -> ModeRules:
     """Return the rules of a vehicle's firmware."""
     return _RULES[profile.firmware]
+
+
+@dataclass(slots=True, eq=False)
+class Modes:
+    """Change modes, and let guidance begin anew in the new one."""
+
+    board: Board
+    status: Status
+    rules: ModeRules
+    ground: GroundGuidance
+    hover: HoverGuidance
+
+    def enter_number(self, number: int) -> bool:
+        """Change to the mode of a number; False where it is refused."""
+        name = self.rules.name(number)
+        return name is not None and self.enter(name)
+
+    def enter(self, name: str) -> bool:
+        """Change mode; False where it is refused."""
+        rules, board = self.rules, self.board
+        if name in rules.impossible or name not in rules.names:
+            return False
+        if name in rules.need_position and not board.ready:
+            board.say(f"Mode change to {name} failed: requires position", MavSeverity.WARNING)
+            return False
+        if name != self.status.mode:
+            self.status.mode = name
+            self.ground.stop()
+            if self.status.armed and not board.body.landed:
+                self.hover.hold_here()
+        return True

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from mavcompass import messages as m
 from mavcompass.correction import Vector
-from mavcompass.simulation.ardupilot.arming import arming_refusals
-from mavcompass.simulation.autopilot.reports import Reports, int16
+from mavcompass.enums import EkfFlag, MavAutopilot, MavModeFlag
+from mavcompass.simulation.ardupilot.arming import Arming
+from mavcompass.simulation.ardupilot.compasses import CompassBank
+from mavcompass.simulation.ardupilot.modes import ModeRules
+from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot.parameter_store import ParameterStore
+from mavcompass.simulation.autopilot.radio import Radio
+from mavcompass.simulation.autopilot.reports import Battery, Reports, int16
+from mavcompass.simulation.autopilot.status import Status
+from mavcompass.simulation.autopilot.streams import MESSAGES
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
-
-if TYPE_CHECKING:
-    from mavcompass.simulation.ardupilot.firmware import ArduPilot
-
-Builder = Callable[[int, float], m.Message | None]
 
 _SENSOR_BITS = 322034735
 _SENSOR_MAG, _SENSOR_PREARM = 1 << 2, 1 << 28
@@ -23,8 +25,6 @@ _VERSION = 4 << 24 | 6 << 16 | 3 << 8 | 255
 # MISSION_INT, COMMAND_INT, PARAM_ENCODE_C_CAST, SET_ATTITUDE_TARGET, SET_POSITION_TARGET_LOCAL_NED,
 # MAVLINK2, COMPASS_CALIBRATION.
 _CAPABILITIES = 1 << 2 | 1 << 3 | 1 << 17 | 1 << 6 | 1 << 7 | 1 << 13 | 1 << 12
-_LANDED_ON_GROUND, _LANDED_IN_AIR = 1, 2
-_FULL_VOLTS, _VOLTS_PER_AMP, _LOW_VOLTS = 12.6, 0.01, 10.4
 _CAPACITY_MAH = 3300.0
 # The simulated firmware's HIGHRES_IMU carries a thousand times milligauss where gauss are due.
 _HIGHRES_MAG_FACTOR = 1000.0
@@ -33,45 +33,68 @@ _HIGHRES_MAG_FACTOR = 1000.0
 class ArduPilotReports(Reports):
     """Build ArduPilot's messages."""
 
-    def __init__(self, firmware: ArduPilot) -> None:
-        super().__init__(firmware.vehicle)
-        self._fc = firmware
-        self._builders: dict[type[m.Message], Builder] = {
+    autopilot = MavAutopilot.ARDUPILOTMEGA
+    battery = Battery(full_volts=12.6, low_volts=10.4, volts_per_amp=0.01, low_percent=9)
+    unused_channel = 0
+    capacity_mah = _CAPACITY_MAH
+    compasses: CompassBank
+
+    def __init__(
+        self,
+        board: Board,
+        status: Status,
+        compasses: CompassBank,
+        radio: Radio,
+        rules: ModeRules,
+        arming: Arming,
+        store: ParameterStore,
+    ) -> None:
+        super().__init__(board, status, compasses, radio)
+        self._rules = rules
+        self._arming = arming
+        self._store = store
+        self.builders |= {
             m.RawImu: self._raw_imu,
             m.ScaledImu: self._scaled_imu,
             m.ScaledImu2: self._scaled_imu2,
             m.ScaledImu3: self._scaled_imu3,
             m.HighresImu: self._highres_imu,
-            m.Attitude: self.attitude,
-            m.Heartbeat: lambda t, s: self._fc.heartbeat(),
-            m.SysStatus: lambda t, s: self._sys_status(),
-            m.SystemTime: lambda t, s: self.system_time(t),
-            m.GpsRawInt: lambda t, s: self.gps(t),
-            m.ScaledPressure: lambda t, s: self.scaled_pressure(t),
-            m.LocalPositionNed: lambda t, s: self.local_position(t),
-            m.GlobalPositionInt: lambda t, s: self.global_position(t),
-            m.ServoOutputRaw: lambda t, s: self._servos(t),
-            m.RcChannels: lambda t, s: self._rc_channels(t),
-            m.VfrHud: lambda t, s: self.vfr_hud(),
-            m.Simstate: lambda t, s: self.simstate(s),
-            m.EkfStatusReport: lambda t, s: self.ekf_status(),
-            m.ExtendedSysState: lambda t, s: self._extended_state(),
+            m.Simstate: lambda t, s: self._simstate(s),
+            m.EkfStatusReport: lambda t, s: self._ekf_status(),
             m.FenceStatus: lambda t, s: None,
             m.AutopilotVersion: lambda t, s: m.AutopilotVersion(_CAPABILITIES, _VERSION, uid=1),
         }
 
-    def build(self, kind: type[m.Message], time_us: int, share: float) -> m.Message | None:
-        """Build one message; None where this vehicle has nothing to say."""
-        return self._builders[kind](time_us, share)
+    def default_intervals(self) -> Mapping[int, int]:
+        """Return what the SR0 parameters stream."""
+        return {
+            number: int(1e6 / rate)
+            for number, (_, group) in MESSAGES.items()
+            if group and (rate := self._store.get(f"SR0_{group}")) > 0.0
+        }
 
-    def battery_volts(self) -> float:
-        """Return the battery's voltage under the present load."""
-        full = _LOW_VOLTS if self._fc.battery_low else _FULL_VOLTS
-        return full - _VOLTS_PER_AMP * self.vehicle.surroundings().current_a
+    def mode_numbers(self) -> tuple[MavModeFlag, int]:
+        """Return HEARTBEAT's base_mode and custom_mode."""
+        mode = self.status.mode
+        base_mode = self._rules.base_mode(mode, self.status.armed, self.board.profile.firmware)
+        return base_mode, self._rules.names[mode]
+
+    def active(self) -> bool:
+        """Tell whether the vehicle is ACTIVE: what hovers does so armed and off the ground only."""
+        return not self.board.profile.hovers or (self.status.armed and not self.board.body.landed)
+
+    def sensors_present_and_healthy(self) -> tuple[int, int]:
+        """Return SYS_STATUS's bits."""
+        health = _SENSOR_BITS
+        if not self.compasses.healthy(self.compasses.order[0]):
+            health &= ~_SENSOR_MAG
+        if not self.status.armed and self._arming.refusals():
+            health &= ~_SENSOR_PREARM
+        return _SENSOR_BITS, health
 
     def _mag(self, place_in_order: int) -> Vector:
         """Return the corrected field of the compass of a priority (0 first), not the raw one."""
-        return self._fc.compasses.field(self._fc.compasses.order[place_in_order])
+        return self.compasses.field(self.compasses.order[place_in_order])
 
     def _raw_imu(self, time_us: int, share: float) -> m.Message:
         x, y, z = self._mag(0)
@@ -108,45 +131,25 @@ class ArduPilotReports(Reports):
         a, g = MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
         pressure = self.scaled_pressure(time_us).press_abs
         acc, gyro = (ax * a, ay * a, az * a), (gx * g, gy * g, gz * g)
-        temperature = self.vehicle.surroundings().temperature_degc
-        height = self.vehicle.body.height_m
+        temperature = self.board.surroundings().temperature_degc
+        height = self.board.body.height_m
         return m.HighresImu(
             self.boot_us(time_us), *acc, *gyro, x, y, z, pressure, 0.0, height, temperature, 0x1BFF, 0
         )
 
-    def _sys_status(self) -> m.Message:
-        fc = self._fc
-        health = _SENSOR_BITS
-        if not fc.compasses.healthy(fc.compasses.order[0]):
-            health &= ~_SENSOR_MAG
-        if not fc.armed and arming_refusals(fc):
-            health &= ~_SENSOR_PREARM
-        current = self.vehicle.surroundings().current_a
-        left = int(100.0 * (1.0 - self.vehicle.consumed_mah / _CAPACITY_MAH))
-        return m.SysStatus(
-            onboard_control_sensors_present=_SENSOR_BITS,
-            onboard_control_sensors_enabled=_SENSOR_BITS,
-            onboard_control_sensors_health=health,
-            voltage_battery=int(1000.0 * self.battery_volts()),
-            current_battery=int(100.0 * current),
-            battery_remaining=max(0, min(left, 9 if fc.battery_low else 100)),
-        )
+    def _simstate(self, share: float) -> m.Simstate:
+        """Report the truth, as simulations do."""
+        b = self.board.body
+        yaw = b.yaw_rad - b.yaw_rate_radps * self.back_s(share)
+        lat, lon, _ = self.place()
+        (x, y, z), (p, q, r) = b.specific_force_mps2, b.rate_radps
+        return m.Simstate(b.roll_rad, b.pitch_rad, yaw, x, y, z, p, q, r, lat, lon)
 
-    def _servos(self, time_us: int) -> m.Message:
-        throttle = self.vehicle.surroundings().throttle
-        turn = self.vehicle.body.yaw_rate_radps / self.vehicle.profile.yaw_rate_max_radps
-        if self.vehicle.profile.hovers:
-            pwm = [int(1000 + 1000 * throttle)] * 4
-        else:
-            ahead = self.vehicle.body.speed_mps / self.vehicle.profile.speed_max_mps
-            pwm = [int(1500 + 400 * (ahead + turn)), 0, int(1500 + 400 * (ahead - turn)), 0]
-        return m.ServoOutputRaw(self.boot_us(time_us), 0, *pwm)
-
-    def _rc_channels(self, time_us: int) -> m.Message:
-        channels = self._fc.radio.channels(self.vehicle.boot_time_s)
-        unused = (0,) * (18 - len(channels))
-        return m.RcChannels(self.boot_us(time_us) // 1000, len(channels), *channels, *unused)
-
-    def _extended_state(self) -> m.Message:
-        landed = self.vehicle.body.landed
-        return m.ExtendedSysState(0, _LANDED_ON_GROUND if landed else _LANDED_IN_AIR)
+    def _ekf_status(self) -> m.EkfStatusReport:
+        """Report the filter's health."""
+        ready = self.board.ready
+        flags = EkfFlag.ATTITUDE | EkfFlag.VELOCITY_HORIZ | EkfFlag.VELOCITY_VERT | EkfFlag.POS_VERT_ABS
+        # Bits 8 and 9: predicted positions are good; GPS quality allows.
+        position = EkfFlag.POS_HORIZ_REL | EkfFlag.POS_HORIZ_ABS | 0x300
+        flags |= position if ready else EkfFlag.CONST_POS_MODE
+        return m.EkfStatusReport(int(flags), 0.007, 0.008, 0.007, self.board.filter.compass_variance)

@@ -40,8 +40,13 @@ def compass_yaw(field: Vector, roll_rad: float, pitch_rad: float, declination_ra
 class AttitudeFilter:
     """Estimate roll, pitch, yaw and the yaw gyro's bias."""
 
-    def __init__(self, seed: int, boot: int) -> None:
-        self._tape = NoiseTape(generator(seed, f"attitude filter {boot}"), 2)
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+        self.restart(0)
+
+    def restart(self, boot: int) -> None:
+        """Forget everything, as at a power-up; every one has noise of its own."""
+        self._tape = NoiseTape(generator(self._seed, f"attitude filter {boot}"), 2)
         start = self._tape.row()
         self._tilt_error = [_TILT_ERROR_SIGMA_RAD * start[0], _TILT_ERROR_SIGMA_RAD * start[1]]
         self.roll_rad = self.pitch_rad = self.yaw_rad = 0.0

@@ -1,13 +1,21 @@
-"""What the simulated flight controller asks of the firmware that runs on it."""
+"""What every firmware does alike, and the parts that it is put together from."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
-from mavcompass.correction import FieldCorrection, Vector
-from mavcompass.messages import Heartbeat, Message
+from mavcompass import messages as m
+from mavcompass.enums import MavResult
+from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot.commands import as_long
+from mavcompass.simulation.autopilot.compasses import Compasses
+from mavcompass.simulation.autopilot.parameter_server import ParameterServer
+from mavcompass.simulation.autopilot.radio import Radio
+from mavcompass.simulation.autopilot.reports import Reports
+from mavcompass.simulation.autopilot.status import Status
+from mavcompass.simulation.autopilot.telemetry import Telemetry
 from mavcompass.simulation.physics.motion import Drive
 
 
@@ -20,50 +28,110 @@ class Sender:
     port: int
 
 
-class Firmware(Protocol):
-    """Behave as one autopilot's software."""
+class Arming(Protocol):
+    """Arm and disarm."""
 
-    armed: bool
-    available: frozenset[int]
+    def arm(self, forced: bool) -> bool:
+        """Arm if nothing speaks against it, or forced."""
 
-    def boot(self, armed: bool) -> None:
-        """Power up; `armed` begins in the middle of a mission instead."""
+    def disarm(self) -> None:
+        """Stop the motors."""
 
-    def handle(self, message: Message, sender: Sender) -> None:
-        """Act on a message; one that means nothing here is ignored."""
+
+class Modes(Protocol):
+    """Change modes."""
+
+    def enter(self, name: str) -> bool:
+        """Change mode; False where it is refused."""
+
+
+class Steering(Protocol):
+    """Turn mode, targets and sticks into motion."""
 
     def control(self, dt_s: float) -> Drive:
         """Say what the chassis shall do until the next tick."""
 
+
+class Commands(Protocol):
+    """Answer commands."""
+
+    def answer(self, command: m.CommandLong, port: int) -> MavResult:
+        """Carry out a command; what the firmware does not know is UNSUPPORTED."""
+
+
+class Firmware(ABC):
+    """Behave as one autopilot's software; a subclass puts the parts together and adds what differs."""
+
+    board: Board
+    status: Status
+    parameters: ParameterServer
+    compasses: Compasses
+    radio: Radio
+    arming: Arming
+    modes: Modes
+    steering: Steering
+    reports: Reports
+    telemetry: Telemetry
+    commands: Commands
+
+    @abstractmethod
+    def boot(self, armed: bool) -> None:
+        """Power up; `armed` begins in the middle of a mission instead."""
+
+    @abstractmethod
+    def hear(self, message: m.Message, sender: Sender) -> None:
+        """Act on a message that only this firmware knows what to do with."""
+
+    @abstractmethod
     def attend(self) -> None:
         """Do what is due at a tick: time-outs, periodic texts, parameter lists."""
 
-    def use_compasses(self, dt_s: float) -> None:
-        """Take the new compass readings into the attitude."""
-
-    def correction(self, instance: int) -> FieldCorrection:
-        """Return the correction in force of compass 1, 2 or 3."""
-
-    def heartbeat(self) -> Heartbeat:
-        """Describe the vehicle."""
-
-    def report(self, kind: type[Message], time_us: int, share: float) -> Message | None:
-        """Build a telemetry message; `share` is how far the time lies between the last two ticks."""
-
-    def default_intervals(self) -> Mapping[int, int]:
-        """Return message id -> interval in microseconds of what a port sends unasked."""
-
-    def pilot_disarms(self) -> None:
-        """Disarm by the pilot's hand."""
-
-    def pilot_switches_mode(self, mode: str) -> None:
-        """Change mode by the pilot's hand."""
-
-    def pilot_moves_stick(self, channel: int, pwm: int, for_s: float) -> None:
-        """Hold a stick."""
-
+    @abstractmethod
     def battery_failsafe(self) -> None:
         """React to an empty battery."""
 
-    def lose_compass(self, instance: int, healthy: bool, value: Vector | None) -> None:
-        """Stop a compass, at a raw value or at its last reading."""
+    def handle(self, message: m.Message, sender: Sender) -> None:
+        """Act on a message that is for this vehicle; one that means nothing here is ignored."""
+        system = getattr(message, "target_system", getattr(message, "target", 0))
+        component = getattr(message, "target_component", 0)
+        if system not in (0, self.board.system) or component not in (0, self.board.component):
+            return
+        match message:
+            case m.ParamRequestRead():
+                self.parameters.read(message, sender.port)
+            case m.ParamSet():
+                if self.parameters.set(message):
+                    self.compasses.parameters_changed()
+            case m.ParamRequestList():
+                self.parameters.start_list(sender.port)
+            case m.CommandLong():
+                self.acknowledge(message.command, self.commands.answer(message, sender.port), sender)
+            case m.CommandInt():
+                result = self.commands.answer(as_long(message), sender.port)
+                self.acknowledge(message.command, result, sender)
+            case _:
+                self.hear(message, sender)
+
+    def acknowledge(self, command: int, result: MavResult, sender: Sender) -> None:
+        """Answer a command, and reboot if that is what it asked for."""
+        ack = m.CommandAck(command, result, 0, 0, sender.system, sender.component)
+        self.board.send(ack, sender.port)
+        if self.status.reboot_wanted:
+            self.status.reboot_wanted = False
+            self.board.reboot()
+
+    def use_compasses(self, dt_s: float) -> None:
+        """Correct the new readings and let the filter have the one that steers."""
+        self.compasses.read()
+        self.board.filter.correct(dt_s, self.compasses.yaw())
+
+    def align(self) -> None:
+        """Take over the attitude at power-up."""
+        body = self.board.body
+        self.compasses.boot()
+        self.compasses.read()
+        self.board.filter.align(body.roll_rad, body.pitch_rad, self.compasses.yaw())
+
+    def pilot_moves_stick(self, channel: int, pwm: int, for_s: float) -> None:
+        """Hold a stick."""
+        self.radio.hold(channel, pwm, self.board.boot_time_s + for_s)

@@ -7,17 +7,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from enum import IntFlag
 
 from mavcompass.simulation.autopilot.attitude_filter import wrap_angle
+from mavcompass.simulation.autopilot.board import Board
 from mavcompass.simulation.physics.motion import Drive
-
-if TYPE_CHECKING:
-    from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 TARGET_TIMEOUT_S = 3.0
 _STICK_CENTRE, _STICK_SPAN, _STICK_DEADZONE = 1500, 500, 30
 _TWO_PI = 2.0 * math.pi
+
+
+class Ignore(IntFlag):
+    """Name the bits of SET_POSITION_TARGET's type_mask."""
+
+    POSITION = 0x007
+    VELOCITY = 0x038
+    ACCELERATION = 0x1C0
+    YAW = 0x400
+    YAW_RATE = 0x800
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +49,8 @@ def stick(pwm: int) -> float:
 class GroundGuidance:
     """Steer rovers and boats."""
 
-    def __init__(self, vehicle: SimulatedAutopilot) -> None:
-        self._vehicle = vehicle
+    def __init__(self, board: Board) -> None:
+        self._board = board
         self._target: Target | None = None
         self._rate_radps = 0.0
 
@@ -57,7 +65,7 @@ class GroundGuidance:
 
     def expire(self) -> bool:
         """Drop a target that is too old; True at the moment it happens."""
-        if self._target is None or self._vehicle.boot_time_s - self._target.time_s <= TARGET_TIMEOUT_S:
+        if self._target is None or self._board.boot_time_s - self._target.time_s <= TARGET_TIMEOUT_S:
             return False
         self.stop()
         return True
@@ -70,7 +78,7 @@ class GroundGuidance:
         if target.rate_radps is not None:
             wanted = target.rate_radps
         else:
-            wanted = gain_per_s * wrap_angle((target.heading_rad or 0.0) - self._vehicle.filter.yaw_rad)
+            wanted = gain_per_s * wrap_angle((target.heading_rad or 0.0) - self._board.filter.yaw_rad)
         wanted = max(-rate_max, min(rate_max, wanted))
         most = acceleration * dt_s
         self._rate_radps = max(self._rate_radps - most, min(self._rate_radps + most, wanted))
@@ -78,7 +86,7 @@ class GroundGuidance:
 
     def by_hand(self, steering_pwm: int, throttle_pwm: int) -> Drive:
         """Follow the sticks."""
-        p = self._vehicle.profile
+        p = self._board.profile
         steering, throttle = stick(steering_pwm), stick(throttle_pwm)
         if not steering and not throttle:
             return Drive()
@@ -89,8 +97,8 @@ class GroundGuidance:
 class HoverGuidance:
     """Hold and turn what hovers: the yaw target moves at a slew rate, the vehicle follows it."""
 
-    def __init__(self, vehicle: SimulatedAutopilot) -> None:
-        self._vehicle = vehicle
+    def __init__(self, board: Board) -> None:
+        self._board = board
         self.height_m: float | None = None
         self._yaw_rad: float | None = None
         self._left_rad = 0.0
@@ -99,9 +107,14 @@ class HoverGuidance:
 
     def hold(self) -> None:
         """Hold the present heading."""
-        self._yaw_rad = self._vehicle.filter.yaw_rad
+        self._yaw_rad = self._board.filter.yaw_rad
         self._left_rad = 0.0
         self._target = None
+
+    def hold_here(self) -> None:
+        """Hold the present heading and height."""
+        self.hold()
+        self.height_m = self._board.body.height_m
 
     def release(self) -> None:
         """Let go: on the ground, or disarmed."""
@@ -111,7 +124,7 @@ class HoverGuidance:
 
     def turn(self, angle_rad: float, slew_radps: float, direction: int, relative: bool) -> None:
         """Turn as CONDITION_YAW says: to or by an angle, from the present heading."""
-        start = self._vehicle.filter.yaw_rad
+        start = self._board.filter.yaw_rad
         if relative:
             by = angle_rad if direction >= 0 else -angle_rad
         else:
@@ -126,9 +139,9 @@ class HoverGuidance:
     def set_target(self, target: Target, slew_radps: float) -> None:
         """Take a velocity target with a heading or a turn rate."""
         if target.heading_rad is not None:
-            by = wrap_angle(target.heading_rad - self._vehicle.filter.yaw_rad)
+            by = wrap_angle(target.heading_rad - self._board.filter.yaw_rad)
             if self._target is None or self._target.heading_rad != target.heading_rad:
-                self._yaw_rad = self._vehicle.filter.yaw_rad
+                self._yaw_rad = self._board.filter.yaw_rad
                 self._left_rad, self._slew_radps = by, slew_radps
         else:
             self._left_rad = 0.0
@@ -141,7 +154,7 @@ class HoverGuidance:
         feed = turn_by_hand_radps
         target = self._target
         if target is not None:
-            if self._vehicle.boot_time_s - target.time_s > TARGET_TIMEOUT_S:
+            if self._board.boot_time_s - target.time_s > TARGET_TIMEOUT_S:
                 self._target = target = None
             elif target.rate_radps is not None:
                 feed = target.rate_radps
@@ -152,8 +165,8 @@ class HoverGuidance:
             feed = step / dt_s
         elif feed:
             self._yaw_rad = wrap_angle(self._yaw_rad + feed * dt_s)
-        error = wrap_angle(self._yaw_rad - self._vehicle.filter.yaw_rad)
-        return feed + self._vehicle.profile.yaw_gain_per_s * error
+        error = wrap_angle(self._yaw_rad - self._board.filter.yaw_rad)
+        return feed + self._board.profile.yaw_gain_per_s * error
 
     @property
     def speed_mps(self) -> float:
@@ -164,5 +177,5 @@ class HoverGuidance:
         """Return the climb rate towards the height to hold."""
         if self.height_m is None:
             return 0.0
-        error = self.height_m - self._vehicle.body.height_m
+        error = self.height_m - self._board.body.height_m
         return max(-down_mps, min(up_mps, 1.0 * error))

@@ -10,15 +10,11 @@ from __future__ import annotations
 import struct
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mavcompass.enums import MavParamType
-from mavcompass.messages import ParamRequestList, ParamRequestRead, ParamSet, ParamValue
-from mavcompass.simulation.autopilot.firmware import Sender
+from mavcompass.messages import ParamRequestRead, ParamSet, ParamValue
+from mavcompass.simulation.autopilot.board import Board
 from mavcompass.simulation.autopilot.parameter_store import ParameterStore
-
-if TYPE_CHECKING:
-    from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 _NO_INDEX = 65535
 # What a link of usual speed takes of a parameter list in a tick.
@@ -47,8 +43,8 @@ PX4_MANNERS = Manners(bytewise=True, echo_index=True)
 class ParameterServer:
     """Answer parameter requests."""
 
-    def __init__(self, vehicle: SimulatedAutopilot, store: ParameterStore, manners: Manners) -> None:
-        self._vehicle = vehicle
+    def __init__(self, board: Board, store: ParameterStore, manners: Manners) -> None:
+        self._board = board
         self._manners = manners
         self.store = store
         self._lists: dict[int, deque[str]] = {}
@@ -57,21 +53,21 @@ class ParameterServer:
         """Forget lists that are being sent, as a reboot does."""
         self._lists.clear()
 
-    def read(self, request: ParamRequestRead, sender: Sender) -> None:
+    def read(self, request: ParamRequestRead, port: int) -> None:
         """Answer PARAM_REQUEST_READ, by name or by index."""
         index = request.param_index
         if index < 0:
             if request.param_id in self.store:
-                self._send(request.param_id, self._index(request.param_id), sender.port)
+                self._send(request.param_id, self._index(request.param_id), port)
         elif index < len(self.store):
-            self._send(self.store.names[index], index, sender.port)
+            self._send(self.store.names[index], index, port)
 
     def set(self, request: ParamSet) -> bool:
         """Act on PARAM_SET; True where something was stored."""
         name, value = request.param_id, request.param_value
         if self._manners.bytewise and name in self.store:
             if request.param_type != self.store.type(name):
-                self._vehicle.say(f"param types mismatch param: {name}")
+                self._board.say(f"param types mismatch param: {name}")
                 return False
             if request.param_type != MavParamType.REAL32:
                 (value,) = struct.unpack("<i", struct.pack("<f", value))
@@ -86,9 +82,9 @@ class ParameterServer:
         """Send a parameter to every station, as after any change."""
         self._send(name, self._index(name), None)
 
-    def start_list(self, request: ParamRequestList, sender: Sender) -> None:
+    def start_list(self, port: int) -> None:
         """Begin to send the whole list to a port."""
-        self._lists[sender.port] = deque(self.store.names)
+        self._lists[port] = deque(self.store.names)
 
     def attend(self) -> None:
         """Send the next few parameters of the lists asked for."""
@@ -107,4 +103,4 @@ class ParameterServer:
         store, value = self.store, self.store[name]
         if self._manners.bytewise and store.type(name) != MavParamType.REAL32:
             (value,) = struct.unpack("<f", struct.pack("<i", round(value)))
-        self._vehicle.send(ParamValue(name, value, store.type(name), len(store), index), port)
+        self._board.send(ParamValue(name, value, store.type(name), len(store), index), port)

@@ -4,37 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavcompass.compass_parameters import px4_correction, px4_name
 from mavcompass.correction import FieldCorrection, Vector
 from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, sensor_orientation_matrix
+from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot.compasses import Compasses
 from mavcompass.simulation.autopilot.parameter_store import ParameterStore
-
-if TYPE_CHECKING:
-    from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 INSTANCES = (1, 2)
 # Changes of the offset that are shorter than this do not reach the running calibration.
 _SMALLEST_CHANGE_MGAUSS = 1.0
 
 
-class Px4Compasses:
+class Px4Compasses(Compasses):
     """Hold raw readings in the sensors' axes, and the corrected field in the body's."""
 
-    def __init__(self, vehicle: SimulatedAutopilot, store: ParameterStore, mounting: int) -> None:
+    def __init__(self, board: Board, store: ParameterStore, mounting: int) -> None:
         """Mount the first compass with a MAV_SENSOR_ORIENTATION, the second without."""
-        self._vehicle = vehicle
-        self._store = store
+        super().__init__(board, store, len(INSTANCES))
         self._mounting = [sensor_orientation_matrix(o) for o in (mounting, 0)]
-        self._lost: dict[int, tuple[bool, Vector | None]] = {}
         self._corrections = [self._wanted(i) for i in INSTANCES]
         self._rotations = [self._rotation(i) for i in INSTANCES]
         self.raw_sensor_mgauss: list[Vector] = [(0.0, 0.0, 0.0)] * len(INSTANCES)
-        self.fields: list[Vector] = [(0.0, 0.0, 0.0)] * len(INSTANCES)
-        self.steering: int | None = INSTANCES[0]
+        self.steering = INSTANCES[0]
 
     def boot(self) -> None:
         """Take all parameters over, choose the compass of the highest priority (0 is disabled)."""
@@ -44,13 +39,9 @@ class Px4Compasses:
         best = max(INSTANCES, key=lambda i: priorities[i])
         self.steering = best if priorities[best] > 0.0 else None
 
-    def healthy(self, instance: int) -> bool:
-        """Tell whether a compass delivers data."""
-        return self._lost.get(instance, (True, None))[0]
-
-    def lose(self, instance: int, healthy: bool, value: Vector | None) -> None:
-        """Stop a compass, at a raw value or at its last reading."""
-        self._lost[instance] = (healthy, value)
+    def yaw(self) -> float | None:
+        """Return the heading of the compass that steers; None where there is none to believe."""
+        return self._yaw(self._board.world.declination_rad)
 
     def correction(self, instance: int) -> FieldCorrection:
         """Return the correction in force, in body axes; none beyond the compasses it has."""
@@ -68,12 +59,11 @@ class Px4Compasses:
 
     def read(self) -> None:
         """Take the new readings, turn them into the sensors' axes, correct them."""
-        around = self._vehicle.surroundings()
+        around = self._board.surroundings()
         for place, instance in enumerate(INSTANCES):
-            _, stuck = self._lost.get(instance, (True, None))
-            if instance in self._lost and stuck is None:
+            if self._repeats(instance):
                 continue
-            raw = stuck or self._vehicle.sensors.compasses[place].raw_mgauss
+            raw = self._stuck(instance) or self._board.sensors.compasses[place].raw_mgauss
             x, y, z = (self._mounting[place].T @ np.array(raw)).tolist()
             self.raw_sensor_mgauss[place] = (x, y, z)
             # The parameters may say another rotation than the mounting: they are what is believed.

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from mavcompass.enums import MavModeFlag
+from dataclasses import dataclass
+
+from mavcompass.enums import MavModeFlag, MavSeverity
+from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot.guidance import HoverGuidance
+from mavcompass.simulation.autopilot.status import Status
+from mavcompass.simulation.px4.setpoints import Setpoints
 
 _AUTO = 4
 _MODES: dict[str, tuple[int, int]] = {
@@ -49,6 +55,26 @@ def base_mode(name: str, armed: bool) -> MavModeFlag:
     return flags | MavModeFlag.SAFETY_ARMED if armed else flags
 
 
-def exists(name: str) -> bool:
-    """Tell whether there is a mode of this name."""
-    return name in _MODES
+@dataclass(slots=True, eq=False)
+class Modes:
+    """Change modes, and hold heading and height on entering one."""
+
+    board: Board
+    status: Status
+    hover: HoverGuidance
+    setpoints: Setpoints
+
+    def enter(self, name: str | None) -> bool:
+        """Change mode; False where it is refused."""
+        if name not in _MODES or name in IMPOSSIBLE:
+            return False
+        if name in NEED_POSITION and not self.board.ready:
+            return False
+        if name == "OFFBOARD" and not self.setpoints.flow:
+            self.board.say("Switching to Offboard is currently not available", MavSeverity.CRITICAL)
+            return False
+        if name != self.status.mode:
+            self.status.mode = name
+            if not self.board.body.landed:
+                self.hover.hold_here()
+        return True

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.server import VehicleServer
 from mavcompass.vehicle.stopping import StopRequest

@@ -10,7 +10,7 @@ from running_service import RunningService, StartService, wait_for
 from websockets.sync.client import connect
 
 from mavcompass.service.config import HeadingConfig
-from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 
 
 def test_a_calibration_from_request_to_undo(running: RunningService) -> None:

@@ -13,7 +13,7 @@ import pytest
 from chromium import Page, find_chromium
 from running_service import RunningService, StartService, wait_for
 
-from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
 SCREENSHOTS = Path(

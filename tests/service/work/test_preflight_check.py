@@ -62,9 +62,9 @@ def test_a_disarmed_vehicle_is_checked_without_a_turn() -> None:
 
 def test_the_check_changes_nothing_on_the_vehicle() -> None:
     vehicle = SimulatedAutopilot("rover", seed=3)
-    before = [vehicle.firmware.correction(i) for i in (1, 2, 3)]
+    before = [vehicle.firmware.compasses.correction(i) for i in (1, 2, 3)]
     checked(vehicle)
-    assert [vehicle.firmware.correction(i) for i in (1, 2, 3)] == before
+    assert [vehicle.firmware.compasses.correction(i) for i in (1, 2, 3)] == before
 
 
 def test_a_copter_and_a_px4_vehicle_are_checked_too() -> None:

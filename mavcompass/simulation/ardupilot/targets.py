@@ -4,27 +4,14 @@ from __future__ import annotations
 
 import math
 from enum import IntFlag
-from typing import TYPE_CHECKING
 
 from mavcompass.enums import MavFrame
 from mavcompass.messages import Quaternion, SetAttitudeTarget, SetPositionTargetLocalNed
 from mavcompass.simulation.autopilot.attitude_filter import wrap_angle
-from mavcompass.simulation.autopilot.guidance import Target
-
-if TYPE_CHECKING:
-    from mavcompass.simulation.ardupilot.firmware import ArduPilot
+from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot.guidance import Ignore, Target
 
 _BODY_FRAMES = (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED)
-
-
-class Ignore(IntFlag):
-    """Name the bits of SET_POSITION_TARGET's type_mask."""
-
-    POSITION = 0x007
-    VELOCITY = 0x038
-    ACCELERATION = 0x1C0
-    YAW = 0x400
-    YAW_RATE = 0x800
 
 
 class IgnoreAttitude(IntFlag):
@@ -43,7 +30,7 @@ def yaw_of(q: Quaternion) -> float:
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-def position_target(fc: ArduPilot, message: SetPositionTargetLocalNed) -> Target | None:
+def position_target(board: Board, message: SetPositionTargetLocalNed) -> Target | None:
     """Read a target off SET_POSITION_TARGET_LOCAL_NED; None where it asks for no turn or speed."""
     mask = message.type_mask
     body = message.coordinate_frame in _BODY_FRAMES
@@ -53,7 +40,7 @@ def position_target(fc: ArduPilot, message: SetPositionTargetLocalNed) -> Target
     numbers = (vx, vy, *([message.yaw] * yaw_wanted), *([message.yaw_rate] * rate_wanted))
     if not all(math.isfinite(v) for v in numbers):
         return None
-    now, yaw = fc.vehicle.boot_time_s, fc.vehicle.filter.yaw_rad
+    now, yaw = board.boot_time_s, board.filter.yaw_rad
     speed = math.hypot(vx, vy)
     if body and vx < 0.0:
         speed = -speed
@@ -68,13 +55,13 @@ def position_target(fc: ArduPilot, message: SetPositionTargetLocalNed) -> Target
     return Target(now, heading_rad=wrap_angle(course), speed_mps=abs(speed))
 
 
-def attitude_target(fc: ArduPilot, message: SetAttitudeTarget) -> Target | None:
+def attitude_target(board: Board, message: SetAttitudeTarget) -> Target | None:
     """Read a target off SET_ATTITUDE_TARGET, as rovers do; it must not ignore the thrust."""
     mask = message.type_mask
     if mask & IgnoreAttitude.THROTTLE or not math.isfinite(message.thrust):
         return None
-    now = fc.vehicle.boot_time_s
-    speed = message.thrust * fc.vehicle.profile.speed_max_mps
+    now = board.boot_time_s
+    speed = message.thrust * board.profile.speed_max_mps
     if not mask & IgnoreAttitude.YAW_RATE:
         rate = message.body_yaw_rate
         return Target(now, rate_radps=rate, speed_mps=speed) if math.isfinite(rate) else None

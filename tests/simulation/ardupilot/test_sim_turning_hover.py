@@ -150,7 +150,7 @@ def test_copter_takes_off_turns_and_lands(station):
     assert s.command(400, 0.0) == 4  # it flies
     assert s.command(176, 1.0, 9.0) == 0
     s.wait(20.0)
-    assert not s.vehicle.firmware.armed
+    assert not s.vehicle.firmware.status.armed
     assert s.vehicle.truth.position_ned_m[2] == 0.0
 
 
@@ -174,9 +174,9 @@ def test_copter_idle_on_the_ground_disarms_itself(station):
     s.command(176, 1.0, 4.0)
     assert s.command(400, 1.0) == 0
     s.wait(8.0)
-    assert s.vehicle.firmware.armed
+    assert s.vehicle.firmware.status.armed
     s.wait(3.0)
-    assert not s.vehicle.firmware.armed
+    assert not s.vehicle.firmware.status.armed
 
 
 def test_loiter_with_a_low_throttle_stick_comes_down(station):
@@ -184,7 +184,7 @@ def test_loiter_with_a_low_throttle_stick_comes_down(station):
     assert s.command(176, 1.0, 5.0) == 0
     s.wait(25.0)
     assert s.vehicle.truth.position_ned_m[2] == 0.0
-    assert not s.vehicle.firmware.armed
+    assert not s.vehicle.firmware.status.armed
 
 
 def test_an_empty_battery_brings_the_copter_down(station):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mavcompass import messages as m
+from mavcompass.simulation.heading_error import heading_error_rms_deg, true_correction
 from mavcompass.simulation.physics.compasses import draw_compasses
-from mavcompass.simulation.truth import heading_error_rms_deg, true_correction
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 VEHICLES = ["rover", "ackermann-rover", "boat", "copter", "sub"]

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import decimal_year, earth_field
 from mavcompass.frames import euler_to_matrix
+from mavcompass.simulation.heading_error import heading_error_rms_deg, heading_errors_rad, true_correction
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.physics.motion import rotation_matrix
 from mavcompass.simulation.physics.noise import NoiseTape, generator
 from mavcompass.simulation.physics.sensors import Compass, CompassModel
 from mavcompass.simulation.physics.world import Place, World
-from mavcompass.simulation.truth import heading_error_rms_deg, heading_errors_rad, true_correction
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 ANGLE = st.floats(-3.1, 3.1)
@@ -62,7 +62,7 @@ def test_the_body_rate_is_the_rotations_derivative(vehicle):
     v = SimulatedAutopilot(vehicle, seed=4, tilt_deg=8.0, armed=vehicle != "rover")
     v.turn_by_hand([HandMove(math.radians(120.0), lasts_s=4.0, roll_rad=0.1, pitch_rad=-0.05)])
     rotations, rates = [], []
-    dt = v.tick_us * 1e-6
+    dt = v.board.tick_us * 1e-6
     for _ in range(100):
         v.advance(v.time_s + dt)
         rotations.append(np.reshape(v.body.rotation, (3, 3)))

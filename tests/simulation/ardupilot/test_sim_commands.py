@@ -7,9 +7,9 @@ import pytest
 
 from mavcompass import messages as m
 from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.sensors import CompassModel
-from mavcompass.simulation.truth import heading_error_rms_deg
 
 FINE = FieldCorrection((50.0, -30.0, 20.0))
 
@@ -92,7 +92,7 @@ def test_commands_for_others_are_left_alone(station):
     s = station()
     assert s.ask(m.CommandLong(7, 1, 400, 0, 0.0), m.CommandAck) == []
     assert s.ask(m.CommandLong(1, 154, 400, 0, 0.0), m.CommandAck) == []
-    assert s.vehicle.firmware.armed
+    assert s.vehicle.firmware.status.armed
 
 
 def test_unknown_commands_are_unsupported(station):
@@ -111,10 +111,10 @@ def test_command_int_is_understood(station):
 def test_modes_are_set_by_both_messages(station):
     s = station()
     assert s.command(176, 1.0, 4.0) == 0
-    assert s.vehicle.firmware.heartbeat().custom_mode == 4
+    assert s.vehicle.firmware.reports.heartbeat().custom_mode == 4
     (ack,) = s.ask(m.SetMode(1, 1, 15), m.CommandAck)
     assert (ack.command, ack.result) == (11, 0)
-    assert s.vehicle.firmware.heartbeat().custom_mode == 15
+    assert s.vehicle.firmware.reports.heartbeat().custom_mode == 15
     assert s.command(176, 1.0, 99.0) == 4
 
 

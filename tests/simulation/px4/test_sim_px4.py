@@ -9,9 +9,9 @@ import pytest
 from mavcompass import messages as m
 from mavcompass.compass_parameters import px4_correction, px4_rotation
 from mavcompass.correction import FieldCorrection
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.sensors import CompassModel
-from mavcompass.simulation.truth import heading_error_rms_deg
 
 LOCAL, VELOCITY_AND_YAW, VELOCITY_AND_RATE = 1, 0x9C7, 0x5C7
 OFFBOARD = 6.0
@@ -84,9 +84,9 @@ def test_offboard_falls_back_to_hold_a_second_after_the_last_setpoint(station):
     s = in_offboard(station)
     stream_setpoints(s, 1.0, yaw_rate=0.5)
     s.wait(0.8)
-    assert s.vehicle.firmware.mode == "OFFBOARD"
+    assert s.vehicle.firmware.status.mode == "OFFBOARD"
     s.wait(0.4)
-    assert s.vehicle.firmware.mode == "HOLD"
+    assert s.vehicle.firmware.status.mode == "HOLD"
     s.wait(2.0)
     assert abs(math.degrees(s.vehicle.truth.yaw_rate_radps)) < 3.0
 
@@ -94,7 +94,7 @@ def test_offboard_falls_back_to_hold_a_second_after_the_last_setpoint(station):
 def test_the_pilots_stick_takes_over(station):
     s = in_offboard(station)
     s.vehicle.pilot_moves_stick(4, 1600, for_s=1.0)
-    assert s.vehicle.firmware.mode == "POSCTL"
+    assert s.vehicle.firmware.status.mode == "POSCTL"
 
 
 def test_raw_imu_does_not_exist(station):
@@ -167,16 +167,16 @@ def test_offsets_written_take_effect_subtracted_in_the_sensors_axes(station):
 
 def test_a_tiny_change_of_offset_is_not_taken_over(station):
     s = station("px4-copter", seed=1)
-    in_force = s.vehicle.firmware.correction(1)
+    in_force = s.vehicle.firmware.compasses.correction(1)
     s.set("CAL_MAG0_XOFF", s.read("CAL_MAG0_XOFF") + 0.0005)
-    assert s.vehicle.firmware.correction(1) == in_force
+    assert s.vehicle.firmware.compasses.correction(1) == in_force
 
 
 def test_a_calibration_of_another_sensor_is_ignored(station):
     s = station("px4-copter", seed=1)
     other = struct.unpack("<f", struct.pack("<i", 1234))[0]
     s.ask(m.ParamSet(1, 1, "CAL_MAG0_ID", other, 6), m.ParamValue)
-    assert s.vehicle.firmware.correction(1) == FieldCorrection()
+    assert s.vehicle.firmware.compasses.correction(1) == FieldCorrection()
 
 
 def test_it_takes_off_turns_in_offboard_and_lands(station):
@@ -187,12 +187,12 @@ def test_it_takes_off_turns_in_offboard_and_lands(station):
     assert s.command(400, 1.0) == 0
     assert s.command(22, 0, 0, 0, 0, 0, 0, math.nan) == 0
     s.wait(6.0)
-    assert s.vehicle.firmware.mode == "HOLD"
+    assert s.vehicle.firmware.status.mode == "HOLD"
     assert s.vehicle.truth.position_ned_m[2] == pytest.approx(-2.5, abs=0.4)
     assert s.command(400, 0.0) == 2
     assert s.command(21) == 0
     s.wait(12.0)
-    assert not s.vehicle.firmware.armed
+    assert not s.vehicle.firmware.status.armed
     assert s.vehicle.truth.position_ned_m[2] == 0.0
 
 
@@ -213,5 +213,5 @@ def test_an_empty_battery_lands_it(station):
     s = station("px4-copter")
     s.vehicle.battery_failsafe()
     s.wait(25.0)
-    assert not s.vehicle.firmware.armed
+    assert not s.vehicle.firmware.status.armed
     assert s.vehicle.truth.position_ned_m[2] == 0.0

@@ -7,7 +7,7 @@ import pytest
 
 from mavcompass import messages as m
 from mavcompass.errors import UsageError
-from mavcompass.simulation.truth import heading_error_rms_deg
+from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 
@@ -35,7 +35,7 @@ def test_an_effect_is_all_that_is_wrong_with_the_first_compass():
 def test_hard_iron_shows_in_the_first_compass_only():
     v, plain = stream(calibration="exact", seconds=0.5)
     _, bent = stream(effects=["hard_iron:x=100"], seconds=0.5)
-    matrix = v.firmware.correction(1).matrix
+    matrix = v.firmware.compasses.correction(1).matrix
     shift = column(bent, m.RawImu, "xmag", "ymag", "zmag") - column(plain, m.RawImu, "xmag", "ymag", "zmag")
     np.testing.assert_allclose(shift[-1], matrix @ [100.0, 0.0, 0.0], atol=6.0)
     second = ("xmag", "ymag", "zmag")

@@ -1,0 +1,76 @@
+"""A firmware's compasses: which one steers, which are lost, and the heading of the one that steers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from mavcompass.correction import FieldCorrection, Vector
+from mavcompass.simulation.autopilot.attitude_filter import compass_yaw
+from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot.parameter_store import ParameterStore
+from mavcompass.simulation.physics.motion import rotation_matrix
+
+
+class Compasses(ABC):
+    """Hold the corrected fields of compasses 1, 2, ..; brought up to date at 10 Hz.
+
+    Attributes:
+        fields: milligauss, body axes. steering: the compass that the filter follows, None for none.
+    """
+
+    def __init__(self, board: Board, store: ParameterStore, number: int) -> None:
+        self._board = board
+        self._store = store
+        self.fields: list[Vector] = [(0.0, 0.0, 0.0)] * number
+        self.steering: int | None = None
+        self._lost: dict[int, tuple[bool, Vector | None]] = {}
+
+    @abstractmethod
+    def boot(self) -> None:
+        """Take the parameters over and choose the compass that steers."""
+
+    @abstractmethod
+    def parameters_changed(self) -> None:
+        """Take the parameters over, as far as the firmware does without a reboot."""
+
+    @abstractmethod
+    def read(self) -> None:
+        """Correct the new readings; a compass without data keeps its last field."""
+
+    @abstractmethod
+    def correction(self, instance: int) -> FieldCorrection:
+        """Return the correction in force, in body axes."""
+
+    @abstractmethod
+    def yaw(self) -> float | None:
+        """Return the heading of the compass that steers; None where there is none to believe."""
+
+    def healthy(self, instance: int) -> bool:
+        """Tell whether a compass delivers data."""
+        return self._lost.get(instance, (True, None))[0]
+
+    def lose(self, instance: int, healthy: bool, value: Vector | None) -> None:
+        """Stop a compass, at a raw value or at its last reading."""
+        self._lost[instance] = (healthy, value)
+
+    def expected_field(self, yaw_rad: float) -> Vector:
+        """Return the world's field in body axes at a heading, with the filter's tilt."""
+        estimate, (n, e, d) = self._board.filter, self._board.world.field_ned_mgauss
+        m = rotation_matrix(estimate.roll_rad, estimate.pitch_rad, yaw_rad)
+        x, y, z = (m[i] * n + m[3 + i] * e + m[6 + i] * d for i in range(3))
+        return (x, y, z)
+
+    def _yaw(self, declination_rad: float) -> float | None:
+        if self.steering is None or not self.healthy(self.steering):
+            return None
+        estimate = self._board.filter
+        field = self.fields[self.steering - 1]
+        return compass_yaw(field, estimate.roll_rad, estimate.pitch_rad, declination_rad)
+
+    def _repeats(self, instance: int) -> bool:
+        """Tell whether a compass stopped at its last reading."""
+        return instance in self._lost and self._lost[instance][1] is None
+
+    def _stuck(self, instance: int) -> Vector | None:
+        """Return the raw value that a compass stopped at, None for one that goes on."""
+        return self._lost.get(instance, (True, None))[1]
