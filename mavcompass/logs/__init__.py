@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mavcompass.logs.formats.csv.track_csv import write_track_csv as write_track_csv
+    from mavcompass.logs.formats.csv.writer import write_track_csv as write_track_csv
     from mavcompass.logs.formats.tlog.writer import TlogWriter as TlogWriter
     from mavcompass.logs.reading import read_track as read_track
     from mavcompass.logs.reading import read_tracks as read_tracks
@@ -15,7 +15,7 @@ _PUBLIC = {
     "read_track": "mavcompass.logs.reading",
     "read_tracks": "mavcompass.logs.reading",
     "TlogWriter": "mavcompass.logs.formats.tlog.writer",
-    "write_track_csv": "mavcompass.logs.formats.csv.track_csv",
+    "write_track_csv": "mavcompass.logs.formats.csv.writer",
 }
 
 

@@ -11,7 +11,7 @@ from mavcompass.cli.main import main
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.answer.several import together
 from mavcompass.gap.trial.cases import Recipe, make_track
-from mavcompass.logs.formats.csv.track_csv import write_track_csv
+from mavcompass.logs import write_track_csv
 from mavcompass.simulation import effects
 from mavcompass.simulation.effects import Setting
 

@@ -1,1 +1,24 @@
 """Telemetry logs (.tlog): MAVLink frames with the time at which each was heard."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mavcompass.track import Track
+
+NAME = "telemetry log (.tlog)"
+SUFFIXES = (".tlog",)
+_FRAME_STARTS = (0xFD, 0xFE)
+
+
+def recognises(head: bytes) -> bool:
+    """Tell whether a file begins with a time (microseconds of Unix time, eight bytes) and a frame."""
+    return len(head) > 8 and head[0] == 0 and head[8] in _FRAME_STARTS
+
+
+def read(path: Path, head: bytes) -> dict[int, Track]:
+    """Read every vehicle; what its autopilot's own log beside the file knows better is taken from there."""
+    from mavcompass.logs.formats.tlog.companion import complete
+    from mavcompass.logs.formats.tlog.reader import read_tlog
+
+    return {system: complete(track, path) for system, track in read_tlog(path).items()}

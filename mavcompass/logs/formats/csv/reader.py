@@ -1,4 +1,4 @@
-"""Track CSV: a header row with units in its names, any subset of the columns, empty for missing."""
+"""Read a Track CSV: any subset of the columns, empty for missing."""
 
 from __future__ import annotations
 
@@ -13,29 +13,10 @@ import numpy as np
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
+from mavcompass.logs.formats.csv.columns import KNOWN, MOTORS, SCALARS, TIME, VECTORS
 from mavcompass.logs.formats.csv.steps import format_steps
 from mavcompass.track import InForce, MagSeries, Series, Track
 
-_AXES = ("x", "y", "z")
-MOTORS = tuple(f"motor{n}" for n in range(1, 9))
-# Quantity of the Track -> its columns in the file, in their order.
-VECTORS: dict[str, tuple[str, ...]] = {
-    "mag": tuple(f"mag_{a}_mgauss" for a in _AXES),
-    "acc_mps2": tuple(f"acc_{a}_mps2" for a in _AXES),
-    "gyro_radps": tuple(f"gyro_{a}_radps" for a in _AXES),
-    "reference_q": ("ref_qw", "ref_qx", "ref_qy", "ref_qz"),
-    "attitude_rad": ("roll_rad", "pitch_rad", "yaw_rad"),
-    "position_ned_m": ("pos_n_m", "pos_e_m", "pos_d_m"),
-    "place": ("lat_deg", "lon_deg", "alt_m"),
-}
-SCALARS: dict[str, str] = {
-    "gps_yaw_rad": "gps_yaw_rad",
-    "current_a": "current_a",
-    "throttle": "throttle",
-    "temperature_degc": "temperature_degc",
-}
-TIME = "time_s"
-KNOWN = {TIME, *MOTORS, *SCALARS.values(), *(name for names in VECTORS.values() for name in names)}
 # More damage than that is no damage: it is a file of another kind, or of another writing of numbers.
 _MOST_BAD_LINES = 0.1
 _REMEDY = (
@@ -222,58 +203,3 @@ def _number(field: str, name: str, line: int, path: Path) -> float:
             f"{path}, line {line}: {name} is {field[:40]!r}, which is no number.",
             "Correct it, or leave it empty for missing.",
         ) from None
-
-
-def write_track_csv(track: Track, path: Path, instance: int = 1) -> None:
-    """Write one compass of a track, with the corrections in force undone, and what else fits the columns.
-
-    One row for each time of any quantity, empty where the quantity has no sample at exactly that time.
-    Raises KeyError for a compass that the track does not have.
-    """
-    columns: list[tuple[tuple[str, ...], Series]] = []
-    mag = Series.of(track.compasses[instance].time_s, track.raw_field(instance))
-    columns.append((VECTORS["mag"], mag))
-    for quantity, names in [(q, n) for q, n in VECTORS.items() if q != "mag"]:
-        columns += _column_of(track, quantity, names)
-    for quantity, name in SCALARS.items():
-        columns += _column_of(track, quantity, (name,))
-    if track.motors is not None:
-        columns += _column_of(track, "motors", MOTORS[: track.motors.values.shape[1]])
-    times, table = _tabulate([series for _, series in columns])
-    header = ",".join([TIME, *(name for names, _ in columns for name in names)])
-    with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(header + "\n")
-        for moment, row in zip(times.tolist(), table.tolist(), strict=True):
-            file.write(f"{moment!r}," + ",".join("" if v != v else repr(v) for v in row) + "\n")
-
-
-def _column_of(track: Track, quantity: str, names: tuple[str, ...]) -> list[tuple[tuple[str, ...], Series]]:
-    series: Series | None = getattr(track, quantity)
-    return [] if series is None or not len(series) else [(names, series)]
-
-
-def _tabulate(columns: Sequence[Series]) -> tuple[FloatArray, FloatArray]:
-    """Lay series with their own clocks side by side; a time that occurs twice in one gets rows of its own."""
-    occurrences = [_with_occurrence(series.time_s) for series in columns]
-    keys = np.unique(np.concatenate(occurrences), axis=0)
-    widths = [1 if series.values.ndim == 1 else series.values.shape[1] for series in columns]
-    table = np.full((len(keys), sum(widths)), np.nan)
-    structured = _as_keys(keys)
-    at = 0
-    for series, occurrence, width in zip(columns, occurrences, widths, strict=True):
-        rows = np.searchsorted(structured, _as_keys(occurrence))
-        table[rows, at : at + width] = series.values.reshape(len(series), width)
-        at += width
-    return keys[:, 0], table
-
-
-def _with_occurrence(time_s: FloatArray) -> FloatArray:
-    """Number the samples that share one time: (N, 2) of time and how many came before at that time."""
-    first = np.searchsorted(time_s, time_s)
-    return np.stack([time_s, np.arange(time_s.size) - first], axis=1)
-
-
-def _as_keys(pairs: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-    keys = np.empty(len(pairs), dtype=[("time_s", "f8"), ("occurrence", "f8")])
-    keys["time_s"], keys["occurrence"] = pairs[:, 0], pairs[:, 1]
-    return keys
