@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from textwrap import dedent
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -58,6 +61,25 @@ def start_process() -> Iterator[Callable[..., subprocess.Popen[str]]]:
             if stream is not None:
                 stream.close()
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture
+def add_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[[ModuleType, str, str], None]]:
+    """Add a file of code to a folder of the package from outside it, until the test ends."""
+    added: list[str] = []
+
+    def add(package: ModuleType, name: str, code: str) -> None:
+        folder = tmp_path / "from_outside" / package.__name__
+        folder.mkdir(parents=True)
+        (folder / f"{name}.py").write_text(dedent(code))
+        monkeypatch.setattr(package, "__path__", [*package.__path__, str(folder)])
+        added.append(f"{package.__name__}.{name}")
+
+    yield add
+    for name in added:
+        sys.modules.pop(name, None)
 
 
 @pytest.fixture(scope="session")

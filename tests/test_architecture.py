@@ -69,7 +69,15 @@ ROWS = {
         {"vehicle_state"},
         {"script"},
     ],
-    "logs": [{"reading"}, {"companion"}, {"formats"}, {"common"}],
+    "logs": [{"reading"}, {"formats"}, {"common"}],
+    "calibration": [
+        {"calibrate", "orientation"},
+        {"methods"},
+        {"comparison", "judged", "recorded"},
+        {"fits", "verdict", "result"},
+        {"positions"},
+        {"observation", "model"},
+    ],
     "service": [
         {"run", "mavproxy"},
         {"web", "systemd"},

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mavcompass.calibration.calibrate import calibrate_compasses as calibrate_compasses
     from mavcompass.calibration.calibrate import calibrate_track as calibrate_track
-    from mavcompass.calibration.methods import calibrate_positions as calibrate_positions
+    from mavcompass.calibration.judged import calibrate_positions as calibrate_positions
+    from mavcompass.calibration.methods import method_names as method_names
     from mavcompass.calibration.observation import Dwell as Dwell
     from mavcompass.calibration.observation import FourPositionData as FourPositionData
     from mavcompass.calibration.observation import Step as Step
@@ -21,13 +22,12 @@ if TYPE_CHECKING:
     from mavcompass.calibration.observation import turns_between as turns_between
     from mavcompass.calibration.positions import FourPositionsResult as FourPositionsResult
     from mavcompass.calibration.positions import solve_four_positions as solve_four_positions
-    from mavcompass.calibration.result import METHODS as METHODS
     from mavcompass.calibration.result import CalibrationResult as CalibrationResult
     from mavcompass.calibration.verdict import Limits as Limits
 
 _PUBLIC = {
     "calibrate_compasses": "calibrate",
-    "calibrate_positions": "methods",
+    "calibrate_positions": "judged",
     "calibrate_track": "calibrate",
     "FourPositionsResult": "positions",
     "solve_four_positions": "positions",
@@ -36,7 +36,7 @@ _PUBLIC = {
     "Step": "observation",
     "dwell_between": "observation",
     "step_between": "observation",
-    "METHODS": "result",
+    "method_names": "methods",
     "CalibrationResult": "result",
     "StillnessDetector": "observation",
     "assemble": "observation",

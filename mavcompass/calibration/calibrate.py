@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.calibration.methods import calibrate_positions, in_force_of
-from mavcompass.calibration.observation import FourPositionData, assemble, dwell_between, observe, turn_record
+from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.positions import DEFAULT_PRIOR, IronPrior
-from mavcompass.calibration.result import METHODS, CalibrationResult
+from mavcompass.calibration.recorded import Recorded
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits
 from mavcompass.compass_parameters import (
     ardupilot_naming,
@@ -20,8 +20,8 @@ from mavcompass.compass_parameters import (
     px4_values,
 )
 from mavcompass.earth_field import EarthField, earth_field_of
-from mavcompass.errors import BadRecording, PoorCalibration, UsageError
-from mavcompass.frames import FloatArray, circular_mean
+from mavcompass.errors import BadRecording, PoorCalibration
+from mavcompass.frames import circular_mean
 from mavcompass.heading.stream import HeadingResult, heading_of_track
 from mavcompass.track import Track
 
@@ -44,7 +44,7 @@ def calibrate_track(
 
     Args:
         track: the recording.
-        method: one of `result.METHODS`.
+        method: one of `methods.method_names()`.
         instance: the compass, counting from 1.
         limits: what is accepted.
         earth: the Earth's field; None takes it from the recording's place and date.
@@ -56,33 +56,10 @@ def calibrate_track(
     calibration at all (too little motion, a dead compass), UsageError for an unknown method. A result
     that is not worth writing comes back with `accepted` False and its reasons.
     """
-    if method not in METHODS:
-        raise UsageError(f"There is no method {method!r}.", f"Choose one of: {', '.join(METHODS)}.")
+    solve = find_method(method)
     _check_compass(track, instance)
     world = (earth if earth is not None else earth_field_of(track)) if use_world_model else None
-    if method == "four-positions":
-        data = observe(track, instance) if windows is None else observe_windows(track, instance, windows)
-        result = calibrate_positions(
-            data,
-            in_force_of(track, instance),
-            world,
-            instance,
-            limits,
-            prior,
-            _references(track, data, instance),
-        )
-    else:
-        from mavcompass.calibration.methods import calibrate_otherwise
-
-        result = calibrate_otherwise(track, method, instance, limits, world, prior)
-    return with_parameters(result, track)
-
-
-def observe_windows(track: Track, instance: int, windows: Sequence[tuple[float, float]]) -> FourPositionData:
-    """Measure the positions that the caller chose and the turns between them."""
-    record = turn_record(track, instance)
-    dwells = [dwell_between(track, instance, start, end, record) for start, end in windows]
-    return assemble(track, dwells, instance, record)
+    return with_parameters(solve(Recorded(track, instance, world, limits, prior, windows)), track)
 
 
 def calibrate_compasses(
@@ -177,15 +154,3 @@ def _turned(track: Track) -> bool:
     rate = np.nan_to_num(np.asarray(gyro.values))
     turned = np.abs(np.cumsum(rate[:-1] * np.diff(gyro.time_s)[:, np.newaxis], axis=0)).max()
     return bool(turned > math.radians(45.0))
-
-
-def _references(track: Track, data: FourPositionData, instance: int) -> FloatArray | None:
-    """Return the dwells' magnetic headings by GPS yaw, (K,); None where the recording has none."""
-    yaw = track.gps_yaw_rad
-    world = earth_field_of(track)
-    if yaw is None or not len(yaw) or world is None:
-        return None
-    middles = np.array([0.5 * (d.start_s + d.end_s) for d in data.dwells])
-    nearest = np.clip(np.searchsorted(yaw.time_s, middles), 0, len(yaw) - 1)
-    headings = yaw.values[nearest] - world.declination_rad
-    return np.where(np.abs(yaw.time_s[nearest] - middles) < 2.0, headings, np.nan)

@@ -15,16 +15,6 @@ from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.compute import level_heading
 from mavcompass.heading.deviation import DeviationCard, deviation_card
 
-METHODS = (
-    "four-positions",
-    "four-positions-textbook",
-    "min-max",
-    "sensitivity-bias",
-    "sphere",
-    "ellipsoid",
-    "world-field",
-)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Position:
@@ -47,7 +37,7 @@ class CalibrationResult:
     """Hold one compass's calibration.
 
     Attributes:
-        instance: the compass, from 1. method: one of METHODS.
+        instance: the compass, from 1. method: by which it was found.
         accepted: True where the correction is worth writing; `reasons` say why not, in a pilot's words.
         warnings: what the pilot should know although it is accepted.
         raw_offset_mgauss: hard iron, (3,): raw = field + offset.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mavcompass.calibration.methods import method_names
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.terminal.colour import styled
@@ -21,15 +22,6 @@ if TYPE_CHECKING:
     from mavcompass.vehicle.link import Link
     from mavcompass.vehicle.transport.address import Address
 
-METHODS = (
-    "four-positions",
-    "four-positions-textbook",
-    "min-max",
-    "sensitivity-bias",
-    "sphere",
-    "ellipsoid",
-    "world-field",
-)
 NOT_ACCEPTED = 5
 
 
@@ -47,7 +39,7 @@ def chosen_instances(context: click.Context, parameter: click.Parameter, value: 
 
 @click.command()
 @click.argument("source")
-@click.option("--method", type=click.Choice(METHODS), default="four-positions", show_default=True)
+@click.option("--method", type=click.Choice(method_names()), default="four-positions", show_default=True)
 @click.option(
     "--motion",
     type=click.Choice(("auto", "vehicle", "hand")),

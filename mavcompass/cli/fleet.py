@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from mavcompass.cli.calibrate import METHODS, chosen_instances
+from mavcompass.calibration.methods import method_names
+from mavcompass.cli.calibrate import chosen_instances
 from mavcompass.cli.gap import REFERENCES
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
@@ -89,7 +90,7 @@ def fleet_options(function: Function) -> Function:
 
 @command.command()
 @fleet_options
-@click.option("--method", type=click.Choice(METHODS), default="four-positions", show_default=True)
+@click.option("--method", type=click.Choice(method_names()), default="four-positions", show_default=True)
 @click.option(
     "--max-error-deg",
     type=click.FloatRange(0.1, 45.0),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.methods.textbook import four_positions_textbook, min_max
+from mavcompass.calibration.fits.textbook import four_positions_textbook, min_max
 from mavcompass.frames import wrap_pi
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.methods.textbook import sensitivity_bias
+from mavcompass.calibration.fits.textbook import sensitivity_bias
 
 HORIZONTAL_GAUSS = 0.28
 BICYCLE = (-0.284, 0.402, -0.322, 0.246)

@@ -13,15 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.calibration import StillnessDetector, calibrate_positions
-from mavcompass.calibration.methods.ellipsoid import align_to_gravity, fit_ellipsoid, fit_sphere
-from mavcompass.calibration.methods.textbook import (
+from mavcompass.calibration.fits.length import align_to_gravity, fit_ellipsoid, fit_sphere
+from mavcompass.calibration.fits.textbook import (
     four_positions_textbook,
     four_readings,
     min_max,
     sensitivity_bias,
     set_reset_offset,
 )
-from mavcompass.calibration.methods.world_field import fit_with_gyro_yaw, fit_world_field
+from mavcompass.calibration.fits.world_field import fit_with_gyro_yaw, fit_world_field
 from mavcompass.calibration.observation.wire import effective_count, unquantise
 from mavcompass.calibration.orientation import search_orientation
 from mavcompass.calibration.positions import next_pose, repeat_test

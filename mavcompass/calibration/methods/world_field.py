@@ -1,278 +1,186 @@
-"""World-field calibration: the raw field against the Earth's, turned into the body by a known attitude.
-
-    r = b + T (R^T B) + m load + d (t - tm) + S (t - tm) (R^T B)                                 (W1)
-
-is linear in everything wanted: hard iron b, symmetric gain T, motor field m per unit of load, bias d and
-sensitivity S (one number per axis) per degree of temperature. The attitude's yaw must not come from the
-compass that is calibrated: an optical or turntable reference, GPS yaw, or the gyro with an unknown first
-heading, which is then found together with the rest.
-"""
+"""World-field calibration of a recording: by an attitude reference, or by the gyro."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from mavcompass.calibration.model import gain_matrix
-from mavcompass.calibration.positions import IronPrior
+from mavcompass.calibration.comparison import compared, judged
+from mavcompass.calibration.fits.world_field import WorldFieldFit, fit_with_gyro_yaw, fit_world_field
+from mavcompass.calibration.model import (
+    GAIN,
+    HORIZONTAL,
+    OFFSET,
+    VERTICAL,
+    HeadingError,
+    gain_parameters,
+    level_to_body,
+)
+from mavcompass.calibration.observation import field_lag_s, turn_record
+from mavcompass.calibration.recorded import Recorded
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.correction import FieldCorrection, MotorSource
+from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, quaternion_to_matrix, rotate_back, wrap_pi
+from mavcompass.heading.gravity import down_in_body
+from mavcompass.track import Track
 
-_AXES = "xyz"
-_GAIN_NAMES = ("gain_xx", "gain_yy", "gain_zz", "gain_xy", "gain_xz", "gain_yz")
-# Which field component each gain parameter multiplies on each axis: (parameter, component).
-_TERMS = (((0, 0), (3, 1), (4, 2)), ((3, 0), (1, 1), (5, 2)), ((4, 0), (5, 1), (2, 2)))
-_STRONGEST_CONDITION = 1e10
+# A battery current that varies less than this shows no motor field.
+_LOAD_SPREAD_A = 2.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WorldFieldFit:
-    """Hold a fit of equation W1.
+def calibrate(recorded: Recorded) -> CalibrationResult:
+    """Calibrate all axes against the Earth's field, turned into the body by an attitude or by the gyro.
 
-    Attributes:
-        offset_mgauss: b, (3,). gain: T, (3, 3).
-        motor_mgauss: m, (3,) per load, or (k, 3) for k motors; empty where no load was given.
-        temperature_bias, temperature_gain: d, (3,) mG per degree, and S, (3,) per degree; zeros without.
-        names, covariance: of all fitted numbers; consecutive readings do not count as independent.
-        residual_mgauss: (N, 3). residual_rms_mgauss: over samples and axes.
+    Raises PoorCalibration where the recording has neither, or turned too little.
     """
-
-    offset_mgauss: FloatArray
-    gain: FloatArray
-    motor_mgauss: FloatArray
-    temperature_bias: FloatArray
-    temperature_gain: FloatArray
-    names: tuple[str, ...]
-    covariance: FloatArray
-    residual_mgauss: FloatArray
-    residual_rms_mgauss: float
-
-
-def fit_world_field(
-    raw_mgauss: ArrayLike,
-    expected_mgauss: ArrayLike,
-    load: ArrayLike | None = None,
-    temperature_degc: ArrayLike | None = None,
-    independent: float | None = None,
-    prior: IronPrior | None = None,
-) -> WorldFieldFit:
-    """Fit equation W1 by least squares over the moments of the data.
-
-    Args:
-        raw_mgauss: readings in body axes, (N, 3).
-        expected_mgauss: the Earth's field in body axes at the same times, (N, 3).
-        load: motor load, (N,) or, per motor, (N, k).
-        temperature_degc: (N,).
-        independent: how many of the N readings count for the covariance; None judges by the residuals'
-            memory.
-        prior: what is known of compasses in general. With it a level turn gives an answer too: the Z
-            gain is then the mean of the horizontal ones and Z's offset follows from the world model.
-
-    Raises PoorCalibration where the motion does not determine the parameters.
-    """
-    raw, field = (np.asarray(v, dtype=np.float64) for v in (raw_mgauss, expected_mgauss))
-    extra, extra_names = _regressors(load, temperature_degc, len(raw))
-    warm = None
-    if temperature_degc is not None:
-        temperature = np.asarray(temperature_degc, dtype=np.float64)
-        warm = temperature - temperature.mean()
-    normal, right = _normal_equations(raw, field, extra, warm)
-    if prior is not None:
-        # The prior counts against the noise of independent readings, which a first fit measures.
-        weak = _with_prior(normal, right, prior, 1.0)
-        first = _residual(raw, field, extra, warm, _solve(*weak)[0])
-        noise = float((first**2).mean()) * _memory(first)
-        normal, right = _with_prior(normal, right, prior, max(noise, 1e-6))
-    answer, inverse = _solve(normal, right)
-    residual = _residual(raw, field, extra, warm, answer)
-    k = extra.shape[1]
-    shared = answer[9 : 9 + 3 * k].reshape(k, 3)
-    motors = shared[: k - (warm is not None)]
-    rms = math.sqrt(float((residual**2).mean()))
-    count = independent if independent is not None else len(raw) / _memory(residual)
-    covariance = inverse * rms**2 * len(raw) / max(count, 1.0)
-    names = (
-        *(f"offset_{a}" for a in _AXES),
-        *_GAIN_NAMES,
-        *(f"{name}_{a}" for name in extra_names for a in _AXES),
-        *(f"temperature_gain_{a}" for a in _AXES if warm is not None),
-    )
-    return WorldFieldFit(
-        offset_mgauss=answer[:3],
-        gain=gain_matrix(answer[3:9]),
-        motor_mgauss=motors[0] if load is not None and np.ndim(load) == 1 else motors,
-        temperature_bias=shared[-1] if warm is not None else np.zeros(3),
-        temperature_gain=answer[9 + 3 * k :] if warm is not None else np.zeros(3),
-        names=names,
-        covariance=covariance,
-        residual_mgauss=residual,
-        residual_rms_mgauss=rms,
-    )
-
-
-def _regressors(
-    load: ArrayLike | None, temperature: ArrayLike | None, count: int
-) -> tuple[FloatArray, list[str]]:
-    """Stack what adds a field of its own, (N, k): motor loads, then the temperature."""
-    columns, names = [], []
+    track, instance, earth = recorded.track, recorded.instance, recorded.earth
+    time = track.compasses[instance].time_s
+    raw = track.raw_field(instance)
+    load, source = _load(track, time)
+    attitude = _reference(track, time, earth)
+    if attitude is not None:
+        expected = _expected(raw, attitude, earth)
+        fit = fit_world_field(raw, expected, load, prior=recorded.prior)
+        horizontal, vertical = _horizontal_of(expected, attitude)
+        warnings: tuple[str, ...] = ()
+        misalignment = _first_heading_offset(raw, fit, attitude, earth)
+    else:
+        fit, horizontal, vertical = _by_gyro(recorded, raw, time, load)
+        warnings = ("No yaw reference was recorded; the gyro's turned angle was used with an unknown start.",)
+        misalignment = 0.0
+    matrix = np.linalg.inv(fit.gain)
+    correction = FieldCorrection.from_matrix(-fit.offset_mgauss, 0.5 * (matrix + matrix.T))
     if load is not None:
-        loads = np.asarray(load, dtype=np.float64)
-        loads = loads[:, np.newaxis] if loads.ndim == 1 else loads
-        columns += list(loads.T)
-        names += ["motor"] if loads.shape[1] == 1 else [f"motor{i + 1}" for i in range(loads.shape[1])]
-    if temperature is not None:
-        t = np.asarray(temperature, dtype=np.float64)
-        columns.append(t - t.mean())
-        names.append("temperature")
-    return (np.stack(columns, axis=1) if columns else np.empty((count, 0))), names
-
-
-def _normal_equations(
-    raw: FloatArray, field: FloatArray, extra: FloatArray, warm: FloatArray | None
-) -> tuple[FloatArray, FloatArray]:
-    """Build the normal equations J^T J x = J^T y from second moments.
-
-    Each axis's row of the design uses the same columns u = (1, field, extra, warm field); all that is
-    needed of N samples is u^T u and u^T raw.
-    """
-    columns = [np.ones((len(raw), 1)), field, extra]
-    if warm is not None:
-        columns.append(field * warm[:, np.newaxis])
-    u = np.concatenate(columns, axis=1)
-    moments, cross = u.T @ u, u.T @ raw
-    k = extra.shape[1]
-    size = 9 + 3 * k + (3 if warm is not None else 0)
-    normal, right = np.zeros((size, size)), np.zeros(size)
-    for axis in range(3):
-        # Which parameter each column of u belongs to on this axis.
-        place = [(axis, 0)]
-        place += [(3 + parameter, 1 + component) for parameter, component in _TERMS[axis]]
-        place += [(9 + 3 * j + axis, 4 + j) for j in range(k)]
-        if warm is not None:
-            place.append((9 + 3 * k + axis, 4 + k + axis))
-        parameters, used = (np.array(v) for v in zip(*place, strict=True))
-        normal[np.ix_(parameters, parameters)] += moments[np.ix_(used, used)]
-        right[parameters] += cross[used, axis]
-    return normal, right
-
-
-def _solve(normal: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Solve the normal equations; returns the answer and (J^T J)^-1."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-30))
-    scaled = normal * np.outer(scale, scale)
-    if not np.isfinite(scaled).all() or np.linalg.cond(scaled) > _STRONGEST_CONDITION:
-        raise PoorCalibration(
-            "This motion does not determine all that was asked for (the equations are singular).",
-            "Turn the vehicle all the way round and tilt it, or ask for fewer terms.",
+        x, y, z = (-matrix @ fit.motor_mgauss).tolist()
+        correction = replace(correction, motor_mgauss=(x, y, z), motor_source=source)
+    state = np.zeros(11)
+    state[OFFSET], state[GAIN] = fit.offset_mgauss, gain_parameters(fit.gain)
+    state[HORIZONTAL], state[VERTICAL] = horizontal, vertical
+    error = HeadingError(state, fit.covariance[:9, :9])
+    result = compared(
+        CalibrationResult(
+            instance=instance,
+            method="world-field",
+            accepted=False,
+            reasons=(),
+            warnings=warnings,
+            raw_offset_mgauss=fit.offset_mgauss,
+            correction=correction,
+            in_force=recorded.in_force,
+            covariance_names=fit.names,
+            covariance=fit.covariance,
+            not_observable=() if attitude is not None else ("mounting_yaw",),
+            residual_rms_mgauss=fit.residual_rms_mgauss,
+            heading_sigma_deg=math.degrees(math.hypot(error.rms_rad(), misalignment)),
+            heading_budget_deg={
+                "noise": math.degrees(error.rms_rad()),
+                "mounting": math.degrees(misalignment),
+            },
+            heading_error=error,
+            horizontal_mgauss=horizontal,
+            vertical_mgauss=vertical,
         )
-    inverse = np.linalg.inv(scaled) * np.outer(scale, scale)
-    return inverse @ right, inverse
-
-
-def _with_prior(
-    normal: FloatArray, right: FloatArray, prior: IronPrior, noise_mgauss2: float
-) -> tuple[FloatArray, FloatArray]:
-    """Add the prior of the gains as rows of the same weight as a reading of the given variance."""
-    rows = np.zeros((6, len(right)))
-    wanted = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-    rows[0, 3] = rows[1, 4] = rows[2, 5] = 1.0
-    rows[2, 3:5] = -0.5
-    rows[3:, 6:9] = np.eye(3)
-    sigma = np.array(
-        [prior.gain_sigma, prior.gain_sigma, prior.vertical_gain_sigma, *(3 * [prior.cross_sigma])]
     )
-    weighted = rows / sigma[:, np.newaxis] ** 2 * noise_mgauss2
-    return normal + rows.T @ weighted, right + weighted.T @ wanted
+    return judged(result, recorded.limits)
 
 
-def _residual(
-    raw: FloatArray, field: FloatArray, extra: FloatArray, warm: FloatArray | None, answer: FloatArray
-) -> FloatArray:
-    k = extra.shape[1]
-    gain = gain_matrix(answer[3:9])
-    residual = raw - field @ gain - answer[:3] - extra @ answer[9 : 9 + 3 * k].reshape(k, 3)
-    if warm is not None:
-        residual -= warm[:, np.newaxis] * field * answer[9 + 3 * k :]
-    return np.asarray(residual)
+def _load(track: Track, time: FloatArray) -> tuple[FloatArray | None, MotorSource]:
+    """Choose the motor load that varies enough to fit: the current, else the throttle."""
+    candidates: tuple[tuple[MotorSource, float], ...] = (("current", _LOAD_SPREAD_A), ("throttle", 0.1))
+    for source, least in candidates:
+        load = track.motor_load(time, source)
+        if load is not None and np.isfinite(load).all() and float(load.std()) > least:
+            return load, source
+    return None, "none"
 
 
-def _memory(residual: FloatArray) -> float:
-    """Return how many consecutive readings make one independent, from the residuals' autocorrelation."""
-    n = len(residual)
-    centred = residual - residual.mean(axis=0)
-    power = float((centred**2).sum())
-    if n < 16 or power <= 0.0:
-        return 1.0
-    total, lag = 1.0, 1
-    while lag < n // 4:
-        correlation = float((centred[lag:] * centred[:-lag]).sum()) / power
-        if correlation < 0.05:
-            break
-        # Lags between the last power of two and this one count like this one.
-        total += 2.0 * correlation * max(lag / 2.0, 1.0)
-        lag *= 2
-    return total
+def _reference(track: Track, time: FloatArray, earth: EarthField | None) -> FloatArray | None:
+    """Return body-to-NED matrices (N, 3, 3) by a reference that owes nothing to a compass, or None."""
+    if track.reference_q is not None and len(track.reference_q):
+        q = track.reference_q.at(time)
+        return quaternion_to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
+    yaw = track.gps_yaw_rad
+    if yaw is None or len(yaw) < 10 or earth is None:
+        return None
+    known = np.isfinite(yaw.values)
+    smooth = np.unwrap(yaw.values[known])
+    down = down_in_body(track, time)
+    roll = np.arctan2(down[:, 1], down[:, 2])
+    pitch = np.arctan2(-down[:, 0], np.hypot(down[:, 1], down[:, 2]))
+    psi = np.interp(time, yaw.time_s[known], smooth)
+    level = level_to_body(roll, pitch)
+    cos, sin, zero = np.cos(psi), np.sin(psi), np.zeros(psi.size)
+    turn = np.stack(
+        [
+            np.stack([cos, sin, zero], -1),
+            np.stack([-sin, cos, zero], -1),
+            np.stack([zero, zero, zero + 1], -1),
+        ],
+        axis=-2,
+    )
+    return np.asarray(np.swapaxes(level @ turn, 1, 2))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GyroYawFit:
-    """Hold a world-field fit whose yaw is the gyro's: `first_yaw_rad` is the true yaw at the start."""
+def _expected(raw: FloatArray, attitude: FloatArray, earth: EarthField | None) -> FloatArray:
+    """Return the Earth's field in the body, (N, 3); an unknown field is fitted with the offsets."""
+    if earth is not None:
+        return rotate_back(attitude, np.broadcast_to(earth.vector_mgauss, raw.shape))
+    # raw = b + R^T B is linear in b and B; the gain then follows from the fitted field.
+    n = len(raw)
+    transposed = np.swapaxes(attitude, 1, 2).reshape(3 * n, 3)
+    design = np.concatenate([np.tile(np.eye(3), (n, 1)), transposed], axis=1)
+    answer, *_ = np.linalg.lstsq(design, raw.reshape(-1), rcond=None)
+    return rotate_back(attitude, np.broadcast_to(answer[3:], raw.shape))
 
-    fit: WorldFieldFit
-    first_yaw_rad: float
-    drift_radps: float
+
+def _horizontal_of(expected: FloatArray, attitude: FloatArray) -> tuple[float, float]:
+    world = np.einsum("nij,nj->ni", attitude[:1], expected[:1])[0]
+    return math.hypot(world[0], world[1]), float(world[2])
 
 
-def fit_with_gyro_yaw(
-    raw_mgauss: FloatArray,
-    time_s: FloatArray,
-    level_field_to_body: FloatArray,
-    turned_rad: FloatArray,
-    horizontal_mgauss: float,
-    vertical_mgauss: float,
-    load: FloatArray | None = None,
-    prior: IronPrior | None = None,
-) -> GyroYawFit:
-    """Fit equation W1 with the gyro's turned angle as yaw; its start and drift are found by the fit.
+def _first_heading_offset(
+    raw: FloatArray, fit: WorldFieldFit, attitude: FloatArray, earth: EarthField | None
+) -> float:
+    """Return the mean heading error that a symmetric gain leaves: a compass turned about the vertical."""
+    if earth is None:
+        return 0.0
+    matrix = np.linalg.inv(fit.gain)
+    world = np.einsum("nij,nj->ni", attitude, (raw - fit.offset_mgauss) @ matrix.T)
+    angle = np.arctan2(world[:, 1], world[:, 0]) - earth.declination_rad
+    return abs(float(np.angle(np.exp(1j * np.asarray(wrap_pi(angle))).mean())))
 
-    The expected body field is L (H cos psi, -H sin psi, Z), psi = start + turned + drift t, with L (N, 3, 3)
-    from level to body axes. The start is scanned, then start and drift are refined by Gauss-Newton on the
-    residuals left by the linear fit.
-    """
-    clock = time_s - time_s.mean()
 
-    def expected(start: float, drift: float) -> FloatArray:
-        psi = start + turned_rad + drift * clock
-        level = np.stack(
-            [
-                horizontal_mgauss * np.cos(psi),
-                -horizontal_mgauss * np.sin(psi),
-                np.full(psi.size, vertical_mgauss),
-            ],
-            axis=1,
+def _by_gyro(
+    recorded: Recorded, raw: FloatArray, time: FloatArray, load: FloatArray | None
+) -> tuple[WorldFieldFit, float, float]:
+    track, instance, earth = recorded.track, recorded.instance, recorded.earth
+    record = turn_record(track, instance)
+    if record is None:
+        raise PoorCalibration(
+            "World-field calibration needs an attitude that does not come from the compass, "
+            "and the recording has no gyro either.",
+            "Record a gyro, GPS yaw or an external reference.",
         )
-        return np.einsum("nij,nj->ni", level_field_to_body, level)
-
-    def residual(start: float, drift: float) -> FloatArray:
-        return fit_world_field(raw_mgauss, expected(start, drift), load, prior=prior).residual_mgauss
-
-    def plausible(start: float) -> float:
-        fit = fit_world_field(raw_mgauss, expected(start, 0.0), load, prior=prior)
-        # A wrong start makes the symmetric gain far from 1 rather than the residual large.
-        return fit.residual_rms_mgauss + float(np.linalg.norm(fit.gain - np.eye(3))) * horizontal_mgauss
-
-    start = min(np.arange(24) * (2.0 * math.pi / 24), key=lambda angle: plausible(float(angle)))
-    x = np.array([float(start), 0.0])
-    for _ in range(15):
-        here = residual(*x).ravel()
-        steps = (1e-4, 1e-4 / max(float(np.ptp(clock)), 1.0))
-        columns = [(residual(*(x + np.eye(2)[i] * steps[i])).ravel() - here) / steps[i] for i in range(2)]
-        jacobian = np.stack(columns, axis=1)
-        move, *_ = np.linalg.lstsq(jacobian, -here, rcond=None)
-        x = x + move
-        if abs(move[0]) < 1e-9:
-            break
-    return GyroYawFit(fit_world_field(raw_mgauss, expected(*x), load, prior=prior), float(x[0]), float(x[1]))
+    turned = record.angle_at(time - field_lag_s(track))
+    if float(np.ptp(turned)) < math.radians(200.0):
+        raise PoorCalibration(
+            f"The vehicle turned only {math.degrees(float(np.ptp(turned))):.0f} degrees.",
+            "Turn it through a full circle.",
+        )
+    if earth is not None:
+        horizontal, vertical = earth.horizontal_mgauss, earth.ned_mgauss[2]
+    else:
+        field = recorded.in_force.apply(raw)
+        swing = np.percentile(field[:, :2], 97, axis=0) - np.percentile(field[:, :2], 3, axis=0)
+        horizontal, vertical = 0.5 * float(swing.mean()), float(np.median(field[:, 2]))
+    down = down_in_body(track, time)
+    roll = np.arctan2(down[:, 1], down[:, 2])
+    pitch = np.arctan2(-down[:, 0], np.hypot(down[:, 1], down[:, 2]))
+    answer = fit_with_gyro_yaw(
+        raw, time, level_to_body(roll, pitch), turned, horizontal, vertical, load, recorded.prior
+    )
+    return answer.fit, horizontal, vertical

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from mavcompass.calibration.result import METHODS
+from mavcompass.calibration.methods import method_names
 
 Schema = Mapping[str, Any]
 
@@ -31,7 +31,7 @@ CALIBRATION: Schema = {
             "enum": ["ask", "yes", "never"],
             "description": "Whether the result is written: after a question, at once, or not at all.",
         },
-        "method": {"type": "string", "enum": list(METHODS)},
+        "method": {"type": "string", "enum": list(method_names())},
         "positions": {"type": "integer", "minimum": 3, "maximum": 24},
         "dwell_s": {"type": "number", "minimum": 0.5, "maximum": 60.0},
     },

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import pkgutil
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 
+from mavcompass.additions import modules_in
 from mavcompass.errors import UsageError
+from mavcompass.simulation.effects import causes
 from mavcompass.simulation.effects.effect import Effect, Setting
 from mavcompass.simulation.effects.live import Distortion
 
@@ -19,10 +19,7 @@ PRESET_SCHEMA = "mavcompass.simulation-preset/1"
 @cache
 def catalogue() -> MappingProxyType[str, Effect]:
     """Return every effect by id, in the order of stages; each file of `causes/` names its own."""
-    folder = import_module("mavcompass.simulation.effects.causes")
-    found: list[Effect] = []
-    for module in pkgutil.iter_modules(folder.__path__, folder.__name__ + "."):
-        found.extend(import_module(module.name).EFFECTS)
+    found = [effect for module in modules_in(causes) for effect in module.EFFECTS]
     ordered = sorted(found, key=lambda effect: (effect.stage, effect.id))
     by_id = {effect.id: effect for effect in ordered}
     if len(by_id) != len(found):

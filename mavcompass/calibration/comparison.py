@@ -1,4 +1,4 @@
-"""What all methods share when they become a result: the motor term, and old against new."""
+"""What methods other than the best share in becoming a result: the motor term, old against new, the limit."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.calibration.verdict import Limits
 from mavcompass.correction import FieldCorrection
 from mavcompass.units import DEG_PER_RAD
 
@@ -32,3 +33,13 @@ def compared(result: CalibrationResult) -> CalibrationResult:
         heading_change_deg=math.sqrt(float((change**2).mean())) * DEG_PER_RAD,
         heading_change_max_deg=float(np.abs(change).max()) * DEG_PER_RAD,
     )
+
+
+def judged(result: CalibrationResult, limits: Limits) -> CalibrationResult:
+    """Refuse by the predicted heading error, beside the method's own reasons."""
+    reasons = list(result.reasons)
+    if not result.heading_sigma_deg <= limits.heading_deg:
+        reasons.append(
+            f"{UNCERTAIN} by {result.heading_sigma_deg:.1f} degrees (limit {limits.heading_deg:g})."
+        )
+    return replace(result, reasons=tuple(reasons), accepted=not reasons)

@@ -1,14 +1,14 @@
-"""Sphere and ellipsoid on a recording."""
+"""What sphere and ellipsoid share: the fit of a length as a result."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
-from mavcompass.calibration.methods.comparison import compared, with_motor
-from mavcompass.calibration.methods.ellipsoid import LengthFit, fit_ellipsoid, fit_sphere
-from mavcompass.calibration.methods.judged import in_force_of
+from mavcompass.calibration.comparison import compared, judged, with_motor
+from mavcompass.calibration.fits.length import LengthFit
 from mavcompass.calibration.model import (
     GAIN,
     HORIZONTAL,
@@ -19,23 +19,25 @@ from mavcompass.calibration.model import (
     gain_parameters,
 )
 from mavcompass.calibration.observation import uncorrected_field
+from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
 from mavcompass.heading.gravity import down_in_body
-from mavcompass.track import Track
 
 _LEAST_COVERAGE = 0.3
 
 
-def length_method(track: Track, method: str, instance: int, earth: EarthField | None) -> CalibrationResult:
+def length_result(
+    recorded: Recorded, method: str, fit_length: Callable[[FloatArray], LengthFit]
+) -> CalibrationResult:
+    """Fit the readings (N, 3) of a compass turned every way and bring the fit into a judged result."""
+    track, instance, earth = recorded.track, recorded.instance, recorded.earth
     raw = uncorrected_field(track, instance)
     usable = np.isfinite(raw).all(axis=1)
     raw, time = raw[usable], track.compasses[instance].time_s[usable]
-    total = earth.total_mgauss if earth is not None else None
-    fit = fit_sphere(raw) if method == "sphere" else fit_ellipsoid(raw, total)
-    in_force = in_force_of(track, instance)
+    fit, in_force = fit_length(raw), recorded.in_force
     correction = with_motor(FieldCorrection.from_matrix(-fit.centre_mgauss, fit.matrix), in_force)
     horizontal, vertical = _split(fit.length_mgauss, correction.apply(raw), down_in_body(track, time), earth)
     names, covariance = _raw_form(fit)
@@ -51,7 +53,7 @@ def length_method(track: Track, method: str, instance: int, earth: EarthField | 
             f"The compass pointed to only {100.0 * fit.coverage:.0f} % of all directions. Turn it every way, "
             "or use the four-position method."
         )
-    return compared(
+    result = compared(
         CalibrationResult(
             instance=instance,
             method=method,
@@ -74,6 +76,7 @@ def length_method(track: Track, method: str, instance: int, earth: EarthField | 
             vertical_mgauss=vertical,
         )
     )
+    return judged(result, recorded.limits)
 
 
 def _split(

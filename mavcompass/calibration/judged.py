@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from mavcompass.calibration.model import GAIN, HORIZONTAL, VERTICAL
-from mavcompass.calibration.observation import FourPositionData, correction_at
+from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import (
     DEFAULT_PRIOR,
     FourPositionsResult,
@@ -20,7 +20,6 @@ from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits, judge
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
-from mavcompass.track import Track
 from mavcompass.units import DEG_PER_RAD
 
 
@@ -98,11 +97,3 @@ def _result(
             for turned, dwell, residual in zip(data.turned_rad, data.dwells, fit.residual_mgauss, strict=True)
         ),
     )
-
-
-def in_force_of(track: Track, instance: int) -> FieldCorrection:
-    """Return the correction in force at the end of a recording."""
-    compass = track.compasses[instance]
-    if compass.not_applied is not None:
-        return compass.not_applied
-    return correction_at(compass, float(compass.time_s[-1]))

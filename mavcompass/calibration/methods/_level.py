@@ -1,0 +1,118 @@
+"""What the level methods share: a full turn's readings, and a compensation of two axes as a result."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from mavcompass.calibration.comparison import UNCERTAIN, compared, judged, with_motor
+from mavcompass.calibration.fits.textbook import ScaleOffset, SensitivityBias
+from mavcompass.calibration.judged import calibrate_positions
+from mavcompass.calibration.observation import FourPositionData, observe, uncorrected_field
+from mavcompass.calibration.recorded import Recorded
+from mavcompass.calibration.result import CalibrationResult, Position, heading_change_rad
+from mavcompass.calibration.verdict import largest_gap_rad
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray
+from mavcompass.heading.compute import level_heading
+from mavcompass.units import DEG_PER_RAD
+
+_WIDEST_GAP_RAD = math.radians(60.0)
+
+
+def readings(recorded: Recorded) -> FloatArray:
+    """Return the raw readings, (N, 3)."""
+    raw = uncorrected_field(recorded.track, recorded.instance)
+    return raw[np.isfinite(raw).all(axis=1)]
+
+
+def still_positions(recorded: Recorded) -> FourPositionData | None:
+    """Find the recording's still positions; None where it has too few."""
+    try:
+        return observe(recorded.track, recorded.instance)
+    except PoorCalibration:
+        return None
+
+
+def full_turn(recorded: Recorded) -> FloatArray:
+    """Return the readings of a whole turn, (N, 3).
+
+    Raises PoorCalibration for one that leaves out part of the circle: its extremes are not the field's.
+    """
+    raw = readings(recorded)
+    low, high = np.percentile(raw[:, :2], [0.5, 99.5], axis=0)
+    span = np.maximum(high - low, 1e-9)
+    angles = level_heading((raw[:, :2] - 0.5 * (low + high)) / span)
+    gap = largest_gap_rad(angles)
+    if gap > _WIDEST_GAP_RAD:
+        raise PoorCalibration(
+            f"The vehicle did not turn all the way round: {math.degrees(gap):.0f} degrees are missing.",
+            "Turn it through a full circle on the level.",
+        )
+    return raw
+
+
+def level_result(
+    recorded: Recorded,
+    method: str,
+    compensation: ScaleOffset | SensitivityBias,
+    data: FourPositionData | None,
+    positions: tuple[Position, ...] = (),
+    warnings: tuple[str, ...] = (),
+) -> CalibrationResult:
+    """Bring a compensation of X and Y into a judged result; Z stays as it is in force.
+
+    `data` are the recording's still positions, for the error beside the best fit of them.
+    """
+    raw, in_force = readings(recorded), recorded.in_force
+    correction = with_motor(
+        compensation.correction(in_force.offsets_mgauss[2], float(in_force.matrix[2, 2])), in_force
+    )
+    field = correction.apply(raw)
+    length = np.hypot(field[:, 0], field[:, 1])
+    horizontal, vertical = float(np.median(length)), float(np.median(field[:, 2]))
+    result = CalibrationResult(
+        instance=recorded.instance,
+        method=method,
+        accepted=False,
+        reasons=(),
+        warnings=("Turning on the level cannot show the Z offset: it was left as it is in force.", *warnings),
+        raw_offset_mgauss=-np.asarray(correction.offsets_mgauss),
+        correction=correction,
+        in_force=in_force,
+        not_observable=("offset_z", "scale_z", "cross_xy", "cross_xz", "cross_yz", "mounting_yaw"),
+        residual_rms_mgauss=float(length.std()),
+        heading_sigma_deg=math.degrees(float(length.std()) / max(horizontal, 1e-9)),
+        horizontal_mgauss=horizontal,
+        vertical_mgauss=vertical,
+        positions=positions,
+    )
+    return judged(_against_best(compared(result), data, recorded), recorded.limits)
+
+
+def _against_best(
+    result: CalibrationResult,
+    data: FourPositionData | None,
+    recorded: Recorded,
+) -> CalibrationResult:
+    """Predict the error of a method without a covariance: its distance from the best fit of the same data."""
+    if data is None:
+        return result
+    try:
+        best = calibrate_positions(
+            data, recorded.in_force, recorded.earth, recorded.instance, prior=recorded.prior
+        )
+    except PoorCalibration:
+        return result
+    apart = heading_change_rad(
+        result.correction, best.correction, best.horizontal_mgauss, best.vertical_mgauss
+    )
+    bias = math.sqrt(float((apart**2).mean())) * DEG_PER_RAD
+    return replace(
+        result,
+        heading_sigma_deg=math.hypot(bias, best.heading_sigma_deg),
+        heading_budget_deg={"method": bias, "noise": best.heading_sigma_deg},
+        reasons=(*result.reasons, *(r for r in best.reasons if not r.startswith(UNCERTAIN))),
+    )
