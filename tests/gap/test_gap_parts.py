@@ -16,7 +16,7 @@ from mavcompass.cli.main import main
 from mavcompass.frames import euler_to_matrix, rotate_back
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.attitude.reference import body_rate, reference_attitude
-from mavcompass.gap.fit.search import CHANCE, least_gain
+from mavcompass.gap.fit.chance import CHANCE, least_gain
 from mavcompass.gap.left.adequacy import ALPHA, _line, _recurring, _sweep
 from mavcompass.gap.replay.noise import estimate_noise, rough_sigma, white
 from mavcompass.gap.selection.split import probe, split_blocks, with_windows

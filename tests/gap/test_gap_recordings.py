@@ -13,7 +13,7 @@ from mavcompass.gap import diagnose_gap
 from mavcompass.gap.answer.export import ardupilot_sitl, preset, settings_of, vehicle_settings
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.left.floor import from_recording
+from mavcompass.gap.left.stated import from_recording
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.logs import read_track
 from mavcompass.simulation.effects import Setting, read_preset

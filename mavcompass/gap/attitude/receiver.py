@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcompass.frames import FloatArray
+from mavcompass.simulation.physics.world import EARTH_RADIUS_M
 from mavcompass.track import Series, Track
 
 _STEP_S = 0.2
@@ -20,7 +21,6 @@ _LONGEST_GAP_S = 3.0
 _BELIEVED_SHARE = 0.3
 _MOST_DRIFT_RADPS = math.radians(1.0)
 _TURN_STEP_RAD = 0.25
-_EARTH_RADIUS_M = 6_371_000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,9 +121,17 @@ def local_position(place: Series | None) -> Series | None:
         return None
     lat, lon, alt = place.values.T
     lat_0, lon_0 = float(np.nanmedian(lat)), float(np.nanmedian(lon))
-    north = np.radians(lat - lat_0) * _EARTH_RADIUS_M
-    east = np.radians(lon - lon_0) * _EARTH_RADIUS_M * math.cos(math.radians(lat_0))
+    north, east = north_east_m(lat, lon, lat_0, lon_0)
     return Series.of(place.time_s, np.stack([north, east, -alt], axis=1))
+
+
+def north_east_m(
+    lat_deg: FloatArray | float, lon_deg: FloatArray | float, about_lat_deg: float, about_lon_deg: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far north and east of a place others lie, in metres, on the plane that touches there."""
+    north = np.radians(lat_deg - about_lat_deg) * EARTH_RADIUS_M
+    east = np.radians(lon_deg - about_lon_deg) * EARTH_RADIUS_M * math.cos(math.radians(about_lat_deg))
+    return north, east
 
 
 def _running(values: FloatArray, width: int) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.hypothesis import Fit, Term
+from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension
 from mavcompass.gap.fit.model import Problem, difference
 from mavcompass.gap.fit.normal import BlockNormal
 from mavcompass.gap.replay import REFERENCE_YAW, WORLD_FIELD, group_values, yaw_starts
@@ -32,6 +32,11 @@ class Candidate:
     theta: FloatArray
     columns: NDArray[np.int64]
     shifted: bool
+
+    @property
+    def dimension(self) -> int:
+        """Count its parameters as those of a fitted effect are counted."""
+        return active_dimension(self.term, self.theta)
 
     @property
     def usual(self) -> FloatArray:
@@ -75,6 +80,7 @@ class Candidates:
         """Linearise `terms` beside `base`; what is in `held` stays in the base whatever is chosen."""
         self.problem, self.base = problem, base
         self.list: list[Candidate] = []
+        self._columns = 0
         n = len(problem.nuisances)
         states = problem.states(base.terms, base.thetas, base.nuisance_thetas)
         known = problem.columns(base.terms, base.thetas, base.nuisance_thetas, states, range(n))
@@ -148,9 +154,10 @@ class Candidates:
                 theta[term.free] -= solved
         columns = np.hstack([own, shift]) if shifted and shift is not None else own
         if columns.shape[1]:
-            at = sum(c.columns.size for c in self.list)
+            end = self._columns + columns.shape[1]
             self._parts.append(columns)
-            self.list.append(Candidate(term, theta, np.arange(at, at + columns.shape[1]), shifted))
+            self.list.append(Candidate(term, theta, np.arange(self._columns, end), shifted))
+            self._columns = end
 
     def expected(self, chosen: Sequence[Candidate]) -> float:
         """Return the sum of squares, priors included, to expect after fitting a set."""

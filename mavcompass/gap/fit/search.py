@@ -14,41 +14,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.gap.fit.beam import likeliest_sets
 from mavcompass.gap.fit.candidates import Candidate, Candidates, misfit_of
-from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, make_term
+from mavcompass.gap.fit.chance import least_alone, least_gain, least_growth
+from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay import REFERENCE_YAW, yaw_starts
-from mavcompass.simulation.effects.effect import MOMENTS, Effect
+from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
-CHANCE = 2.0e-5
-_BEAM = 5
 _ROUNDS = 4
 _CATALOGUE_SIZE = 39
 _SHORT = 3
-# Sets that come so near to the best one of their size are fitted through the simulation, so many at most.
-_NEAR, _FITTED = 40.0, 4
 _HOPEFUL = 0.7
 # Twice the gain that a useless parameter has on average.
 _PRUNING = 2.0
-_SEARCHED = MOMENTS | {"frequency_hz", "threshold", "source", "orientation"}
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
-
-
-@lru_cache(maxsize=1024)
-def least_gain(dimension: int, trials: int = 1) -> float:
-    """Return the fall of the sum of squares that chance reaches with probability CHANCE.
-
-    `trials` is how many places (moments, frequencies, thresholds) were tried for it.
-    """
-    from scipy.special import chdtri
-
-    return float(chdtri(max(dimension, 1), CHANCE / max(trials, 1)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +119,7 @@ class Search:
         best = self.problem.null()
         for _ in range(_ROUNDS):
             candidates = self._linearised(best, ())
-            sets = self._beam(candidates, most)
+            sets = likeliest_sets(candidates, self._temper, self.cost, most)
             trials = [s for size in sorted(sets) for s in sets[size][: 2 if size == max(sets) else 1]]
             fits = [self._fitted(candidates, chosen, Fit((), (), (), np.inf), 8) for chosen in trials]
             better = min([best, *fits], key=lambda f: f.sse)
@@ -166,7 +151,7 @@ class Search:
         smallest = best = first
         for _ in range(_ROUNDS):
             candidates = self._linearised(self._unbent(best), held)
-            sets = self._beam(candidates, most - len(held))
+            sets = likeliest_sets(candidates, self._temper, self.cost, most - len(held))
             chosen = self._to_fit(candidates, sets, len(best.terms) - len(held))
             fits = [self._fitted(candidates, c, kept, _SHORT) for c in chosen]
             self._remember(fits)
@@ -205,52 +190,6 @@ class Search:
         )
         return replace(fit, nuisance_thetas=tuple(kept))
 
-    def _beam(self, candidates: Candidates, most: int) -> dict[int, list[tuple[Candidate, ...]]]:
-        """Return the likeliest sets of each size by their normal equations, the best first."""
-        every = candidates.list
-        if not every:
-            return {}
-        scores: dict[tuple[int, ...], float] = {}
-
-        def score(members: tuple[int, ...]) -> float:
-            if members not in scores:
-                chosen = [every[i] for i in members]
-                dimension = sum(_dimension(c) for c in chosen)
-                expected = candidates.expected(chosen) / self._temper
-                scores[members] = expected + self.cost(dimension, len(chosen))
-            return scores[members]
-
-        out: dict[int, list[tuple[Candidate, ...]]] = {}
-        beam: list[tuple[int, ...]] = [()]
-        for size in range(1, most + 1):
-            grown = {
-                tuple(sorted((*parent, i)))
-                for parent in beam
-                for i, c in enumerate(every)
-                if all(every[m].term.effect.id != c.term.effect.id for m in parent)
-            }
-            if not grown:
-                break
-            if size > 1:
-                grown |= {
-                    tuple(sorted((*(m for m in best if m != gone), i)))
-                    for best in [min(grown, key=score)]
-                    for gone in best
-                    for i, c in enumerate(every)
-                    if all(every[m].term.effect.id != c.term.effect.id for m in best if m != gone)
-                }
-            ranked = sorted(grown, key=score)
-            beam = ranked[: _BEAM if size > 1 else 2 * _BEAM]
-            lowest = score(ranked[0])
-            seen: dict[frozenset[str], tuple[int, ...]] = {}
-            for members in ranked[: 8 * _FITTED]:
-                seen.setdefault(frozenset(every[i].term.effect.id for i in members), members)
-            near = [m for m in seen.values() if score(m) < lowest + _NEAR]
-            out[size] = [tuple(every[i] for i in members) for members in near[:_FITTED]]
-            if size > 1 and lowest > min(score(m) for m in scores if len(m) == size - 1) + self.cost(2):
-                break
-        return out
-
     def _to_fit(
         self, candidates: Candidates, sets: dict[int, list[tuple[Candidate, ...]]], now: int
     ) -> list[tuple[Candidate, ...]]:
@@ -273,9 +212,7 @@ class Search:
         """Return the least gain of the member of a set that needs least."""
         least = math.inf
         for candidate in chosen:
-            names = [p.name for p in candidate.term.effect.parameters if p.name in _SEARCHED]
-            trials = math.exp(_log_trials_of(names[:1], self.problem.count))
-            gain = least_gain(_dimension(candidate), round(trials))
+            gain = least_alone(candidate.term, candidate.dimension, self.problem.count)
             if not self.exact:
                 gain *= candidates.contradiction(chosen, [candidate])
             least = min(least, gain)
@@ -311,7 +248,7 @@ class Search:
             return []
         candidates = self._linearised(self._unbent(best), ()) if best.terms else self._candidates
         size = max(len(best.terms), 1)
-        sets = self._beam(candidates, size).get(size, [])
+        sets = likeliest_sets(candidates, self._temper, self.cost, size).get(size, [])
         empty = Fit((), (), (), np.inf)
         return [
             self._fitted(candidates, chosen, empty, _SHORT)
@@ -321,11 +258,7 @@ class Search:
 
     def grows(self, smaller: Fit, larger: Fit) -> bool:
         """Tell whether the larger set is needed."""
-        rows = self.problem.count
-        extra = max(_linear_dimension(larger) - _linear_dimension(smaller), 1)
-        trials = max(_log_trials(larger, rows) - _log_trials(smaller, rows), 0.0)
-        least = least_gain(extra, round(math.exp(trials)))
-        gain = smaller.sse - larger.sse
+        least, gain = least_growth(smaller, larger, self.problem.count), smaller.sse - larger.sse
         return gain > least and (self.exact or gain > least * self.contradiction(smaller, larger))
 
     def contradiction(self, smaller: Fit, larger: Fit) -> float:
@@ -432,45 +365,12 @@ class Search:
             fit = min(options, key=_natural_size)
 
 
-def _dimension(candidate: Candidate) -> int:
-    """Count the parameters of a candidate as `active_dimension` does of a fitted term."""
-    return active_dimension(candidate.term, candidate.theta)
-
-
 def _natural_size(fit: Fit) -> float:
     return sum(
         float(np.sum((x / np.maximum(t.effect.scale, 1e-12))[t.free] ** 2))
         for t, x in zip(fit.terms, fit.thetas, strict=True)
         if t.effect.affine
     )
-
-
-def _searched(fit: Fit) -> list[str]:
-    """List the parameters of a fit that were searched over a range, not fitted from nothing."""
-    return [
-        p.name
-        for term, theta in zip(fit.terms, fit.thetas, strict=True)
-        for p, v in zip(term.effect.parameters, theta, strict=True)
-        if p.name in _SEARCHED and not (p.name in term.effect.optional and not p.low < v < p.high)
-    ]
-
-
-def _linear_dimension(fit: Fit) -> int:
-    total = sum(active_dimension(t, x) for t, x in zip(fit.terms, fit.thetas, strict=True))
-    return total - len(_searched(fit))
-
-
-def _log_trials(fit: Fit, rows: int) -> float:
-    """Return the logarithm of how many independent places were tried.
-
-    Neighbouring moments are hardly independent: about a third of the rows counts.
-    """
-    return _log_trials_of(_searched(fit), rows)
-
-
-def _log_trials_of(names: Sequence[str], rows: int) -> float:
-    each = {**dict.fromkeys(MOMENTS, rows / 3.0), "frequency_hz": 2.0 * rows}
-    return sum(math.log(max(each.get(name, 24.0), 1.0)) for name in names)
 
 
 def _in_order(fit: Fit, like: Fit) -> Fit:

@@ -4,8 +4,7 @@ from mavcompass.gap.left.adequacy import Adequacy, judge
 from mavcompass.gap.left.doubtful import doubting
 from mavcompass.gap.left.floor import (
     Floor,
-    from_baseline,
-    from_recording,
+    apart,
     heading_error_rad,
     measured_noise,
     rms,
@@ -21,11 +20,14 @@ from mavcompass.gap.left.scatter import (
     find_scatter,
     noise_with,
 )
+from mavcompass.gap.left.stated import from_recording
+from mavcompass.gap.left.taught import from_baseline
 
 __all__ = [
     "Adequacy",
     "Floor",
     "Scatter",
+    "apart",
     "doubting",
     "drift_gain",
     "early_scale",

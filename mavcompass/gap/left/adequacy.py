@@ -88,7 +88,8 @@ def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
         part = J[at * 3 * n : (at + 1) * 3 * n].reshape(n, 3, -1) if J.shape[1] else np.zeros((n, 3, 0))
         whitener = problem.noise[group]
         for name, coordinate, regressors in _blocks(group, states[-1]):
-            T = [whitener.filter_columns(regressors, c)[problem.index] for c in range(3)]
+            white = whitener.decorrelated(regressors[:, None])[problem.index]
+            T = [np.ascontiguousarray(white[:, c]) for c in range(3)]
             yield _score_test(name, coordinate, T, rest[at], part, root)
 
 

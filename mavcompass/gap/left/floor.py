@@ -1,35 +1,17 @@
-"""The floor: what is left when nothing is wrong, and what a baseline teaches about the simulator.
-
-A baseline recording of the same vehicle tells how far its calibration in force is to be trusted, what the
-calibration and the field's model leave (with the joint covariance that this baseline leaves: what its motion
-cannot tell apart stays apart), the noise of each channel, and how that grows where the field turns fast.
-Without one, the floor is the scatter between neighbouring readings, the numbers' resolution and the doubt in
-the attitude reference; the verdict is more careful.
-"""
+"""The floor: what is left when nothing is wrong, as noise, as figures, and as what is known beforehand."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Problem, Search
-from mavcompass.gap.left.adequacy import judge
+from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.replay import (
-    ANOTHER_IRON,
-    IRON_MATRIX,
-    IRON_OFFSET,
-    REFERENCE_YAW,
-    STATED,
-    TELEMETRY_AGE,
-    USUAL_SCATTER_MGAUSS,
-    WORLD_FIELD,
-    WORST_SCATTER_MGAUSS,
     Noise,
-    Nuisance,
     Prior,
     Replay,
     SensorNoise,
@@ -37,40 +19,11 @@ from mavcompass.gap.replay import (
     estimate_noise,
     group_values,
     rough_sigma,
-    untestable_effects,
-    wandering,
     white,
 )
-from mavcompass.simulation.effects.causes.world import gradient_matrix, gradient_origin
-from mavcompass.simulation.effects.effect import Effect
 
 _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
 _STATED_MGAUSS = 0.3
-_REFERENCE_DOUBT_RAD = {
-    "columns": math.radians(0.2),
-    "fused": math.radians(0.4),
-    "gps-yaw": math.radians(0.5),
-    "gyro": math.radians(0.4),
-    "attitude": math.radians(1.0),
-}
-_DOUBT_LASTS_S = 5.0
-# How much of the doubt shows along the field, where only the calibration and what nobody models is in doubt,
-# and across it.
-_ACROSS = np.array([0.6, 1.0, 1.0])
-_TIME_DOUBT_S = {"telemetry": 0.03, "direct": 0.01}
-_FOLD_WIDENING = 4.0
-_MOST_FOLDED = 4
-# One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
-_REPRESENTATIVE_P = 1e-5
-# How much the same vehicle differs from one recording to the next, in the nuisances' own units.
-_FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.02, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
-_SAME_PLACE_M = 1000.0
-_DISCREPANCY_MGAUSS = 1.2
-_UNMEASURED, _LEVEL_MORE = 3.0, 1.25
-# What another iron must explain beyond the calibration in force, and how far that may be strained (squared
-# sigmas).
-_MATERIAL_MGAUSS, _MATERIAL_SHARE, _MOST_STRAIN = 1.5, 0.5, 60.0
-_WITNESS_DAILY_RAD = math.radians(1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,26 +93,29 @@ def measured_noise(problem: Problem, fit: Fit) -> Noise:
     return noise
 
 
-def heading_error_rad(replay: Replay, field_mgauss: FloatArray, other_mgauss: FloatArray) -> FloatArray:
-    """Return the tilt-compensated heading of one field (N, 3) less that of another, radians, (N,)."""
-    r = replay.signals.stimulus.rotation
-    # In world axes both fields are levelled; the yaw drops out of the angle between them. A heading is made
-    # of readings that the calibration in force has corrected.
-    a = np.einsum("nij,nj->ni", r, replay.iron.field(field_mgauss))
-    b = np.einsum("nij,nj->ni", r, replay.iron.field(other_mgauss))
-    cross = b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]
-    dot = b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1]
-    return np.asarray(-np.arctan2(cross, dot))
+def widened(floor: Floor, problem: Problem, fit: Fit) -> Floor:
+    """Widen a stated noise where a fit leaves more than it: the doubt was larger than stated."""
+    z = problem.innovations(problem.predict(fit))["mag"][problem.index]
+    excess = np.sqrt(np.mean(z**2, axis=0))
+    if float(np.sqrt(np.mean(excess**2))) <= 1.05:
+        return floor
+    if floor.noise["mag"].channels is None:
+        excess = np.full(3, float(np.sqrt(np.mean(excess**2))))
+    excess = np.maximum(excess, 1.0)
+    mag = floor.noise["mag"]
+    return with_noise(floor, {**floor.noise, "mag": replace(mag, sigma=mag.sigma * excess)})
 
 
-def rms_deg(angle_rad: FloatArray) -> float:
-    """Return the root mean square of angles, in degrees."""
-    return math.degrees(math.sqrt(float(np.mean(angle_rad**2)))) if angle_rad.size else math.nan
+def with_noise(floor: Floor, noise: Noise) -> Floor:
+    """Return the same floor with another noise for whitening."""
+    return replace(floor, noise=noise)
 
 
-def rms(error: FloatArray) -> float:
-    """Return the root mean square over samples and axes together."""
-    return math.sqrt(float(np.mean(error**2))) if error.size else math.nan
+def prior_of(replay: Replay, trust: Trust | None) -> Prior:
+    """Return the prior of a recording's nuisances, the iron in force among them; None trusts no
+    calibration."""
+    iron = () if trust is None else replay.iron.nuisances(trust)
+    return Prior.of((*replay.nuisances, *iron))
 
 
 def field_channels(replay: Replay) -> FloatArray | None:
@@ -178,320 +134,37 @@ def field_channels(replay: Replay) -> FloatArray | None:
     return np.asarray(turn @ replay.signals.stimulus.rotation @ np.linalg.inv(replay.iron.matrix))
 
 
-def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect]) -> Floor:
-    """Tune the simulator to a baseline, with those effects that it can tell, and measure what it leaves."""
-    trust, problem, fit = _tuned(baseline)
-    sharp = baseline.reference.kind == "columns"
-    if sharp and _has_gap(problem, fit):
-        never = _NEVER_FOLDED | untestable_effects(baseline, effects).keys()
-        foldable = [e for e in effects if e.kind == "mean" and e.id not in never]
-        fit = Search(problem, foldable).run(_MOST_FOLDED).best
-        problem = Problem(baseline, measured_noise(problem, fit), baseline.valid, problem.prior)
-        fit = problem.refit(fit)
-        if fit.terms:
-            fit = Search(problem, foldable).run(_MOST_FOLDED).best
-    noise = measured_noise(problem, fit)
-    problem = Problem(baseline, noise, baseline.valid, problem.prior)
-    fit = problem.refit(fit)
-    predicted = problem.predict(fit)
-    error = (baseline.measured.mag_mgauss - predicted.mag_mgauss)[baseline.valid]
-    heading = heading_error_rad(baseline, baseline.measured.mag_mgauss, predicted.mag_mgauss)
-    law = None if sharp else _growth(problem, fit)
-    noise = {g: noise[g] for g in replay.groups if g in noise} | {
-        g: first_noise(replay)[g] for g in replay.groups if g not in noise
-    }
-    field_rms, heading_rms = rms(error), rms_deg(heading[baseline.valid])
-    if law is not None:
-        noise["mag"], larger = _grown(noise["mag"], law, baseline, replay)
-        # The error of the model itself: attitudes and times of another flight are off in another way.
-        level = max(float(np.hypot(*replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
-        field_rms = math.hypot(field_rms * larger, _DISCREPANCY_MGAUSS)
-        heading_rms = math.hypot(heading_rms * larger, math.degrees(_DISCREPANCY_MGAUSS / level))
-        # Scatter that is alike in all axes is scatter of the heading too, whatever the baseline's turns
-        # showed.
-        heading_rms = max(heading_rms, math.degrees(_LEVEL_MORE * field_rms / level))
-    return Floor(
-        noise=noise,
-        field_rms_mgauss=field_rms,
-        heading_rms_deg=heading_rms,
-        error_mgauss=error,
-        representative=_represents(problem, fit),
-        prior=_taught(replay, baseline, problem, fit, trust),
-        folded=tuple(sorted(fit.ids)),
-        measured=True,
-        trust=trust,
-    )
-
-
-def _tuned(baseline: Replay) -> tuple[Trust | None, Problem, Fit]:
-    """Fit what is not known of a good vehicle, trusting its calibration as far as this recording allows.
-
-    The calibration is believed unless another iron would explain materially more: no attitude is exact, and
-    what it leaves must not be made iron.
-    """
-    widest = Problem(baseline, first_noise(baseline), baseline.valid, prior_of(baseline, ANOTHER_IRON))
-    noise = _without_slow_causes(widest, widest.null())
-    problem = Problem(baseline, noise, baseline.valid, widest.prior)
-    fit = problem.null()
-    least = _rms_left(problem, fit)
-    trust = STATED if baseline.iron.calibrated else None
-    trusting = Problem(baseline, noise, baseline.valid, prior_of(baseline, trust))
-    believed = trusting.null()
-    # Where the noise is tighter than what is left, a prior is strained by as much.
-    strain = trusting.strain(believed) / max(believed.sse / max(3 * trusting.count, 1), 1.0)
-    worse = math.sqrt(max(_rms_left(trusting, believed) ** 2 - least**2, 0.0))
-    material = 0.0 if baseline.reference.kind == "columns" else _MATERIAL_MGAUSS
-    if worse <= max(material, _MATERIAL_SHARE * least) and strain <= _MOST_STRAIN:
-        return trust, trusting, believed
-    return ANOTHER_IRON, problem, fit
-
-
-def _rms_left(problem: Problem, fit: Fit) -> float:
-    left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
-    return rms(left[problem.replay.valid])
-
-
-def prior_of(replay: Replay, trust: Trust | None) -> Prior:
-    """Return the prior of a recording's nuisances, the iron in force among them; None trusts no
-    calibration."""
-    iron = () if trust is None else replay.iron.nuisances(trust)
-    return Prior.of((*replay.nuisances, *iron))
-
-
-def _growth(problem: Problem, fit: Fit) -> FloatArray:
-    """Return how the squared residual of each channel grows with the square of its rate of change, (3,), s^2.
-
-    Late, averaged and repeated readings, and an attitude at another time, make errors that go with the rate.
-    """
-    replay, noise = problem.replay, problem.noise["mag"]
-    predicted = problem.predict(fit).mag_mgauss
-    error = noise.in_channels(replay.measured.mag_mgauss - predicted)[replay.valid] ** 2
-    change = _change(replay, noise)[replay.valid] ** 2
-    usual = 4.0 * np.mean(error, axis=0)
-    bounded = np.minimum(error, 4.0 * usual)
-    spread = change - change.mean(axis=0)
-    slope = (spread * bounded).sum(axis=0) / np.maximum((spread**2).sum(axis=0), 1e-9)
-    return np.clip(slope, 0.0, 0.15**2)
-
-
-def _change(replay: Replay, noise: SensorNoise) -> FloatArray:
+def nominal_rate(replay: Replay, noise: SensorNoise) -> FloatArray:
     """Return how fast the nominal field turns, in the noise's channels, (N, 3), mG/s."""
     turning = np.gradient(replay.nominal_mgauss, replay.time_s, axis=0)
     return noise.in_channels(np.asarray(turning))
 
 
-def _grown(
-    noise: SensorNoise, law: FloatArray, baseline: Replay, replay: Replay
-) -> tuple[SensorNoise, float]:
-    """Carry a noise over to a recording that turns more or less; return it and how much larger its rms is."""
-    before = _change(baseline, noise)[baseline.valid] ** 2
-    still = np.maximum(noise.rms**2 - law * before.mean(axis=0), 0.1 * noise.rms**2)
-    here = replace(noise, channels=field_channels(replay))
-    now = _change(replay, here) ** 2
-    scale = np.sqrt((still + law * now) / noise.rms**2)
-    larger = float(np.sqrt(np.mean(still + law * now[replay.valid].mean(axis=0)) / np.mean(noise.rms**2)))
-    return replace(here, row_scale=np.maximum(scale, 0.3)), larger
+def heading_error_rad(replay: Replay, field_mgauss: FloatArray, other_mgauss: FloatArray) -> FloatArray:
+    """Return the tilt-compensated heading of one field (N, 3) less that of another, radians, (N,)."""
+    r = replay.signals.stimulus.rotation
+    # In world axes both fields are levelled; the yaw drops out of the angle between them. A heading is made
+    # of readings that the calibration in force has corrected.
+    a = np.einsum("nij,nj->ni", r, replay.iron.field(field_mgauss))
+    b = np.einsum("nij,nj->ni", r, replay.iron.field(other_mgauss))
+    cross = b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]
+    dot = b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1]
+    return np.asarray(-np.arctan2(cross, dot))
 
 
-def _represents(problem: Problem, fit: Fit) -> bool:
-    """Tell whether a baseline's noise is that of other recordings too: explained, and not wandering.
-
-    What wanders for seconds (an attitude that the vehicle's own sensors made, above all) does so in another
-    way each time.
-    """
-    steady = not problem.noise["mag"].moving.any() and problem.replay.reference.kind == "columns"
-    return steady and judge(problem, fit, compare_scatter=False).p > _REPRESENTATIVE_P
+def apart(
+    replay: Replay, field_mgauss: FloatArray, other_mgauss: FloatArray, rows: NDArray[np.bool_ | np.int64]
+) -> tuple[float, float]:
+    """Return by how much two fields (N, 3) differ on some rows, as rms: field (mG) and heading (deg)."""
+    turned = heading_error_rad(replay, field_mgauss, other_mgauss)
+    return rms((field_mgauss - other_mgauss)[rows]), rms_deg(turned[rows])
 
 
-_NEVER_FOLDED = frozenset({"hard_iron_step", "ac_interference", "relay_field", "orientation", "clipping"})
+def rms_deg(angle_rad: FloatArray) -> float:
+    """Return the root mean square of angles, in degrees."""
+    return math.degrees(math.sqrt(float(np.mean(angle_rad**2)))) if angle_rad.size else math.nan
 
 
-def _without_slow_causes(problem: Problem, fit: Fit) -> Noise:
-    """Estimate the noise of the residual; where slow causes dominate, keep the scatter between neighbours."""
-    measured, stated = measured_noise(problem, fit), problem.noise
-    out: Noise = {}
-    for group, noise in measured.items():
-        dominated = float(np.max(noise.rms / stated[group].sigma)) > 1.6
-        out[group] = stated[group] if dominated else noise
-    return out
-
-
-def _has_gap(problem: Problem, fit: Fit) -> bool:
-    return judge(problem, fit, compare_scatter=False, thorough=False).flagged
-
-
-def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust: Trust | None) -> Prior:
-    """Carry over what a baseline tells of the vehicle and its place, with the joint covariance that it
-    leaves."""
-    iron = () if trust is None else replay.iron.nuisances(trust)
-    kept = {IRON_MATRIX, IRON_OFFSET, TELEMETRY_AGE}
-    if _same_place(replay, baseline):
-        kept.add(WORLD_FIELD.id)
-    own = [*replay.nuisances, *iron]
-    there = {n.effect.id: (n, theta, at) for n, theta, at in _placed(problem, fit)}
-    taught: list[Nuisance] = []
-    source: list[int] = []
-    place: list[int] = []
-    at = 0
-    for nuisance in own:
-        if nuisance.effect.id in kept and nuisance.effect.id in there:
-            _, theta, first = there[nuisance.effect.id]
-            if theta.size == nuisance.mean.size:
-                mean = theta.copy()
-                if nuisance.effect is WORLD_FIELD:
-                    mean = _field_here(replay, baseline, theta) + _from_start_to_start(replay, baseline, fit)
-                nuisance = replace(nuisance, mean=mean)
-                source += range(first, first + theta.size)
-                place += range(at, at + theta.size)
-        if nuisance.effect.id == REFERENCE_YAW and REFERENCE_YAW in there:
-            nuisance = _same_witness(nuisance, there[REFERENCE_YAW], replay, baseline, fit)
-        taught.append(nuisance)
-        at += nuisance.mean.size
-    folded_at = sum(theta.size for theta in fit.nuisance_thetas)
-    for term, theta in zip(fit.terms, fit.thetas, strict=True):
-        index = np.flatnonzero(term.free)
-        taught.append(Nuisance.of(term.effect, theta.copy(), np.maximum(term.effect.scale, 1e-9) * 1e-6))
-        source += range(folded_at, folded_at + index.size)
-        place += (at + index).tolist()
-        folded_at += index.size
-        at += theta.size
-    prior = Prior.of(taught)
-    if source:
-        daily = np.concatenate([np.full(n.mean.size, _FROM_DAY_TO_DAY.get(n.effect.id, 0.0)) for n in taught])
-        if replay.reference.kind == "columns":
-            daily = np.zeros(daily.size)
-        elif trust is ANOTHER_IRON:
-            # An iron that nobody measured but this baseline takes all its errors with it.
-            daily = daily * _UNMEASURED
-        covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
-        covariance = _no_wider(covariance, np.diag(prior.precision)[place])
-        size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        precision = prior.precision.copy()
-        precision[np.ix_(place, place)] = np.linalg.pinv(covariance / np.outer(size, size)) / np.outer(
-            size, size
-        )
-        prior = replace(prior, precision=precision)
-    return prior
-
-
-def _no_wider(covariance: FloatArray, own_precision: FloatArray) -> FloatArray:
-    """Keep what a baseline hardly shows (motors that idle) within what is stated for this recording."""
-    told = np.maximum(np.diag(covariance) * own_precision, 1.0)
-    shrink = 1.0 / np.sqrt(told)
-    return np.asarray(covariance * np.outer(shrink, shrink))
-
-
-def _same_witness(
-    own: Nuisance, there: tuple[Nuisance, FloatArray, int], replay: Replay, baseline: Replay, fit: Fit
-) -> Nuisance:
-    """Let a witness of the yaw be off by the same constant as it was in the baseline."""
-    if replay.reference.yaw_unknown or baseline.reference.yaw_unknown:
-        return own
-    _, theta, at = there
-    mean, precision = own.mean.copy(), own.precision.copy()
-    mean[0] = theta[0]
-    precision[0, 0] = 1.0 / (_FOLD_WIDENING * fit.covariance[at, at] + _WITNESS_DAILY_RAD**2)
-    return replace(own, mean=mean, precision=precision)
-
-
-def _placed(problem: Problem, fit: Fit) -> list[tuple[Nuisance, FloatArray, int]]:
-    """List the nuisances of a fit with their values and their places in its covariance."""
-    sizes = [theta.size for theta in fit.nuisance_thetas]
-    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(int).tolist()
-    return list(zip(problem.nuisances, fit.nuisance_thetas, starts, strict=False))
-
-
-def _field_here(replay: Replay, baseline: Replay, theta: FloatArray) -> FloatArray:
-    if baseline.field_known and replay.field_known:
-        return theta.copy()
-    field = baseline.signals.stimulus.field_ned_mgauss[0] + theta
-    return np.asarray(field - replay.signals.stimulus.field_ned_mgauss[0])
-
-
-def _same_place(replay: Replay, baseline: Replay) -> bool:
-    """Tell whether two recordings were made so near to each other that the field is the same."""
-    if replay.place is None or baseline.place is None:
-        return True
-    (lat, lon, _), (there_lat, there_lon, _) = replay.place, baseline.place
-    north = math.radians(lat - there_lat) * 6_371_000.0
-    east = math.radians(lon - there_lon) * 6_371_000.0 * math.cos(math.radians(lat))
-    return math.hypot(north, east) < _SAME_PLACE_M
-
-
-def _from_start_to_start(replay: Replay, baseline: Replay, fit: Fit) -> FloatArray:
-    """Return how a folded gradient changes the field from one recording's origin to the other's.
-
-    Only positions of a reference share their datum.
-    """
-    if "field_gradient" not in fit.ids or not replay.reference.kind == baseline.reference.kind == "columns":
-        return np.zeros(3)
-    own, other = (gradient_origin(one.signals.stimulus.position_ned_m) for one in (replay, baseline))
-    return np.asarray((own - other) @ gradient_matrix(fit.theta("field_gradient")))
-
-
-def from_recording(replay: Replay) -> Floor:
-    """State a floor without a baseline: scatter, the reference's slow doubt, and the doubt in the times.
-
-    The doubt in the attitude wanders, as a first-order process of some seconds; the doubt in the times
-    grows with the field's rate of change. Scatter that no data sheet allows is not the floor's.
-    """
-    noise = first_noise(replay)
-    scatter = noise["mag"].sigma
-    world = replay.signals.stimulus.field_ned_mgauss[0]
-    total, level = float(np.linalg.norm(world)), max(float(np.hypot(world[0], world[1])), 1.0)
-    doubt = max(_REFERENCE_DOUBT_RAD[replay.reference.kind], replay.reference.tilt_sigma_rad)
-    white_rms = math.sqrt(float(np.mean(scatter**2)))
-    usual = white_rms if white_rms < WORST_SCATTER_MGAUSS else USUAL_SCATTER_MGAUSS
-    step = float(np.median(np.diff(replay.time_s)))
-    rho = math.exp(-step / _DOUBT_LASTS_S)
-    channels = field_channels(replay)
-    # A small random rotation moves the field by doubt |B| in the two directions across it.
-    slow = np.full(3, doubt * total * math.sqrt(2.0 / 3.0)) if channels is None else doubt * total * _ACROSS
-    each = [
-        wandering(np.full(3, white_rms) if channels is not None else scatter, float(v), rho) for v in slow
-    ]
-    sigma = np.array([one[0][c] for c, one in enumerate(each)])
-    late = _TIME_DOUBT_S["telemetry" if replay.telemetry else "direct"]
-    whole = np.hypot(white_rms, slow)
-    mag = SensorNoise(
-        np.full((1, 3), rho),
-        sigma,
-        whole,
-        np.inf,
-        moving=np.array([one[1] for one in each]),
-        channels=channels,
-    )
-    change = _change(replay, mag)
-    mag = replace(mag, row_scale=np.sqrt(1.0 + (late * change / sigma) ** 2))
-    timing = late * math.sqrt(float(np.mean(change[replay.valid] ** 2)))
-    trust = STATED if replay.iron.calibrated else None
-    # What a calibration usually leaves is no gap: it belongs to the floor.
-    doubted = replay.iron.sigma(STATED)
-    cured = 0.0 if trust is None else math.hypot(rms(doubted[:3]), rms(doubted[3:]) * total)
-    return Floor(
-        {**noise, "mag": mag},
-        math.hypot(usual, float(np.sqrt(np.mean(slow**2))), timing, cured),
-        math.degrees(math.hypot(usual, doubt * total, timing, cured) / level),
-        np.zeros((0, 3)),
-        False,
-        prior_of(replay, trust),
-        trust=trust,
-    )
-
-
-def widened(floor: Floor, problem: Problem, fit: Fit) -> Floor:
-    """Widen a stated noise where a fit leaves more than it: the doubt was larger than stated."""
-    z = problem.innovations(problem.predict(fit))["mag"][problem.index]
-    excess = np.sqrt(np.mean(z**2, axis=0))
-    if float(np.sqrt(np.mean(excess**2))) <= 1.05:
-        return floor
-    if floor.noise["mag"].channels is None:
-        excess = np.full(3, float(np.sqrt(np.mean(excess**2))))
-    excess = np.maximum(excess, 1.0)
-    mag = floor.noise["mag"]
-    return with_noise(floor, {**floor.noise, "mag": replace(mag, sigma=mag.sigma * excess)})
-
-
-def with_noise(floor: Floor, noise: Noise) -> Floor:
-    """Return the same floor with another noise for whitening."""
-    return replace(floor, noise=noise)
+def rms(error: FloatArray) -> float:
+    """Return the root mean square over samples and axes together."""
+    return math.sqrt(float(np.mean(error**2))) if error.size else math.nan

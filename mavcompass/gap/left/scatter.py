@@ -203,9 +203,10 @@ def drift_gain(problem: Problem, fit: Fit) -> tuple[float, float]:
     modes = np.sqrt(2.0) * np.sin(np.pi * order * ((replay.time_s - replay.time_s[0]) / span)[:, None])
     modes = modes * np.sqrt(span) / (np.pi * order)
     modes = np.hstack([modes, np.ones((replay.time_s.size, 1)) * 10.0])
+    whitened = noise.decorrelated(modes[:, None])[problem.index]
     each = []
     for axis in range(3):
-        white = noise.filter_columns(modes, axis)[problem.index]
+        white = np.ascontiguousarray(whitened[:, axis])
         values, vectors = np.linalg.eigh(white.T @ white)
         each.append((np.maximum(values, 0.0), (vectors.T @ (white.T @ z[:, axis])) ** 2))
     best, best_size = 0.0, 0.0

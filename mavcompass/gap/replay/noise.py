@@ -53,43 +53,31 @@ class SensorNoise:
 
     def whiten(self, error: FloatArray) -> FloatArray:
         """Return innovations in sigmas, (N, 3); the first p rows are those of an infinite past of zeros."""
-        out = self.decorrelated(self.in_channels(error) / self.sigma)
-        # What scatters more has no part in what wanders: only the innovations are scaled.
-        return out if self.row_scale is None else out / self.row_scale
+        return self.whiten_many(error[:, :, None])[:, :, 0]
 
     def whiten_many(self, errors: FloatArray) -> FloatArray:
         """Return innovations in sigmas of many errors at once, (N, 3, K)."""
-        if self.channels is not None:
-            errors = np.matmul(self.channels, errors)
-        out = errors / self.sigma[:, None]
-        for channel in range(3):
-            out[:, channel] = self.filter_columns(out[:, channel], channel)
-        return np.asarray(out if self.row_scale is None else out / self.row_scale[:, :, None])
+        turned = errors if self.channels is None else np.matmul(self.channels, errors)
+        out = self.decorrelated(turned / self.sigma[:, None])
+        # What scatters more has no part in what wanders: only the innovations are scaled.
+        return out if self.row_scale is None else out / self.row_scale[:, :, None]
 
     def decorrelated(self, columns: FloatArray) -> FloatArray:
-        """Take each channel's correlation out of its column (N, 3), whose scale stays."""
-        out = columns.copy()
-        for lag, coefficient in enumerate(self.coefficients, start=1):
-            out[lag:] -= coefficient * columns[:-lag]
+        """Take each channel's correlation out of its columns (N, 3, K), whose scale stays.
+
+        Columns (N, 1, K) belong to every channel.
+        """
+        out = np.repeat(columns, 3 // columns.shape[1], axis=1)
+        for lag, coefficients in enumerate(self.coefficients, start=1):
+            out[lag:] -= coefficients[:, None] * columns[:-lag]
         if self.moving.any():
             # What the first reading tells of the second: the best linear prediction of a stationary error.
-            out[0] *= np.where(self.moving > 0.0, (self.sigma / self.rms) ** 2, 1.0)
-            if np.ptp(self.moving) == 0.0 and out.shape[1] == 3:
-                return recursive(float(self.moving[0]), out)
+            out[0] *= np.where(self.moving > 0.0, (self.sigma / self.rms) ** 2, 1.0)[:, None]
+            if np.ptp(self.moving) == 0.0:
+                return recursive(float(self.moving[0]), out.reshape(len(out), -1)).reshape(out.shape)
             for channel in np.flatnonzero(self.moving):
-                out[:, [channel]] = recursive(float(self.moving[channel]), out[:, [channel]])
+                out[:, channel] = recursive(float(self.moving[channel]), out[:, channel])
         return out
-
-    def filter_columns(self, columns: FloatArray, channel: int) -> FloatArray:
-        """Take one channel's correlation out of any columns (N, k)."""
-        out = columns.copy()
-        for lag, coefficient in enumerate(self.coefficients[:, channel].tolist(), start=1):
-            out[lag:] -= coefficient * columns[:-lag]
-        moving = float(self.moving[channel])
-        if moving > 0.0:
-            out[0] *= float((self.sigma[channel] / self.rms[channel]) ** 2)
-            out = recursive(moving, out)
-        return np.asarray(out)
 
     def filled(self, error: FloatArray, missing: NDArray[np.bool_], rng: np.random.Generator) -> FloatArray:
         """Return errors (N, 3) whose missing elements are drawn from the noise, given what came before."""

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from mavcompass.gap.fit import Fit, Found, Problem, Search
-from mavcompass.gap.left import Floor, heading_error_rad, rms, rms_deg, widened
+from mavcompass.gap.left import Floor, apart, heading_error_rad, rms, widened
 from mavcompass.gap.replay import Replay, group_values
 from mavcompass.gap.selection.split import Split, probe, with_windows
 from mavcompass.gap.selection.transient import moments, told, transients, with_moments
@@ -162,13 +162,9 @@ def _at_floor_with(candidate: Identified, fit: Fit, floor: Floor) -> bool:
     problem, rows = candidate.problem, candidate.split.test
     if not rows.any():
         return False
-    measured = problem.replay.measured.mag_mgauss
-    nominal = problem.predict(fit).mag_mgauss
-    heading = heading_error_rad(problem.replay, measured, nominal)[rows]
-    return (
-        rms((measured - nominal)[rows]) < _ABOVE_FLOOR * floor.field_rms_mgauss
-        and rms_deg(heading) < _ABOVE_FLOOR * floor.heading_rms_deg
-    )
+    replay = problem.replay
+    field, heading = apart(replay, replay.measured.mag_mgauss, problem.predict(fit).mag_mgauss, rows)
+    return field < _ABOVE_FLOOR * floor.field_rms_mgauss and heading < _ABOVE_FLOOR * floor.heading_rms_deg
 
 
 def _moments_in_training(candidate: Identified) -> Identified:
@@ -311,9 +307,8 @@ def _gap(candidate: Identified, floor: Floor) -> tuple[tuple[float, float], tupl
     """Return rms of what the effects change and of the floor, for field (mG) and heading (deg)."""
     fit, problem = candidate.fit, candidate.problem
     after, before = problem.predict(fit), problem.predict(fit, effects=False)
-    change = (after.mag_mgauss - before.mag_mgauss)[problem.index]
-    turned = heading_error_rad(problem.replay, after.mag_mgauss, before.mag_mgauss)[problem.index]
-    return (rms(change), floor.field_rms_mgauss), (rms_deg(turned), floor.heading_rms_deg)
+    field, heading = apart(problem.replay, after.mag_mgauss, before.mag_mgauss, problem.index)
+    return (field, floor.field_rms_mgauss), (heading, floor.heading_rms_deg)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ def slow_gain(noise: SensorNoise, error: FloatArray) -> float:
     """Return what a constant and a slow sine gain in twice the log likelihood, three axes together."""
     phase = np.linspace(0.0, 6.0 * np.pi, len(error))
     columns = np.stack([np.ones_like(phase), np.sin(phase), np.cos(phase)], axis=1)
-    white, target = noise.decorrelated(columns), noise.whiten(error)
+    white, target = noise.decorrelated(columns[:, None])[:, 0], noise.whiten(error)
     left = target - white @ np.linalg.lstsq(white, target, rcond=None)[0]
     return float(np.sum(target**2) - np.sum(left**2))
 

@@ -10,7 +10,7 @@ import pytest
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.attitude.reference import body_rate
-from mavcompass.gap.left.floor import from_recording
+from mavcompass.gap.left.stated import from_recording
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.replay.rows import compass_rows
 from mavcompass.gap.replay.testable import untestable_effects

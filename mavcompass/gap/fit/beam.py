@@ -1,0 +1,58 @@
+"""The beam over sets of effects: the likeliest of each size by their normal equations, without a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mavcompass.gap.fit.candidates import Candidate, Candidates
+
+_BEAM = 5
+# Sets that come so near to the best one of their size are fitted through the simulation, so many at most.
+_NEAR, _FITTED = 40.0, 4
+
+
+def likeliest_sets(
+    candidates: Candidates, temper: float, cost: Callable[[int, int], float], most: int
+) -> dict[int, list[tuple[Candidate, ...]]]:
+    """Return the likeliest sets of each size up to `most`, the best first.
+
+    `temper` divides sums of squares that errors of some seconds make too large; `cost` is the penalty for so
+    many parameters and effects.
+    """
+    every = candidates.list
+    if not every:
+        return {}
+    effect = [c.term.effect.id for c in every]
+    scores: dict[tuple[int, ...], float] = {}
+
+    def score(members: tuple[int, ...]) -> float:
+        if members not in scores:
+            chosen = [every[i] for i in members]
+            dimension = sum(c.dimension for c in chosen)
+            scores[members] = candidates.expected(chosen) / temper + cost(dimension, len(chosen))
+        return scores[members]
+
+    def grown(parent: tuple[int, ...]) -> set[tuple[int, ...]]:
+        held = {effect[m] for m in parent}
+        return {tuple(sorted((*parent, i))) for i in range(len(every)) if effect[i] not in held}
+
+    out: dict[int, list[tuple[Candidate, ...]]] = {}
+    beam: list[tuple[int, ...]] = [()]
+    for size in range(1, most + 1):
+        sets = {members for parent in beam for members in grown(parent)}
+        if not sets:
+            break
+        if size > 1:
+            best = min(sets, key=score)
+            sets |= {other for gone in best for other in grown(tuple(m for m in best if m != gone))}
+        ranked = sorted(sets, key=score)
+        beam = ranked[: _BEAM if size > 1 else 2 * _BEAM]
+        lowest = score(ranked[0])
+        seen: dict[frozenset[str], tuple[int, ...]] = {}
+        for members in ranked[: 8 * _FITTED]:
+            seen.setdefault(frozenset(effect[i] for i in members), members)
+        near = [m for m in seen.values() if score(m) < lowest + _NEAR]
+        out[size] = [tuple(every[i] for i in members) for members in near[:_FITTED]]
+        if size > 1 and lowest > min(score(m) for m in scores if len(m) == size - 1) + cost(2, 1):
+            break
+    return out

@@ -1,0 +1,298 @@
+"""What a baseline teaches about the vehicle and its simulator.
+
+A baseline recording of the same vehicle tells how far its calibration in force is to be trusted, what the
+calibration and the field's model leave (with the joint covariance that this baseline leaves: what its motion
+cannot tell apart stays apart), the noise of each channel, and how that grows where the field turns fast.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude import north_east_m
+from mavcompass.gap.fit import Fit, Problem, Search
+from mavcompass.gap.left.adequacy import judge
+from mavcompass.gap.left.floor import (
+    Floor,
+    apart,
+    field_channels,
+    first_noise,
+    measured_noise,
+    nominal_rate,
+    prior_of,
+    rms,
+)
+from mavcompass.gap.replay import (
+    ANOTHER_IRON,
+    IRON_MATRIX,
+    IRON_OFFSET,
+    REFERENCE_YAW,
+    STATED,
+    TELEMETRY_AGE,
+    WORLD_FIELD,
+    Noise,
+    Nuisance,
+    Prior,
+    Replay,
+    SensorNoise,
+    Trust,
+    untestable_effects,
+)
+from mavcompass.simulation.effects.causes.world import gradient_matrix, gradient_origin
+from mavcompass.simulation.effects.effect import Effect
+
+_FOLD_WIDENING = 4.0
+_MOST_FOLDED = 4
+_NEVER_FOLDED = frozenset({"hard_iron_step", "ac_interference", "relay_field", "orientation", "clipping"})
+
+
+# One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
+_REPRESENTATIVE_P = 1e-5
+# How much the same vehicle differs from one recording to the next, in the nuisances' own units.
+_FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.02, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
+_SAME_PLACE_M = 1000.0
+_DISCREPANCY_MGAUSS = 1.2
+_UNMEASURED, _LEVEL_MORE = 3.0, 1.25
+# What another iron must explain beyond the calibration in force, and how far that may be strained (squared
+# sigmas).
+_MATERIAL_MGAUSS, _MATERIAL_SHARE, _MOST_STRAIN = 1.5, 0.5, 60.0
+_WITNESS_DAILY_RAD = math.radians(1.0)
+
+
+def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect]) -> Floor:
+    """Tune the simulator to a baseline, with those effects that it can tell, and measure what it leaves."""
+    trust, problem, fit = _tuned(baseline)
+    sharp = baseline.reference.kind == "columns"
+    if sharp and _has_gap(problem, fit):
+        never = _NEVER_FOLDED | untestable_effects(baseline, effects).keys()
+        foldable = [e for e in effects if e.kind == "mean" and e.id not in never]
+        fit = Search(problem, foldable).run(_MOST_FOLDED).best
+        problem = Problem(baseline, measured_noise(problem, fit), baseline.valid, problem.prior)
+        fit = problem.refit(fit)
+        if fit.terms:
+            fit = Search(problem, foldable).run(_MOST_FOLDED).best
+    noise = measured_noise(problem, fit)
+    problem = Problem(baseline, noise, baseline.valid, problem.prior)
+    fit = problem.refit(fit)
+    predicted = problem.predict(fit)
+    error = (baseline.measured.mag_mgauss - predicted.mag_mgauss)[baseline.valid]
+    law = None if sharp else _growth(problem, fit)
+    noise = {g: noise[g] for g in replay.groups if g in noise} | {
+        g: first_noise(replay)[g] for g in replay.groups if g not in noise
+    }
+    field_rms, heading_rms = apart(
+        baseline, baseline.measured.mag_mgauss, predicted.mag_mgauss, baseline.valid
+    )
+    if law is not None:
+        noise["mag"], larger = _grown(noise["mag"], law, baseline, replay)
+        # The error of the model itself: attitudes and times of another flight are off in another way.
+        level = max(float(np.hypot(*replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
+        field_rms = math.hypot(field_rms * larger, _DISCREPANCY_MGAUSS)
+        heading_rms = math.hypot(heading_rms * larger, math.degrees(_DISCREPANCY_MGAUSS / level))
+        # Scatter that is alike in all axes is scatter of the heading too, whatever the baseline's turns
+        # showed.
+        heading_rms = max(heading_rms, math.degrees(_LEVEL_MORE * field_rms / level))
+    return Floor(
+        noise=noise,
+        field_rms_mgauss=field_rms,
+        heading_rms_deg=heading_rms,
+        error_mgauss=error,
+        representative=_represents(problem, fit),
+        prior=_taught(replay, baseline, problem, fit, trust),
+        folded=tuple(sorted(fit.ids)),
+        measured=True,
+        trust=trust,
+    )
+
+
+def _tuned(baseline: Replay) -> tuple[Trust | None, Problem, Fit]:
+    """Fit what is not known of a good vehicle, trusting its calibration as far as this recording allows.
+
+    The calibration is believed unless another iron would explain materially more: no attitude is exact, and
+    what it leaves must not be made iron.
+    """
+    widest = Problem(baseline, first_noise(baseline), baseline.valid, prior_of(baseline, ANOTHER_IRON))
+    noise = _without_slow_causes(widest, widest.null())
+    problem = Problem(baseline, noise, baseline.valid, widest.prior)
+    fit = problem.null()
+    least = _rms_left(problem, fit)
+    trust = STATED if baseline.iron.calibrated else None
+    trusting = Problem(baseline, noise, baseline.valid, prior_of(baseline, trust))
+    believed = trusting.null()
+    # Where the noise is tighter than what is left, a prior is strained by as much.
+    strain = trusting.strain(believed) / max(believed.sse / max(3 * trusting.count, 1), 1.0)
+    worse = math.sqrt(max(_rms_left(trusting, believed) ** 2 - least**2, 0.0))
+    material = 0.0 if baseline.reference.kind == "columns" else _MATERIAL_MGAUSS
+    if worse <= max(material, _MATERIAL_SHARE * least) and strain <= _MOST_STRAIN:
+        return trust, trusting, believed
+    return ANOTHER_IRON, problem, fit
+
+
+def _rms_left(problem: Problem, fit: Fit) -> float:
+    left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
+    return rms(left[problem.replay.valid])
+
+
+def _without_slow_causes(problem: Problem, fit: Fit) -> Noise:
+    """Estimate the noise of the residual; where slow causes dominate, keep the scatter between neighbours."""
+    measured, stated = measured_noise(problem, fit), problem.noise
+    out: Noise = {}
+    for group, noise in measured.items():
+        dominated = float(np.max(noise.rms / stated[group].sigma)) > 1.6
+        out[group] = stated[group] if dominated else noise
+    return out
+
+
+def _has_gap(problem: Problem, fit: Fit) -> bool:
+    return judge(problem, fit, compare_scatter=False, thorough=False).flagged
+
+
+def _growth(problem: Problem, fit: Fit) -> FloatArray:
+    """Return how the squared residual of each channel grows with the square of its rate of change, (3,), s^2.
+
+    Late, averaged and repeated readings, and an attitude at another time, make errors that go with the rate.
+    """
+    replay, noise = problem.replay, problem.noise["mag"]
+    predicted = problem.predict(fit).mag_mgauss
+    error = noise.in_channels(replay.measured.mag_mgauss - predicted)[replay.valid] ** 2
+    change = nominal_rate(replay, noise)[replay.valid] ** 2
+    usual = 4.0 * np.mean(error, axis=0)
+    bounded = np.minimum(error, 4.0 * usual)
+    spread = change - change.mean(axis=0)
+    slope = (spread * bounded).sum(axis=0) / np.maximum((spread**2).sum(axis=0), 1e-9)
+    return np.clip(slope, 0.0, 0.15**2)
+
+
+def _grown(
+    noise: SensorNoise, law: FloatArray, baseline: Replay, replay: Replay
+) -> tuple[SensorNoise, float]:
+    """Carry a noise over to a recording that turns more or less; return it and how much larger its rms is."""
+    before = nominal_rate(baseline, noise)[baseline.valid] ** 2
+    still = np.maximum(noise.rms**2 - law * before.mean(axis=0), 0.1 * noise.rms**2)
+    here = replace(noise, channels=field_channels(replay))
+    now = nominal_rate(replay, here) ** 2
+    scale = np.sqrt((still + law * now) / noise.rms**2)
+    larger = float(np.sqrt(np.mean(still + law * now[replay.valid].mean(axis=0)) / np.mean(noise.rms**2)))
+    return replace(here, row_scale=np.maximum(scale, 0.3)), larger
+
+
+def _represents(problem: Problem, fit: Fit) -> bool:
+    """Tell whether a baseline's noise is that of other recordings too: explained, and not wandering.
+
+    What wanders for seconds (an attitude that the vehicle's own sensors made, above all) does so in another
+    way each time.
+    """
+    steady = not problem.noise["mag"].moving.any() and problem.replay.reference.kind == "columns"
+    return steady and judge(problem, fit, compare_scatter=False).p > _REPRESENTATIVE_P
+
+
+def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust: Trust | None) -> Prior:
+    """Carry over what a baseline tells of the vehicle and its place, with the joint covariance that it
+    leaves."""
+    iron = () if trust is None else replay.iron.nuisances(trust)
+    kept = {IRON_MATRIX, IRON_OFFSET, TELEMETRY_AGE}
+    if _same_place(replay, baseline):
+        kept.add(WORLD_FIELD.id)
+    own = [*replay.nuisances, *iron]
+    there = {n.effect.id: (n, theta, at) for n, theta, at in _placed(problem, fit)}
+    taught: list[Nuisance] = []
+    source: list[int] = []
+    place: list[int] = []
+    at = 0
+    for nuisance in own:
+        if nuisance.effect.id in kept and nuisance.effect.id in there:
+            _, theta, first = there[nuisance.effect.id]
+            if theta.size == nuisance.mean.size:
+                mean = theta.copy()
+                if nuisance.effect is WORLD_FIELD:
+                    mean = _field_here(replay, baseline, theta) + _from_start_to_start(replay, baseline, fit)
+                nuisance = replace(nuisance, mean=mean)
+                source += range(first, first + theta.size)
+                place += range(at, at + theta.size)
+        if nuisance.effect.id == REFERENCE_YAW and REFERENCE_YAW in there:
+            nuisance = _same_witness(nuisance, there[REFERENCE_YAW], replay, baseline, fit)
+        taught.append(nuisance)
+        at += nuisance.mean.size
+    folded_at = sum(theta.size for theta in fit.nuisance_thetas)
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        index = np.flatnonzero(term.free)
+        taught.append(Nuisance.of(term.effect, theta.copy(), np.maximum(term.effect.scale, 1e-9) * 1e-6))
+        source += range(folded_at, folded_at + index.size)
+        place += (at + index).tolist()
+        folded_at += index.size
+        at += theta.size
+    prior = Prior.of(taught)
+    if source:
+        daily = np.concatenate([np.full(n.mean.size, _FROM_DAY_TO_DAY.get(n.effect.id, 0.0)) for n in taught])
+        if replay.reference.kind == "columns":
+            daily = np.zeros(daily.size)
+        elif trust is ANOTHER_IRON:
+            # An iron that nobody measured but this baseline takes all its errors with it.
+            daily = daily * _UNMEASURED
+        covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
+        covariance = _no_wider(covariance, np.diag(prior.precision)[place])
+        size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        precision = prior.precision.copy()
+        precision[np.ix_(place, place)] = np.linalg.pinv(covariance / np.outer(size, size)) / np.outer(
+            size, size
+        )
+        prior = replace(prior, precision=precision)
+    return prior
+
+
+def _no_wider(covariance: FloatArray, own_precision: FloatArray) -> FloatArray:
+    """Keep what a baseline hardly shows (motors that idle) within what is stated for this recording."""
+    told = np.maximum(np.diag(covariance) * own_precision, 1.0)
+    shrink = 1.0 / np.sqrt(told)
+    return np.asarray(covariance * np.outer(shrink, shrink))
+
+
+def _same_witness(
+    own: Nuisance, there: tuple[Nuisance, FloatArray, int], replay: Replay, baseline: Replay, fit: Fit
+) -> Nuisance:
+    """Let a witness of the yaw be off by the same constant as it was in the baseline."""
+    if replay.reference.yaw_unknown or baseline.reference.yaw_unknown:
+        return own
+    _, theta, at = there
+    mean, precision = own.mean.copy(), own.precision.copy()
+    mean[0] = theta[0]
+    precision[0, 0] = 1.0 / (_FOLD_WIDENING * fit.covariance[at, at] + _WITNESS_DAILY_RAD**2)
+    return replace(own, mean=mean, precision=precision)
+
+
+def _placed(problem: Problem, fit: Fit) -> list[tuple[Nuisance, FloatArray, int]]:
+    """List the nuisances of a fit with their values and their places in its covariance."""
+    sizes = [theta.size for theta in fit.nuisance_thetas]
+    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(int).tolist()
+    return list(zip(problem.nuisances, fit.nuisance_thetas, starts, strict=False))
+
+
+def _field_here(replay: Replay, baseline: Replay, theta: FloatArray) -> FloatArray:
+    if baseline.field_known and replay.field_known:
+        return theta.copy()
+    field = baseline.signals.stimulus.field_ned_mgauss[0] + theta
+    return np.asarray(field - replay.signals.stimulus.field_ned_mgauss[0])
+
+
+def _same_place(replay: Replay, baseline: Replay) -> bool:
+    """Tell whether two recordings were made so near to each other that the field is the same."""
+    if replay.place is None or baseline.place is None:
+        return True
+    (lat, lon, _), (there_lat, there_lon, _) = replay.place, baseline.place
+    return math.hypot(*north_east_m(there_lat, there_lon, lat, lon)) < _SAME_PLACE_M
+
+
+def _from_start_to_start(replay: Replay, baseline: Replay, fit: Fit) -> FloatArray:
+    """Return how a folded gradient changes the field from one recording's origin to the other's.
+
+    Only positions of a reference share their datum.
+    """
+    if "field_gradient" not in fit.ids or not replay.reference.kind == baseline.reference.kind == "columns":
+        return np.zeros(3)
+    own, other = (gradient_origin(one.signals.stimulus.position_ned_m) for one in (replay, baseline))
+    return np.asarray((own - other) @ gradient_matrix(fit.theta("field_gradient")))
