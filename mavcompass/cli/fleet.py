@@ -27,7 +27,6 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 NOTHING_USABLE = 4
 _SHOWN = 5
 _LONG_S = 20.0  # from here on a recording is named
-_LEAST_MGAUSS = 0.5
 
 
 @click.group()
@@ -257,23 +256,27 @@ def _short(path: str) -> str:
 
 
 def _say(output: Output, result: FleetResult, summary: Summary, out: Path, page: Path) -> None:
-    from mavcompass.fleet.summary import counted
+    from mavcompass.fleet.summary import LEAST_MGAUSS, counted
 
     kept = f", {result.kept} were done before" if result.kept else ""
+    fruitless = ""
+    if summary.not_accepted:
+        fruitless = f", {len(summary.not_accepted)} without a calibration (mostly: too little turning)"
     output.say(
         f"{result.examined} of {counted(result.asked, 'recording')} examined{kept};"
-        f" {counted(len(summary.errors), 'error')}."
+        f" {counted(len(summary.errors), 'error')}{fruitless}."
     )
     if summary.slowest and summary.slowest[0][1] >= _LONG_S:
         output.say("Slowest: {} ({:.0f} s).".format(*summary.slowest[0]))
-    for effect in [effect for effect in summary.effects if effect.largest_mgauss >= _LEAST_MGAUSS][:_SHOWN]:
+    for effect in [effect for effect in summary.effects if effect.largest_mgauss >= LEAST_MGAUSS][:_SHOWN]:
         output.say(
             f"  {effect.effect}: in {counted(effect.recordings, 'recording')} of"
             f" {counted(effect.vehicles, 'vehicle')}, median {effect.median_mgauss:.1f} mG,"
             f" largest {effect.largest_mgauss:.1f} mG"
         )
     for vehicle in summary.look_first[:_SHOWN]:
-        output.say(f"Look at {vehicle.name}: {'; '.join(vehicle.why)}.")
+        where = f" ({vehicle.kind}; last: {_short(vehicle.last_recording)})" if vehicle.last_recording else ""
+        output.say(f"Look at {vehicle.name}{where}: {'; '.join(vehicle.why)}.")
     output.say(f"Table: {out}")
     output.say(f"Summary: {page}")
 
@@ -289,6 +292,7 @@ def _document(result: FleetResult, summary: Summary, out: Path, page: Path) -> d
         "table": out,
         "report": page,
         "errors": [{"recording": recording, "error": error} for recording, error in summary.errors],
+        "not_accepted": [{"recording": recording, "why": why} for recording, why in summary.not_accepted],
         "slowest": [{"recording": recording, "seconds": seconds} for recording, seconds in summary.slowest],
         "effects": [
             {

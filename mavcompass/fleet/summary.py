@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
 
+from mavcompass.errors import PoorCalibration
 from mavcompass.fleet.examine import Row, Work
 
 _AXES = ("x", "y", "z")
@@ -17,6 +18,9 @@ _DAY_S = 86_400.0
 # A heading that is off by more than this, or that drifted by so many sigmas, is worth a person's time.
 NOTABLE_DEG = 2.0
 NOTABLE_SIGMAS = 3.0
+LEAST_MGAUSS = 0.5  # an effect that is nowhere larger is not worth a line
+# Verdicts of a diagnosis after which the difference in heading is the recording's own noise.
+_SILENT = ("no_gap", "not_testable")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +32,7 @@ class Point:
         off_deg: heading rms between the correction in force (or the simulation) and what was found.
         drift_deg: heading rms between the first accepted correction and this one; None for diagnoses.
         sigma_deg: 1 sigma of `drift_deg`.
+        is_noise: the recording is too coarse for `off_deg` to mean anything.
     """
 
     time_unix_s: float
@@ -35,6 +40,7 @@ class Point:
     off_deg: float | None
     drift_deg: float | None = None
     sigma_deg: float | None = None
+    is_noise: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +64,10 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """Hold what is known of one vehicle; `why` says, worst first, what makes it worth a look."""
+    """Hold what is known of one vehicle; `why` says, worst first, what makes it worth a look.
+
+    `not_accepted` recordings gave no calibration: mostly, the vehicle turned too little.
+    """
 
     name: str
     kind: str
@@ -69,6 +78,7 @@ class Vehicle:
     histories: tuple[History, ...]
     worst_deg: float
     why: tuple[str, ...]
+    last_recording: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +100,7 @@ class Summary:
     Attributes:
         errors: recording and what went wrong, once each. vehicles: the ones to look at first come first.
         slowest: the recordings that took longest, with their seconds.
+        not_accepted: recordings that gave no calibration, and why.
     """
 
     work: Work
@@ -98,6 +109,7 @@ class Summary:
     vehicles: tuple[Vehicle, ...]
     effects: tuple[EffectSize, ...]
     slowest: tuple[tuple[str, float], ...] = ()
+    not_accepted: tuple[tuple[str, str], ...] = ()
 
     @property
     def look_first(self) -> tuple[Vehicle, ...]:
@@ -112,7 +124,15 @@ def summarise(rows: Sequence[Row], work: Work) -> Summary:
         by_vehicle[row["vehicle"]].append(row)
     vehicles = [_vehicle(name, by_vehicle[name]) for name in sorted(by_vehicle)]
     vehicles.sort(key=lambda v: (-v.worst_deg, -len(v.why), v.name))
-    return Summary(work, _count(rows), _errors(rows), tuple(vehicles), _effects(rows), _slowest(rows))
+    return Summary(
+        work,
+        _count(rows),
+        _sentences(rows, _is_error),
+        tuple(vehicles),
+        _effects(rows),
+        _slowest(rows),
+        _sentences(rows, _is_not_accepted),
+    )
 
 
 def effects_of(row: Row) -> dict[str, float]:
@@ -138,15 +158,25 @@ def effects_of(row: Row) -> dict[str, float]:
     }
 
 
-def _errors(rows: Sequence[Row]) -> tuple[tuple[str, str], ...]:
-    """Return each recording with an error once; where other compasses gave a result, with the compass."""
-    good = {row["recording"] for row in rows if row["status"] != "error"}
-    errors: dict[str, str] = {}
-    for row in rows:
-        if row["status"] == "error":
-            which = f"compass {row['compass']}: " if row["recording"] in good and row.get("compass") else ""
-            errors.setdefault(row["recording"], which + row["error"])
-    return tuple(errors.items())
+def _is_not_accepted(row: Row) -> bool:
+    """Tell a recording that can be read and gives no calibration: an ordinary flight, not a fault."""
+    return row["status"] == "not_accepted" or (
+        row["status"] == "error" and row.get("error_kind") == PoorCalibration.__name__
+    )
+
+
+def _is_error(row: Row) -> bool:
+    return row["status"] == "error" and not _is_not_accepted(row)
+
+
+def _sentences(rows: Sequence[Row], chosen: Callable[[Row], bool]) -> tuple[tuple[str, str], ...]:
+    """Return each chosen recording once, and why; where other compasses gave a result, with the compass."""
+    good = {row["recording"] for row in rows if not chosen(row)}
+    said: dict[str, str] = {}
+    for row in filter(chosen, rows):
+        which = f"compass {row['compass']}: " if row["recording"] in good and row.get("compass") else ""
+        said.setdefault(row["recording"], which + (row.get("error") or row.get("reasons") or ""))
+    return tuple(said.items())
 
 
 def _slowest(rows: Sequence[Row], most: int = 3) -> tuple[tuple[str, float], ...]:
@@ -187,8 +217,8 @@ def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
         for effect, size in effects_of(row).items():
             sizes[effect] = max(size, sizes.get(effect, 0.0))
     diagnosed = any(row.get("verdict") is not None for row in rows)
-    errors = _count(row for row in rows if row["status"] == "error")
-    not_accepted = _count(row for row in rows if row["status"] == "not_accepted")
+    errors = _count(filter(_is_error, rows))
+    not_accepted = _count(filter(_is_not_accepted, rows))
     reasons = [reason for history in histories for reason in _reasons(history, diagnosed)]
     reasons.sort(key=lambda reason: reason[0], reverse=True)
     why = [text for _, text in reasons]
@@ -196,8 +226,6 @@ def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
     if unexplained:
         shows = "shows" if unexplained == 1 else "show"
         why.append(f"{counted(unexplained, 'recording')} {shows} something that no effect explains")
-    if not_accepted:
-        why.append(f"{counted(not_accepted, 'recording')} gave no calibration worth writing")
     if errors:
         why.append(f"{counted(errors, 'recording')} could not be used")
     kinds = [row["vehicle_kind"] for row in rows if row.get("vehicle_kind") not in (None, "unknown")]
@@ -211,6 +239,7 @@ def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
         histories,
         max((worst for worst, _ in reasons), default=0.0),
         tuple(why),
+        max((p.time_unix_s, p.recording) for h in histories for p in h.points)[1] if histories else "",
     )
 
 
@@ -229,7 +258,7 @@ def _histories(rows: Sequence[Row]) -> tuple[History, ...]:
 def _point(row: Row, first: Row) -> Point:
     moment, recording = row["recorded_unix_s"], row["recording"]
     if row.get("verdict") is not None:
-        return Point(moment, recording, row.get("heading_gap_deg"))
+        return Point(moment, recording, row.get("heading_gap_deg"), is_noise=row["verdict"] in _SILENT)
     sigmas = (first["heading_sigma_deg"] or 0.0, row["heading_sigma_deg"] or 0.0)
     return Point(
         moment, recording, row["heading_change_deg"], heading_between_deg(first, row), math.hypot(*sigmas)
@@ -268,7 +297,7 @@ def _reasons(history: History, diagnosed: bool) -> list[tuple[float, str]]:
     """Say what is notable in a compass's history, with how many degrees it is about."""
     out = []
     last, which = history.points[-1], f"compass {history.compass}"
-    if last.off_deg is not None and last.off_deg >= NOTABLE_DEG:
+    if last.off_deg is not None and last.off_deg >= NOTABLE_DEG and not last.is_noise:
         # A diagnosis has the sensor's own gap, whatever the calibration in force makes of it.
         off = "the simulation's heading is {:.1f}° away" if diagnosed else "heading off by {:.1f}°"
         out.append((last.off_deg, f"{which}: {off.format(last.off_deg)} in its last recording"))

@@ -10,7 +10,7 @@ import numpy as np
 
 from mavcompass import __version__
 from mavcompass.errors import UsageError
-from mavcompass.fleet.summary import NOTABLE_DEG, History, Summary, Vehicle
+from mavcompass.fleet.summary import LEAST_MGAUSS, NOTABLE_DEG, History, Summary, Vehicle
 from mavcompass.frames import FloatArray
 from mavcompass.report.calibration import render
 from mavcompass.report.svg import Plot, bars, limits
@@ -24,6 +24,7 @@ _CURVES = (("new", "new"), ("old", "old"), ("truth", "axis-z"))
 
 def write_fleet_report(summary: Summary, facts: Mapping[str, str], path: Path) -> None:
     """Write the page. Raises UsageError where it cannot be written or jinja2 is missing."""
+    effects = [e for e in summary.effects if e.largest_mgauss >= LEAST_MGAUSS]
     drifting = [v for v in summary.vehicles if any(len(h.points) > 1 for h in v.histories)]
     html = render(
         "fleet.html",
@@ -32,13 +33,15 @@ def write_fleet_report(summary: Summary, facts: Mapping[str, str], path: Path) -
         summary=summary,
         facts=facts,
         notable_deg=NOTABLE_DEG,
-        first=summary.look_first[:_MOST_FIRST],
+        first=[(v, "/".join(Path(v.last_recording).parts[-2:])) for v in summary.look_first[:_MOST_FIRST]],
+        effects=effects,
         vehicles=[(v, _last_off_deg(v), _rate(v)) for v in summary.vehicles[:_MOST_VEHICLES]],
         drifts=[(v, drift_figure(v, summary.work == "calibrate")) for v in drifting[:_MOST_DRIFTS]],
         drifting=len(drifting),
         errors=summary.errors[:_MOST_ERRORS],
+        not_accepted=summary.not_accepted[:_MOST_ERRORS],
         effect_bars=bars(
-            sorted(((e.effect, e.median_mgauss) for e in summary.effects), key=lambda e: -e[1])[:12],
+            sorted(((e.effect, e.median_mgauss) for e in effects), key=lambda e: -e[1])[:12],
             "mG",
             "Median size of each effect",
         ),

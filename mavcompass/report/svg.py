@@ -164,7 +164,7 @@ def bars(rows: Sequence[tuple[str, float]], unit: str, title: str, width: float 
     known = [(name, value) for name, value in rows if math.isfinite(value)]
     if not known:
         return ""
-    step, left, right = 26.0, 128.0, 70.0
+    step, left, right = 26.0, 128.0, 76.0
     most = max(value for _, value in known) or 1.0
     pieces = []
     for k, (name, value) in enumerate(known):
@@ -174,10 +174,16 @@ def bars(rows: Sequence[tuple[str, float]], unit: str, title: str, width: float 
             f'<text class="tick side" x="{left - 8}" y="{y + 9}" dy="0.32em">{escape(name)}</text>'
             f'<rect class="bar" x="{left}" y="{y}" width="{max(length, 1.0):.1f}" height="18" rx="3"/>'
             f'<text class="mark" x="{left + max(length, 1.0) + 6:.1f}" y="{y + 9}" dy="0.32em">'
-            f"{'&lt; 0.001' if value < 0.001 else f'{value:.2g}'} {escape(unit)}</text>"
+            f"{_shown(value)} {escape(unit)}</text>"
         )
     height = 10.0 + step * len(known)
     return (
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(title)}">'
         f"{''.join(pieces)}</svg>"
     )
+
+
+def _shown(value: float) -> str:
+    if value < 0.001:
+        return "&lt; 0.001"
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"

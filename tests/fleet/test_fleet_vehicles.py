@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
+import pytest
 from fleet_samples import write_recording
 
 from mavcompass.fleet.engine import Engine
@@ -89,16 +90,38 @@ def test_the_accelerometer_s_mark_is_of_its_calibration() -> None:
 
 
 def test_counts_are_recordings_however_many_compasses_failed() -> None:
-    failed = {"status": "error", "error": "Too little turning.", "error_kind": "PoorCalibration"}
+    failed = {"status": "error", "error": "Cut short.", "error_kind": "BadRecording"}
     rows = [row("a", 1) | failed | {"compass": i} for i in (1, 2, 3)]
     rows += [row("b", 2) | {"accepted": False, "status": "not_accepted", "seconds": 3.0, "compass": 1}]
     rows += [row("b", 2) | failed | {"compass": 2, "seconds": 4.0}]
     summary = summarise(rows, "calibrate")
     assert summary.recordings == 2
-    assert summary.errors == (("a", "Too little turning."), ("b", "compass 2: Too little turning."))
+    assert summary.errors == (("a", "Cut short."), ("b", "compass 2: Cut short."))
     assert (summary.vehicles[0].errors, summary.vehicles[0].not_accepted) == (2, 1)
-    assert "1 recording gave no calibration worth writing" in summary.vehicles[0].why
+    assert summary.vehicles[0].why == ("2 recordings could not be used",)
     assert summary.slowest[0] == ("b", 7.0)
+
+
+def test_an_ordinary_flight_gives_no_calibration_and_is_no_error() -> None:
+    still = {"status": "error", "error": "Too little turning.", "error_kind": "PoorCalibration"}
+    summary = summarise([row("a", 1) | still], "calibrate")
+    assert summary.errors == () and summary.not_accepted == (("a", "Too little turning."),)
+    assert summary.look_first == ()
+
+
+@pytest.mark.parametrize(
+    ("verdict", "is_notable"), [("no_gap", False), ("not_testable", False), ("named", True)]
+)
+def test_what_is_the_recordings_own_noise_is_no_reason_to_look(verdict: str, is_notable: bool) -> None:
+    diagnosed = {
+        "status": "ok",
+        "verdict": verdict,
+        "heading_gap_deg": 9.0,
+        "compass": 1,
+        "recorded_unix_s": 1.0,
+    }
+    summary = summarise([row("a", 1) | diagnosed], "diagnose")
+    assert bool(summary.look_first) is is_notable
 
 
 def slow_or_examine(job: Job, path: str) -> list[Row]:
