@@ -23,7 +23,7 @@ from mavcompass.gap.left import (
     with_noise,
 )
 from mavcompass.gap.replay import Noise, Replay
-from mavcompass.gap.selection.identification import Identified
+from mavcompass.gap.selection.identified import Identified
 from mavcompass.simulation.physics.signals import Reading
 
 _LEAST_MGAUSS = 0.3

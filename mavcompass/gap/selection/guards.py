@@ -1,0 +1,271 @@
+"""The guards: what keeps a name from being given wrongly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.gap.fit import Fit, Problem
+from mavcompass.gap.left import Floor, apart, heading_error_rad, rms
+from mavcompass.gap.replay import group_values
+from mavcompass.gap.selection.identified import Identified
+from mavcompass.simulation.effects.effect import NEVER_S, Group
+
+# What healthy sensors may be off by, in mG, m/s^2 and rad/s.
+_LEAST: dict[Group, float] = {"mag": 1.0, "acc": 0.1, "gyro": 0.004}
+_LEAST_SHARE = 0.10
+# The least that is named without an exact floor, in mG and degrees: with a baseline, and without.
+_LEAST_HERE = {True: (0.5, 0.1), False: (1.0, 0.3)}
+_LEAST_OF_FLOOR = 0.5
+# No model is exact: what holds less than this share of a gap (4 % of its square) may be the error of the
+# rest.
+_MATERIAL_SHARE, _MATERIAL_BESIDE_UNKNOWN, _EXPLAINED = 0.2, 0.4, 1.25
+# A gap that is no larger than this many floors without an effect needs no such effect.
+_ABOVE_FLOOR, _ABOVE_STATED, _LEAST_OF_STATED = 1.25, 0.5, 0.1
+_AT_THE_END = 1e-3
+# A block shows an effect where it changes this share of what it does where it changes most.
+_TOUCHED = 0.05
+# Squared sigmas by which what is known of the vehicle may give way to a missing effect.
+_STRAINED = 30.0
+_NEEDED = 10.0
+# Readings that an effect changes by less than this (squared sigmas, in all) cannot judge it.
+SILENT = 9.0
+# A half that gains less than this share of what an effect gains in the other half says nothing of it.
+_LITTLE = 0.1
+_NEAREST_MAGNET_M = 0.03
+
+
+def needs_none(candidate: Identified, floor: Floor) -> bool:
+    """Tell whether field and heading lie at the floor without any effect, on rows that were not fitted."""
+    if not floor.measured and candidate.problem.replay.reference.kind == "columns":
+        return False
+    return at_floor(candidate, candidate.found.null, floor)
+
+
+def at_floor(candidate: Identified, fit: Fit, floor: Floor) -> bool:
+    """Tell whether field and heading lie at the floor with a fit, on rows that were not fitted."""
+    problem, rows = candidate.problem, candidate.split.test
+    if not rows.any():
+        return False
+    replay = problem.replay
+    field, heading = apart(replay, replay.measured.mag_mgauss, problem.predict(fit).mag_mgauss, rows)
+    return field < _ABOVE_FLOOR * floor.field_rms_mgauss and heading < _ABOVE_FLOOR * floor.heading_rms_deg
+
+
+def refused(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
+    """Return the first effect that a guard refuses, and why."""
+    fit = candidate.fit
+    for place, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
+        reach = np.minimum(_AT_THE_END * (term.upper - term.lower), term.effect.scale)
+        near = (theta - term.lower < reach) | (term.upper - theta < reach)
+        outside = near & term.free & (np.abs(theta) > term.effect.scale) & (np.abs(theta) < NEVER_S)
+        # What the recording does not tell may end anywhere: only what is needed there counts.
+        if any(_needed(candidate, place, int(j)) for j in np.flatnonzero(outside)):
+            return term.effect.id, "its best value lies at the end of the physical range"
+    if (touching := _touched(candidate)) is not None:
+        return touching, "its place lies on the path itself, where it could explain any reading"
+    if (worse := _vetoed(candidate)) is not None:
+        return worse, "one half of the training data does not confirm what the other half says"
+    if (small := _immaterial(candidate, floor)) is not None:
+        return small, "it removes no more than healthy sensors may be off, or less than a tenth of the gap"
+    return None
+
+
+def worthwhile(problem: Problem, floor: Floor, fit: Fit) -> bool:
+    """Tell whether what a fit leaves above the noise is enough for one more effect to be named."""
+    if floor.representative:
+        return True
+    after = _left(problem, fit, effects=True)
+    least = _least(problem, fit, after)
+    noise: dict[Group, float] = {g: float(rms(problem.noise[g].rms)) for g in problem.groups}
+    return any(after[g] ** 2 - noise[g] ** 2 > least[g] ** 2 for g in problem.groups)
+
+
+def _needed(candidate: Identified, place: int, parameter: int) -> bool:
+    """Tell whether a fit becomes worse when one parameter is held where its effect is least."""
+    fit = candidate.fit
+    term = fit.terms[place]
+    free, theta = term.free.copy(), fit.thetas[place].copy()
+    free[parameter] = False
+    theta[parameter] = np.clip(term.effect.neutral(), term.lower, term.upper)[parameter]
+    terms = (*fit.terms[:place], replace(term, free=free), *fit.terms[place + 1 :])
+    thetas = (*fit.thetas[:place], theta, *fit.thetas[place + 1 :])
+    held = candidate.problem.fit(terms, thetas, fit.nuisance_thetas, iterations=4)
+    return held.sse - fit.sse > _NEEDED
+
+
+def _touched(candidate: Identified) -> str | None:
+    """Refuse a magnet so near the path that its field is a spike of its own at a few readings."""
+    if "spatial_dipole" not in candidate.fit.ids:
+        return None
+    position = candidate.problem.replay.signals.stimulus.position_ned_m
+    place = candidate.fit.theta("spatial_dipole")[:3]
+    nearest = float(np.nanmin(np.linalg.norm(position - place, axis=1)))
+    return "spatial_dipole" if nearest < _NEAREST_MAGNET_M else None
+
+
+def _vetoed(candidate: Identified) -> str | None:
+    """Fit on each half of the training rows; an effect must help on the other half.
+
+    A magnet that is passed once shows in one half only, or hardly in the other: a half that shows little of
+    what there is to explain in the other has no say.
+    """
+    fit, problem = candidate.fit, candidate.problem
+    halves = candidate.split.halves()
+    gains: dict[str, float] = {}
+    for own, other in (halves, halves[::-1]):
+        mine, judge = problem.with_rows(own & problem.rows), problem.with_rows(other & problem.rows)
+        trained = mine.fit(fit.terms, fit.thetas, fit.nuisance_thetas, iterations=3)
+        for place, term in enumerate(trained.terms):
+            here, _ = _gain(mine, trained, place)
+            there, change = _gain(judge, trained, place)
+            shown = here > max(SILENT + term.dimension, _LITTLE * _gain(judge, fit, place)[0])
+            if shown and change > SILENT:
+                gains[term.effect.id] = gains.get(term.effect.id, 0.0) + there
+    if not gains:
+        return None
+    worst = min(gains, key=gains.__getitem__)
+    return worst if gains[worst] <= 0.0 else None
+
+
+def _gain(problem: Problem, fit: Fit, place: int) -> tuple[float, float]:
+    """Return what one effect of a fit takes off the sum of squares on these rows, and how much it changes."""
+    kept, left = (problem.residual(problem.predict(f)) for f in (fit, fit.without(place)))
+    return float(left @ left - kept @ kept), float((left - kept) @ (left - kept))
+
+
+def _immaterial(candidate: Identified, floor: Floor) -> str | None:
+    """Name the effect that removes least, where that is too little to be named without an exact floor.
+
+    Where it was not fitted an effect must lower the error of the field or of the heading, by more than blocks
+    contradict each other, and by a material share: of the gap, and of what healthy sensors leave. Beside an
+    exact floor that is asked of effects on sensors which the baseline does not explain.
+    """
+    fit, problem = candidate.fit, candidate.problem
+    doubtful = problem.replay.doubtful.keys()
+    asked = [not floor.representative or bool(doubtful & set(t.effect.groups)) for t in fit.terms]
+    if not any(asked):
+        return None
+    if floor.representative:
+        return _small(candidate, floor, asked)
+    gap = _gap(candidate, floor)
+    # A floor that was only stated for an independent attitude is generous.
+    stated = not floor.measured and problem.replay.reference.kind == "columns"
+    needed, share = (_ABOVE_STATED, _LEAST_OF_STATED) if stated else (_ABOVE_FLOOR, _LEAST_OF_FLOOR)
+    # Beside something that is not known, only what holds a good part of the gap can be told from it.
+    left = rms((problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss)[problem.index])
+    explained = stated or left < _EXPLAINED * floor.field_rms_mgauss
+    part = _MATERIAL_SHARE if explained else _MATERIAL_BESIDE_UNKNOWN
+    ratios = {}
+    for place, term in enumerate(fit.terms):
+        if "mag" not in term.effect.groups:
+            continue
+        ratio = 0.0
+        for k, removed in enumerate(removed_by(candidate, place)):
+            change, level = gap[k]
+            least = max(_LEAST_HERE[floor.measured][k], share * level, part * change)
+            if removed.sure > 0.0 and removed.without > needed * level:
+                ratio = max(ratio, math.sqrt(removed.square) / least)
+        ratios[term.effect.id] = ratio
+    if not ratios:
+        return None
+    smallest = min(ratios, key=ratios.__getitem__)
+    return smallest if ratios[smallest] < 1.0 else None
+
+
+def _gap(candidate: Identified, floor: Floor) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return rms of what the effects change and of the floor, for field (mG) and heading (deg)."""
+    fit, problem = candidate.fit, candidate.problem
+    after, before = problem.predict(fit), problem.predict(fit, effects=False)
+    field, heading = apart(problem.replay, after.mag_mgauss, before.mag_mgauss, problem.index)
+    return (field, floor.field_rms_mgauss), (heading, floor.heading_rms_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class Removed:
+    """Hold what an effect takes off a held-out mean square, and the rms that stays without it.
+
+    `sure` is a bound of it that blocks of the whole recording leave above zero where they agree.
+    """
+
+    square: float
+    sure: float
+    without: float
+
+
+def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
+    """Return what one effect takes off the held-out field (mG) and heading (deg)."""
+    fit, problem = candidate.fit, candidate.problem
+    replay, split = problem.replay, candidate.split
+    measured = replay.measured.mag_mgauss
+    rest = fit.without(place)
+    without = problem.fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=4)
+    strained = problem.strain(without) > problem.strain(fit) + _STRAINED
+    if strained or replay.reference.kind == "columns":
+        # Bent by force, what is known of the vehicle would imitate the effect: it stays.
+        without = problem.steady(fit).fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=3)
+    rows = np.flatnonzero((split.train | split.test) & problem.usable)
+    squares = []
+    predictions = [problem.predict(one).mag_mgauss for one in (without, fit)]
+    for predicted in predictions:
+        heading = np.degrees(heading_error_rad(replay, measured, predicted))[rows]
+        squares.append(np.stack([np.mean((measured - predicted)[rows] ** 2, axis=1), heading**2], axis=1))
+    gained = squares[0] - squares[1]
+    held = split.test[rows]
+    label = np.unique(split.block[rows], return_inverse=True)[1]
+    count = np.bincount(label)
+    blocks = np.stack([np.bincount(label, gained[:, k]) / count for k in (0, 1)], axis=1)
+    # Blocks that an effect leaves alone say nothing against it.
+    change = np.mean(np.square(predictions[1] - predictions[0])[rows], axis=1)
+    touched = np.bincount(label, change) / count
+    blocks = blocks[touched > _TOUCHED * touched.max()]
+    mean, spread = blocks.mean(axis=0), blocks.std(axis=0)
+    low = mean - 1.7 * spread / math.sqrt(len(blocks) - 1) if len(blocks) > 2 else mean
+    if not held.any():
+        held = np.ones(rows.size, dtype=np.bool_)
+    taken, left = gained[held].mean(axis=0), squares[0][held].mean(axis=0)
+    of_field, of_heading = (
+        Removed(max(float(taken[k]), 0.0), float(low[k]), math.sqrt(float(left[k]))) for k in (0, 1)
+    )
+    return of_field, of_heading
+
+
+def _small(candidate: Identified, floor: Floor, asked: Sequence[bool]) -> str | None:
+    """Name the effect that removes least beside an exact floor, where that is within a sensor's tolerance."""
+    fit, problem = candidate.fit, candidate.problem
+    after = _left(problem, fit, effects=True)
+    least = _least(problem, fit, after)
+    steady = problem.steady(fit)
+    ratios = {}
+    for place, term in enumerate(fit.terms):
+        if not asked[place]:
+            continue
+        left = _left(problem, steady.refit(fit.without(place)), effects=True)
+        ratios[term.effect.id] = max(
+            math.sqrt(max(left[g] ** 2 - after[g] ** 2, 0.0)) / least[g]
+            for g in problem.groups
+            if g in term.effect.groups
+        )
+    smallest = min(ratios, key=ratios.__getitem__)
+    return smallest if ratios[smallest] < 1.0 else None
+
+
+def _least(problem: Problem, fit: Fit, after: dict[Group, float]) -> dict[Group, float]:
+    """Return the least that an effect must remove to be named without a baseline."""
+    nominal = _left(problem, fit, effects=False)["mag"]
+    # Nuisances that make room for effects may leave more than there was.
+    nominal = min(nominal, _left(problem, problem.null(), effects=False)["mag"])
+    gap = math.sqrt(max(nominal**2 - after["mag"] ** 2, 0.0))
+    return {**_LEAST, "mag": max(_LEAST["mag"], _LEAST_SHARE * gap)}
+
+
+def _left(problem: Problem, fit: Fit, effects: bool) -> dict[Group, float]:
+    """Return the rms of what is left in each sensor on the fitted rows."""
+    predicted = problem.predict(fit, effects)
+    return {
+        g: rms((group_values(problem.replay.measured, g) - group_values(predicted, g))[problem.index])
+        for g in problem.groups
+    }
