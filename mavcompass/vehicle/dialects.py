@@ -1,24 +1,24 @@
-"""Choose the dialect of an autopilot."""
+"""The dialects, by autopilot."""
 
 from __future__ import annotations
 
 from mavcompass.errors import Refused
 from mavcompass.vehicle.ardupilot.dialect import ArduPilotDialect
+from mavcompass.vehicle.parameters.dialect import CompassDialect
 from mavcompass.vehicle.px4.dialect import PX4Dialect
 
+DIALECTS: dict[str, type[CompassDialect]] = {"ardupilot": ArduPilotDialect, "px4": PX4Dialect}
 
-def make_dialect(autopilot: str, source: str = "SOURCE") -> ArduPilotDialect | PX4Dialect:
+
+def make_dialect(autopilot: str, source: str = "SOURCE") -> CompassDialect:
     """Make the dialect of "ardupilot" or "px4".
 
     `source` is the vehicle's address as the person gave it, which goes into the command that restores.
     Raises Refused for any other autopilot: its parameters are not known.
     """
-    match autopilot:
-        case "ardupilot":
-            return ArduPilotDialect(source)
-        case "px4":
-            return PX4Dialect(source)
-    raise Refused(
-        f"The compass parameters of the autopilot {autopilot!r} are not known.",
-        "Connect a vehicle that runs ArduPilot or PX4.",
-    )
+    if autopilot not in DIALECTS:
+        raise Refused(
+            f"The compass parameters of the autopilot {autopilot!r} are not known.",
+            "Connect a vehicle that runs ArduPilot or PX4.",
+        )
+    return DIALECTS[autopilot](source)

@@ -12,16 +12,11 @@ from mavcompass.messages import Heartbeat, Incoming
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script, ask
 from mavcompass.procedure.vehicle_state import find_vehicle
-from mavcompass.vehicle.ardupilot import plan as ardupilot_plan
-from mavcompass.vehicle.ardupilot.dialect import ArduPilotDialect
-from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.dialects import DIALECTS, make_dialect
+from mavcompass.vehicle.parameters.dialect import CompassDialect
 from mavcompass.vehicle.parameters.files import read_parameter_file
 from mavcompass.vehicle.parameters.undo import load_record
 from mavcompass.vehicle.parameters.values import Parameter, same_value
-from mavcompass.vehicle.px4 import plan as px4_plan
-from mavcompass.vehicle.px4.dialect import PX4Dialect
-
-_PREFIXES = {"ardupilot": ("COMPASS",), "px4": ("CAL_MAG",)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +28,7 @@ class HeldParameters:
         armed: None where that is not known.
     """
 
-    dialect: ArduPilotDialect | PX4Dialect
+    dialect: CompassDialect
     system: int
     armed: bool | None
     typed: Mapping[str, Parameter]
@@ -46,8 +41,7 @@ class HeldParameters:
     @property
     def compass_typed(self) -> dict[str, Parameter]:
         """Return the compass parameters alone, without what else was read of the vehicle."""
-        prefixes = _PREFIXES[self.dialect.autopilot]
-        return {name: p for name, p in self.typed.items() if name.startswith(prefixes)}
+        return {name: p for name, p in self.typed.items() if name.startswith(self.dialect.prefix)}
 
     @property
     def compass_values(self) -> dict[str, float]:
@@ -61,8 +55,7 @@ class HeldParameters:
 
     def instance_of(self, name: str) -> int | None:
         """Tell which compass a parameter belongs to; None for one of all compasses."""
-        room = ardupilot_plan if self.dialect.autopilot == "ardupilot" else px4_plan
-        return room.instance_of(name)
+        return self.dialect.planner.instance_of(name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +92,10 @@ def read_vehicle(context: Context, source: str, system: int | None = None) -> Sc
 
 def recorded_parameters(parameters: Mapping[str, float], source: str) -> HeldParameters:
     """Take the compass parameters of a recording; raises BadRecording where it holds none."""
-    for autopilot, prefixes in _PREFIXES.items():
-        own = {name: Parameter(v) for name, v in sorted(parameters.items()) if name.startswith(prefixes)}
+    for kind in DIALECTS.values():
+        own = {name: Parameter(v) for name, v in sorted(parameters.items()) if name.startswith(kind.prefix)}
         if own:
-            return HeldParameters(make_dialect(autopilot, source), 0, None, own)
+            return HeldParameters(kind(source), 0, None, own)
     raise BadRecording(
         f"{source} does not hold a vehicle's compass parameters.",
         "Give a recording that begins at power-up (.BIN), or one in which parameters were read (.tlog).",
@@ -120,11 +113,11 @@ def compass_part(wanted: Mapping[str, float], held: HeldParameters, origin: str)
     Raises UsageError where there are none, and Refused where the file's device ids are another
     sensor's: its calibration is worth nothing on this one.
     """
-    prefixes, rules = _PREFIXES[held.dialect.autopilot], held.dialect.rules
-    own = {name: value for name, value in wanted.items() if name.startswith(prefixes)}
+    prefix, rules = held.dialect.prefix, held.dialect.rules
+    own = {name: value for name, value in wanted.items() if name.startswith(prefix)}
     if not own:
         raise UsageError(
-            f"{origin} holds no compass parameter ({prefixes[0]}...) of this vehicle's autopilot.",
+            f"{origin} holds no compass parameter ({prefix}...) of this vehicle's autopilot.",
             "Check that file and vehicle belong together.",
         )
     for name, value in own.items():

@@ -18,7 +18,7 @@ from mavcompass.procedure.commands import command
 from mavcompass.procedure.dialect import ParameterPlan
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.ardupilot.plan import instance_of
-from mavcompass.vehicle.parameters import protocol as wire
+from mavcompass.vehicle.parameters import protocol
 
 _OFFSETS_OF_COMPASS = {1: 2.0, 2: 5.0, 3: 6.0}  # first number of PREFLIGHT_SET_SENSOR_OFFSETS
 _FORCE_SAVE = 76.0
@@ -105,7 +105,7 @@ def _offsets_now(context: Context, plan: ParameterPlan) -> Script[dict[int, tupl
         if instance is None or instance in offsets or not stem:
             continue
         names = [stem + axis for axis in "XYZ"]
-        held = yield from wire.read(context, names, "cast", exist=True)
+        held = yield from protocol.read(context, names, "cast", exist=True)
         if len(held) == len(names) and any(held[name].value for name in names):
             offsets[instance] = tuple(held[name].value for name in names)
     return offsets

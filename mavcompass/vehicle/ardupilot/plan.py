@@ -4,98 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
-
-import numpy as np
 
 from mavcompass.compass_parameters import (
-    ArduPilotNaming,
     ardupilot_correction,
     ardupilot_name,
     ardupilot_naming,
     ardupilot_values,
 )
 from mavcompass.correction import FieldCorrection
-from mavcompass.procedure.dialect import Change, ParameterPlan
 from mavcompass.units import DEG_PER_RAD
-from mavcompass.vehicle.parameters.rules import ParameterRules, check_correction
-from mavcompass.vehicle.parameters.values import is_single, same_value, tidy
+from mavcompass.vehicle.parameters.planning import Judgement, Planner, Wish
+from mavcompass.vehicle.parameters.rules import check_correction
+from mavcompass.vehicle.parameters.values import same_value
 
 _LEARN_OFF, _LEARN_INFLIGHT = 0, 3
 _MATRIX = tuple(f"{stem}_{axis}" for stem in ("DIA", "ODI") for axis in "XYZ")
 _OFFSETS = tuple(f"OFS_{axis}" for axis in "XYZ")
-
-
-def plan_corrections(
-    parameters: Mapping[str, float],
-    corrections: Mapping[int, FieldCorrection],
-    instances: Iterable[int],
-    rules: ParameterRules,
-) -> ParameterPlan:
-    """Plan the write of new corrections, by instance from 1, over the parameters in force.
-
-    What has the same effect as before is left alone (an all-zero DIA is no matrix, a SCALE out of its
-    limits is 1), and so is the motor term of a correction that has none.
-    """
-    naming, present = ardupilot_naming(parameters), tuple(instances)
-    wanted: dict[str, float] = {}
-    unwritable: list[str] = []
-    for instance, correction in sorted(corrections.items()):
-        if instance not in present:
-            unwritable.append(_absent(instance))
-        elif not _finite(correction):
-            unwritable.append(f"Compass {instance}: the correction holds a value that is not a number.")
-        elif correction.scale == 0.0:  # which as a parameter means: no scale
-            unwritable.append(f"Compass {instance}: a scale of zero would leave no field.")
-        else:
-            wanted |= _wanted(parameters, instance, correction, naming, rules)
-    touched = [instance for instance in corrections if instance in present]
-    plan = plan_values(parameters, wanted, present, rules, touched=touched)
-    return replace(plan, refusals=(*unwritable, *plan.refusals))
-
-
-def plan_values(
-    parameters: Mapping[str, float],
-    wanted: Mapping[str, float],
-    instances: Iterable[int],
-    rules: ParameterRules,
-    checked: bool = True,
-    touched: Iterable[int] = (),
-) -> ParameterPlan:
-    """Plan the write of single parameters; unchecked, what is out of range is only remarked on.
-
-    `touched` are compasses to judge even if none of their parameters changes.
-    """
-    refusals = [f"The vehicle has no parameter {name}." for name in wanted if name not in parameters]
-    refusals += [f"{name} cannot be {value}." for name, value in wanted.items() if not is_single(value)]
-    refusals += [f"{name} is the firmware's own to keep." for name in wanted if rules.is_protected(name)]
-    changes = tuple(
-        Change(name, parameters[name], tidy(value))
-        for name, value in wanted.items()
-        if name in parameters and not same_value(parameters[name], value)
-    )
-    if refusals:
-        return ParameterPlan(changes, tuple(refusals))
-    after = {**parameters, **{c.name: c.new for c in changes}}
-    judged = sorted({*touched, *(i for c in changes if (i := instance_of(c.name)) is not None)})
-    doubts, remarks = _judge(after, judged, instances, rules)
-    doubts += _motor_clash(changes, after, judged)
-    remarks += [
-        f"{c.name} takes effect after a restart of the autopilot."
-        for c in changes
-        if rules.wants_reboot(c.name)
-    ]
-    if changes and judged:
-        remarks += _about_declination(after)
-        remarks.append(
-            "The autopilot's own heading follows a new calibration slowly: give it a minute or restart it."
-        )
-    return ParameterPlan(
-        changes,
-        refusals=tuple(doubts) if checked else (),
-        remarks=tuple(remarks if checked else doubts + remarks),
-        commit_instances=_uncommitted(parameters, after, judged),
-    )
 
 
 def instance_of(name: str) -> int | None:
@@ -113,75 +37,97 @@ def instance_of(name: str) -> int | None:
     return None
 
 
-def _wanted(
-    parameters: Mapping[str, float],
-    instance: int,
-    correction: FieldCorrection,
-    naming: ArduPilotNaming,
-    rules: ParameterRules,
-) -> dict[str, float]:
-    """Spell what a correction wants of one compass's parameters, less what already has that effect."""
-    in_force = ardupilot_correction(parameters, instance)
-    scale_name = ardupilot_name("SCALE", instance, naming)
-    if scale_name not in parameters:  # firmware before 4.0: the matrix carries it
-        correction = FieldCorrection.from_matrix(
-            correction.offsets_mgauss,
-            correction.matrix,
-            motor_mgauss=correction.motor_mgauss,
-            motor_source=correction.motor_source,
+class ArduPilotPlanner(Planner):
+    """Plan by ArduPilot's rules."""
+
+    instance_of = staticmethod(instance_of)
+
+    def absent(self, instance: int) -> str:
+        """Say that there is no such compass."""
+        return f"Compass {instance} is not there: the firmware has detected no such sensor."
+
+    def wish(self, parameters: Mapping[str, float], instance: int, correction: FieldCorrection) -> Wish:
+        """Spell a correction as parameters, less what has the same effect already.
+
+        An all-zero DIA is no matrix, a SCALE out of its limits is 1; the motor term of a correction that
+        has none is left alone.
+        """
+        if correction.scale == 0.0:  # which as a parameter means: no scale
+            return Wish(refusal=f"Compass {instance}: a scale of zero would leave no field.")
+        naming = ardupilot_naming(parameters)
+        in_force = ardupilot_correction(parameters, instance)
+        scale_name = ardupilot_name("SCALE", instance, naming)
+        if scale_name not in parameters:  # firmware before 4.0: the matrix carries it
+            correction = FieldCorrection.from_matrix(
+                correction.offsets_mgauss,
+                correction.matrix,
+                motor_mgauss=correction.motor_mgauss,
+                motor_source=correction.motor_source,
+            )
+        wanted = ardupilot_values(correction, instance, naming)
+        zero = all(same_value(value, 0.0) for value in correction.offsets_mgauss)
+        if zero and self.rules.offset_instead_of_zero_mgauss:
+            wanted[ardupilot_name("OFS_X", instance, naming)] = self.rules.offset_instead_of_zero_mgauss
+        matrix, before = ((*c.diagonals, *c.off_diagonals) for c in (correction, in_force))
+        if all(same_value(new, old) for new, old in zip(matrix, before, strict=True)):
+            for quantity in _MATRIX:
+                del wanted[ardupilot_name(quantity, instance, naming)]
+        if same_value(correction.scale, in_force.scale) or scale_name not in parameters:
+            del wanted[scale_name]
+        return Wish(wanted)
+
+    def judge_compass(
+        self, before: Mapping[str, float], after: Mapping[str, float], instance: int
+    ) -> Judgement:
+        """Check what a compass would hold: reasons against it, and what a person should know."""
+        label, naming, rules = f"Compass {instance}", ardupilot_naming(after), self.rules
+        largest_mgauss = after.get("COMPASS_OFFS_MAX", 0.0) or rules.offset_largest_mgauss
+        refusals, remarks = check_correction(
+            ardupilot_correction(after, instance), rules, label, largest_mgauss
         )
-    wanted = ardupilot_values(correction, instance, naming)
-    zero = all(same_value(value, 0.0) for value in correction.offsets_mgauss)
-    if zero and rules.offset_instead_of_zero_mgauss:
-        wanted[ardupilot_name("OFS_X", instance, naming)] = rules.offset_instead_of_zero_mgauss
-    matrix, before = ((*c.diagonals, *c.off_diagonals) for c in (correction, in_force))
-    if all(same_value(new, old) for new, old in zip(matrix, before, strict=True)):
-        for quantity in _MATRIX:
-            del wanted[ardupilot_name(quantity, instance, naming)]
-    if same_value(correction.scale, in_force.scale) or scale_name not in parameters:
-        del wanted[scale_name]
-    return wanted
-
-
-def _judge(
-    after: Mapping[str, float], judged: Iterable[int], instances: Iterable[int], rules: ParameterRules
-) -> tuple[list[str], list[str]]:
-    """Check what the vehicle would hold: reasons against it, and what a person should know."""
-    naming = ardupilot_naming(after)
-    largest_mgauss = after.get("COMPASS_OFFS_MAX", 0.0) or rules.offset_largest_mgauss
-    refusals: list[str] = []
-    remarks: list[str] = []
-    judged, present = list(judged), set(instances)
-    for instance in judged:
-        label = f"Compass {instance}"
-        if instance not in present:
-            refusals.append(_absent(instance))
-            continue
-        doubts, notes = check_correction(ardupilot_correction(after, instance), rules, label, largest_mgauss)
-        refusals += doubts
-        remarks += notes
         scale = after.get(ardupilot_name("SCALE", instance, naming), 0.0)
         if scale and rules.scale is not None and not rules.scale[0] <= scale <= rules.scale[1]:
             refusals.append(
                 f"{label}: the firmware ignores a scale of {scale:g}, outside {rules.scale[0]:.3g} to"
                 f" {rules.scale[1]:g}."
             )
-        offsets = [after.get(ardupilot_name(q, instance, naming), 0.0) for q in _OFFSETS]
-        if not any(offsets):
+        if not any(after.get(ardupilot_name(q, instance, naming), 0.0) for q in _OFFSETS):
             refusals.append(f"{label}: offsets of exactly zero mean 'not calibrated' to the firmware.")
         use = ardupilot_name("USE", instance, naming)
         if after.get(use, 1.0) == 0.0:
             remarks.append(f"{label} is not used for the heading ({use} is 0).")
-    if judged:
-        doubts, notes = _about_switches(after, judged)
-        refusals += doubts
-        remarks += notes
-    return refusals, remarks
+        return refusals, remarks
+
+    def judge_vehicle(
+        self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
+    ) -> Judgement:
+        """Check what all compasses share: switches, learning, priorities, what the motor terms go with."""
+        judged = tuple(judged)
+        refusals, remarks = _about_switches(after, judged) if judged else ([], [])
+        return refusals + _motor_clash(before, after, judged), remarks
+
+    def closing_remarks(self, after: Mapping[str, float]) -> list[str]:
+        """Say what a person should know of any new calibration."""
+        return [
+            *_about_declination(after),
+            "The autopilot's own heading follows a new calibration slowly: give it a minute or restart it.",
+        ]
+
+    def uncommitted(
+        self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
+    ) -> tuple[int, ...]:
+        """List compasses that were never calibrated: their device id is detected but not yet stored."""
+        naming = ardupilot_naming(before)
+
+        def calibrated(values: Mapping[str, float], instance: int) -> bool:
+            return any(values.get(ardupilot_name(q, instance, naming), 0.0) for q in _OFFSETS)
+
+        return tuple(i for i in judged if not calibrated(before, i) and calibrated(after, i))
 
 
-def _motor_clash(changes: Iterable[Change], after: Mapping[str, float], judged: Iterable[int]) -> list[str]:
+def _motor_clash(before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]) -> list[str]:
     """Refuse to change what the motor terms of a compass that is not being written go with."""
-    if not any(c.name == "COMPASS_MOTCT" for c in changes):
+    if before.get("COMPASS_MOTCT") == after.get("COMPASS_MOTCT"):
         return []
     naming = ardupilot_naming(after)
     return [
@@ -189,10 +135,6 @@ def _motor_clash(changes: Iterable[Change], after: Mapping[str, float], judged: 
         for other in sorted({1, 2, 3} - set(judged))
         if any(after.get(ardupilot_name(f"MOT_{axis}", other, naming), 0.0) for axis in "XYZ")
     ]
-
-
-def _absent(instance: int) -> str:
-    return f"Compass {instance} is not there: the firmware has detected no such sensor."
 
 
 def _about_switches(after: Mapping[str, float], judged: Iterable[int]) -> tuple[list[str], list[str]]:
@@ -225,26 +167,3 @@ def _about_declination(after: Mapping[str, float]) -> list[str]:
         f"COMPASS_AUTODEC is 0: the autopilot adds a declination of {declination_deg:.1f} deg set by hand;"
         " see that it is right for this place."
     ]
-
-
-def _uncommitted(
-    before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
-) -> tuple[int, ...]:
-    """List compasses that were never calibrated: their device id is detected but not yet stored."""
-    naming = ardupilot_naming(before)
-
-    def calibrated(values: Mapping[str, float], instance: int) -> bool:
-        return any(values.get(ardupilot_name(q, instance, naming), 0.0) for q in _OFFSETS)
-
-    return tuple(i for i in judged if not calibrated(before, i) and calibrated(after, i))
-
-
-def _finite(correction: FieldCorrection) -> bool:
-    numbers = [
-        *correction.offsets_mgauss,
-        *correction.diagonals,
-        *correction.off_diagonals,
-        *correction.motor_mgauss,
-        correction.scale,
-    ]
-    return bool(np.isfinite(numbers).all())

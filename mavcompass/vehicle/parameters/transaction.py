@@ -20,13 +20,13 @@ from mavcompass.errors import MavCompassError, Refused, WriteFailed
 from mavcompass.invocation import program
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script
-from mavcompass.vehicle.parameters import protocol as wire
+from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.values import Encoding, Parameter, is_single, same_value
 
 # After a stop a script has `script.CLEAN_UP_S` to put things back; a silent vehicle is given up before.
 _UNDO_SILENCE_S = 5.0
 
-Commit = Callable[[Context], Script[tuple[str, ...]]]
+Commit = Callable[[Context, ParameterPlan], Script[tuple[str, ...]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +60,10 @@ class Transaction:
         context.show("write", f"Writing {counted(len(new))}; to put the old values back: {command}")
         remarks: tuple[str, ...] = ()
         try:
-            echoes_s = yield from wire.write(context, new, self.encoding)
+            echoes_s = yield from protocol.write(context, new, self.encoding)
             if self.commit is not None:
-                remarks = yield from self.commit(context)
-            yield from wire.prove(context, new, self.encoding, echoes_s)
+                remarks = yield from self.commit(context, plan)
+            yield from protocol.prove(context, new, self.encoding, echoes_s)
         except GeneratorExit:
             raise self._left(undo_file, "the procedure was ended") from None
         except Exception as why:
@@ -79,7 +79,7 @@ class Transaction:
 
     def _read_before(self, context: Context, plan: ParameterPlan) -> Script[dict[str, Parameter]]:
         """Read the parameters that will change; nothing is written where they are not as planned."""
-        old = yield from wire.read(context, [c.name for c in plan.changes], self.encoding, exist=True)
+        old = yield from protocol.read(context, [c.name for c in plan.changes], self.encoding, exist=True)
         for change in plan.changes:
             held = old.get(change.name)
             if held is None:
@@ -103,8 +103,8 @@ class Transaction:
         back = {name: old[name] for name in reversed(list(old))}
         while True:
             try:
-                echoes_s = yield from wire.write(context, back, self.encoding, _UNDO_SILENCE_S)
-                yield from wire.prove(context, back, self.encoding, echoes_s, _UNDO_SILENCE_S)
+                echoes_s = yield from protocol.write(context, back, self.encoding, _UNDO_SILENCE_S)
+                yield from protocol.prove(context, back, self.encoding, echoes_s, _UNDO_SILENCE_S)
             except Refused:
                 continue  # a stop, which comes once: the vehicle is still, and half a calibration is worse
             except GeneratorExit:

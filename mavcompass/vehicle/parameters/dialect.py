@@ -1,0 +1,105 @@
+"""What the dialects of all autopilots have in common: reading, planning and writing compass parameters."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.errors import NoReply
+from mavcompass.frames import FloatArray
+from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
+from mavcompass.procedure.script import Context, Script
+from mavcompass.vehicle.parameters import protocol
+from mavcompass.vehicle.parameters.planning import Planner
+from mavcompass.vehicle.parameters.rules import ParameterRules
+from mavcompass.vehicle.parameters.transaction import Commit, Transaction
+from mavcompass.vehicle.parameters.values import Encoding, Parameter
+
+
+class CompassDialect(ABC):
+    """Speak one autopilot's compass parameters; implements `procedure.dialect.Dialect`.
+
+    Attributes:
+        autopilot: its name. prefix: what the names of its compass parameters begin with.
+        encoding: how it puts integers into PARAM_VALUE.
+        commit: what must be done beside the parameters after they are written.
+    """
+
+    autopilot: Literal["ardupilot", "px4"]
+    prefix: str
+    encoding: Encoding
+    commit: Commit | None = None
+
+    def __init__(self, source: str = "SOURCE") -> None:
+        """Take the vehicle's address, which error messages repeat in the command that restores."""
+        self.source = source
+
+    @abstractmethod
+    def compass_parameters_typed(self, context: Context) -> Script[dict[str, Parameter]]:
+        """Read everything about all compasses and what `rules.vehicle` adds, with types.
+
+        Raises NoReply where the vehicle answers nothing.
+        """
+
+    @abstractmethod
+    def instances(self, parameters: Mapping[str, float]) -> tuple[int, ...]:
+        """List the compasses that the vehicle has, from 1."""
+
+    @abstractmethod
+    def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
+        """Return the correction in force, in body axes."""
+
+    @abstractmethod
+    def raw_rotation(self, parameters: Mapping[str, float], instance: int) -> FloatArray | None:
+        """Return the sensor-to-body rotation where telemetry carries the uncorrected sensor's axes."""
+
+    @property
+    @abstractmethod
+    def planner(self) -> Planner:
+        """Return what plans its writes."""
+
+    @property
+    def rules(self) -> ParameterRules:
+        """Return the limits and write rules of `params/`."""
+        return self.planner.rules
+
+    def read_typed(self, context: Context, names: Sequence[str]) -> Script[dict[str, Parameter]]:
+        """Read parameters with their types; a name that the vehicle does not know is left out."""
+        return (yield from protocol.read(context, names, self.encoding))
+
+    def read_parameters(self, context: Context, names: Sequence[str]) -> Script[dict[str, float]]:
+        """Read parameters by name; a name that the vehicle does not know is left out."""
+        held = yield from self.read_typed(context, names)
+        return {name: parameter.value for name, parameter in held.items()}
+
+    def compass_parameters(self, context: Context) -> Script[dict[str, float]]:
+        """Read everything about all compasses. Raises NoReply where the vehicle answers nothing."""
+        held = yield from self.compass_parameters_typed(context)
+        return {name: parameter.value for name, parameter in held.items()}
+
+    def plan(
+        self, parameters: Mapping[str, float], corrections: Mapping[int, FieldCorrection]
+    ) -> ParameterPlan:
+        """Plan the write of new corrections over the parameters in force."""
+        return self.planner.plan(parameters, corrections, self.instances(parameters))
+
+    def plan_values(
+        self, parameters: Mapping[str, float], wanted: Mapping[str, float], checked: bool = True
+    ) -> ParameterPlan:
+        """Plan the write of single parameters; unchecked, what is out of range is only remarked on."""
+        return self.planner.plan_values(parameters, wanted, self.instances(parameters), checked)
+
+    def write(self, context: Context, plan: ParameterPlan, save_undo: SaveUndo) -> Script[WriteOutcome]:
+        """Write a plan as a transaction; see `vehicle.parameters.transaction`."""
+        transaction = Transaction(self.encoding, self.source, self.commit)
+        return (yield from transaction.run(context, plan, save_undo))
+
+
+def no_answer() -> NoReply:
+    """Say that a vehicle is there but told nothing about its compasses."""
+    return NoReply(
+        "The vehicle is alive but answered no question about its compass parameters.",
+        "Check that the link carries both ways and that the firmware has a compass.",
+    )

@@ -1,0 +1,154 @@
+"""Plan writes of compass parameters: which change, which must not, what to tell."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.procedure.dialect import Change, ParameterPlan
+from mavcompass.vehicle.parameters.rules import ParameterRules
+from mavcompass.vehicle.parameters.values import is_single, same_value, tidy
+
+# Reasons against a write, and what a person should know of it.
+Judgement = tuple[list[str], list[str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """Say what a correction wants of one compass's parameters, or why it cannot have it."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    refusal: str = ""
+    remarks: tuple[str, ...] = ()
+
+
+class Planner(ABC):
+    """Plan by one autopilot's rules; a subclass knows its parameters."""
+
+    def __init__(self, rules: ParameterRules) -> None:
+        self.rules = rules
+
+    @abstractmethod
+    def instance_of(self, name: str) -> int | None:
+        """Tell which compass, from 1, a parameter belongs to; None for one of all compasses."""
+
+    @abstractmethod
+    def absent(self, instance: int) -> str:
+        """Say that there is no such compass."""
+
+    @abstractmethod
+    def wish(self, parameters: Mapping[str, float], instance: int, correction: FieldCorrection) -> Wish:
+        """Spell a correction of finite numbers as parameters, less what has the same effect already."""
+
+    @abstractmethod
+    def judge_compass(
+        self, before: Mapping[str, float], after: Mapping[str, float], instance: int
+    ) -> Judgement:
+        """Check what a compass would hold: reasons against it, and what a person should know."""
+
+    def judge_vehicle(
+        self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
+    ) -> Judgement:
+        """Check what all compasses share, given those that are judged."""
+        return [], []
+
+    @abstractmethod
+    def closing_remarks(self, after: Mapping[str, float]) -> list[str]:
+        """Say what a person should know of any new calibration."""
+
+    def uncommitted(
+        self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
+    ) -> tuple[int, ...]:
+        """List compasses whose device id must be committed beside the parameters."""
+        return ()
+
+    def plan(
+        self,
+        parameters: Mapping[str, float],
+        corrections: Mapping[int, FieldCorrection],
+        present: Iterable[int],
+    ) -> ParameterPlan:
+        """Plan the write of new corrections, by instance from 1, over the parameters in force.
+
+        What has the same effect as before is left alone.
+        """
+        present = tuple(present)
+        wanted: dict[str, float] = {}
+        unwritable: list[str] = []
+        remarks: list[str] = []
+        for instance, correction in sorted(corrections.items()):
+            if instance not in present:
+                unwritable.append(self.absent(instance))
+            elif not _finite(correction):
+                unwritable.append(f"Compass {instance}: the correction holds a value that is not a number.")
+            else:
+                wish = self.wish(parameters, instance, correction)
+                wanted |= wish.values
+                unwritable += [wish.refusal] if wish.refusal else []
+                remarks += wish.remarks
+        touched = [instance for instance in corrections if instance in present]
+        plan = self.plan_values(parameters, wanted, present, touched=touched)
+        return replace(plan, refusals=(*unwritable, *plan.refusals), remarks=(*plan.remarks, *remarks))
+
+    def plan_values(
+        self,
+        parameters: Mapping[str, float],
+        wanted: Mapping[str, float],
+        present: Iterable[int],
+        checked: bool = True,
+        touched: Iterable[int] = (),
+    ) -> ParameterPlan:
+        """Plan the write of single parameters; unchecked, what is out of range is only remarked on.
+
+        `present` are the compasses that the vehicle has; `touched` are compasses to judge even if none of
+        their parameters changes.
+        """
+        refusals = [f"The vehicle has no parameter {name}." for name in wanted if name not in parameters]
+        refusals += [f"{name} cannot be {value}." for name, value in wanted.items() if not is_single(value)]
+        refusals += [
+            f"{name} is the firmware's own to keep." for name in wanted if self.rules.is_protected(name)
+        ]
+        changes = tuple(
+            Change(name, parameters[name], tidy(value))
+            for name, value in wanted.items()
+            if name in parameters and not same_value(parameters[name], value)
+        )
+        if refusals:
+            return ParameterPlan(changes, tuple(refusals))
+        after = {**parameters, **{c.name: c.new for c in changes}}
+        judged = sorted({*touched, *(i for c in changes if (i := self.instance_of(c.name)) is not None)})
+        doubts: list[str] = []
+        remarks: list[str] = []
+        there = set(present)
+        for instance in judged:
+            if instance not in there:
+                doubts.append(self.absent(instance))
+                continue
+            against, notes = self.judge_compass(parameters, after, instance)
+            doubts += against
+            remarks += notes
+        against, notes = self.judge_vehicle(parameters, after, judged)
+        doubts += against
+        remarks += notes
+        remarks += [
+            f"{c.name} takes effect after a restart of the autopilot."
+            for c in changes
+            if self.rules.wants_reboot(c.name)
+        ]
+        if changes and judged:
+            remarks += self.closing_remarks(after)
+        return ParameterPlan(
+            changes,
+            refusals=tuple(doubts) if checked else (),
+            remarks=tuple(remarks if checked else doubts + remarks),
+            commit_instances=self.uncommitted(parameters, after, judged),
+        )
+
+
+def _finite(correction: FieldCorrection) -> bool:
+    numbers = [*correction.offsets_mgauss, *correction.matrix.flat, *correction.motor_mgauss]
+    return bool(np.isfinite(numbers).all())
