@@ -41,6 +41,7 @@ def test_every_command_and_option_is_in_the_reference(pages: ModuleType) -> None
                 o for p in one.params if isinstance(p, click.Option) for o in p.opts if o.startswith("--")
             ]
             assert all(option in text for option in options)
+            assert [o.name for o in one.params if isinstance(o, click.Option) and not o.help] == []
 
 
 def test_refusals_have_their_exit_code_and_their_remedy(pages: ModuleType) -> None:

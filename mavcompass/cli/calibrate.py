@@ -39,7 +39,13 @@ def chosen_instances(context: click.Context, parameter: click.Parameter, value: 
 
 @click.command()
 @click.argument("source")
-@click.option("--method", type=click.Choice(method_names()), default="four-positions", show_default=True)
+@click.option(
+    "--method",
+    type=click.Choice(method_names()),
+    default="four-positions",
+    show_default=True,
+    help="How the readings are solved.",
+)
 @click.option(
     "--motion",
     type=click.Choice(("auto", "vehicle", "hand")),
@@ -66,7 +72,13 @@ def chosen_instances(context: click.Context, parameter: click.Parameter, value: 
 )
 @click.option("--yes", is_flag=True, help="Write without asking.")
 @click.option("--dry-run", is_flag=True, help="Never write.")
-@click.option("--positions", type=click.IntRange(3, 24), default=4, show_default=True)
+@click.option(
+    "--positions",
+    type=click.IntRange(3, 24),
+    default=4,
+    show_default=True,
+    help="Where it stands still; more are added while the heading is not sure enough.",
+)
 @click.option(
     "--step-deg",
     type=click.FloatRange(-180.0, 180.0),
@@ -74,7 +86,14 @@ def chosen_instances(context: click.Context, parameter: click.Parameter, value: 
     show_default=True,
     help="Turn between positions; negative turns left.",
 )
-@click.option("--dwell", "dwell_s", type=click.FloatRange(0.5, 60.0), default=1.7, show_default=True)
+@click.option(
+    "--dwell",
+    "dwell_s",
+    type=click.FloatRange(0.5, 60.0),
+    default=1.7,
+    show_default=True,
+    help="Seconds to stand still at each position.",
+)
 @click.option(
     "--max-error-deg",
     type=click.FloatRange(0.1, 45.0),
@@ -97,8 +116,14 @@ def chosen_instances(context: click.Context, parameter: click.Parameter, value: 
     type=click.Path(dir_okay=False, path_type=Path),
     help="Parameters that were in force, for a recording without them.",
 )
-@click.option("--params-out", type=click.Path(dir_okay=False, path_type=Path), help=".param, .parm, .params")
-@click.option("--report", "report_file", type=click.Path(dir_okay=False, path_type=Path), help="HTML report.")
+@click.option(
+    "--params-out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the new values to a .param, .parm or .params file too.",
+)
+@click.option(
+    "--report", "report_file", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report."
+)
 @common_options
 def command(
     source: str,

@@ -12,7 +12,7 @@ import click
 
 from mavcompass.calibration.methods import method_names
 from mavcompass.cli.calibrate import chosen_instances
-from mavcompass.cli.gap import REFERENCES
+from mavcompass.cli.gap import reference_option
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.terminal.show import is_live
@@ -89,7 +89,13 @@ def fleet_options(function: Function) -> Function:
 
 @command.command()
 @fleet_options
-@click.option("--method", type=click.Choice(method_names()), default="four-positions", show_default=True)
+@click.option(
+    "--method",
+    type=click.Choice(method_names()),
+    default="four-positions",
+    show_default=True,
+    help="How the readings are solved.",
+)
 @click.option(
     "--max-error-deg",
     type=click.FloatRange(0.1, 45.0),
@@ -129,7 +135,7 @@ def calibrate(
 
 @command.command()
 @fleet_options
-@click.option("--reference", type=click.Choice(REFERENCES), default="auto", show_default=True)
+@reference_option
 def diagnose(
     paths: tuple[str, ...],
     out: Path,

@@ -21,7 +21,23 @@ if TYPE_CHECKING:
     from mavcompass.gap.result import Diagnosis
     from mavcompass.gap.trial import Generator
 
-REFERENCES = ("auto", "gyro", "gps-yaw", "attitude", "columns")
+_REFERENCES = ("auto", "gyro", "gps-yaw", "attitude", "columns")
+
+reference_option = click.option(
+    "--reference",
+    type=click.Choice(_REFERENCES),
+    default="auto",
+    show_default=True,
+    help="The attitude that the compass is compared with (auto: all that knows it).",
+)
+_compass_option = click.option(
+    "--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True, help="Which compass."
+)
+_baseline_option = click.option(
+    "--baseline",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="A recording of the same vehicle that is accepted as good: gives the noise floor.",
+)
 
 
 @click.group()
@@ -38,15 +54,11 @@ def command() -> None:
     "logs", metavar="LOG...", nargs=-1, required=True,
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
 )  # fmt: skip
-@click.option("--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True)
-@click.option(
-    "--baseline",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="A recording of the same vehicle that is accepted as good: gives the noise floor.",
-)
+@_compass_option
+@_baseline_option
 @click.option("--thorough", is_flag=True, help="Compare more readings of a long recording; takes longer.")
 @click.option("--withhold", multiple=True, metavar="EFFECT", help="Do not use this effect and its aliases.")
-@click.option("--reference", type=click.Choice(REFERENCES), default="auto", show_default=True)
+@reference_option
 @click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
 @common_options
 def diagnose(
@@ -139,11 +151,17 @@ def _effect(effect: object) -> dict[str, object]:
 
 @command.command()
 @click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--to", "target", type=click.Choice(("ardupilot-sitl", "mavcompass")), required=True)
+@click.option(
+    "--to",
+    "target",
+    type=click.Choice(("ardupilot-sitl", "mavcompass")),
+    required=True,
+    help="Which simulator is to have it.",
+)
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
-@click.option("--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True)
-@click.option("--baseline", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--reference", type=click.Choice(REFERENCES), default="auto", show_default=True)
+@_compass_option
+@_baseline_option
+@reference_option
 @common_options
 def export(
     log: Path,
@@ -195,8 +213,8 @@ def export(
 
 
 @command.command("blind-trial")
-@click.option("--cases", type=click.IntRange(1, 100_000), default=40, show_default=True)
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
+@click.option("--cases", type=click.IntRange(1, 100_000), default=40, show_default=True, help="How many.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the cases.")
 @click.option(
     "--generator",
     type=click.Choice(("bench", "vehicles")),

@@ -51,7 +51,9 @@ class Row:
 
 @click.command()
 @click.argument("source")
-@click.option("--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True)
+@click.option(
+    "--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True, help="Which compass."
+)
 @click.option("--two-axis", is_flag=True, help="Use X and Y only; Z comes from the Earth's field.")
 @click.option("--json-lines", is_flag=True, help="One JSON object a line.")
 @click.option(

@@ -41,6 +41,7 @@ def recording_to(tlog: Path, utc_start_s: float) -> Iterator[Record]:
     type=click.Choice(VEHICLES),
     default="rover",
     show_default=True,
+    help="What kind of vehicle, with its firmware.",
 )
 @click.option(
     "--listen",

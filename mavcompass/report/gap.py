@@ -20,6 +20,7 @@ from mavcompass.report.gap_figures import (
     tests_figure,
     waterfall_figure,
 )
+from mavcompass.report.gap_words import advice, shrink_words
 from mavcompass.simulation.effects import catalogue
 
 _VERDICTS = {
@@ -67,8 +68,9 @@ def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
         waterfall=waterfall_figure(diagnosis.field, diagnosis.waterfall),
         ambiguity=ambiguity_figure(diagnosis),
         tests=tests_figure(diagnosis.tests),
-        field_ci=_interval(diagnosis.field.shrink_ci95),
-        heading_ci=_interval(diagnosis.heading.shrink_ci95),
+        advice=advice(diagnosis),
+        field_shrink=shrink_words(diagnosis.field),
+        heading_shrink=shrink_words(diagnosis.heading),
     )
     _write(path, html)
 
@@ -109,14 +111,6 @@ def reliability(trial: Trial) -> list[tuple[str, int, str, str]]:
 
 def _now() -> str:
     return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-
-
-def _interval(ends: tuple[float, float]) -> str:
-    low, high = ends
-    if not (math.isfinite(low) and math.isfinite(high)):
-        return "too short for an interval"
-    sure = "" if low > 0.0 else ", uncertain"
-    return f"{100 * max(low, 0.0):.1f} to {100 * min(high, 1.0):.1f} %{sure}"
 
 
 def _cause(cause: Cause) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from mavcompass.gap.result import Cause, Closing, Diagnosis, Place
@@ -141,14 +142,24 @@ def _closing(name: str, closing: Closing, unit: str) -> str:
     said = f"  {name}: {closing.nominal:.1f} {unit} rms off, of which {closing.floor:.1f} may be noise"
     if closing.after == closing.nominal:
         return said
-    said += f"; {closing.after:.1f} with this in the simulator"
+    return (
+        f"{said}; with this in the simulator {closing.after:.1f}: {shrink_words(closing)} of the gap closes"
+    )
+
+
+def shrink_words(closing: Closing) -> str:
+    """Say what share of a gap closes, with its 95 % interval where that says more."""
+    if closing.after == closing.nominal:
+        return "none"
     low, high = (100.0 * end for end in closing.shrink_ci95)
+    shrink = f"{100.0 * min(max(closing.shrink, 0.0), 1.0):.0f} %"
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return f"{shrink} (too short for an interval)"
     if high - low < _SHARP_PERCENT:
-        return f"{said} (the gap shrinks by {100.0 * closing.shrink:.0f} %)"
+        return shrink
+    ends = f"{max(low, 0.0):.0f} to {min(high, 100.0):.0f}"
     sure = 0.0 <= closing.shrink <= 1.0 and low > 0.0
-    shrink = 100.0 * min(max(closing.shrink, 0.0), 1.0)
-    ends = f"{max(low, 0.0):.0f} .. {min(high, 100.0):.0f}"
-    return f"{said} (the gap shrinks by {shrink:.0f} %, {ends}{'' if sure else ', uncertain'})"
+    return f"{shrink} ({ends}{'' if sure else ', uncertain'})"
 
 
 def _places(places: Sequence[Place]) -> str:
@@ -172,4 +183,7 @@ def _background(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.corrected_rms_mgauss is not None:
         lines.append(f"  corrected readings less the field: {diagnosis.corrected_rms_mgauss:.2f} mG rms")
     lines += [f"  {note}" for note in diagnosis.notes]
-    return lines + [f"  could not show here: {effect}: {why}" for effect, why in diagnosis.not_testable]
+    by_reason: dict[str, list[str]] = {}
+    for effect, why in diagnosis.not_testable:
+        by_reason.setdefault(why, []).append(effect)
+    return lines + [f"  could not show ({why}): {', '.join(effects)}" for why, effects in by_reason.items()]
