@@ -21,8 +21,8 @@ from mavcompass.gap.blas import single_thread
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
 from mavcompass.gap.replay.nominal import replay
-from mavcompass.gap.trial.cases import Recipe, ideal, noisy, stimulus_of, to_track
-from mavcompass.gap.trial.score import CASE_NOISE, wilson
+from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, ideal, noisy, stimulus_of, to_track
+from mavcompass.gap.trial.score import wilson
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 

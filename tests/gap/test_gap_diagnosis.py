@@ -13,8 +13,8 @@ import pytest
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.answer.export import affine_map, ardupilot_sitl, preset, settings_of
+from mavcompass.gap.trial.bench import draw_label, tracks_of
 from mavcompass.gap.trial.cases import Recipe, make_track
-from mavcompass.gap.trial.sealed import draw_label, tracks_of
 from mavcompass.simulation import effects
 from mavcompass.track import Series, Track
 

@@ -20,9 +20,10 @@ from mavcompass.gap.fit.chance import CHANCE, least_gain
 from mavcompass.gap.left.adequacy import ALPHA, _line, _recurring, _sweep
 from mavcompass.gap.replay.noise import estimate_noise, rough_sigma, white
 from mavcompass.gap.selection.split import probe, split_blocks, with_windows
+from mavcompass.gap.trial.bench import draw_label
 from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
 from mavcompass.gap.trial.score import wilson
-from mavcompass.gap.trial.sealed import draw_label, seal
+from mavcompass.gap.trial.sealed import seal
 from mavcompass.gap.trial.stored import read_case, write_case
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.logs import write_track_csv

@@ -15,8 +15,9 @@ import numpy as np
 
 from mavcompass.frames import FloatArray, euler_to_matrix, euler_to_quaternion, rotate_back
 from mavcompass.gap.attitude import body_rate
+from mavcompass.gap.replay import Noise, SensorNoise, group_values
 from mavcompass.simulation.effects import Distortion, Setting
-from mavcompass.simulation.effects.effect import Stage
+from mavcompass.simulation.effects.effect import GROUPS, Group, Stage
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -25,7 +26,17 @@ Motion = Literal["yaw-steps", "figure-8", "rich"]
 MOTIONS: tuple[Motion, ...] = ("yaw-steps", "figure-8", "rich")
 PLACE = (47.3977, 8.5456, 488.0)
 UTC_S = 1_780_272_000.0
-_NOISE = {"mag": (3.0, 0.3), "acc": (0.03, 0.0), "gyro": (0.003, 0.0)}
+_NOISE: dict[Group, tuple[float, float]] = {"mag": (3.0, 0.3), "acc": (0.03, 0.0), "gyro": (0.003, 0.0)}
+# The same as a diagnosis has it: standard deviation and first-order correlation of each sensor.
+CASE_NOISE: Noise = {
+    group: SensorNoise(
+        np.full((1 if rho else 0, 3), rho),
+        np.full(3, sigma * math.sqrt(1.0 - rho**2)),
+        np.full(3, sigma),
+        6000.0,
+    )
+    for group, (sigma, rho) in _NOISE.items()
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,16 +127,17 @@ def ideal(stimulus: Stimulus) -> Reading:
     )
 
 
+def affected(stimulus: Stimulus, settings: Sequence[Setting]) -> Reading:
+    """Return what sensors without noise say under effects."""
+    return Distortion(settings).apply(stimulus, ideal(stimulus), np.random.default_rng(0))
+
+
 def noisy(reading: Reading, rng: np.random.Generator, tails: float = np.inf) -> Reading:
     """Add the sensors' noise, of first-order correlation; `tails` degrees of freedom of Student's t."""
     return Reading(
         *(
-            values + _noise(values.shape, *_NOISE[name], rng, tails)
-            for name, values in zip(
-                ("mag", "acc", "gyro"),
-                (reading.mag_mgauss, reading.acc_mps2, reading.gyro_radps),
-                strict=True,
-            )
+            values + _noise(values.shape, *_NOISE[group], rng, tails)
+            for group, values in ((group, group_values(reading, group)) for group in GROUPS)
         )
     )
 

@@ -13,20 +13,12 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.diagnose import withheld_effects
 from mavcompass.gap.fit import Problem, Search, Term
-from mavcompass.gap.replay import Noise, Prior, SensorNoise, replay
-from mavcompass.gap.trial.cases import ideal, stimulus_of, to_track
-from mavcompass.gap.trial.foreign import noiseless, shifts
+from mavcompass.gap.replay import replay
+from mavcompass.gap.trial import bench, foreign
+from mavcompass.gap.trial.bench import recipe_of, tracks_of
+from mavcompass.gap.trial.cases import affected, ideal, stimulus_of
 from mavcompass.gap.trial.label import Label
-from mavcompass.gap.trial.sealed import recipe_of, tracks_of
-from mavcompass.simulation.effects import Distortion, catalogue, parse
-from mavcompass.simulation.effects.effect import Effect
-
-CASE_NOISE: Noise = {
-    "mag": SensorNoise(np.full((1, 3), 0.3), np.full(3, 3.0 * math.sqrt(0.91)), np.full(3, 3.0), 6000.0),
-    "acc": SensorNoise(np.zeros((0, 3)), np.full(3, 0.03), np.full(3, 0.03), 6000.0),
-    "gyro": SensorNoise(np.zeros((0, 3)), np.full(3, 0.003), np.full(3, 0.003), 6000.0),
-}
-
+from mavcompass.simulation.effects import catalogue, parse
 
 _NO_NEARER = 0.99
 
@@ -110,16 +102,16 @@ def score(label: Label, answer: Answer, withheld: Answer | None) -> Case:
     separation = own = oracle = true_shrink = truth_distance = math.nan
     if label.effects:
         with single_thread():
-            foreign = label.generator == "vehicles"
-            problem, others = noiseless(label) if foreign else _noiseless(label)
-            if foreign:
+            of_vehicles = label.generator == "vehicles"
+            problem, others = (foreign if of_vehicles else bench).noiseless(label)
+            if of_vehicles:
                 label = replace(label, size_sigma=_size(problem))
             else:
                 oracle, true_shrink = closing_of_the_truth(label, answer)
-            if shifts(truth):
+            if foreign.shifts(truth):
                 near = Search(problem, others)
                 separation = _separation(label, near)
-                truth_distance = _truth_distance(label, near) if foreign else 0.0
+                truth_distance = _truth_distance(label, near) if of_vehicles else 0.0
                 if label.tier == "withheld":
                     own = _distance(near, frozenset(truth), most=1)
     return Case(label, answer, withheld, separation, exact, in_set, oracle, true_shrink, own, truth_distance)
@@ -171,14 +163,6 @@ def _truth_distance(label: Label, search: Search) -> float:
     return math.sqrt(max(fit.sse, 0.0))
 
 
-def _noiseless(label: Label) -> tuple[Problem, list[Effect]]:
-    stimulus = stimulus_of(recipe_of(label))
-    settings = [parse(text) for text in label.effects]
-    reading = Distortion(settings).apply(stimulus, ideal(stimulus), np.random.default_rng(0))
-    replayed = replay(to_track(stimulus, reading))
-    return Problem(replayed, CASE_NOISE, replayed.valid, Prior.of(())), list(catalogue().values())
-
-
 def _size(problem: Problem) -> float:
     """Return the whitened length of what the effects change, nothing else being fitted."""
     known = [n.mean for n in problem.nuisances]
@@ -202,7 +186,7 @@ def closing_of_the_truth(label: Label, answer: Answer) -> tuple[float, float]:
         return math.nan, math.nan
     stimulus = stimulus_of(recipe_of(label))
     nominal = ideal(stimulus).mag_mgauss
-    made = Distortion(settings).apply(stimulus, ideal(stimulus), np.random.default_rng(0)).mag_mgauss
+    made = affected(stimulus, settings).mag_mgauss
     noise = replayed.measured.mag_mgauss - made
     left = float(np.mean(noise[test] ** 2))
     before = float(np.mean((noise + made - nominal)[test] ** 2))
