@@ -11,7 +11,8 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
-from mavcompass.cli.terminal.colour import styled
+from mavcompass.cli.source import effects_option, open_source, system_option, this_year
+from mavcompass.cli.terminal.colour import mark
 from mavcompass.invocation import program
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from mavcompass.vehicle.link import Link
 
 NOT_FIT = 5
-_COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
 _RANK = {"fail": 0, "warn": 1, "pass": 2}
 
 
@@ -37,10 +37,8 @@ _RANK = {"fail": 0, "warn": 1, "pass": 2}
     "--offer", is_flag=True, help="Offer the calibration where it is the remedy; asks on the terminal."
 )
 @click.option("--all", "everything", is_flag=True, help="List what passed, too.")
-@click.option("--system", type=click.IntRange(1, 255), help="System id, where several vehicles are heard.")
-@click.option(
-    "--effect", "effects", multiple=True, metavar="NAME[:p=v,..]", help="An effect for sim:... only."
-)
+@system_option
+@effects_option
 @common_options
 def command(
     source: str,
@@ -62,13 +60,12 @@ def command(
     mavcompass check sim:rover
     mavcompass check udpin:0.0.0.0:14550 --turn none --json check.json
     """
-    from mavcompass.cli.calibrate import open_source
     from mavcompass.cli.terminal.show import showing
     from mavcompass.procedure.check import CheckSettings
     from mavcompass.vehicle.transport.address import parse_address
 
     require_for(source, report=offer)
-    settings = CheckSettings(turn=turn, system=system, year=_this_year())  # type: ignore[arg-type]
+    settings = CheckSettings(turn=turn, system=system, year=this_year())  # type: ignore[arg-type]
     with open_source(parse_address(source), effects) as link:
         with showing(quiet=not sys.stderr.isatty()) as show:
             report = _check(link, source, settings, show)
@@ -78,14 +75,6 @@ def command(
             return _calibrate(link, source, system, output)
     passed = report.verdict == "pass" or (report.verdict == "warn" and not strict)
     return 0 if passed else NOT_FIT
-
-
-def _this_year() -> float:
-    import time
-
-    from mavcompass.earth_field import decimal_year
-
-    return round(decimal_year(time.time()), 2)
 
 
 def _check(link: Link, source: str, settings: CheckSettings, show: Any) -> CheckReport:
@@ -115,12 +104,6 @@ def _say(report: CheckReport, source: str, output: Output, everything: bool) -> 
     output.say(f"{mark(report.verdict)}  {words}{turned}{advice}")
 
 
-def mark(verdict: str) -> str:
-    """Return PASS, WARN or FAIL, coloured on a terminal that has colours."""
-    word = verdict.upper()
-    return styled(word, fg=_COLOURS[verdict], bold=True)
-
-
 def _calibrate(link: Link, source: str, system: int | None, output: Output) -> int:
     """Offer the calibration and run it where the person says yes; its exit code is ours."""
     if not click.confirm("Calibrate now? The vehicle will turn.", err=True):
@@ -130,7 +113,7 @@ def _calibrate(link: Link, source: str, system: int | None, output: Output) -> i
     from mavcompass.report.calibration import write_report
     from mavcompass.vehicle.calibrating import calibrate_on
 
-    settings = CalibrateSettings(instances=(), system=system, year=_this_year())
+    settings = CalibrateSettings(instances=(), system=system, year=this_year())
     with showing() as show:
         report = calibrate_on(link, source, settings, on_show=show, on_ask=ask_on_terminal)
     path = Path(f"compass-{report.identity.kind}-{report.identity.system}.html")

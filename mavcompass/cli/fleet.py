@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from mavcompass.calibration.methods import method_names
-from mavcompass.cli.calibrate import chosen_instances
 from mavcompass.cli.gap import reference_option
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.source import compass_option, max_error_option, method_option
 from mavcompass.cli.terminal.show import is_live
 
 if TYPE_CHECKING:
@@ -27,6 +26,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 NOTHING_USABLE = 4
 _SHOWN = 5
 _LONG_S = 20.0  # from here on a recording is named
+_LEAST_MGAUSS = 0.5
 
 
 @click.group()
@@ -65,9 +65,7 @@ def fleet_options(function: Function) -> Function:
             show_default=True,
             help="Give a recording up after so many seconds.",
         ),
-        click.option(
-            "--compass", "instances", default="1", callback=chosen_instances, help="1, 2, 3, a list, or all."
-        ),
+        compass_option,
         click.option(
             "--vehicle-pattern",
             metavar="REGEX",
@@ -89,20 +87,8 @@ def fleet_options(function: Function) -> Function:
 
 @command.command()
 @fleet_options
-@click.option(
-    "--method",
-    type=click.Choice(method_names()),
-    default="four-positions",
-    show_default=True,
-    help="How the readings are solved.",
-)
-@click.option(
-    "--max-error-deg",
-    type=click.FloatRange(0.1, 45.0),
-    default=2.0,
-    show_default=True,
-    help="Accept no calibration with a larger predicted heading error.",
-)
+@method_option
+@max_error_option
 def calibrate(
     paths: tuple[str, ...],
     out: Path,
@@ -262,27 +248,23 @@ def _short(path: str) -> str:
 
 
 def _say(output: Output, result: FleetResult, summary: Summary, out: Path, page: Path) -> None:
-    from mavcompass.fleet.summary import LEAST_MGAUSS, counted
+    from mavcompass.fleet.summary import counted
 
     kept = f", {result.kept} were done before" if result.kept else ""
-    fruitless = ""
-    if summary.not_accepted:
-        fruitless = f", {len(summary.not_accepted)} without a calibration (mostly: too little turning)"
     output.say(
         f"{result.examined} of {counted(result.asked, 'recording')} examined{kept};"
-        f" {counted(len(summary.errors), 'error')}{fruitless}."
+        f" {counted(len(summary.errors), 'error')}."
     )
     if summary.slowest and summary.slowest[0][1] >= _LONG_S:
         output.say("Slowest: {} ({:.0f} s).".format(*summary.slowest[0]))
-    for effect in [effect for effect in summary.effects if effect.largest_mgauss >= LEAST_MGAUSS][:_SHOWN]:
+    for effect in [effect for effect in summary.effects if effect.largest_mgauss >= _LEAST_MGAUSS][:_SHOWN]:
         output.say(
             f"  {effect.effect}: in {counted(effect.recordings, 'recording')} of"
             f" {counted(effect.vehicles, 'vehicle')}, median {effect.median_mgauss:.1f} mG,"
             f" largest {effect.largest_mgauss:.1f} mG"
         )
     for vehicle in summary.look_first[:_SHOWN]:
-        where = f" ({vehicle.kind}; last: {_short(vehicle.last_recording)})" if vehicle.last_recording else ""
-        output.say(f"Look at {vehicle.name}{where}: {'; '.join(vehicle.why)}.")
+        output.say(f"Look at {vehicle.name}: {'; '.join(vehicle.why)}.")
     output.say(f"Table: {out}")
     output.say(f"Summary: {page}")
 
@@ -298,7 +280,6 @@ def _document(result: FleetResult, summary: Summary, out: Path, page: Path) -> d
         "table": out,
         "report": page,
         "errors": [{"recording": recording, "error": error} for recording, error in summary.errors],
-        "not_accepted": [{"recording": recording, "why": why} for recording, why in summary.not_accepted],
         "slowest": [{"recording": recording, "seconds": seconds} for recording, seconds in summary.slowest],
         "effects": [
             {

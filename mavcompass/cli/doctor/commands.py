@@ -32,8 +32,8 @@ def command(output: Output) -> int:
     \b
     Example: mavcompass doctor
     """
-    from mavcompass.cli.check import mark
     from mavcompass.cli.doctor.computer import examine
+    from mavcompass.cli.terminal.colour import mark
 
     findings = []
     for finding in examine():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Function, Output, common_options
+from mavcompass.cli.source import refuse_unasked_write, system_option
 from mavcompass.errors import MavCompassError, UsageError, WriteFailed
 
 if TYPE_CHECKING:
@@ -22,16 +22,10 @@ SCHEMA = "mavcompass.params/1"
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
-def _system_option(function: Function) -> Function:
-    return click.option(
-        "--system", type=click.IntRange(1, 255), help="System id, where several vehicles are heard."
-    )(function)
-
-
 def _write_options(function: Function) -> Function:
     yes = click.option("--yes", is_flag=True, help="Write without asking.")
     dry_run = click.option("--dry-run", is_flag=True, help="Show what would be written, and write nothing.")
-    return _system_option(yes(dry_run(function)))
+    return system_option(yes(dry_run(function)))
 
 
 @click.group()
@@ -50,7 +44,7 @@ def command() -> None:
 
 @command.command()
 @click.argument("source")
-@_system_option
+@system_option
 @common_options
 def show(source: str, system: int | None, output: Output) -> None:
     """Show the compass parameters of a vehicle or a recording.
@@ -69,7 +63,7 @@ def show(source: str, system: int | None, output: Output) -> None:
 @command.command()
 @click.argument("source")
 @click.argument("file", type=_FILE)
-@_system_option
+@system_option
 @common_options
 def diff(source: str, file: Path, system: int | None, output: Output) -> None:
     """Compare a vehicle's or a recording's compass parameters with a file.
@@ -137,7 +131,7 @@ def restore(
 @click.argument("source")
 @click.argument("file", type=_FILE, required=False)
 @click.option("--yes", is_flag=True, help="Replace FILE where it exists.")
-@_system_option
+@system_option
 @common_options
 def backup(source: str, file: Path | None, yes: bool, system: int | None, output: Output) -> None:
     """Save a vehicle's or a recording's compass parameters in FILE (default: standard output).
@@ -246,13 +240,7 @@ def _check_call(source: str, yes: bool, dry_run: bool) -> None:
 
     if isinstance(parse_address(source), Recording):
         raise UsageError(f"{source} is a recording, which cannot be written to.", "Give a vehicle's address.")
-    if yes and dry_run:
-        raise UsageError("--yes and --dry-run exclude each other.", "Give one of them.")
-    if not yes and not dry_run and not sys.stdin.isatty():
-        raise UsageError(
-            "Nobody can be asked whether to write: standard input is not a terminal.",
-            "Give --yes to write without asking, or --dry-run to write nothing.",
-        )
+    refuse_unasked_write(yes, dry_run)
 
 
 def _plan_part(plan: ParameterPlan) -> dict[str, object]:

@@ -7,6 +7,8 @@ import sys
 
 import click
 
+_COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
+
 
 def styled(text: str, *, fg: str | None = None, bold: bool = False, err: bool = False) -> str:
     """Colour a text for standard output (or `err`: standard error) where that is a terminal with colours."""
@@ -14,3 +16,9 @@ def styled(text: str, *, fg: str | None = None, bold: bool = False, err: bool = 
     if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM", "dumb") == "dumb":
         return text
     return click.style(text, fg=fg, bold=bold)
+
+
+def mark(verdict: str) -> str:
+    """Return PASS, WARN or FAIL, coloured on a terminal that has colours."""
+    word = verdict.upper()
+    return styled(word, fg=_COLOURS[verdict], bold=True)

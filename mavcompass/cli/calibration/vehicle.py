@@ -1,0 +1,88 @@
+"""Calibrate a live vehicle: let it turn, solve, write, prove."""
+
+from __future__ import annotations
+
+import sys
+
+from mavcompass.cli.calibration.wanted import NOT_ACCEPTED, Wanted
+from mavcompass.cli.calibration.words import say_outcome, say_result
+from mavcompass.cli.options import Output
+from mavcompass.cli.terminal.show import ask_on_terminal, showing
+from mavcompass.cli.terminal.speech import speaking
+from mavcompass.errors import PoorCalibration
+from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.report import CalibrationReport
+from mavcompass.report.document import live_document
+from mavcompass.vehicle.calibrating import calibrate_on
+from mavcompass.vehicle.link import Link
+
+
+def calibrate_vehicle(link: Link, wanted: Wanted, settings: CalibrateSettings, speak: bool) -> int:
+    """Calibrate a live vehicle; return the exit code."""
+    source, output = wanted.source, wanted.output
+    before_deg = _true_error_deg(link, settings.instances)
+    told_later = _told_later(output, settings.writing)
+    with showing(told_later=told_later) as shown, speaking(shown, speak) as show:
+        try:
+            report = calibrate_on(
+                link,
+                source,
+                settings,
+                wanted.method,
+                wanted.max_error_deg,
+                on_show=show,
+                on_ask=ask_on_terminal,
+            )
+        except PoorCalibration as error:
+            wanted.write_refusal(error, settings.instances or (1,))
+            raise
+    after_deg = _true_error_deg(link, settings.instances)
+    for result in report.results:
+        say_result(output, result)
+    for message in report.messages:
+        output.say(f"Note: {message}")
+    document = live_document(source, report, wanted.method)
+    if before_deg is not None and after_deg is not None:
+        output.say(
+            f"Heading error against the simulator's truth, rms over the circle:"
+            f" {before_deg:.2f} deg before, {after_deg:.2f} deg after."
+        )
+        document["true_heading_error_deg"] = {"before": before_deg, "after": after_deg}
+    output.write_json(document)
+    if report.accepted:
+        wanted.write_params(document)
+    if wanted.report_file is not None:
+        from mavcompass.report.calibration import write_report
+
+        write_report(report, wanted.report_file)
+        output.say(f"Report: {wanted.report_file}")
+    say_outcome(output, report)
+    return _exit_code(report)
+
+
+def _told_later(output: Output, writing: str) -> tuple[str, ...]:
+    """Name the steps whose outcome the same eyes see again, as the result: it is not shown twice.
+
+    Who is asked whether to write sees what was found before the question.
+    """
+    if output.json_file == "-" or sys.stdout.isatty() != sys.stderr.isatty():
+        return ()
+    return ("prove",) if writing == "ask" else ("solve", "prove")
+
+
+def _true_error_deg(link: Link, instances: tuple[int, ...]) -> float | None:
+    """Return the heading error that an embedded simulator knows, of the first compass calibrated."""
+    autopilot = getattr(link, "autopilot", None)
+    if autopilot is None:
+        return None
+    from mavcompass.simulation.heading_error import heading_error_rms_deg
+
+    return heading_error_rms_deg(autopilot, instances[0] if instances else 1)
+
+
+def _exit_code(report: CalibrationReport) -> int:
+    if not report.accepted or report.undone:
+        return NOT_ACCEPTED
+    if report.plan is not None and report.plan.refusals:
+        return NOT_ACCEPTED
+    return 0

@@ -1,0 +1,50 @@
+"""What a person wants of a calibration, live or of a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mavcompass.cli.options import Output
+from mavcompass.errors import PoorCalibration
+
+if TYPE_CHECKING:
+    from mavcompass.track import Track
+
+NOT_ACCEPTED = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Hold the options that both kinds share, and write the files they name."""
+
+    source: str
+    method: str
+    instances: tuple[int, ...]
+    max_error_deg: float
+    params_out: Path | None
+    report_file: Path | None
+    output: Output
+
+    def write_refusal(
+        self, error: PoorCalibration, instances: tuple[int, ...], track: Track | None = None
+    ) -> None:
+        """Write the document of a calibration that could not be solved."""
+        from mavcompass.report.document import refused_document
+
+        self.output.write_json(refused_document(self.source, self.method, instances, str(error), track))
+
+    def write_params(self, document: dict[str, Any]) -> None:
+        """Write the parameters of an accepted calibration where a file was named."""
+        if self.params_out is None:
+            return
+        from mavcompass.vehicle.parameters.files import write_parameter_file
+
+        values: dict[str, float] = {}
+        for compass in document["compasses"]:
+            values |= compass["parameters"]
+        write_parameter_file(
+            self.params_out, values, (f"Compass calibration from {self.source}, by mavcompass.",)
+        )
+        self.output.say(f"Parameters: {self.params_out}")

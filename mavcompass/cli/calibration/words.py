@@ -1,0 +1,30 @@
+"""A calibration in a terminal's words: what was found, what was written, how to undo it."""
+
+from __future__ import annotations
+
+from mavcompass.calibration.result import CalibrationResult, summary
+from mavcompass.cli.options import Output
+from mavcompass.cli.terminal.colour import styled
+from mavcompass.procedure.report import CalibrationReport
+
+
+def say_result(output: Output, result: CalibrationResult) -> None:
+    """Say one compass's result, with its reasons and warnings."""
+    output.say(styled(summary(result), fg="green" if result.accepted else "red"))
+    for reason in (*result.reasons, *result.warnings):
+        output.say(f"  - {reason}")
+
+
+def say_outcome(output: Output, report: CalibrationReport) -> None:
+    """Say what became of a vehicle's parameters."""
+    outcome = report.outcome
+    if report.written and outcome is not None:
+        output.say("Written and read back.")
+        if report.proof is not None:
+            output.say(report.proof.summary())
+        if outcome.undo_file is not None:
+            output.say(f"To undo: {outcome.restore_command}")
+    elif report.undone:
+        output.say("The old values are back on the vehicle.")
+    else:
+        output.say("Nothing was written.")

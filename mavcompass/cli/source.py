@@ -1,0 +1,98 @@
+"""What commands on a vehicle or a recording share: their options, opening it, asking before a write."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import click
+
+from mavcompass.calibration.methods import method_names
+from mavcompass.errors import UsageError
+
+if TYPE_CHECKING:
+    from mavcompass.vehicle.link import Link
+    from mavcompass.vehicle.transport.address import Address
+
+
+def _instances(context: click.Context, parameter: click.Parameter, value: str) -> tuple[int, ...]:
+    if value == "all":
+        return ()
+    try:
+        chosen = tuple(sorted({int(part) for part in value.split(",")}))
+    except ValueError:
+        chosen = ()
+    if not chosen or any(i not in (1, 2, 3) for i in chosen):
+        raise click.BadParameter("give numbers from 1 to 3, such as 1,2, or all.", context, parameter)
+    return chosen
+
+
+compass_option = click.option(
+    "--compass", "instances", default="1", callback=_instances, help="1, 2, 3, a list of them, or all."
+)
+system_option = click.option(
+    "--system", type=click.IntRange(1, 255), help="System id, where several vehicles are heard."
+)
+effects_option = click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="NAME[:p=v,..]",
+    help="An effect for sim:... (see gap catalogue).",
+)
+method_option = click.option(
+    "--method",
+    type=click.Choice(method_names()),
+    default="four-positions",
+    show_default=True,
+    help="How the readings are solved.",
+)
+max_error_option = click.option(
+    "--max-error-deg",
+    type=click.FloatRange(0.1, 45.0),
+    default=2.0,
+    show_default=True,
+    help="Accept no calibration with a larger predicted heading error.",
+)
+
+
+def refuse_unasked_write(yes: bool, dry_run: bool) -> None:
+    """Raise UsageError where it is not clear whether to write, and nobody can be asked."""
+    refuse_contradiction(yes, dry_run)
+    if not yes and not dry_run and not sys.stdin.isatty():
+        raise UsageError(
+            "Nobody can be asked whether to write: standard input is not a terminal.",
+            "Give --yes to write without asking, or --dry-run to write nothing.",
+        )
+
+
+def refuse_contradiction(yes: bool, dry_run: bool) -> None:
+    """Raise UsageError for --yes with --dry-run."""
+    if yes and dry_run:
+        raise UsageError("--yes and --dry-run exclude each other.", "Give one of them.")
+
+
+def this_year() -> float:
+    """Return this computer's decimal year, for a vehicle that does not know the date."""
+    import time
+
+    from mavcompass.earth_field import decimal_year
+
+    return round(decimal_year(time.time()), 2)
+
+
+def open_source(address: Address, effects: Sequence[str], as_ground_station: bool = False) -> Link:
+    """Open a live address; effects go to an embedded simulated vehicle only.
+
+    The pilot's controls are taken from a ground station only (SYSID_MYGCS).
+    """
+    from mavcompass.vehicle.link import GROUND_STATION, ONBOARD_COMPUTER
+    from mavcompass.vehicle.opening import open_link
+    from mavcompass.vehicle.transport.address import Simulated
+
+    if not effects:
+        return open_link(address, GROUND_STATION if as_ground_station else ONBOARD_COMPUTER)
+    if not isinstance(address, Simulated):
+        raise UsageError("--effect is for sim:VEHICLE only.", "Leave it away for a real vehicle.")
+    return open_link(Simulated(address.vehicle, address.seed, (*address.effects, *effects)))
