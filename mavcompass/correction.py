@@ -12,7 +12,7 @@ as a fraction. PX4's form is brought into this one by `compass_parameters`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -117,6 +117,13 @@ class FieldCorrection:
             scale=self.scale * later.scale,
             motor_mgauss=later.matrix @ np.asarray(self.motor_mgauss) + np.asarray(later.motor_mgauss),
             motor_source=sources.pop() if sources else "none",
+        )
+
+    def with_motor_of(self, other: FieldCorrection) -> FieldCorrection:
+        """Carry the motor term of another correction of the same compass into this matrix."""
+        at_the_sensor = np.linalg.solve(other.matrix, np.asarray(other.motor_mgauss))
+        return replace(
+            self, motor_mgauss=_vector(self.matrix @ at_the_sensor), motor_source=other.motor_source
         )
 
 

@@ -1,4 +1,4 @@
-"""What methods other than the best share in becoming a result: the motor term, old against new, the limit."""
+"""What methods other than the best share in becoming a result: old against new, the limit."""
 
 from __future__ import annotations
 
@@ -9,18 +9,9 @@ import numpy as np
 
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad
 from mavcompass.calibration.verdict import Limits
-from mavcompass.correction import FieldCorrection
 from mavcompass.units import DEG_PER_RAD
 
 UNCERTAIN = "The heading would be uncertain"
-
-
-def with_motor(correction: FieldCorrection, in_force: FieldCorrection) -> FieldCorrection:
-    """Carry the motor term in force into another matrix."""
-    x, y, z = (
-        correction.matrix @ np.linalg.solve(in_force.matrix, np.asarray(in_force.motor_mgauss))
-    ).tolist()
-    return replace(correction, motor_mgauss=(x, y, z), motor_source=in_force.motor_source)
 
 
 def compared(result: CalibrationResult) -> CalibrationResult:

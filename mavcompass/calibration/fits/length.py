@@ -35,7 +35,6 @@ class LengthFit:
         length_mgauss: F. covariance: of c and, for the ellipsoid, M's six (xx, yy, zz, xy, xz, yz).
         residual_rms_mgauss, residual_relative: of the length, and divided by F.
         coverage: the share of 80 equal patches of the sphere that hold a reading.
-        axes_ratio: longest by shortest axis of the raw ellipsoid.
     """
 
     centre_mgauss: FloatArray
@@ -45,7 +44,6 @@ class LengthFit:
     residual_rms_mgauss: float
     residual_relative: float
     coverage: float
-    axes_ratio: float
 
 
 def fit_sphere(raw_mgauss: ArrayLike, length_mgauss: float | None = None) -> LengthFit:
@@ -193,7 +191,6 @@ def _length_fit(
     residual: FloatArray,
 ) -> LengthFit:
     rms = math.sqrt(float((residual**2).mean()))
-    values = np.linalg.eigvalsh(matrix)
     return LengthFit(
         centre_mgauss=centre,
         matrix=matrix,
@@ -202,7 +199,6 @@ def _length_fit(
         residual_rms_mgauss=rms,
         residual_relative=rms / length,
         coverage=sphere_coverage((raw - centre) @ matrix),
-        axes_ratio=float(values[-1] / values[0]),
     )
 
 

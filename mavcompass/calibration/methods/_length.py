@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mavcompass.calibration.comparison import compared, judged, with_motor
+from mavcompass.calibration.comparison import compared, judged
 from mavcompass.calibration.fits.length import LengthFit
 from mavcompass.calibration.model import (
     GAIN,
@@ -38,7 +38,7 @@ def length_result(
     usable = np.isfinite(raw).all(axis=1)
     raw, time = raw[usable], track.compasses[instance].time_s[usable]
     fit, in_force = fit_length(raw), recorded.in_force
-    correction = with_motor(FieldCorrection.from_matrix(-fit.centre_mgauss, fit.matrix), in_force)
+    correction = FieldCorrection.from_matrix(-fit.centre_mgauss, fit.matrix).with_motor_of(in_force)
     horizontal, vertical = _split(fit.length_mgauss, correction.apply(raw), down_in_body(track, time), earth)
     names, covariance = _raw_form(fit)
     state = np.zeros(11)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.calibration.comparison import UNCERTAIN, compared, judged, with_motor
+from mavcompass.calibration.comparison import UNCERTAIN, compared, judged
 from mavcompass.calibration.fits.textbook import ScaleOffset, SensitivityBias
 from mavcompass.calibration.judged import calibrate_positions
 from mavcompass.calibration.observation import FourPositionData, observe, uncorrected_field
@@ -67,9 +67,8 @@ def level_result(
     `data` are the recording's still positions, for the error beside the best fit of them.
     """
     raw, in_force = readings(recorded), recorded.in_force
-    correction = with_motor(
-        compensation.correction(in_force.offsets_mgauss[2], float(in_force.matrix[2, 2])), in_force
-    )
+    z_offset, z_diagonal = in_force.offsets_mgauss[2], float(in_force.matrix[2, 2])
+    correction = compensation.correction(z_offset, z_diagonal).with_motor_of(in_force)
     field = correction.apply(raw)
     length = np.hypot(field[:, 0], field[:, 1])
     horizontal, vertical = float(np.median(length)), float(np.median(field[:, 2]))

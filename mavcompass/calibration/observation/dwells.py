@@ -41,10 +41,9 @@ class Dwell:
         samples: fresh readings in the mean.
         turned_rad: the gyro's angle about the vertical, counted from the recording's start; nan
             without a gyro. turned_sigma_rad: by the field's lag behind the gyro.
-        coherence: 1 for perfect stillness, see above. swept_rad: the angles' range.
+        coherence: 1 for perfect stillness, see above.
         current_a: mean battery current, nan where not recorded.
         unsteady_mgauss: how much the field wandered inside the dwell beyond noise and turning.
-        outliers: readings left out.
     """
 
     start_s: float
@@ -60,10 +59,8 @@ class Dwell:
     turned_rad: float = math.nan
     turned_sigma_rad: float = 0.0
     coherence: float = 1.0
-    swept_rad: float = 0.0
     current_a: float = math.nan
     unsteady_mgauss: float = 0.0
-    outliers: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +223,6 @@ def _dwell(
         turned_rad=turned if record is not None else math.nan,
         turned_sigma_rad=turning * LAG_SIGMA_S,
         coherence=float(abs(phasor)),
-        swept_rad=float(np.ptp(angles)),
         current_a=float(np.nanmean(current.at(time))) if current is not None and len(current) else math.nan,
         unsteady_mgauss=_wander(
             track,
@@ -236,7 +232,6 @@ def _dwell(
             math.sqrt(float((spread**2).mean()) * memory * len(counted) / samples),
             compass.quantum_mgauss,
         ),
-        outliers=int((~keep).sum()),
     )
 
 

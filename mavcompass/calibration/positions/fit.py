@@ -42,7 +42,6 @@ class PositionFit:
     cost: float  # the squared whitened residuals, prior included
     chi_square: float
     freedom: int
-    iterations: int
 
 
 def _evaluate(problem: PositionProblem, x: FloatArray, weights: FloatArray) -> Evaluation:
@@ -91,16 +90,16 @@ def fit_positions(problem: PositionProblem) -> PositionFit:
     """Minimise by Gauss-Newton with step halving; dwells far out weigh less where there are many."""
     x, weights = problem.start, np.ones(len(problem.mean))
     here = _evaluate(problem, x, weights)
-    settled, rounds = False, 0
-    while not settled and rounds < _ITERATIONS:
-        rounds += 1
+    for _ in range(_ITERATIONS):
         x, here, settled = _step(problem, x, weights, here)
         if len(problem.mean) >= _ROBUST_FROM:
             fresh = _weights(problem, here[2])
             if float(np.abs(fresh - weights).max()) > 1e-3:
                 weights, settled = fresh, False
                 here = _evaluate(problem, x, weights)
-    return _summary(x, weights, here, rounds)
+        if settled:
+            break
+    return _summary(x, weights, here)
 
 
 def _step(
@@ -120,7 +119,7 @@ def _step(
         share *= 0.5
 
 
-def _summary(x: FloatArray, weights: FloatArray, here: Evaluation, rounds: int) -> PositionFit:
+def _summary(x: FloatArray, weights: FloatArray, here: Evaluation) -> PositionFit:
     residual, jacobian, field = here
     scale = 1.0 / np.linalg.norm(jacobian, axis=0)
     scaled = jacobian * scale
@@ -138,7 +137,6 @@ def _summary(x: FloatArray, weights: FloatArray, here: Evaluation, rounds: int) 
         cost=float(residual @ residual),
         chi_square=float(residual[:measured] @ residual[:measured]),
         freedom=max(round(measured - absorbed), 0),
-        iterations=rounds,
     )
 
 

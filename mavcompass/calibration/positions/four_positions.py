@@ -10,27 +10,22 @@ either direction will do, and more turns only help. Equations (M1) and (M2) stan
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mavcompass.calibration.model import (
     GAIN,
-    GYRO_BIAS,
-    GYRO_SCALE,
     HEADINGS,
-    HORIZONTAL,
-    MOTOR,
     NAMES,
     OFFSET,
-    VERTICAL,
     HeadingError,
     gain_matrix,
-    heading_gradient,
 )
 from mavcompass.calibration.observation import FourPositionData
+from mavcompass.calibration.positions.budget import heading_budget
 from mavcompass.calibration.positions.disturbance import weigh_disturbances
-from mavcompass.calibration.positions.fit import Blend, PositionFit, fit_positions, weigh_cross_terms
+from mavcompass.calibration.positions.fit import fit_positions, weigh_cross_terms
 from mavcompass.calibration.positions.problem import DEFAULT_PRIOR, IronPrior, PositionProblem
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
@@ -40,9 +35,6 @@ from mavcompass.frames import FloatArray, wrap_two_pi
 WIDENED_BELOW = 0.01
 # A dwell with at least this probability of having been disturbed is named.
 _SUSPECT = 0.05
-
-# Sources of the heading's uncertainty, as the report names them.
-SOURCES = ("noise", "step_angle", "tilt", "world_model", "quantisation", "disturbance", "prior")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +46,6 @@ class FourPositionsResult:
         state, covariance: all parameters, named by `names`; headings are magnetic.
         residual_mgauss: measured less predicted mean field, (K, 3).
         residual_rms_mgauss: over dwells and axes.
-        chi_square, degrees_of_freedom: how well the K positions agree with one rigid compass.
         consistency: the probability of a worse agreement by chance, the likeliest disturbed dwell left out.
         disturbed_probability: of each dwell having been disturbed, (K,).
         disturbance_mgauss: how far the likeliest of them is from what the others predict.
@@ -71,8 +62,6 @@ class FourPositionsResult:
     covariance: FloatArray
     residual_mgauss: FloatArray
     residual_rms_mgauss: float
-    chi_square: float
-    degrees_of_freedom: int
     consistency: float
     disturbed_probability: FloatArray
     disturbance_mgauss: float
@@ -81,7 +70,6 @@ class FourPositionsResult:
     world_model: bool
     mirrored: bool
     cross_probability: tuple[float, float]
-    iterations: int
 
     @property
     def heading_error(self) -> HeadingError:
@@ -139,17 +127,14 @@ def solve_four_positions(
         covariance=blend.covariance,
         residual_mgauss=residual,
         residual_rms_mgauss=math.sqrt(float((residual**2).mean())),
-        chi_square=fit.chi_square,
-        degrees_of_freedom=fit.freedom,
         consistency=consistency,
         disturbed_probability=undisturbed.probability,
         disturbance_mgauss=float(undisturbed.size_mgauss[ranked[0]]),
         suspects=tuple(int(i) for i in ranked if undisturbed.probability[i] > _SUSPECT),
-        budget_rad=_budget(problem, fit, blend),
+        budget_rad=heading_budget(problem, fit, blend),
         world_model=earth is not None,
         mirrored=problem.mirrored,
         cross_probability=blend.cross_probability,
-        iterations=fit.iterations,
     )
 
 
@@ -160,48 +145,6 @@ def _chance(chi_square: float, freedom: int) -> float:
     from scipy.special import gammaincc
 
     return float(gammaincc(freedom / 2.0, chi_square / 2.0))
-
-
-def _budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> dict[str, float]:
-    """Split the heading's rms sigma by source: each source's covariance is carried through the fit."""
-    k = len(problem.mean)
-    circle = np.arange(36) * (2.0 * math.pi / 36)
-    gradient = np.zeros((36, fit.state.size))
-    gradient[:, :9] = heading_gradient(blend.state, circle)
-    gains = gradient @ fit.covariance @ fit.jacobian.T  # heading by whitened residual, (36, R)
-    field = gains[:, : 3 * k].reshape(36, k, 3)
-    variance = dict.fromkeys(SOURCES, 0.0)
-    for name, part in (
-        ("noise", problem.noise),
-        ("quantisation", problem.quantisation),
-        ("tilt", problem.tilt),
-    ):
-        unit = problem.whiten @ part @ np.swapaxes(problem.whiten, 1, 2)
-        variance[name] = float(np.einsum("nki,kij,nkj->n", field, unit, field).mean())
-    rest = (gains[:, 3 * k :] ** 2).mean(axis=0)
-    variance["step_angle"] = float(rest[: k - 1].sum())
-    held = np.flatnonzero(np.isfinite(problem.sigma))
-    for place, share in zip(held, rest[k - 1 : -1], strict=True):
-        variance[_source_of(int(place))] += float(share)
-    variance["prior"] += float(rest[-1])
-    # What the blends add (was a dwell disturbed? are there cross terms?) or save goes to the disturbance,
-    # or lowers all alike.
-    whole = float(np.einsum("ni,ij,nj->n", gradient, blend.covariance, gradient).mean())
-    sum_of_parts = max(sum(variance.values()), 1e-30)
-    if whole >= sum_of_parts:
-        variance["disturbance"] += whole - sum_of_parts
-        sum_of_parts = whole
-    return {name: math.sqrt(value * whole / sum_of_parts) for name, value in variance.items()}
-
-
-def _source_of(place: int) -> str:
-    if place in (GYRO_SCALE, GYRO_BIAS):
-        return "step_angle"
-    if place in (HORIZONTAL, VERTICAL):
-        return "world_model"
-    if MOTOR.start <= place < MOTOR.stop:
-        return "disturbance"
-    return "prior"
 
 
 def _correction(state: FloatArray, in_force: FieldCorrection, world_model: bool) -> FieldCorrection:
@@ -216,7 +159,4 @@ def _correction(state: FloatArray, in_force: FieldCorrection, world_model: bool)
         matrix = matrix * 2.0 / (matrix[0, 0] + matrix[1, 1])
         matrix[2, 2] = in_force.matrix[2, 2]
         offsets = np.array([*offsets[:2], in_force.offsets_mgauss[2]])
-    matrix = 0.5 * (matrix + matrix.T)
-    x, y, z = (matrix @ np.linalg.solve(in_force.matrix, np.asarray(in_force.motor_mgauss))).tolist()
-    correction = FieldCorrection.from_matrix(offsets, matrix)
-    return replace(correction, motor_mgauss=(x, y, z), motor_source=in_force.motor_source)
+    return FieldCorrection.from_matrix(offsets, 0.5 * (matrix + matrix.T)).with_motor_of(in_force)

@@ -1,7 +1,6 @@
 """The messages of `mavcompass.messages` as MAVLink payloads, both ways.
 
-This is the only file that knows the dialect, pymavlink's generated description of every message; it is
-loaded with the first message. Framing (headers, checksums, signatures) is in `framing`.
+Framing (headers, checksums, signatures) is in `framing`.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from struct import Struct
 from typing import Any
 
 from mavcompass import messages
+from mavcompass.mavlink.dialect import Description, describe, message_ids
 from mavcompass.messages import Message
 
 # Payload lengths of MAVLink 1, which knows no extension fields, where the dialect has such fields.
@@ -92,13 +92,6 @@ def _read(values: tuple[Any, ...], at: int, count: int, text: bool) -> Any:
 
 
 @cache
-def _dialect() -> Any:
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    return ardupilotmega
-
-
-@cache
 def _kinds() -> dict[str, type[Message]]:
     known = (thing for _, thing in inspect.getmembers(messages, inspect.isclass))
     return {kind.wire_name(): kind for kind in known if issubclass(kind, Message) and kind is not Message}
@@ -115,43 +108,38 @@ _FORMATS: dict[int, WireFormat] = {}
 def wire_format(message_id: int) -> WireFormat | None:
     """Look up a message by its number; None for one that the dialect does not have."""
     form = _FORMATS.get(message_id)
-    if form is None and message_id in _dialect().mavlink_map:
-        form = _FORMATS[message_id] = _describe(message_id)
+    if form is None and (description := describe(message_id)) is not None:
+        form = _FORMATS[message_id] = _format_of(description)
     return form
 
 
-def _describe(message_id: int) -> WireFormat:
-    description = _dialect().mavlink_map[message_id]
-    kind = _kinds().get(description.msgname)
-    unpacker: Struct = description.unpacker
+def _format_of(description: Description) -> WireFormat:
+    kind, payload = _kinds().get(description.name), description.payload
     places = tuple(_places(description, kind)) if kind is not None else ()
     numbers_only = all(not count and not text for _, _, count, text in places) and len(places) > 1
     return WireFormat(
-        id=message_id,
+        id=description.id,
         crc_extra=description.crc_extra,
-        base_length=BASE_LENGTHS.get(description.msgname, unpacker.size),
-        full_length=unpacker.size,
+        base_length=BASE_LENGTHS.get(description.name, payload.size),
+        full_length=payload.size,
         kind=kind,
-        _struct=unpacker,
-        _defaults=unpacker.unpack(bytes(unpacker.size)),
+        _struct=payload,
+        _defaults=payload.unpack(bytes(payload.size)),
         _places=places,
         _pick=itemgetter(*(at for _, at, _, _ in places)) if numbers_only else None,
     )
 
 
-def _places(description: Any, kind: type[Message]) -> list[tuple[str, int, int, bool]]:
+def _places(description: Description, kind: type[Message]) -> list[tuple[str, int, int, bool]]:
     """Say where each field of the dataclass stands among the struct's values: name, at, count, text.
 
     Text is one value of the struct, an array as many as it has elements.
     """
     starts: dict[str, tuple[int, int, bool]] = {}
     at = 0
-    for name in description.ordered_fieldnames:
-        # `array_lengths` goes with the wire's order, `fieldtypes` with the declared one.
-        count = description.array_lengths[description.ordered_fieldnames.index(name)]
-        text = description.fieldtypes[description.fieldnames.index(name)] == "char"
-        starts[name] = (at, 0 if text else count, text)
-        at += 1 if text else max(count, 1)
+    for field in description.fields:
+        starts[field.name] = (at, 0 if field.is_text else field.count, field.is_text)
+        at += 1 if field.is_text else max(field.count, 1)
     return [(field.name, *starts[field.name]) for field in fields(kind)]
 
 
@@ -160,9 +148,8 @@ _IDS: dict[type[Message], int] = {}
 
 def message_id(kind: type[Message]) -> int:
     """Return the number of a message's type."""
-    if not _IDS:
-        numbers = {description.msgname: number for number, description in _dialect().mavlink_map.items()}
-        _IDS.update({known: numbers[name] for name, known in _kinds().items()})
+    if kind not in _IDS:
+        _IDS[kind] = message_ids()[kind.wire_name()]
     return _IDS[kind]
 
 

@@ -1,12 +1,4 @@
-"""MAVLink frames, versions 1 and 2: bytes to frames and back, checksums, sequence numbers, signatures.
-
-    version 1: FE length sequence system component id                         payload checksum
-    version 2: FD length incompatible compatible sequence system component id payload checksum [signature]
-
-The id takes one byte in version 1, three in version 2; version 2 cuts zeros off the payload's end. The
-checksum is CRC-16/MCRF4XX over all but the first byte, then the message's own extra byte. A signature is
-the link's id, a 48 bit time in units of 10 us since 2015 and six bytes of SHA-256 over key and frame.
-"""
+"""MAVLink frames from bytes and back, one by one: checksum, sequence number, signature (`mavlink.frame`)."""
 
 from __future__ import annotations
 
@@ -19,16 +11,24 @@ from mmap import mmap
 from struct import Struct
 from typing import Protocol
 
+from mavcompass.mavlink.frame import (
+    CHECKSUM_BYTES,
+    FLAGS_AT,
+    FRAME_STARTS,
+    HEADER_BYTES_1,
+    HEADER_BYTES_2,
+    LENGTH_AT,
+    SIGNATURE_BYTES,
+    SIGNED,
+    V1,
+    V2,
+)
 from mavcompass.messages import Message
 from mavcompass.vehicle.wire.codec import encode, wire_format
 
-_V1, _V2 = 0xFE, 0xFD
-_MAGIC = (_V1, _V2)
 _HEADER_1 = Struct("<BBBBBB")
 _HEADER_2 = Struct("<BBBBBBBHB")
 _CHECKSUM = Struct("<H")
-_SIGNED = 0x01
-_SIGNATURE_LENGTH = 13
 _EPOCH_2015_S = 1_420_070_400
 # Ground radios speak of themselves and cannot sign.
 _RADIO_STATUS = 109
@@ -102,8 +102,8 @@ class Signing:
 
     def accepts(self, frame: bytes, system: int, component: int) -> bool:
         """Check a signed frame: the right key, and later than any before from this sender and link."""
-        signature = frame[-_SIGNATURE_LENGTH:]
-        if self._digest(frame[:-_SIGNATURE_LENGTH], signature[:7]) != signature[7:]:
+        signature = frame[-SIGNATURE_BYTES:]
+        if self._digest(frame[:-SIGNATURE_BYTES], signature[:7]) != signature[7:]:
             return False
         stamp = int.from_bytes(signature[1:7], "little")
         stream = (system, component, signature[0])
@@ -153,10 +153,10 @@ class FrameWriter:
         sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFF
         signing = self.signing if version == 2 else None
         if version == 1:
-            head = _HEADER_1.pack(_V1, len(payload), sequence, system, component, _small(number))
+            head = _HEADER_1.pack(V1, len(payload), sequence, system, component, _small(number))
         else:
-            flags, low, high = (0 if signing is None else _SIGNED), number & 0xFFFF, number >> 16
-            head = _HEADER_2.pack(_V2, len(payload), flags, 0, sequence, system, component, low, high)
+            flags, low, high = (0 if signing is None else SIGNED), number & 0xFFFF, number >> 16
+            head = _HEADER_2.pack(V2, len(payload), flags, 0, sequence, system, component, low, high)
         frame = head + payload
         frame += _CHECKSUM.pack(checksum(frame[1:], crc_extra))
         return frame if signing is None else frame + signing.sign(frame)
@@ -189,7 +189,7 @@ class FrameParser:
         buffer += data
         at, end = 0, len(buffer)
         while at < end:
-            if buffer[at] not in _MAGIC:
+            if buffer[at] not in FRAME_STARTS:
                 self._count_malformed()
                 at = self._next_magic(at)
                 continue
@@ -210,7 +210,7 @@ class FrameParser:
         return frames
 
     def _next_magic(self, at: int) -> int:
-        places = [place for magic in _MAGIC if (place := self._buffer.find(magic, at)) >= 0]
+        places = [place for magic in FRAME_STARTS if (place := self._buffer.find(magic, at)) >= 0]
         return min(places, default=len(self._buffer))
 
     def _count_malformed(self) -> None:
@@ -221,7 +221,7 @@ class FrameParser:
 
     def _skip_unknown(self, at: int, length: int) -> int:
         buffer, end = self._buffer, at + length
-        if end < len(buffer) and buffer[end] not in _MAGIC:
+        if end < len(buffer) and buffer[end] not in FRAME_STARTS:
             self._count_malformed()
             return at + 1
         inside = self._next_magic(at + 1)
@@ -237,8 +237,8 @@ class FrameParser:
 
     def _is_authentic(self, frame: Frame) -> bool:
         raw = frame.raw
-        flags = raw[2] if frame.version == 2 else 0
-        if flags & ~_SIGNED or not checksum_is_right(frame):
+        flags = raw[FLAGS_AT] if frame.version == 2 else 0
+        if flags & ~SIGNED or not checksum_is_right(frame):
             return False  # such a flag must be understood and is not
         if self.signing is None or frame.message_id == _RADIO_STATUS:
             return True
@@ -250,25 +250,27 @@ def checksum_is_right(frame: Frame) -> bool:
     form = wire_format(frame.message_id)
     if form is None:
         return False
-    signed = frame.version == 2 and frame.raw[2] & _SIGNED
-    unsigned = frame.raw[:-_SIGNATURE_LENGTH] if signed else frame.raw
+    signed = frame.version == 2 and frame.raw[FLAGS_AT] & SIGNED
+    unsigned = frame.raw[:-SIGNATURE_BYTES] if signed else frame.raw
     return checksum(unsigned[1:-2], form.crc_extra) == int.from_bytes(unsigned[-2:], "little")
 
 
 def frame_length(buffer: bytearray | bytes | mmap, at: int) -> int:
     """Return the length of the frame that begins here; 0 while, or where, that cannot be told."""
-    if len(buffer) - at < 3 or buffer[at] not in _MAGIC:
+    if len(buffer) - at < 3 or buffer[at] not in FRAME_STARTS:
         return 0
-    if buffer[at] == _V1:
-        return buffer[at + 1] + 8
-    return buffer[at + 1] + 12 + (_SIGNATURE_LENGTH if buffer[at + 2] & _SIGNED else 0)
+    if buffer[at] == V1:
+        return buffer[at + LENGTH_AT] + HEADER_BYTES_1 + CHECKSUM_BYTES
+    signature = SIGNATURE_BYTES if buffer[at + FLAGS_AT] & SIGNED else 0
+    return buffer[at + LENGTH_AT] + HEADER_BYTES_2 + CHECKSUM_BYTES + signature
 
 
 def split_frame(raw: bytes) -> Frame:
     """Read the header of a whole frame; whether it is a good one `checksum_is_right` tells."""
-    length = raw[1]
-    if raw[0] == _V1:
+    header = HEADER_BYTES_1 if raw[0] == V1 else HEADER_BYTES_2
+    payload = raw[header : header + raw[LENGTH_AT]]
+    if raw[0] == V1:
         _, _, sequence, system, component, number = _HEADER_1.unpack_from(raw)
-        return Frame(1, sequence, system, component, number, raw[6 : 6 + length], raw)
+        return Frame(1, sequence, system, component, number, payload, raw)
     _, _, _, _, sequence, system, component, low, high = _HEADER_2.unpack_from(raw)
-    return Frame(2, sequence, system, component, low | high << 16, raw[10 : 10 + length], raw)
+    return Frame(2, sequence, system, component, low | high << 16, payload, raw)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mavcompass.mavlink.frame import FRAME_STARTS
 from mavcompass.track import Track
 
 NAME = "telemetry log (.tlog)"
 SUFFIXES = (".tlog",)
-_FRAME_STARTS = (0xFD, 0xFE)
 
 
 def recognises(head: bytes) -> bool:
     """Tell whether a file begins with a time (microseconds of Unix time, eight bytes) and a frame."""
-    return len(head) > 8 and head[0] == 0 and head[8] in _FRAME_STARTS
+    return len(head) > 8 and head[0] == 0 and head[8] in FRAME_STARTS
 
 
 def read(path: Path, head: bytes) -> dict[int, Track]:

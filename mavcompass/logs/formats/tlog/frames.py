@@ -8,21 +8,36 @@ the earlier one wins, as it does for a reader that goes from frame to frame.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.logs.common import ByteArray, Chunk, IntArray, not_overlapping
 from mavcompass.logs.formats.tlog.checksum import checksums
-from mavcompass.logs.formats.tlog.layouts import UNKNOWN, crc_extras
+from mavcompass.mavlink import dialect
+from mavcompass.mavlink.frame import (
+    ADDRESS_AT_1,
+    ADDRESS_AT_2,
+    CHECKSUM_BYTES,
+    FLAGS_AT,
+    HEADER_BYTES_1,
+    HEADER_BYTES_2,
+    ID_AT_1,
+    ID_AT_2,
+    LENGTH_AT,
+    LONGEST_FRAME,
+    SIGNATURE_BYTES,
+    SIGNED,
+    V2,
+)
 
 TIMESTAMP_BYTES = 8
-LONGEST_RECORD = TIMESTAMP_BYTES + 10 + 255 + 2 + 13
+LONGEST_RECORD = TIMESTAMP_BYTES + LONGEST_FRAME
 PADDING = 512
-_V1, _V2 = 0xFE, 0xFD
-_SIGNED = 0x01
-_SIGNATURE_BYTES = 13
-_CHECKSUM_BYTES = 2
+UNKNOWN = -1
+# Ids above these belong to nobody's dialect; the table stays small.
+_TABLE_SIZE = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,25 +83,34 @@ def find_frames(chunk: Chunk, covered: int) -> tuple[Frames, Frames]:
     return frames, _unknown_between(candidates.select(~known), frames, chunk, covered)
 
 
+@cache
+def crc_extras() -> NDArray[np.int16]:
+    """Return the extra bytes by message id, UNKNOWN where the dialect has no such message."""
+    table = np.full(_TABLE_SIZE, UNKNOWN, dtype=np.int16)
+    for number, extra in dialect.crc_extras().items():
+        table[number] = extra
+    return table
+
+
 def _candidates(chunk: Chunk, covered: int) -> Frames:
     data = chunk.data
     first = max(covered, chunk.fresh) + TIMESTAMP_BYTES
     last = min(chunk.limit + TIMESTAMP_BYTES, chunk.size)
     # 0xFD and 0xFE are the two values that 0xFD can be subtracted from, leaving less than 2.
-    start = np.flatnonzero((data[first:last] - np.uint8(_V2)) < 2) + first
-    version2 = data[start] == _V2
-    length = data[start + 1].astype(np.intp)
-    flags = data[start + 2]
-    header = np.where(version2, 10, 6)
-    signature = np.where(version2 & (flags == _SIGNED), _SIGNATURE_BYTES, 0)
-    end = start + header + length + _CHECKSUM_BYTES + signature
-    whole = (end <= chunk.size) & (~version2 | (flags <= _SIGNED))
+    start = np.flatnonzero((data[first:last] - np.uint8(V2)) < 2) + first
+    version2 = data[start] == V2
+    length = data[start + LENGTH_AT].astype(np.intp)
+    flags = data[start + FLAGS_AT]
+    header = np.where(version2, HEADER_BYTES_2, HEADER_BYTES_1)
+    signature = np.where(version2 & (flags == SIGNED), SIGNATURE_BYTES, 0)
+    end = start + header + length + CHECKSUM_BYTES + signature
+    whole = (end <= chunk.size) & (~version2 | (flags <= SIGNED))
     start, version2, length, header, end = (
         column[whole] for column in (start, version2, length, header, end)
     )
-    low = data[start + np.where(version2, 7, 5)].astype(np.int32)
-    high = data[start + 8].astype(np.int32) << 8 | data[start + 9].astype(np.int32) << 16
-    address = start + np.where(version2, 5, 3)
+    low = data[start + np.where(version2, ID_AT_2, ID_AT_1)].astype(np.int32)
+    high = data[start + ID_AT_2 + 1].astype(np.int32) << 8 | data[start + ID_AT_2 + 2].astype(np.int32) << 16
+    address = start + np.where(version2, ADDRESS_AT_2, ADDRESS_AT_1)
     return Frames(
         start=start,
         end=end,

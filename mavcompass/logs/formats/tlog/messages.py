@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from mavcompass.logs.formats.tlog.frames import (
     Frames,
     find_frames,
 )
-from mavcompass.logs.formats.tlog.layouts import Layout, layout
+from mavcompass.mavlink.dialect import Description, Field, describe, message_ids
 
 Sender = tuple[int, int]
 ALL_FIELDS: tuple[str, ...] = ()
@@ -83,7 +84,7 @@ def read_messages(
 
     `chunk_bytes` of the file are held in memory at a time. Raises KeyError for a name outside the dialect.
     """
-    gather = _Gather([(layout(name), fields) for name, fields in wanted.items()])
+    gather = _Gather([(_description(name), fields) for name, fields in wanted.items()])
     contents = TlogContents()
     covered = 0  # all counts of bytes are from the file's start here
     for chunk in read_chunks(path, longest_record=LONGEST_RECORD, padding=PADDING, chunk_bytes=chunk_bytes):
@@ -99,6 +100,24 @@ def read_messages(
         contents.cut_off = rest < LONGEST_RECORD
     contents.senders = gather.senders()
     return contents
+
+
+def _description(name: str) -> Description:
+    found = describe(message_ids()[name])
+    assert found is not None
+    return found
+
+
+@cache
+def record_type(message: Description) -> np.dtype[np.void]:
+    """Return a message's payload as numpy reads it."""
+    return np.dtype([(field.name, *_element(field)) for field in message.fields])
+
+
+def _element(field: Field) -> tuple[str] | tuple[str, tuple[int]]:
+    if field.is_text:
+        return (f"S{field.count}",)
+    return (f"<{field.code}", (field.count,)) if field.count else (f"<{field.code}",)
 
 
 def _count_gaps(contents: TlogContents, chunk: Chunk, good: Frames, unknown: Frames, covered: int) -> int:
@@ -119,13 +138,13 @@ def _count_gaps(contents: TlogContents, chunk: Chunk, good: Frames, unknown: Fra
 class _Gather:
     """Collect the wanted messages chunk by chunk, only the wanted fields of each."""
 
-    def __init__(self, wanted: list[tuple[Layout, tuple[str, ...]]]) -> None:
+    def __init__(self, wanted: list[tuple[Description, tuple[str, ...]]]) -> None:
         self._wanted = wanted
         self._growing: dict[tuple[Sender, str], tuple[GrowingArray, GrowingArray, GrowingArray]] = {}
 
     def add(self, chunk: Chunk, frames: Frames, frames_before: int) -> None:
         for message, names in self._wanted:
-            which = np.flatnonzero(frames.message_id == message.message_id)
+            which = np.flatnonzero(frames.message_id == message.id)
             if not which.size:
                 continue
             some = frames.select(which)
@@ -159,18 +178,19 @@ class _Gather:
         return dict(sorted(out.items()))
 
 
-def _payloads(chunk: Chunk, frames: Frames, message: Layout, names: tuple[str, ...]) -> Any:
+def _payloads(chunk: Chunk, frames: Frames, message: Description, names: tuple[str, ...]) -> Any:
     """Decode payloads: zeros that version 2 cut off the end are put back, later extensions are left off."""
-    width = message.record.itemsize
+    record = record_type(message)
+    width = record.itemsize
     raw = windows(chunk.data, frames.payload, width)
     shortest = int(frames.length.min())
     if shortest < width:
         missing = np.arange(shortest, width) >= frames.length[:, np.newaxis]
         raw[:, shortest:][missing] = 0
-    rows = raw.view(message.record)[:, 0]
+    rows = raw.view(record)[:, 0]
     if names == ALL_FIELDS:
         return rows
-    wanted = np.empty(rows.size, np.dtype([(name, message.record[name]) for name in names]))
+    wanted = np.empty(rows.size, np.dtype([(name, record[name]) for name in names]))
     for name in names:
         wanted[name] = rows[name]
     return wanted
