@@ -28,7 +28,7 @@ def begun(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
     for name in (
         "mavcompass.vehicle.opening.open_link",
         "mavcompass.vehicle.open_link",
-        "mavcompass.vehicle.transport.opening.open_transport",
+        "mavcompass.vehicle.transport.open_transport",
         "mavcompass.logs.read_track",
         "mavcompass.logs.read_track",
         "mavcompass.gap.trial.run_trial",

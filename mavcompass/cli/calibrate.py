@@ -22,7 +22,7 @@ from mavcompass.cli.source import (
     this_year,
 )
 from mavcompass.errors import UsageError
-from mavcompass.vehicle.transport.address import Recording, parse_address
+from mavcompass.vehicle.transport import Recording, parse_address
 
 
 @click.command()

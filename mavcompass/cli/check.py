@@ -62,7 +62,7 @@ def command(
     """
     from mavcompass.cli.terminal.show import showing
     from mavcompass.procedure.check import CheckSettings
-    from mavcompass.vehicle.transport.address import parse_address
+    from mavcompass.vehicle.transport import parse_address
 
     require_for(source, report=offer)
     settings = CheckSettings(turn=turn, system=system, year=this_year())  # type: ignore[arg-type]

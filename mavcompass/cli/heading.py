@@ -17,7 +17,7 @@ from mavcompass.cli.terminal.dial import dial
 from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
-    from mavcompass.vehicle.transport.address import Address
+    from mavcompass.vehicle.transport import Address
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def command(
     mavcompass heading udpin:0.0.0.0:14550
     mavcompass heading flight.tlog --json-lines --rate 1
     """
-    from mavcompass.vehicle.transport.address import Recording, parse_address
+    from mavcompass.vehicle.transport import Recording, parse_address
 
     address = parse_address(source)
     require_for(address)

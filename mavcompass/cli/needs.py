@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mavcompass.errors import UsageError
 from mavcompass.parts import require
-from mavcompass.vehicle.transport.address import Address, Recording, Serial, parse_address
+from mavcompass.vehicle.transport import Address, Recording, Serial, parse_address
 
 
 def require_for(

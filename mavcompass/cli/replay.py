@@ -14,7 +14,7 @@ from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
     from mavcompass.vehicle.links.faults import Faults
-    from mavcompass.vehicle.replay.alterations import Alterations
+    from mavcompass.vehicle.replay import Alterations
 
 _FAULTS = "loss, duplicate, reorder, latency, jitter, time-jump, saturation, frozen-compass"
 
@@ -61,10 +61,9 @@ def command(
     from mavcompass.logs import read_track
     from mavcompass.vehicle.links.faults import FaultyRecording
     from mavcompass.vehicle.links.server import VehicleServer
-    from mavcompass.vehicle.replay.replayed import replayed_autopilot
+    from mavcompass.vehicle.replay import replayed_autopilot
     from mavcompass.vehicle.stopping import StopRequest, stop_signals
-    from mavcompass.vehicle.transport.address import listening_address
-    from mavcompass.vehicle.transport.opening import open_transport
+    from mavcompass.vehicle.transport import listening_address, open_transport
 
     address = listening_address(where)
     require_for(log, address)
@@ -96,7 +95,7 @@ def command(
 def parse_faults(texts: tuple[str, ...]) -> tuple[Faults, Alterations]:
     """Read `--fault NAME=VALUE`. Raises UsageError for what is none."""
     from mavcompass.vehicle.links.faults import Faults
-    from mavcompass.vehicle.replay.alterations import Alterations
+    from mavcompass.vehicle.replay import Alterations
 
     numbers: dict[str, float] = {}
     jumps: list[tuple[float, float]] = []

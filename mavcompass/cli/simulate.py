@@ -12,7 +12,7 @@ import click
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.errors import UsageError
-from mavcompass.vehicle.transport.address import VEHICLES
+from mavcompass.vehicle.transport import VEHICLES
 
 if TYPE_CHECKING:
     from mavcompass.vehicle.links.server import Record
@@ -95,8 +95,7 @@ def command(
     from mavcompass.vehicle.links.server import VehicleServer
     from mavcompass.vehicle.links.simulated import simulated_autopilot
     from mavcompass.vehicle.stopping import StopRequest, stop_signals
-    from mavcompass.vehicle.transport.address import listening_address
-    from mavcompass.vehicle.transport.opening import open_transport
+    from mavcompass.vehicle.transport import listening_address, open_transport
 
     address = listening_address(where)
     require_for(address)

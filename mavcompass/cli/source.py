@@ -13,7 +13,7 @@ from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
     from mavcompass.vehicle.link import Link
-    from mavcompass.vehicle.transport.address import Address
+    from mavcompass.vehicle.transport import Address
 
 
 def _instances(context: click.Context, parameter: click.Parameter, value: str) -> tuple[int, ...]:
@@ -89,7 +89,7 @@ def open_source(address: Address, effects: Sequence[str], as_ground_station: boo
     """
     from mavcompass.vehicle.link import GROUND_STATION, ONBOARD_COMPUTER
     from mavcompass.vehicle.opening import open_link
-    from mavcompass.vehicle.transport.address import Simulated
+    from mavcompass.vehicle.transport import Simulated
 
     if not effects:
         return open_link(address, GROUND_STATION if as_ground_station else ONBOARD_COMPUTER)

@@ -60,7 +60,7 @@ def _list_of(element: Check, what: str) -> Check:
 def _source(value: Any) -> str | None:
     if (wrong := _text(value)) is not None:
         return wrong
-    from mavcompass.vehicle.transport.address import Recording, parse_address
+    from mavcompass.vehicle.transport import Recording, parse_address
 
     try:
         address = parse_address(value)

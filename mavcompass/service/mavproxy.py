@@ -34,7 +34,7 @@ from mavcompass.procedure.script import Answer, Ask, Event, Machine, Send, Show,
 from mavcompass.report.document import live_document
 from mavcompass.vehicle.calibrating import calibration_machine
 from mavcompass.vehicle.dialects import make_dialect
-from mavcompass.vehicle.wire.codec import decode
+from mavcompass.vehicle.wire import decode
 
 _SOURCE = "MAVProxy's link"
 _TICK_S = 0.05

@@ -20,8 +20,7 @@ from mavcompass.service.web.security import load_token
 from mavcompass.service.work.gaps import Gaps
 from mavcompass.service.work.history import History
 from mavcompass.vehicle.link import Link
-from mavcompass.vehicle.transport.address import Simulated, parse_address
-from mavcompass.vehicle.transport.transport import Reconnect
+from mavcompass.vehicle.transport import Reconnect, Simulated, parse_address
 
 _log = logging.getLogger(__name__)
 

@@ -43,10 +43,6 @@ class Happenings:
         """Unplug a compass: its last value keeps streaming, its health falls."""
         self.firmware.compasses.lose(instance, healthy=False, value=None)
 
-    def freeze_compass(self, instance: int = 1) -> None:
-        """Let a compass repeat its last value for ever, and look healthy."""
-        self.firmware.compasses.lose(instance, healthy=True, value=None)
-
     def zero_compass(self, instance: int = 1) -> None:
         """Let a compass deliver zeros: what is left are its offsets."""
         self.firmware.compasses.lose(instance, healthy=True, value=(0.0, 0.0, 0.0))

@@ -16,7 +16,7 @@ from collections.abc import Collection, Mapping, MutableMapping, Sequence
 
 from mavcompass.enums import MavAutopilot, MavState, MavType
 from mavcompass.messages import Heartbeat, Message
-from mavcompass.simulation.ardupilot.firmware import ArduPilot
+from mavcompass.simulation.ardupilot import ArduPilot
 from mavcompass.simulation.autopilot.board import Board, Outgoing
 from mavcompass.simulation.autopilot.firmware import Firmware, Sender
 from mavcompass.simulation.happenings import Happenings
@@ -28,7 +28,7 @@ from mavcompass.simulation.physics.scenery import draw_world
 from mavcompass.simulation.physics.sensors import COMPASS_PERIOD_US, Distortion
 from mavcompass.simulation.physics.truth import Truth, truth_of
 from mavcompass.simulation.physics.world import DEFAULT_UTC_S
-from mavcompass.simulation.px4.firmware import Px4
+from mavcompass.simulation.px4 import Px4
 
 GROUND_STATION = (255, 190)
 _HEARTBEAT_US = 1_000_000
@@ -167,7 +167,7 @@ class SimulatedAutopilot(Happenings):
     def _tick(self) -> None:
         board, body = self.board, self.body
         dt = board.tick_us * 1e-6
-        drive = Drive() if self.rebooting else self._drive
+        drive = self._drive if board.silent_until_us is None else Drive()
         body.step(dt, drive, board.sensors.samples[0].gyro_radps[2])
         board.now_us += board.tick_us
         self._sense()

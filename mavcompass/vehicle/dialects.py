@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from mavcompass.errors import Refused
-from mavcompass.vehicle.ardupilot.dialect import ArduPilotDialect
+from mavcompass.vehicle.ardupilot import ArduPilotDialect
 from mavcompass.vehicle.parameters.dialect import CompassDialect
-from mavcompass.vehicle.px4.dialect import PX4Dialect
+from mavcompass.vehicle.px4 import PX4Dialect
 
 DIALECTS: dict[str, type[CompassDialect]] = {"ardupilot": ArduPilotDialect, "px4": PX4Dialect}
 

@@ -91,12 +91,10 @@ def _begin(context: Context, source: str, instance: int, rate_hz: float) -> Scri
 def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: bool) -> Iterator[LiveHeading]:
     compass, level = LiveCompass(instance), Level()
     compass.set_world(start.world)
-    if start.identity.autopilot == "px4":
-        dialect = make_dialect("px4", source)
-        from mavcompass.compass_parameters import px4_rotation
-
-        correction = dialect.correction(start.parameters, instance)
-        compass.set_uncorrected(correction, px4_rotation(start.parameters, instance))
+    dialect = make_dialect(start.identity.autopilot, source)
+    rotation = dialect.raw_rotation(start.parameters, instance)
+    if rotation is not None:
+        compass.set_uncorrected(dialect.correction(start.parameters, instance), rotation)
     flat = (
         TwoAxisCompass(start.world.total_mgauss, start.world.inclination_rad)
         if two_axis and start.world is not None

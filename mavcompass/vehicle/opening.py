@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
-from mavcompass.vehicle.transport.address import (
+from mavcompass.vehicle.transport import (
     Address,
     Mavsdk,
     Recording,
@@ -23,8 +22,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavcompass.track import Track
-    from mavcompass.vehicle.transport.transport import Reconnect
-    from mavcompass.vehicle.wire.framing import Signing
+    from mavcompass.vehicle.link import Identity, Link
+    from mavcompass.vehicle.transport import Reconnect
+    from mavcompass.vehicle.wire import Signing
 
 
 def open_link(
@@ -41,6 +41,8 @@ def open_link(
 
     Raises UsageError for a wrong address, NoVehicle where nothing listens, BadRecording for a bad file.
     """
+    from mavcompass.vehicle.link import ONBOARD_COMPUTER
+
     address = parse_address(source) if isinstance(source, str) else source
     identity = ONBOARD_COMPUTER if identity is None else identity
     match address:
@@ -49,7 +51,7 @@ def open_link(
 
             return SimulatedLink.of(vehicle, seed=seed, effects=effects, identity=identity)
         case Recording(path):
-            from mavcompass.vehicle.replay.replayed import ReplayedLink
+            from mavcompass.vehicle.replay import ReplayedLink
 
             return ReplayedLink.playing(path, read_track, identity)
         case Mavsdk(url):
@@ -58,6 +60,6 @@ def open_link(
             return MavsdkLink(url, identity)
         case UdpIn() | UdpOut() | Tcp() | TcpIn() | Serial():
             from mavcompass.vehicle.links.wire import WireLink
-            from mavcompass.vehicle.transport.opening import open_transport
+            from mavcompass.vehicle.transport import open_transport
 
             return WireLink(open_transport(address, reconnect), identity, signing)

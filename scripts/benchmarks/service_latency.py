@@ -90,7 +90,7 @@ def send(ports: list[int], rate_hz: float, children: dict[str, subprocess.Popen[
     import socket
 
     from mavcompass.messages import GlobalPositionInt, Heartbeat, RawImu
-    from mavcompass.vehicle.wire.framing import FrameWriter
+    from mavcompass.vehicle.wire import FrameWriter
 
     writer = FrameWriter(2, None)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:

@@ -19,7 +19,7 @@ from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.links.faults import Faults, FaultyLink
 from mavcompass.vehicle.links.simulated import SimulatedLink, simulated_autopilot
-from mavcompass.vehicle.transport.address import VEHICLES
+from mavcompass.vehicle.transport import VEHICLES
 
 QUALITIES = {
     "clean": Faults(),

@@ -26,7 +26,7 @@ from mavcompass.errors import LinkLost, MavCompassError
 from mavcompass.heading import heading_of_track
 from mavcompass.logs import read_track
 from mavcompass.track import Track
-from mavcompass.vehicle.replay.replayed import ReplayedLink
+from mavcompass.vehicle.replay import ReplayedLink
 
 HERE = Path(__file__).resolve().parent
 PROJECT = HERE.parents[1]

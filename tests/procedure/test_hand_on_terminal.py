@@ -17,8 +17,7 @@ from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.server import VehicleServer
-from mavcompass.vehicle.transport.address import TcpIn
-from mavcompass.vehicle.transport.opening import open_transport
+from mavcompass.vehicle.transport import TcpIn, open_transport
 
 SPEED = 3.0
 LONGEST_S = 60.0

@@ -12,9 +12,8 @@ from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import LinkStatistics
 from mavcompass.vehicle.links.wire import WireLink
-from mavcompass.vehicle.transport.transport import Peer
-from mavcompass.vehicle.wire.codec import decode
-from mavcompass.vehicle.wire.framing import FrameParser, FrameWriter
+from mavcompass.vehicle.transport import Peer
+from mavcompass.vehicle.wire import FrameParser, FrameWriter, decode
 
 
 class OldVehicle:

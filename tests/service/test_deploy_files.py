@@ -14,7 +14,7 @@ from running_service import RunningService
 from mavcompass import __version__
 from mavcompass.service.config import ServiceConfig, load_config
 from mavcompass.service.run import STUCK_S
-from mavcompass.vehicle.transport.address import UdpIn, parse_address
+from mavcompass.vehicle.transport import UdpIn, parse_address
 
 PROJECT = Path(__file__).parents[2]
 DEPLOY = PROJECT / "scripts" / "deploy"

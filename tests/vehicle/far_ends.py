@@ -22,14 +22,20 @@ from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.links.wire import WireLink
 from mavcompass.vehicle.replay.contents import survey
 from mavcompass.vehicle.replay.replayed import ReplayedAutopilot, ReplayedLink, play_tlog
-from mavcompass.vehicle.transport.address import Serial, Tcp, TcpIn, UdpIn, UdpOut
-from mavcompass.vehicle.transport.opening import open_transport
+from mavcompass.vehicle.transport import (
+    Reconnect,
+    Serial,
+    Tcp,
+    TcpIn,
+    Transport,
+    UdpIn,
+    UdpOut,
+    open_transport,
+)
 from mavcompass.vehicle.transport.stream import StreamTransport
 from mavcompass.vehicle.transport.tcp import TcpServerTransport
-from mavcompass.vehicle.transport.transport import Reconnect, Transport
 from mavcompass.vehicle.transport.udp import UdpTransport
-from mavcompass.vehicle.wire.codec import decode
-from mavcompass.vehicle.wire.framing import FrameParser, FrameWriter
+from mavcompass.vehicle.wire import FrameParser, FrameWriter, decode
 
 Heard = list[tuple[int, int, Message]]
 SYSTEM = 9

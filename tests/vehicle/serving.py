@@ -11,9 +11,7 @@ from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.links.autopilot import Autopilot
 from mavcompass.vehicle.links.server import Record, VehicleServer
 from mavcompass.vehicle.stopping import StopRequest
-from mavcompass.vehicle.transport.address import TcpIn, WireAddress
-from mavcompass.vehicle.transport.opening import open_transport
-from mavcompass.vehicle.transport.transport import Transport
+from mavcompass.vehicle.transport import TcpIn, Transport, WireAddress, open_transport
 
 ANY_TCP_PORT = TcpIn("127.0.0.1", 0)
 

@@ -33,7 +33,7 @@ from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.opening import open_link
-from mavcompass.vehicle.wire.codec import message_id
+from mavcompass.vehicle.wire import message_id
 
 T = TypeVar("T")
 KINDS = ("rover", "copter", "px4-copter")

@@ -20,7 +20,7 @@ from mavcompass.cli.simulate import command
 from mavcompass.errors import UsageError
 from mavcompass.messages import Attitude, Heartbeat
 from mavcompass.vehicle.opening import open_link
-from mavcompass.vehicle.transport.address import Tcp
+from mavcompass.vehicle.transport import Tcp
 
 SIMULATE = [sys.executable, "-m", "mavcompass", "simulate", "--listen", "tcp:127.0.0.1:0"]
 Start = Callable[..., subprocess.Popen[str]]

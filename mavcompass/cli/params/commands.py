@@ -173,7 +173,7 @@ def _head(action: str, source: str, held: HeldParameters) -> dict[str, object]:
 
 def _read(source: str, system: int | None) -> HeldParameters:
     from mavcompass.vehicle.session import read_vehicle, recorded_parameters
-    from mavcompass.vehicle.transport.address import Recording, parse_address
+    from mavcompass.vehicle.transport import Recording, parse_address
 
     if isinstance(parse_address(source), Recording):
         from mavcompass import read_track
@@ -236,7 +236,7 @@ def _write(
 
 
 def _check_call(source: str, yes: bool, dry_run: bool) -> None:
-    from mavcompass.vehicle.transport.address import Recording, parse_address
+    from mavcompass.vehicle.transport import Recording, parse_address
 
     if isinstance(parse_address(source), Recording):
         raise UsageError(f"{source} is a recording, which cannot be written to.", "Give a vehicle's address.")

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from mavcompass.messages import Incoming
-from mavcompass.vehicle.wire.framing import FrameWriter
+from mavcompass.vehicle.wire import FrameWriter
 
 # Ten minutes of a fast link; what comes after is not needed to explain a calibration.
 _MOST_BYTES = 64_000_000

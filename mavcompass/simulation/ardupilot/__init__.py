@@ -1,1 +1,5 @@
 """ArduPilot's firmware, as it was seen to behave."""
+
+from mavcompass.simulation.ardupilot.firmware import ArduPilot
+
+__all__ = ["ArduPilot"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from mavcompass.messages import Message
-from mavcompass.vehicle.wire.framing import Frame
+from mavcompass.vehicle.wire import Frame
 
 
 class Said(Protocol):

@@ -20,7 +20,7 @@ from typing import Any
 from mavcompass.errors import LinkLost, NoVehicle
 from mavcompass.messages import Incoming, Message
 from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
-from mavcompass.vehicle.wire.codec import decode, encode, kind_named
+from mavcompass.vehicle.wire import decode, encode, kind_named
 
 _log = logging.getLogger(__name__)
 

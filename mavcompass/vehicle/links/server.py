@@ -8,9 +8,8 @@ from mavcompass.vehicle.link import LinkStatistics
 from mavcompass.vehicle.links.autopilot import Autopilot, Said, SaidFrame
 from mavcompass.vehicle.links.pace import Pace
 from mavcompass.vehicle.stopping import StopRequest
-from mavcompass.vehicle.transport.transport import Peer, Transport
-from mavcompass.vehicle.wire.codec import decode
-from mavcompass.vehicle.wire.framing import FrameParser, FrameWriter, Signing
+from mavcompass.vehicle.transport import Peer, Transport
+from mavcompass.vehicle.wire import FrameParser, FrameWriter, decode
 
 # How often the vehicle is advanced, wall time: what a client sees as delay.
 TURN_S = 0.004
@@ -23,16 +22,15 @@ Record = Callable[[float, bytes], None]
 class _Client:
     """Be one peer: the vehicle's port that it is plugged into, and both directions of bytes."""
 
-    def __init__(self, port: int, counts: LinkStatistics, signing: Signing | None) -> None:
+    def __init__(self, port: int, counts: LinkStatistics) -> None:
         self.port = port
-        self.parser = FrameParser(counts, signing)
-        self._signing = signing
+        self.parser = FrameParser(counts)
         self._writers: dict[tuple[int, int], FrameWriter] = {}
 
     def frame(self, said: Said) -> bytes:
         sender = (said.system, said.component)
         if sender not in self._writers:
-            self._writers[sender] = FrameWriter(2, self._signing)
+            self._writers[sender] = FrameWriter()
         if isinstance(said, SaidFrame):
             return self._writers[sender].forward(said.frame)
         assert said.message is not None
@@ -64,7 +62,6 @@ class VehicleServer:
         is_rebooting: Callable[[], bool] = lambda: False,
         is_over: Callable[[], bool] = lambda: False,
         record: Record | None = None,
-        signing: Signing | None = None,
     ) -> None:
         self.statistics = LinkStatistics()
         self._autopilot = autopilot
@@ -75,9 +72,8 @@ class VehicleServer:
         self._was_rebooting = False
         self._is_over = is_over
         self._record = record
-        self._signing = signing
         self._clients: dict[Peer, _Client] = {}
-        self._recorder = _Client(0, LinkStatistics(), None)
+        self._recorder = _Client(0, LinkStatistics())
 
     def serve(self, stop: StopRequest) -> None:
         """Serve until asked to stop or it is over; the caller closes the transport."""
@@ -129,7 +125,7 @@ class VehicleServer:
         if peer not in self._clients:
             taken = {client.port for client in self._clients.values()}
             port = next(number for number in range(len(taken) + 1) if number not in taken)
-            self._clients[peer] = _Client(port, self.statistics, self._signing)
+            self._clients[peer] = _Client(port, self.statistics)
         return self._clients[peer]
 
     def _drop_connections_at_reboot(self) -> None:

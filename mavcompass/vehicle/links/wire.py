@@ -8,9 +8,8 @@ from collections import deque
 from mavcompass.enums import COMPONENT_AUTOPILOT
 from mavcompass.messages import Incoming, Message
 from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
-from mavcompass.vehicle.transport.transport import Peer, Transport
-from mavcompass.vehicle.wire.codec import decode
-from mavcompass.vehicle.wire.framing import Frame, FrameParser, FrameWriter, Signing
+from mavcompass.vehicle.transport import Peer, Transport
+from mavcompass.vehicle.wire import Frame, FrameParser, FrameWriter, Signing, decode
 
 # A vehicle that could speak version 2 does so soon after it heard it; one that has not by now cannot.
 _ANSWERS_IN_VERSION_2_S = 3.0

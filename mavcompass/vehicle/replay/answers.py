@@ -19,7 +19,7 @@ from mavcompass.messages import (
 )
 from mavcompass.vehicle.links.autopilot import Played, SaidMessage
 from mavcompass.vehicle.replay.contents import Contents
-from mavcompass.vehicle.wire.codec import message_id
+from mavcompass.vehicle.wire import message_id
 
 _MESSAGE_INTERVAL = 244
 # A request for the recorded rate is not refused because the recording lost some messages.

@@ -9,7 +9,7 @@ from mavcompass.enums import MavAutopilot, MavType
 from mavcompass.errors import BadRecording
 from mavcompass.messages import CommandAck, Heartbeat, ParamValue
 from mavcompass.vehicle.replay.tlog import tlog_frames
-from mavcompass.vehicle.wire.codec import decode, message_id
+from mavcompass.vehicle.wire import decode, message_id
 
 # Nobody waits through the night between two power-ups.
 LONGEST_PAUSE_S = 10.0

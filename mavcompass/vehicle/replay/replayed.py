@@ -20,7 +20,7 @@ from mavcompass.vehicle.replay.alterations import Alterations
 from mavcompass.vehicle.replay.answers import Answers
 from mavcompass.vehicle.replay.contents import Contents, RecordingClock, survey
 from mavcompass.vehicle.replay.tlog import tlog_frames
-from mavcompass.vehicle.wire.codec import decode
+from mavcompass.vehicle.wire import decode
 
 ReadTrack = Callable[[Path], Track]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from struct import Struct
 
 from mavcompass.errors import BadRecording, UsageError
-from mavcompass.vehicle.wire.codec import wire_format
+from mavcompass.vehicle.wire import wire_format
 from mavcompass.vehicle.wire.framing import Frame, checksum_is_right, frame_length, split_frame
 
 _TIME_STAMP = Struct(">Q")

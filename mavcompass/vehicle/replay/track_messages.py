@@ -41,7 +41,7 @@ from mavcompass.units import DEG_PER_RAD, MGAUSS_PER_GAUSS, MPS2_PER_MILLI_G, RA
 from mavcompass.vehicle.links.autopilot import SaidMessage
 from mavcompass.vehicle.replay.contents import Contents
 from mavcompass.vehicle.replay.track_parameters import first_parameters, parameter_changes, parameter_value
-from mavcompass.vehicle.wire.codec import message_id
+from mavcompass.vehicle.wire import message_id
 
 _TYPES = {
     "rover": MavType.GROUND_ROVER,

@@ -13,13 +13,14 @@ import difflib
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 from mavcompass.errors import UsageError
 
 VEHICLES = ("rover", "ackermann-rover", "boat", "copter", "sub", "px4-copter")
 RECORDING_SUFFIXES = (".tlog", ".bin", ".log", ".ulg", ".csv")
 DEFAULT_BAUD = 115_200
-# MAVSDK's alternative spellings and old ones, by what they mean here.
+# What a person may write, MAVSDK's spellings and old ones included, by what it means here.
 _SCHEMES = {
     "udpin": "udpin",
     "udp": "udpin",
@@ -32,47 +33,45 @@ _REMEDY = "Give an address (udpin:0.0.0.0:14550, tcp:HOST:5760, /dev/ttyACM0), s
 
 
 @dataclass(frozen=True, slots=True)
-class UdpIn:
+class _Network:
+    """Name a port of the network; MAVSDK spells two of the schemes otherwise."""
+
+    host: str
+    port: int
+
+    scheme: ClassVar[str]
+    mavsdk_scheme: ClassVar[str]
+
+    def __str__(self) -> str:
+        return f"{self.scheme}:{_bracketed(self.host)}:{self.port}"
+
+
+class UdpIn(_Network):
     """Wait on a local UDP port."""
 
-    host: str
-    port: int
-
-    def __str__(self) -> str:
-        return f"udpin:{_bracketed(self.host)}:{self.port}"
+    __slots__ = ()
+    scheme = mavsdk_scheme = "udpin"
 
 
-@dataclass(frozen=True, slots=True)
-class UdpOut:
+class UdpOut(_Network):
     """Speak first to a remote UDP port."""
 
-    host: str
-    port: int
-
-    def __str__(self) -> str:
-        return f"udpout:{_bracketed(self.host)}:{self.port}"
+    __slots__ = ()
+    scheme = mavsdk_scheme = "udpout"
 
 
-@dataclass(frozen=True, slots=True)
-class Tcp:
+class Tcp(_Network):
     """Connect to a TCP server."""
 
-    host: str
-    port: int
-
-    def __str__(self) -> str:
-        return f"tcp:{_bracketed(self.host)}:{self.port}"
+    __slots__ = ()
+    scheme, mavsdk_scheme = "tcp", "tcpout"
 
 
-@dataclass(frozen=True, slots=True)
-class TcpIn:
+class TcpIn(_Network):
     """Wait for TCP connections."""
 
-    host: str
-    port: int
-
-    def __str__(self) -> str:
-        return f"tcpin:{_bracketed(self.host)}:{self.port}"
+    __slots__ = ()
+    scheme = mavsdk_scheme = "tcpin"
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +122,7 @@ NetworkAddress = UdpIn | UdpOut | Tcp | TcpIn
 WireAddress = NetworkAddress | Serial
 Address = WireAddress | Simulated | Mavsdk | Recording
 
-_NETWORK: dict[str, type[NetworkAddress]] = {"udpin": UdpIn, "udpout": UdpOut, "tcp": Tcp, "tcpin": TcpIn}
+_NETWORK: dict[str, type[NetworkAddress]] = {kind.scheme: kind for kind in (UdpIn, UdpOut, Tcp, TcpIn)}
 
 
 def parse_address(source: str) -> Address:
@@ -226,14 +225,8 @@ def _simulated(rest: str) -> Simulated:
 def _mavsdk(source: str) -> Mavsdk:
     url = source.partition("+")[2]
     match parse_address(url):
-        case UdpIn(host, port):
-            return Mavsdk(f"udpin://{_bracketed(host)}:{port}")
-        case UdpOut(host, port):
-            return Mavsdk(f"udpout://{_bracketed(host)}:{port}")
-        case Tcp(host, port):
-            return Mavsdk(f"tcpout://{_bracketed(host)}:{port}")
-        case TcpIn(host, port):
-            return Mavsdk(f"tcpin://{_bracketed(host)}:{port}")
+        case UdpIn() | UdpOut() | Tcp() | TcpIn() as port:
+            return Mavsdk(f"{port.mavsdk_scheme}://{_bracketed(port.host)}:{port.port}")
         case Serial(device, baud):
             return Mavsdk(f"serial://{device}:{baud}")
     raise UsageError(f"MAVSDK cannot open {url}.", "Use mavsdk+udpin://0.0.0.0:14550 or another port.")

@@ -1,1 +1,17 @@
 """MAVLink frames: bytes into messages and back."""
+
+from mavcompass.vehicle.wire.codec import decode, encode, kind_named, message_id, wire_format
+from mavcompass.vehicle.wire.framing import Frame, FrameParser, FrameWriter
+from mavcompass.vehicle.wire.signing import Signing
+
+__all__ = [
+    "Frame",
+    "FrameParser",
+    "FrameWriter",
+    "Signing",
+    "decode",
+    "encode",
+    "kind_named",
+    "message_id",
+    "wire_format",
+]

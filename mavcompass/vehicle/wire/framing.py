@@ -1,9 +1,7 @@
-"""MAVLink frames from bytes and back, one by one: checksum, sequence number, signature (`mavlink.frame`)."""
+"""MAVLink frames from bytes and back, one by one: checksum and sequence number (`mavlink.frame`)."""
 
 from __future__ import annotations
 
-import hashlib
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
@@ -25,11 +23,11 @@ from mavcompass.mavlink.frame import (
 )
 from mavcompass.messages import Message
 from mavcompass.vehicle.wire.codec import encode, wire_format
+from mavcompass.vehicle.wire.signing import Signing
 
 _HEADER_1 = Struct("<BBBBBB")
 _HEADER_2 = Struct("<BBBBBBBHB")
 _CHECKSUM = Struct("<H")
-_EPOCH_2015_S = 1_420_070_400
 # Ground radios speak of themselves and cannot sign.
 _RADIO_STATUS = 109
 
@@ -64,56 +62,6 @@ def _mcrf4xx() -> Callable[[bytes], int]:
 def checksum(data: bytes, crc_extra: int) -> int:
     """Compute a frame's checksum; `data` is all between the first byte and the checksum."""
     return _mcrf4xx()(data + bytes((crc_extra,)))
-
-
-def unix_time_s() -> float:
-    """Return the wall clock, for signatures only."""
-    return time.time()
-
-
-@dataclass(slots=True)
-class Signing:
-    """Sign what is sent and check what is heard with a 32-byte key shared with the vehicle.
-
-    Raises ValueError for a key of another length.
-    """
-
-    key: bytes
-    link_id: int = 0
-    clock: Callable[[], float] = unix_time_s
-    _last_sent: int = 0
-    _last_heard: dict[tuple[int, int, int], int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if len(self.key) != 32:
-            raise ValueError(f"a MAVLink signing key has 32 bytes, not {len(self.key)}")
-
-    @classmethod
-    def from_passphrase(cls, passphrase: str, link_id: int = 0) -> Signing:
-        """Make the key as the common ground stations do: SHA-256 of the passphrase."""
-        return cls(hashlib.sha256(passphrase.encode()).digest(), link_id)
-
-    def sign(self, frame: bytes) -> bytes:
-        """Return the 13 bytes to append; each is later than the last."""
-        stamp = max(int((self.clock() - _EPOCH_2015_S) * 1e5), self._last_sent + 1)
-        self._last_sent = stamp
-        head = bytes((self.link_id,)) + stamp.to_bytes(6, "little")
-        return head + self._digest(frame, head)
-
-    def accepts(self, frame: bytes, system: int, component: int) -> bool:
-        """Check a signed frame: the right key, and later than any before from this sender and link."""
-        signature = frame[-SIGNATURE_BYTES:]
-        if self._digest(frame[:-SIGNATURE_BYTES], signature[:7]) != signature[7:]:
-            return False
-        stamp = int.from_bytes(signature[1:7], "little")
-        stream = (system, component, signature[0])
-        if stamp <= self._last_heard.get(stream, -1):
-            return False
-        self._last_heard[stream] = stamp
-        return True
-
-    def _digest(self, frame: bytes, head: bytes) -> bytes:
-        return hashlib.sha256(self.key + frame + head).digest()[:6]
 
 
 @dataclass(slots=True)

@@ -16,7 +16,7 @@ from mavcompass.errors import Refused
 from mavcompass.procedure.script import Show
 from mavcompass.service.mavlink import component
 from mavcompass.service.work.tasks import Busy, CalibrationRequest, CheckRequest, Desk, Task
-from mavcompass.vehicle.wire.codec import decode, encode
+from mavcompass.vehicle.wire import decode, encode
 
 CORRECTION = FieldCorrection((10.5, -20.25, 30.0), (1.1, 0.9, 1.0), (0.01, 0.02, 0.03), 1.05)
 

@@ -24,11 +24,8 @@ from mavcompass.messages import (
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import GROUND_STATION, Link
 from mavcompass.vehicle.opening import open_link
-from mavcompass.vehicle.transport.address import Tcp, UdpIn, UdpOut
-from mavcompass.vehicle.transport.opening import open_transport
-from mavcompass.vehicle.transport.transport import Reconnect
-from mavcompass.vehicle.wire.codec import message_id
-from mavcompass.vehicle.wire.framing import FrameWriter
+from mavcompass.vehicle.transport import Reconnect, Tcp, UdpIn, UdpOut, open_transport
+from mavcompass.vehicle.wire import FrameWriter, message_id
 
 
 def read_parameter(link: Link, name: str) -> float:

@@ -20,11 +20,10 @@ from mavcompass.messages import Heartbeat, NamedValueFloat, ParamRequestRead, Pa
 from mavcompass.vehicle.link import LinkStatistics, SourceStatistics
 from mavcompass.vehicle.links.wire import WireLink
 from mavcompass.vehicle.opening import open_link
-from mavcompass.vehicle.transport.address import Serial, Tcp, TcpIn, UdpIn, UdpOut
-from mavcompass.vehicle.transport.opening import open_transport
+from mavcompass.vehicle.transport import Serial, Tcp, TcpIn, UdpIn, UdpOut, open_transport
 from mavcompass.vehicle.transport.transport import SEND_BUFFER_BYTES, Reconnect
 from mavcompass.vehicle.transport.udp import UdpTransport
-from mavcompass.vehicle.wire.framing import FrameParser, FrameWriter, Signing
+from mavcompass.vehicle.wire import FrameParser, FrameWriter, Signing
 
 
 @pytest.fixture

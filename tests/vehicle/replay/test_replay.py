@@ -42,11 +42,10 @@ from mavcompass.track import InForce, MagSeries, Series, Track
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.links.faults import Faults, FaultyRecording
 from mavcompass.vehicle.opening import open_link
-from mavcompass.vehicle.replay.alterations import Alterations
+from mavcompass.vehicle.replay import Alterations, ReplayedLink, replayed_autopilot
 from mavcompass.vehicle.replay.contents import LONGEST_PAUSE_S
-from mavcompass.vehicle.replay.replayed import ReplayedLink, replayed_autopilot
-from mavcompass.vehicle.transport.address import Tcp
-from mavcompass.vehicle.wire.codec import message_id
+from mavcompass.vehicle.transport import Tcp
+from mavcompass.vehicle.wire import message_id
 
 VEHICLE = Heartbeat(type=MavType.GROUND_ROVER, autopilot=MavAutopilot.ARDUPILOTMEGA)
 STATION = Heartbeat(type=MavType.GCS, autopilot=MavAutopilot.INVALID)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavcompass.errors import UsageError
-from mavcompass.vehicle.transport.address import (
+from mavcompass.vehicle.transport import (
     Address,
     Mavsdk,
     Recording,

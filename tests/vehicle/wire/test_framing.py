@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as theirs
 
 from mavcompass.messages import Attitude, CommandAck, Heartbeat, NamedValueFloat, RawImu
-from mavcompass.vehicle.wire.codec import decode
-from mavcompass.vehicle.wire.framing import FrameParser, FrameWriter, Signing
+from mavcompass.vehicle.wire import FrameParser, FrameWriter, Signing, decode
 
 SAMPLE = RawImu(time_usec=123_456_789, xacc=-3, zacc=-1000, xmag=232, ymag=52, zmag=-528, temperature=4100)
 

@@ -14,8 +14,8 @@ from mavcompass.enums import MavCmd
 from mavcompass.messages import Heartbeat, Message, ParamValue, RawImu
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.autopilot import Autopilot
-from mavcompass.vehicle.replay.replayed import replayed_autopilot
-from mavcompass.vehicle.wire.codec import encode, kind_named, message_id, wire_format
+from mavcompass.vehicle.replay import replayed_autopilot
+from mavcompass.vehicle.wire import encode, kind_named, message_id, wire_format
 
 REQUESTS = [
     "COMMAND_LONG",
