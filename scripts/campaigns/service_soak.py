@@ -155,8 +155,8 @@ class Soak:
             self.vehicle.reboot()
         if self._rearm_at is not None and now_s >= self._rearm_at:
             self._rearm_at = None
-            self.vehicle.firmware.set_mode("GUIDED")  # type: ignore[attr-defined]
-            self.vehicle.firmware.arm(forced=True)  # type: ignore[attr-defined]
+            self.vehicle.firmware.modes.enter("GUIDED")  # type: ignore[attr-defined]
+            self.vehicle.firmware.arming.arm(forced=True)  # type: ignore[attr-defined]
         if self.calibrations_at and now_s >= self.calibrations_at[0] and not station.desk.busy:
             self.calibrations_at.pop(0)
             request = CalibrationRequest(motion="vehicle", writing="yes")
@@ -173,12 +173,13 @@ class Soak:
 
     def _watch(self, station: Station) -> None:
         warm_s = 0.2 * self.length_s
-        stalled, last = 0, -1
+        stalled, last_s = 0, -1.0
         while self.link.now() < self.length_s:
             time.sleep(0.1)
             if not self.figures.warm_mb and self.link.now() > warm_s:
                 self.figures.warm_mb = resident_mb()
-            stalled, last = (stalled + 1 if station.beat == last else 0), station.beat
+            now_s = self.link.now()
+            stalled, last_s = (stalled + 1 if now_s == last_s else 0), now_s
             if stalled > 600:
                 self.figures.faults.append(f"the station stood still at {self.link.now():.0f} s")
                 return
