@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -281,17 +282,7 @@ def _document(result: FleetResult, summary: Summary, out: Path, page: Path) -> d
         "report": page,
         "errors": [{"recording": recording, "error": error} for recording, error in summary.errors],
         "slowest": [{"recording": recording, "seconds": seconds} for recording, seconds in summary.slowest],
-        "effects": [
-            {
-                "effect": e.effect,
-                "recordings": e.recordings,
-                "vehicles": e.vehicles,
-                "median_mgauss": e.median_mgauss,
-                "largest_mgauss": e.largest_mgauss,
-                "largest_in": e.largest_in,
-            }
-            for e in summary.effects
-        ],
+        "effects": [asdict(effect) for effect in summary.effects],
         "vehicles": [_vehicle(vehicle) for vehicle in summary.vehicles],
         "look_first": [vehicle.name for vehicle in summary.look_first],
     }
@@ -311,16 +302,7 @@ def _vehicle(vehicle: Vehicle) -> dict[str, object]:
                 "compass": history.compass,
                 "device_id": history.device_id,
                 "rate_deg_per_30_days": history.rate_deg_per_30_days,
-                "history": [
-                    {
-                        "time_unix_s": p.time_unix_s,
-                        "recording": p.recording,
-                        "off_deg": p.off_deg,
-                        "drift_deg": p.drift_deg,
-                        "sigma_deg": p.sigma_deg,
-                    }
-                    for p in history.points
-                ],
+                "history": [asdict(point) for point in history.points],
             }
             for history in vehicle.histories
         ],
