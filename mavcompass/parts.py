@@ -25,7 +25,9 @@ PARTS = {
         Part("A PX4 recording (.ulg)", "ulog", ("pyulog",)),
         Part("An HTML report", "report", ("jinja2",)),
         Part("A plot", "report", ("matplotlib",)),
-        Part("The service", "service", ("starlette", "uvicorn", "websockets", "prometheus_client")),
+        Part(
+            "The service", "service", ("msgspec", "starlette", "uvicorn", "websockets", "prometheus_client")
+        ),
         Part("A Parquet table", "fleet", ("pyarrow",)),
         Part("A cluster (--scheduler)", "fleet", ("distributed",)),
         Part("An object store", "fleet", ("fsspec",)),

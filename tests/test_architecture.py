@@ -88,6 +88,7 @@ ROWS = {
         {"view"},
         {"watch"},
         {"config", "schedule"},
+        {"models"},
     ],
     "fleet": [{"run", "summary"}, {"columns", "engine", "journal"}, {"examine"}, {"recordings", "vehicles"}],
     "report": [

@@ -6,60 +6,17 @@ import ipaddress
 import os
 import re
 import tomllib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_type_hints
+
+from msgspec import Meta
 
 from mavcompass.errors import MavCompassError, UsageError
-
-# Returns what is wrong with a value, as the rest of a sentence that begins with the key; None if nothing is.
-Check = Callable[[Any], str | None]
+from mavcompass.service.models import Compass, Mistakes, Text, checked, did_you_mean, read
 
 
-def _number(low: float, high: float) -> Check:
-    def check(value: Any) -> str | None:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            return "must be a number"
-        return None if low <= value <= high else f"must be between {low:g} and {high:g}"
-
-    return check
-
-
-def _integer(low: int, high: int) -> Check:
-    def check(value: Any) -> str | None:
-        if isinstance(value, bool) or not isinstance(value, int):
-            return "must be a whole number"
-        return None if low <= value <= high else f"must be between {low} and {high}"
-
-    return check
-
-
-def _switch(value: Any) -> str | None:
-    return None if isinstance(value, bool) else "must be true or false"
-
-
-def _text(value: Any) -> str | None:
-    return None if isinstance(value, str) and value else "must be a text that is not empty"
-
-
-def _optional_text(value: Any) -> str | None:
-    return None if isinstance(value, str) else "must be a text"
-
-
-def _list_of(element: Check, what: str) -> Check:
-    def check(value: Any) -> str | None:
-        if not isinstance(value, list):
-            return f"must be a list of {what}"
-        return next((wrong for wrong in map(element, value) if wrong is not None), None)
-
-    return check
-
-
-def _source(value: Any) -> str | None:
-    if (wrong := _text(value)) is not None:
-        return wrong
+def _source(value: str) -> str | None:
     from mavcompass.vehicle.transport import Recording, parse_address
 
     try:
@@ -69,9 +26,7 @@ def _source(value: Any) -> str | None:
     return "must be a vehicle, not a recording" if isinstance(address, Recording) else None
 
 
-def _host_and_port(value: Any) -> str | None:
-    if (wrong := _text(value)) is not None:
-        return wrong
+def _host_and_port(value: str) -> str | None:
     try:
         split_host_port(value)
     except ValueError as error:
@@ -79,16 +34,14 @@ def _host_and_port(value: Any) -> str | None:
     return None
 
 
-def _publish_address(value: Any) -> str | None:
-    if value == "":
-        return None
-    if not isinstance(value, str) or not value.startswith("udp:"):
+def _publish_address(value: str) -> str | None:
+    if value and not value.startswith("udp:"):
         return 'must be "udp:HOST:PORT", or "" for none'
-    return _host_and_port(value.removeprefix("udp:"))
+    return _host_and_port(value.removeprefix("udp:")) if value else None
 
 
-def _origin(value: Any) -> str | None:
-    good = isinstance(value, str) and re.fullmatch(r"https?://[^/\s]+", value)
+def _origins(values: tuple[str, ...]) -> str | None:
+    good = all(re.fullmatch(r"https?://[^/\s]+", value) for value in values)
     return None if good else 'must be origins such as "http://boat.local:8808", without a path'
 
 
@@ -111,10 +64,6 @@ def state_folder() -> Path:
     return Path(state) / "mavcompass"
 
 
-def _key(default: Any, check: Check) -> Any:
-    return field(default=default, metadata={"check": check})
-
-
 @dataclass(frozen=True, slots=True)
 class VehicleConfig:
     """Say which vehicle to serve.
@@ -125,11 +74,11 @@ class VehicleConfig:
         rate_hz: at which IMU messages are asked for. speed: of a simulated vehicle's time.
     """
 
-    source: str = _key("udpin:127.0.0.1:14571", _source)
-    system: int = _key(0, _integer(0, 255))
-    compasses: tuple[int, ...] = _key((), _list_of(_integer(1, 3), "compass numbers"))
-    rate_hz: float = _key(40.0, _number(1.0, 1000.0))
-    speed: float = _key(1.0, _number(0.01, 1000.0))
+    source: Annotated[Text, checked(_source)] = "udpin:127.0.0.1:14571"
+    system: Annotated[int, Meta(ge=0, le=255)] = 0
+    compasses: tuple[Compass, ...] = ()
+    rate_hz: Annotated[float, Meta(ge=1.0, le=1000.0)] = 40.0
+    speed: Annotated[float, Meta(ge=0.01, le=1000.0)] = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,10 +91,10 @@ class HttpConfig:
         allowed_origins, allowed_hosts: pages of other places, and names of this machine, to accept.
     """
 
-    listen: str = _key("127.0.0.1:8808", _host_and_port)
-    token_file: str = _key("", _optional_text)
-    allowed_origins: tuple[str, ...] = _key((), _list_of(_origin, "origins"))
-    allowed_hosts: tuple[str, ...] = _key((), _list_of(_text, "host names"))
+    listen: Annotated[Text, checked(_host_and_port)] = "127.0.0.1:8808"
+    token_file: str = ""
+    allowed_origins: Annotated[tuple[str, ...], checked(_origins)] = ()
+    allowed_hosts: tuple[Text, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,16 +106,16 @@ class MavlinkConfig:
         statustext: tell the pilot what the watch finds.
     """
 
-    accept_commands: bool = _key(True, _switch)
-    heading_hz: float = _key(5.0, _number(0.0, 50.0))
-    statustext: bool = _key(True, _switch)
+    accept_commands: bool = True
+    heading_hz: Annotated[float, Meta(ge=0.0, le=50.0)] = 5.0
+    statustext: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class HeadingConfig:
     """Say where each heading goes as a JSON datagram: `publish` is "udp:HOST:PORT" or empty."""
 
-    publish: str = _key("", _publish_address)
+    publish: Annotated[str, checked(_publish_address)] = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,20 +130,20 @@ class WatchConfig:
         age_days: from which a calibration is called old.
     """
 
-    field_percent: float = _key(8.0, _number(0.5, 100.0))
-    dip_deg: float = _key(4.0, _number(0.2, 90.0))
-    agreement_deg: float = _key(8.0, _number(0.2, 180.0))
-    gyro_deg: float = _key(6.0, _number(0.2, 180.0))
-    course_deg: float = _key(12.0, _number(0.2, 180.0))
-    current_deg: float = _key(4.0, _number(0.2, 180.0))
-    age_days: float = _key(365.0, _number(0.01, 36500.0))
+    field_percent: Annotated[float, Meta(ge=0.5, le=100.0)] = 8.0
+    dip_deg: Annotated[float, Meta(ge=0.2, le=90.0)] = 4.0
+    agreement_deg: Annotated[float, Meta(ge=0.2, le=180.0)] = 8.0
+    gyro_deg: Annotated[float, Meta(ge=0.2, le=180.0)] = 6.0
+    course_deg: Annotated[float, Meta(ge=0.2, le=180.0)] = 12.0
+    current_deg: Annotated[float, Meta(ge=0.2, le=180.0)] = 4.0
+    age_days: Annotated[float, Meta(ge=0.01, le=36500.0)] = 365.0
 
 
 @dataclass(frozen=True, slots=True)
 class StorageConfig:
     """Say where history, undo files and reports lie ("": systemd's or the user's state folder)."""
 
-    folder: str = _key("", _optional_text)
+    folder: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,14 +179,7 @@ class ServiceConfig:
             return True
 
 
-_TABLES: dict[str, type] = {
-    "vehicle": VehicleConfig,
-    "http": HttpConfig,
-    "mavlink": MavlinkConfig,
-    "heading": HeadingConfig,
-    "watch": WatchConfig,
-    "storage": StorageConfig,
-}
+_TABLES = get_type_hints(ServiceConfig)
 
 
 def load_config(path: Path) -> ServiceConfig:
@@ -262,14 +204,19 @@ def parse_config(text: str, name: str = "configuration") -> ServiceConfig:
     mistakes: list[tuple[int, str]] = []
     tables: dict[str, Any] = {}
     for table, values in document.items():
-        if table not in _TABLES or not isinstance(values, dict):
-            known = "known tables" if isinstance(values, dict) else "every key stands in a table; there are"
-            line = _line_of(text, table, None) if isinstance(values, dict) else _line_of(text, "", table)
-            mistakes.append(
-                (line, f"{table!r}{_did_you_mean(table, _TABLES)} ({known}: {', '.join(_TABLES)})")
-            )
-            continue
-        tables[table] = _table(text, table, values, mistakes)
+        if not isinstance(values, dict):
+            what = f"{table!r} stands alone; every key stands in a table (there are: {', '.join(_TABLES)})"
+            mistakes.append((_line_of(text, "", table), what))
+        elif table not in _TABLES:
+            what = f"is not known{did_you_mean(table, _TABLES)} (there are: {', '.join(_TABLES)})"
+            mistakes.append((_line_of(text, table, None), f"table {table!r} {what}"))
+        else:
+            try:
+                tables[table] = read(_TABLES[table], values)
+            except Mistakes as wrong:
+                mistakes += [
+                    (_line_of(text, table, key), f"{table}.{key} {what}") for key, what in wrong.found
+                ]
     if mistakes:
         lines = "\n".join(f"  {name}:{line}: {what}" for line, what in sorted(mistakes))
         raise UsageError(
@@ -277,28 +224,6 @@ def parse_config(text: str, name: str = "configuration") -> ServiceConfig:
             "Correct it; docs/operating.md lists every key.",
         )
     return ServiceConfig(**tables)
-
-
-def _table(text: str, table: str, values: Mapping[str, Any], mistakes: list[tuple[int, str]]) -> Any:
-    """Check the keys of one table, add what is wrong to `mistakes`, and return what is right."""
-    kind = _TABLES[table]
-    checks = {f.name: f.metadata["check"] for f in fields(kind)}
-    good: dict[str, Any] = {}
-    for key, value in values.items():
-        if key not in checks:
-            wrong: str | None = f"is not known{_did_you_mean(key, checks)}"
-        else:
-            wrong = checks[key](value)
-        if wrong is not None:
-            mistakes.append((_line_of(text, table, key), f"{table}.{key} {wrong}"))
-        else:
-            good[key] = tuple(value) if isinstance(value, list) else value
-    return kind(**good)
-
-
-def _did_you_mean(word: str, known: Mapping[str, Any]) -> str:
-    close = get_close_matches(word, known, n=1)
-    return f", did you mean {close[0]!r}?" if close else ""
 
 
 def _line_of(text: str, table: str, key: str | None) -> int:

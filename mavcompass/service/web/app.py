@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,20 @@ from starlette.staticfiles import StaticFiles
 from mavcompass import __version__
 from mavcompass.errors import MavCompassError
 from mavcompass.service.config import ServiceConfig
+from mavcompass.service.models import Model
 from mavcompass.service.station import Station
-from mavcompass.service.web import bodies
+from mavcompass.service.web.bodies import (
+    Answer,
+    BadRequest,
+    Comparing,
+    EntryPath,
+    Explaining,
+    HistoryQuery,
+    Nothing,
+    Undoing,
+    parse_body,
+    parse_parameters,
+)
 from mavcompass.service.web.metrics import CONTENT_TYPE, Metrics
 from mavcompass.service.web.openapi import openapi
 from mavcompass.service.web.security import MOST_BODY_BYTES, PAGE_POLICY, Guard
@@ -28,14 +41,13 @@ from mavcompass.service.web.state import moment_json, state_json
 from mavcompass.service.web.stream import Stream
 from mavcompass.service.work.clock import utc_now
 from mavcompass.service.work.gaps import Gaps
-from mavcompass.service.work.history import KINDS, Entry, History
+from mavcompass.service.work.history import Entry, History
 from mavcompass.service.work.results import recording_path
 from mavcompass.service.work.tasks import Busy, CalibrationRequest, CheckRequest, Task, UndoRequest
 from mavcompass.service.work.tasks import Request as TaskRequest
 
 PAGE = Path(__file__).with_name("page")
 _REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
-_MOST_NUMBER = 2**53
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -82,7 +94,7 @@ def build_app(
         allowed_origins=config.http.allowed_origins,
         allowed_hosts=config.http.allowed_hosts,
     )
-    handlers: Any = {HTTPException: _http_error, bodies.BadBody: _bad_body, MavCompassError: _our_error}
+    handlers: Any = {HTTPException: _http_error, BadRequest: _bad_request, MavCompassError: _our_error}
     return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
 
 
@@ -114,8 +126,8 @@ async def _http_error(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": error.detail}, error.status_code, error.headers)
 
 
-async def _bad_body(request: Request, error: Exception) -> Response:
-    assert isinstance(error, bodies.BadBody)
+async def _bad_request(request: Request, error: Exception) -> Response:
+    assert isinstance(error, BadRequest)
     return JSONResponse({"error": error.what}, error.status)
 
 
@@ -125,21 +137,18 @@ async def _our_error(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": error.what, "remedy": error.remedy}, status)
 
 
-async def _body(request: Request, schema: bodies.Schema) -> dict[str, Any]:
+async def _body(request: Request, model: type[Model]) -> Model:
     """Read and check a body, however long it claims not to be."""
     data = bytearray()
     async for piece in request.stream():
         data += piece
         if len(data) > MOST_BODY_BYTES:
-            raise bodies.BadBody(413, f"A request's body may have {MOST_BODY_BYTES} bytes.")
-    return bodies.parse_body(bytes(data), request.headers.get("content-type", ""), schema)
+            raise BadRequest(413, f"A request's body may have {MOST_BODY_BYTES} bytes.")
+    return parse_body(bytes(data), request.headers.get("content-type", ""), model)
 
 
-def _number(text: str, name: str, low: int, high: int = _MOST_NUMBER) -> int:
-    """Read a whole number; raises BadBody with 422."""
-    if not (text.isascii() and text.isdecimal() and len(text) < 20 and low <= int(text) <= high):
-        raise bodies.BadBody(422, f"{name} must be a whole number from {low} to {high}.")
-    return int(text)
+def _entry_number(request: Request) -> int:
+    return parse_parameters(request.path_params, EntryPath, strict=False).entry
 
 
 class _Api:
@@ -189,18 +198,16 @@ class _Api:
         return _show(self._station.desk.current)
 
     async def history(self, request: Request) -> Response:
-        query = request.query_params
-        kind = query.get("kind")
-        if kind is not None and kind not in KINDS:
-            raise bodies.BadBody(422, f"kind must be one of {', '.join(KINDS)}.")
-        device = _number(query["device"], "device", 0) if "device" in query else None
-        before = _number(query["before"], "before", 1) if "before" in query else None
-        limit = _number(query.get("limit", "50"), "limit", 1, 200)
-        entries = await run_in_threadpool(self._history.entries, kind, None, device, before, limit)
+        known = {field.name for field in fields(HistoryQuery)}
+        given = {name: text for name, text in request.query_params.items() if name in known}
+        query = parse_parameters(given, HistoryQuery, strict=False)
+        entries = await run_in_threadpool(
+            self._history.entries, query.kind, None, query.device, query.before, query.limit
+        )
         return JSONResponse({"entries": [entry.head() for entry in entries]})
 
     async def entry(self, request: Request) -> Response:
-        entry = await self._entry(_number(request.path_params["entry"], "entry", 1))
+        entry = await self._entry(_entry_number(request))
         return JSONResponse(entry.head() | {"document": dict(entry.document)})
 
     async def _entry(self, number: int) -> Entry:
@@ -210,14 +217,14 @@ class _Api:
         return entry
 
     async def report(self, request: Request) -> Response:
-        entry = await self._entry(_number(request.path_params["entry"], "entry", 1))
+        entry = await self._entry(_entry_number(request))
         if entry.report is None or not Path(entry.report).is_file():
             raise HTTPException(404, f"Entry {entry.id} has no report.")
         headers = {"content-security-policy": _REPORT_POLICY}
         return FileResponse(entry.report, media_type="text/html", headers=headers)
 
     async def recording(self, request: Request) -> Response:
-        entry = await self._entry(_number(request.path_params["entry"], "entry", 1))
+        entry = await self._entry(_entry_number(request))
         path = recording_path(self._config.folder, entry.id)
         if not path.is_file():
             raise HTTPException(404, f"Entry {entry.id} has no recording.")
@@ -233,7 +240,7 @@ class _Api:
         return JSONResponse({"parameters": self._in_force()})
 
     async def difference(self, request: Request) -> Response:
-        wanted = (await _body(request, bodies.DIFF))["parameters"]
+        wanted = (await _body(request, Comparing)).parameters
         now = self._in_force()
         changes = [
             {"name": name, "now": now.get(name), "then": value, "differs": _differs(now.get(name), value)}
@@ -244,17 +251,14 @@ class _Api:
     # --- writing and moving -------------------------------------------------------------------------
 
     async def calibrate(self, request: Request) -> Response:
-        body = await _body(request, bodies.CALIBRATION)
-        body["compasses"] = tuple(sorted(int(i) for i in body.get("compasses", ())))
-        if "positions" in body:
-            body["positions"] = int(body["positions"])
-        return self._take(CalibrationRequest(**body))
+        wanted = await _body(request, CalibrationRequest)
+        return self._take(replace(wanted, compasses=tuple(sorted(wanted.compasses))))
 
     async def check(self, request: Request) -> Response:
-        return self._take(CheckRequest(**await _body(request, bodies.CHECK)))
+        return self._take(await _body(request, CheckRequest))
 
     async def undo(self, request: Request) -> Response:
-        entry = await self._entry(int((await _body(request, bodies.UNDO))["entry"]))
+        entry = await self._entry((await _body(request, Undoing)).entry)
         if entry.undo_file is None:
             raise HTTPException(404, f"Entry {entry.id} wrote nothing, so there is nothing to undo.")
         return self._take(UndoRequest(entry.undo_file))
@@ -263,14 +267,14 @@ class _Api:
         return _show(self._station.desk.submit(request, "http", utc_now()), 202)
 
     async def answer(self, request: Request) -> Response:
-        yes = (await _body(request, bodies.ANSWER))["yes"]
+        yes = (await _body(request, Answer)).yes
         task = self._station.desk.current
         if task is None or not task.give_answer(yes):
             raise HTTPException(409, "No question is open.")
         return _show(task)
 
     async def stop(self, request: Request) -> Response:
-        await _body(request, bodies.STOP)
+        await _body(request, Nothing)
         task = self._station.desk.current
         if task is None or task.finished:
             raise HTTPException(409, "Nothing is under way.")
@@ -278,7 +282,7 @@ class _Api:
         return _show(task)
 
     async def gap(self, request: Request) -> Response:
-        entry = await self._entry(int((await _body(request, bodies.GAP))["entry"]))
+        entry = await self._entry((await _body(request, Explaining)).entry)
         if entry.kind != "calibration" or not recording_path(self._config.folder, entry.id).is_file():
             raise HTTPException(404, f"Entry {entry.id} has no recording.")
         return _show(self._gaps.submit(entry), 202)

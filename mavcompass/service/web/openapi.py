@@ -1,21 +1,18 @@
-"""The OpenAPI description of the HTTP interface, made from the routes and the bodies' schemas."""
+"""The OpenAPI description of the HTTP interface, made from its operations and their models."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, dataclass, fields
+from typing import Any, get_type_hints
+
+import msgspec
 
 from mavcompass import __version__
 from mavcompass.service.web import bodies
+from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest
 
-_ENTRY = {
-    "name": "entry",
-    "in": "path",
-    "required": True,
-    "description": "Number of an entry of the history.",
-    "schema": {"type": "integer", "minimum": 1, "maximum": 2**53},
-}
+_REFERENCE = "#/components/schemas/{name}"
 _ERROR = {
     "type": "object",
     "required": ["error"],
@@ -25,27 +22,18 @@ _ERROR = {
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """Describe one operation: what it does, what it takes, which statuses it answers with."""
+    """Describe one operation: what it does, the models of what it takes, which statuses it answers with."""
 
     method: str
     path: str
     summary: str
     statuses: Mapping[int, str]
-    body: bodies.Schema | None = None
-    parameters: tuple[Mapping[str, Any], ...] = ()
+    body: type | None = None
+    path_model: type | None = None
+    query_model: type | None = None
     content: str = "application/json"
 
 
-def _query(name: str, schema: Mapping[str, Any], text: str) -> Mapping[str, Any]:
-    return {"name": name, "in": "query", "required": False, "description": text, "schema": schema}
-
-
-_HISTORY_QUERY = (
-    _query("kind", {"type": "string", "enum": ["calibration", "check", "undo", "gap"]}, "Only of this kind."),
-    _query("device", {"type": "integer", "minimum": 0, "maximum": 2**53}, "Only about this device id."),
-    _query("before", {"type": "integer", "minimum": 1, "maximum": 2**53}, "Continue a list before this one."),
-    _query("limit", {"type": "integer", "minimum": 1, "maximum": 200}, "At most so many."),
-)
 _BUSY = "Another procedure is under way: one motion at a time."
 _TAKEN = {202: "Taken; see its task.", 409: _BUSY, 503: "The service is stopping."}
 _NOT_THERE = {404: "There is none of this number."}
@@ -62,58 +50,59 @@ OPERATIONS = (
     ),
     Operation("get", "/api/task", "Tell how the latest request is getting on.", {200: "Task.", **_NOT_THERE}),
     Operation(
-        "post", "/api/calibration", "Start a calibration. The vehicle may move.", _TAKEN, bodies.CALIBRATION
+        "post", "/api/calibration", "Start a calibration. The vehicle may move.", _TAKEN, CalibrationRequest
     ),
-    Operation("post", "/api/check", "Start a pre-flight check. With a turn, it moves.", _TAKEN, bodies.CHECK),
+    Operation("post", "/api/check", "Start a pre-flight check. With a turn, it moves.", _TAKEN, CheckRequest),
     Operation(
         "post",
         "/api/task/answer",
         "Answer the question that the task asks.",
         {200: "Task.", 409: "No question is open."},
-        bodies.ANSWER,
+        bodies.Answer,
     ),
     Operation(
         "post",
         "/api/task/stop",
         "Stop what is under way, safely.",
         {200: "Task.", 409: "Nothing is under way."},
-        bodies.STOP,
+        bodies.Nothing,
     ),
     Operation(
         "post",
         "/api/undo",
         "Put back what a calibration in the history replaced.",
         _TAKEN | _NOT_THERE,
-        bodies.UNDO,
+        bodies.Undoing,
     ),
     Operation(
-        "get", "/api/history", "List what was done, newest first.", {200: "Entries."}, None, _HISTORY_QUERY
+        "get",
+        "/api/history",
+        "List what was done, newest first.",
+        {200: "Entries."},
+        query_model=bodies.HistoryQuery,
     ),
     Operation(
         "get",
         "/api/history/{entry}",
         "Tell one entry with its document.",
         {200: "Entry.", **_NOT_THERE},
-        None,
-        (_ENTRY,),
+        path_model=bodies.EntryPath,
     ),
     Operation(
         "get",
         "/api/history/{entry}/report",
         "Show the HTML report of an entry.",
         {200: "Report.", **_NOT_THERE},
-        None,
-        (_ENTRY,),
-        "text/html",
+        path_model=bodies.EntryPath,
+        content="text/html",
     ),
     Operation(
         "get",
         "/api/history/{entry}/recording",
         "Get the recording of a calibration (.tlog).",
         {200: "Recording.", **_NOT_THERE},
-        None,
-        (_ENTRY,),
-        "application/octet-stream",
+        path_model=bodies.EntryPath,
+        content="application/octet-stream",
     ),
     Operation(
         "get",
@@ -126,14 +115,14 @@ OPERATIONS = (
         "/api/parameters/diff",
         "Compare parameters with those in force; nothing is written.",
         {200: "Differences.", 503: "They were not read yet."},
-        bodies.DIFF,
+        bodies.Comparing,
     ),
     Operation(
         "post",
         "/api/gap",
         "Explain why a calibration's recording differs from the simulation; takes minutes.",
         _TAKEN | _NOT_THERE,
-        bodies.GAP,
+        bodies.Explaining,
     ),
     Operation(
         "get", "/api/gap", "Tell how the latest diagnosis is getting on.", {200: "Task.", **_NOT_THERE}
@@ -149,6 +138,10 @@ OPERATIONS = (
 
 def openapi() -> dict[str, Any]:
     """Build the description."""
+    models = {operation.body for operation in OPERATIONS if operation.body is not None}
+    _, schemas = msgspec.json.schema_components(models, ref_template=_REFERENCE)
+    for schema in schemas.values():
+        schema["additionalProperties"] = False
     paths: dict[str, dict[str, Any]] = {}
     for operation in OPERATIONS:
         paths.setdefault(operation.path, {})[operation.method] = _describe(operation)
@@ -163,15 +156,16 @@ def openapi() -> dict[str, Any]:
         "paths": paths,
         "components": {
             "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
-            "schemas": {"Error": _ERROR},
+            "schemas": {"Error": _ERROR, **schemas},
         },
     }
 
 
 def _describe(operation: Operation) -> dict[str, Any]:
-    error = {"application/json": {"schema": {"$ref": "#/components/schemas/Error"}}}
+    error = {"application/json": {"schema": {"$ref": _REFERENCE.format(name="Error")}}}
     statuses = dict(operation.statuses)
-    if operation.parameters:
+    parameters = [*_parameters(operation.path_model, "path"), *_parameters(operation.query_model, "query")]
+    if parameters:
         statuses[422] = "A parameter is out of range."
     if operation.body is not None:
         statuses |= {
@@ -195,12 +189,23 @@ def _describe(operation: Operation) -> dict[str, Any]:
             for status, text in sorted(statuses.items())
         },
     }
-    if operation.parameters:
-        described["parameters"] = list(operation.parameters)
+    if parameters:
+        described["parameters"] = parameters
     if operation.body is not None:
         described["security"] = [{"token": []}]
         described["requestBody"] = {
-            "required": bool(operation.body.get("required")),
-            "content": {"application/json": {"schema": operation.body}},
+            "required": any(field.default is MISSING for field in fields(operation.body)),
+            "content": {
+                "application/json": {"schema": {"$ref": _REFERENCE.format(name=operation.body.__name__)}}
+            },
         }
     return described
+
+
+def _parameters(model: type | None, where: str) -> Iterator[dict[str, Any]]:
+    """Describe the fields of a model as parameters of an address."""
+    for name, kind in ({} if model is None else get_type_hints(model, include_extras=True)).items():
+        schema = msgspec.json.schema(kind)
+        text = schema.pop("description")
+        schema = schema.get("anyOf", [schema])[0]  # left out, not null
+        yield {"name": name, "in": where, "required": where == "path", "description": text, "schema": schema}

@@ -18,7 +18,6 @@ from typing import Any, Literal
 from mavcompass.errors import MavCompassError
 
 Kind = Literal["calibration", "check", "undo", "gap"]
-KINDS: tuple[Kind, ...] = ("calibration", "check", "undo", "gap")
 
 # Each step brings a database to the version of its place in the list.
 _MIGRATIONS = (

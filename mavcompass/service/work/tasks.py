@@ -5,10 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
+from msgspec import Meta
+
+from mavcompass.calibration.methods import method_names
 from mavcompass.errors import MavCompassError, Refused
 from mavcompass.procedure.script import Show
+from mavcompass.service.models import Compass, checked
 from mavcompass.service.work.history import Kind
 from mavcompass.vehicle.stopping import StopRequest
 
@@ -21,25 +25,47 @@ _MOST_LINES = 200
 _AFTER_WRITING = 0.9
 
 
+def _twice(compasses: tuple[int, ...]) -> str | None:
+    return "has a compass twice" if len(set(compasses)) < len(compasses) else None
+
+
+def _unknown_method(method: str) -> str | None:
+    return None if method in method_names() else f"must be one of {', '.join(method_names())}"
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrationRequest:
-    """Ask for a calibration; no compasses means those of the configuration."""
+    """Ask for a calibration."""
 
-    compasses: tuple[int, ...] = ()
-    motion: Motion = "auto"
-    writing: Writing = "ask"
-    method: str = "four-positions"
-    positions: int = 4
-    dwell_s: float = 2.0
+    compasses: Annotated[
+        tuple[Compass, ...],
+        Meta(max_length=3, description="Counted from 1; empty means those of the configuration, or all."),
+        Meta(extra_json_schema={"uniqueItems": True}),
+        checked(_twice),
+    ] = ()
+    motion: Annotated[
+        Motion, Meta(description="Who turns the vehicle; auto: itself where it is armed, else a person.")
+    ] = "auto"
+    writing: Annotated[
+        Writing, Meta(description="Whether the result is written: after a question, at once, or not at all.")
+    ] = "ask"
+    method: Annotated[
+        str, Meta(extra_json_schema={"enum": list(method_names())}), checked(_unknown_method)
+    ] = "four-positions"
+    positions: Annotated[int, Meta(ge=3, le=24)] = 4
+    dwell_s: Annotated[float, Meta(ge=0.5, le=60.0)] = 2.0
 
     kind: ClassVar[Kind] = "calibration"
 
 
 @dataclass(frozen=True, slots=True)
 class CheckRequest:
-    """Ask for a pre-flight check; `turn` says who turns it by 90 degrees, if anybody."""
+    """Ask for a pre-flight check."""
 
-    turn: Literal["none", "vehicle", "hand"] = "none"
+    turn: Annotated[
+        Literal["none", "vehicle", "hand"],
+        Meta(description="Who turns the vehicle by 90 degrees, if anybody."),
+    ] = "none"
 
     kind: ClassVar[Kind] = "check"
 
