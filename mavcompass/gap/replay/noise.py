@@ -67,17 +67,20 @@ class SensorNoise:
 
         Columns (N, 1, K) belong to every channel.
         """
-        out = np.repeat(columns, 3 // columns.shape[1], axis=1)
+        n, _, k = columns.shape
+        flat = np.broadcast_to(columns, (n, 3, k)).reshape(n, -1)
+        out = flat.copy()
         for lag, coefficients in enumerate(self.coefficients, start=1):
-            out[lag:] -= coefficients[:, None] * columns[:-lag]
+            out[lag:] -= np.repeat(coefficients, k) * flat[:-lag]
         if self.moving.any():
             # What the first reading tells of the second: the best linear prediction of a stationary error.
-            out[0] *= np.where(self.moving > 0.0, (self.sigma / self.rms) ** 2, 1.0)[:, None]
+            out[0] *= np.repeat(np.where(self.moving > 0.0, (self.sigma / self.rms) ** 2, 1.0), k)
             if np.ptp(self.moving) == 0.0:
-                return recursive(float(self.moving[0]), out.reshape(len(out), -1)).reshape(out.shape)
+                return recursive(float(self.moving[0]), out).reshape(n, 3, k)
             for channel in np.flatnonzero(self.moving):
-                out[:, channel] = recursive(float(self.moving[channel]), out[:, channel])
-        return out
+                own = slice(channel * k, (channel + 1) * k)
+                out[:, own] = recursive(float(self.moving[channel]), out[:, own])
+        return out.reshape(n, 3, k)
 
     def filled(self, error: FloatArray, missing: NDArray[np.bool_], rng: np.random.Generator) -> FloatArray:
         """Return errors (N, 3) whose missing elements are drawn from the noise, given what came before."""
