@@ -20,10 +20,11 @@ from pathlib import Path
 PROJECT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(PROJECT / "tests" / "service" / "web"))
 
+import ground_station  # noqa: E402
 from chromium import Page, find_chromium  # noqa: E402
 
 PICTURES = PROJECT / "docs" / "pictures"
-PHONE, REPORT, TERMINAL = (390, 844), (1000, 760), (900, 470)
+PHONE, REPORT, TERMINAL, STATION = (390, 844), (1000, 760), (900, 460), (980, 560)
 MOST_BYTES = 150_000
 _TERMINAL = """<meta charset="utf-8"><style>
 :root {{ color-scheme: light dark }}
@@ -45,14 +46,13 @@ def run(folder: Path, *words: str) -> str:
         text=True,
         check=True,
     )
-    # A terminal tells once what a pipe has in progress and in result.
-    progress = [line for line in done.stderr.splitlines() if line not in done.stdout]
-    return "\n".join([*progress, done.stdout])
+    return done.stderr + done.stdout
 
 
 def environment() -> dict[str, str]:
     """Let the program keep its files in the folder where it works."""
-    return {**os.environ, "MAVCOMPASS_UNDO_DIR": "undo", "PYTHONPATH": str(PROJECT)}
+    called = {"MAVCOMPASS_CALLED": "./scripts/mavcompass", "MAVCOMPASS_UNDO_DIR": "undo"}
+    return {**os.environ, **called, "PYTHONPATH": str(PROJECT)}
 
 
 def write_pages(folder: Path) -> dict[str, tuple[Path, tuple[int, int]]]:
@@ -62,22 +62,26 @@ def write_pages(folder: Path) -> dict[str, tuple[Path, tuple[int, int]]]:
     terminal = folder / "terminal.html"
     terminal.write_text(_TERMINAL.format(command=command, output=said), encoding="utf-8")
     run(folder, "calibrate", "sim:boat", "--yes", "--report", "calibration.html")
-    record_boat(folder / "boat.csv")
-    run(folder, "gap", "diagnose", "boat.csv", "--report", "gap.html")
+    record_flight(folder / "flight.csv")
+    run(folder, "gap", "diagnose", "flight.csv", "--report", "gap.html")
+    station = folder / "station.html"
+    station.write_text(ground_station.page(folder, environment()), encoding="utf-8")
     return {
         "terminal": (terminal, TERMINAL),
+        "ground-station": (station, STATION),
         "calibration": (folder / "calibration.html", REPORT),
         "gap": (folder / "gap.html", REPORT),
     }
 
 
-def record_boat(path: Path) -> None:
-    """Record a simulated boat as it turns."""
-    import mavcompass
+def record_flight(path: Path) -> None:
+    """Record a simulated flight beside a magnet that the calibration does not know."""
+    from mavcompass.gap.trial.cases import Recipe, make_track
     from mavcompass.logs import write_track_csv
+    from mavcompass.simulation import effects
 
-    with mavcompass.connect("sim:boat,seed=7") as vehicle:
-        write_track_csv(vehicle.calibrate().track, path)
+    magnet = effects.parse("hard_iron:x=28,y=-46,z=12")
+    write_track_csv(make_track(Recipe("figure-8", duration_s=90.0, seed=51), [magnet]), path)
 
 
 @contextmanager
