@@ -17,8 +17,6 @@ _BODY_FRAMES = (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED)
 class IgnoreAttitude(IntFlag):
     """Name the bits of SET_ATTITUDE_TARGET's type_mask."""
 
-    ROLL_RATE = 1
-    PITCH_RATE = 2
     YAW_RATE = 4
     THROTTLE = 64
     ATTITUDE = 128

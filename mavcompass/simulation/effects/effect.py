@@ -103,7 +103,9 @@ class Signals:
         )
 
 
-Forward = Callable[[Signals, FloatArray, Memory, np.random.Generator | None], Signals]
+# None asks for the mean of what is random.
+Rng = np.random.Generator | None
+Forward = Callable[[Signals, FloatArray, Memory, Rng], Signals]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -262,15 +264,20 @@ class Chain:
         self.settings = sorted(self.settings, key=lambda s: s.effect.stage)
         self._memories = [{} for _ in self.settings]
 
-    def run(self, signals: Signals, rng: np.random.Generator | None) -> Signals:
+    def run(self, signals: Signals, rng: Rng) -> Signals:
         """Pass a block of samples through all effects, remembering what the next block needs."""
         for setting, memory in zip(self.settings, self._memories, strict=True):
             signals = setting.effect.forward(signals, setting.theta, memory, rng)
         return signals
 
 
-def xyz(
-    low: float, high: float, defaults: tuple[float, float, float], scale: float, unit: str
+def axes(
+    low: float,
+    high: float,
+    defaults: Sequence[float],
+    scale: float,
+    unit: str,
+    names: Sequence[str] = ("x", "y", "z"),
 ) -> tuple[Parameter, ...]:
-    """Describe a vector parameter with the components x, y, z."""
-    return tuple(Parameter(n, unit, low, high, d, scale) for n, d in zip("xyz", defaults, strict=True))
+    """Describe the components of a vector parameter, which have all but their defaults in common."""
+    return tuple(Parameter(n, unit, low, high, d, scale) for n, d in zip(names, defaults, strict=True))

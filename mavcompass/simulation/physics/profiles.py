@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from mavcompass.enums import CopterMode, MavType, RoverMode, SubMode
+from mavcompass.errors import UsageError
 from mavcompass.simulation.physics.world import Place
 
 Chassis = Literal["skid", "ackermann", "boat", "copter", "sub"]
@@ -210,8 +211,6 @@ def profile(vehicle: str) -> VehicleProfile:
     try:
         return PROFILES[vehicle]
     except KeyError:
-        from mavcompass.errors import UsageError
-
         raise UsageError(
             f"There is no simulated vehicle {vehicle!r}.", f"Choose one of: {', '.join(PROFILES)}."
         ) from None

@@ -15,7 +15,7 @@ from mavcompass.simulation.effects.registry import catalogue
 SEA_MONSTER = '''
     """A sea monster's own field."""
 
-    from mavcompass.simulation.effects.effect import Effect, Stage, xyz
+    from mavcompass.simulation.effects.effect import Effect, Stage, axes
 
 
     def _monster(signals, theta, memory, rng):
@@ -27,7 +27,7 @@ SEA_MONSTER = '''
             id="sea_monster",
             title="a sea monster swims along",
             stage=Stage.HULL,
-            parameters=xyz(-900.0, 900.0, (40.0, 0.0, -25.0), 1.0, "mG"),
+            parameters=axes(-900.0, 900.0, (40.0, 0.0, -25.0), 1.0, "mG"),
             forward=_monster,
             separated_by="bait",
             source="sailors",

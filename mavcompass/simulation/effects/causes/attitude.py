@@ -11,29 +11,27 @@ from mavcompass.simulation.effects.effect import (
     Memory,
     Misfit,
     Parameter,
+    Rng,
     Signals,
     Stage,
-    xyz,
+    axes,
 )
 from mavcompass.simulation.effects.rotations import rotation_vector_matrix
 
-_Rng = np.random.Generator | None
-_ALL = GROUPS
 
-
-def _reference_error(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _reference_error(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     error = rotation_vector_matrix(theta)
     s = signals.stimulus
     return signals.turned(s.rotation @ error, s.rate_radps @ error)
 
 
-def _platform_tilt(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _platform_tilt(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     tilt = rotation_vector_matrix(np.array([theta[0], theta[1], 0.0]))
     s = signals.stimulus
     return signals.turned(tilt @ s.rotation, s.rate_radps)
 
 
-def _yaw_step_error(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _yaw_step_error(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     s = signals.stimulus
     yaw = np.arctan2(s.rotation[:, 1, 0], s.rotation[:, 0, 0])
     first, last = memory.get("yaw", (yaw[0], yaw[0]))
@@ -78,10 +76,10 @@ EFFECTS = (
         id="attitude_reference_error",
         title="the attitude reference is turned against the sensors",
         stage=Stage.ATTITUDE,
-        parameters=xyz(-0.35, 0.35, (0.02, -0.015, 0.03), 0.02, "rad"),
+        parameters=axes(-0.35, 0.35, (0.02, -0.015, 0.03), 0.02, "rad"),
         forward=_reference_error,
         enough=("acc", "gyro"),
-        groups=_ALL,
+        groups=GROUPS,
         needs=frozenset({"reference"}),
         aliases=("misalignment", "declination"),
         separated_by="an independent reference: it shows in all three sensors",
@@ -91,12 +89,10 @@ EFFECTS = (
         id="platform_tilt",
         title="the ground or the turntable is not level",
         stage=Stage.ATTITUDE,
-        parameters=tuple(
-            Parameter(n, "rad", -0.2, 0.2, d, 0.01) for n, d in (("about_north", 0.02), ("about_east", -0.03))
-        ),
+        parameters=axes(-0.2, 0.2, (0.02, -0.03), 0.01, "rad", ("about_north", "about_east")),
         forward=_platform_tilt,
         enough=("acc",),
-        groups=_ALL,
+        groups=GROUPS,
         needs=frozenset({"reference"}),
         aliases=("inclination", "accel_bias"),
         separated_by="turn the vehicle by 180 degrees: it stays in the world, a bias goes with the body",
@@ -110,7 +106,7 @@ EFFECTS = (
         forward=_yaw_step_error,
         starts=_yaw_starts,
         enough=("mag",),
-        groups=_ALL,
+        groups=GROUPS,
         needs=frozenset({"turning", "reference"}),
         aliases=("gyro_scale", "declination"),
         separated_by="several whole turns",

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage, xyz
+from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage, axes
 
-_Rng = np.random.Generator | None
 # Lines of rotors and mains, aliased by the sampling; what is slower is drift, and a load of its own.
 SLOWEST_LINE_HZ = 0.3
 _MOTORS = 8
@@ -18,12 +17,12 @@ _RELAY_SOURCES = 2 + _MOTORS
 _FEWEST_SWITCHED = 8
 
 
-def _motor_current(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _motor_current(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     current = np.nan_to_num(signals.stimulus.current_a)
     return signals.with_mag(signals.reading.mag_mgauss + current[:, None] * theta)
 
 
-def _per_motor(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _per_motor(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     motors = np.nan_to_num(signals.stimulus.motors[:, :_MOTORS])
     return signals.with_mag(
         signals.reading.mag_mgauss + motors @ theta.reshape(_MOTORS, 3)[: motors.shape[1]]
@@ -38,7 +37,7 @@ def _varying_motors(signals: Signals) -> NDArray[np.bool_]:
     return free.ravel()
 
 
-def _alternating(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _alternating(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     phase = 2.0 * math.pi * theta[6] * signals.stimulus.time_s
     waves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
     return signals.with_mag(signals.reading.mag_mgauss + waves @ theta[:6].reshape(2, 3))
@@ -84,7 +83,7 @@ def _load(signals: Signals, source: int) -> FloatArray | None:
     return s.motors[:, source - 2] if source - 2 < s.motors.shape[1] else None
 
 
-def _relay(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _relay(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     load = _load(signals, round(float(theta[3])))
     if load is None:
         return signals
@@ -129,7 +128,7 @@ EFFECTS = (
         id="motor_current",
         title="the field of the battery current",
         stage=Stage.FIELD,
-        parameters=xyz(-50.0, 50.0, (2.0, -1.5, 1.0), 0.5, "mG/A"),
+        parameters=axes(-50.0, 50.0, (2.0, -1.5, 1.0), 0.5, "mG/A"),
         forward=_motor_current,
         needs=frozenset({"current"}),
         aliases=("per_motor", "vibration_rectification", "hard_iron"),
@@ -158,14 +157,8 @@ EFFECTS = (
         title="an alternating field, aliased by the sampling",
         stage=Stage.FIELD,
         parameters=(
-            *(
-                Parameter(f"sin_{a}", "mG", -300.0, 300.0, d, 5.0)
-                for a, d in zip("xyz", (12.0, 4.0, -6.0), strict=True)
-            ),
-            *(
-                Parameter(f"cos_{a}", "mG", -300.0, 300.0, d, 5.0)
-                for a, d in zip("xyz", (0.0, 8.0, 3.0), strict=True)
-            ),
+            *axes(-300.0, 300.0, (12.0, 4.0, -6.0), 5.0, "mG", ("sin_x", "sin_y", "sin_z")),
+            *axes(-300.0, 300.0, (0.0, 8.0, 3.0), 5.0, "mG", ("cos_x", "cos_y", "cos_z")),
             Parameter("frequency_hz", "Hz", SLOWEST_LINE_HZ, 2000.0, 2.3, 0.001),
         ),
         forward=_alternating,
@@ -179,7 +172,7 @@ EFFECTS = (
         title="the field of something that is switched",
         stage=Stage.FIELD,
         parameters=(
-            *xyz(-500.0, 500.0, (25.0, -15.0, 10.0), 10.0, "mG"),
+            *axes(-500.0, 500.0, (25.0, -15.0, 10.0), 10.0, "mG"),
             Parameter("source", "0 throttle, 1 current, 2.. motor", 0.0, 9.0, 0.0, 1.0, integer=True),
             Parameter("threshold", "of the source", -1e3, 1e3, 0.5, 0.0),
         ),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Signals, Stage, xyz
+from mavcompass.simulation.effects.effect import Effect, Memory, Rng, Signals, Stage, axes
 
 
-def _eddy(signals: Signals, theta: FloatArray, memory: Memory, rng: np.random.Generator | None) -> Signals:
+def _eddy(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     field = signals.reading.mag_mgauss
     # In a uniform world field the body field changes by its rotation alone: dm/dt = m x w.
     return signals.with_mag(field - theta * np.cross(field, signals.stimulus.rate_radps))
@@ -19,7 +19,7 @@ EFFECTS = (
         id="eddy_current",
         title="eddy currents in a metal hull oppose changes of the field",
         stage=Stage.HULL,
-        parameters=xyz(0.0, 0.2, (0.02, 0.008, 0.03), 0.005, "s"),
+        parameters=axes(0.0, 0.2, (0.02, 0.008, 0.03), 0.005, "s"),
         forward=_eddy,
         needs=frozenset({"turning"}),
         aliases=("transport_lag", "low_pass", "hysteresis"),

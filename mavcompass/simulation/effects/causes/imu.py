@@ -5,29 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Signals, Stage, xyz
+from mavcompass.simulation.effects.effect import Effect, Memory, Rng, Signals, Stage, axes
 
-_Rng = np.random.Generator | None
 _REFERENCE = frozenset({"reference"})
 
 
-def _accel_bias(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _accel_bias(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     return signals.with_acc(signals.reading.acc_mps2 + theta)
 
 
-def _accel_scale(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _accel_scale(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     return signals.with_acc(signals.reading.acc_mps2 * (1.0 + theta))
 
 
-def _gyro_bias(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _gyro_bias(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     return signals.with_gyro(signals.reading.gyro_radps + theta)
 
 
-def _gyro_scale(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _gyro_scale(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     return signals.with_gyro(signals.reading.gyro_radps * (1.0 + theta))
 
 
-def _lever_arm(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _lever_arm(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     rate, time = signals.stimulus.rate_radps, signals.stimulus.time_s
     if "last" not in memory and len(time) > 2:
         angular = np.gradient(rate, time, axis=0)
@@ -43,7 +42,7 @@ def _lever_arm(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -
     )
 
 
-def _vibration(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _vibration(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     load = np.nan_to_num(signals.stimulus.throttle) ** 2
     return signals.with_acc(signals.reading.acc_mps2 + load[:, None] * theta)
 
@@ -53,7 +52,7 @@ EFFECTS = (
         id="accel_bias",
         title="an offset of the accelerometer",
         stage=Stage.IMU,
-        parameters=xyz(-5.0, 5.0, (0.15, -0.1, 0.2), 0.05, "m/s^2"),
+        parameters=axes(-5.0, 5.0, (0.15, -0.1, 0.2), 0.05, "m/s^2"),
         forward=_accel_bias,
         groups=("acc",),
         needs=_REFERENCE,
@@ -66,7 +65,7 @@ EFFECTS = (
         id="accel_scale",
         title="a gain error of the accelerometer",
         stage=Stage.IMU,
-        parameters=xyz(-0.2, 0.2, (0.012, -0.01, 0.015), 0.01, "1"),
+        parameters=axes(-0.2, 0.2, (0.012, -0.01, 0.015), 0.01, "1"),
         forward=_accel_scale,
         groups=("acc",),
         needs=_REFERENCE,
@@ -80,7 +79,7 @@ EFFECTS = (
         id="linear_acceleration",
         title="the accelerometer sits away from the centre of turning",
         stage=Stage.IMU,
-        parameters=xyz(-3.0, 3.0, (0.3, 0.1, -0.05), 0.1, "m"),
+        parameters=axes(-3.0, 3.0, (0.3, 0.1, -0.05), 0.1, "m"),
         forward=_lever_arm,
         groups=("acc",),
         needs=_REFERENCE | {"turning"},
@@ -92,7 +91,7 @@ EFFECTS = (
         id="vibration_rectification",
         title="an accelerometer offset that grows with vibration",
         stage=Stage.IMU,
-        parameters=xyz(-20.0, 20.0, (0.2, 0.1, -0.4), 0.1, "m/s^2 at full throttle"),
+        parameters=axes(-20.0, 20.0, (0.2, 0.1, -0.4), 0.1, "m/s^2 at full throttle"),
         forward=_vibration,
         groups=("acc",),
         needs=_REFERENCE | {"throttle"},
@@ -104,7 +103,7 @@ EFFECTS = (
         id="gyro_bias",
         title="an offset of the gyro",
         stage=Stage.IMU,
-        parameters=xyz(-0.5, 0.5, (0.005, -0.004, 0.006), 0.003, "rad/s"),
+        parameters=axes(-0.5, 0.5, (0.005, -0.004, 0.006), 0.003, "rad/s"),
         forward=_gyro_bias,
         groups=("gyro",),
         needs=_REFERENCE,
@@ -117,7 +116,7 @@ EFFECTS = (
         id="gyro_scale",
         title="a gain error of the gyro",
         stage=Stage.IMU,
-        parameters=xyz(-0.3, 0.3, (0.01, -0.008, 0.012), 0.01, "1"),
+        parameters=axes(-0.3, 0.3, (0.01, -0.008, 0.012), 0.01, "1"),
         forward=_gyro_scale,
         groups=("gyro",),
         needs=_REFERENCE | {"turning"},

@@ -5,33 +5,31 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Signals, Stage, xyz
+from mavcompass.simulation.effects.effect import Effect, Memory, Rng, Signals, Stage, axes
 from mavcompass.simulation.effects.rotations import rotation_vector_matrix
 
-_Rng = np.random.Generator | None
 
-
-def _hard_iron(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _hard_iron(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     return signals.with_mag(signals.reading.mag_mgauss + theta)
 
 
-def _soft_iron(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _soft_iron(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     xx, yy, zz, xy, xz, yz = theta
     matrix = np.array([[1.0 + xx, xy, xz], [xy, 1.0 + yy, yz], [xz, yz, 1.0 + zz]])
     return signals.with_mag(signals.reading.mag_mgauss @ matrix)
 
 
-def _axis_scale(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _axis_scale(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     return signals.with_mag(signals.reading.mag_mgauss * (1.0 + theta))
 
 
-def _non_orthogonality(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _non_orthogonality(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     yx, zx, zy = theta
     matrix = np.array([[1.0, 0.0, 0.0], [yx, 1.0, 0.0], [zx, zy, 1.0]])
     return signals.with_mag(signals.reading.mag_mgauss @ matrix.T)
 
 
-def _misalignment(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _misalignment(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     return signals.with_mag(signals.reading.mag_mgauss @ rotation_vector_matrix(theta).T)
 
 
@@ -40,7 +38,7 @@ EFFECTS = (
         id="hard_iron",
         title="permanent magnetism fixed to the vehicle",
         stage=Stage.FIELD,
-        parameters=xyz(-1500.0, 1500.0, (60.0, -40.0, 20.0), 30.0, "mG"),
+        parameters=axes(-1500.0, 1500.0, (60.0, -40.0, 20.0), 30.0, "mG"),
         forward=_hard_iron,
         needs=frozenset({"turning"}),
         aliases=("hard_iron_step", "temperature_bias", "motor_current"),
@@ -53,8 +51,8 @@ EFFECTS = (
         title="magnetisable material around the sensor",
         stage=Stage.MATRIX,
         parameters=(
-            *(Parameter(n, "1", -0.5, 0.5, d, 0.03) for n, d in (("xx", 0.06), ("yy", -0.05), ("zz", 0.02))),
-            *(Parameter(n, "1", -0.3, 0.3, d, 0.03) for n, d in (("xy", 0.04), ("xz", -0.02), ("yz", 0.03))),
+            *axes(-0.5, 0.5, (0.06, -0.05, 0.02), 0.03, "1", ("xx", "yy", "zz")),
+            *axes(-0.3, 0.3, (0.04, -0.02, 0.03), 0.03, "1", ("xy", "xz", "yz")),
         ),
         forward=_soft_iron,
         needs=frozenset({"turning", "tilt"}),
@@ -67,7 +65,7 @@ EFFECTS = (
         id="axis_scale",
         title="gain error of each sensor axis",
         stage=Stage.MATRIX,
-        parameters=xyz(-0.5, 0.5, (0.05, -0.04, 0.02), 0.03, "1"),
+        parameters=axes(-0.5, 0.5, (0.05, -0.04, 0.02), 0.03, "1"),
         forward=_axis_scale,
         needs=frozenset({"turning"}),
         aliases=("field_intensity", "inclination", "soft_iron"),
@@ -79,10 +77,7 @@ EFFECTS = (
         id="non_orthogonality",
         title="sensor axes not at right angles",
         stage=Stage.MATRIX,
-        parameters=tuple(
-            Parameter(n, "rad", -0.15, 0.15, d, 0.015)
-            for n, d in (("yx", 0.02), ("zx", -0.015), ("zy", 0.01))
-        ),
+        parameters=axes(-0.15, 0.15, (0.02, -0.015, 0.01), 0.015, "rad", ("yx", "zx", "zy")),
         forward=_non_orthogonality,
         needs=frozenset({"turning", "tilt"}),
         aliases=("soft_iron", "misalignment"),
@@ -94,7 +89,7 @@ EFFECTS = (
         id="misalignment",
         title="the compass is turned against the body",
         stage=Stage.MOUNTING,
-        parameters=xyz(-0.5, 0.5, (0.02, -0.03, 0.06), 0.03, "rad"),
+        parameters=axes(-0.5, 0.5, (0.02, -0.03, 0.06), 0.03, "rad"),
         forward=_misalignment,
         aliases=("declination", "attitude_reference_error", "non_orthogonality"),
         separated_by="tilt: about the vertical it is the declination exactly",

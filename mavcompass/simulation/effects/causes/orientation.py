@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, rotate_back, sensor_orientation_matrix
-from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage
+from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage
 
 
 @cache
@@ -16,7 +16,7 @@ def _matrices() -> dict[int, FloatArray]:
     return {number: sensor_orientation_matrix(number) for number in SENSOR_ORIENTATIONS_DEG}
 
 
-def _forward(signals: Signals, theta: FloatArray, memory: Memory, rng: np.random.Generator | None) -> Signals:
+def _forward(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     # The sensor is turned by R, the autopilot believes it is not: it reports R^T m, the vehicle's iron
     # included.
     matrix = _matrices().get(round(float(theta[0])), np.eye(3))

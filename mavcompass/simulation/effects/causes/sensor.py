@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage, xyz
+from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage, axes
 
-_Rng = np.random.Generator | None
 _FULL_SCALE_MGAUSS = 1000.0
 _NEXT = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 
 
-def _clipping(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _clipping(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     return signals.with_mag(np.clip(signals.reading.mag_mgauss, -theta[0], theta[0]))
 
 
@@ -22,16 +21,16 @@ def _clipping_starts(misfit: Misfit) -> list[FloatArray]:
     return [np.array([max(level, 1.0)]) for level in (top, 0.97 * top, 0.9 * top)]
 
 
-def _quantisation(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _quantisation(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     return signals.with_mag(np.round(signals.reading.mag_mgauss / theta[0]) * theta[0])
 
 
-def _noise(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _noise(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     field = signals.reading.mag_mgauss
     return signals if rng is None else signals.with_mag(field + theta[0] * rng.standard_normal(field.shape))
 
 
-def _random_walk(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _random_walk(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     if rng is None:
         return signals
     time = signals.stimulus.time_s
@@ -42,7 +41,7 @@ def _random_walk(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng)
     return signals.with_mag(signals.reading.mag_mgauss + walk)
 
 
-def _hysteresis(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _hysteresis(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     field = signals.reading.mag_mgauss
     remanence, width = float(theta[0]), max(float(theta[1]), 1e-6)
     play = _play(field, width, memory.get("held", field[0]))
@@ -79,7 +78,7 @@ def _hysteresis_starts(misfit: Misfit) -> list[FloatArray]:
     return starts
 
 
-def _cross_axis(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _cross_axis(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     field = signals.reading.mag_mgauss
     out = field.copy()
     for value, (axis, other) in zip(theta, _NEXT, strict=True):
@@ -88,7 +87,7 @@ def _cross_axis(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) 
     return signals.with_mag(out)
 
 
-def _toggle(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _toggle(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     count = memory.get("count", 0)
     n = len(signals.reading.mag_mgauss)
     memory["count"] = count + n
@@ -161,9 +160,13 @@ EFFECTS = (
         id="cross_axis",
         title="the gain of an axis depends on the field across it",
         stage=Stage.MATRIX,
-        parameters=tuple(
-            Parameter(f"{'xyz'[i]}{'xyz'[j]}", "1 at 1 G", -0.1, 0.1, d, 0.01)
-            for (i, j), d in zip(_NEXT, (0.03, -0.02, 0.02, 0.025, -0.03, 0.015), strict=True)
+        parameters=axes(
+            -0.1,
+            0.1,
+            (0.03, -0.02, 0.02, 0.025, -0.03, 0.015),
+            0.01,
+            "1 at 1 G",
+            ["xyz"[i] + "xyz"[j] for i, j in _NEXT],
         ),
         forward=_cross_axis,
         needs=frozenset({"turning", "tilt"}),
@@ -175,7 +178,7 @@ EFFECTS = (
         id="set_reset_offset",
         title="an offset that changes sign with every reading",
         stage=Stage.FIELD,
-        parameters=xyz(-200.0, 200.0, (6.0, -4.0, 5.0), 3.0, "mG"),
+        parameters=axes(-200.0, 200.0, (6.0, -4.0, 5.0), 3.0, "mG"),
         forward=_toggle,
         aliases=("quantisation", "ac_interference"),
         separated_by="record every reading, with the toggling on and off",

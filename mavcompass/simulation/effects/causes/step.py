@@ -13,9 +13,10 @@ from mavcompass.simulation.effects.effect import (
     Memory,
     Misfit,
     Parameter,
+    Rng,
     Signals,
     Stage,
-    xyz,
+    axes,
 )
 
 _ALWAYS = 0.98
@@ -23,7 +24,7 @@ _ALWAYS = 0.98
 _SHORTEST_S = 1.0
 
 
-def _forward(signals: Signals, theta: FloatArray, memory: Memory, rng: np.random.Generator | None) -> Signals:
+def _forward(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     time = signals.stimulus.time_s
     present = ((time >= theta[3]) & (time < theta[4])).astype(np.float64)
     return signals.with_mag(signals.reading.mag_mgauss + present[:, None] * theta[:3])
@@ -99,7 +100,7 @@ EFFECTS = (
         title="hard iron that comes, and perhaps goes, at one moment",
         stage=Stage.FIELD,
         parameters=(
-            *xyz(-1500.0, 1500.0, (80.0, 50.0, -40.0), 30.0, "mG"),
+            *axes(-1500.0, 1500.0, (80.0, 50.0, -40.0), 30.0, "mG"),
             Parameter("on_s", "s", -NEVER_S, NEVER_S, 30.0, 1.0),
             Parameter("off_s", "s", -NEVER_S, NEVER_S, NEVER_S, 1.0),
         ),

@@ -5,19 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage, xyz
+from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage, axes
 
-_Rng = np.random.Generator | None
 _REFERENCE = Parameter("reference_degc", "degC", -40.0, 85.0, 25.0, 2.0)
 _ROOM_DEGC = 25.0
 
 
-def _bias(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _bias(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     above = np.nan_to_num(signals.stimulus.temperature_degc - theta[3])
     return signals.with_mag(signals.reading.mag_mgauss + above[:, None] * theta[:3])
 
 
-def _sensitivity(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _sensitivity(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     above = np.nan_to_num(signals.stimulus.temperature_degc - theta[3])
     return signals.with_mag(signals.reading.mag_mgauss * (1.0 + above[:, None] * theta[:3]))
 
@@ -58,7 +57,7 @@ EFFECTS = (
         id="temperature_bias",
         title="an offset that follows the temperature",
         stage=Stage.FIELD,
-        parameters=(*xyz(-10.0, 10.0, (0.8, -0.5, 1.2), 0.3, "mG/degC"), _REFERENCE),
+        parameters=(*axes(-10.0, 10.0, (0.8, -0.5, 1.2), 0.3, "mG/degC"), _REFERENCE),
         forward=_bias,
         needs=frozenset({"temperature"}),
         aliases=("hard_iron_step", "bias_random_walk", "hard_iron"),
@@ -71,7 +70,7 @@ EFFECTS = (
         id="temperature_sensitivity",
         title="a gain that follows the temperature",
         stage=Stage.MATRIX,
-        parameters=(*xyz(-0.02, 0.02, (-0.0027, -0.0027, -0.0027), 0.001, "1/degC"), _REFERENCE),
+        parameters=(*axes(-0.02, 0.02, (-0.0027, -0.0027, -0.0027), 0.001, "1/degC"), _REFERENCE),
         forward=_sensitivity,
         needs=frozenset({"temperature"}),
         aliases=("field_intensity", "axis_scale"),

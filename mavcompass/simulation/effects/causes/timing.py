@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Signals, Stage
+from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage
 from mavcompass.simulation.effects.sampling import at_times, first_order_lag
 
-_Rng = np.random.Generator | None
 LONGEST_LAG_S = 0.5
 
 
@@ -24,18 +23,18 @@ def _with_past(signals: Signals, memory: Memory) -> tuple[FloatArray, FloatArray
     return time, field, time.size - signals.stimulus.time_s.size
 
 
-def _lag(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _lag(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     time, field, past = _with_past(signals, memory)
     return signals.with_mag(at_times(time, field, time[past:] - theta[0]))
 
 
-def _low_pass(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _low_pass(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     time, field = signals.stimulus.time_s, signals.reading.mag_mgauss
     smoothed, memory["state"] = first_order_lag(time, field, float(theta[0]), memory.get("state"))
     return signals.with_mag(smoothed)
 
 
-def _jitter(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _jitter(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     if rng is None:
         return signals
     time, field, past = _with_past(signals, memory)
@@ -45,7 +44,7 @@ def _jitter(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> S
     return signals.with_mag(at_times(time, field, np.minimum(time[past:] - late, time[-1])))
 
 
-def _stale(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _stale(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     if rng is None:
         return signals
     field = signals.reading.mag_mgauss

@@ -14,21 +14,23 @@ from mavcompass.simulation.effects.effect import (
     Memory,
     Misfit,
     Parameter,
+    Rng,
     Signals,
     Stage,
+    axes,
 )
 
-_Rng = np.random.Generator | None
 _NEAREST_M = 0.05
 _NEAR_PEAK_M = 0.4
 _FAR_PATHS = 3.0
+_MOMENT = ("moment_north", "moment_east", "moment_down")
 
 
-def _intensity(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _intensity(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     return signals.in_field(signals.stimulus.field_ned_mgauss * (1.0 + theta[0]))
 
 
-def _inclination(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _inclination(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     field = signals.stimulus.field_ned_mgauss
     horizontal = np.maximum(np.hypot(field[:, 0], field[:, 1]), 1e-9)
     c, s = math.cos(theta[0]), math.sin(theta[0])
@@ -38,7 +40,7 @@ def _inclination(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng)
     return signals.in_field(np.stack([field[:, 0] * ratio, field[:, 1] * ratio, down], axis=1))
 
 
-def _declination(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _declination(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     n, e, d = signals.stimulus.field_ned_mgauss.T
     c, s = math.cos(theta[0]), math.sin(theta[0])
     return signals.in_field(np.stack([c * n - s * e, s * n + c * e, d], axis=1))
@@ -61,7 +63,7 @@ def gradient_origin(position_m: FloatArray) -> FloatArray:
     return np.asarray(known[0])
 
 
-def _gradient(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _gradient(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     position = signals.stimulus.position_ned_m
     if "origin" not in memory:
         memory["origin"] = gradient_origin(position)
@@ -77,7 +79,7 @@ def dipole_field(position_m: FloatArray, source_m: FloatArray, moment_mgauss_m3:
     return np.asarray((3.0 * unit * (unit @ moment_mgauss_m3)[:, None] - moment_mgauss_m3) / distance**3)
 
 
-def _dipole(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+def _dipole(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     position = np.nan_to_num(signals.stimulus.position_ned_m)
     field = dipole_field(position, theta[:3], theta[3:6])
     time = signals.stimulus.time_s
@@ -243,9 +245,8 @@ EFFECTS = (
         id="field_gradient",
         title="the field changes evenly with the place",
         stage=Stage.WORLD,
-        parameters=tuple(
-            Parameter(n, "mG/m", -500.0, 500.0, d, 5.0)
-            for n, d in (("nn", 12.0), ("ee", -8.0), ("ne", 5.0), ("nd", 6.0), ("ed", -4.0))
+        parameters=axes(
+            -500.0, 500.0, (12.0, -8.0, 5.0, 6.0, -4.0), 5.0, "mG/m", ("nn", "ee", "ne", "nd", "ed")
         ),
         forward=_gradient,
         needs=frozenset({"position"}),
@@ -258,14 +259,8 @@ EFFECTS = (
         title="a magnet or iron at one place",
         stage=Stage.WORLD,
         parameters=(
-            *(
-                Parameter(f"{n}_m", "m", -1000.0, 1000.0, d, 0.1)
-                for n, d in zip(("north", "east", "down"), (1.0, 0.6, 0.3), strict=True)
-            ),
-            *(
-                Parameter(f"moment_{n}", "mG m^3", -1e4, 1e4, d, 50.0)
-                for n, d in zip(("north", "east", "down"), (40.0, -25.0, 60.0), strict=True)
-            ),
+            *axes(-1000.0, 1000.0, (1.0, 0.6, 0.3), 0.1, "m", ("north_m", "east_m", "down_m")),
+            *axes(-1e4, 1e4, (40.0, -25.0, 60.0), 50.0, "mG m^3", _MOMENT),
             Parameter("on_s", "s", -NEVER_S, NEVER_S, -NEVER_S, 1.0),
             Parameter("off_s", "s", -NEVER_S, NEVER_S, NEVER_S, 1.0),
         ),
