@@ -18,11 +18,6 @@ from mavcompass.units import STANDARD_GRAVITY_MPS2
 _SETTLING_SAMPLES = 100
 
 
-def true_correction(vehicle: SimulatedAutopilot, instance: int = 1) -> FieldCorrection:
-    """Return the exact cure of a compass's iron (further effects are not in it)."""
-    return vehicle.board.sensors.compasses[instance - 1].model.iron
-
-
 def heading_errors_rad(
     vehicle: SimulatedAutopilot,
     instance: int = 1,

@@ -112,8 +112,4 @@ def simulated_autopilot(
     """
     from mavcompass.simulation.vehicle import SimulatedAutopilot
 
-    if not effects:
-        return SimulatedAutopilot(vehicle, seed=seed, armed=armed)
-    from mavcompass.simulation.effects import distortion
-
-    return SimulatedAutopilot(vehicle, seed=seed, armed=armed, effects=(distortion(tuple(effects)),))
+    return SimulatedAutopilot(vehicle, seed=seed, armed=armed, effects=effects)

@@ -122,8 +122,6 @@ def parameter_text(
     form: Form = "param",
     comment: Sequence[str] = (),
     types: Mapping[str, int] | None = None,
-    system: int = 1,
-    component: int = 1,
 ) -> str:
     """Spell parameters as the text of a parameter file; see `write_parameter_file`."""
     lines = [f"# {line}" for line in comment]
@@ -131,7 +129,7 @@ def parameter_text(
         number = format_value(value)
         if form == "params":
             kind = (types or {}).get(name, MavParamType.REAL32)
-            lines.append(f"{system}\t{component}\t{name}\t{number}\t{int(kind)}")
+            lines.append(f"1\t1\t{name}\t{number}\t{int(kind)}")
         else:
             lines.append(f"{name},{number}" if form == "param" else f"{name:<16} {number}")
     return "\n".join(lines) + "\n"

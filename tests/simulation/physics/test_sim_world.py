@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import decimal_year, earth_field
 from mavcompass.frames import euler_to_matrix
-from mavcompass.simulation.heading_error import heading_error_rms_deg, heading_errors_rad, true_correction
+from mavcompass.simulation.heading_error import heading_error_rms_deg, heading_errors_rad
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.physics.motion import rotation_matrix
@@ -97,7 +97,7 @@ def test_a_tape_deals_the_generators_numbers_in_order():
 @settings(max_examples=30, deadline=None)
 def test_the_exact_cure_leaves_no_heading_error_at_any_tilt(seed, roll, pitch):
     v = SimulatedAutopilot("rover", seed=seed)
-    errors = heading_errors_rad(v, 1, true_correction(v), roll, pitch)
+    errors = heading_errors_rad(v, 1, v.board.compass_setups[0].model.iron, roll, pitch)
     assert float(np.abs(errors).max()) < 1e-9
 
 
