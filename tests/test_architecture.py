@@ -70,6 +70,26 @@ ROWS = {
         {"vehicle_state"},
         {"script"},
     ],
+    "cli": [
+        {"main"},
+        {
+            *(
+                "calibrate",
+                "check",
+                "heading",
+                "params",
+                "replay",
+                "simulate",
+                "gap",
+                "fleet",
+                "serve",
+                "doctor",
+            ),
+        },
+        {"calibration"},
+        {"needs", "source", "terminal"},
+        {"options"},
+    ],
     "logs": [{"reading"}, {"formats"}, {"common"}],
     "calibration": [
         {"calibrate", "orientation"},

@@ -13,6 +13,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.source import reference_option
 from mavcompass.cli.terminal.colour import styled
 from mavcompass.errors import UsageError
 from mavcompass.invocation import program
@@ -21,15 +22,6 @@ if TYPE_CHECKING:
     from mavcompass.gap.result import Diagnosis
     from mavcompass.gap.trial import Generator
 
-_REFERENCES = ("auto", "gyro", "gps-yaw", "attitude", "columns")
-
-reference_option = click.option(
-    "--reference",
-    type=click.Choice(_REFERENCES),
-    default="auto",
-    show_default=True,
-    help="The attitude that the compass is compared with (auto: all that knows it).",
-)
 _compass_option = click.option(
     "--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True, help="Which compass."
 )

@@ -55,6 +55,13 @@ max_error_option = click.option(
     show_default=True,
     help="Accept no calibration with a larger predicted heading error.",
 )
+reference_option = click.option(
+    "--reference",
+    type=click.Choice(("auto", "gyro", "gps-yaw", "attitude", "columns")),
+    default="auto",
+    show_default=True,
+    help="The attitude that the compass is compared with (auto: all that knows it).",
+)
 
 
 def refuse_unasked_write(yes: bool, dry_run: bool) -> None:

@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from mavcompass.cli.gap import reference_option
+from mavcompass.cli.fleet.document import document
+from mavcompass.cli.fleet.shown import LONG_S, say, short, showing
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
-from mavcompass.cli.source import compass_option, max_error_option, method_option
-from mavcompass.cli.terminal.show import is_live
+from mavcompass.cli.source import compass_option, max_error_option, method_option, reference_option
 
 if TYPE_CHECKING:
     from mavcompass.fleet.engine import Engine
     from mavcompass.fleet.examine import Job, Row
-    from mavcompass.fleet.run import FleetResult, Progress
-    from mavcompass.fleet.summary import Summary, Vehicle
+    from mavcompass.fleet.run import Progress
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 NOTHING_USABLE = 4
-_SHOWN = 5
-_LONG_S = 20.0  # from here on a recording is named
-_LEAST_MGAUSS = 0.5
 
 
 @click.group()
@@ -180,11 +174,11 @@ def _run(
         require_for(*(Path(recording.path) for recording in recordings))
 
     def write_page(rows: list[Row], progress: Progress) -> None:
-        longest = ", ".join(f"{_short(path)} ({seconds:.0f} s)" for path, seconds in progress.under_way[:3])
+        longest = ", ".join(f"{short(path)} ({seconds:.0f} s)" for path, seconds in progress.under_way[:3])
         so_far = {"Still at work": f"{progress.done} of {progress.asked} done; now: {longest or 'the rest'}"}
         write_fleet_report(summarise(rows, job.work), so_far, page)
 
-    with _showing() as show:
+    with showing() as show:
         try:
             result = run_fleet(
                 job,
@@ -201,109 +195,9 @@ def _run(
             raise
     summary = summarise(result.rows, job.work)
     facts = {"Table": str(out), "Work": job.work, "Examined now": f"{result.examined}, kept: {result.kept}"}
-    if slow := [
-        f"{_short(path)} ({seconds:.0f} s)" for path, seconds in summary.slowest if seconds >= _LONG_S
-    ]:
+    if slow := [f"{short(path)} ({seconds:.0f} s)" for path, seconds in summary.slowest if seconds >= LONG_S]:
         facts["Slowest"] = ", ".join(slow)
     write_fleet_report(summary, facts, page)
-    _say(output, result, summary, out, page)
-    output.write_json(_document(result, summary, out, page))
+    say(output, result, summary, out, page)
+    output.write_json(document(result, summary, out, page))
     return NOTHING_USABLE if result.rows and all(row["status"] == "error" for row in result.rows) else 0
-
-
-@contextmanager
-def _showing() -> Iterator[Callable[[Progress], None]]:
-    """Show a bar on a terminal, nothing in a pipe."""
-    if not is_live():
-        yield lambda _: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    from mavcompass.fleet.summary import counted
-
-    console = Console(stderr=True, no_color=bool(os.environ.get("NO_COLOR")))
-    columns = (
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TextColumn("{task.description}"),
-        TimeRemainingColumn(),
-    )
-    with Bar(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=None)
-
-        def show(progress: Progress) -> None:
-            words = [counted(progress.errors, "error")] if progress.errors else []
-            if progress.under_way and progress.under_way[0][1] >= _LONG_S:
-                path, seconds = progress.under_way[0]
-                words.append(f"{_short(path)} takes {seconds:.0f} s so far")
-            bar.update(task, total=progress.asked, completed=progress.done, description=", ".join(words))
-
-        yield show
-
-
-def _short(path: str) -> str:
-    """Name a recording by its file and folder."""
-    return "/".join(Path(path).parts[-2:])
-
-
-def _say(output: Output, result: FleetResult, summary: Summary, out: Path, page: Path) -> None:
-    from mavcompass.fleet.summary import counted
-
-    kept = f", {result.kept} were done before" if result.kept else ""
-    output.say(
-        f"{result.examined} of {counted(result.asked, 'recording')} examined{kept};"
-        f" {counted(len(summary.errors), 'error')}."
-    )
-    if summary.slowest and summary.slowest[0][1] >= _LONG_S:
-        output.say("Slowest: {} ({:.0f} s).".format(*summary.slowest[0]))
-    for effect in [effect for effect in summary.effects if effect.largest_mgauss >= _LEAST_MGAUSS][:_SHOWN]:
-        output.say(
-            f"  {effect.effect}: in {counted(effect.recordings, 'recording')} of"
-            f" {counted(effect.vehicles, 'vehicle')}, median {effect.median_mgauss:.1f} mG,"
-            f" largest {effect.largest_mgauss:.1f} mG"
-        )
-    for vehicle in summary.look_first[:_SHOWN]:
-        output.say(f"Look at {vehicle.name}: {'; '.join(vehicle.why)}.")
-    output.say(f"Table: {out}")
-    output.say(f"Summary: {page}")
-
-
-def _document(result: FleetResult, summary: Summary, out: Path, page: Path) -> dict[str, object]:
-    return {
-        "schema": "mavcompass.fleet/1",
-        "work": summary.work,
-        "asked": result.asked,
-        "examined": result.examined,
-        "kept": result.kept,
-        "recordings": summary.recordings,
-        "table": out,
-        "report": page,
-        "errors": [{"recording": recording, "error": error} for recording, error in summary.errors],
-        "slowest": [{"recording": recording, "seconds": seconds} for recording, seconds in summary.slowest],
-        "effects": [asdict(effect) for effect in summary.effects],
-        "vehicles": [_vehicle(vehicle) for vehicle in summary.vehicles],
-        "look_first": [vehicle.name for vehicle in summary.look_first],
-    }
-
-
-def _vehicle(vehicle: Vehicle) -> dict[str, object]:
-    return {
-        "name": vehicle.name,
-        "kind": vehicle.kind,
-        "recordings": vehicle.recordings,
-        "errors": vehicle.errors,
-        "not_accepted": vehicle.not_accepted,
-        "effects_mgauss": dict(vehicle.effects),
-        "why": list(vehicle.why),
-        "compasses": [
-            {
-                "compass": history.compass,
-                "device_id": history.device_id,
-                "rate_deg_per_30_days": history.rate_deg_per_30_days,
-                "history": [asdict(point) for point in history.points],
-            }
-            for history in vehicle.histories
-        ],
-    }
