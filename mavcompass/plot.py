@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad
-from mavcompass.parts import require
+from mavcompass.installation.parts import require
 from mavcompass.report.figures import (
     circle_points,
     level_components,

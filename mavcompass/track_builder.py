@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mavcompass import messages as mav
-from mavcompass import telemetry
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_quaternion
+from mavcompass.messages import telemetry
 from mavcompass.track import InForce, MagSeries, Series, Track
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 

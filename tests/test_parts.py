@@ -9,7 +9,7 @@ import pytest
 
 from mavcompass.cli.main import main
 from mavcompass.errors import UsageError
-from mavcompass.parts import PARTS, require
+from mavcompass.installation.parts import PARTS, require
 
 ULG = "flight.ulg"
 

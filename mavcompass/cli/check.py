@@ -13,7 +13,7 @@ from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.source import effects_option, open_source, system_option, this_year
 from mavcompass.cli.terminal.colour import mark
-from mavcompass.invocation import program
+from mavcompass.installation.invocation import program
 
 if TYPE_CHECKING:
     from mavcompass.procedure.check import CheckReport, CheckSettings

@@ -16,7 +16,7 @@ from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.source import reference_option
 from mavcompass.cli.terminal.colour import styled
 from mavcompass.errors import UsageError
-from mavcompass.invocation import program
+from mavcompass.installation.invocation import program
 
 if TYPE_CHECKING:
     from mavcompass.gap.result import Diagnosis

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mavcompass.errors import UsageError
-from mavcompass.parts import require
+from mavcompass.installation.parts import require
 from mavcompass.vehicle.transport import Address, Recording, Serial, parse_address
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from mavcompass.errors import UsageError
 from mavcompass.fleet.examine import Row, Work
-from mavcompass.parts import require
+from mavcompass.installation.parts import require
 
 Kind = Literal["text", "number", "count", "flag", "moment"]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mavcompass.errors import LinkError, MavCompassError
-from mavcompass.parts import require
+from mavcompass.installation.parts import require
 from mavcompass.workers import Answer, Children, Failure
 from mavcompass.workers.children import Task
 

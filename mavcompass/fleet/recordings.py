@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from mavcompass.errors import UsageError
-from mavcompass.parts import require
+from mavcompass.installation.parts import require
 
 SUFFIXES = frozenset({".tlog", ".bin", ".log", ".ulg", ".csv"})
 _MAGIC = frozenset("*?[")

@@ -15,7 +15,7 @@ from mavcompass.fleet.examine import Job, Row, error_row, examine
 from mavcompass.fleet.journal import Journal
 from mavcompass.fleet.recordings import Recording
 from mavcompass.fleet.vehicles import told_apart
-from mavcompass.parts import require
+from mavcompass.installation.parts import require
 from mavcompass.workers import Answer
 from mavcompass.workers.children import Task
 

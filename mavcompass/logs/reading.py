@@ -9,8 +9,8 @@ from types import ModuleType
 
 import numpy as np
 
-from mavcompass.additions import modules_in
 from mavcompass.errors import BadRecording, UsageError
+from mavcompass.installation.additions import modules_in
 from mavcompass.logs import formats
 from mavcompass.track import Track
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
 from mavcompass.enums import CopterMode, MavCmd, MavResult, RoverMode, SubMode
+from mavcompass.messages.kinds import Kind
 from mavcompass.procedure.script import Context, Script
-from mavcompass.procedure.vehicle_state import Kind, VehicleState
+from mavcompass.procedure.vehicle_state import VehicleState
 
 _CUSTOM_MODE = 1.0
 PX4_OFFBOARD = 6 << 16

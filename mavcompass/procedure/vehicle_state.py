@@ -4,39 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Literal
 
 from mavcompass import messages as mav
-from mavcompass.enums import MavAutopilot, MavModeFlag, MavType
+from mavcompass.enums import MavModeFlag
 from mavcompass.errors import NoVehicle
+from mavcompass.messages.kinds import AUTOPILOTS, VEHICLES, Kind
 from mavcompass.procedure.script import Context, Script
-
-Kind = Literal["rover", "boat", "copter", "sub", "plane", "unknown"]
-
-_KINDS: dict[int, Kind] = {
-    MavType.GROUND_ROVER: "rover",
-    MavType.SURFACE_BOAT: "boat",
-    MavType.SUBMARINE: "sub",
-    MavType.FIXED_WING: "plane",
-    **dict.fromkeys(
-        (
-            MavType.QUADROTOR,
-            MavType.COAXIAL,
-            MavType.HELICOPTER,
-            MavType.HEXAROTOR,
-            MavType.OCTOROTOR,
-            MavType.TRICOPTER,
-            MavType.DODECAROTOR,
-            MavType.DECAROTOR,
-        ),
-        "copter",
-    ),
-    **dict.fromkeys(
-        (MavType.VTOL_TAILSITTER_DUOROTOR, MavType.VTOL_TAILSITTER_QUADROTOR, MavType.VTOL_TILTROTOR),
-        "plane",
-    ),
-}
-_AUTOPILOTS = {MavAutopilot.ARDUPILOTMEGA: "ardupilot", MavAutopilot.PX4: "px4"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +27,10 @@ def identify(heard: mav.Incoming) -> VehicleIdentity | None:
     beat = heard.message
     if not isinstance(beat, mav.Heartbeat):
         return None
-    autopilot = _AUTOPILOTS.get(MavAutopilot(beat.autopilot)) if beat.autopilot in _AUTOPILOTS else None
+    autopilot = AUTOPILOTS.get(beat.autopilot)
     if autopilot is None:
         return None
-    return VehicleIdentity(heard.system, heard.component, autopilot, _KINDS.get(beat.type, "unknown"))
+    return VehicleIdentity(heard.system, heard.component, autopilot, VEHICLES.get(beat.type, "unknown"))
 
 
 def find_vehicle(

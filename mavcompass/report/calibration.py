@@ -14,7 +14,7 @@ from mavcompass import __version__
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad, summary
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import UsageError
-from mavcompass.parts import require
+from mavcompass.installation.parts import require
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.report import figures
 from mavcompass.track import Track

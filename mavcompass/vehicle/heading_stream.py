@@ -12,10 +12,10 @@ from mavcompass.errors import LinkLost, NoReply, Refused
 from mavcompass.heading.live import Level, LiveCompass
 from mavcompass.heading.north import grid_convergence_rad
 from mavcompass.heading.two_axis import TwoAxisCompass
+from mavcompass.messages.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.script import Context, Machine, Script, expect
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
-from mavcompass.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
 from mavcompass.track_builder import TrackBuilder
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import SILENCE_S, run

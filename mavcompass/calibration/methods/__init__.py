@@ -11,8 +11,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from mavcompass.additions import module_names
 from mavcompass.errors import UsageError
+from mavcompass.installation.additions import module_names
 
 if TYPE_CHECKING:
     from mavcompass.calibration.recorded import Recorded

@@ -56,8 +56,8 @@ def python() -> Finding:
 
 def parts() -> Iterator[Finding]:
     """Tell which parts of the program are not installed."""
-    from mavcompass.invocation import pip_install
-    from mavcompass.parts import PARTS, missing
+    from mavcompass.installation.invocation import pip_install
+    from mavcompass.installation.parts import PARTS, missing
 
     lacking = [part for part in PARTS.values() if missing(part)]
     for extra in dict.fromkeys(part.extra for part in lacking):

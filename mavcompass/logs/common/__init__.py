@@ -6,15 +6,12 @@ from mavcompass.logs.common.boot_clock import BootClock, build_clock, impossible
 from mavcompass.logs.common.chunks import CHUNK_BYTES, ByteArray, Chunk, read_chunks
 from mavcompass.logs.common.growing import GrowingArray
 from mavcompass.logs.common.intervals import IntArray, not_overlapping, windows
-from mavcompass.logs.common.kinds import AUTOPILOTS, VEHICLES
 from mavcompass.logs.common.motors import motor_outputs
 from mavcompass.logs.common.ordering import finite_series, in_order
 from mavcompass.logs.common.parameter_steps import Change, Seen, ardupilot_steps, changes, px4_steps
 
 __all__ = [
-    "AUTOPILOTS",
     "CHUNK_BYTES",
-    "VEHICLES",
     "BootClock",
     "ByteArray",
     "Change",

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from mavcompass.errors import Refused
+from mavcompass.messages.kinds import Kind
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.calm import wait_until_calm
 from mavcompass.procedure.motion.readiness import Permissions, Readiness
@@ -20,7 +21,7 @@ from mavcompass.procedure.turning import (
     strategies_for,
     vehicle_profile,
 )
-from mavcompass.procedure.vehicle_state import Kind, VehicleIdentity, VehicleState
+from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 
 Motion = Literal["auto", "vehicle", "hand"]
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 from mavcompass import messages as mav
 from mavcompass.enums import EkfFlag, MavState
 from mavcompass.errors import Refused
+from mavcompass.messages.kinds import Kind
 from mavcompass.procedure.modes import ModeKeeper, mode_name
 from mavcompass.procedure.turning import GyroAngle
-from mavcompass.procedure.vehicle_state import Kind, VehicleState
+from mavcompass.procedure.vehicle_state import VehicleState
 
 # Sticks that rest in the middle, by kind; throttles need not.
 _CENTRED: dict[Kind, tuple[int, ...]] = {"rover": (1,), "boat": (1,), "copter": (1, 2, 4), "sub": (4,)}

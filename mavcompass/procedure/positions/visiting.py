@@ -14,9 +14,9 @@ from typing import Protocol
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import UNREST, StillnessDetector
 from mavcompass.errors import LinkLost, Refused
+from mavcompass.messages.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import GyroAngle, TurnStrategy
-from mavcompass.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
 
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2

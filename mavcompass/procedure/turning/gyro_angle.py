@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
-from mavcompass.telemetry import acceleration_mps2, angular_rate_radps, imu_time_s
+from mavcompass.messages.telemetry import acceleration_mps2, angular_rate_radps, imu_time_s
 
 # Longer silences are not bridged: the turn in them is unknown.
 _LONGEST_GAP_S = 1.0

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from mavcompass.data_files import params_path
 from mavcompass.errors import MavCompassError
+from mavcompass.installation.data_files import params_path
 from mavcompass.units import RAD_PER_DEG
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 
-from mavcompass.additions import modules_in
 from mavcompass.errors import MavCompassError
+from mavcompass.installation.additions import modules_in
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.turning import ways
 from mavcompass.procedure.turning.pilots_controls import TurnBy, turn_by_controls

@@ -8,8 +8,8 @@ from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
 from functools import cache
 
-from mavcompass.data_files import params_path
 from mavcompass.enums import MavParamType
+from mavcompass.installation.data_files import params_path
 
 _INTEGER_RANGES = {
     MavParamType.INT8: (-128, 127),

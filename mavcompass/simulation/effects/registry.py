@@ -7,8 +7,8 @@ from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
-from mavcompass.additions import modules_in
 from mavcompass.errors import UsageError
+from mavcompass.installation.additions import modules_in
 from mavcompass.simulation.effects import causes
 from mavcompass.simulation.effects.effect import Effect, Setting
 from mavcompass.simulation.effects.live import Distortion

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from mavcompass.correction import FieldCorrection
-from mavcompass.data_files import params_path
 from mavcompass.errors import MavCompassError
+from mavcompass.installation.data_files import params_path
 
 Range = tuple[float, float]
 

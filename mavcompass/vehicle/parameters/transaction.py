@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mavcompass.errors import MavCompassError, Refused, WriteFailed
-from mavcompass.invocation import program
+from mavcompass.installation.invocation import program
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters import protocol

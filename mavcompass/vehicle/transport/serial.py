@@ -7,7 +7,7 @@ import termios
 from typing import Any
 
 from mavcompass.errors import UsageError
-from mavcompass.parts import require
+from mavcompass.installation.parts import require
 from mavcompass.vehicle.transport.stream import StreamTransport
 from mavcompass.vehicle.transport.transport import READ_BYTES, Reconnect
 

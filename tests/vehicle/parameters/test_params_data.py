@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from parameter_vehicle import ardupilot_parameters
 
-from mavcompass.data_files import params_path
 from mavcompass.errors import MavCompassError
+from mavcompass.installation.data_files import params_path
 from mavcompass.procedure.motion import SafetyLimits
 from mavcompass.procedure.turning import SteeredTurn, strategies_for, vehicle_profile
 from mavcompass.procedure.turning import profiles as vehicle_profiles

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass import telemetry
 from mavcompass.frames import FloatArray, euler_to_quaternion, wrap_pi
 from mavcompass.logs.common import finite_series, motor_outputs
 from mavcompass.logs.formats.tlog.clock import Placer, Samples
 from mavcompass.logs.formats.tlog.compasses import HIGHRES
+from mavcompass.messages import telemetry
 from mavcompass.track import Series
 from mavcompass.units import RAD_PER_DEG
 

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from mavcompass import telemetry
 from mavcompass.compass_parameters import ardupilot_name, px4_name, px4_rotation
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.logs.common import Change, ardupilot_steps, finite_series, px4_steps
 from mavcompass.logs.formats.tlog.clock import Samples
+from mavcompass.messages import telemetry
 from mavcompass.track import InForce, MagSeries
 from mavcompass.units import MGAUSS_PER_GAUSS
 

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass import telemetry
 from mavcompass.compass_parameters import px4_name
-from mavcompass.logs.common import AUTOPILOTS, VEHICLES, BootClock, Change, changes
+from mavcompass.logs.common import BootClock, Change, changes
 from mavcompass.logs.formats.tlog.clock import Placer, clock_of
 from mavcompass.logs.formats.tlog.columns import body_columns, columns
 from mavcompass.logs.formats.tlog.compasses import HIGHRES, compass_of, spokesmen
 from mavcompass.logs.formats.tlog.messages import Messages
 from mavcompass.logs.formats.tlog.parameters import parameters_seen
+from mavcompass.messages import telemetry
+from mavcompass.messages.kinds import AUTOPILOTS, VEHICLES
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 

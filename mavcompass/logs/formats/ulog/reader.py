@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from mavcompass.errors import BadRecording
+from mavcompass.installation.parts import require
 from mavcompass.logs.common import Seen, changes
 from mavcompass.logs.formats.ulog.columns import TOPICS, columns, utc_offset_s, vehicle
 from mavcompass.logs.formats.ulog.compasses import MAG_TOPICS, compasses
-from mavcompass.parts import require
 from mavcompass.track import Track
 
 _MICRO = 1.0e-6

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from mavcompass.errors import UsageError
-from mavcompass.invocation import pip_install
+from mavcompass.installation.invocation import pip_install
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,15 @@
-"""The names that a Track uses for MAVLink's kinds of autopilots and vehicles."""
+"""Our names for MAVLink's kinds of autopilots and vehicles."""
 
 from __future__ import annotations
 
+from typing import Literal
+
 from mavcompass.enums import MavAutopilot, MavType
 
+Kind = Literal["rover", "boat", "copter", "sub", "plane", "unknown"]
+
 AUTOPILOTS: dict[int, str] = {MavAutopilot.ARDUPILOTMEGA: "ardupilot", MavAutopilot.PX4: "px4"}
-VEHICLES: dict[int, str] = {
+VEHICLES: dict[int, Kind] = {
     MavType.FIXED_WING: "plane",
     MavType.QUADROTOR: "copter",
     MavType.COAXIAL: "copter",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mavcompass.errors import MavCompassError
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def params_path(name: str = "") -> Path:
