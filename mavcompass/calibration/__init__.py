@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from mavcompass.installation.doors import door
 
 if TYPE_CHECKING:
     from mavcompass.calibration.calibrate import calibrate_compasses as calibrate_compasses
@@ -25,34 +26,26 @@ if TYPE_CHECKING:
     from mavcompass.calibration.result import CalibrationResult as CalibrationResult
     from mavcompass.calibration.verdict import Limits as Limits
 
-_PUBLIC = {
-    "calibrate_compasses": "calibrate",
-    "calibrate_positions": "judged",
-    "calibrate_track": "calibrate",
-    "FourPositionsResult": "positions",
-    "solve_four_positions": "positions",
-    "Dwell": "observation",
-    "FourPositionData": "observation",
-    "Step": "observation",
-    "dwell_between": "observation",
-    "step_between": "observation",
-    "method_names": "methods",
-    "CalibrationResult": "result",
-    "StillnessDetector": "observation",
-    "assemble": "observation",
-    "find_dwells": "observation",
-    "observe": "observation",
-    "turns_between": "observation",
-    "Limits": "verdict",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _PUBLIC:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted(_PUBLIC)
+__getattr__, __dir__ = door(
+    __name__,
+    {
+        "calibrate_compasses": "calibrate",
+        "calibrate_positions": "judged",
+        "calibrate_track": "calibrate",
+        "FourPositionsResult": "positions",
+        "solve_four_positions": "positions",
+        "Dwell": "observation",
+        "FourPositionData": "observation",
+        "Step": "observation",
+        "dwell_between": "observation",
+        "step_between": "observation",
+        "method_names": "methods",
+        "CalibrationResult": "result",
+        "StillnessDetector": "observation",
+        "assemble": "observation",
+        "find_dwells": "observation",
+        "observe": "observation",
+        "turns_between": "observation",
+        "Limits": "verdict",
+    },
+)
