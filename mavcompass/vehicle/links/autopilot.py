@@ -60,7 +60,7 @@ class SaidFrame:
 
 
 class Autopilot(Protocol):
-    """Be a simulated flight controller (`simulation.vehicle.SimulatedAutopilot`), or one that replays."""
+    """Be a simulated flight controller, or one that replays."""
 
     @property
     def time_s(self) -> float:
