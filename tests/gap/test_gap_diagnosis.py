@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mavcompass.cli.main import main
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.answer.export import affine_map, ardupilot_sitl, preset, settings_of
 from mavcompass.gap.trial.bench import draw_label, tracks_of
-from mavcompass.gap.trial.cases import Recipe, make_track
+from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
+from mavcompass.logs import write_track_csv
 from mavcompass.simulation import effects
 from mavcompass.track import Series, Track
 
@@ -127,7 +129,7 @@ def test_preset_in_our_simulator_closes_the_gap_as_claimed(baseline: Track, tmp_
     path.write_text(preset(settings_of(diagnosis.causes), "case"), encoding="utf-8")
     distortion = effects.Distortion(effects.read_preset(path))
     truth = effects.distortion(["hard_iron:x=40,y=-25", "misalignment:x=0.03,z=0.02"])
-    from mavcompass.gap.trial.cases import ideal, stimulus_of
+    from mavcompass.gap.trial.cases import ideal
 
     stimulus = stimulus_of(RICH)
     rng = np.random.default_rng(0)
@@ -235,3 +237,29 @@ def test_magnet_that_one_half_of_the_recording_hardly_shows_is_named() -> None:
     label = draw_label(4302, 36, "single")
     assert label.effects[0].startswith("spatial_dipole")
     assert diagnose_gap(*tracks_of(label)).effects == {"spatial_dipole"}
+
+
+def test_person_diagnoses_and_exports_a_csv(tmp_path: Path, capsys: object) -> None:
+    log, good = tmp_path / "log.csv", tmp_path / "good.csv"
+    recipe = Recipe("figure-8", duration_s=40.0, seed=31)
+    write_track_csv(make_track(recipe, [effects.parse("hard_iron:x=50,y=-30,z=5")]), log)
+    write_track_csv(make_track(Recipe("figure-8", duration_s=40.0, seed=32)), good)
+    answer, report, parm = tmp_path / "gap.json", tmp_path / "gap.html", tmp_path / "found.parm"
+    arguments = ["gap", "diagnose", str(log), "--baseline", str(good), "--json", str(answer)]
+    assert main([*arguments, "--report", str(report)]) == 0
+    document = json.loads(answer.read_text())
+    assert [c["effect"] for c in document["causes"]] == ["hard_iron"]
+    assert len(document["log"]["sha256"]) == 64
+    html = report.read_text()
+    assert "hard_iron" in html and "<svg" in html and "http" not in html.replace("http-equiv", "")
+    export = ["gap", "export", str(log), "--baseline", str(good), "--to", "ardupilot-sitl", str(parm)]
+    assert main(export) == 0
+    values = dict(line.split(",") for line in parm.read_text().splitlines() if not line.startswith("#"))
+    assert math.isclose(float(values["SIM_MAG1_OFS_X"]), -50.0, abs_tol=1.0)
+
+
+def test_catalogue_is_machine_readable(tmp_path: Path) -> None:
+    file = tmp_path / "catalogue.json"
+    assert main(["gap", "catalogue", "--json", str(file)]) == 0
+    listed = {e["id"] for e in json.loads(file.read_text())["effects"]}
+    assert listed == set(effects.catalogue())

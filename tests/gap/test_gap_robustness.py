@@ -7,14 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavcompass.errors import UsageError
 from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.replay.noise import SensorNoise, wandering
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.trial.cases import Recipe, ideal, make_track, stimulus_of, to_track
-from mavcompass.gap.trial.label import Label
-from mavcompass.gap.trial.score import Answer, Case
-from mavcompass.gap.trial.trial import run_trial
 from mavcompass.simulation import effects
 from mavcompass.track import MagSeries, Series, Track
 
@@ -138,37 +134,3 @@ def test_reference_temperature_stays_near_the_recording(baseline: Track) -> None
         "hard_iron:x=120,y=80,z=-60+temperature_bias:x=0.4,y=-0.3,reference_degc=30", RICH, None
     )
     assert "hard_iron" in diagnosis.effects
-
-
-def test_sealed_trial_scores_its_own_cases() -> None:
-    trial = run_trial(3, 88, "single")
-    assert len(trial.seal) == 64 and len(trial.cases) == 3
-    for case in trial.cases:
-        assert case.answer.after <= case.answer.nominal * (1.0 + 1e-9)
-        assert not case.separation < 0.0
-    assert sum(of for _, of in trial.figures().values()) >= 3
-
-
-def test_vehicles_are_sealed_and_scored_by_the_same_table() -> None:
-    trial = run_trial(2, 3, "withheld", generator="vehicles")
-    assert trial.to_json()["generator"] == "vehicles"
-    for case in trial.cases:
-        assert case.withheld is not None and case.label.ids[0] not in case.withheld.effects
-        assert 0.0 < case.separation <= case.label.size_sigma
-        assert case.answer.cpu_seconds > 0.0
-    assert trial.figures()["confident wrong names"][1] == 2
-
-
-def test_a_name_is_wrong_if_it_is_neither_the_truth_nor_like_it() -> None:
-    def wrong(truth: tuple[str, ...], verdict: str, *named: str) -> bool:
-        answer = Answer(verdict, named, (), 2.0, 1.0, 0.5, (0.4, 0.6), 1.0)
-        return Case(Label("single", "hand", 1, truth), answer, None, 20.0, False, False, 1.0).wrong_name
-
-    assert wrong((), "named", "hard_iron") and wrong(("chirp:x=1",), "named", "hard_iron")
-    assert not wrong(("hard_iron:x=9", "orientation:orientation=4"), "named", "hard_iron")
-    assert not wrong((), "ambiguous", "hard_iron")
-
-
-def test_a_tier_that_a_generator_does_not_have_is_refused() -> None:
-    with pytest.raises(UsageError, match="no tier"):
-        run_trial(1, 1, "outside")

@@ -10,8 +10,9 @@ import pytest
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap.attitude.kinematics import exponentials, integrated, products
 from mavcompass.gap.attitude.levelling import levelled
-from mavcompass.gap.attitude.reference import body_rate
+from mavcompass.gap.attitude.reference import body_rate, reference_attitude
 from mavcompass.gap.attitude.rest import bias_at_rest
+from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -153,3 +154,36 @@ def test_coning_does_not_make_the_attitude_drift() -> None:
     found = integrated(t, body_rate(t, rotation))
     there = rotation[0] @ found[-1]
     assert np.degrees(np.arccos((np.trace(there.T @ rotation[-1]) - 1.0) / 2.0)) < 0.2
+
+
+def test_rate_of_a_steady_turn_is_exact() -> None:
+    t = np.arange(200) * 0.05
+    rate = body_rate(t, euler_to_matrix(0.0, 0.0, 0.8 * t))
+    np.testing.assert_allclose(rate, np.tile([0.0, 0.0, 0.8], (200, 1)), atol=1e-9)
+
+
+def test_rate_of_a_swing_is_right_to_fourth_order() -> None:
+    t = np.arange(400) * 0.05
+    angle, rate = 0.5 * np.sin(3.0 * t), 1.5 * np.cos(3.0 * t)
+    found = body_rate(t, euler_to_matrix(angle, 0.0, 0.0))[:, 0]
+    # The error of five points is h^4 w^4 / 30 of the amplitude.
+    assert np.abs(found - rate)[4:-4].max() < 1.1 * 1.5 * (0.15**4) / 30.0
+
+
+def test_gyro_reference_follows_a_tumbling_vehicle_without_its_compass() -> None:
+    recipe = Recipe("rich", duration_s=60.0, seed=9)
+    track = make_track(recipe)
+    without = Track(
+        compasses=track.compasses, acc_mps2=track.acc_mps2, gyro_radps=track.gyro_radps, place=track.place
+    )
+    t = track.compasses[1].time_s
+    reference = reference_attitude(without, t)
+    assert reference.kind == "fused" and reference.yaw_sigma_rad > 0.5
+    truth = stimulus_of(recipe).rotation
+    # Down in body axes is known; yaw but for a constant.
+    tilt = np.degrees(np.arccos(np.clip(np.sum(reference.rotation[:, 2] * truth[:, 2], axis=1), -1, 1)))
+    assert np.sqrt(np.mean(tilt**2)) < 0.5
+    yaw = np.unwrap(np.arctan2(reference.rotation[:, 1, 0], reference.rotation[:, 0, 0]))
+    true_yaw = np.unwrap(np.arctan2(truth[:, 1, 0], truth[:, 0, 0]))
+    off = yaw - true_yaw
+    assert np.degrees(np.std(off - np.polyval(np.polyfit(t, off, 1), t))) < 1.0

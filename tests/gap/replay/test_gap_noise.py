@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay.noise import SensorNoise, estimate_noise
+from mavcompass.gap.replay.noise import SensorNoise, estimate_noise, rough_sigma, white
 
 
 def wandering(seed: int, n: int = 3000, share: float = 0.45, memory: float = 60.0) -> FloatArray:
@@ -64,3 +64,25 @@ def test_missing_readings_are_drawn_from_the_noise() -> None:
     z = noise.whiten(filled)[1:]
     np.testing.assert_allclose(z.std(axis=0), 1.0, atol=0.04)
     assert abs(float(np.mean(z[1:] * z[:-1]))) < 0.03
+
+
+def test_correlated_noise_is_estimated_and_whitened() -> None:
+    rng = np.random.default_rng(1)
+    white_noise = rng.standard_normal((20_000, 3))
+    error = np.empty_like(white_noise)
+    error[0] = white_noise[0]
+    for i in range(1, len(error)):
+        error[i] = 0.6 * error[i - 1] + 2.0 * white_noise[i]
+    noise = estimate_noise(error, np.ones(len(error), dtype=bool), 0.0)
+    np.testing.assert_allclose(noise.coefficients[0], 0.6, atol=0.02)
+    np.testing.assert_allclose(noise.sigma, 2.0, rtol=0.02)
+    z = noise.whiten(error)[1:]
+    assert abs(np.mean(z[1:] * z[:-1])) < 0.02 and abs(z.std() - 1.0) < 0.02
+
+
+def test_scatter_is_seen_behind_a_slow_cause() -> None:
+    rng = np.random.default_rng(2)
+    t = np.arange(4000) * 0.05
+    error = 50.0 * np.sin(0.3 * t)[:, None] + 2.0 * rng.standard_normal((4000, 3))
+    np.testing.assert_allclose(rough_sigma(error, np.ones(4000, dtype=bool)), 2.0, rtol=0.1)
+    assert white(np.full(3, 2.0)).whiten(error).std() > 10.0

@@ -91,3 +91,11 @@ def test_whole_milligauss_repeat_by_chance() -> None:
     replayed = replay(replace(track, compasses={1: counted}))
     assert replayed.trace.stale_share > 0.003 and not names_stale(replayed, None)
     assert not names_step(replayed, None, 1.0)
+
+
+def test_field_of_a_replay_is_that_of_the_place() -> None:
+    track = make_track(Recipe("yaw-steps", duration_s=30.0, seed=3))
+    replayed = replay(track)
+    nominal = rotate_back(replayed.signals.stimulus.rotation, replayed.signals.stimulus.field_ned_mgauss)
+    error = replayed.measured.mag_mgauss - nominal
+    assert np.abs(error.mean(axis=0)).max() < 0.5 and 2.5 < error.std() < 3.5

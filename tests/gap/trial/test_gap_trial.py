@@ -1,0 +1,89 @@
+"""The blind trial: seals, stored cases, scores."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavcompass.errors import UsageError
+from mavcompass.gap.trial.bench import draw_label
+from mavcompass.gap.trial.label import Label
+from mavcompass.gap.trial.score import Answer, Case, wilson
+from mavcompass.gap.trial.sealed import seal
+from mavcompass.gap.trial.stored import read_case, write_case
+from mavcompass.gap.trial.trial import run_trial
+from mavcompass.gap.trial.vehicles import make_case
+from mavcompass.track import Series
+
+
+def test_sealed_cases_tell_nothing_of_their_labels(tmp_path: Path) -> None:
+    digest = seal(tmp_path, 3, 5)
+    assert (tmp_path / "seal").read_text().strip() == digest
+    labels = json.loads((tmp_path / "labels.json").read_text())["labels"]
+    track, baseline = read_case(tmp_path / "0001.npz")
+    assert isinstance(track.acc_mps2, Series) and isinstance(baseline.gyro_radps, Series)
+    with np.load(tmp_path / "0001.npz") as archive:
+        assert not any("label" in name or "effect" in name for name in archive.files)
+    again = draw_label(5, 1)
+    assert list(again.effects) == labels[1]["effects"]
+
+
+def test_stored_vehicle_is_the_same_and_tells_nothing_of_the_truth(tmp_path: Path) -> None:
+    case = make_case(4, "single")
+    write_case(tmp_path / "case.npz", case.track, case.baseline)
+    track, _ = read_case(tmp_path / "case.npz")
+    assert track.truth_q is None and case.track.truth_q is not None
+    assert track.parameters == case.track.parameters and track.vehicle == case.track.vehicle
+    assert track.compasses[1].in_force == case.track.compasses[1].in_force
+    assert np.array_equal(track.raw_field(), case.track.raw_field())
+    for name in ("attitude_rad", "gyro_radps", "place", "gps_velocity_mps", "motors"):
+        one, other = getattr(track, name), getattr(case.track, name)
+        assert (one is None) == (other is None)
+        if one is not None:
+            assert np.array_equal(one.time_s, other.time_s) and np.array_equal(one.values, other.values)
+    with np.load(tmp_path / "case.npz") as archive:
+        told = str(archive["rest"]) + " ".join(archive.files)
+    assert not any(word in told for word in ("truth", "clean", *(name for name, _ in case.effects)))
+
+
+def test_interval_of_a_share_holds_it() -> None:
+    low, high = wilson(8, 1100)
+    assert math.isclose(low, 0.0037, abs_tol=3e-4) and math.isclose(high, 0.0143, abs_tol=3e-4)
+
+
+def test_sealed_trial_scores_its_own_cases() -> None:
+    trial = run_trial(3, 88, "single")
+    assert len(trial.seal) == 64 and len(trial.cases) == 3
+    for case in trial.cases:
+        assert case.answer.after <= case.answer.nominal * (1.0 + 1e-9)
+        assert not case.separation < 0.0
+    assert sum(of for _, of in trial.figures().values()) >= 3
+
+
+def test_vehicles_are_sealed_and_scored_by_the_same_table() -> None:
+    trial = run_trial(2, 3, "withheld", generator="vehicles")
+    assert trial.to_json()["generator"] == "vehicles"
+    for case in trial.cases:
+        assert case.withheld is not None and case.label.ids[0] not in case.withheld.effects
+        assert 0.0 < case.separation <= case.label.size_sigma
+        assert case.answer.cpu_seconds > 0.0
+    assert trial.figures()["confident wrong names"][1] == 2
+
+
+def test_a_name_is_wrong_if_it_is_neither_the_truth_nor_like_it() -> None:
+    def wrong(truth: tuple[str, ...], verdict: str, *named: str) -> bool:
+        answer = Answer(verdict, named, (), 2.0, 1.0, 0.5, (0.4, 0.6), 1.0)
+        return Case(Label("single", "hand", 1, truth), answer, None, 20.0, False, False, 1.0).wrong_name
+
+    assert wrong((), "named", "hard_iron") and wrong(("chirp:x=1",), "named", "hard_iron")
+    assert not wrong(("hard_iron:x=9", "orientation:orientation=4"), "named", "hard_iron")
+    assert not wrong((), "ambiguous", "hard_iron")
+
+
+def test_a_tier_that_a_generator_does_not_have_is_refused() -> None:
+    with pytest.raises(UsageError, match="no tier"):
+        run_trial(1, 1, "outside")
