@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -31,11 +31,11 @@ from mavcompass.service.web.bodies import (
     HistoryQuery,
     Nothing,
     Undoing,
+    parse_address,
     parse_body,
-    parse_parameters,
 )
 from mavcompass.service.web.metrics import CONTENT_TYPE, Metrics
-from mavcompass.service.web.openapi import openapi
+from mavcompass.service.web.openapi import OPERATIONS, Operation, openapi
 from mavcompass.service.web.security import MOST_BODY_BYTES, PAGE_POLICY, Guard
 from mavcompass.service.web.state import moment_json, state_json
 from mavcompass.service.web.stream import Stream
@@ -49,8 +49,6 @@ from mavcompass.service.work.tasks import Request as TaskRequest
 PAGE = Path(__file__).with_name("page")
 _REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 
-Handler = Callable[[Request], Awaitable[Response]]
-
 
 def build_app(
     config: ServiceConfig,
@@ -61,30 +59,11 @@ def build_app(
     is_alive: Callable[[], bool] = lambda: True,
 ) -> Starlette:
     """Put the interface together."""
-    api = _Api(config, station, history, gaps, is_alive)
+    api = Api(config, station, history, gaps, is_alive)
     routes: list[BaseRoute] = [
         Route("/", _page),
-        Route("/openapi.json", api.describe),
-        Route("/metrics", api.metrics),
-        Route("/register_service", _register),
-        Route("/healthz", api.health),
-        Route("/readyz", api.ready),
-        Route("/api/state", api.state),
-        Route("/api/heading", api.heading),
-        Route("/api/task", api.task),
-        Route("/api/task/answer", api.answer, methods=["POST"]),
-        Route("/api/task/stop", api.stop, methods=["POST"]),
-        Route("/api/calibration", api.calibrate, methods=["POST"]),
-        Route("/api/check", api.check, methods=["POST"]),
-        Route("/api/undo", api.undo, methods=["POST"]),
-        Route("/api/history", api.history),
-        Route("/api/history/{entry}", api.entry),
-        Route("/api/history/{entry}/report", api.report),
-        Route("/api/history/{entry}/recording", api.recording),
-        Route("/api/parameters", api.parameters),
-        Route("/api/parameters/diff", api.difference, methods=["POST"]),
-        Route("/api/gap", api.gap_task),
-        Route("/api/gap", api.gap, methods=["POST"]),
+        Route("/openapi.json", _describe),
+        *(_route(operation, api) for operation in OPERATIONS),
         WebSocketRoute("/api/stream", Stream(station).endpoint),
         Mount("/web", StaticFiles(directory=PAGE)),
     ]
@@ -107,18 +86,23 @@ def _page_text() -> bytes:
     return (PAGE / "index.html").read_bytes()
 
 
-async def _register(request: Request) -> Response:
-    """Tell BlueOS, which asks every port of its host, what is served here."""
-    return JSONResponse(
-        {
-            "name": "mavcompass",
-            "description": "Compass calibration in four turns, heading with sigma, a watch over the compass.",
-            "icon": "mdi-compass-outline",
-            "company": "mavcompass",
-            "version": __version__,
-            "api": "/openapi.json",
-        }
-    )
+async def _describe(request: Request) -> Response:
+    return JSONResponse(openapi())
+
+
+def _route(operation: Operation, api: Api) -> Route:
+    """Make the route of an operation, whose handler is given what it takes, checked."""
+    handler: Callable[..., Awaitable[Response]] = getattr(api, operation.handler)
+
+    async def answer(request: Request) -> Response:
+        if operation.takes is None:
+            return await handler()
+        if operation.where == "body":
+            return await handler(await _body(request, operation.takes))
+        given = request.path_params if operation.where == "path" else request.query_params
+        return await handler(parse_address(given, operation.takes))
+
+    return Route(operation.path, answer, methods=[operation.method])
 
 
 async def _http_error(request: Request, error: Exception) -> Response:
@@ -147,11 +131,9 @@ async def _body(request: Request, model: type[Model]) -> Model:
     return parse_body(bytes(data), request.headers.get("content-type", ""), model)
 
 
-def _entry_number(request: Request) -> int:
-    return parse_parameters(request.path_params, EntryPath, strict=False).entry
+class Api:
+    """Answer each operation; `openapi.OPERATIONS` says which, and what it takes."""
 
-
-class _Api:
     def __init__(
         self,
         config: ServiceConfig,
@@ -169,45 +151,53 @@ class _Api:
 
     # --- reading ------------------------------------------------------------------------------------
 
-    async def describe(self, request: Request) -> Response:
-        return JSONResponse(openapi())
-
-    async def metrics(self, request: Request) -> Response:
+    async def metrics(self) -> Response:
         return Response(self._metrics.render(), headers={"content-type": CONTENT_TYPE})
 
-    async def health(self, request: Request) -> Response:
+    async def register(self) -> Response:
+        """Tell BlueOS, which asks every port of its host, what is served here."""
+        return JSONResponse(
+            {
+                "name": "mavcompass",
+                "description": "Compass calibration in four turns, heading with sigma,"
+                " a watch over the compass.",
+                "icon": "mdi-compass-outline",
+                "company": "mavcompass",
+                "version": __version__,
+                "api": "/openapi.json",
+            }
+        )
+
+    async def health(self) -> Response:
         alive = self._is_alive()
         return JSONResponse(
             {"alive": alive} if alive else {"error": "The station is stuck."}, 200 if alive else 503
         )
 
-    async def ready(self, request: Request) -> Response:
+    async def ready(self) -> Response:
         if self._station.connected:
             return JSONResponse({"ready": True})
         return JSONResponse({"error": self._station.link_error or "The vehicle is not heard."}, 503)
 
-    async def state(self, request: Request) -> Response:
+    async def state(self) -> Response:
         return JSONResponse(state_json(self._station))
 
-    async def heading(self, request: Request) -> Response:
+    async def heading(self) -> Response:
         if not self._station.connected:
             return JSONResponse({"error": self._station.link_error or "The vehicle is not heard."}, 503)
         return JSONResponse(moment_json(self._station))
 
-    async def task(self, request: Request) -> Response:
+    async def task(self) -> Response:
         return _show(self._station.desk.current)
 
-    async def history(self, request: Request) -> Response:
-        known = {field.name for field in fields(HistoryQuery)}
-        given = {name: text for name, text in request.query_params.items() if name in known}
-        query = parse_parameters(given, HistoryQuery, strict=False)
+    async def history(self, query: HistoryQuery) -> Response:
         entries = await run_in_threadpool(
             self._history.entries, query.kind, None, query.device, query.before, query.limit
         )
         return JSONResponse({"entries": [entry.head() for entry in entries]})
 
-    async def entry(self, request: Request) -> Response:
-        entry = await self._entry(_entry_number(request))
+    async def entry(self, asked: EntryPath) -> Response:
+        entry = await self._entry(asked.entry)
         return JSONResponse(entry.head() | {"document": dict(entry.document)})
 
     async def _entry(self, number: int) -> Entry:
@@ -216,15 +206,15 @@ class _Api:
             raise HTTPException(404, f"The history has no entry {number}.")
         return entry
 
-    async def report(self, request: Request) -> Response:
-        entry = await self._entry(_entry_number(request))
+    async def report(self, asked: EntryPath) -> Response:
+        entry = await self._entry(asked.entry)
         if entry.report is None or not Path(entry.report).is_file():
             raise HTTPException(404, f"Entry {entry.id} has no report.")
         headers = {"content-security-policy": _REPORT_POLICY}
         return FileResponse(entry.report, media_type="text/html", headers=headers)
 
-    async def recording(self, request: Request) -> Response:
-        entry = await self._entry(_entry_number(request))
+    async def recording(self, asked: EntryPath) -> Response:
+        entry = await self._entry(asked.entry)
         path = recording_path(self._config.folder, entry.id)
         if not path.is_file():
             raise HTTPException(404, f"Entry {entry.id} has no recording.")
@@ -236,29 +226,27 @@ class _Api:
             raise MavCompassError("The compass parameters were not read yet.", "Try again in a moment.")
         return dict(view.parameters)
 
-    async def parameters(self, request: Request) -> Response:
+    async def parameters(self) -> Response:
         return JSONResponse({"parameters": self._in_force()})
 
-    async def difference(self, request: Request) -> Response:
-        wanted = (await _body(request, Comparing)).parameters
+    async def difference(self, wanted: Comparing) -> Response:
         now = self._in_force()
         changes = [
             {"name": name, "now": now.get(name), "then": value, "differs": _differs(now.get(name), value)}
-            for name, value in wanted.items()
+            for name, value in wanted.parameters.items()
         ]
         return JSONResponse({"differences": changes})
 
     # --- writing and moving -------------------------------------------------------------------------
 
-    async def calibrate(self, request: Request) -> Response:
-        wanted = await _body(request, CalibrationRequest)
+    async def calibrate(self, wanted: CalibrationRequest) -> Response:
         return self._take(replace(wanted, compasses=tuple(sorted(wanted.compasses))))
 
-    async def check(self, request: Request) -> Response:
-        return self._take(await _body(request, CheckRequest))
+    async def check(self, wanted: CheckRequest) -> Response:
+        return self._take(wanted)
 
-    async def undo(self, request: Request) -> Response:
-        entry = await self._entry((await _body(request, Undoing)).entry)
+    async def undo(self, wanted: Undoing) -> Response:
+        entry = await self._entry(wanted.entry)
         if entry.undo_file is None:
             raise HTTPException(404, f"Entry {entry.id} wrote nothing, so there is nothing to undo.")
         return self._take(UndoRequest(entry.undo_file))
@@ -266,28 +254,26 @@ class _Api:
     def _take(self, request: TaskRequest) -> Response:
         return _show(self._station.desk.submit(request, "http", utc_now()), 202)
 
-    async def answer(self, request: Request) -> Response:
-        yes = (await _body(request, Answer)).yes
+    async def answer(self, answer: Answer) -> Response:
         task = self._station.desk.current
-        if task is None or not task.give_answer(yes):
+        if task is None or not task.give_answer(answer.yes):
             raise HTTPException(409, "No question is open.")
         return _show(task)
 
-    async def stop(self, request: Request) -> Response:
-        await _body(request, Nothing)
+    async def stop(self, _: Nothing) -> Response:
         task = self._station.desk.current
         if task is None or task.finished:
             raise HTTPException(409, "Nothing is under way.")
         task.stop.reason = task.stop.reason or "Stopped from the page."
         return _show(task)
 
-    async def gap(self, request: Request) -> Response:
-        entry = await self._entry((await _body(request, Explaining)).entry)
+    async def explain(self, wanted: Explaining) -> Response:
+        entry = await self._entry(wanted.entry)
         if entry.kind != "calibration" or not recording_path(self._config.folder, entry.id).is_file():
             raise HTTPException(404, f"Entry {entry.id} has no recording.")
         return _show(self._gaps.submit(entry), 202)
 
-    async def gap_task(self, request: Request) -> Response:
+    async def explanation(self) -> Response:
         return _show(self._gaps.desk.current)
 
 

@@ -1,11 +1,11 @@
-"""What requests bring besides those for a procedure: small models, and the way from bytes to a model."""
+"""What requests bring besides those for a procedure: small models, and the way from text to a model."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 from msgspec import Meta
 
@@ -90,11 +90,16 @@ def parse_body(data: bytes, content_type: str, model: type[Model]) -> Model:
             raise BadRequest(400, "The body is not JSON.") from error
     if not isinstance(value, dict):
         raise BadRequest(422, "The body must be an object.")
-    return parse_parameters(value, model)
+    return _read(model, value)
 
 
-def parse_parameters(values: Mapping[str, Any], model: type[Model], strict: bool = True) -> Model:
-    """Check what was written; not `strict` reads numbers from text. Raises BadRequest with 422."""
+def parse_address(values: Mapping[str, str], model: type[Model]) -> Model:
+    """Read what an address holds, leaving what the model does not know. Raises BadRequest with 422."""
+    known = get_type_hints(model)
+    return _read(model, {name: text for name, text in values.items() if name in known}, strict=False)
+
+
+def _read(model: type[Model], values: Mapping[str, Any], strict: bool = True) -> Model:
     try:
         return read(model, values, strict)
     except Mistakes as wrong:

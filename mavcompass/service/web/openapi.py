@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
-from typing import Any, get_type_hints
+from functools import partial
+from typing import Any, Literal, get_type_hints
 
 import msgspec
 
@@ -22,124 +23,134 @@ _ERROR = {
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """Describe one operation: what it does, the models of what it takes, which statuses it answers with."""
+    """Describe one operation: who does it, what it does, which statuses it answers with.
+
+    Attributes:
+        handler: name of the method of `app.Api`. takes: the model of the body, else of the address.
+    """
 
     method: str
+    handler: str
     path: str
     summary: str
     statuses: Mapping[int, str]
-    body: type | None = None
-    path_model: type | None = None
-    query_model: type | None = None
+    takes: type | None = None
     content: str = "application/json"
+
+    @property
+    def where(self) -> Literal["body", "path", "query"]:
+        """Tell where it takes its model from."""
+        return "body" if self.method == "post" else "path" if "{" in self.path else "query"
 
 
 _BUSY = "Another procedure is under way: one motion at a time."
 _TAKEN = {202: "Taken; see its task.", 409: _BUSY, 503: "The service is stopping."}
 _NOT_THERE = {404: "There is none of this number."}
 
+_get = partial(Operation, "get")
+_post = partial(Operation, "post")
+
 OPERATIONS = (
-    Operation(
-        "get", "/api/state", "Tell everything: link, vehicle, headings, findings, task.", {200: "State."}
-    ),
-    Operation(
-        "get",
+    _get("state", "/api/state", "Tell everything: link, vehicle, headings, findings, task.", {200: "State."}),
+    _get(
+        "heading",
         "/api/heading",
         "Tell the latest heading of every compass.",
         {200: "Headings.", 503: "The vehicle is not heard."},
     ),
-    Operation("get", "/api/task", "Tell how the latest request is getting on.", {200: "Task.", **_NOT_THERE}),
-    Operation(
-        "post", "/api/calibration", "Start a calibration. The vehicle may move.", _TAKEN, CalibrationRequest
+    _get("task", "/api/task", "Tell how the latest request is getting on.", {200: "Task.", **_NOT_THERE}),
+    _post(
+        "calibrate",
+        "/api/calibration",
+        "Start a calibration. The vehicle may move.",
+        _TAKEN,
+        CalibrationRequest,
     ),
-    Operation("post", "/api/check", "Start a pre-flight check. With a turn, it moves.", _TAKEN, CheckRequest),
-    Operation(
-        "post",
+    _post("check", "/api/check", "Start a pre-flight check. With a turn, it moves.", _TAKEN, CheckRequest),
+    _post(
+        "answer",
         "/api/task/answer",
         "Answer the question that the task asks.",
         {200: "Task.", 409: "No question is open."},
         bodies.Answer,
     ),
-    Operation(
-        "post",
+    _post(
+        "stop",
         "/api/task/stop",
         "Stop what is under way, safely.",
         {200: "Task.", 409: "Nothing is under way."},
         bodies.Nothing,
     ),
-    Operation(
-        "post",
+    _post(
+        "undo",
         "/api/undo",
         "Put back what a calibration in the history replaced.",
         _TAKEN | _NOT_THERE,
         bodies.Undoing,
     ),
-    Operation(
-        "get",
-        "/api/history",
-        "List what was done, newest first.",
-        {200: "Entries."},
-        query_model=bodies.HistoryQuery,
+    _get(
+        "history", "/api/history", "List what was done, newest first.", {200: "Entries."}, bodies.HistoryQuery
     ),
-    Operation(
-        "get",
+    _get(
+        "entry",
         "/api/history/{entry}",
         "Tell one entry with its document.",
         {200: "Entry.", **_NOT_THERE},
-        path_model=bodies.EntryPath,
+        bodies.EntryPath,
     ),
-    Operation(
-        "get",
+    _get(
+        "report",
         "/api/history/{entry}/report",
         "Show the HTML report of an entry.",
         {200: "Report.", **_NOT_THERE},
-        path_model=bodies.EntryPath,
+        bodies.EntryPath,
         content="text/html",
     ),
-    Operation(
-        "get",
+    _get(
+        "recording",
         "/api/history/{entry}/recording",
         "Get the recording of a calibration (.tlog).",
         {200: "Recording.", **_NOT_THERE},
-        path_model=bodies.EntryPath,
+        bodies.EntryPath,
         content="application/octet-stream",
     ),
-    Operation(
-        "get",
+    _get(
+        "parameters",
         "/api/parameters",
         "Tell the compass parameters in force.",
         {200: "Parameters.", 503: "They were not read yet."},
     ),
-    Operation(
-        "post",
+    _post(
+        "difference",
         "/api/parameters/diff",
         "Compare parameters with those in force; nothing is written.",
         {200: "Differences.", 503: "They were not read yet."},
         bodies.Comparing,
     ),
-    Operation(
-        "post",
+    _post(
+        "explain",
         "/api/gap",
         "Explain why a calibration's recording differs from the simulation; takes minutes.",
         _TAKEN | _NOT_THERE,
         bodies.Explaining,
     ),
-    Operation(
-        "get", "/api/gap", "Tell how the latest diagnosis is getting on.", {200: "Task.", **_NOT_THERE}
+    _get(
+        "explanation",
+        "/api/gap",
+        "Tell how the latest diagnosis is getting on.",
+        {200: "Task.", **_NOT_THERE},
     ),
-    Operation("get", "/metrics", "Metrics for Prometheus.", {200: "Metrics."}, content="text/plain"),
-    Operation("get", "/register_service", "Tell BlueOS what is served here.", {200: "Registration."}),
-    Operation("get", "/healthz", "Tell whether the service lives.", {200: "It does.", 503: "It is stuck."}),
-    Operation(
-        "get", "/readyz", "Tell whether the vehicle is heard.", {200: "It is.", 503: "It is not heard."}
-    ),
+    _get("metrics", "/metrics", "Metrics for Prometheus.", {200: "Metrics."}, content="text/plain"),
+    _get("register", "/register_service", "Tell BlueOS what is served here.", {200: "Registration."}),
+    _get("health", "/healthz", "Tell whether the service lives.", {200: "It does.", 503: "It is stuck."}),
+    _get("ready", "/readyz", "Tell whether the vehicle is heard.", {200: "It is.", 503: "It is not heard."}),
 )
 
 
 def openapi() -> dict[str, Any]:
     """Build the description."""
-    models = {operation.body for operation in OPERATIONS if operation.body is not None}
-    _, schemas = msgspec.json.schema_components(models, ref_template=_REFERENCE)
+    taken = {operation.takes for operation in OPERATIONS if operation.where == "body"} - {None}
+    _, schemas = msgspec.json.schema_components(taken, ref_template=_REFERENCE)
     for schema in schemas.values():
         schema["additionalProperties"] = False
     paths: dict[str, dict[str, Any]] = {}
@@ -164,10 +175,8 @@ def openapi() -> dict[str, Any]:
 def _describe(operation: Operation) -> dict[str, Any]:
     error = {"application/json": {"schema": {"$ref": _REFERENCE.format(name="Error")}}}
     statuses = dict(operation.statuses)
-    parameters = [*_parameters(operation.path_model, "path"), *_parameters(operation.query_model, "query")]
-    if parameters:
-        statuses[422] = "A parameter is out of range."
-    if operation.body is not None:
+    takes = operation.takes
+    if takes is not None and operation.where == "body":
         statuses |= {
             400: "The body is not JSON.",
             401: "The token is missing or wrong.",
@@ -176,6 +185,8 @@ def _describe(operation: Operation) -> dict[str, Any]:
             415: "The body is not application/json.",
             422: "The body is not as described.",
         }
+    elif takes is not None:
+        statuses[422] = "A parameter is out of range."
     statuses[421] = "The service does not answer to this host name."
     name = operation.path.replace("/", "_").replace("{", "").replace("}", "")
     described: dict[str, Any] = {
@@ -189,22 +200,20 @@ def _describe(operation: Operation) -> dict[str, Any]:
             for status, text in sorted(statuses.items())
         },
     }
-    if parameters:
-        described["parameters"] = parameters
-    if operation.body is not None:
+    if takes is not None and operation.where == "body":
         described["security"] = [{"token": []}]
         described["requestBody"] = {
-            "required": any(field.default is MISSING for field in fields(operation.body)),
-            "content": {
-                "application/json": {"schema": {"$ref": _REFERENCE.format(name=operation.body.__name__)}}
-            },
+            "required": any(field.default is MISSING for field in fields(takes)),
+            "content": {"application/json": {"schema": {"$ref": _REFERENCE.format(name=takes.__name__)}}},
         }
+    elif takes is not None:
+        described["parameters"] = list(_parameters(takes, operation.where))
     return described
 
 
-def _parameters(model: type | None, where: str) -> Iterator[dict[str, Any]]:
+def _parameters(model: type, where: str) -> Iterator[dict[str, Any]]:
     """Describe the fields of a model as parameters of an address."""
-    for name, kind in ({} if model is None else get_type_hints(model, include_extras=True)).items():
+    for name, kind in get_type_hints(model, include_extras=True).items():
         schema = msgspec.json.schema(kind)
         text = schema.pop("description")
         schema = schema.get("anyOf", [schema])[0]  # left out, not null

@@ -195,28 +195,6 @@ def test_what_is_not_there_is_told(quiet: RunningService) -> None:
     assert quiet.client.post("/api/state").status_code == 405
 
 
-def test_every_path_that_is_served_is_described(quiet: RunningService) -> None:
-    from starlette.routing import Route
-
-    from mavcompass.service.web.app import build_app
-
-    service = quiet.service
-    app = build_app(service.config, service.station, service.history, service.gaps, service.token)
-    served = {
-        (method.lower(), route.path)
-        for route in app.routes
-        if isinstance(route, Route)
-        for method in route.methods or ()
-        if method != "HEAD" and route.path not in ("/", "/openapi.json")
-    }
-    described = {
-        (method, path)
-        for path, operations in quiet.stranger.get("/openapi.json").json()["paths"].items()
-        for method in operations
-    }
-    assert served == described
-
-
 def test_every_heading_goes_out_as_a_datagram(start_service: StartService) -> None:
     import socket
 
