@@ -63,7 +63,7 @@ def command(
             config = replace(config, **{table: replace(getattr(config, table), **changed)})
     require_for(config.vehicle.source)
     if not logging.getLogger("mavcompass").isEnabledFor(logging.INFO):
-        logging.basicConfig(stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s")
+        logging.basicConfig(stream=sys.stderr, format="%(levelname)s: %(message)s")
     service = Service(config)
 
     def say_ready() -> None:

@@ -15,6 +15,7 @@ from mavcompass.procedure.positions.visiting import DwellSettings, Rest
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import GyroAngle
 
+_CLEARLY_RAD = math.radians(10.0)  # so much nearer the other way is worth a change of mind
 _POLL_S = 0.1
 # A prompt that changes faster than this cannot be read.
 _READABLE_S = 0.4
@@ -120,7 +121,7 @@ class HandMover:
         """Return the turn to the nearest heading that is wanted; of two as near, the one asked for."""
         now_rad = self.gyro.angle_rad
         turns = [float(wrap_pi(heading - now_rad)) for heading in self._wanted(step_rad)]
-        return min(turns, key=lambda turn: abs(turn) - (1e-3 if turn * step_rad > 0.0 else 0.0))
+        return min(turns, key=lambda turn: abs(turn) - (_CLEARLY_RAD if turn * step_rad > 0.0 else 0.0))
 
     def _wanted(self, step_rad: float) -> list[float]:
         """List the headings that are still wanted: the steps of the circle, or either side of the last."""

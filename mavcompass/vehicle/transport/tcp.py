@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import selectors
 import socket
 from contextlib import suppress
@@ -75,7 +76,7 @@ class TcpServerTransport:
         except OSError as error:
             self._selector.close()
             raise UsageError(
-                f"{self.name} cannot be listened on: {error.strerror or error}.",
+                f"{self.name} cannot be listened on: {os.strerror(error.errno) if error.errno else error}.",
                 "Choose an address of this machine and a port that no other program uses.",
             ) from error
         self.name = f"tcpin:{host}:{self.port}"

@@ -1,0 +1,71 @@
+"""A diagnosis in words: first what to do, no figure that says nothing, long lists only when asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from mavcompass.gap import diagnose_gap
+from mavcompass.gap.result import Closing, Diagnosis, Flight, Verdict
+from mavcompass.gap.trial.cases import Recipe, make_track
+from mavcompass.report.gap_words import advice, shrink_words, summary
+from mavcompass.simulation import effects
+
+
+@pytest.fixture(scope="module")
+def magnet() -> Diagnosis:
+    return diagnose_gap(
+        make_track(Recipe("figure-8", duration_s=40.0, seed=51), [effects.parse("hard_iron:x=-30,y=20,z=12")])
+    )
+
+
+def test_the_first_line_says_what_to_do(magnet: Diagnosis) -> None:
+    first, *rest = summary(magnet)
+    assert first == "Calibrate: the vehicle's iron is not what its parameters say."
+    assert "hard_iron (100 %), permanent magnetism fixed to the vehicle: x -" in "\n".join(rest)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        ("no_gap", "Nothing to do"),
+        ("named_with_remainder", "Then record and diagnose again"),
+        ("ambiguous", "record this to decide: spins"),
+        ("unknown", "--baseline"),
+        ("not_testable", "Record again, with turns"),
+    ],
+)
+def test_every_verdict_has_its_advice(magnet: Diagnosis, verdict: Verdict, words: str) -> None:
+    spins = Flight("spins", ("hard_iron", "soft_iron"), 12.0)
+    assert words in advice(replace(magnet, verdict=verdict, next_flight=(spins,)))
+
+
+def test_a_coarse_recording_does_not_vouch_for_the_heading(magnet: Diagnosis) -> None:
+    coarse = replace(magnet, verdict="no_gap", heading=Closing(4.8, 4.8, 12.8, 0.0, (0.0, 0.0)))
+    assert "heading errors below 13 deg do not show" in advice(coarse)
+
+
+@pytest.mark.parametrize(
+    ("after", "shrink", "interval", "words"),
+    [
+        (1.0, 0.999, (0.998, 1.0), "100 %"),
+        (1.0, 0.96, (0.92, 0.98), "96 % (92 to 98)"),
+        (9.0, 1.3, (-0.2, 1.6), "100 % (0 to 100, uncertain)"),
+        (9.0, 0.5, (float("nan"), float("nan")), "50 % (too short for an interval)"),
+        (10.0, 0.0, (0.0, 0.0), "none"),
+    ],
+)
+def test_a_share_is_said_with_its_interval_where_that_says_more(
+    after: float, shrink: float, interval: tuple[float, float], words: str
+) -> None:
+    assert shrink_words(Closing(10.0, after, 1.0, shrink, interval)) == words
+
+
+def test_what_could_not_show_is_counted_and_listed_only_when_asked_for(magnet: Diagnosis) -> None:
+    assert magnet.not_testable
+    effect, why = magnet.not_testable[0]
+    assert f"{len(magnet.not_testable)} effects could not show" in summary(magnet)[-1]
+    assert why not in "\n".join(summary(magnet))
+    listed = next(line for line in summary(magnet, everything=True) if why in line)
+    assert effect in listed
