@@ -13,7 +13,7 @@ from mavcompass.gap.attitude import body_rate
 from mavcompass.gap.fit import Fit, Term, make_term
 from mavcompass.gap.replay import Noise
 from mavcompass.gap.result import Flight
-from mavcompass.simulation.effects import Setting, catalogue
+from mavcompass.simulation.effects import Setting
 from mavcompass.simulation.effects.effect import Chain, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -136,8 +136,3 @@ def _signals(protocol: Protocol, field: FloatArray) -> Signals:
         throttle, temperature, np.repeat(throttle[:, None], 4, axis=1),
     )  # fmt: skip
     return Signals(stimulus, Reading(rotate_back(rotation, world), force, rate_radps))
-
-
-def separating_motion(effect_id: str) -> str:
-    """Say in words what tells an effect from its aliases."""
-    return catalogue()[effect_id].separated_by

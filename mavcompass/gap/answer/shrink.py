@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Problem
-from mavcompass.gap.left import Floor, heading_error_rad, rms, rms_deg
+from mavcompass.gap.left import Floor, heading_error_rad, rms
 from mavcompass.gap.result import Bar, Closing
 from mavcompass.simulation.physics.signals import Reading
 
@@ -175,6 +175,3 @@ def waterfall(
                 parts.append(part)
         bars.append(Bar(member, total, min(parts), max(parts)))
     return tuple(sorted(bars, key=lambda b: -b.part_mgauss2))
-
-
-__all__ = ["closings", "rms_deg", "waterfall"]

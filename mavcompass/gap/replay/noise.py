@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import GROUPS, Group
+from mavcompass.simulation.effects.effect import Group
 from mavcompass.simulation.physics.signals import Reading
 
 _MOST_LAGS = 4
@@ -258,17 +258,3 @@ def rough_sigma(error: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
     if len(second) < 10:
         return np.full(3, np.nan)
     return np.asarray(1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0))
-
-
-__all__ = [
-    "GROUPS",
-    "USUAL_SCATTER_MGAUSS",
-    "WORST_SCATTER_MGAUSS",
-    "Noise",
-    "SensorNoise",
-    "estimate_noise",
-    "group_values",
-    "rough_sigma",
-    "wandering",
-    "white",
-]
