@@ -1,1 +1,1 @@
-"""Lets the tests in the folders below import the helpers that stand here: dialogue, far_ends, serving."""
+"""Lets the tests in the folders below import the helpers that stand here, such as dialogue and far_ends."""

@@ -29,10 +29,7 @@ class Sender:
 
 
 class Arming(Protocol):
-    """Arm and disarm."""
-
-    def arm(self, forced: bool) -> bool:
-        """Arm if nothing speaks against it, or forced."""
+    """Be in charge of the motors."""
 
     def disarm(self) -> None:
         """Stop the motors."""
