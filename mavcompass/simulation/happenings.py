@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from mavcompass.simulation.autopilot.firmware import Firmware
+from mavcompass.simulation.autopilot import Firmware
 from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.physics.motion import Body
 

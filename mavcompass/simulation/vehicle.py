@@ -17,8 +17,7 @@ from collections.abc import Collection, Mapping, MutableMapping, Sequence
 from mavcompass.enums import MavAutopilot, MavState, MavType
 from mavcompass.messages import Heartbeat, Message
 from mavcompass.simulation.ardupilot import ArduPilot
-from mavcompass.simulation.autopilot.board import Board, Outgoing
-from mavcompass.simulation.autopilot.firmware import Firmware, Sender
+from mavcompass.simulation.autopilot import Board, Firmware, Outgoing, Sender
 from mavcompass.simulation.happenings import Happenings
 from mavcompass.simulation.physics.compasses import Calibration, CompassSetup, draw_compasses
 from mavcompass.simulation.physics.motion import Body, Drive

@@ -9,7 +9,7 @@ from bent_vehicles import bent_vehicle, calibrated
 
 from mavcompass.messages import Message
 from mavcompass.procedure.calibrate import CalibrateSettings
-from mavcompass.simulation.autopilot.board import Outgoing
+from mavcompass.simulation.autopilot import Outgoing
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot

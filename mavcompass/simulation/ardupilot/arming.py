@@ -11,10 +11,7 @@ from mavcompass.enums import MavSeverity
 from mavcompass.simulation.ardupilot.compasses import INSTANCES, CompassBank, horizontal_length
 from mavcompass.simulation.ardupilot.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.ardupilot.modes import ModeRules
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.guidance import HoverGuidance
-from mavcompass.simulation.autopilot.parameter_store import ParameterStore
-from mavcompass.simulation.autopilot.status import Status
+from mavcompass.simulation.autopilot import Board, HoverGuidance, ParameterStore, Status
 from mavcompass.simulation.physics.motion import rotation_matrix
 
 _CHECK_ALL, _CHECK_COMPASS, _CHECK_INS = 1, 4, 16

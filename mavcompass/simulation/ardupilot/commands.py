@@ -14,12 +14,7 @@ from mavcompass.simulation.ardupilot.arming import Arming
 from mavcompass.simulation.ardupilot.compasses import INSTANCES, CompassBank
 from mavcompass.simulation.ardupilot.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.ardupilot.modes import Modes
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.commands import FORCE
-from mavcompass.simulation.autopilot.guidance import HoverGuidance
-from mavcompass.simulation.autopilot.parameter_server import ParameterServer
-from mavcompass.simulation.autopilot.status import Status
-from mavcompass.simulation.autopilot.telemetry import Telemetry
+from mavcompass.simulation.autopilot import FORCE, Board, HoverGuidance, ParameterServer, Status, Telemetry
 
 _FORCE_SAVE_CALIBRATION = 76.0
 _SENSOR_OF_COMPASS = {2: 1, 5: 2, 6: 3}

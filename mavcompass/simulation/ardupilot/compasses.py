@@ -9,9 +9,7 @@ import numpy as np
 from mavcompass.compass_parameters import ardupilot_correction, ardupilot_name
 from mavcompass.correction import FieldCorrection, Vector
 from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, sensor_orientation_matrix
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.compasses import Compasses
-from mavcompass.simulation.autopilot.parameter_store import ParameterStore
+from mavcompass.simulation.autopilot import Board, Compasses, ParameterStore
 
 INSTANCES = (1, 2, 3)
 _ROTATION_NONE = 0

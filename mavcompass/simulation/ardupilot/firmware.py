@@ -16,14 +16,20 @@ from mavcompass.simulation.ardupilot.reports import ArduPilotReports
 from mavcompass.simulation.ardupilot.routine import Routine
 from mavcompass.simulation.ardupilot.steering import Steering
 from mavcompass.simulation.ardupilot.targets import attitude_target, position_target
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.firmware import Firmware, Sender
-from mavcompass.simulation.autopilot.guidance import GroundGuidance, HoverGuidance
-from mavcompass.simulation.autopilot.parameter_server import ARDUPILOT_MANNERS, ParameterServer
-from mavcompass.simulation.autopilot.parameter_store import ParameterStore, parameter_table
-from mavcompass.simulation.autopilot.radio import Radio
-from mavcompass.simulation.autopilot.status import Status
-from mavcompass.simulation.autopilot.telemetry import Telemetry
+from mavcompass.simulation.autopilot import (
+    ARDUPILOT_MANNERS,
+    Board,
+    Firmware,
+    GroundGuidance,
+    HoverGuidance,
+    ParameterServer,
+    ParameterStore,
+    Radio,
+    Sender,
+    Status,
+    Telemetry,
+    parameter_table,
+)
 
 _PARAMETER_FILES = {
     "skid": ("ardupilot.param", "rover.param"),
@@ -46,24 +52,19 @@ class ArduPilot(Firmware):
         self, board: Board, parameters: Mapping[str, float], storage: MutableMapping[str, float] | None
     ) -> None:
         table = parameter_table(*_PARAMETER_FILES[board.profile.chassis])
-        store = ParameterStore(table, _defaults(board) | dict(parameters), storage)
+        self.board = board
+        self.store = store = ParameterStore(table, _defaults(board) | dict(parameters), storage)
+        self.parameters = served = ParameterServer(board, store, ARDUPILOT_MANNERS)
+        self.compasses = compasses = CompassBank(board, store)
+        self.calibration = calibration = MagnetometerCalibration()
+        self.radio = radio = Radio(throttle_low=board.profile.chassis == "copter")
+        self.ground, self.hover = ground, hover = GroundGuidance(board), HoverGuidance(board)
         rules = mode_rules(board.profile)
-        status = Status(rules.name(board.profile.initial_mode) or "")
-        served = ParameterServer(board, store, ARDUPILOT_MANNERS)
-        compasses = CompassBank(board, store)
-        calibration = MagnetometerCalibration()
-        radio = Radio(throttle_low=board.profile.chassis == "copter")
-        ground, hover = GroundGuidance(board), HoverGuidance(board)
-        modes = Modes(board, status, rules, ground, hover)
-        arming = Arming(board, status, store, rules, compasses, calibration, hover)
-        reports = ArduPilotReports(board, status, compasses, radio, rules, arming, store)
-        telemetry = Telemetry(board, reports)
-
-        self.board, self.status, self.store = board, status, store
-        self.parameters, self.compasses, self.calibration = served, compasses, calibration
-        self.radio, self.ground, self.hover = radio, ground, hover
-        self.modes, self.arming = modes, arming
-        self.reports, self.telemetry = reports, telemetry
+        self.status = status = Status(rules.name(board.profile.initial_mode) or "")
+        self.modes = modes = Modes(board, status, rules, ground, hover)
+        self.arming = arming = Arming(board, status, store, rules, compasses, calibration, hover)
+        self.reports = reports = ArduPilotReports(board, status, compasses, radio, rules, arming, store)
+        self.telemetry = telemetry = Telemetry(board, reports)
         self.steering = Steering(board, status, store, rules, radio, ground, hover, arming)
         self.routine = Routine(board, status, served, compasses, calibration, ground, hover, arming)
         self.commands = Commands(

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mavcompass.enums import CopterMode, MavModeFlag, MavSeverity, RoverMode, SubMode
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.guidance import GroundGuidance, HoverGuidance
-from mavcompass.simulation.autopilot.status import Status
+from mavcompass.simulation.autopilot import Board, GroundGuidance, HoverGuidance, Status
 from mavcompass.simulation.physics.profiles import VehicleProfile
 
 _NAMES: dict[str, dict[str, int]] = {

@@ -8,10 +8,7 @@ from mavcompass.enums import MavSeverity
 from mavcompass.simulation.ardupilot.arming import Arming
 from mavcompass.simulation.ardupilot.compasses import CompassBank
 from mavcompass.simulation.ardupilot.magnetometer_calibration import MagnetometerCalibration
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.guidance import GroundGuidance, HoverGuidance
-from mavcompass.simulation.autopilot.parameter_server import ParameterServer
-from mavcompass.simulation.autopilot.status import Status
+from mavcompass.simulation.autopilot import Board, GroundGuidance, HoverGuidance, ParameterServer, Status
 
 _PREARM_PERIOD_S = 30.0
 _STATISTICS_PERIOD_S = 30.0

@@ -7,11 +7,17 @@ from dataclasses import dataclass, field
 
 from mavcompass.simulation.ardupilot.arming import Arming
 from mavcompass.simulation.ardupilot.modes import ModeRules
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.guidance import GroundGuidance, HoverGuidance, Ignore, Target, stick
-from mavcompass.simulation.autopilot.parameter_store import ParameterStore
-from mavcompass.simulation.autopilot.radio import Radio
-from mavcompass.simulation.autopilot.status import Status
+from mavcompass.simulation.autopilot import (
+    Board,
+    GroundGuidance,
+    HoverGuidance,
+    Ignore,
+    ParameterStore,
+    Radio,
+    Status,
+    Target,
+    stick,
+)
 from mavcompass.simulation.physics.motion import Drive
 
 _CLIMB_MPS, _DESCEND_MPS, _LAND_MPS, _FALL_MPS = 2.5, 1.5, 0.5, 4.0

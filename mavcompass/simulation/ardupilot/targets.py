@@ -7,9 +7,7 @@ from enum import IntFlag
 
 from mavcompass.enums import MavFrame
 from mavcompass.messages import Quaternion, SetAttitudeTarget, SetPositionTargetLocalNed
-from mavcompass.simulation.autopilot.attitude_filter import wrap_angle
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.guidance import Ignore, Target
+from mavcompass.simulation.autopilot import Board, Ignore, Target, wrap_angle
 
 _BODY_FRAMES = (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED)
 

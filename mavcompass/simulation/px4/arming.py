@@ -6,9 +6,7 @@ import math
 from dataclasses import dataclass
 
 from mavcompass.enums import MavSeverity
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.parameter_store import ParameterStore
-from mavcompass.simulation.autopilot.status import Status
+from mavcompass.simulation.autopilot import Board, ParameterStore, Status
 from mavcompass.simulation.px4.compasses import Px4Compasses
 
 

@@ -8,11 +8,7 @@ from dataclasses import dataclass
 from mavcompass.compass_parameters import px4_name
 from mavcompass.enums import MavCmd, MavResult
 from mavcompass.messages import CommandLong
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.commands import FORCE, whole
-from mavcompass.simulation.autopilot.parameter_server import ParameterServer
-from mavcompass.simulation.autopilot.status import Status
-from mavcompass.simulation.autopilot.telemetry import Telemetry
+from mavcompass.simulation.autopilot import FORCE, Board, ParameterServer, Status, Telemetry, whole
 from mavcompass.simulation.px4.arming import Arming
 from mavcompass.simulation.px4.compasses import INSTANCES, Px4Compasses
 from mavcompass.simulation.px4.flight import Flight

@@ -10,9 +10,7 @@ import numpy as np
 from mavcompass.compass_parameters import px4_correction, px4_name
 from mavcompass.correction import FieldCorrection, Vector
 from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, sensor_orientation_matrix
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.compasses import Compasses
-from mavcompass.simulation.autopilot.parameter_store import ParameterStore
+from mavcompass.simulation.autopilot import Board, Compasses, ParameterStore
 
 INSTANCES = (1, 2)
 # Changes of the offset that are shorter than this do not reach the running calibration.

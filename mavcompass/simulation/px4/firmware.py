@@ -12,14 +12,19 @@ from mavcompass import messages as m
 from mavcompass.compass_parameters import px4_name, px4_values
 from mavcompass.enums import MavSeverity
 from mavcompass.frames import sensor_orientation_matrix
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.firmware import Firmware, Sender
-from mavcompass.simulation.autopilot.guidance import HoverGuidance
-from mavcompass.simulation.autopilot.parameter_server import PX4_MANNERS, ParameterServer
-from mavcompass.simulation.autopilot.parameter_store import ParameterStore, parameter_table
-from mavcompass.simulation.autopilot.radio import Radio
-from mavcompass.simulation.autopilot.status import Status
-from mavcompass.simulation.autopilot.telemetry import Telemetry
+from mavcompass.simulation.autopilot import (
+    PX4_MANNERS,
+    Board,
+    Firmware,
+    HoverGuidance,
+    ParameterServer,
+    ParameterStore,
+    Radio,
+    Sender,
+    Status,
+    Telemetry,
+    parameter_table,
+)
 from mavcompass.simulation.physics.noise import generator
 from mavcompass.simulation.px4.arming import Arming
 from mavcompass.simulation.px4.commands import Commands
@@ -43,23 +48,19 @@ class Px4(Firmware):
     ) -> None:
         mounting = int(generator(board.seed, "mounting").choice(_MOUNTINGS))
         defaults = _defaults(board, mounting) | dict(parameters)
-        store = ParameterStore(parameter_table("px4.param"), defaults, storage)
-        status = Status("POSCTL")
-        served = ParameterServer(board, store, PX4_MANNERS)
-        compasses = Px4Compasses(board, store, mounting)
-        radio = Radio(throttle_low=False)
+        self.board = board
+        self.store = store = ParameterStore(parameter_table("px4.param"), defaults, storage)
+        self.parameters = served = ParameterServer(board, store, PX4_MANNERS)
+        self.compasses = compasses = Px4Compasses(board, store, mounting)
+        self.radio = radio = Radio(throttle_low=False)
+        self.status = status = Status("POSCTL")
         hover, setpoints = HoverGuidance(board), Setpoints(board)
-        modes = Modes(board, status, hover, setpoints)
-        arming = Arming(board, status, store, compasses)
-        flight = Flight(board, status, store, radio, hover, setpoints, modes, arming)
-        reports = Px4Reports(board, status, compasses, radio, arming, store)
-        telemetry = Telemetry(board, reports)
-
-        self.board, self.status, self.store = board, status, store
-        self.parameters, self.compasses, self.radio = served, compasses, radio
-        self.modes, self.arming = modes, arming
-        self.reports, self.telemetry = reports, telemetry
-        self.steering = self.flight = flight
+        self.modes = modes = Modes(board, status, hover, setpoints)
+        self.arming = arming = Arming(board, status, store, compasses)
+        self.reports = reports = Px4Reports(board, status, compasses, radio, arming, store)
+        self.telemetry = telemetry = Telemetry(board, reports)
+        self.flight = flight = Flight(board, status, store, radio, hover, setpoints, modes, arming)
+        self.steering = flight
         self.commands = Commands(board, status, modes, arming, flight, compasses, served, telemetry)
 
     def boot(self, armed: bool) -> None:

@@ -7,11 +7,16 @@ from dataclasses import dataclass, field
 
 from mavcompass.enums import MavFrame, MavSeverity
 from mavcompass.messages import SetPositionTargetLocalNed
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.guidance import HoverGuidance, Ignore, Target, stick
-from mavcompass.simulation.autopilot.parameter_store import ParameterStore
-from mavcompass.simulation.autopilot.radio import Radio
-from mavcompass.simulation.autopilot.status import Status
+from mavcompass.simulation.autopilot import (
+    Board,
+    HoverGuidance,
+    Ignore,
+    ParameterStore,
+    Radio,
+    Status,
+    Target,
+    stick,
+)
 from mavcompass.simulation.physics.motion import Drive
 from mavcompass.simulation.px4.arming import Arming
 from mavcompass.simulation.px4.modes import BY_HAND, Modes

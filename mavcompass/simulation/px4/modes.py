@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mavcompass.enums import MavModeFlag, MavSeverity
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.guidance import HoverGuidance
-from mavcompass.simulation.autopilot.status import Status
+from mavcompass.simulation.autopilot import Board, HoverGuidance, Status
 from mavcompass.simulation.px4.setpoints import Setpoints
 
 _AUTO = 4

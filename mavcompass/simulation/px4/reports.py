@@ -6,12 +6,17 @@ from collections.abc import Mapping
 
 from mavcompass import messages as m
 from mavcompass.enums import MavAutopilot, MavModeFlag
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.parameter_store import ParameterStore
-from mavcompass.simulation.autopilot.radio import Radio
-from mavcompass.simulation.autopilot.reports import Battery, Reports, between, int16
-from mavcompass.simulation.autopilot.status import Status
-from mavcompass.simulation.autopilot.streams import MESSAGE_IDS
+from mavcompass.simulation.autopilot import (
+    MESSAGE_IDS,
+    Battery,
+    Board,
+    ParameterStore,
+    Radio,
+    Reports,
+    Status,
+    between,
+    int16,
+)
 from mavcompass.simulation.px4 import modes
 from mavcompass.simulation.px4.arming import Arming
 from mavcompass.simulation.px4.compasses import Px4Compasses

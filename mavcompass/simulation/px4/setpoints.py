@@ -6,7 +6,7 @@ import math
 from collections import deque
 from itertools import pairwise
 
-from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot import Board
 
 # Setpoints must come faster than 2 Hz to be a stream.
 _SLOWEST_S = 0.5

@@ -18,7 +18,6 @@ from mavcompass.vehicle.ardupilot.commit import commit_device_ids
 from mavcompass.vehicle.ardupilot.plan import ArduPilotPlanner
 from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.dialect import CompassDialect, no_answer
-from mavcompass.vehicle.parameters.rules import parameter_rules
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
 
 COMPASSES = (1, 2, 3)
@@ -32,11 +31,7 @@ class ArduPilotDialect(CompassDialect):
     prefix = "COMPASS"
     encoding: Encoding = "cast"
     commit = staticmethod(commit_device_ids)
-
-    @property
-    def planner(self) -> ArduPilotPlanner:
-        """Plan by the rules of `params/ardupilot.toml`."""
-        return ArduPilotPlanner(parameter_rules(self.autopilot))
+    planner_kind = ArduPilotPlanner
 
     def compass_parameters_typed(self, context: Context) -> Script[dict[str, Parameter]]:
         """Read everything about all compasses and what `rules.vehicle` adds, with types.

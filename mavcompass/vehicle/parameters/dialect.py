@@ -13,7 +13,7 @@ from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.planning import Planner
-from mavcompass.vehicle.parameters.rules import ParameterRules
+from mavcompass.vehicle.parameters.rules import ParameterRules, parameter_rules
 from mavcompass.vehicle.parameters.transaction import Commit, Transaction
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
 
@@ -23,13 +23,14 @@ class CompassDialect(ABC):
 
     Attributes:
         autopilot: its name. prefix: what the names of its compass parameters begin with.
-        encoding: how it puts integers into PARAM_VALUE.
+        encoding: how it puts integers into PARAM_VALUE. planner_kind: what plans its writes.
         commit: what must be done beside the parameters after they are written.
     """
 
     autopilot: Literal["ardupilot", "px4"]
     prefix: str
     encoding: Encoding
+    planner_kind: type[Planner]
     commit: Commit | None = None
 
     def __init__(self, source: str = "SOURCE") -> None:
@@ -56,14 +57,14 @@ class CompassDialect(ABC):
         """Return the sensor-to-body rotation where telemetry carries the uncorrected sensor's axes."""
 
     @property
-    @abstractmethod
-    def planner(self) -> Planner:
-        """Return what plans its writes."""
-
-    @property
     def rules(self) -> ParameterRules:
         """Return the limits and write rules of `params/`."""
-        return self.planner.rules
+        return parameter_rules(self.autopilot)
+
+    @property
+    def planner(self) -> Planner:
+        """Return what plans its writes."""
+        return self.planner_kind(self.rules)
 
     def read_typed(self, context: Context, names: Sequence[str]) -> Script[dict[str, Parameter]]:
         """Read parameters with their types; a name that the vehicle does not know is left out."""

@@ -11,7 +11,6 @@ from mavcompass.errors import Refused
 from mavcompass.frames import FloatArray
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters.dialect import CompassDialect, no_answer
-from mavcompass.vehicle.parameters.rules import parameter_rules
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
 from mavcompass.vehicle.px4.plan import PX4Planner
 
@@ -24,11 +23,7 @@ class PX4Dialect(CompassDialect):
     autopilot: Literal["px4"] = "px4"
     prefix = "CAL_MAG"
     encoding: Encoding = "bytewise"
-
-    @property
-    def planner(self) -> PX4Planner:
-        """Plan by the rules of `params/px4.toml`."""
-        return PX4Planner(parameter_rules(self.autopilot))
+    planner_kind = PX4Planner
 
     def compass_parameters_typed(self, context: Context) -> Script[dict[str, Parameter]]:
         """Read everything about all compasses, with types; unused slots are not asked for further."""

@@ -325,7 +325,7 @@ def test_place_and_heading_are_the_filters(station):
 
 @pytest.mark.parametrize("vehicle", ["rover", "copter"])
 def test_every_message_can_be_requested(station, vehicle):
-    from mavcompass.simulation.autopilot.streams import MESSAGES
+    from mavcompass.simulation.autopilot import MESSAGES
 
     s = station(vehicle)
     for number, (kind, _) in MESSAGES.items():

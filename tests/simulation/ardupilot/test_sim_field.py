@@ -7,7 +7,7 @@ from mavcompass import messages as m
 from mavcompass.compass_parameters import ardupilot_values
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import rotate_back
-from mavcompass.simulation.autopilot.reports import int16
+from mavcompass.simulation.autopilot import int16
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.sensors import CompassModel
 
