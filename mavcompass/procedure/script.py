@@ -175,7 +175,13 @@ class Machine(Generic[T]):
                 self._script.close()
         except MavCompassError as what_is_left:
             self._finish(None, what_is_left)
-        self._finish(None, Refused("The procedure was stopped, and the vehicle did not answer after."))
+        self._finish(
+            None,
+            Refused(
+                "The procedure was stopped, and the vehicle did not answer after.",
+                "Look at the vehicle before you go near it.",
+            ),
+        )
 
     def _resume(self, advance: Callable[[], float]) -> None:
         try:

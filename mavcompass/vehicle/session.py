@@ -156,6 +156,8 @@ def write_values(
     if plan.refusals:
         raise Refused(" ".join(plan.refusals), "Nothing was written.")
     if question and not (yield from ask(context, question)):
-        raise Refused("Nothing was written: the question was not answered with yes.")
+        raise Refused(
+            "Nothing was written: the question was not answered with yes.", "Run it again to be asked again."
+        )
     outcome = yield from held.dialect.write(context, plan, save_undo(held))
     return WriteReport(held, plan, outcome)

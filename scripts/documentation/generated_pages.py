@@ -11,7 +11,7 @@ import inspect
 import re
 import textwrap
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -150,21 +150,34 @@ def found_refusals() -> Iterator[tuple[int, str, str]]:
         if isinstance(kind, type) and issubclass(kind, errors.MavCompassError) and kind.exit_code in MEANING
     }
     for file in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        constants = _constants(tree)
+        for node in ast.walk(tree):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in kinds:
-                words = [_words(argument) for argument in node.args[:2]]
+                words = [_words(argument, constants) for argument in node.args[:2]]
                 if words and words[0]:
                     remedy = words[1] if len(words) > 1 and words[1] else ""
                     yield kinds[node.func.id].exit_code, words[0], remedy
 
 
-def _words(node: ast.expr) -> str | None:
-    """Return the text of a string, with its fields as ‹names›; None for anything else."""
+def _constants(tree: ast.Module) -> dict[str, ast.expr]:
+    """Return what a module's capital letters stand for."""
+    return {
+        node.targets[0].id: node.value
+        for node in tree.body
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)
+    }
+
+
+def _words(node: ast.expr, constants: Mapping[str, ast.expr]) -> str | None:
+    """Return the text of a string, or of a module's constant, with its fields as ‹names›; else None."""
     match node:
+        case ast.Name(id=name) if name in constants:
+            return _words(constants[name], {})
         case ast.Constant(value=str(text)):
             return text
         case ast.JoinedStr(values=parts):
-            return "".join(_words(part) or "" for part in parts)
+            return "".join(_words(part, constants) or "" for part in parts)
         case ast.FormattedValue(value=value):
             return f"‹{_name(value)}›"
     return None

@@ -41,7 +41,10 @@ def world_field(
         return earth.vector_mgauss, _with_anomaly(earth.vector_mgauss, earth.sigma_mgauss, reference), ()
     rows = reference.known & np.isfinite(raw).all(axis=1)
     if not rows.any():
-        raise BadRecording("The attitude reference and the compass never speak at the same time.", "")
+        raise BadRecording(
+            "The attitude reference and the compass never speak at the same time.",
+            "Choose another with --reference, or record both together.",
+        )
     field = np.median(rotate(reference.rotation[rows], raw[rows]), axis=0)
     note = (
         "The recording does not say where it was made: the field is estimated from it, so that the field's"
