@@ -112,10 +112,9 @@ ROWS = {
     ],
     "fleet": [{"run", "summary"}, {"columns", "engine", "journal"}, {"examine"}, {"recordings", "vehicles"}],
     "report": [
-        {"fleet", "gap"},
-        {"calibration"},
+        {"calibration", "fleet", "gap"},
         {"document", "figures", "gap_figures", "gap_words"},
-        {"svg"},
+        {"page", "svg"},
     ],
     "workers": [{"__main__", "children"}, {"child"}],
 }

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mavcompass import __version__
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad, summary
 from mavcompass.correction import FieldCorrection
-from mavcompass.errors import UsageError
-from mavcompass.installation.parts import require
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.report import figures
+from mavcompass.report.page import write_page
 from mavcompass.track import Track
-
-_TEMPLATES = Path(__file__).with_name("templates")
 
 
 def write_report(report: CalibrationReport, path: Path) -> None:
@@ -61,42 +56,15 @@ def _write(
     proof: str | None,
     written: bool,
 ) -> None:
-    html = render(
-        "calibration.html",
-        made_at=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        version=__version__,
-        accepted=bool(results) and all(result.accepted for result in results),
-        written=written,
-        facts=facts,
-        notes=notes,
-        proof=proof,
-        compasses=[_compass(track, result) for result in results],
-    )
-    try:
-        path.write_text(html, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"The report could not be written to {path} ({error.strerror}).",
-            "Name a file in a folder that you may write to.",
-        ) from error
-
-
-def render(template: str, **values: Any) -> str:
-    """Fill a template of this room; everything is escaped but the figures.
-
-    Raises UsageError where the package that does it is not installed.
-    """
-    require("An HTML report")
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(template).render(**values)
+    shown = {
+        "accepted": bool(results) and all(result.accepted for result in results),
+        "written": written,
+        "facts": facts,
+        "notes": notes,
+        "proof": proof,
+        "compasses": [_compass(track, result) for result in results],
+    }
+    write_page(path, "calibration.html", shown)
 
 
 def _compass(track: Track, result: CalibrationResult) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.procedure.report import CalibrationReport
@@ -58,19 +59,7 @@ def live_document(source: str, report: CalibrationReport, method: str) -> dict[s
         "messages": list(report.messages),
     }
     if proof is not None:
-        document["proof"] = [
-            {
-                "instance": compass.instance,
-                "field_turned_deg": compass.field_turned_deg,
-                "gyro_turned_deg": compass.gyro_turned_deg,
-                "tolerance_deg": compass.tolerance_deg,
-                "change_deg": compass.change_deg,
-                "change_allowed_deg": compass.change_allowed_deg,
-                "doubts": list(compass.doubts),
-                "passed": compass.passed,
-            }
-            for compass in proof.compasses
-        ]
+        document["proof"] = [asdict(compass) | {"passed": compass.passed} for compass in proof.compasses]
     return document
 
 

@@ -8,11 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mavcompass import __version__
-from mavcompass.errors import UsageError
 from mavcompass.fleet.summary import LEAST_MGAUSS, NOTABLE_DEG, History, Summary, Vehicle
 from mavcompass.frames import FloatArray
-from mavcompass.report.calibration import render
+from mavcompass.report.page import write_page
 from mavcompass.report.svg import Plot, bars, limits
 
 _DAY_S = 86_400.0
@@ -26,33 +24,24 @@ def write_fleet_report(summary: Summary, facts: Mapping[str, str], path: Path) -
     """Write the page. Raises UsageError where it cannot be written or jinja2 is missing."""
     effects = [e for e in summary.effects if e.largest_mgauss >= LEAST_MGAUSS]
     drifting = [v for v in summary.vehicles if any(len(h.points) > 1 for h in v.histories)]
-    html = render(
-        "fleet.html",
-        made_at=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        version=__version__,
-        summary=summary,
-        facts=facts,
-        notable_deg=NOTABLE_DEG,
-        first=[(v, "/".join(Path(v.last_recording).parts[-2:])) for v in summary.look_first[:_MOST_FIRST]],
-        effects=effects,
-        vehicles=[(v, _last_off_deg(v), _rate(v)) for v in summary.vehicles[:_MOST_VEHICLES]],
-        drifts=[(v, drift_figure(v, summary.work == "calibrate")) for v in drifting[:_MOST_DRIFTS]],
-        drifting=len(drifting),
-        errors=summary.errors[:_MOST_ERRORS],
-        not_accepted=summary.not_accepted[:_MOST_ERRORS],
-        effect_bars=bars(
+    shown = {
+        "summary": summary,
+        "facts": facts,
+        "notable_deg": NOTABLE_DEG,
+        "first": [(v, "/".join(Path(v.last_recording).parts[-2:])) for v in summary.look_first[:_MOST_FIRST]],
+        "effects": effects,
+        "vehicles": [(v, _last_off_deg(v), _rate(v)) for v in summary.vehicles[:_MOST_VEHICLES]],
+        "drifts": [(v, drift_figure(v, summary.work == "calibrate")) for v in drifting[:_MOST_DRIFTS]],
+        "drifting": len(drifting),
+        "errors": summary.errors[:_MOST_ERRORS],
+        "not_accepted": summary.not_accepted[:_MOST_ERRORS],
+        "effect_bars": bars(
             sorted(((e.effect, e.median_mgauss) for e in effects), key=lambda e: -e[1])[:12],
             "mG",
             "Median size of each effect",
         ),
-    )
-    try:
-        path.write_text(html, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"The summary page could not be written to {path} ({error.strerror}).",
-            "Name a file in a folder that you may write to.",
-        ) from error
+    }
+    write_page(path, "fleet.html", shown)
 
 
 def drift_figure(vehicle: Vehicle, calibrated: bool) -> str:

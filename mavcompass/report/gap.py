@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from mavcompass import __version__
-from mavcompass.errors import UsageError
 from mavcompass.gap.result import Cause, Diagnosis
 from mavcompass.gap.trial import Trial, wilson
-from mavcompass.report.calibration import render
 from mavcompass.report.gap_figures import (
     ambiguity_figure,
     gap_figures,
@@ -21,6 +17,7 @@ from mavcompass.report.gap_figures import (
     waterfall_figure,
 )
 from mavcompass.report.gap_words import advice, shrink_words
+from mavcompass.report.page import write_page
 from mavcompass.simulation.effects import catalogue
 
 _VERDICTS = {
@@ -52,27 +49,24 @@ def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
         facts["Known from the baseline"] = ", ".join(diagnosis.folded)
     if diagnosis.withheld:
         facts["Withheld"] = ", ".join(diagnosis.withheld)
-    html = render(
-        "gap.html",
-        made_at=_now(),
-        version=__version__,
-        verdict=word,
-        css=css,
-        sentence=sentence,
-        facts=facts,
-        notes=diagnosis.notes,
-        d=diagnosis,
-        causes=[_cause(c) for c in diagnosis.causes],
-        look_alikes=[c.effect for c in diagnosis.look_alikes],
-        figures=gap_figures(diagnosis),
-        waterfall=waterfall_figure(diagnosis.field, diagnosis.waterfall),
-        ambiguity=ambiguity_figure(diagnosis),
-        tests=tests_figure(diagnosis.tests),
-        advice=advice(diagnosis),
-        field_shrink=shrink_words(diagnosis.field),
-        heading_shrink=shrink_words(diagnosis.heading),
-    )
-    _write(path, html)
+    shown = {
+        "verdict": word,
+        "css": css,
+        "sentence": sentence,
+        "facts": facts,
+        "notes": diagnosis.notes,
+        "d": diagnosis,
+        "causes": [_cause(c) for c in diagnosis.causes],
+        "look_alikes": [c.effect for c in diagnosis.look_alikes],
+        "figures": gap_figures(diagnosis),
+        "waterfall": waterfall_figure(diagnosis.field, diagnosis.waterfall),
+        "ambiguity": ambiguity_figure(diagnosis),
+        "tests": tests_figure(diagnosis.tests),
+        "advice": advice(diagnosis),
+        "field_shrink": shrink_words(diagnosis.field),
+        "heading_shrink": shrink_words(diagnosis.heading),
+    }
+    write_page(path, "gap.html", shown)
 
 
 def write_trial_report(trial: Trial, path: Path) -> None:
@@ -83,15 +77,12 @@ def write_trial_report(trial: Trial, path: Path) -> None:
         share = f"{100 * hits / of:.1f} %" if of else "-"
         drawn = interval_figure(low, hits / of, high) if of else ""
         rows.append((name, hits, of, share, f"{100 * low:.1f} to {100 * high:.1f}" if of else "-", drawn))
-    html = render(
-        "gap_trial.html",
-        made_at=_now(),
-        version=__version__,
-        trial=trial,
-        rows=rows,
-        reliability=reliability(trial),
-    )
-    _write(path, html)
+    shown = {
+        "trial": trial,
+        "rows": rows,
+        "reliability": reliability(trial),
+    }
+    write_page(path, "gap_trial.html", shown)
 
 
 def reliability(trial: Trial) -> list[tuple[str, int, str, str]]:
@@ -107,10 +98,6 @@ def reliability(trial: Trial) -> list[tuple[str, int, str, str]]:
         name = f"{low:g} to {high:g}" if math.isfinite(high) else f"{low:g} and more"
         rows.append((name, len(chosen), share, drawn))
     return rows
-
-
-def _now() -> str:
-    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def _cause(cause: Cause) -> dict[str, Any]:
@@ -129,13 +116,3 @@ def _cause(cause: Cause) -> dict[str, Any]:
             for name, value in cause.parameters.items()
         ],
     }
-
-
-def _write(path: Path, html: str) -> None:
-    try:
-        path.write_text(html, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"The report could not be written to {path} ({error.strerror}).",
-            "Name a file in a folder that you may write to.",
-        ) from error
