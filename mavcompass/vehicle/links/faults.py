@@ -7,11 +7,14 @@ import math
 import random
 from dataclasses import dataclass, replace
 from itertools import count
+from typing import Generic, TypeVar
 
 from mavcompass.errors import LinkLost
 from mavcompass.messages import Incoming, Message
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.links.autopilot import Played, Recorded
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +40,11 @@ class Faults:
     cut_is_final: bool = False
     restored_at_s: float = math.inf
 
+    @property
+    def loss_of_ours(self) -> float:
+        """Return the probability of losing a message sent."""
+        return self.loss if self.loss_out is None else self.loss_out
+
     def is_cut(self, time_s: float) -> bool:
         """Tell whether nothing gets through at a time."""
         return self.cut_at_s <= time_s < self.restored_at_s
@@ -49,9 +57,8 @@ class FaultyLink(Link):
         super().__init__(f"{link.name} (faulty)", link.identity)
         self._link = link
         self.faults = faults
-        self._chances = _Chances(seed)
-        self._coming: list[tuple[float, int, Incoming]] = []
-        self._going: list[tuple[float, int, Message]] = []
+        self._coming = _Way[Incoming](faults, faults.loss, f"in {seed}")
+        self._going = _Way[Message](faults, faults.loss_of_ours, f"out {seed}")
 
     def now(self) -> float:
         """Return the wrapped link's time."""
@@ -59,9 +66,7 @@ class FaultyLink(Link):
 
     def send(self, message: Message) -> None:
         """Send, perhaps."""
-        loss = self.faults.loss if self.faults.loss_out is None else self.faults.loss_out
-        for time_s in self._chances.out(self.faults, loss, self.now()):
-            heapq.heappush(self._going, (time_s, self._chances.next(), message))
+        self._going.set_out(self.now(), message)
         self._send_due()
 
     def receive(self, timeout_s: float) -> Incoming | None:
@@ -72,8 +77,8 @@ class FaultyLink(Link):
             now_s = self.now()
             if self.faults.is_cut(now_s) and self.faults.cut_is_final:
                 raise LinkLost(f"{self.name} was cut.")
-            if self._coming and self._coming[0][0] <= now_s:
-                time_s, _, incoming = heapq.heappop(self._coming)
+            if self._coming.next_s <= now_s:
+                time_s, incoming = self._coming.take()
                 self.statistics.received += 1
                 return replace(incoming, time_s=time_s)
             if now_s >= deadline_s:
@@ -85,20 +90,18 @@ class FaultyLink(Link):
         self._link.close()
 
     def _next_event_s(self) -> float:
-        due = [queue[0][0] for queue in (self._coming, self._going) if queue]
         cut_s = self.faults.cut_at_s
-        return min([*due, cut_s if cut_s > self.now() else math.inf])
+        return min(self._coming.next_s, self._going.next_s, cut_s if cut_s > self.now() else math.inf)
 
     def _listen(self, timeout_s: float) -> None:
         incoming = self._link.receive(max(timeout_s, 0.0))
         if incoming is not None:
-            for time_s in self._chances.into(self.faults, self.faults.loss, incoming.time_s):
-                heapq.heappush(self._coming, (time_s, self._chances.next(), incoming))
+            self._coming.set_out(incoming.time_s, incoming)
 
     def _send_due(self) -> None:
         now_s = self.now()
-        while self._going and self._going[0][0] <= now_s:
-            _, _, message = heapq.heappop(self._going)
+        while self._going.next_s <= now_s:
+            _, message = self._going.take()
             if not self.faults.is_cut(now_s):
                 self._link.identity = self.identity
                 self._link.send(message)
@@ -109,10 +112,8 @@ class FaultyRecording:
 
     def __init__(self, recorded: Recorded, faults: Faults, seed: int = 0) -> None:
         self._recorded = recorded
-        self._faults = faults
-        self._chances = _Chances(seed)
-        self._coming: list[tuple[float, int, Played]] = []
-        self._going: list[tuple[float, int, tuple[Message, int, int, int]]] = []
+        self._coming = _Way[Played](faults, faults.loss, f"in {seed}")
+        self._going = _Way[tuple[Message, int, int, int]](faults, faults.loss_of_ours, f"out {seed}")
 
     @property
     def time_s(self) -> float:
@@ -122,56 +123,57 @@ class FaultyRecording:
     @property
     def ended(self) -> bool:
         """Tell whether everything has been said and has arrived."""
-        return self._recorded.ended and not self._coming
+        return self._recorded.ended and self._coming.next_s == math.inf
 
     def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
         """Hear a message, perhaps, and later."""
-        loss = self._faults.loss if self._faults.loss_out is None else self._faults.loss_out
-        for time_s in self._chances.out(self._faults, loss, self.time_s):
-            heapq.heappush(self._going, (time_s, self._chances.next(), (message, system, component, port)))
+        self._going.set_out(self.time_s, (message, system, component, port))
 
     def advance(self, until_s: float) -> list[Played]:
         """Play up to then; what arrives later is kept."""
-        while self._going and self._going[0][0] <= until_s:
-            time_s, _, heard = heapq.heappop(self._going)
+        while self._going.next_s <= until_s:
+            time_s, heard = self._going.take()
             self._play(time_s)
             self._recorded.receive(*heard)
         self._play(until_s)
         arrived: list[Played] = []
-        while self._coming and self._coming[0][0] <= until_s:
-            time_s, _, played = heapq.heappop(self._coming)
+        while self._coming.next_s <= until_s:
+            time_s, played = self._coming.take()
             arrived.append(replace(played, time_s=time_s))
         return arrived
 
     def _play(self, until_s: float) -> None:
         for played in self._recorded.advance(max(until_s, self.time_s)):
-            for time_s in self._chances.into(self._faults, self._faults.loss, played.time_s):
-                heapq.heappush(self._coming, (time_s, self._chances.next(), played))
+            self._coming.set_out(played.time_s, played)
 
 
-class _Chances:
-    """Throw the dice, one pair for each direction."""
+class _Way(Generic[T]):
+    """Be one direction: what is under way, each with the time of its arrival."""
 
-    def __init__(self, seed: int) -> None:
-        self._in, self._out = random.Random(f"in {seed}"), random.Random(f"out {seed}")
-        self._order = count()
+    def __init__(self, faults: Faults, loss: float, seed: str) -> None:
+        self._faults = faults
+        self._loss = loss
+        self._chance = random.Random(seed)
+        self._order = count()  # keeps equal times in order
+        self._under_way: list[tuple[float, int, T]] = []
 
-    def next(self) -> int:
-        """Return a number that keeps equal times in order."""
-        return next(self._order)
+    @property
+    def next_s(self) -> float:
+        """Return when the next one arrives; infinite for none."""
+        return self._under_way[0][0] if self._under_way else math.inf
 
-    def into(self, faults: Faults, loss: float, time_s: float) -> list[float]:
-        """Return the times at which a message that is heard arrives: none, one or two."""
-        return _fates(self._in, faults, loss, time_s)
+    def take(self) -> tuple[float, T]:
+        """Return the next arrival, with its time."""
+        time_s, _, thing = heapq.heappop(self._under_way)
+        return time_s, thing
 
-    def out(self, faults: Faults, loss: float, time_s: float) -> list[float]:
-        """Return the times at which a message that is sent arrives."""
-        return _fates(self._out, faults, loss, time_s)
-
-
-def _fates(chance: random.Random, faults: Faults, loss: float, time_s: float) -> list[float]:
-    if chance.random() < loss or faults.is_cut(time_s):
-        return []
-    copies = 2 if chance.random() < faults.duplicate else 1
-    held_back_s = faults.jitter_s * chance.random() if chance.random() < faults.reorder else 0.0
-    return [time_s + faults.latency_s + held_back_s] * copies
+    def set_out(self, time_s: float, thing: T) -> None:
+        """Send a thing on its way; it arrives once, twice, late or never."""
+        faults, chance = self._faults, self._chance
+        if chance.random() < self._loss or faults.is_cut(time_s):
+            return
+        copies = 2 if chance.random() < faults.duplicate else 1
+        held_back_s = faults.jitter_s * chance.random() if chance.random() < faults.reorder else 0.0
+        for _ in range(copies):
+            arrives_s = time_s + faults.latency_s + held_back_s
+            heapq.heappush(self._under_way, (arrives_s, next(self._order), thing))
