@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mavcompass.compass_parameters import ardupilot_name
 from mavcompass.correction import Vector
 from mavcompass.enums import MavSeverity
-from mavcompass.simulation.ardupilot.compasses import INSTANCES, CompassBank, horizontal_length
+from mavcompass.simulation.ardupilot.compasses import INSTANCES, CompassBank
 from mavcompass.simulation.ardupilot.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.ardupilot.modes import ModeRules
 from mavcompass.simulation.autopilot import Board, HoverGuidance, ParameterStore, Status
@@ -138,6 +138,6 @@ def _inconsistent(a: Vector, b: Vector) -> bool:
     return (
         apart(a, b) > _APART_3D_RAD
         or apart(a[:2], b[:2]) > _APART_XY_RAD
-        or abs(horizontal_length(a) - horizontal_length(b)) > _APART_XY_MGAUSS
+        or abs(math.hypot(*a[:2]) - math.hypot(*b[:2])) > _APART_XY_MGAUSS
         or math.hypot(a[0] - b[0], a[1] - b[1]) > _APART_XY_MGAUSS
     )

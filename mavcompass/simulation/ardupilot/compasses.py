@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from mavcompass.compass_parameters import ardupilot_correction, ardupilot_name
@@ -126,8 +124,3 @@ class CompassBank(Compasses):
             self.bad_rotation = True
             return None
         return tuple(sensor_orientation_matrix(orientation).ravel().tolist())
-
-
-def horizontal_length(field: Vector) -> float:
-    """Return the length of a field's first two components."""
-    return math.hypot(field[0], field[1])

@@ -29,7 +29,6 @@ _VERSION = 4 << 24 | 6 << 16 | 3 << 8 | 255
 # MISSION_INT, COMMAND_INT, PARAM_ENCODE_C_CAST, SET_ATTITUDE_TARGET, SET_POSITION_TARGET_LOCAL_NED,
 # MAVLINK2, COMPASS_CALIBRATION.
 _CAPABILITIES = 1 << 2 | 1 << 3 | 1 << 17 | 1 << 6 | 1 << 7 | 1 << 13 | 1 << 12
-_CAPACITY_MAH = 3300.0
 # The simulated firmware's HIGHRES_IMU carries a thousand times milligauss where gauss are due.
 _HIGHRES_MAG_FACTOR = 1000.0
 
@@ -40,7 +39,8 @@ class ArduPilotReports(Reports):
     autopilot = MavAutopilot.ARDUPILOTMEGA
     battery = Battery(full_volts=12.6, low_volts=10.4, volts_per_amp=0.01, low_percent=9)
     unused_channel = 0
-    capacity_mah = _CAPACITY_MAH
+    capabilities, version = _CAPABILITIES, _VERSION
+    capacity_mah = 3300.0
     compasses: CompassBank
 
     def __init__(
@@ -59,14 +59,13 @@ class ArduPilotReports(Reports):
         self._store = store
         self.builders |= {
             m.RawImu: self._raw_imu,
-            m.ScaledImu: self._scaled_imu,
-            m.ScaledImu2: self._scaled_imu2,
-            m.ScaledImu3: self._scaled_imu3,
+            m.ScaledImu: lambda t, s: m.ScaledImu(*self._scaled(t, s, 0)),
+            m.ScaledImu2: lambda t, s: m.ScaledImu2(*self._scaled(t, s, 1)),
+            m.ScaledImu3: lambda t, s: self._third_compass(t),
             m.HighresImu: self._highres_imu,
             m.Simstate: lambda t, s: self._simstate(s),
             m.EkfStatusReport: lambda t, s: self._ekf_status(),
             m.FenceStatus: lambda t, s: None,
-            m.AutopilotVersion: lambda t, s: m.AutopilotVersion(_CAPABILITIES, _VERSION, uid=1),
         }
 
     def default_intervals(self) -> Mapping[int, int]:
@@ -101,30 +100,14 @@ class ArduPilotReports(Reports):
         return self.compasses.field(self.compasses.order[place_in_order])
 
     def _raw_imu(self, time_us: int, share: float) -> m.Message:
-        x, y, z = self._mag(0)
-        return m.RawImu(
-            self.boot_us(time_us),
-            *self.imu(0, share),
-            int16(x),
-            int16(y),
-            int16(z),
-            0,
-            self.temperature_cdegc(),
-        )
+        x, y, z = (int16(v) for v in self._mag(0))
+        temperature = self.temperature_cdegc()
+        return m.RawImu(self.boot_us(time_us), *self.imu(0, share), x, y, z, temperature=temperature)
 
-    def _scaled_imu(self, time_us: int, share: float) -> m.Message:
-        x, y, z = self._mag(0)
-        ms = self.boot_us(time_us) // 1000
-        imu = self.imu(0, share)
-        return m.ScaledImu(ms, *imu, int16(x), int16(y), int16(z), self.temperature_cdegc())
+    def _scaled(self, time_us: int, share: float, index: int) -> tuple[int, ...]:
+        return self.scaled_imu(time_us, share, index, self._mag(index), self.temperature_cdegc())
 
-    def _scaled_imu2(self, time_us: int, share: float) -> m.Message:
-        x, y, z = self._mag(1)
-        ms = self.boot_us(time_us) // 1000
-        imu = self.imu(1, share)
-        return m.ScaledImu2(ms, *imu, int16(x), int16(y), int16(z), self.temperature_cdegc())
-
-    def _scaled_imu3(self, time_us: int, share: float) -> m.Message:
+    def _third_compass(self, time_us: int) -> m.ScaledImu3:
         # There is a third compass but no third IMU.
         x, y, z = self._mag(2)
         return m.ScaledImu3(self.boot_us(time_us) // 1000, 0, 0, 0, 0, 0, 0, int16(x), int16(y), int16(z), 0)

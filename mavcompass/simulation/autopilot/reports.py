@@ -59,6 +59,8 @@ class Reports(ABC):
     """Build messages from the state of a vehicle; times are since its boot.
 
     Attributes:
+        unused_channel: what RC_CHANNELS says of channels that are not there. capabilities, version: as in
+            AUTOPILOT_VERSION.
         builders: what this firmware can build; a builder gets the time in microseconds and how far it lies
             between the last two ticks. A subclass adds its own and what it builds otherwise.
     """
@@ -66,6 +68,8 @@ class Reports(ABC):
     autopilot: MavAutopilot
     battery: Battery
     unused_channel: int
+    capabilities: int
+    version: int
 
     def __init__(self, board: Board, status: Status, compasses: Compasses, radio: Radio) -> None:
         self.board = board
@@ -85,6 +89,7 @@ class Reports(ABC):
             m.RcChannels: lambda t, s: self.rc_channels(t),
             m.VfrHud: lambda t, s: self.vfr_hud(),
             m.ExtendedSysState: lambda t, s: self.extended_state(),
+            m.AutopilotVersion: lambda t, s: m.AutopilotVersion(self.capabilities, self.version, uid=1),
         }
 
     @property
@@ -187,6 +192,14 @@ class Reports(ABC):
             int16(gy * _MILLIRADPS),
             int16(gz * _MILLIRADPS),
         )
+
+    def scaled_imu(
+        self, time_us: int, share: float, index: int, field: Vector, temperature: int
+    ) -> tuple[int, ...]:
+        """Return the values of SCALED_IMU and its like, in their order."""
+        x, y, z = field
+        imu = self.imu(index, share)
+        return self.boot_us(time_us) // 1000, *imu, int16(x), int16(y), int16(z), temperature
 
     def temperature_cdegc(self) -> int:
         """Return the IMU's temperature in hundredths of a degree."""

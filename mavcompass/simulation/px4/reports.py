@@ -15,7 +15,6 @@ from mavcompass.simulation.autopilot import (
     Reports,
     Status,
     between,
-    int16,
 )
 from mavcompass.simulation.px4 import modes
 from mavcompass.simulation.px4.arming import Arming
@@ -52,6 +51,7 @@ class Px4Reports(Reports):
     autopilot = MavAutopilot.PX4
     battery = Battery(full_volts=16.4, low_volts=14.0, volts_per_amp=0.012, low_percent=6)
     unused_channel = 65535
+    capabilities, version = _CAPABILITIES, _VERSION
     compasses: Px4Compasses
 
     def __init__(
@@ -71,7 +71,6 @@ class Px4Reports(Reports):
             m.ScaledImu2: lambda t, s: m.ScaledImu2(*self._scaled(t, s, 1)),
             m.HighresImu: self._highres_imu,
             m.GlobalPositionInt: lambda t, s: self.global_position(t) if self.board.ready else None,
-            m.AutopilotVersion: lambda t, s: m.AutopilotVersion(_CAPABILITIES, _VERSION, uid=1),
         }
 
     def default_intervals(self) -> Mapping[int, int]:
@@ -101,11 +100,9 @@ class Px4Reports(Reports):
         return present, healthy
 
     def _scaled(self, time_us: int, share: float, index: int) -> tuple[int, ...]:
-        x, y, z = self.compasses.raw_sensor_mgauss[index]
-        imu = self.imu(index, share)
         # Whole degrees, although the message counts hundredths.
         degrees = int(self.board.surroundings().temperature_degc)
-        return (self.boot_us(time_us) // 1000, *imu, int16(x), int16(y), int16(z), degrees)
+        return self.scaled_imu(time_us, share, index, self.compasses.raw_sensor_mgauss[index], degrees)
 
     def _highres_imu(self, time_us: int, share: float) -> m.Message:
         sensors, place = self.board.sensors, (self.compasses.steering or 1) - 1
