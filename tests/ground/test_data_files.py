@@ -13,7 +13,7 @@ from hatchling.builders.wheel import WheelBuilder
 from mavcompass.errors import MavCompassError
 from mavcompass.installation.data_files import params_path
 
-PROJECT = Path(__file__).resolve().parents[1]
+PROJECT = Path(__file__).resolve().parents[2]
 
 
 def test_a_checkout_reads_its_own_params() -> None:
