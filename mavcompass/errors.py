@@ -10,7 +10,6 @@ MavCompassError
  +-- PoorCalibration     5  the data do not give a calibration worth writing: its reasons say what to change
  +-- WriteFailed         6  parameters could not be written: undone, or `restore_command` puts them back
  +-- Refused             7  stopped for safety: the vehicle, the pilot or this program said no
-      +-- Rejected           the vehicle answered a command with a refusal
 
 Every message is one sentence about what happened and what it means; `remedy` is the next step.
 """
@@ -95,12 +94,3 @@ class Refused(MavCompassError):
     """Report a stop for safety."""
 
     exit_code = 7
-
-
-class Rejected(Refused):
-    """Report a command that the vehicle answered with a refusal."""
-
-    def __init__(self, what: str, remedy: str = "", command: int = 0, result: int = 0) -> None:
-        super().__init__(what, remedy)
-        self.command = command
-        self.result = result

@@ -94,22 +94,6 @@ def quaternion_to_matrix(quaternion: ArrayLike) -> FloatArray:
     return matrix
 
 
-def quaternion_multiply(left: ArrayLike, right: ArrayLike) -> FloatArray:
-    """Multiply quaternions (w, x, y, z): the rotation `right` first, then `left`."""
-    a, b = np.asarray(left, dtype=np.float64), np.asarray(right, dtype=np.float64)
-    aw, ax, ay, az = (a[..., i] for i in range(4))
-    bw, bx, by, bz = (b[..., i] for i in range(4))
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
-
-
 def rotate(matrix: ArrayLike, vector: ArrayLike) -> FloatArray:
     """Take body vectors (..., 3) to the world by rotation matrices (..., 3, 3)."""
     return np.einsum("...ij,...j->...i", np.asarray(matrix), np.asarray(vector))

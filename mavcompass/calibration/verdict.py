@@ -10,8 +10,6 @@ import numpy as np
 from mavcompass.calibration.model import GAIN, HORIZONTAL
 from mavcompass.calibration.observation import Dwell, FourPositionData
 from mavcompass.calibration.positions import WIDENED_BELOW, FourPositionsResult
-from mavcompass.correction import FieldCorrection
-from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi
 from mavcompass.units import DEG_PER_RAD
 
@@ -20,7 +18,6 @@ from mavcompass.units import DEG_PER_RAD
 EARTH_TOTAL_MGAUSS = (220.0, 670.0)
 _WIRE_LIMIT_MGAUSS = 32000.0
 _WORLD_MISMATCH = 0.3
-_ABSURD = 6.0
 _TURNED_MOUNT = 0.35
 _UNLIKELY = 1e-3
 # Where it is not clear which position was disturbed, repeating one is cheaper than guessing.
@@ -73,29 +70,6 @@ def judge(
             f"most of it from {SOURCE_WORDS[worst]}."
         )
     return tuple(reasons), tuple(warnings)
-
-
-def absurd_field(
-    raw_mgauss: FloatArray, in_force: FieldCorrection, earth: EarthField | None = None
-) -> str | None:
-    """Say in a sentence why it is useless to go on, from the first seconds' mean raw field (3,), or None.
-
-    Meant for stopping early: a hard iron many times the Earth's field, a sensor at the end of its range or
-    without any field. The offsets in force may already cure a strong but honest hard iron.
-    """
-    raw = np.asarray(raw_mgauss, dtype=np.float64)
-    if np.abs(raw).max() > _WIRE_LIMIT_MGAUSS:
-        return "The compass is saturated: its readings stand at the end of their range."
-    length = min(float(np.linalg.norm(raw)), float(np.linalg.norm(in_force.apply(raw))))
-    usual = earth.total_mgauss if earth is not None else sum(EARTH_TOTAL_MGAUSS) / 2.0
-    if length < 0.02 * usual:
-        return f"The compass reads no field at all ({length:.0f} mG)."
-    if length > _ABSURD * usual:
-        return (
-            f"The compass reads {length:.0f} mG, {length / usual:.0f} times the Earth's field: a magnet or "
-            "live steel is close to it. Remove it or move the compass."
-        )
-    return None
 
 
 def largest_gap_rad(turned_rad: FloatArray) -> float:

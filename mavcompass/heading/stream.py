@@ -11,7 +11,7 @@ import numpy as np
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, decimal_year, earth_field
 from mavcompass.errors import BadRecording
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, tilt_from_acceleration
 from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.heading.gravity import down_in_body
 from mavcompass.heading.north import grid_heading, true_heading
@@ -102,8 +102,7 @@ def heading_of_track(
     world = earth if earth is not None else earth_field_of(track)
     field = _field(track, correction, instance)
     down = down_in_body(track, compass.time_s)
-    roll = np.arctan2(down[:, 1], down[:, 2])
-    pitch = np.arctan2(-down[:, 0], np.hypot(down[:, 1], down[:, 2]))
+    roll, pitch = tilt_from_acceleration(-down)
     if two_axis:
         if world is None:
             raise BadRecording(

@@ -14,7 +14,6 @@ from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turnin
 from mavcompass.calibration import calibrate_compasses, calibrate_track, find_dwells, method_names
 from mavcompass.calibration.model import GAIN, HORIZONTAL, OFFSET, gain_matrix, level_to_body
 from mavcompass.calibration.observation import turn_record
-from mavcompass.calibration.verdict import absurd_field
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 from mavcompass.frames import matrix_to_euler, quaternion_to_matrix, wrap_pi
@@ -244,22 +243,6 @@ def test_three_compasses_are_calibrated_at_once_and_a_turned_one_is_found(shared
     results = calibrate_compasses(replace(track, compasses={**track.compasses, 2: turned}))
     assert [i for i, result in results.items() if not result.accepted] == [2]
     assert "turned" in results[2].reasons[0]
-
-
-@pytest.mark.parametrize(
-    "raw, word",
-    [
-        ((3800.0, 200.0, -400.0), "times the Earth"),
-        ((32767.0, 0.0, 0.0), "saturated"),
-        ((1.0, 2.0, 0.0), "no field"),
-    ],
-)
-def test_an_absurd_field_stops_early(raw: tuple[float, float, float], word: str) -> None:
-    assert word in (absurd_field(np.array(raw), FieldCorrection(), FIELD) or "")
-
-
-def test_a_strong_hard_iron_that_is_already_cured_does_not_stop() -> None:
-    assert absurd_field(np.array([3800.0, 0.0, 400.0]), FieldCorrection((-3600.0, 0.0, 0.0)), FIELD) is None
 
 
 def test_a_missing_compass_and_an_unknown_method_say_what_to_do() -> None:

@@ -15,7 +15,6 @@ from mavcompass.frames import (
     euler_to_matrix,
     euler_to_quaternion,
     matrix_to_euler,
-    quaternion_multiply,
     quaternion_to_matrix,
     rotate,
     rotate_back,
@@ -45,14 +44,6 @@ def test_euler_angles_survive_the_matrix_and_the_quaternion(roll: float, pitch: 
     assert matrix @ matrix.T == pytest.approx(np.eye(3), abs=1e-12)
     assert [float(a) for a in matrix_to_euler(matrix)] == pytest.approx([roll, pitch, yaw], abs=1e-9)
     assert quaternion_to_matrix(euler_to_quaternion(roll, pitch, yaw)) == pytest.approx(matrix, abs=1e-12)
-
-
-@given(tilts, tilts, angles, angles)
-def test_quaternion_product_is_the_matrix_product(roll: float, pitch: float, yaw: float, more: float) -> None:
-    first = euler_to_quaternion(roll, pitch, yaw)
-    then = euler_to_quaternion(0.3, -0.2, more)
-    both = quaternion_to_matrix(quaternion_multiply(then, first))
-    assert both == pytest.approx(quaternion_to_matrix(then) @ quaternion_to_matrix(first), abs=1e-12)
 
 
 @given(tilts, tilts, angles)

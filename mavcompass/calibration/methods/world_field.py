@@ -24,7 +24,7 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection, MotorSource
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray, quaternion_to_matrix, rotate_back, wrap_pi
+from mavcompass.frames import FloatArray, quaternion_to_matrix, rotate_back, tilt_from_acceleration, wrap_pi
 from mavcompass.heading.gravity import down_in_body
 from mavcompass.track import Track
 
@@ -109,10 +109,8 @@ def _reference(track: Track, time: FloatArray, earth: EarthField | None) -> Floa
     known = np.isfinite(yaw.values)
     smooth = np.unwrap(yaw.values[known])
     down = down_in_body(track, time)
-    roll = np.arctan2(down[:, 1], down[:, 2])
-    pitch = np.arctan2(-down[:, 0], np.hypot(down[:, 1], down[:, 2]))
     psi = np.interp(time, yaw.time_s[known], smooth)
-    level = level_to_body(roll, pitch)
+    level = level_to_body(*tilt_from_acceleration(-down))
     cos, sin, zero = np.cos(psi), np.sin(psi), np.zeros(psi.size)
     turn = np.stack(
         [
@@ -177,10 +175,6 @@ def _by_gyro(
         field = recorded.in_force.apply(raw)
         swing = np.percentile(field[:, :2], 97, axis=0) - np.percentile(field[:, :2], 3, axis=0)
         horizontal, vertical = 0.5 * float(swing.mean()), float(np.median(field[:, 2]))
-    down = down_in_body(track, time)
-    roll = np.arctan2(down[:, 1], down[:, 2])
-    pitch = np.arctan2(-down[:, 0], np.hypot(down[:, 1], down[:, 2]))
-    answer = fit_with_gyro_yaw(
-        raw, time, level_to_body(roll, pitch), turned, horizontal, vertical, load, recorded.prior
-    )
+    level = level_to_body(*tilt_from_acceleration(-down_in_body(track, time)))
+    answer = fit_with_gyro_yaw(raw, time, level, turned, horizontal, vertical, load, recorded.prior)
     return answer.fit, horizontal, vertical

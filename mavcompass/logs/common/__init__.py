@@ -7,6 +7,7 @@ from mavcompass.logs.common.chunks import CHUNK_BYTES, ByteArray, Chunk, read_ch
 from mavcompass.logs.common.growing import GrowingArray
 from mavcompass.logs.common.intervals import IntArray, not_overlapping, windows
 from mavcompass.logs.common.motors import motor_outputs
+from mavcompass.logs.common.notes import damage, restarts, unknown_correction
 from mavcompass.logs.common.ordering import finite_series, in_order
 from mavcompass.logs.common.parameter_steps import Change, Seen, ardupilot_steps, changes, px4_steps
 
@@ -22,6 +23,7 @@ __all__ = [
     "ardupilot_steps",
     "build_clock",
     "changes",
+    "damage",
     "finite_series",
     "impossible_times",
     "in_order",
@@ -29,5 +31,7 @@ __all__ = [
     "not_overlapping",
     "px4_steps",
     "read_chunks",
+    "restarts",
+    "unknown_correction",
     "windows",
 ]

@@ -8,7 +8,15 @@ from typing import Any
 
 from mavcompass.compass_parameters import ardupilot_name
 from mavcompass.errors import BadRecording
-from mavcompass.logs.common import BootClock, Change, ardupilot_steps, changes
+from mavcompass.logs.common import (
+    BootClock,
+    Change,
+    ardupilot_steps,
+    changes,
+    damage,
+    restarts,
+    unknown_correction,
+)
 from mavcompass.logs.formats.dataflash.clock import clock_of, leave_out_impossible_times
 from mavcompass.logs.formats.dataflash.columns import columns, take
 from mavcompass.logs.formats.dataflash.parameters import parameters_seen
@@ -69,20 +77,11 @@ def read_dataflash(path: Path, *, text: bool = False) -> Track:
     clock = clock_of(logs)
     if glitches:
         notes.append(f"Left out {glitches} records with an impossible time.")
-    if clock.shift_s.size > 1:
-        at = ", ".join(f"{start:.1f}" for start in clock.start_s[1:6])
-        notes.append(
-            f"The autopilot was started {clock.shift_s.size} times; time_s goes on across the restarts "
-            f"(at {at} s)."
-        )
+    notes += restarts(clock)
     history = changes(parameters_seen(logs, clock), clock.start_s.tolist())
     parameters = {change.name: change.value for change in history}
     compasses = _compasses(logs, clock, history)
-    notes += [
-        f"The parameters of compass {instance} are not in the recording: its readings are taken as they are."
-        for instance, compass in compasses.items()
-        if not compass.correction_known
-    ]
+    notes += [unknown_correction(i) for i, compass in compasses.items() if not compass.correction_known]
     if not compasses:
         raise BadRecording(
             f"{path} holds only zeros as magnetic field: there was no compass.",
@@ -158,13 +157,8 @@ def _vehicle(logs: Sequence[Log], frame_class: float | None) -> str:
 
 
 def _notes_about_the_file(contents: DataFlashContents) -> list[str]:
-    notes = []
-    if contents.skipped_bytes:
-        places = "1 place" if contents.skipped_stretches == 1 else f"{contents.skipped_stretches} places"
-        notes.append(
-            f"The recording is damaged at {places}: {contents.skipped_bytes} bytes were left out, "
-            f"{sum(contents.counts.values())} records were read."
-        )
+    read = f"{sum(contents.counts.values())} records"
+    notes = damage(contents.skipped_bytes, contents.skipped_stretches, read)
     if len(contents.logs) > 1:
         notes.append(f"The file holds {len(contents.logs)} logs one after the other.")
     return notes

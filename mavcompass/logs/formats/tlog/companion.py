@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mavcompass.compass_parameters import ardupilot_name
 from mavcompass.errors import MavCompassError
-from mavcompass.logs.common import Change, ardupilot_steps
+from mavcompass.logs.common import Change, ardupilot_steps, unknown_correction
 from mavcompass.logs.formats.dataflash.reader import read_parameters
 from mavcompass.track import MagSeries, Track
 
@@ -57,21 +57,13 @@ def _completed(track: Track, history: Sequence[Change], lacking: list[int], besi
     if not known:
         return track
     numbers = ", ".join(str(instance) for instance in known)
-    notes = [
-        note
-        for note in track.notes
-        if not any(note.startswith(unknown_correction(instance)) for instance in known)
-    ]
+    told = {unknown_correction(instance) for instance in known}
+    notes = [note for note in track.notes if note not in told]
     notes.append(
         f"The parameters of compass {numbers} are not in the recording; they were taken from {beside.name} "
         "beside it, the autopilot's own log of the same power-up."
     )
     return replace(track, compasses=compasses, parameters=parameters, notes=tuple(notes))
-
-
-def unknown_correction(instance: int) -> str:
-    """Begin the note that says a compass's correction is not known."""
-    return f"The parameters of compass {instance} are not in the recording: "
 
 
 def _corrected(compass: MagSeries, history: Sequence[Change], parameters: dict[str, float]) -> MagSeries:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mavcompass.enums import MavAutopilot, MavType
 from mavcompass.errors import BadRecording
+from mavcompass.logs.common import damage
 from mavcompass.logs.formats.tlog.messages import Messages, Sender, TlogContents, read_messages
 from mavcompass.logs.formats.tlog.vehicle import track_of
 from mavcompass.track import Track
@@ -126,14 +127,9 @@ def _is_autopilot(messages: Mapping[str, Messages]) -> bool:
 
 
 def _notes_about_the_file(contents: TlogContents) -> tuple[str, ...]:
-    notes = []
-    if contents.skipped_bytes:
-        places = "1 place" if contents.skipped_stretches == 1 else f"{contents.skipped_stretches} places"
-        where = "its end" if contents.cut_off and contents.skipped_stretches == 1 else places
-        notes.append(
-            f"The recording is damaged at {where}: {contents.skipped_bytes} bytes were left out, "
-            f"{contents.frames} messages were read."
-        )
+    notes = damage(
+        contents.skipped_bytes, contents.skipped_stretches, f"{contents.frames} messages", contents.cut_off
+    )
     if contents.unknown_frames:
         notes.append(
             f"Passed over {contents.unknown_frames} messages of kinds that the dialect does not have."

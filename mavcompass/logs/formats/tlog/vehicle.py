@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mavcompass.compass_parameters import px4_name
-from mavcompass.logs.common import BootClock, Change, changes
+from mavcompass.logs.common import BootClock, Change, changes, restarts, unknown_correction
 from mavcompass.logs.formats.tlog.clock import Placer, clock_of
 from mavcompass.logs.formats.tlog.columns import body_columns, columns
 from mavcompass.logs.formats.tlog.compasses import HIGHRES, compass_of, spokesmen
@@ -70,7 +70,8 @@ def _compasses(
             continue
         compasses[instance] = compass
         if not compass.correction_known:
-            notes.append(_unknown_correction(instance, autopilot))
+            unknown = f"The autopilot is not known: compass {instance} is taken as it is, as if uncorrected."
+            notes.append(unknown if autopilot == "unknown" else unknown_correction(instance))
     return compasses, body, notes
 
 
@@ -83,23 +84,8 @@ def _identity(heartbeats: Messages | None) -> tuple[str, str]:
     return AUTOPILOTS.get(autopilot, "unknown"), VEHICLES.get(kind, "unknown")
 
 
-def _unknown_correction(instance: int, autopilot: str) -> str:
-    if autopilot == "unknown":
-        return f"The autopilot is not known: compass {instance} is taken as it is, as if uncorrected."
-    return (
-        f"The parameters of compass {instance} are not in the recording: its readings are taken as they are, "
-        "with whatever correction was inside them."
-    )
-
-
 def _notes_about_time(clock: BootClock, placer: Placer) -> list[str]:
-    notes = []
-    restarts = clock.shift_s.size - 1
-    if restarts:
-        at = ", ".join(f"{start:.1f}" for start in clock.start_s[1:6])
-        notes.append(
-            f"The autopilot was started {restarts + 1} times; time_s goes on across the restarts (at {at} s)."
-        )
+    notes = restarts(clock)
     if placer.misplaced:
         carry = "1 message carries" if placer.misplaced == 1 else f"{placer.misplaced} messages carry"
         notes.append(f"{carry} an impossible time: placed by arrival.")

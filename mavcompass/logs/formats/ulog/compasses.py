@@ -15,7 +15,7 @@ import numpy as np
 from mavcompass.compass_parameters import px4_name, px4_rotation
 from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
-from mavcompass.logs.common import Change, finite_series, px4_steps
+from mavcompass.logs.common import Change, finite_series, px4_steps, unknown_correction
 from mavcompass.logs.formats.ulog.topics import has, indexed, time_s, vector
 from mavcompass.track import InForce, MagSeries
 from mavcompass.units import MGAUSS_PER_GAUSS
@@ -67,11 +67,7 @@ def compasses(
                     history,
                     parameters,
                 )
-    notes += [
-        f"The parameters of compass {instance} are not in the log: its readings are taken as they are."
-        for instance, compass in found.items()
-        if not compass.correction_known
-    ]
+    notes += [unknown_correction(i) for i, compass in found.items() if not compass.correction_known]
     return found, notes
 
 
