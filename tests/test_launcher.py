@@ -159,7 +159,7 @@ def test_only_a_change_of_what_is_needed_installs_again(checkout: Checkout) -> N
 def test_program_then_tests_then_program_installs_each_once(checkout: Checkout) -> None:
     checkout.run()
     code, out, _ = checkout.run("-k", "yaw or roll", script="test")
-    assert (code, out) == (0, "pytest: -n 2 -k yaw or roll\n")
+    assert (code, out) == (0, "pytest: -n 3 --dist worksteal -k yaw or roll\n")
     checkout.run()
     checkout.run("-x", script="test")
     assert checkout.pip_calls == [".[all]", ".[dev]"]
@@ -184,7 +184,7 @@ def test_a_running_program_does_not_hold_the_lock(checkout: Checkout) -> None:
     running = checkout.start("stay")
     try:
         assert running.stdout is not None and running.stdout.readline() == "program: stay\n"
-        assert checkout.run("-x", script="test")[:2] == (0, "pytest: -n 2 -x\n")
+        assert checkout.run("-x", script="test")[:2] == (0, "pytest: -n 3 --dist worksteal -x\n")
     finally:
         os.killpg(running.pid, signal.SIGKILL)
         running.communicate(timeout=10)
