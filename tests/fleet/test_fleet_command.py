@@ -63,7 +63,7 @@ def test_diagnose_names_effects_and_their_size(
     assert worst["effect_hard_iron_mgauss"] > 10.0
     assert json.loads(worst["causes_json"])[0]["parameters"]
     said = capsys.readouterr().out
-    assert "Look at boat-2" in said and "simulation's heading is" in said
+    assert "Look at boat-2 (" in said and "last: " in said and "simulation's heading is" in said
     assert "heading off" not in said + out.with_suffix(".html").read_text(encoding="utf-8")
 
 

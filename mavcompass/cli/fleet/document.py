@@ -23,6 +23,7 @@ def document(result: FleetResult, summary: Summary, out: Path, page: Path) -> di
         "table": out,
         "report": page,
         "errors": [{"recording": recording, "error": error} for recording, error in summary.errors],
+        "not_accepted": [{"recording": recording, "why": why} for recording, why in summary.not_accepted],
         "slowest": [{"recording": recording, "seconds": seconds} for recording, seconds in summary.slowest],
         "effects": [asdict(effect) for effect in summary.effects],
         "vehicles": [_vehicle(vehicle) for vehicle in summary.vehicles],

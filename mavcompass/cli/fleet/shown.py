@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 _SHOWN = 5
 LONG_S = 20.0  # from here on a recording is named
-_LEAST_MGAUSS = 0.5
 
 
 @contextmanager
@@ -58,22 +57,26 @@ def short(path: str) -> str:
 
 
 def say(output: Output, result: FleetResult, summary: Summary, out: Path, page: Path) -> None:
-    from mavcompass.fleet.summary import counted
+    from mavcompass.fleet.summary import LEAST_MGAUSS, counted
 
     kept = f", {result.kept} were done before" if result.kept else ""
+    fruitless = ""
+    if summary.not_accepted:
+        fruitless = f", {len(summary.not_accepted)} without a calibration (mostly: too little turning)"
     output.say(
         f"{result.examined} of {counted(result.asked, 'recording')} examined{kept};"
-        f" {counted(len(summary.errors), 'error')}."
+        f" {counted(len(summary.errors), 'error')}{fruitless}."
     )
     if summary.slowest and summary.slowest[0][1] >= LONG_S:
         output.say("Slowest: {} ({:.0f} s).".format(*summary.slowest[0]))
-    for effect in [effect for effect in summary.effects if effect.largest_mgauss >= _LEAST_MGAUSS][:_SHOWN]:
+    for effect in [effect for effect in summary.effects if effect.largest_mgauss >= LEAST_MGAUSS][:_SHOWN]:
         output.say(
             f"  {effect.effect}: in {counted(effect.recordings, 'recording')} of"
             f" {counted(effect.vehicles, 'vehicle')}, median {effect.median_mgauss:.1f} mG,"
             f" largest {effect.largest_mgauss:.1f} mG"
         )
     for vehicle in summary.look_first[:_SHOWN]:
-        output.say(f"Look at {vehicle.name}: {'; '.join(vehicle.why)}.")
+        where = f" ({vehicle.kind}; last: {short(vehicle.last_recording)})" if vehicle.last_recording else ""
+        output.say(f"Look at {vehicle.name}{where}: {'; '.join(vehicle.why)}.")
     output.say(f"Table: {out}")
     output.say(f"Summary: {page}")
