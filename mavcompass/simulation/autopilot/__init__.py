@@ -6,8 +6,13 @@ from mavcompass.simulation.autopilot.commands import FORCE, whole
 from mavcompass.simulation.autopilot.compasses import Compasses
 from mavcompass.simulation.autopilot.firmware import Firmware, Sender
 from mavcompass.simulation.autopilot.guidance import GroundGuidance, HoverGuidance, Ignore, Target, stick
-from mavcompass.simulation.autopilot.parameter_server import ARDUPILOT_MANNERS, PX4_MANNERS, ParameterServer
-from mavcompass.simulation.autopilot.parameter_store import ParameterStore, parameter_table
+from mavcompass.simulation.autopilot.parameters import (
+    ARDUPILOT_MANNERS,
+    PX4_MANNERS,
+    ParameterServer,
+    ParameterStore,
+    parameter_table,
+)
 from mavcompass.simulation.autopilot.radio import Radio
 from mavcompass.simulation.autopilot.reports import Battery, Reports, between, int16
 from mavcompass.simulation.autopilot.status import Status

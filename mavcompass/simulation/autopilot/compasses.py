@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from mavcompass.correction import FieldCorrection, Vector
 from mavcompass.simulation.autopilot.attitude_filter import compass_yaw
 from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.parameter_store import ParameterStore
+from mavcompass.simulation.autopilot.parameters import ParameterStore
 from mavcompass.simulation.physics.motion import rotation_matrix
 
 

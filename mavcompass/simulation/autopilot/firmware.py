@@ -11,7 +11,7 @@ from mavcompass.enums import MavResult
 from mavcompass.simulation.autopilot.board import Board
 from mavcompass.simulation.autopilot.commands import as_long
 from mavcompass.simulation.autopilot.compasses import Compasses
-from mavcompass.simulation.autopilot.parameter_server import ParameterServer
+from mavcompass.simulation.autopilot.parameters import ParameterServer
 from mavcompass.simulation.autopilot.radio import Radio
 from mavcompass.simulation.autopilot.reports import Reports
 from mavcompass.simulation.autopilot.status import Status
