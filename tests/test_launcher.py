@@ -24,9 +24,10 @@ case "$1 $2" in
     mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; cp "$0" "$3/bin/pip"
     echo "venv talks" ;;
 "-m pip")
-    echo "$*" >>pip-calls
+    seconds="$(cat pip-seconds 2>/dev/null || echo 0)"
     echo "pip talks"
-    sleep "$(cat pip-seconds 2>/dev/null || echo 0)"
+    echo "$*" >>pip-calls
+    sleep "$seconds"
     if [ -e pip-error ]; then cat pip-error; exit 1; fi
     printf '#!/bin/sh\\necho "program: $*"; [ "$1" != stay ] || exec sleep 30\\n' >.venv/bin/mavcompass
     printf '#!/bin/sh\\necho "pytest: $*"\\n' >.venv/bin/pytest
@@ -281,6 +282,7 @@ def test_what_an_ended_set_up_left_is_thrown_away(checkout: Checkout, how: signa
     running = checkout.start()
     while not checkout.pip_calls and running.poll() is None:
         time.sleep(0.02)
+    time.sleep(0.2)  # now it sleeps; a shell between two commands may lose an interrupt
     os.killpg(running.pid, how)
     out, _ = running.communicate(timeout=10)
     assert (running.returncode, out) == (130 if how == signal.SIGINT else -how, "")
