@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import subprocess
 import sys
 import tempfile
@@ -42,8 +41,10 @@ class Trial:
         lines = [f"{len(self.cases)} sealed cases, seed {self.seed}", f"labels sealed  {self.seal}"]
         lines.append(f"answers hashed {self.predictions_sha256}")
         for name, (hits, of) in self.figures().items():
+            if not of:  # no case of its kind was drawn
+                continue
             low, high = wilson(hits, of)
-            share = 100.0 * hits / of if of else math.nan
+            share = 100.0 * hits / of
             lines.append(f"  {name}: {hits}/{of} = {share:.1f} % (95 % {100 * low:.1f} .. {100 * high:.1f})")
         for name, (median, p95) in self.seconds().items():
             lines.append(f"  {name} per case: median {median:.2f}, 95 % below {p95:.2f}")
