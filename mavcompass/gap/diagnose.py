@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 
 from mavcompass.errors import UsageError
 from mavcompass.gap.answer import Evidence, decide, describe
-from mavcompass.gap.attitude import Choice, inertial_faults, without_faults
+from mavcompass.gap.attitude import Choice, accelerometer_fault, gyro_fault, without_fault
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.left import (
     Floor,
     doubting,
     excess_scatter,
+    foreseen,
     from_baseline,
     from_recording,
     judge,
@@ -96,13 +97,16 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     every = catalogue().values()
     how.progress("finding the attitude")
 
-    # 1. Gyro and accelerometer
-    faults: tuple[Cause, ...] = ()
-    if baseline is not None and track.reference_q is None:
-        faults = tuple(f for f in inertial_faults(track, baseline) if f.effect not in withheld)
+    # 1. Accelerometer
+    shifted: tuple[Cause, ...] = ()
+    if baseline is not None and track.reference_q is None and "accel_bias" not in withheld:
+        shifted = accelerometer_fault(track, baseline)
 
-    # 2. Replay
-    replayed, before = _replays(without_faults(track, faults), baseline, how)
+    # 2. Replay, and with its attitude the gyro
+    replayed, before = _replays(without_fault(track, shifted), baseline, how)
+    faults = shifted
+    if before is not None and "gyro_bias" not in withheld:
+        faults += gyro_fault(replayed.reference.gyro_bias, before.reference.gyro_bias)
 
     # 3. Doubtful sensors, and with them what the recording can tell
     replayed, before = doubting(replayed, before, every)
@@ -114,7 +118,7 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     how.progress("measuring the floor")
     floor = from_recording(replayed) if before is None else from_baseline(replayed, before, every)
     if faults:
-        # The attitude has lost a witness that the baseline had.
+        # The autopilot's attitude is made of the same sensors: a witness less than in the baseline.
         floor = floor.larger(_WITHOUT_WITNESS)
 
     # 5. Traces
@@ -152,6 +156,8 @@ def _explained(
     """Search, and search again where the noise turns out to be another than the search assumed."""
     split = split_blocks(replayed.time_s, replayed.valid)
     names = frozenset(e.id for e in testable)
+    if not floor.representative and (floor.measured or replayed.reference.kind != "columns"):
+        floor = foreseen(floor, replayed, split.train, split.test)
     excess = excess_scatter(replayed, baseline) if baseline is not None else 0.0
     start = floor_to_start(floor, replayed, baseline, step_mgauss, excess)
     identified, widened = identify(replayed, start, split, testable)

@@ -131,7 +131,11 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     turns = bool(problem.replay.present & {"turning", "tilt"}) or floor.measured
     said = consistent(answer, field, heading, where_left, floor, none, evidence.traces, turns, problem.replay)
     if said.named is not answer.named:
+        # Without its names an answer has other figures, which it must not contradict either.
         field, heading = closings(problem, said.named, test, floor, added)
+        said = consistent(
+            said, field, heading, where_left, floor, none, evidence.traces, turns, problem.replay
+        )
     answer = said
     if answer.named.terms and _worse_on(problem, answer.named, test):
         # A name that makes held-out data worse is no explanation.

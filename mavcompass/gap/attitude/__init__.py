@@ -1,6 +1,7 @@
 """The attitude that a recording tells, and how far it goes: never from the compass under test."""
 
-from mavcompass.gap.attitude.inertial import inertial_faults, without_faults
+from mavcompass.gap.attitude.inertial import accelerometer_fault, gyro_fault, without_fault
+from mavcompass.gap.attitude.kinematics import exponentials, turned_about_down
 from mavcompass.gap.attitude.receiver import local_position, north_east_m
 from mavcompass.gap.attitude.reference import (
     UNKNOWN_YAW_RAD,
@@ -14,10 +15,13 @@ __all__ = [
     "UNKNOWN_YAW_RAD",
     "Choice",
     "Reference",
+    "accelerometer_fault",
     "body_rate",
-    "inertial_faults",
+    "exponentials",
+    "gyro_fault",
     "local_position",
     "north_east_m",
     "reference_attitude",
-    "without_faults",
+    "turned_about_down",
+    "without_fault",
 ]

@@ -1,4 +1,4 @@
-"""The acceleration that a satellite receiver shows, and how it lies in a frame of unknown yaw."""
+"""The velocity that a receiver tells, and how its axes lie in a frame of unknown yaw."""
 
 from __future__ import annotations
 
@@ -15,50 +15,74 @@ _STEP_S = 0.2
 # Accelerations are compared smoothed over some seconds (the noise of a second derivative falls with the
 # square of it), and taken away less smooth.
 _COMPARED_S, _TAKEN_S = 3.0, 1.0
+# Readings that a derivative is smoothed over; no receiver's velocity is better than this.
+_SMOOTHED, _LEAST_SCATTER_MPS = 3, 0.1
 _FEWEST_FIXES = 50
 _LONGEST_GAP_S = 3.0
-# The receiver is believed where it explains this share of what is felt, with a yaw that drifts by less.
-_BELIEVED_SHARE = 0.3
+# The receiver is believed where it explains this share of what is felt, and more than chance would, with a
+# yaw that drifts by less.
+_BELIEVED_SHARE, _SURE = 0.3, 10.0
 _MOST_DRIFT_RADPS = math.radians(1.0)
 _TURN_STEP_RAD = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Path:
-    """Hold accelerations north, east, down, (N, 3) each: smooth enough to compare, and to take away."""
+class Velocity:
+    """Hold velocities north, east, down and how fast they change, (N, 3) each, with their scatter (3,)."""
 
-    compared_mps2: FloatArray
-    taken_mps2: FloatArray
+    time_s: FloatArray
+    mean_mps: FloatArray
+    change_mps2: FloatArray
+    sigma_mps: FloatArray
 
-    def turned_like(
+    def at(self, time_s: FloatArray) -> Velocity:
+        """Return the velocity at other times."""
+        mean, change = (
+            np.stack([np.interp(time_s, self.time_s, column) for column in values.T], axis=1)
+            for values in (self.mean_mps, self.change_mps2)
+        )
+        return Velocity(time_s, mean, change, self.sigma_mps)
+
+    def bearing(
         self, clock: FloatArray, rotation: FloatArray, force: FloatArray, absorbed_s: float
     ) -> FloatArray | None:
-        """Turn the acceleration by the yaw, and its even drift, that fit forces (N, 3) in body axes.
+        """Return the yaw (N,) of the receiver's axes in a level frame, by the forces (N, 3) that are felt.
 
-        `rotation` (N, 3, 3) goes from body axes to a level frame, which was levelled by means of the force
-        over triangles of half width `absorbed_s`: the same means of an acceleration do not show in it. 0
-        where the acceleration had been taken away before. None where no yaw explains what is felt.
+        `rotation` (N, 3, 3) goes from body axes to that frame, which was levelled by means of the force over
+        triangles of half width `absorbed_s`: the same means of an acceleration do not show in it. 0 where the
+        acceleration had been taken away before. None where no yaw explains what is felt.
         """
         level = np.einsum("nij,nj->ni", rotation, force)
         width = max(round(_COMPARED_S / max(float(np.median(np.diff(clock))), 1e-3)), 1)
         smooth = _running(_running(level, width), width)
         felt = smooth[:, 0] + 1j * smooth[:, 1]
-        shown = self.compared_mps2 - triangle_means(clock, self.compared_mps2, absorbed_s)
+        compared = self.acceleration(clock, _COMPARED_S)
+        shown = compared - triangle_means(clock, compared, absorbed_s)
         said = shown[:, 0] + 1j * shown[:, 1]
         middle = clock - 0.5 * (clock[0] + clock[-1])
         step = _TURN_STEP_RAD / max(float(np.ptp(clock)), 1.0)
-        drifts = step * np.arange(
-            -math.ceil(_MOST_DRIFT_RADPS / step), math.ceil(_MOST_DRIFT_RADPS / step) + 1
-        )
+        most = math.ceil(_MOST_DRIFT_RADPS / step)
+        drifts = step * np.arange(-most, most + 1)
         product = np.conj(said) * felt
         sums = np.array([np.sum(product * np.exp(-1j * drift * middle)) for drift in drifts])
         best = int(np.argmax(np.abs(sums)))
-        turn = np.exp(1j * (drifts[best] * middle + np.angle(sums[best])))
-        left, whole = float(np.mean(np.abs(felt - said * turn) ** 2)), float(np.mean(np.abs(felt) ** 2))
-        if left > (1.0 - _BELIEVED_SHARE) * whole:
-            return None
-        taken = (self.taken_mps2[:, 0] + 1j * self.taken_mps2[:, 1]) * turn
-        return np.stack([taken.real, taken.imag, self.taken_mps2[:, 2]], axis=1)
+        angle = np.asarray(drifts[best] * middle + np.angle(sums[best]))
+        left = float(np.mean(np.abs(felt - said * np.exp(1j * angle)) ** 2))
+        # Of so many drifts one explains a share of mere noise by chance.
+        independent = max(float(np.ptp(clock)) / _COMPARED_S, 1.0)
+        believed = max(_BELIEVED_SHARE, (_SURE + math.log(drifts.size)) / independent)
+        return angle if left <= (1.0 - believed) * float(np.mean(np.abs(felt) ** 2)) else None
+
+    def acceleration(self, clock: FloatArray, smoothing_s: float = _TAKEN_S) -> FloatArray:
+        """Return the acceleration north, east, down at some times, (N, 3).
+
+        It is the exact derivative of a smooth curve: averaged over T, its noise falls with T.
+        """
+        grid = np.arange(clock[0], clock[-1] + _STEP_S, _STEP_S)
+        width = round(smoothing_s / _STEP_S)
+        curve = _running(_running(self.at(grid).mean_mps, width), width)
+        change = np.gradient(curve, _STEP_S, axis=0)
+        return np.stack([np.interp(clock, grid, column) for column in change.T], axis=1)
 
 
 def triangle_means(clock: FloatArray, values: FloatArray, half_s: float) -> FloatArray:
@@ -79,15 +103,12 @@ def _convolved(values: FloatArray, kernel: FloatArray) -> FloatArray:
     return np.asarray(product[first : first + values.size])
 
 
-def receiver_path(track: Track, clock: FloatArray) -> Path | None:
-    """Differentiate what a receiver says; None where it does not speak all the time.
-
-    The accelerations are exact derivatives of smooth curves: averaged over T, their noise falls with T.
-    """
-    for series, order in (
-        (track.gps_velocity_mps, 1),
-        (track.position_ned_m, 2),
-        (local_position(track.place), 2),
+def receiver_velocity(track: Track, clock: FloatArray) -> Velocity | None:
+    """Return what a receiver says of the velocity; None where it does not speak all the time."""
+    for series, of_positions in (
+        (track.gps_velocity_mps, False),
+        (track.position_ned_m, True),
+        (local_position(track.place), True),
     ):
         if series is None:
             continue
@@ -97,22 +118,17 @@ def receiver_path(track: Track, clock: FloatArray) -> Path | None:
             continue
         if when[0] > clock[0] + _LONGEST_GAP_S or when[-1] < clock[-1] - _LONGEST_GAP_S:
             continue
-        grid = np.arange(clock[0], clock[-1] + _STEP_S, _STEP_S)
-        curve = np.stack([np.interp(grid, when, column) for column in values.T], axis=1)
-        if len(curve) < _FEWEST_FIXES:
+        if of_positions:
+            grid = np.arange(when[0], when[-1], _STEP_S)
+            curve = np.stack([np.interp(grid, when, column) for column in values.T], axis=1)
+            when, values = grid, np.gradient(_running(curve, _SMOOTHED), _STEP_S, axis=0)
+        if when.size < _FEWEST_FIXES:
             continue
-        return Path(*(_derivative(grid, curve, order, s, clock) for s in (_COMPARED_S, _TAKEN_S)))
+        second = np.abs(np.diff(values, 2, axis=0))
+        scatter = 1.4826 * np.median(second, axis=0) / math.sqrt(6.0)
+        change = np.gradient(_running(values, _SMOOTHED), when, axis=0)
+        return Velocity(when, values, change, np.maximum(scatter, _LEAST_SCATTER_MPS))
     return None
-
-
-def _derivative(
-    grid: FloatArray, curve: FloatArray, order: int, smoothing_s: float, clock: FloatArray
-) -> FloatArray:
-    width = round(smoothing_s / _STEP_S)
-    curve = _running(_running(curve, width), width)
-    for _ in range(order):
-        curve = np.gradient(curve, _STEP_S, axis=0)
-    return np.stack([np.interp(clock, grid, column) for column in curve.T], axis=1)
 
 
 def local_position(place: Series | None) -> Series | None:

@@ -19,10 +19,13 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
-from mavcompass.gap.attitude.kinematics import exponentials
-from mavcompass.gap.attitude.levelling import levelled
+from mavcompass.gap.attitude.kinematics import turned_about_down, turned_between
+from mavcompass.gap.attitude.levelling import sensed_by, started
+from mavcompass.gap.attitude.navigation import Smoothed, Witness, carried, smoothed_attitude
+from mavcompass.gap.attitude.receiver import receiver_velocity
+from mavcompass.gap.attitude.rest import Bias, bias_at_rest
 from mavcompass.gap.attitude.steering import steered_by
-from mavcompass.gap.attitude.yaw import Witness, age_of, smoothed
+from mavcompass.gap.attitude.yaw import age_of
 from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.track import Series, Track
 
@@ -35,8 +38,15 @@ SLOWEST_GYRO_S = 0.15
 UNKNOWN_YAW_RAD = 0.3
 _FEWEST = 20
 _UNKNOWN_YAW_RAD = math.radians(60.0)
-# What the level of a good attitude filter is off by.
-_TILT_SIGMA_RAD = math.radians(0.3)
+# Constant and slow errors of a yaw's witnesses.
+_AUTOPILOT_RAD, _AUTOPILOT_SLOW_RAD = math.radians(3.0), math.radians(0.7)
+_ANTENNAS_RAD, _ANTENNAS_SLOW_RAD = math.radians(1.0), math.radians(0.1)
+# Curves smaller than this are of no consequence: a few tenths of a milligauss.
+_LEAST_CURVE_RAD, _MOST_CURVES, _LEAST_CONSTANT_RAD = math.radians(0.04), 48, math.radians(0.5)
+# A yaw that is told no better may lie on the wrong side altogether.
+_MOST_LINEAR_RAD = math.radians(5.0)
+# Farther over, a bent yaw tilts the autopilot's attitude too, and looks like an age.
+_UPRIGHT = math.cos(math.radians(45.0))
 _REMEDY = "Record RAW_IMU or IMU messages at 10 Hz or more, or an attitude (ATTITUDE, ATT)."
 
 
@@ -49,8 +59,10 @@ class Reference:
         rotation: body to NED, (N, 3, 3); rate_radps: its body rate, (N, 3).
         known: where there is one, (N,).
         yaw_sigma_rad: a priori standard deviation of a constant yaw error (0: none is solved for).
-        yaw_curves_rad: what else the yaw may be off by, (N, k): each column has a standard normal amplitude.
+        curves_rad: what else it may be off by, rotation vectors in world axes, (N, 3, k): each curve has
+            a standard normal amplitude.
         tilt_sigma_rad: what roll and pitch show themselves to be off by; 0 where nothing tells.
+        gyro_bias: what the gyro says when nothing turns; None where that was not estimated.
         notes: what a reader of the result must know.
     """
 
@@ -59,8 +71,9 @@ class Reference:
     rate_radps: FloatArray
     known: NDArray[np.bool_]
     yaw_sigma_rad: float = 0.0
-    yaw_curves_rad: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    curves_rad: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
     tilt_sigma_rad: float = 0.0
+    gyro_bias: Bias | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -70,10 +83,10 @@ class Reference:
 
     def at(self, rows: slice) -> Reference:
         """Return the reference at some of its times."""
-        curves = self.yaw_curves_rad[rows] if self.yaw_curves_rad.size else self.yaw_curves_rad
+        curves = self.curves_rad[rows] if self.curves_rad.size else self.curves_rad
         return replace(
             self, rotation=self.rotation[rows], rate_radps=self.rate_radps[rows], known=self.known[rows],
-            yaw_curves_rad=curves,
+            curves_rad=curves,
         )  # fmt: skip
 
 
@@ -140,82 +153,90 @@ def body_rate(time_s: FloatArray, rotation: FloatArray) -> FloatArray:
     n = len(rotation)
     if n < 5:
         return np.zeros((n, 3))
-    near = _rotation_vectors(rotation[:-1], rotation[1:]) / np.diff(time_s)[:, None]
+    near = turned_between(rotation[:-1], rotation[1:]) / np.diff(time_s)[:, None]
     rate = np.vstack([near[:1], 0.5 * (near[:-1] + near[1:]), near[-1:]])
     step = np.diff(time_s)
     even = np.ptp(np.stack([step[:-3], step[1:-2], step[2:-1], step[3:]]), axis=0) < 0.05 * step[1:-2]
     middle = rotation[2:-2]
-    vectors = [_rotation_vectors(middle, rotation[2 + j : n - 2 + j]) for j in (-2, -1, 1, 2)]
+    vectors = [turned_between(middle, rotation[2 + j : n - 2 + j]) for j in (-2, -1, 1, 2)]
     span = (time_s[4:] - time_s[:-4])[:, None] / 4.0
     fine = (8.0 * (vectors[2] - vectors[1]) - (vectors[3] - vectors[0])) / (12.0 * span)
     rate[2:-2] = np.where(even[:, None], fine, rate[2:-2])
     return rate
 
 
-def _rotation_vectors(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the rotation vectors (N, 3) of first^T second."""
-    # Only the antisymmetric part and the trace of the product are needed.
-    p = [[np.einsum("ni,ni->n", first[:, :, i], second[:, :, j]) for j in range(3)] for i in range(3)]
-    axis = 0.5 * np.stack([p[2][1] - p[1][2], p[0][2] - p[2][0], p[1][0] - p[0][1]], axis=1)
-    sine = np.sqrt(np.einsum("ni,ni->n", axis, axis))
-    angle = np.arctan2(sine, 0.5 * (p[0][0] + p[1][1] + p[2][2] - 1.0))
-    factor = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 1.0)
-    return np.asarray(axis * factor[:, None])
-
-
 def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> Reference | None:
-    """Integrate the gyro, level it, and smooth its yaw with the witnesses that the choice allows."""
-    integral = levelled(track)
-    if integral is None:
+    """Smooth gyro and accelerometer with the receiver and the witnesses that the choice allows."""
+    sensed = sensed_by(track)
+    if sensed is None:
         return None
-    clock, rotation = integral.clock, integral.rotation
+    clock = sensed.time_s
+    resting = bias_at_rest(clock, sensed.rate_radps, sensed.force_mps2)
+    velocity = receiver_velocity(track, clock)
     autopilot = _autopilot_rotation(track, clock) if choice == "auto" else None
-    tilt_sigma = integral.tilt_sigma_rad
-    if autopilot is not None:
-        rotation, tilt_sigma = _levelled_by_both(rotation, autopilot, tilt_sigma)
-    told, witnesses = [], []
-    if choice in ("auto", "gps-yaw") and (witness := _receiver_witness(track, clock, rotation)) is not None:
-        witnesses.append(witness)
-        told.append("the two-antenna receiver")
-    if choice == "gps-yaw" and not witnesses:
+    start = started(sensed, resting, velocity, autopilot)
+    antennas = _antennas_yaw(track, clock) if choice in ("auto", "gps-yaw") else None
+    if choice == "gps-yaw" and antennas is None:
         return None
-    if autopilot is not None and steered_by(track, instance) == "other":
-        witnesses.append(_autopilot_witness(clock, rotation, autopilot))
-        told.append("the autopilot's yaw, which another compass steers")
-    turning = np.einsum("ni,ni->n", integral.rate_radps, rotation[:, 2])
-    yaw = _integral(clock, turning)
-    age = None
-    if autopilot is not None:
+    told = ["the receiver's velocity"] if start.bearing else []
+    witness, rotation = None, start.rotation
+    if antennas is not None:
+        level = rotation if autopilot is None else autopilot
+        witness = Witness(_facing(level, antennas), _ANTENNAS_RAD, _ANTENNAS_SLOW_RAD)
+        told.append("the two-antenna receiver")
+    elif autopilot is not None:
+        steered = steered_by(track, instance) == "other"
+        witness = Witness(autopilot, _AUTOPILOT_RAD if steered else math.inf, _AUTOPILOT_SLOW_RAD)
+        told += ["the autopilot's yaw, which another compass steers"] if steered else []
+    if not start.bearing and witness is not None and math.isfinite(witness.constant_rad):
+        ahead = float(np.median(_ahead(rotation, witness.rotation)))
+        rotation = turned_about_down(rotation, np.full(clock.size, ahead))
+    smoothed = smoothed_attitude(sensed, rotation, resting, velocity if start.bearing else None, witness)
+    age = 0.0
+    if autopilot is not None and float(np.min(smoothed.rotation[:, 2, 2])) > _UPRIGHT:
         # Whatever steers the autopilot's yaw, it turns when the vehicle turns.
-        age = age_of(clock, turning, clock, yaw + _ahead(rotation, autopilot))
-    error = smoothed(clock, yaw, integral.drift_sigma_radps, witnesses, _UNKNOWN_YAW_RAD, age)
-    turned = _turned_about_down(rotation, error.mean_rad)
+        turning = np.einsum("ni,ni->n", smoothed.rate_radps, smoothed.rotation[:, 2])
+        yaw = _integral(clock, turning) + _ahead(smoothed.rotation, autopilot)
+        age = age_of(clock, turning, clock, yaw) or 0.0
+    constant, curves = _unknown(smoothed, time_s)
+    if choice == "gyro" or not told or constant > _MOST_LINEAR_RAD:
+        constant = _UNKNOWN_YAW_RAD
     by = f"; its yaw follows {' and '.join(told)}" if told else "; its initial yaw is solved with the field"
     return Reference(
         "fused" if choice == "auto" else choice,
-        _rotations_at(clock, turned, integral.rate_radps, time_s),
-        at_times(clock, integral.rate_radps, time_s),
+        carried(clock, smoothed.rotation, smoothed.rate_radps, time_s + age),
+        at_times(clock, smoothed.rate_radps, time_s),
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
-        yaw_sigma_rad=error.constant_sigma_rad,
-        yaw_curves_rad=np.stack([np.interp(time_s, clock, c) for c in error.curves_rad.T], axis=1)
-        if error.curves_rad.size
-        else np.zeros((0, 0)),
-        tilt_sigma_rad=tilt_sigma,
+        yaw_sigma_rad=constant,
+        curves_rad=curves,
+        tilt_sigma_rad=float(np.sqrt(np.mean(np.diag(smoothed.covariance).reshape(-1, 3)[:, :2]))),
+        gyro_bias=smoothed.gyro_bias,
         notes=(f"The attitude is the smoothed gyro and accelerometer{by}.",),
     )
 
 
+def _unknown(smoothed: Smoothed, time_s: FloatArray) -> tuple[float, FloatArray]:
+    """Return the sigma of a constant of the yaw, and what else the attitude may be off by, (N, 3, k)."""
+    covariance, knots = smoothed.covariance, smoothed.knots_s
+    # Knots stand closer where readings were lost: each counts by the time about it.
+    share = np.gradient(knots) / float(knots[-1] - knots[0])
+    share /= share.sum()
+    constant = math.sqrt(float(share @ covariance[2::3, 2::3] @ share))
+    varying = np.eye(3 * knots.size)
+    varying[2::3, 2::3] -= share
+    weight = np.sqrt(np.repeat(share, 3))
+    values, vectors = np.linalg.eigh(weight[:, None] * (varying @ covariance @ varying.T) * weight)
+    size = np.sqrt(np.maximum(values, 0.0))
+    keep = np.flatnonzero(size > _LEAST_CURVE_RAD)[::-1][:_MOST_CURVES]
+    curves = (vectors[:, keep] * size[keep] / weight[:, None]).reshape(knots.size, 3 * keep.size)
+    spread = np.zeros((time_s.size, 3 * keep.size))
+    for column, values in zip(spread.T, curves.T, strict=True):
+        column[:] = np.interp(time_s, knots, values)
+    return math.hypot(constant, _LEAST_CONSTANT_RAD), spread.reshape(time_s.size, 3, keep.size)
+
+
 def _integral(clock: FloatArray, rate: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(clock))])
-
-
-def _turned_about_down(rotation: FloatArray, angle: FloatArray) -> FloatArray:
-    """Turn rotations (N, 3, 3) to world axes by angles (N,) about the vertical."""
-    c, d = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    out = rotation.copy()
-    out[:, 0] = c * rotation[:, 0] - d * rotation[:, 1]
-    out[:, 1] = d * rotation[:, 0] + c * rotation[:, 1]
-    return out
 
 
 def _autopilot_rotation(track: Track, clock: FloatArray) -> FloatArray | None:
@@ -235,52 +256,25 @@ def _autopilot_rotation(track: Track, clock: FloatArray) -> FloatArray | None:
     return euler_to_matrix(*angles.T)
 
 
-def _levelled_by_both(
-    rotation: FloatArray, autopilot: FloatArray, tilt_sigma_rad: float
-) -> tuple[FloatArray, float]:
-    """Average the levels of two attitudes by what each may be off; return rotations and what that is then."""
-    own, other = rotation[:, 2], autopilot[:, 2]
-    apart = float(np.sqrt(np.mean(np.sum((own - other) ** 2, axis=1)) / 2.0))
-    own_sigma = max(tilt_sigma_rad, _TILT_SIGMA_RAD)
-    weight = own_sigma**-2 / (own_sigma**-2 + _TILT_SIGMA_RAD**-2)
-    down = weight * own + (1.0 - weight) * other
-    down /= np.linalg.norm(down, axis=1, keepdims=True)
-    ahead = rotation[:, 0] - down * np.einsum("ni,ni->n", rotation[:, 0], down)[:, None]
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    # Two errors of the same size are as far from their mean as they are from each other, over two.
-    return np.stack([ahead, np.cross(down, ahead), down], axis=1), max(0.5 * apart, 0.5 * _TILT_SIGMA_RAD)
-
-
 def _ahead(rotation: FloatArray, other: FloatArray) -> FloatArray:
     """Return the yaw (N,) by which other rotations are ahead, without Euler's angles, unwrapped."""
     e = np.einsum("nij,nkj->nik", other, rotation)
     return np.unwrap(np.arctan2(e[:, 1, 0] - e[:, 0, 1], e[:, 0, 0] + e[:, 1, 1]))
 
 
-def _autopilot_witness(clock: FloatArray, rotation: FloatArray, autopilot: FloatArray) -> Witness:
-    return Witness(
-        clock, _ahead(rotation, autopilot), math.radians(3.0), math.radians(0.1), 8.0, math.radians(0.7)
-    )
-
-
-def _receiver_witness(track: Track, clock: FloatArray, rotation: FloatArray) -> Witness | None:
+def _antennas_yaw(track: Track, clock: FloatArray) -> FloatArray | None:
+    """Return the yaw of a two-antenna receiver at other times, (N,); None where it does not tell one."""
     if track.gps_yaw_rad is None:
         return None
     finite = np.isfinite(track.gps_yaw_rad.values)
     if finite.sum() < _FEWEST:
         return None
-    heard, yaw = track.gps_yaw_rad.time_s[finite], np.unwrap(track.gps_yaw_rad.values[finite])
-    own = np.interp(heard, clock, np.unwrap(matrix_to_euler(rotation)[2]))
-    return Witness(heard, np.unwrap(yaw - own), math.radians(1.0), math.radians(0.5), 20.0)
+    return np.interp(clock, track.gps_yaw_rad.time_s[finite], np.unwrap(track.gps_yaw_rad.values[finite]))
 
 
-def _rotations_at(
-    clock: FloatArray, rotation: FloatArray, rate: FloatArray, time_s: FloatArray
-) -> FloatArray:
-    """Carry rotations to other times with the rate at the nearest sample before."""
-    left = np.clip(np.searchsorted(clock, time_s, side="right") - 1, 0, clock.size - 1)
-    middle_rate = at_times(clock, rate, 0.5 * (time_s + clock[left]))
-    return np.asarray(rotation[left] @ exponentials(middle_rate * (time_s - clock[left])[:, None]))
+def _facing(rotation: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Turn rotations (N, 3, 3) about the vertical to yaws (N,)."""
+    return turned_about_down(rotation, yaw - matrix_to_euler(rotation)[2])
 
 
 def _attitude(track: Track, time_s: FloatArray, instance: int) -> Reference | None:
@@ -299,7 +293,8 @@ def _attitude(track: Track, time_s: FloatArray, instance: int) -> Reference | No
     middle = 0.5 * (time_s[0] + time_s[-1])
     other = steered_by(track, instance) == "other"
     bent = math.radians(5.0)
-    curves = np.stack(
+    curves = np.zeros((time_s.size, 3, 3))
+    curves[:, 2] = np.stack(
         [bent * np.sin(heading), bent * np.cos(heading), math.radians(0.02) * (time_s - middle)], axis=1
     )
     note = (
@@ -312,6 +307,6 @@ def _attitude(track: Track, time_s: FloatArray, instance: int) -> Reference | No
         rate,
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
         yaw_sigma_rad=math.radians(5.0 if other else 10.0),
-        yaw_curves_rad=curves,
+        curves_rad=curves,
         notes=(note,),
     )

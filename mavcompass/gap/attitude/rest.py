@@ -27,10 +27,10 @@ _FEWEST_PARTS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bias:
-    """Hold a gyro's bias and its standard deviation, (3,) each, radians per second."""
+    """Hold a sensor's bias and its standard deviation, (3,) each, in the sensor's unit."""
 
-    mean_radps: FloatArray
-    sigma_radps: FloatArray
+    mean: FloatArray
+    sigma: FloatArray
 
 
 def bias_at_rest(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> Bias:

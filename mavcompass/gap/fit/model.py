@@ -7,6 +7,7 @@ the composition again from its own stage on.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,12 +16,22 @@ from numpy.typing import NDArray
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
 from mavcompass.gap.fit.newton import bridge, invert, moved, solve
-from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Noise, Nuisance, Prior, Replay, group_values
+from mavcompass.gap.replay import (
+    REFERENCE_YAW,
+    TELEMETRY_AGE,
+    Noise,
+    Nuisance,
+    Prior,
+    Replay,
+    group_values,
+    turned,
+)
 from mavcompass.simulation.effects.effect import Effect, Signals
 from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.simulation.physics.signals import Reading
 
 _STEP = 1e-3
+_NUDGE_RAD = 1e-5
 _ITERATIONS = 12
 _CONVERGED = 0.02
 # The first nuisance, the world field, is linear; of the others a derivative serves as far as this.
@@ -41,6 +52,25 @@ def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
             )
         )
     )
+
+
+def _nudged(signals: Signals) -> list[Signals]:
+    """Turn an attitude a little about each of the world's axes."""
+    return [
+        turned(signals, np.broadcast_to(axis, (signals.stimulus.time_s.size, 3)))
+        for axis in _NUDGE_RAD * np.eye(3)
+    ]
+
+
+def _along(by_axis: Sequence[Reading], curves_rad: FloatArray, yaw_rad: float) -> list[Reading]:
+    """Combine the changes by turns about the world's axes to those by curves of a frame turned by a yaw."""
+    if not curves_rad.shape[2]:
+        return []
+    c, d = math.cos(yaw_rad), math.sin(yaw_rad)
+    turns = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]]) @ curves_rad
+    mag = np.stack([one.mag_mgauss for one in by_axis], axis=2) @ turns
+    still = by_axis[0]
+    return [Reading(mag[:, :, k], 0.0 * still.acc_mps2, 0.0 * still.gyro_radps) for k in range(mag.shape[2])]
 
 
 class Problem:
@@ -157,6 +187,18 @@ class Problem:
 
         `wanted` holds places: nuisances first, then terms. One column per free parameter.
         """
+        return self.whitened(self._changes(terms, thetas, nuisance_thetas, states, wanted))
+
+    def nuisance_changes(self, fit: Fit) -> list[Reading]:
+        """Return the derivatives of the prediction by the nuisances' parameters, under a fit."""
+        states = self.states(fit.terms, fit.thetas, fit.nuisance_thetas)
+        places = range(len(self.nuisances))
+        return self._changes(fit.terms, fit.thetas, fit.nuisance_thetas, states, places)
+
+    def _changes(
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
+        states: list[Signals], wanted: Sequence[int],
+    ) -> list[Reading]:  # fmt: skip
         order = self._ordered(terms)
         everything = [*nuisance_thetas, *thetas]
         places = {place: at for at, (_, place) in enumerate(order)}
@@ -183,16 +225,14 @@ class Problem:
                     early.append(len(changes))
                 changes.append(difference(self._run_from(order[:stop], at, states[at], moved), base, step))
             if effect.id == REFERENCE_YAW:
-                # What a curve of the yaw changes is the constant's change times the curve.
-                turn = changes[-1].mag_mgauss
-                for curve in self.replay.reference.yaw_curves_rad.T:
-                    early += [len(changes)] if stop < len(order) else []
-                    changes.append(
-                        Reading(turn * curve[:, None], changes[-1].acc_mps2, changes[-1].gyro_radps)
-                    )
+                early += range(len(changes), len(changes) + free.size - 1) if stop < len(order) else []
+                after = (self._run_from(order[:stop], at + 1, s, everything) for s in _nudged(states[at + 1]))
+                by_axis = [difference(reading, base, _NUDGE_RAD) for reading in after]
+                yaw = float(everything[place][0])
+                changes += _along(by_axis, self.replay.reference.curves_rad, yaw)
         if early and late:
             self._delay(changes, early, float(everything[order[-1][1]][0]))
-        return self.whitened(changes)
+        return changes
 
     def _delay(self, changes: list[Reading], which: Sequence[int], delay_s: float) -> None:
         time = self.replay.time_s
@@ -226,12 +266,13 @@ class Problem:
     def strain(self, fit: Fit) -> float:
         """Return how far a fit strains what is known of vehicle and place together, in squared sigmas.
 
-        What the yaw may do is no knowledge of them.
+        The yaw's constant may be known; how it wanders is no knowledge of them.
         """
-        known = [n.effect.id != REFERENCE_YAW for n in self.nuisances]
-        rows = (
-            np.repeat(known, [n.mean.size for n in self.nuisances]) if known else np.zeros(0, dtype=np.bool_)
-        )
+        parts = [
+            np.arange(n.mean.size) < (1 if n.effect.id == REFERENCE_YAW else n.mean.size)
+            for n in self.nuisances
+        ]
+        rows = np.concatenate([*parts, np.zeros(0, dtype=np.bool_)])
         off = (np.concatenate([*fit.nuisance_thetas, np.zeros(0)]) - self._prior)[rows]
         return float(off @ self._precision[np.ix_(rows, rows)] @ off)
 

@@ -18,12 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.beam import likeliest_sets
 from mavcompass.gap.fit.candidates import Candidate, Candidates, misfit_of
 from mavcompass.gap.fit.chance import least_alone, least_gain, least_growth
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.replay import REFERENCE_YAW, yaw_starts
+from mavcompass.gap.replay import REFERENCE_YAW, Nuisance, yaw_starts
 from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
@@ -50,6 +51,13 @@ class Found:
     best: Fit
     explored: dict[frozenset[str], Fit]
     weights: tuple[tuple[frozenset[str], float], ...]
+
+
+def _facing_as_known(yaw: Nuisance, theta: FloatArray) -> FloatArray:
+    """Return the yaw's constant to what is known of it where it was bent far; its curves may wander."""
+    if (theta[0] - yaw.mean[0]) ** 2 * yaw.precision[0, 0] < least_gain(1):
+        return theta
+    return np.concatenate([yaw.mean[:1], theta[1:]])
 
 
 class Search:
@@ -97,10 +105,19 @@ class Search:
         """Return EBIC's penalty for so many parameters and effects."""
         return dimension * self._log_n + 2.0 * effects * self._log_c
 
+    def nothing(self) -> Found:
+        """Return the fit without any effect, as if nothing else had been tried."""
+        null = self._unbent(self._null())
+        return Found(null, null, {null.ids: null}, ((null.ids, 1.0),))
+
+    def _null(self) -> Fit:
+        if frozenset() not in self.explored:
+            self.explored[frozenset()] = self.problem.null()
+        return self.explored[frozenset()]
+
     def run(self, most: int = MOST_EFFECTS) -> Found:
         """Search up to `most` effects."""
-        null = self.problem.null()
-        self.explored[frozenset()] = null
+        null = self._null()
         best = self._rounds(null, most, ())
         for turned in self._turned(null, best):
             rival = self._rounds(turned, most, turned.terms)
@@ -180,15 +197,15 @@ class Search:
         if fit.terms or not self.problem.nuisances:
             return fit
         nuisances = self.problem.nuisances
-        known = sum(n.mean.size for n in nuisances if n.effect.id != REFERENCE_YAW)
+        known = sum(1 if n.effect.id == REFERENCE_YAW else n.mean.size for n in nuisances)
         together = self.problem.strain(fit) < least_gain(known)
-        if together and all(cost < least_gain(size) for cost, size in self.problem.strains(fit)):
-            return fit
-        kept = (
-            x if n.effect.id == REFERENCE_YAW else n.mean.copy()
+        straight = together and all(cost < least_gain(size) for cost, size in self.problem.strains(fit))
+        kept = tuple(
+            _facing_as_known(n, x) if n.effect.id == REFERENCE_YAW else x if straight else n.mean.copy()
             for n, x in zip(nuisances, fit.nuisance_thetas, strict=True)
         )
-        return replace(fit, nuisance_thetas=tuple(kept))
+        same = all(x is y for x, y in zip(kept, fit.nuisance_thetas, strict=True))
+        return fit if same else replace(fit, nuisance_thetas=kept)
 
     def _to_fit(
         self, candidates: Candidates, sets: dict[int, list[tuple[Candidate, ...]]], now: int

@@ -227,6 +227,7 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
         folded_at += index.size
         at += theta.size
     prior = Prior.of(taught)
+    stated = np.concatenate([n.mean for n in own]) if own else np.zeros(0)
     if source:
         daily = np.concatenate([np.full(n.mean.size, _FROM_DAY_TO_DAY.get(n.effect.id, 0.0)) for n in taught])
         if replay.reference.kind == "columns":
@@ -235,21 +236,20 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
             # An iron that nobody measured but this baseline takes all its errors with it.
             daily = daily * _UNMEASURED
         covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
-        covariance = _no_wider(covariance, np.diag(prior.precision)[place])
+        told = np.maximum(np.diag(covariance) * np.diag(prior.precision)[place], 1.0)
+        # What a baseline hardly shows (motors that idle) stays within what is stated for this recording.
+        covariance = covariance / np.sqrt(np.outer(told, told))
         size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         precision = prior.precision.copy()
         precision[np.ix_(place, place)] = np.linalg.pinv(covariance / np.outer(size, size)) / np.outer(
             size, size
         )
-        prior = replace(prior, precision=precision)
+        mean = prior.mean
+        known = np.flatnonzero(np.array(place) < stated.size)
+        at_known = np.array(place)[known]
+        mean[at_known] = stated[at_known] + (mean[at_known] - stated[at_known]) / told[known]
+        prior = replace(prior.moved(mean), precision=precision)
     return prior
-
-
-def _no_wider(covariance: FloatArray, own_precision: FloatArray) -> FloatArray:
-    """Keep what a baseline hardly shows (motors that idle) within what is stated for this recording."""
-    told = np.maximum(np.diag(covariance) * own_precision, 1.0)
-    shrink = 1.0 / np.sqrt(told)
-    return np.asarray(covariance * np.outer(shrink, shrink))
 
 
 def _same_witness(

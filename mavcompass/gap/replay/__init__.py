@@ -20,6 +20,7 @@ from mavcompass.gap.replay.nuisance import (
     Nuisance,
     Prior,
     block_diagonal,
+    turned,
     yaw_starts,
 )
 from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
@@ -52,6 +53,7 @@ __all__ = [
     "rough_sigma",
     "shared_period_s",
     "traces_to_name",
+    "turned",
     "untestable_effects",
     "wandering",
     "white",

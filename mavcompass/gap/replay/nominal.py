@@ -20,7 +20,7 @@ from mavcompass.gap.replay.in_force import KnownIron, calibration_in_force, know
 from mavcompass.gap.replay.integrity import Trace
 from mavcompass.gap.replay.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
 from mavcompass.gap.replay.noise import SensorNoise
-from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_yaw
+from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
 from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
@@ -283,14 +283,14 @@ def _nuisances(
     found = [Nuisance.of(WORLD_FIELD, np.zeros(3), field_sigma)]
     # With an unknown field, north is where the field points: a constant yaw error means nothing.
     constant = 0.0 if field_unknown else reference.yaw_sigma_rad
-    if constant > 0.0 or reference.yaw_curves_rad.size:
+    if constant > 0.0 or reference.curves_rad.size:
         world = np.mean(rotate(stimulus.rotation[valid], calibrated[valid]), axis=0)
         field = stimulus.field_ned_mgauss[0]
         offset = math.atan2(field[1], field[0]) - math.atan2(world[1], world[0])
-        mean, sigma = np.zeros((2, 1 + reference.yaw_curves_rad.shape[1]))
+        mean, sigma = np.zeros((2, 1 + reference.curves_rad.shape[2]))
         mean[0] = float(wrap_pi(offset)) if constant > UNKNOWN_YAW_RAD else 0.0
         sigma[:], sigma[0] = 1.0, max(constant, 1e-9)
-        found.append(Nuisance.of(reference_yaw(reference.yaw_curves_rad), mean, sigma))
+        found.append(Nuisance.of(reference_attitude_error(reference.curves_rad), mean, sigma))
     if telemetry:
         found.append(Nuisance.of(AGE, np.array([0.06]), np.array([0.05])))
     return tuple(found)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray, rotate_back
-from mavcompass.gap.attitude import UNKNOWN_YAW_RAD
+from mavcompass.gap.attitude import UNKNOWN_YAW_RAD, exponentials, turned_about_down
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Signals, Stage
 from mavcompass.simulation.effects.sampling import at_times
@@ -53,6 +53,14 @@ class Prior:
         """Return the prior means of all parameters, (K,)."""
         return np.concatenate([n.mean for n in self.nuisances]) if self.nuisances else np.zeros(0)
 
+    def moved(self, mean: FloatArray) -> Prior:
+        """Return a prior with other means, (K,)."""
+        starts = np.cumsum([0, *(n.mean.size for n in self.nuisances)])
+        parts = (mean[a : a + n.mean.size] for a, n in zip(starts, self.nuisances, strict=False))
+        return replace(
+            self, nuisances=tuple(replace(n, mean=m) for n, m in zip(self.nuisances, parts, strict=True))
+        )
+
     @property
     def log_determinant(self) -> float:
         """Return the logarithm of the precision's determinant."""
@@ -83,25 +91,27 @@ WORLD_FIELD = Effect(
 )
 
 
-def reference_yaw(curves_rad: FloatArray) -> Effect:
-    """Build what an attitude reference does not know of the yaw: a constant, and curves (N, k) over time."""
+def turned(signals: Signals, vectors_rad: FloatArray, yaw_rad: float = 0.0) -> Signals:
+    """Turn the believed attitude by rotation vectors in world axes (N, 3), and then about the vertical."""
+    s = signals.stimulus
+    rotation = exponentials(vectors_rad) @ s.rotation
+    if yaw_rad != 0.0:
+        rotation = turned_about_down(rotation, np.full(len(rotation), yaw_rad))
+    change = rotate_back(rotation, s.field_ned_mgauss) - rotate_back(s.rotation, s.field_ned_mgauss)
+    moved = Signals(replace(s, rotation=rotation), signals.reading)
+    return moved.with_mag(signals.reading.mag_mgauss + change)
+
+
+def reference_attitude_error(curves_rad: FloatArray) -> Effect:
+    """Build what a reference does not know: a constant of the yaw, and curves (N, 3, k) over time."""
 
     def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
-        s = signals.stimulus
-        angle = theta[0] + curves_rad @ theta[1:] if curves_rad.size else np.full(s.time_s.size, theta[0])
-        c, d = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        rotation = s.rotation.copy()
-        rotation[:, 0] = c * s.rotation[:, 0] - d * s.rotation[:, 1]
-        rotation[:, 1] = d * s.rotation[:, 0] + c * s.rotation[:, 1]
-        # In world axes the field turns the other way: only its level part changes.
-        change = rotate_back(rotation, s.field_ned_mgauss) - rotate_back(s.rotation, s.field_ned_mgauss)
-        moved = Signals(replace(s, rotation=rotation), signals.reading)
-        return moved.with_mag(signals.reading.mag_mgauss + change)
+        return turned(signals, curves_rad @ theta[1:], float(theta[0]))
 
-    amplitudes = (Parameter(f"curve {i + 1}", "1", -30.0, 30.0, 0.0, 1.0) for i in range(curves_rad.shape[1]))
+    amplitudes = (Parameter(f"curve {i + 1}", "1", -30.0, 30.0, 0.0, 1.0) for i in range(curves_rad.shape[2]))
     return Effect(
         id=REFERENCE_YAW,
-        title="what the attitude reference does not know of the yaw",
+        title="what the attitude reference does not know",
         stage=Stage.ATTITUDE,
         parameters=(Parameter("constant", "rad", -10.0, 10.0, 0.0, 0.01), *amplitudes),
         forward=forward,

@@ -40,7 +40,9 @@ _NEAREST_MAGNET_M = 0.03
 
 def needs_none(candidate: Identified, floor: Floor) -> bool:
     """Tell whether field and heading lie at the floor without any effect, on rows that were not fitted."""
-    if not floor.measured and candidate.problem.replay.reference.kind == "columns":
+    stated = not floor.measured and candidate.problem.replay.reference.kind == "columns"
+    if floor.representative or stated:
+        # An exact floor is asked for more than its size, and that of an independent attitude is generous.
         return False
     return at_floor(candidate, candidate.found.null, floor)
 

@@ -56,8 +56,11 @@ def _searched(
     for turn in range(passes):
         problem = Problem(replay, floor.noise, split.train, floor.prior)
         search = Search(problem, effects, partial(worthwhile, problem, floor), exact)
-        found = search.run()
-        result = _guarded(Identified(problem, split, found, found.best, (), search, problem), floor)
+        none = search.nothing()
+        result = Identified(problem, split, none, none.best, (), search, problem)
+        if not needs_none(result, floor):
+            found = search.run()
+            result = _guarded(replace(result, found=found, fit=found.best), floor)
         if turn + 1 == passes or (previous is not None and result.fit.ids == previous):
             break
         previous = result.fit.ids
@@ -71,9 +74,6 @@ def _searched(
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
     candidate = _moments_in_training(candidate)
     dropped = list(candidate.dropped)
-    if candidate.fit.terms and not floor.representative and needs_none(candidate, floor):
-        dropped += [(name, "nothing lies above the floor without it") for name in sorted(candidate.fit.ids)]
-        candidate = replace(candidate, fit=candidate.found.null)
     while candidate.fit.terms:
         reason = refused(candidate, floor)
         if reason is None:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.attitude.inertial import inertial_faults, without_faults
-from mavcompass.gap.attitude.reference import body_rate
+from mavcompass.gap.attitude.inertial import accelerometer_fault, gyro_fault, without_fault
+from mavcompass.gap.attitude.reference import body_rate, reference_attitude
+from mavcompass.gap.attitude.rest import Bias
+from mavcompass.gap.result import Cause
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -49,61 +51,97 @@ def made(seed: int, gyro_bias: tuple[float, ...] = NONE, acc_bias: tuple[float, 
     )
 
 
+USUAL_GYRO, USUAL_ACC = (0.01, -0.005, 0.008), (0.1, 0.05, -0.1)
+
+
+def smoothed_bias(track: Track) -> Bias | None:
+    assert track.gyro_radps is not None
+    return reference_attitude(track, track.gyro_radps.time_s).gyro_bias
+
+
 @pytest.fixture(scope="module")
 def baseline() -> Track:
     # What it always had is no fault.
-    return made(100, (0.01, -0.005, 0.008), (0.1, 0.05, -0.1))
+    return made(100, USUAL_GYRO, USUAL_ACC)
 
 
-def test_biases_that_came_are_found_with_their_values(baseline: Track) -> None:
-    track = made(1, (0.01, -0.005, 0.008 + GYRO), (0.1 + ACC, 0.05, -0.1))
-    found = {cause.effect: cause for cause in inertial_faults(track, baseline)}
-    assert set(found) == {"gyro_bias", "accel_bias"}
-    for effect, true in (("gyro_bias", [0.0, 0.0, GYRO]), ("accel_bias", [ACC, 0.0, 0.0])):
-        size = max(true)
-        for axis, value in zip("xyz", true, strict=True):
-            assert found[effect].parameters[axis] == pytest.approx(value, abs=0.1 * size)
-            low, high = found[effect].ci95[axis]
-            assert low <= found[effect].parameters[axis] <= high
+@pytest.fixture(scope="module")
+def bias_before(baseline: Track) -> Bias | None:
+    return smoothed_bias(baseline)
+
+
+def beside(values: tuple[float, ...], axis: int, more: float) -> tuple[float, ...]:
+    return tuple(v + more * (i == axis) for i, v in enumerate(values))
+
+
+def assert_is(cause: Cause, effect: str, axis: int, size: float) -> None:
+    """Assert the effect, its value on one axis, nothing beside it, and intervals that hold the truth."""
+    assert cause.effect == effect
+    for i, name in enumerate("xyz"):
+        true = size if i == axis else 0.0
+        assert cause.parameters[name] == pytest.approx(true, abs=0.1 * abs(size))
+        low, high = cause.ci95[name]
+        assert low < cause.parameters[name] < high
+        # Twice the interval: every axis of every case must pass.
+        assert abs(cause.parameters[name] - true) < high - low
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_each_axis_of_each_sensor_is_found_alone(baseline: Track, axis: int) -> None:
-    one = np.zeros(3)
-    one[axis] = -1.0
-    gyro = tuple((np.array([0.01, -0.005, 0.008]) + GYRO * one).tolist())
-    (cause,) = inertial_faults(made(2, gyro, (0.1, 0.05, -0.1)), baseline)
-    assert cause.effect == "gyro_bias"
-    assert cause.parameters["xyz"[axis]] == pytest.approx(-GYRO, rel=0.1)
-    acc = tuple((np.array([0.1, 0.05, -0.1]) + ACC * one).tolist())
-    (cause,) = inertial_faults(made(3, (0.01, -0.005, 0.008), acc), baseline)
-    assert cause.effect == "accel_bias"
-    assert cause.parameters["xyz"[axis]] == pytest.approx(-ACC, rel=0.1)
+def test_bias_of_the_gyro_is_found_on_each_axis(bias_before: Bias | None, axis: int) -> None:
+    track = made(2, beside(USUAL_GYRO, axis, -GYRO), USUAL_ACC)
+    (cause,) = gyro_fault(smoothed_bias(track), bias_before)
+    assert_is(cause, "gyro_bias", axis, -GYRO)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_healthy_pair_has_no_fault(baseline: Track, seed: int) -> None:
-    assert inertial_faults(made(10 + seed, (0.01, -0.005, 0.008), (0.1, 0.05, -0.1)), baseline) == ()
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_bias_of_the_accelerometer_is_found_on_each_axis(baseline: Track, axis: int) -> None:
+    (cause,) = accelerometer_fault(made(3, USUAL_GYRO, beside(USUAL_ACC, axis, -ACC)), baseline)
+    assert_is(cause, "accel_bias", axis, -ACC)
+
+
+def test_biases_of_both_sensors_are_found_beside_each_other(
+    baseline: Track, bias_before: Bias | None
+) -> None:
+    track = made(1, beside(USUAL_GYRO, 2, GYRO), beside(USUAL_ACC, 0, ACC))
+    fault = accelerometer_fault(track, baseline)
+    assert_is(fault[0], "accel_bias", 0, ACC)
+    (cause,) = gyro_fault(smoothed_bias(without_fault(track, fault)), bias_before)
+    assert_is(cause, "gyro_bias", 2, GYRO)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_healthy_pair_has_no_fault(baseline: Track, bias_before: Bias | None, seed: int) -> None:
+    track = made(10 + seed, USUAL_GYRO, USUAL_ACC)
+    assert gyro_fault(smoothed_bias(track), bias_before) == ()
+    assert accelerometer_fault(track, baseline) == ()
 
 
 def test_what_cannot_be_compared_is_not_judged(baseline: Track) -> None:
     track = made(1, (GYRO, 0.0, 0.0), (ACC, 0.0, 0.0))
-    assert inertial_faults(replace(track, attitude_rad=None), baseline) == ()
-    assert inertial_faults(track, replace(baseline, attitude_rad=None)) == ()
-    alone = inertial_faults(replace(track, gps_velocity_mps=None), baseline)
-    assert [cause.effect for cause in alone] == ["gyro_bias"]
+    assert accelerometer_fault(track, baseline) != ()
+    assert accelerometer_fault(replace(track, attitude_rad=None), baseline) == ()
+    assert accelerometer_fault(track, replace(baseline, attitude_rad=None)) == ()
+    assert accelerometer_fault(replace(track, gps_velocity_mps=None), baseline) == ()
     slow = track.attitude_rad
     assert slow is not None
     sparse = replace(track, attitude_rad=Series.of(slow.time_s[::3], slow.values[::3]))
-    assert inertial_faults(sparse, baseline) == ()
+    assert accelerometer_fault(sparse, baseline) == ()
+    known = Bias(np.full(3, GYRO), np.full(3, 1e-4))
+    assert gyro_fault(known, Bias(np.zeros(3), known.sigma)) != ()
+    assert gyro_fault(known, None) == () and gyro_fault(None, known) == ()
 
 
-def test_faults_are_taken_out_with_the_witness_that_was_fed_with_them(baseline: Track) -> None:
-    track = made(1, (0.01, -0.005, 0.008 + GYRO), (0.1 + ACC, 0.05, -0.1))
-    clean = without_faults(track, inertial_faults(track, baseline))
-    healthy = made(1, (0.01, -0.005, 0.008), (0.1, 0.05, -0.1))
-    assert clean.attitude_rad is None and clean.gyro_radps is not None and clean.acc_mps2 is not None
-    assert healthy.gyro_radps is not None and healthy.acc_mps2 is not None
-    np.testing.assert_allclose(clean.gyro_radps.values, healthy.gyro_radps.values, atol=0.1 * GYRO)
+def test_change_within_its_own_doubt_is_no_fault() -> None:
+    before = Bias(np.zeros(3), np.full(3, 1e-4))
+    moved = np.array([2.0 * GYRO, 0.0, 0.0])
+    assert gyro_fault(Bias(moved, np.full(3, GYRO)), before) == ()
+    assert gyro_fault(Bias(moved, np.full(3, 0.1 * GYRO)), before) != ()
+
+
+def test_fault_is_taken_out_with_the_witness_that_was_fed_with_it(baseline: Track) -> None:
+    track = made(1, USUAL_GYRO, beside(USUAL_ACC, 0, ACC))
+    clean = without_fault(track, accelerometer_fault(track, baseline))
+    healthy = made(1, USUAL_GYRO, USUAL_ACC)
+    assert clean.attitude_rad is None and clean.acc_mps2 is not None and healthy.acc_mps2 is not None
     np.testing.assert_allclose(clean.acc_mps2.values, healthy.acc_mps2.values, atol=0.1 * ACC)
-    assert without_faults(track, ()) is track
+    assert without_fault(track, ()) is track

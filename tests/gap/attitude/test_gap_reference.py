@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.attitude.kinematics import exponentials, integrated, products
-from mavcompass.gap.attitude.levelling import levelled
+from mavcompass.gap.attitude.kinematics import (
+    exponentials,
+    integrated,
+    products,
+    rotation_vectors,
+    turned_between,
+)
 from mavcompass.gap.attitude.reference import body_rate, reference_attitude
 from mavcompass.gap.attitude.rest import bias_at_rest
 from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
@@ -46,8 +51,8 @@ def recorded(
 
 
 def tilt_rms_deg(track: Track, rotation: FloatArray) -> float:
-    found = levelled(track)
-    assert found is not None
+    assert track.gyro_radps is not None
+    found = reference_attitude(track, track.gyro_radps.time_s)
     off = found.rotation[:, 2] - rotation[:, 2]
     return math.degrees(math.sqrt(float(np.mean(np.sum(off**2, axis=1)))))
 
@@ -82,8 +87,8 @@ def test_receiver_tells_a_turns_pull_from_a_tilt() -> None:
 def test_receiver_of_what_stands_is_not_believed() -> None:
     t = times(60.0)
     rotation = euler_to_matrix(0.0, 0.01, 0.5 * np.sin(0.3 * t))
-    found = levelled(recorded(t, rotation, np.zeros((t.size, 3)), path=np.zeros((t.size, 3))))
-    assert found is not None and not found.moved
+    found = reference_attitude(recorded(t, rotation, np.zeros((t.size, 3)), path=np.zeros((t.size, 3))), t)
+    assert found.yaw_unknown
     assert math.degrees(np.abs(found.rotation[:, 2, :2] - rotation[:, 2, :2]).max()) < 0.2
 
 
@@ -103,8 +108,8 @@ def test_slow_sway_is_no_rest_that_tells_a_bias() -> None:
     track = recorded(t, rotation, np.zeros((t.size, 3)))
     assert track.gyro_radps is not None and track.acc_mps2 is not None
     found = bias_at_rest(t, track.gyro_radps.values, track.acc_mps2.values)
-    assert found.sigma_radps[0] > math.radians(0.1) and found.sigma_radps[1] < math.radians(0.05)
-    assert (np.abs(found.mean_radps) < 3.0 * found.sigma_radps).all()
+    assert found.sigma[0] > math.radians(0.1) and found.sigma[1] < math.radians(0.05)
+    assert (np.abs(found.mean) < 3.0 * found.sigma).all()
 
 
 def test_steady_turn_is_no_bias() -> None:
@@ -113,18 +118,19 @@ def test_steady_turn_is_no_bias() -> None:
     track = recorded(t, rotation, acceleration)
     assert track.gyro_radps is not None and track.acc_mps2 is not None
     found = bias_at_rest(t, track.gyro_radps.values, track.acc_mps2.values)
-    assert abs(found.mean_radps[2]) < 0.01
+    assert abs(found.mean[2]) < 0.01
 
 
 def test_bias_at_rest_is_taken_out() -> None:
     t = times(60.0)
     turning = np.clip(t - 25.0, 0.0, 10.0) * 0.3
     rotation = euler_to_matrix(0.0, 0.0, turning)
-    found = levelled(recorded(t, rotation, np.zeros((t.size, 3)), bias=(0.01, -0.02, 0.03)))
-    assert found is not None
+    found = reference_attitude(recorded(t, rotation, np.zeros((t.size, 3)), bias=(0.01, -0.02, 0.03)), t)
     off = found.rate_radps[t < 20.0].mean(axis=0)
     np.testing.assert_allclose(off, 0.0, atol=3e-4)
-    assert found.drift_sigma_radps < math.radians(0.1)
+    assert found.gyro_bias is not None
+    np.testing.assert_allclose(found.gyro_bias.mean, (0.01, -0.02, 0.03), atol=3e-4)
+    assert (found.gyro_bias.sigma < math.radians(0.1)).all()
 
 
 def test_wandering_bias_of_what_stands_hardly_tilts() -> None:
@@ -143,6 +149,16 @@ def test_products_are_those_of_one_after_the_other() -> None:
     for one, found in zip(rotations, products(rotations), strict=True):
         expected = expected @ one
         np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_rotation_vectors_are_the_inverse_of_exponentials() -> None:
+    rng = np.random.default_rng(7)
+    axes = rng.standard_normal((200, 3))
+    angles = np.concatenate([[0.0, 1e-12], rng.uniform(1e-6, 3.1, 198)])
+    vectors = axes / np.linalg.norm(axes, axis=1, keepdims=True) * angles[:, None]
+    np.testing.assert_allclose(rotation_vectors(exponentials(vectors)), vectors, atol=1e-9)
+    first = exponentials(axes)
+    np.testing.assert_allclose(turned_between(first, first @ exponentials(vectors)), vectors, atol=1e-9)
 
 
 def test_coning_does_not_make_the_attitude_drift() -> None:

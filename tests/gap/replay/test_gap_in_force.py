@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,14 @@ from mavcompass.gap.left.stated import from_recording
 from mavcompass.gap.replay.in_force import ANOTHER_IRON, STATED, KnownIron, known_iron
 from mavcompass.gap.replay.noise import SensorNoise, white
 from mavcompass.gap.replay.nominal import Replay, replay
-from mavcompass.gap.replay.nuisance import AGE, REFERENCE_YAW, WORLD_FIELD, Nuisance, Prior, reference_yaw
+from mavcompass.gap.replay.nuisance import (
+    AGE,
+    REFERENCE_YAW,
+    WORLD_FIELD,
+    Nuisance,
+    Prior,
+    reference_attitude_error,
+)
 from mavcompass.gap.selection.split import split_blocks
 from mavcompass.gap.trial.cases import Recipe, ideal, make_track, stimulus_of
 from mavcompass.simulation import effects
@@ -147,16 +155,32 @@ def test_search_takes_the_hard_iron_and_nothing_beside_it(replayed: Replay) -> N
     assert sum(w for _, w in found.weights) == pytest.approx(1.0, abs=0.02)
 
 
-def whole_chain(replayed: Replay, noise: SensorNoise) -> tuple[Problem, list[FloatArray]]:
+def bends_of_the_yaw(t: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Return two curves of the yaw alone, of some degrees."""
+    curves = np.zeros((t.size, 3, 2))
+    curves[:, 2] = np.radians(np.stack([2.0 * np.sin(yaw), np.linspace(-3.0, 3.0, t.size)], axis=1))
+    return curves
+
+
+def wanderings_of_the_attitude(t: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Return two curves of the level and of all three axes: rotations add up where they are small."""
+    curves = np.zeros((t.size, 3, 2))
+    curves[:, :2, 0] = np.radians(np.stack([np.linspace(-0.1, 0.1, t.size), 0.07 * np.cos(yaw)], axis=1))
+    curves[:, :, 1] = np.radians(0.05) * np.sin(0.4 * t[:, None] + np.array([0.0, 1.0, 2.0]))
+    return curves
+
+
+def whole_chain(
+    replayed: Replay, noise: SensorNoise, drawn: Callable[[FloatArray, FloatArray], FloatArray]
+) -> tuple[Problem, list[FloatArray]]:
     """Return a problem with every kind of nuisance, and values for them away from zero."""
-    t = replayed.time_s
-    yaw = np.arctan2(replayed.reference.rotation[:, 1, 0], replayed.reference.rotation[:, 0, 0])
-    curves = np.radians(np.stack([2.0 * np.sin(yaw), np.linspace(-3.0, 3.0, t.size)], axis=1))
+    rotation = replayed.reference.rotation
+    curves = drawn(replayed.time_s, np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
     iron = known_iron(FULL, replayed.signals.stimulus.current_a, "current")
     matrix, offset = iron.nuisances(STATED)
     nuisances = (
         Nuisance.of(WORLD_FIELD, np.zeros(3), np.full(3, 5.0)),
-        Nuisance.of(reference_yaw(curves), np.zeros(3), np.array([0.1, 1.0, 1.0])),
+        Nuisance.of(reference_attitude_error(curves), np.zeros(3), np.array([0.1, 1.0, 1.0])),
         matrix,
         offset,
         Nuisance.of(AGE, np.array([0.06]), np.array([0.05])),
@@ -169,7 +193,7 @@ def whole_chain(replayed: Replay, noise: SensorNoise) -> tuple[Problem, list[Flo
         rng.normal(0.0, 2.0, 6),
         np.array([0.0837]),
     ]
-    bent = replace(replayed, reference=replace(replayed.reference, yaw_curves_rad=curves), groups=("mag",))
+    bent = replace(replayed, reference=replace(replayed.reference, curves_rad=curves), groups=("mag",))
     return Problem(bent, {"mag": noise}, bent.valid, Prior.of(nuisances)), thetas
 
 
@@ -179,10 +203,11 @@ WANDERING = SensorNoise(
 
 
 @pytest.mark.parametrize("noise", [white(np.full(3, 3.0)), WANDERING], ids=["white", "wandering"])
+@pytest.mark.parametrize("drawn", [bends_of_the_yaw, wanderings_of_the_attitude])
 def test_derivatives_are_finite_differences_through_the_whole_chain(
-    replayed: Replay, noise: SensorNoise
+    replayed: Replay, noise: SensorNoise, drawn: Callable[[FloatArray, FloatArray], FloatArray]
 ) -> None:
-    problem, nuisances = whole_chain(replayed, noise)
+    problem, nuisances = whole_chain(replayed, noise, drawn)
     texts = ("hard_iron:x=30,y=-20,z=10", "soft_iron:xx=0.03,xy=0.02", "motor_current:x=1,y=-0.5,z=0.2")
     members = [effects.parse(text) for text in (*texts, "misalignment:x=0.02,y=-0.03,z=0.04")]
     terms = [make_term(s.effect, replayed.signals) for s in members]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +11,20 @@ import pytest
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.attitude.reference import body_rate
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.foreseen import foreseen
 from mavcompass.gap.left.stated import from_recording
-from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.replay.nominal import Replay, replay
+from mavcompass.gap.replay.nuisance import (
+    REFERENCE_YAW,
+    WORLD_FIELD,
+    Nuisance,
+    reference_attitude_error,
+)
 from mavcompass.gap.replay.rows import compass_rows
 from mavcompass.gap.replay.testable import untestable_effects
 from mavcompass.gap.replay.traces import names_stale, names_step
+from mavcompass.gap.selection.split import split_blocks
 from mavcompass.gap.trial.cases import PLACE, Recipe, make_track
 from mavcompass.simulation.effects import catalogue
 from mavcompass.track import MagSeries, Series, Track
@@ -77,10 +87,54 @@ def test_readings_lost_by_chance_are_no_slow_compass() -> None:
     assert not rows.telemetry and rows.trace.stale_share == pytest.approx(0.4, abs=0.05)
 
 
-def test_doubt_of_the_floor_grows_with_that_of_the_level() -> None:
+def with_curves(replayed: Replay, curves_rad: FloatArray) -> Replay:
+    """Return a replay whose attitude is known but for a little yaw and some curves (N, 3, k)."""
+    k = curves_rad.shape[2]
+    unknown = Nuisance.of(
+        reference_attitude_error(curves_rad), np.zeros(1 + k), np.array([0.01, *np.ones(k)])
+    )
+    others = tuple(n for n in replayed.nuisances if n.effect.id != REFERENCE_YAW)
+    reference = replace(replayed.reference, curves_rad=curves_rad)
+    return replace(replayed, reference=reference, nuisances=(*others, unknown))
+
+
+def test_floor_rises_with_what_the_training_rows_leave_unknown_and_not_with_what_they_fix() -> None:
     replayed = replay(driven(np.arange(0.0, 60.0, 0.05), 8.0))
-    shaky = replace(replayed, reference=replace(replayed.reference, tilt_sigma_rad=0.03))
-    assert from_recording(shaky).field_rms_mgauss > 2.0 * from_recording(replayed).field_rms_mgauss
+    t, split = replayed.time_s, split_blocks(replayed.time_s, replayed.valid)
+    size = math.radians(1.0)
+    # A turn about north that only held-out rows have, and one of the same size that all rows show.
+    hidden, shown = np.zeros((t.size, 3, 1)), np.zeros((t.size, 3, 1))
+    hidden[split.test, 0, 0] = size
+    shown[:, 0, 0] = size * np.where(np.sin(0.2 * t) > 0.0, 1.0, -1.0)
+
+    def raised(curves_rad: FloatArray) -> tuple[float, float]:
+        """Return what is foreseen beside the stated floor, milligauss and degrees."""
+        leaning = with_curves(replayed, curves_rad)
+        floor = from_recording(leaning)
+        more = foreseen(floor, leaning, split.train, split.test)
+        assert more.prior is floor.prior and more.noise is floor.noise
+        return (
+            math.sqrt(more.field_rms_mgauss**2 - floor.field_rms_mgauss**2),
+            math.sqrt(more.heading_rms_deg**2 - floor.heading_rms_deg**2),
+        )
+
+    none, fixed, unknown = (raised(c) for c in (np.zeros((t.size, 3, 0)), shown, hidden))
+    # East changes by the down component of the field that the training rows find, and down by the east one.
+    floor = from_recording(replayed)
+    null = Problem(replayed, floor.noise, split.train, floor.prior).null()
+    assert replayed.nuisances[0].effect is WORLD_FIELD
+    north, east, down = replayed.signals.stimulus.field_ned_mgauss[0] + null.nuisance_thetas[0]
+    whole = float(size * np.hypot(east, down) / math.sqrt(3.0))
+    heading = math.degrees(size * down / np.hypot(north, east))
+    assert math.sqrt(unknown[0] ** 2 - none[0] ** 2) == pytest.approx(whole, rel=0.05)
+    assert math.sqrt(unknown[1] ** 2 - none[1] ** 2) == pytest.approx(heading, rel=0.05)
+    assert fixed[0] < none[0] + 0.1 * whole and fixed[1] < none[1] + 0.1 * heading
+
+
+def test_nothing_is_foreseen_without_held_out_rows() -> None:
+    replayed = replay(driven(np.arange(0.0, 30.0, 0.05), 8.0))
+    floor = from_recording(replayed)
+    assert foreseen(floor, replayed, replayed.valid, np.zeros_like(replayed.valid)) is floor
 
 
 def test_whole_milligauss_repeat_by_chance() -> None:

@@ -1,0 +1,144 @@
+"""Weighted least squares over a chain of states and a few constants: what a smoother solves.
+
+Each state x_k knows only its neighbours, every one the constants c. The normal matrix is block tridiagonal
+with a border: a banded Cholesky factor and Schur's complement solve it, and give the covariance of any
+states. With normal errors the solution is that of Rauch, Tung and Striebel's smoother.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """Hold the solution of a chain.
+
+    Attributes:
+        states: (K, n). constants: (m,).
+        deviance: minus twice the logarithm of the likelihood of all that was added, up to a constant.
+    """
+
+    states: FloatArray
+    constants: FloatArray
+    deviance: float
+    _factor: FloatArray
+    _bent: FloatArray
+    _constants_covariance: FloatArray
+
+    def covariance(self, which: NDArray[np.int64], count: int) -> FloatArray:
+        """Return the joint covariance of the first elements of some states (M,), (M count, M count)."""
+        from scipy.linalg import cho_solve_banded
+
+        width = self.states.shape[1]
+        rows = (which[:, None] * width + np.arange(count)).ravel()
+        unit = np.zeros((self.states.size, rows.size))
+        unit[rows, np.arange(rows.size)] = 1.0
+        own = cho_solve_banded((self._factor, True), unit, check_finite=False)[rows]
+        bent = self._bent[rows]
+        return np.asarray(own + bent @ self._constants_covariance @ bent.T)
+
+
+class Chain:
+    """Collect equations J x = y of weight w, and solve them.
+
+    Derivatives are (K, rows, n) by the states and (K, rows, m) by the constants, or None where the constants
+    have no part; values and weights are (K, rows).
+    """
+
+    def __init__(self, length: int, width: int, constants: int) -> None:
+        self._diagonal = np.zeros((length, width, width))
+        self._beside = np.zeros((length - 1, width, width))
+        self._border = np.zeros((length, width, constants))
+        self._corner = np.zeros((constants, constants))
+        self._right = np.zeros((length, width))
+        self._corner_right = np.zeros(constants)
+        self._squares = 0.0
+        self._log_weights = 0.0
+
+    def copy(self) -> Chain:
+        """Return a chain to which more can be added."""
+        length, width, constants = self._border.shape
+        other = Chain(length, width, constants)
+        for name, value in vars(self).items():
+            setattr(other, name, value.copy() if isinstance(value, np.ndarray) else value)
+        return other
+
+    def add(
+        self, at: slice, J: FloatArray, c: FloatArray | None, y: FloatArray, w: FloatArray, share: float = 1.0
+    ) -> None:
+        """Add equations of single states: J[k] x_k + c[k] c = y[k]; each is news but for a `share`."""
+        w = share * w
+        weighted = (J * w[:, :, None]).transpose(0, 2, 1)
+        self._diagonal[at] += weighted @ J
+        self._right[at] += np.einsum("kim,km->ki", weighted, y)
+        if c is not None:
+            self._border[at] += weighted @ c
+        self._count(c, y, w, share)
+
+    def link(
+        self, before: FloatArray, after: FloatArray, c: FloatArray | None, y: FloatArray, w: FloatArray
+    ) -> None:
+        """Add equations of all neighbours: before[k] x_k + after[k] x_(k+1) + c[k] c = y[k]."""
+        first, second = (
+            (before * w[:, :, None]).transpose(0, 2, 1),
+            (after * w[:, :, None]).transpose(0, 2, 1),
+        )
+        self._diagonal[:-1] += first @ before
+        self._diagonal[1:] += second @ after
+        self._beside += first @ after
+        self._right[:-1] += np.einsum("kim,km->ki", first, y)
+        self._right[1:] += np.einsum("kim,km->ki", second, y)
+        if c is not None:
+            self._border[:-1] += first @ c
+            self._border[1:] += second @ c
+        self._count(c, y, w)
+
+    def know(self, mean: FloatArray, sigma: FloatArray) -> None:
+        """Add what is known of the constants, (m,) each."""
+        self._corner += np.diag(sigma**-2.0)
+        self._corner_right += mean * sigma**-2.0
+        self._squares += float(np.sum((mean / sigma) ** 2))
+        self._log_weights -= 2.0 * float(np.log(sigma).sum())
+
+    def _count(self, c: FloatArray | None, y: FloatArray, w: FloatArray, share: float = 1.0) -> None:
+        if c is not None:
+            weighted = c * w[:, :, None]
+            self._corner += np.einsum("kmi,kmj->ij", weighted, c)
+            self._corner_right += np.einsum("kmi,km->i", weighted, y)
+        self._squares += float((w * y * y).sum())
+        self._log_weights += share * float(np.log(w[w > 0.0] / share).sum())
+
+    def solve(self) -> Solved:
+        """Solve for states and constants."""
+        from scipy.linalg import cho_solve_banded, cholesky_banded
+
+        length, width, constants = self._border.shape
+        size = length * width
+        band = np.zeros((2 * width, size))
+        for i in range(width):
+            for j in range(i + 1):
+                band[i - j, j::width] = self._diagonal[:, i, j]
+            for j in range(width):
+                band[width + i - j, j : size - width : width] = self._beside[:, j, i]
+        factor = cholesky_banded(band, lower=True, check_finite=False)
+        border = self._border.reshape(size, constants)
+        both = cho_solve_banded(
+            (factor, True), np.column_stack([self._right.ravel(), border]), check_finite=False
+        )
+        bent = both[:, 1:]
+        schur = self._corner - border.T @ bent
+        covariance = np.linalg.inv(schur)
+        found = covariance @ (self._corner_right - border.T @ both[:, 0])
+        states = both[:, 0] - bent @ found
+        misfit = self._squares - float(self._right.ravel() @ states) - float(self._corner_right @ found)
+        determinants = 2.0 * float(np.log(factor[0]).sum()) + float(np.linalg.slogdet(schur)[1])
+        return Solved(
+            states.reshape(length, width), found, misfit + determinants - self._log_weights, factor, bent,
+            covariance,
+        )  # fmt: skip

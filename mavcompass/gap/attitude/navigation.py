@@ -1,0 +1,376 @@
+"""One attitude from all that knows it but the compass under test: an error-state smoother.
+
+A trajectory R(t), integrated from the gyro, is off by a small rotation phi in world axes,
+R_true = exp(phi) R. Between two knots (Farrell, Aided Navigation, chapter 11; Groves, Principles of GNSS and
+Inertial Navigation, section 14.2):
+
+    phi'  = -R (b + diag(w) s)             gyro: bias b, which walks, and scale s
+    v'    = R (f - a) + g + phi x R f      accelerometer: bias a, velocity v
+    v_receiver = v - late v'               a receiver's velocity is late
+    yaw witness = phi_z + c + e_fast + e_slow
+
+What turns forces into velocities is the yaw, too: where a vehicle accelerates, its receiver tells the yaw
+without any compass. Without a receiver the velocity stays within bounds. The whole is linear and normal, is
+solved in one piece, and about the corrected trajectory again until nothing moves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude.chain import Chain, Solved
+from mavcompass.gap.attitude.kinematics import exponentials, integrated, rotation_vectors
+from mavcompass.gap.attitude.receiver import Velocity
+from mavcompass.gap.attitude.rest import Bias
+from mavcompass.simulation.effects.sampling import at_times
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+_GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
+# States: rotation, gyro bias, velocity; what a witness is off by: yaw for seconds and for minutes, level.
+_PHI, _BIAS, _V, _FAST, _SLOW, _LEVEL, _STATES = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, (11, 12), 13
+# Constants: gyro scale, accelerometer bias, the receiver's delay, the witness's constant.
+_SCALE, _ACC, _LATE, _OFFSET, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, 8
+_KNOT_S, _MOST_KNOTS, _FEWEST_KNOTS = 0.2, 600, 8
+_PASSES, _SETTLED_RAD = 10, math.radians(0.05)
+# Angle and bias walk, rad and rad/s per root second; velocity, m/s per root second.
+_WALK, _WANDER, _PUSH = math.radians(0.03), math.radians(0.01), 0.02
+_STRAINED, _FAULTY_RADPS = 2.0, math.radians(3.0)
+_SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S = 0.005, 0.08, 0.1
+_UNKNOWN_YAW_RAD, _UNKNOWN_V_MPS = math.radians(60.0), 100.0
+# A receiver's errors last for a second or so; a velocity that nobody tells, for ten.
+_RECEIVER_MEMORY_S, _VELOCITY_MEMORY_S, _OUTLIER = 1.0, 10.0, 2.5
+_VELOCITIES_MPS = (0.2, 0.6, 2.0, 6.0)
+# An autopilot's level is made of the same sensors, and its filter errs as the vehicle turns: it bounds the
+# level, and carries it over what was lost.
+_LEVEL_RAD, _LEVEL_MEMORY_S, _LEVEL_SCATTER_RAD = math.radians(2.0), 20.0, math.radians(0.5)
+# A witness is older than the gyro, or younger.
+_WITNESS_LATE_S = 0.03
+_FAST_MEMORY_S, _SLOW_MEMORY_S, _SCATTER_RAD = 8.0, 40.0, math.radians(0.1)
+_FAST_RAD = np.radians([0.2, 0.4, 0.8, 1.6, 3.2, 6.4])
+_SILENCE = 2.5
+_COVARIANCES, _MOST_SILENCES = 64, 32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Witness:
+    """Hold an attitude (N, 3, 3) that tells of the yaw, at the gyro's times, or only of the level.
+
+    `constant_rad` is the standard deviation of its constant error, `slow_rad` of what wanders for minutes; it
+    tells nothing of the yaw where `constant_rad` is infinite.
+    """
+
+    rotation: FloatArray
+    constant_rad: float
+    slow_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensed:
+    """Hold what the vehicle's own sensors say.
+
+    Times (N,), rates and forces in body axes (N, 3), and where a force was felt, (N,).
+    """
+
+    time_s: FloatArray
+    rate_radps: FloatArray
+    force_mps2: FloatArray
+    felt: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Smoothed:
+    """Hold the smoothed attitude.
+
+    Attributes:
+        rotation: body to NED, (N, 3, 3). rate_radps: without the gyro's bias and scale error, (N, 3).
+        gyro_bias: mean over the recording, and its standard deviation.
+        knots_s: some of the times, (M,). covariance: of the rotation vectors in world axes there, (3 M, 3 M).
+    """
+
+    rotation: FloatArray
+    rate_radps: FloatArray
+    gyro_bias: Bias
+    knots_s: FloatArray
+    covariance: FloatArray
+
+
+def smoothed_attitude(
+    sensed: Sensed, start: FloatArray, bias: Bias, velocity: Velocity | None, witness: Witness | None
+) -> Smoothed:
+    """Smooth a first trajectory (N, 3, 3); its yaw must be about that of the velocity, if there is one."""
+    smoother = _Smoother(sensed, bias, velocity, witness)
+    sizes = _Sizes()
+    rotation, trust = smoother.through(smoother.at_knots(start)), None
+    solved: Solved | None = None
+    for turn in range(_PASSES):
+        chain = smoother.chain(rotation, trust)
+        if turn == 1:
+            sizes = smoother.likeliest(chain, sizes)
+        solved = smoother.with_sizes(chain, sizes).solve()
+        trust = smoother.trust(solved)
+        phi = solved.states[:, _PHI]
+        rotation = smoother.through(exponentials(phi) @ smoother.at_knots(rotation))
+        # A yaw that nothing fixes drifts on for ever.
+        if turn > 1 and float(np.abs(phi - phi.mean(axis=0)).max()) < _SETTLED_RAD:
+            break
+    assert solved is not None
+    change = solved.states[:, _BIAS].mean(axis=0)
+    if (np.abs(change) > _STRAINED * bias.sigma).any() and (bias.sigma < _FAULTY_RADPS).all():
+        # No healthy gyro then: let it say how far it is off.
+        faulty = Bias(bias.mean, np.full(3, _FAULTY_RADPS))
+        return smoothed_attitude(sensed, rotation, faulty, velocity, witness)
+    some = smoother.telling()
+    rate = (
+        smoother.rate - smoother.between(solved.states[:, _BIAS]) - smoother.rate * solved.constants[_SCALE]
+    )
+    covariance = solved.covariance(some, 3) * smoother.excess(solved)
+    middle = np.array([smoother.knots.size // 2])
+    sigma = np.sqrt(np.diag(solved.covariance(middle, _BIAS.stop))[_BIAS])
+    found = Bias(bias.mean + change, sigma)
+    return Smoothed(rotation, rate, found, smoother.knots[some], covariance)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sizes:
+    """Hold what the recording itself makes likeliest: of a witness's errors, and of the unseen velocity."""
+
+    fast_rad: float = math.radians(0.8)
+    velocity_mps: float = 2.0
+
+
+class _Smoother:
+    """Build the chain of one recording about any trajectory."""
+
+    def __init__(
+        self, sensed: Sensed, bias: Bias, velocity: Velocity | None, witness: Witness | None
+    ) -> None:
+        clock = sensed.time_s
+        self.clock, self.knots = clock, _knots(clock)
+        self.step = np.diff(self.knots)
+        self._is_silent = np.isin(self.knots[:-1], clock[:-1][silences(clock)])
+        self.news_s = float(np.median(self.step))
+        self.rate, self.force = sensed.rate_radps - bias.mean, sensed.force_mps2
+        self.bias, self.witness = bias, witness
+        self.seen = None if velocity is None else velocity.at(self.knots)
+        self._still = integrated(clock, self.rate)
+        still = self.at_knots(self._still)
+        self._turned = still[:-1].transpose(0, 2, 1) @ still[1:]
+        each = math.sqrt(float(np.median(np.diff(clock))))
+        self._angle, self._pushed = (
+            math.hypot(_scatter(values) * each, walk) ** 2 * self.step + self._silent(values, share)
+            for values, walk, share in ((self.rate, _WALK, 0.5), (self.force, _PUSH, 0.7))
+        )
+        self._told = None if witness is None else self.at_knots(witness.rotation)
+
+    def chain(self, rotation: FloatArray, trust: FloatArray | None) -> Chain:
+        """Return all equations about a trajectory (N, 3, 3) but those whose size is still to be found."""
+        chain = Chain(self.knots.size, _STATES, _CONSTANTS)
+        at, turn, gain = self.at_knots(rotation), *self._integrals(rotation)
+        force = np.einsum("nij,nj->ni", rotation, self.force)
+        pushed = self._between_knots(force)
+        count = len(turn)
+        one, unit = np.ones((count, 3)), np.tile(np.eye(3), (count, 1, 1))
+        before, after, c = _blank(count, 3), _blank(count, 3), np.zeros((count, 3, _CONSTANTS))
+        # phi_1 - phi_0 + integral R b + integral R diag(w) s = what the gyro turns beyond the trajectory
+        before[:, :, _PHI], after[:, :, _PHI], before[:, :, _BIAS], c[:, :, _SCALE] = -unit, unit, turn, gain
+        beyond = rotation_vectors(at[:-1] @ self._turned @ at[1:].transpose(0, 2, 1))
+        chain.link(before, after, c, beyond, one / self._angle[:, None])
+        before, after = _blank(count, 3), _blank(count, 3)
+        before[:, :, _BIAS], after[:, :, _BIAS] = -unit, unit
+        chain.link(before, after, None, 0.0 * one, one / (_WANDER**2 * self.step[:, None]))
+        # v_1 - v_0 + [integral R f]x phi + integral R a = integral (R f + g)
+        before, after, c = _blank(count, 3), _blank(count, 3), np.zeros((count, 3, _CONSTANTS))
+        leaning = 0.5 * _crossing(pushed)
+        before[:, :, _V], after[:, :, _V], before[:, :, _PHI], after[:, :, _PHI] = (
+            -unit,
+            unit,
+            leaning,
+            leaning,
+        )
+        c[:, :, _ACC] = turn
+        chain.link(before, after, c, pushed + self.step[:, None] * _GRAVITY, one / self._pushed[:, None])
+        self._add_first(chain)
+        slow = _SCATTER_RAD if self.witness is None else self.witness.slow_rad
+        self._add_lasting(chain, _SLOW, slow, _SLOW_MEMORY_S)
+        for state in _LEVEL:
+            self._add_lasting(chain, state, _LEVEL_RAD, _LEVEL_MEMORY_S)
+        if self.seen is not None:
+            self._add_velocity(chain, self.seen, trust)
+        if self._told is not None and self.witness is not None:
+            self._add_witness(chain, at, self._told, self.witness)
+        return chain
+
+    def with_sizes(self, chain: Chain, sizes: _Sizes) -> Chain:
+        """Return a chain with the equations whose size the recording makes likeliest."""
+        chain = chain.copy()
+        if self.seen is None:
+            news = min(1.0, self.news_s / _VELOCITY_MEMORY_S)
+            J = _blank(self.knots.size, 3)
+            J[:, :, _V] = np.eye(3)
+            none = np.zeros((self.knots.size, 3))
+            chain.add(slice(None), J, None, none, none + sizes.velocity_mps**-2.0, news)
+        self._add_lasting(chain, _FAST, sizes.fast_rad, _FAST_MEMORY_S)
+        return chain
+
+    def likeliest(self, chain: Chain, sizes: _Sizes) -> _Sizes:
+        """Choose the sizes that the recording makes likeliest, one after the other."""
+        if self.seen is None:
+            sizes = self._likeliest(chain, [replace(sizes, velocity_mps=v) for v in _VELOCITIES_MPS])
+        if self.witness is not None and math.isfinite(self.witness.constant_rad):
+            sizes = self._likeliest(chain, [replace(sizes, fast_rad=float(f)) for f in _FAST_RAD])
+        return sizes
+
+    def trust(self, solved: Solved) -> FloatArray | None:
+        """Return how far each of a receiver's velocities is believed, (K, 3): jumps have little weight."""
+        if self.seen is None:
+            return None
+        off = np.abs(self._left(solved))
+        return np.asarray(1.0 / np.maximum(1.0, off / _OUTLIER))
+
+    def excess(self, solved: Solved) -> float:
+        """Return how much larger a receiver's errors are than stated, as a variance, at least 1."""
+        return 1.0 if self.seen is None else max(1.0, float(np.median(self._left(solved) ** 2)) / 0.455)
+
+    def through(self, rotation: FloatArray) -> FloatArray:
+        """Carry rotations of the knots (K, 3, 3) to the gyro's times: between, it turns as the gyro says."""
+        missed = rotation_vectors(rotation[1:] @ (rotation[:-1] @ self._turned).transpose(0, 2, 1))
+        left = np.clip(np.searchsorted(self.knots, self.clock, side="right") - 1, 0, self.step.size - 1)
+        share = (self.clock - self.knots[left]) / self.step[left]
+        since = (rotation[:-1] @ self.at_knots(self._still)[:-1].transpose(0, 2, 1))[left] @ self._still
+        return np.asarray(exponentials(missed[left] * share[:, None]) @ since)
+
+    def telling(self) -> NDArray[np.int64]:
+        """Return knots (M,) that tell how the error goes: even ones, and the ends of the longest silences."""
+        even = np.linspace(0, self.knots.size - 1, _COVARIANCES).round().astype(np.int64)
+        silent = np.flatnonzero(self._is_silent)
+        longest = silent[np.argsort(-self.step[silent])][:_MOST_SILENCES]
+        return np.unique(np.concatenate([even, longest, longest + 1]))
+
+    def between(self, values: FloatArray) -> FloatArray:
+        """Interpolate values of the knots (K, n) to the gyro's times."""
+        return np.stack([np.interp(self.clock, self.knots, column) for column in values.T], axis=1)
+
+    def _likeliest(self, chain: Chain, sizes: Sequence[_Sizes]) -> _Sizes:
+        return min(sizes, key=lambda s: self.with_sizes(chain, s).solve().deviance)
+
+    def _left(self, solved: Solved) -> FloatArray:
+        assert self.seen is not None
+        late = solved.constants[_LATE] * self.seen.change_mps2
+        return np.asarray((self.seen.mean_mps + late - solved.states[:, _V]) / self.seen.sigma_mps)
+
+    def _add_first(self, chain: Chain) -> None:
+        sigma = np.repeat([_UNKNOWN_YAW_RAD, 0.0, _UNKNOWN_V_MPS], 3)
+        sigma[_BIAS] = self.bias.sigma
+        none = np.zeros((1, sigma.size))
+        chain.add(slice(1), np.eye(_STATES)[None, : sigma.size], None, none, none + sigma**-2.0)
+        offset = _UNKNOWN_YAW_RAD if self.witness is None else self.witness.constant_rad
+        known = np.repeat([_SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S, 0.0], [3, 3, 1, 1])
+        known[_OFFSET] = min(offset, _UNKNOWN_YAW_RAD)
+        chain.know(np.zeros(_CONSTANTS), known)
+
+    def _add_velocity(self, chain: Chain, seen: Velocity, trust: FloatArray | None) -> None:
+        J, c = _blank(self.knots.size, 3), np.zeros((self.knots.size, 3, _CONSTANTS))
+        J[:, :, _V], c[:, :, _LATE] = np.eye(3), -seen.change_mps2
+        weight = min(1.0, self.news_s / _RECEIVER_MEMORY_S) / np.square(seen.sigma_mps)
+        weights = np.broadcast_to(weight, seen.mean_mps.shape)
+        chain.add(slice(None), J, c, seen.mean_mps, weights if trust is None else weights * trust)
+
+    def _add_witness(self, chain: Chain, at: FloatArray, told: FloatArray, witness: Witness) -> None:
+        apart = rotation_vectors(told @ at.transpose(0, 2, 1))
+        # Of the level alone, whatever the yaw: down there less down here, in world axes.
+        down = np.cross(at[:, 2], told[:, 2])
+        apart[:, :2] = -np.einsum("kij,kj->ki", at, down)[:, :2]
+        J, c = _blank(self.knots.size, 3), np.zeros((self.knots.size, 3, _CONSTANTS))
+        J[:, :, _PHI] = np.eye(3)
+        turning = np.stack([np.interp(self.knots, self.clock, column) for column in self.rate.T], axis=1)
+        late = _WITNESS_LATE_S * np.linalg.norm(turning, axis=1)
+        scatter = np.hypot(np.array([_LEVEL_SCATTER_RAD, _LEVEL_SCATTER_RAD, _SCATTER_RAD]), late[:, None])
+        weights = min(1.0, self.news_s / _KNOT_S) / scatter**2
+        J[:, 0, _LEVEL[0]] = J[:, 1, _LEVEL[1]] = 1.0
+        if math.isfinite(witness.constant_rad):
+            J[:, 2, _FAST] = J[:, 2, _SLOW] = c[:, 2, _OFFSET] = 1.0
+        else:
+            weights[:, 2] = 0.0
+        chain.add(slice(None), J, c, apart, weights)
+
+    def _add_lasting(self, chain: Chain, state: int, size_rad: float, memory_s: float) -> None:
+        """Add a first-order process: an error that lasts for a while."""
+        keep = np.exp(-self.step / memory_s)
+        before, after = _blank(self.step.size, 1), _blank(self.step.size, 1)
+        before[:, 0, state], after[:, 0, state] = -keep, 1.0
+        none = np.zeros((self.step.size, 1))
+        chain.link(before, after, None, none, 1.0 / (size_rad**2 * (1.0 - keep[:, None] ** 2)))
+        chain.add(slice(1), after[:1], None, none[:1], none[:1] + size_rad**-2.0)
+
+    def at_knots(self, rotation: FloatArray) -> FloatArray:
+        """Carry rotations (N, 3, 3) to the knots with the rate at the nearest sample before."""
+        return carried(self.clock, rotation, self.rate, self.knots)
+
+    def _integrals(self, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the integrals of R and of R diag(w) between the knots, (K - 1, 3, 3) each."""
+        both = np.concatenate([rotation, rotation * self.rate[:, None, :]], axis=2).reshape(-1, 18)
+        integral = self._between_knots(both).reshape(-1, 3, 6)
+        return integral[:, :, :3], integral[:, :, 3:]
+
+    def _between_knots(self, values: FloatArray) -> FloatArray:
+        """Integrate values (N, n) between the knots, (K - 1, n)."""
+        steps = 0.5 * (values[1:] + values[:-1]) * np.diff(self.clock)[:, None]
+        total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
+        return np.diff(
+            np.stack([np.interp(self.knots, self.clock, column) for column in total.T], axis=1), axis=0
+        )
+
+    def _silent(self, values: FloatArray, share: float) -> FloatArray:
+        """Return the variance of the integrals between knots where the sensors were silent, (K - 1,)."""
+        size = share * float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
+        return np.where(self._is_silent, (size * self.step) ** 2, 0.0)
+
+
+def silences(clock: FloatArray) -> NDArray[np.bool_]:
+    """Tell which of the steps between times (N,) are far longer than usual, (N - 1,)."""
+    step = np.diff(clock)
+    return np.asarray(step > _SILENCE * np.median(step))
+
+
+def _knots(clock: FloatArray) -> FloatArray:
+    """Return even knots, with one on each side of every silence and none in it."""
+    span = float(clock[-1] - clock[0])
+    count = max(round(span / max(_KNOT_S, span / _MOST_KNOTS)), _FEWEST_KNOTS) + 1
+    even = np.linspace(clock[0], clock[-1], count)
+    silent = np.flatnonzero(silences(clock))
+    first, last = clock[silent], clock[silent + 1]
+    # Not beside an edge either: neighbours must not be too alike.
+    near = 0.25 * (even[1] - even[0])
+    for begin, end in zip(first, last, strict=True):
+        even = even[(even < begin - near) | (even > end + near)]
+    return np.unique(np.concatenate([clock[:1], even, first, last, clock[-1:]]))
+
+
+def carried(clock: FloatArray, rotation: FloatArray, rate: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Carry rotations (N, 3, 3) to other times with the rates (N, 3) from the sample before."""
+    left = np.clip(np.searchsorted(clock, time_s, side="right") - 1, 0, clock.size - 1)
+    middle_rate = at_times(clock, rate, 0.5 * (time_s + clock[left]))
+    return np.asarray(rotation[left] @ exponentials(middle_rate * (time_s - clock[left])[:, None]))
+
+
+def _blank(count: int, rows: int) -> FloatArray:
+    return np.zeros((count, rows, _STATES))
+
+
+def _crossing(vectors: FloatArray) -> FloatArray:
+    """Return the matrices (K, 3, 3) that take the cross product of vectors (K, 3) with others."""
+    x, y, z = vectors.T
+    none = np.zeros_like(x)
+    return np.stack([none, -z, y, z, none, -x, -y, x, none], axis=1).reshape(-1, 3, 3)
+
+
+def _scatter(values: FloatArray) -> float:
+    """Return the standard deviation of what is white in columns, from second differences."""
+    second = np.diff(values, 2, axis=0)
+    return float(np.sqrt(np.mean((1.4826 * np.median(np.abs(second), axis=0)) ** 2) / 6.0))

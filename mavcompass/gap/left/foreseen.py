@@ -1,0 +1,38 @@
+"""What a floor holds besides the noise: what the rest of a recording leaves unknown of its held-out parts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from mavcompass.gap.fit import Mask, Problem
+from mavcompass.gap.left.floor import Floor, heading_error_rad
+from mavcompass.gap.replay import Replay
+
+
+def foreseen(floor: Floor, replay: Replay, train: Mask, test: Mask) -> Floor:
+    """Raise a floor by what the training rows leave unknown of the held-out ones when nothing is wrong.
+
+    The nuisances' covariance, carried to the held-out field and heading: attitude, place and calibration are
+    known there only as well as the rest of the recording tells them.
+    """
+    problem = Problem(replay, floor.noise, train, floor.prior)
+    rows = np.flatnonzero(test)
+    null = problem.null()
+    if not null.covariance.size or not rows.size:
+        return floor
+    predicted = problem.predict(null).mag_mgauss
+    changes = [change.mag_mgauss for change in problem.nuisance_changes(null)]
+    heading = [heading_error_rad(replay, predicted + c, predicted)[rows] for c in changes]
+    field = np.stack([c[rows].ravel() for c in changes], axis=1)
+    turned = np.degrees(np.stack(heading, axis=1))
+    field_more, heading_more = (
+        float(np.mean(np.einsum("np,pq,nq->n", J, null.covariance, J))) for J in (field, turned)
+    )
+    return replace(
+        floor,
+        field_rms_mgauss=math.sqrt(floor.field_rms_mgauss**2 + field_more),
+        heading_rms_deg=math.sqrt(floor.heading_rms_deg**2 + heading_more),
+    )

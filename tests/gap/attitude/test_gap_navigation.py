@@ -1,0 +1,215 @@
+"""The smoothed attitude against the true one of vehicles that another generator draws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from mavcompass.frames import FloatArray, euler_to_matrix, quaternion_to_matrix, rotate_back
+from mavcompass.gap.attitude.reference import Reference, body_rate, reference_attitude
+from mavcompass.gap.trial.vehicles import make_case
+from mavcompass.track import MagSeries, Series, Track
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+# All flights of less than 75 s among the first forty: every kind of vehicle, motion, receiver and steering.
+SEEDS = (1, 2, 3, 4, 8, 11, 12, 23, 26, 28, 30, 31, 32, 34, 39)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """Hold a flight whose own compass, if it steers the autopilot, steers it wrongly; and what was found."""
+
+    track: Track
+    truth: FloatArray
+    own: bool
+    found: Reference
+
+
+def times_of(track: Track) -> FloatArray:
+    assert track.truth_q is not None
+    return track.truth_q.time_s
+
+
+def truth_of(track: Track) -> FloatArray:
+    assert track.truth_q is not None
+    return quaternion_to_matrix(track.truth_q.values)
+
+
+def autopilots(track: Track) -> FloatArray:
+    assert track.attitude_rad is not None
+    return euler_to_matrix(*track.attitude_rad.values.T)
+
+
+def misled(track: Track) -> Track:
+    """Turn the autopilot's yaw by 20 degrees, and bend it with the heading as a compass's iron does."""
+    assert track.attitude_rad is not None
+    angles = track.attitude_rad.values.copy()
+    angles[:, 2] += math.radians(20.0) + math.radians(8.0) * np.sin(angles[:, 2] + 1.0)
+    return replace(track, attitude_rad=Series.of(track.attitude_rad.time_s, angles))
+
+
+@pytest.fixture(scope="module")
+def flights() -> list[Flight]:
+    found = []
+    for seed in SEEDS:
+        case = make_case(seed, "none", baseline=False)
+        own = case.description["steered_by"] == "this_compass"
+        track = misled(case.track) if own else case.track
+        found.append(Flight(track, truth_of(track), own, reference_attitude(track, times_of(track))))
+    return found
+
+
+def tilt_off(rotation: FloatArray, truth: FloatArray) -> FloatArray:
+    """Return the small rotations about the world's level axes from an attitude to the true one, (N, 2)."""
+    down = np.cross(rotation[:, 2], truth[:, 2])
+    return np.asarray(-np.einsum("nij,nj->ni", rotation, down)[:, :2])
+
+
+def yaw_off(rotation: FloatArray, truth: FloatArray) -> FloatArray:
+    """Return the rotations about the vertical from an attitude to the true one, (N,)."""
+    e = np.einsum("nij,nkj->nik", truth, rotation)
+    return np.arctan2(e[:, 1, 0] - e[:, 0, 1], e[:, 0, 0] + e[:, 1, 1])
+
+
+def mean_angle(angles: FloatArray) -> float:
+    return float(np.angle(np.exp(1j * angles).mean()))
+
+
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def stated(found: Reference) -> FloatArray:
+    """Return the standard deviations about the world's axes that the curves state, (N, 3)."""
+    return np.sqrt((found.curves_rad**2).sum(axis=2))
+
+
+def test_smoothed_level_is_better_than_the_autopilots(flights: list[Flight]) -> None:
+    better = [
+        rms(tilt_off(f.found.rotation, f.truth)) < rms(tilt_off(autopilots(f.track), f.truth))
+        for f in flights
+    ]
+    assert np.mean(better) >= 0.8
+
+
+def test_stated_doubt_of_the_level_covers_its_errors(flights: list[Flight]) -> None:
+    inside = [np.abs(tilt_off(f.found.rotation, f.truth)) < stated(f.found)[:, :2] for f in flights]
+    assert 0.60 < np.mean([np.mean(one) for one in inside]) < 0.90
+
+
+def by_the_receiver_alone(flights: list[Flight]) -> Iterator[Flight]:
+    return (f for f in flights if f.own and not f.found.yaw_unknown)
+
+
+def test_receiver_tells_the_yaw_although_the_compass_misleads_the_autopilot(flights: list[Flight]) -> None:
+    told = list(by_the_receiver_alone(flights))
+    assert len(told) >= 5
+    for flight in told:
+        off = abs(mean_angle(yaw_off(flight.found.rotation, flight.truth)))
+        assert off < 3.0 * flight.found.yaw_sigma_rad and off < math.radians(3.0)
+        assert abs(mean_angle(yaw_off(autopilots(flight.track), flight.truth))) > math.radians(8.0)
+
+
+def test_yaw_that_only_the_compass_under_test_tells_is_unknown(flights: list[Flight]) -> None:
+    silent = [f for f in flights if f.own and "receiver" not in f.found.notes[0]]
+    assert silent and all(f.found.yaw_unknown for f in silent)
+
+
+def test_yaw_of_another_source_is_known(flights: list[Flight]) -> None:
+    for flight in flights:
+        if not flight.own:
+            off = abs(mean_angle(yaw_off(flight.found.rotation, flight.truth)))
+            assert not flight.found.yaw_unknown and off < 3.0 * flight.found.yaw_sigma_rad
+
+
+BIAS = np.array([0.02, -0.03, 0.04])
+# An axis whose bias the recording tells, rad/s: what was supposed beforehand has little weight in it.
+TOLD_RADPS = 7e-4
+
+
+def with_bias(track: Track, bias: FloatArray) -> tuple[Track, FloatArray]:
+    """Return a track whose gyro has a bias more, and all that it says beyond the true rate, (3,)."""
+    assert track.gyro_radps is not None
+    gyro = Series.of(track.gyro_radps.time_s, track.gyro_radps.values + bias)
+    when = times_of(track)
+    beyond = gyro.at(when) - body_rate(when, truth_of(track))
+    return replace(track, gyro_radps=gyro), np.asarray(np.median(beyond, axis=0))
+
+
+@pytest.mark.parametrize(("seed", "axes"), [(3, 2), (30, 3), (34, 3)])
+def test_large_bias_of_the_gyro_is_found_on_the_axes_that_the_motion_tells(seed: int, axes: int) -> None:
+    track, true = with_bias(make_case(seed, "none", baseline=False).track, BIAS)
+    found = reference_attitude(track, times_of(track)).gyro_bias
+    assert found is not None
+    told = found.sigma < TOLD_RADPS
+    assert told.sum() == axes
+    assert (np.abs(found.mean - true) < 0.1 * np.abs(BIAS))[told].all()
+    assert (np.abs(found.mean - true) < 3.0 * found.sigma)[told].all()
+
+
+@pytest.mark.parametrize("seed", [3, 12, 32])
+def test_usual_bias_of_the_gyro_is_found_within_its_doubt_on_every_axis(seed: int) -> None:
+    track, true = with_bias(make_case(seed, "none", baseline=False).track, 0.1 * BIAS)
+    found = reference_attitude(track, times_of(track)).gyro_bias
+    assert found is not None and (found.sigma < math.radians(0.15)).all()
+    assert (np.abs(found.mean - true) < 3.0 * found.sigma).all()
+
+
+def without(series: Series | None, silent: Callable[[FloatArray], FloatArray]) -> Series | None:
+    if series is None:
+        return None
+    heard = ~silent(series.time_s)
+    return Series.of(series.time_s[heard], series.values[heard])
+
+
+@pytest.mark.parametrize("seed", [3, 12, 31])
+def test_attitude_carries_on_after_a_second_without_readings(flights: list[Flight], seed: int) -> None:
+    flight = flights[SEEDS.index(seed)]
+    track, truth, whole = flight.track, flight.truth, flight.found
+    when = times_of(track)
+    begin = float(when[0]) + 0.5 * float(when[-1] - when[0])
+
+    def silent(t: FloatArray) -> FloatArray:
+        return (t > begin) & (t < begin + 1.0)
+
+    lost = replace(
+        track,
+        gyro_radps=without(track.gyro_radps, silent),
+        acc_mps2=without(track.acc_mps2, silent),
+        attitude_rad=without(track.attitude_rad, silent),
+    )
+    found = reference_attitude(lost, when)
+    missing = (when > begin + 0.3) & (when < begin + 0.7)
+    assert not found.known[missing].any() and whole.known[missing].all()
+    after = (when > begin + 1.0) & (when < begin + 6.0)
+    yaw = yaw_off(found.rotation, truth)
+    level = tilt_off(found.rotation, truth)
+    sigma = np.hypot(stated(found), found.tilt_sigma_rad)
+    assert rms(level[after] / sigma[after, :2]) < 2.0
+    assert rms(yaw[after] / np.hypot(sigma[after, 2], found.yaw_sigma_rad)) < 2.0
+    # One second tells little of the yaw: its doubt stays.
+    assert found.yaw_sigma_rad < 2.0 * whole.yaw_sigma_rad + math.radians(0.2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_receiver_of_what_stands_and_turns_tells_no_yaw(seed: int) -> None:
+    rng = np.random.default_rng([seed, 5])
+    t = np.arange(0.0, 60.0, 0.04)
+    rotation = euler_to_matrix(0.05 * np.sin(0.5 * t), 0.04 * np.sin(0.4 * t), 0.6 * np.sin(0.3 * t) + 1.0)
+    force = rotate_back(rotation, np.tile([0.0, 0.0, -STANDARD_GRAVITY_MPS2], (t.size, 1)))
+    heard = t[::5]
+    # Slow errors of some tenths of a metre a second, as a receiver has them near walls.
+    slow = np.stack([np.convolve(rng.normal(size=heard.size), np.ones(8) / 8.0, "same") for _ in "xyz"], 1)
+    track = Track(
+        compasses={1: MagSeries(1, Series.of(t, rotate_back(rotation, np.array([200.0, 0.0, 400.0]))))},
+        gyro_radps=Series.of(t, body_rate(t, rotation) + rng.normal(0.0, 0.002, (t.size, 3))),
+        acc_mps2=Series.of(t, force + rng.normal(0.0, 0.05, force.shape)),
+        gps_velocity_mps=Series.of(heard, slow + rng.normal(0.0, 0.05, slow.shape)),
+    )
+    found = reference_attitude(track, t)
+    assert found.yaw_unknown
+    assert rms(tilt_off(found.rotation, rotation)) < math.radians(0.3)
