@@ -61,6 +61,7 @@ class Reference:
         yaw_sigma_rad: a priori standard deviation of a constant yaw error (0: none is solved for).
         curves_rad: what else it may be off by, rotation vectors in world axes, (N, 3, k): each curve has
             a standard normal amplitude.
+        rest_rad2: covariance of what no curve holds, about the world's axes, mean over time, (3, 3).
         tilt_sigma_rad: what roll and pitch show themselves to be off by; 0 where nothing tells.
         gyro_bias: what the gyro says when nothing turns; None where that was not estimated.
         notes: what a reader of the result must know.
@@ -72,6 +73,7 @@ class Reference:
     known: NDArray[np.bool_]
     yaw_sigma_rad: float = 0.0
     curves_rad: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
+    rest_rad2: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     tilt_sigma_rad: float = 0.0
     gyro_bias: Bias | None = None
     notes: tuple[str, ...] = ()
@@ -198,7 +200,7 @@ def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> R
         turning = np.einsum("ni,ni->n", smoothed.rate_radps, smoothed.rotation[:, 2])
         yaw = _integral(clock, turning) + _ahead(smoothed.rotation, autopilot)
         age = age_of(clock, turning, clock, yaw) or 0.0
-    constant, curves = _unknown(smoothed, time_s)
+    constant, curves, rest = _unknown(smoothed, time_s)
     if choice == "gyro" or not told or constant > _MOST_LINEAR_RAD:
         constant = _UNKNOWN_YAW_RAD
     by = f"; its yaw follows {' and '.join(told)}" if told else "; its initial yaw is solved with the field"
@@ -209,14 +211,15 @@ def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> R
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
         yaw_sigma_rad=constant,
         curves_rad=curves,
+        rest_rad2=rest,
         tilt_sigma_rad=float(np.sqrt(np.mean(np.diag(smoothed.covariance).reshape(-1, 3)[:, :2]))),
         gyro_bias=smoothed.gyro_bias,
         notes=(f"The attitude is the smoothed gyro and accelerometer{by}.",),
     )
 
 
-def _unknown(smoothed: Smoothed, time_s: FloatArray) -> tuple[float, FloatArray]:
-    """Return the sigma of a constant of the yaw, and what else the attitude may be off by, (N, 3, k)."""
+def _unknown(smoothed: Smoothed, time_s: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Return the sigma of a constant of the yaw, the largest curves (N, 3, k), and the rest, (3, 3)."""
     covariance, knots = smoothed.covariance, smoothed.knots_s
     # Knots stand closer where readings were lost: each counts by the time about it.
     share = np.gradient(knots) / float(knots[-1] - knots[0])
@@ -228,11 +231,13 @@ def _unknown(smoothed: Smoothed, time_s: FloatArray) -> tuple[float, FloatArray]
     values, vectors = np.linalg.eigh(weight[:, None] * (varying @ covariance @ varying.T) * weight)
     size = np.sqrt(np.maximum(values, 0.0))
     keep = np.flatnonzero(size > _LEAST_CURVE_RAD)[::-1][:_MOST_CURVES]
+    small = np.delete(vectors * size, keep, axis=1).reshape(knots.size, 3, -1)
+    rest = np.einsum("kim,kjm->ij", small, small)
     curves = (vectors[:, keep] * size[keep] / weight[:, None]).reshape(knots.size, 3 * keep.size)
     spread = np.zeros((time_s.size, 3 * keep.size))
     for column, values in zip(spread.T, curves.T, strict=True):
         column[:] = np.interp(time_s, knots, values)
-    return math.hypot(constant, _LEAST_CONSTANT_RAD), spread.reshape(time_s.size, 3, keep.size)
+    return math.hypot(constant, _LEAST_CONSTANT_RAD), spread.reshape(time_s.size, 3, keep.size), rest
 
 
 def _integral(clock: FloatArray, rate: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Mask, Problem
 from mavcompass.gap.left.floor import Floor, heading_error_rad
 from mavcompass.gap.replay import Replay
@@ -31,8 +32,22 @@ def foreseen(floor: Floor, replay: Replay, train: Mask, test: Mask) -> Floor:
     field_more, heading_more = (
         float(np.mean(np.einsum("np,pq,nq->n", J, null.covariance, J))) for J in (field, turned)
     )
+    field_rest, heading_rest = _of_turns(
+        replay.signals.stimulus.field_ned_mgauss[0], replay.reference.rest_rad2
+    )
+    field_more, heading_more = field_more + field_rest, heading_more + heading_rest
     return replace(
         floor,
         field_rms_mgauss=math.sqrt(floor.field_rms_mgauss**2 + field_more),
         heading_rms_deg=math.sqrt(floor.heading_rms_deg**2 + heading_more),
     )
+
+
+def _of_turns(field_mgauss: FloatArray, covariance_rad2: FloatArray) -> tuple[float, float]:
+    """Return the mean squares of field (mG) and heading (deg) that small turns of the attitude make."""
+    north, east, down = field_mgauss
+    # A turn v moves the field by v x B, of which heading sees what is level and across.
+    moved = np.array([[0.0, down, -east], [-down, 0.0, north], [east, -north, 0.0]])
+    across = (north * moved[1] - east * moved[0]) / max(north**2 + east**2, 1.0)
+    of_heading = float(across @ covariance_rad2 @ across)
+    return float(np.trace(moved @ covariance_rad2 @ moved.T)) / 3.0, math.degrees(math.sqrt(of_heading)) ** 2

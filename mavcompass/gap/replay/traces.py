@@ -15,6 +15,8 @@ _REPEATS_WORTH_NAMING = 0.003
 # While the field changes by this a live sensor changes too; at rest its noise does within some seconds.
 _MOVED_MGAUSS, _NO_REST_S = 5.0, 5.0
 _TELEMETRY_HOLDS_S, _FAR_LONGER = 0.3, 1.5
+# Messages as often as readings fall beside them now and then: one reading in two of them.
+_SEEN_TWICE_S = 0.2
 
 
 def traces_to_name(
@@ -61,7 +63,9 @@ def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
     held = np.where((moved > _MOVED_MGAUSS) | (held > _NO_REST_S), held, 0.0)
     usual = _TELEMETRY_HOLDS_S
     if baseline is not None and baseline.telemetry and baseline.trace.held_s.size:
-        usual = max(float(baseline.trace.held_s.max()), 0.5 * float(np.median(np.diff(replay.time_s))))
+        usual = max(
+            float(baseline.trace.held_s.max()), _SEEN_TWICE_S, 0.5 * float(np.median(np.diff(replay.time_s)))
+        )
     span = float((since + replay.trace.held_s).max(initial=replay.time_s[-1]) - replay.time_s[0])
     return float(held[held > _FAR_LONGER * usual].sum()) / max(span, 1e-9)
 

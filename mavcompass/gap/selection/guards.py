@@ -223,7 +223,7 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     # Blocks that an effect leaves alone say nothing against it.
     change = np.mean(np.square(predictions[1] - predictions[0])[rows], axis=1)
     touched = np.bincount(label, change) / count
-    blocks = blocks[touched > _TOUCHED * touched.max()]
+    blocks = blocks[touched >= _TOUCHED * touched.max()]
     mean, spread = blocks.mean(axis=0), blocks.std(axis=0)
     low = mean - 1.7 * spread / math.sqrt(len(blocks) - 1) if len(blocks) > 2 else mean
     if not held.any():

@@ -66,3 +66,11 @@ def _recursion(decay: FloatArray, drive: FloatArray) -> FloatArray:
         factor[:reach] = 0.0
         reach *= 2
     return out
+
+
+def spread(values: FloatArray) -> FloatArray:
+    """Return the standard deviation of columns (N, ...) without what is missing; 0 where nothing is left."""
+    known = np.isfinite(values)
+    count = np.maximum(known.sum(axis=0), 1)
+    mean = np.where(known, values, 0.0).sum(axis=0) / count
+    return np.asarray(np.sqrt(np.square(np.where(known, values - mean, 0.0)).sum(axis=0) / count))

@@ -131,6 +131,28 @@ def test_floor_rises_with_what_the_training_rows_leave_unknown_and_not_with_what
     assert fixed[0] < none[0] + 0.1 * whole and fixed[1] < none[1] + 0.1 * heading
 
 
+def test_doubt_that_no_curve_holds_raises_the_floor_by_what_it_moves() -> None:
+    replayed = replay(driven(np.arange(0.0, 60.0, 0.05), 8.0))
+    split = split_blocks(replayed.time_s, replayed.valid)
+    size = 0.02
+    floor = from_recording(replayed)
+    calm, more = (
+        foreseen(
+            floor,
+            replace(replayed, reference=replace(replayed.reference, rest_rad2=np.diag([0.0, east, 0.0]))),
+            split.train,
+            split.test,
+        )
+        for east in (0.0, size**2)
+    )
+    north, east, down = replayed.signals.stimulus.field_ned_mgauss[0]
+    # A turn about the east moves what is north and down; of the north part heading sees what lies across.
+    moved = size * math.hypot(north, down) / math.sqrt(3.0)
+    across = math.degrees(size * abs(down * east) / (north**2 + east**2))
+    assert math.sqrt(more.field_rms_mgauss**2 - calm.field_rms_mgauss**2) == pytest.approx(moved, rel=1e-6)
+    assert math.sqrt(more.heading_rms_deg**2 - calm.heading_rms_deg**2) == pytest.approx(across, rel=1e-4)
+
+
 def test_nothing_is_foreseen_without_held_out_rows() -> None:
     replayed = replay(driven(np.arange(0.0, 30.0, 0.05), 8.0))
     floor = from_recording(replayed)

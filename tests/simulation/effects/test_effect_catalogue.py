@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from mavcompass.errors import UsageError
 from mavcompass.frames import euler_to_matrix, rotate_back
 from mavcompass.simulation import effects
+from mavcompass.simulation.effects.sampling import spread
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 
 CONTRACT_IDS = """hard_iron hard_iron_step soft_iron axis_scale non_orthogonality misalignment orientation
@@ -137,3 +138,8 @@ def test_attitude_effects_keep_the_length_of_the_field(angles: list[float]) -> N
     out = effects.Distortion([setting]).apply(stimulus, reading, np.random.default_rng(0))
     length = np.linalg.norm(out.mag_mgauss, axis=1)
     np.testing.assert_allclose(length, np.linalg.norm(FIELD), rtol=1e-9)
+
+
+def test_spread_leaves_out_what_is_missing_and_says_nothing_of_nothing() -> None:
+    values = np.array([[1.0, np.nan, 2.0], [3.0, np.nan, np.nan], [5.0, np.nan, 2.0]])
+    np.testing.assert_allclose(spread(values), [np.std([1.0, 3.0, 5.0]), 0.0, 0.0])

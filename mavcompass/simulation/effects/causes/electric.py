@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage, axes
+from mavcompass.simulation.effects.sampling import spread
 
 # Lines of rotors and mains, aliased by the sampling; what is slower is drift, and a load of its own.
 SLOWEST_LINE_HZ = 0.3
@@ -33,7 +34,7 @@ def _varying_motors(signals: Signals) -> NDArray[np.bool_]:
     free = np.zeros((_MOTORS, 3), dtype=np.bool_)
     motors = signals.stimulus.motors[:, :_MOTORS]
     if motors.size:
-        free[: motors.shape[1]] = (np.nanstd(motors, axis=0) > 1e-3)[:, None]
+        free[: motors.shape[1]] = (spread(motors) > 1e-3)[:, None]
     return free.ravel()
 
 
@@ -103,7 +104,7 @@ def _relay_starts(misfit: Misfit) -> list[FloatArray]:
     found: list[tuple[float, FloatArray]] = []
     for source in range(_RELAY_SOURCES):
         load = _load(misfit.signals, source)
-        if load is None or not np.nanstd(load) > 1e-3:
+        if load is None or float(spread(load)) <= 1e-3:
             continue
         known = np.nan_to_num(load)[misfit.rows]
         order = np.argsort(-known, kind="stable")
