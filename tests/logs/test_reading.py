@@ -8,6 +8,7 @@ import pytest
 from dataflash_builder import MAG, Log
 from pymavlink import mavutil
 from recorded_frames import Recording
+from ulog_builder import ULogFile
 
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.logs import read_track, read_tracks
@@ -29,6 +30,24 @@ def test_the_suffix_decides_where_the_start_is_damaged(tmp_path: Path) -> None:
     path = tmp_path / "a.BIN"
     path.write_bytes(b"\0" * 999 + Log(MAG).mags(5).content)
     assert len(read_track(path).compasses[1].reported) == 5
+
+
+@pytest.mark.parametrize("place", range(8))
+@pytest.mark.parametrize("damaged", [0x00, 0x41, 0xFD, 0xFF])
+def test_a_damaged_first_time_hides_no_telemetry_log(tmp_path: Path, place: int, damaged: int) -> None:
+    content = bytearray(Recording().fly(2.0).content)
+    content[place] = damaged
+    path = tmp_path / "a"
+    path.write_bytes(content)
+    assert len(read_track(path).compasses[1].reported) == 20
+
+
+@pytest.mark.parametrize("byte", [0xFD, 0xFE])
+def test_a_log_whose_start_time_looks_like_a_frame_is_still_a_ulog(tmp_path: Path, byte: int) -> None:
+    log = ULogFile(start_us=0x0F4200 + byte).topic("sensor_mag", "float x", "float y", "float z")
+    for k in range(5):
+        log.add("sensor_mag", 2_000_000 + 100_000 * k, 0.2, 0.0, 0.4)
+    assert len(read_track(log.write(tmp_path / "a")).compasses[1].reported) == 5
 
 
 def test_names_may_be_strings(tmp_path: Path) -> None:

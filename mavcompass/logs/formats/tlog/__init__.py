@@ -9,11 +9,16 @@ from mavcompass.track import Track
 
 NAME = "telemetry log (.tlog)"
 SUFFIXES = (".tlog",)
+# The second byte of a time between 2005 and 2041.
+_OUR_TIMES = range(4, 8)
 
 
 def recognises(head: bytes) -> bool:
-    """Tell whether a file begins with a time (microseconds of Unix time, eight bytes) and a frame."""
-    return len(head) > 8 and head[0] == 0 and head[8] in FRAME_STARTS
+    """Tell whether a file begins with a time (microseconds of Unix time, eight bytes) and a frame.
+
+    One of the time's first two bytes may be damaged.
+    """
+    return len(head) > 8 and head[8] in FRAME_STARTS and (head[0] == 0 or head[1] in _OUR_TIMES)
 
 
 def read(path: Path, head: bytes) -> dict[int, Track]:
