@@ -7,6 +7,7 @@ states. With normal errors the solution is that of Rauch, Tung and Striebel's sm
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,11 +64,7 @@ class Chain:
 
     def copy(self) -> Chain:
         """Return a chain to which more can be added."""
-        length, width, constants = self._border.shape
-        other = Chain(length, width, constants)
-        for name, value in vars(self).items():
-            setattr(other, name, value.copy() if isinstance(value, np.ndarray) else value)
-        return other
+        return copy.deepcopy(self)
 
     def add(
         self, at: slice, J: FloatArray, c: FloatArray | None, y: FloatArray, w: FloatArray, share: float = 1.0

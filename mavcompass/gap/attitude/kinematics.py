@@ -1,4 +1,4 @@
-"""Rotations from body rates: integrating a gyro."""
+"""Rotations from body rates: integrating a gyro; and values at other times."""
 
 from __future__ import annotations
 
@@ -25,6 +25,17 @@ def integrated(clock: FloatArray, rate: FloatArray) -> FloatArray:
     return products(exponentials(np.vstack([np.zeros((1, 3)), vectors])))
 
 
+def integral(clock: FloatArray, values: FloatArray) -> FloatArray:
+    """Integrate columns (N, k) from the first time on, by trapezia: (N, k)."""
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(clock)[:, None]
+    return np.vstack([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
+
+
+def interpolated(clock: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Interpolate columns (N, k) linearly to other times (M,); outside the ends are held."""
+    return np.stack([np.interp(time_s, clock, column) for column in values.T], axis=1)
+
+
 def products(rotations: FloatArray) -> FloatArray:
     """Return the products of the first 1, 2, ... of rotations (N, 3, 3)."""
     n = len(rotations)
@@ -40,13 +51,19 @@ def products(rotations: FloatArray) -> FloatArray:
     return np.asarray(out.reshape(-1, 3, 3)[:n])
 
 
+def cross_matrices(vectors: FloatArray) -> FloatArray:
+    """Return the matrices (N, 3, 3) that take the cross product of vectors (N, 3) with others."""
+    k = np.zeros((len(vectors), 3, 3))
+    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -vectors[:, 2], vectors[:, 1], -vectors[:, 0]
+    k[:, 1, 0], k[:, 2, 0], k[:, 2, 1] = vectors[:, 2], -vectors[:, 1], vectors[:, 0]
+    return k
+
+
 def exponentials(vectors: FloatArray) -> FloatArray:
     """Return the rotations (N, 3, 3) by rotation vectors (N, 3)."""
     angle = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
     safe = np.where(angle > 1e-9, angle, 1.0)
-    k = np.zeros((len(vectors), 3, 3))
-    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -vectors[:, 2], vectors[:, 1], -vectors[:, 0]
-    k[:, 1, 0], k[:, 2, 0], k[:, 2, 1] = vectors[:, 2], -vectors[:, 1], vectors[:, 0]
+    k = cross_matrices(vectors)
     first = np.where(angle > 1e-9, np.sin(safe) / safe, 1.0)[:, None, None]
     second = np.where(angle > 1e-9, (1.0 - np.cos(safe)) / safe**2, 0.5)[:, None, None]
     return np.asarray(np.eye(3) + first * k + second * (k @ k))

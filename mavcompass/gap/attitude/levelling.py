@@ -18,6 +18,7 @@ from mavcompass.gap.attitude.kinematics import integrated, turned_about_down, wi
 from mavcompass.gap.attitude.navigation import Sensed
 from mavcompass.gap.attitude.receiver import Velocity, triangle_means
 from mavcompass.gap.attitude.rest import Bias
+from mavcompass.simulation.effects.rotations import skew
 from mavcompass.track import Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -38,12 +39,10 @@ class Start:
 
     Attributes:
         rotation: body to NED where `bearing` is known, else to a level frame of any yaw, (N, 3, 3).
-        rate_radps: body rates without the gyro's bias, (N, 3).
         bearing: True where the receiver's velocity explains the forces that are felt, and told the yaw.
     """
 
     rotation: FloatArray
-    rate_radps: FloatArray
     bearing: bool
 
 
@@ -77,7 +76,7 @@ def started(data: Sensed, resting: Bias, velocity: Velocity | None, autopilot: F
     # Only a start: it goes on where readings were lost, and its level is about right.
     bearing = None if velocity is None else velocity.bearing(data.time_s, autopilot, data.force_mps2, 0.0)
     rotation = autopilot if bearing is None else turned_about_down(autopilot, -bearing)
-    return Start(rotation, data.rate_radps - resting.mean, bearing is not None)
+    return Start(rotation, bearing is not None)
 
 
 def _levelled(data: Sensed, resting: Bias, velocity: Velocity | None) -> Start:
@@ -106,7 +105,7 @@ def _levelled(data: Sensed, resting: Bias, velocity: Velocity | None) -> Start:
                 linear = np.einsum("nij,nkj,nk->ni", there, turned, acceleration)
     if bearing is not None:
         rotation = turned_about_down(rotation, -bearing)
-    return Start(rotation, data.rate_radps - bias, bearing is not None)
+    return Start(rotation, bearing is not None)
 
 
 def _still_axes(data: Sensed, bias: FloatArray) -> FloatArray:
@@ -128,8 +127,7 @@ def _leaning_bias(data: Sensed, there: FloatArray, gravity: FloatArray, prior: B
     turned = np.cumsum(there * step, axis=0)
     mean = gravity[data.felt].mean(axis=0)
     d = -mean / max(float(np.linalg.norm(mean)), 1e-9)
-    cross = np.array([[0.0, -d[2], d[1]], [d[2], 0.0, -d[0]], [-d[1], d[0], 0.0]])
-    leaning = STANDARD_GRAVITY_MPS2 * np.einsum("ij,njk->nik", cross, turned[data.felt])
+    leaning = STANDARD_GRAVITY_MPS2 * np.einsum("ij,njk->nik", skew(d), turned[data.felt])
     design = (leaning - leaning.mean(axis=0)).reshape(-1, 3)
     target = (gravity[data.felt] - mean).reshape(-1)
     # Only one value in each memory of the accelerations is news, and a turn's acceleration can look like a

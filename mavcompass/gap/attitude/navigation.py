@@ -25,8 +25,15 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.chain import Chain, Solved
-from mavcompass.gap.attitude.kinematics import exponentials, integrated, rotation_vectors
-from mavcompass.gap.attitude.receiver import Velocity
+from mavcompass.gap.attitude.kinematics import (
+    cross_matrices,
+    exponentials,
+    integral,
+    integrated,
+    interpolated,
+    rotation_vectors,
+)
+from mavcompass.gap.attitude.receiver import Velocity, white_scatter
 from mavcompass.gap.attitude.rest import Bias
 from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -159,13 +166,10 @@ class _Smoother:
         self.bias, self.witness = bias, witness
         self.seen = None if velocity is None else velocity.at(self.knots)
         self._still = integrated(clock, self.rate)
-        still = self.at_knots(self._still)
-        self._turned = still[:-1].transpose(0, 2, 1) @ still[1:]
-        each = math.sqrt(float(np.median(np.diff(clock))))
-        self._angle, self._pushed = (
-            math.hypot(_scatter(values) * each, walk) ** 2 * self.step + self._silent(values, share)
-            for values, walk, share in ((self.rate, _WALK, 0.5), (self.force, _PUSH, 0.7))
-        )
+        self._still_knots = self.at_knots(self._still)
+        self._turned = self._still_knots[:-1].transpose(0, 2, 1) @ self._still_knots[1:]
+        self._angle = self._walked(self.rate, _WALK, 0.5)
+        self._pushed = self._walked(self.force, _PUSH, 0.7)
         self._told = None if witness is None else self.at_knots(witness.rotation)
 
     def chain(self, rotation: FloatArray, trust: FloatArray | None) -> Chain:
@@ -186,14 +190,9 @@ class _Smoother:
         chain.link(before, after, None, 0.0 * one, one / (_WANDER**2 * self.step[:, None]))
         # v_1 - v_0 + [integral R f]x phi + integral R a = integral (R f + g)
         before, after, c = _blank(count, 3), _blank(count, 3), np.zeros((count, 3, _CONSTANTS))
-        leaning = 0.5 * _crossing(pushed)
-        before[:, :, _V], after[:, :, _V], before[:, :, _PHI], after[:, :, _PHI] = (
-            -unit,
-            unit,
-            leaning,
-            leaning,
-        )
-        c[:, :, _ACC] = turn
+        leaning = 0.5 * cross_matrices(pushed)
+        before[:, :, _V], after[:, :, _V], c[:, :, _ACC] = -unit, unit, turn
+        before[:, :, _PHI] = after[:, :, _PHI] = leaning
         chain.link(before, after, c, pushed + self.step[:, None] * _GRAVITY, one / self._pushed[:, None])
         self._add_first(chain)
         slow = _SCATTER_RAD if self.witness is None else self.witness.slow_rad
@@ -242,7 +241,7 @@ class _Smoother:
         missed = rotation_vectors(rotation[1:] @ (rotation[:-1] @ self._turned).transpose(0, 2, 1))
         left = np.clip(np.searchsorted(self.knots, self.clock, side="right") - 1, 0, self.step.size - 1)
         share = (self.clock - self.knots[left]) / self.step[left]
-        since = (rotation[:-1] @ self.at_knots(self._still)[:-1].transpose(0, 2, 1))[left] @ self._still
+        since = (rotation[:-1] @ self._still_knots[:-1].transpose(0, 2, 1))[left] @ self._still
         return np.asarray(exponentials(missed[left] * share[:, None]) @ since)
 
     def telling(self) -> NDArray[np.int64]:
@@ -254,7 +253,7 @@ class _Smoother:
 
     def between(self, values: FloatArray) -> FloatArray:
         """Interpolate values of the knots (K, n) to the gyro's times."""
-        return np.stack([np.interp(self.clock, self.knots, column) for column in values.T], axis=1)
+        return interpolated(self.knots, values, self.clock)
 
     def _likeliest(self, chain: Chain, sizes: Sequence[_Sizes]) -> _Sizes:
         return min(sizes, key=lambda s: self.with_sizes(chain, s).solve().deviance)
@@ -288,7 +287,7 @@ class _Smoother:
         apart[:, :2] = -np.einsum("kij,kj->ki", at, down)[:, :2]
         J, c = _blank(self.knots.size, 3), np.zeros((self.knots.size, 3, _CONSTANTS))
         J[:, :, _PHI] = np.eye(3)
-        turning = np.stack([np.interp(self.knots, self.clock, column) for column in self.rate.T], axis=1)
+        turning = interpolated(self.clock, self.rate, self.knots)
         late = _WITNESS_LATE_S * np.linalg.norm(turning, axis=1)
         scatter = np.hypot(np.array([_LEVEL_SCATTER_RAD, _LEVEL_SCATTER_RAD, _SCATTER_RAD]), late[:, None])
         weights = min(1.0, self.news_s / _KNOT_S) / scatter**2
@@ -320,16 +319,15 @@ class _Smoother:
 
     def _between_knots(self, values: FloatArray) -> FloatArray:
         """Integrate values (N, n) between the knots, (K - 1, n)."""
-        steps = 0.5 * (values[1:] + values[:-1]) * np.diff(self.clock)[:, None]
-        total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
-        return np.diff(
-            np.stack([np.interp(self.knots, self.clock, column) for column in total.T], axis=1), axis=0
-        )
+        return np.diff(interpolated(self.clock, integral(self.clock, values), self.knots), axis=0)
 
-    def _silent(self, values: FloatArray, share: float) -> FloatArray:
-        """Return the variance of the integrals between knots where the sensors were silent, (K - 1,)."""
+    def _walked(self, values: FloatArray, walk: float, share: float) -> FloatArray:
+        """Return the variance of integrals between knots, (K - 1,): white scatter, a walk, and silence."""
+        scatter = float(np.sqrt(np.mean(white_scatter(values) ** 2)))
+        each = math.sqrt(float(np.median(np.diff(self.clock))))
         size = share * float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
-        return np.where(self._is_silent, (size * self.step) ** 2, 0.0)
+        silent = np.where(self._is_silent, (size * self.step) ** 2, 0.0)
+        return np.asarray(math.hypot(scatter * each, walk) ** 2 * self.step + silent)
 
 
 def silences(clock: FloatArray) -> NDArray[np.bool_]:
@@ -361,16 +359,3 @@ def carried(clock: FloatArray, rotation: FloatArray, rate: FloatArray, time_s: F
 
 def _blank(count: int, rows: int) -> FloatArray:
     return np.zeros((count, rows, _STATES))
-
-
-def _crossing(vectors: FloatArray) -> FloatArray:
-    """Return the matrices (K, 3, 3) that take the cross product of vectors (K, 3) with others."""
-    x, y, z = vectors.T
-    none = np.zeros_like(x)
-    return np.stack([none, -z, y, z, none, -x, -y, x, none], axis=1).reshape(-1, 3, 3)
-
-
-def _scatter(values: FloatArray) -> float:
-    """Return the standard deviation of what is white in columns, from second differences."""
-    second = np.diff(values, 2, axis=0)
-    return float(np.sqrt(np.mean((1.4826 * np.median(np.abs(second), axis=0)) ** 2) / 6.0))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude.kinematics import interpolated
 from mavcompass.simulation.physics.world import EARTH_RADIUS_M
 from mavcompass.track import Series, Track
 
@@ -38,8 +39,7 @@ class Velocity:
     def at(self, time_s: FloatArray) -> Velocity:
         """Return the velocity at other times."""
         mean, change = (
-            np.stack([np.interp(time_s, self.time_s, column) for column in values.T], axis=1)
-            for values in (self.mean_mps, self.change_mps2)
+            interpolated(self.time_s, values, time_s) for values in (self.mean_mps, self.change_mps2)
         )
         return Velocity(time_s, mean, change, self.sigma_mps)
 
@@ -82,7 +82,7 @@ class Velocity:
         width = round(smoothing_s / _STEP_S)
         curve = _running(_running(self.at(grid).mean_mps, width), width)
         change = np.gradient(curve, _STEP_S, axis=0)
-        return np.stack([np.interp(clock, grid, column) for column in change.T], axis=1)
+        return interpolated(grid, change, clock)
 
 
 def triangle_means(clock: FloatArray, values: FloatArray, half_s: float) -> FloatArray:
@@ -120,15 +120,22 @@ def receiver_velocity(track: Track, clock: FloatArray) -> Velocity | None:
             continue
         if of_positions:
             grid = np.arange(when[0], when[-1], _STEP_S)
-            curve = np.stack([np.interp(grid, when, column) for column in values.T], axis=1)
-            when, values = grid, np.gradient(_running(curve, _SMOOTHED), _STEP_S, axis=0)
+            curve = _running(interpolated(when, values, grid), _SMOOTHED)
+            when, values = grid, np.gradient(curve, _STEP_S, axis=0)
         if when.size < _FEWEST_FIXES:
             continue
-        second = np.abs(np.diff(values, 2, axis=0))
-        scatter = 1.4826 * np.median(second, axis=0) / math.sqrt(6.0)
         change = np.gradient(_running(values, _SMOOTHED), when, axis=0)
-        return Velocity(when, values, change, np.maximum(scatter, _LEAST_SCATTER_MPS))
+        return Velocity(when, values, change, np.maximum(white_scatter(values), _LEAST_SCATTER_MPS))
     return None
+
+
+def white_scatter(values: FloatArray) -> FloatArray:
+    """Return the standard deviation of what is white in columns (N, k), (k,), from second differences.
+
+    Those of white noise have the variance 6 sigma^2.
+    """
+    second = np.abs(np.diff(values, 2, axis=0))
+    return np.asarray(1.4826 * np.median(second, axis=0) / math.sqrt(6.0))
 
 
 def local_position(place: Series | None) -> Series | None:

@@ -19,7 +19,12 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
-from mavcompass.gap.attitude.kinematics import turned_about_down, turned_between
+from mavcompass.gap.attitude.kinematics import (
+    integral,
+    interpolated,
+    turned_about_down,
+    turned_between,
+)
 from mavcompass.gap.attitude.levelling import sensed_by, started
 from mavcompass.gap.attitude.navigation import Smoothed, Witness, carried, smoothed_attitude
 from mavcompass.gap.attitude.receiver import receiver_velocity
@@ -198,7 +203,7 @@ def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> R
     if autopilot is not None and float(np.min(smoothed.rotation[:, 2, 2])) > _UPRIGHT:
         # Whatever steers the autopilot's yaw, it turns when the vehicle turns.
         turning = np.einsum("ni,ni->n", smoothed.rate_radps, smoothed.rotation[:, 2])
-        yaw = _integral(clock, turning) + _ahead(smoothed.rotation, autopilot)
+        yaw = integral(clock, turning[:, None])[:, 0] + _ahead(smoothed.rotation, autopilot)
         age = age_of(clock, turning, clock, yaw) or 0.0
     constant, curves, rest = _unknown(smoothed, time_s)
     if choice == "gyro" or not told or constant > _MOST_LINEAR_RAD:
@@ -234,14 +239,8 @@ def _unknown(smoothed: Smoothed, time_s: FloatArray) -> tuple[float, FloatArray,
     small = np.delete(vectors * size, keep, axis=1).reshape(knots.size, 3, -1)
     rest = np.einsum("kim,kjm->ij", small, small)
     curves = (vectors[:, keep] * size[keep] / weight[:, None]).reshape(knots.size, 3 * keep.size)
-    spread = np.zeros((time_s.size, 3 * keep.size))
-    for column, values in zip(spread.T, curves.T, strict=True):
-        column[:] = np.interp(time_s, knots, values)
+    spread = interpolated(knots, curves, time_s) if keep.size else np.zeros((time_s.size, 0))
     return math.hypot(constant, _LEAST_CONSTANT_RAD), spread.reshape(time_s.size, 3, keep.size), rest
-
-
-def _integral(clock: FloatArray, rate: FloatArray) -> FloatArray:
-    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(clock))])
 
 
 def _autopilot_rotation(track: Track, clock: FloatArray) -> FloatArray | None:

@@ -61,11 +61,6 @@ class Prior:
             self, nuisances=tuple(replace(n, mean=m) for n, m in zip(self.nuisances, parts, strict=True))
         )
 
-    @property
-    def log_determinant(self) -> float:
-        """Return the logarithm of the precision's determinant."""
-        return float(np.linalg.slogdet(self.precision)[1]) if self.nuisances else 0.0
-
 
 def block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
     """Put square blocks along a diagonal."""
