@@ -58,6 +58,13 @@ def test_the_python_reference_has_the_public_functions(pages: ModuleType) -> Non
     text = pages.python()
     for name in ("read_track", "calibrate", "heading", "diagnose_gap", "connect", "plot.circle"):
         assert f"\n## mavcompass.{name}\n" in text
+    for name in (
+        "observation.observe",
+        "positions.next_pose",
+        "positions.repeat_test",
+        "orientation.search_orientation",
+    ):
+        assert f"\n### mavcompass.calibration.{name}\n" in text
 
 
 @pytest.mark.skipif(find_spec("material") is None, reason="pip install mkdocs-material")

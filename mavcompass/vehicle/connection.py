@@ -52,7 +52,7 @@ class Vehicle:
     def parameters(self) -> dict[str, float]:
         """Read everything about the vehicle's compasses.
 
-        Raises NoReply where the vehicle does not answer.
+        Raises NoReply where the vehicle does not answer, LinkLost where it fell silent.
         """
         dialect = make_dialect(self.identity.autopilot, self._source)
 

@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 
 _PYTHONS = set("self join str map sorted len error if else for in or s r f".split())
 PACKAGE = Path(mavcompass.__file__).parent
+_FURTHER = {  # from Python alone: the further pose, the turn back, the mounting
+    "mavcompass.calibration.observation": ("observe",),
+    "mavcompass.calibration.positions": ("next_pose", "repeat_test"),
+    "mavcompass.calibration.orientation": ("search_orientation",),
+}
 MEANING = {
     2: "the command is not right",
     3: "no vehicle, or the link was lost",
@@ -101,6 +106,15 @@ def python() -> str:
             lines += _function(f"Vehicle.{name}", method, "###")
     for name in ("circle", "deviation", "residuals", "waterfall"):
         lines += _function(f"mavcompass.plot.{name}", getattr(import_module("mavcompass.plot"), name))
+    lines += [
+        "## Questions that no command asks",
+        "",
+        "Of the still positions of a recording, and of its field.",
+        "",
+    ]
+    for place, names in _FURTHER.items():
+        for name in names:
+            lines += _function(f"{place}.{name}", getattr(import_module(place), name), "###")
     return "\n".join(lines)
 
 

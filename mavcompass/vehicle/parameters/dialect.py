@@ -41,7 +41,7 @@ class CompassDialect(ABC):
     def compass_parameters_typed(self, context: Context) -> Script[dict[str, Parameter]]:
         """Read everything about all compasses and what `rules.vehicle` adds, with types.
 
-        Raises NoReply where the vehicle answers nothing.
+        Raises NoReply where the vehicle answers nothing, LinkLost where it says nothing at all.
         """
 
     @abstractmethod
@@ -76,7 +76,7 @@ class CompassDialect(ABC):
         return {name: parameter.value for name, parameter in held.items()}
 
     def compass_parameters(self, context: Context) -> Script[dict[str, float]]:
-        """Read everything about all compasses. Raises NoReply where the vehicle answers nothing."""
+        """Read everything about all compasses, as `compass_parameters_typed` does."""
         held = yield from self.compass_parameters_typed(context)
         return {name: parameter.value for name, parameter in held.items()}
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from mavcompass.errors import NoReply
+from mavcompass.errors import LinkLost
 from mavcompass.messages import Message, ParamValue
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters.values import Encoding, Parameter, decode, same_value
@@ -68,7 +68,7 @@ class Exchange:
     def run(
         self, silence_s: float, enough: Callable[[Mapping[str, Parameter]], bool] = lambda _: False
     ) -> Script[None]:
-        """Ask until every name has answered or is given up."""
+        """Ask until every name has answered or is given up. Raises LinkLost for a silent vehicle."""
         context, wake_s = self.context, -math.inf
         while self.open:
             if context.now >= wake_s:
@@ -83,9 +83,9 @@ class Exchange:
                     if enough(self.answers):
                         return
             elif context.now >= self.heard_s + silence_s:
-                raise NoReply(
+                raise LinkLost(
                     f"The vehicle has been silent for {silence_s:g} s.",
-                    "Check the vehicle's power and the link, then run again.",
+                    "Bring the link back (power, cable, radio), then run again.",
                 )
 
     def _ask(self) -> float:

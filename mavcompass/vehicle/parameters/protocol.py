@@ -36,7 +36,7 @@ def read(
     """Read parameters by name, several at a time; a name that the vehicle does not know is left out.
 
     `enough` may end the reading early, given what was heard so far. Names that are known to `exist` are
-    asked for longer. Raises NoReply where the vehicle says nothing at all for `SILENCE_S`.
+    asked for longer. Raises LinkLost where the vehicle says nothing at all for `SILENCE_S`.
     """
     asks = [Ask(name, (_read_request(context, name),), exists=exist) for name in dict.fromkeys(names)]
     exchange = Exchange(context, encoding, asks)
@@ -49,7 +49,8 @@ def write(
 ) -> Script[float]:
     """Write parameters until each is heard with its wanted value; return how long echoes may linger, in s.
 
-    Raises ValueRefused where the vehicle keeps another value, NoReply where it does not answer.
+    Raises ValueRefused where the vehicle keeps another value, NoReply where it does not answer, LinkLost
+    where it says nothing at all for `silence_s`.
     """
     asks = [
         Ask(
@@ -80,7 +81,7 @@ def prove(
 
     A late echo may have vouched for a write that was lost, and a late write may have undone another:
     what reads differently is written again, and all is read once more. `echoes_s` is what `write`
-    returned. Raises ValueRefused where the vehicle holds another value, NoReply where it does not answer.
+    returned. Raises ValueRefused where the vehicle holds another value, otherwise as `write`.
     """
     for _ in range(_ROUNDS):
         yield from pause(context, echoes_s)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parameter_vehicle import ParameterVehicle, PX4Vehicle, Radio, ardupilot_parameters, px4_parameters
 
-from mavcompass.errors import NoReply, Refused
+from mavcompass.errors import LinkLost, NoReply, Refused
 from mavcompass.messages import ParamRequestRead, ParamSet, ParamValue
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.dialects import make_dialect
@@ -48,9 +48,9 @@ def _read(*names: str) -> Callable[[Context], Script[dict[str, float]]]:
     return lambda context: make_dialect("ardupilot").read_parameters(context, names)
 
 
-def test_a_dead_link_is_no_reply_not_an_empty_answer() -> None:
+def test_a_dead_link_is_a_lost_vehicle_not_an_empty_answer() -> None:
     radio = Radio(ParameterVehicle(), cut_s=0.0, silence_s=math.inf)
-    with pytest.raises(NoReply, match="silent"):
+    with pytest.raises(LinkLost, match="silent"):
         radio.run(_read("COMPASS_OFS_X"))
 
 
