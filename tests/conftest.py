@@ -16,8 +16,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-# Two workers share two processors: more threads of linear algebra would spin and wait for each other, which
-# costs small matrices twenty times their work. Read when numpy is first imported; processes inherit it.
+# As the program sets it for itself, and before anything imports numpy.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # A busy machine is no failure, and a suite that is green stays green: the examples follow from the test.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import subprocess
 import sys
 import warnings
@@ -106,6 +107,26 @@ def test_an_error_of_ours_is_one_sentence_and_its_exit_code(
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err == f"mavcompass: {error}\n"
+
+
+@pytest.mark.parametrize(
+    ("set_by_the_person", "threads"),
+    [
+        ({}, "1"),
+        ({"OMP_NUM_THREADS": "3"}, "3"),
+        ({"OMP_NUM_THREADS": "3", "OPENBLAS_NUM_THREADS": "2"}, "2"),
+    ],
+)
+def test_linear_algebra_has_one_thread_unless_a_person_says_otherwise(
+    set_by_the_person: dict[str, str], threads: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        monkeypatch.setenv(name, "")  # so that it is put back
+        monkeypatch.delenv(name)
+    for name, value in set_by_the_person.items():
+        monkeypatch.setenv(name, value)
+    assert main(["--version"]) == 0
+    assert os.environ["OPENBLAS_NUM_THREADS"] == threads
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), click.Abort()])
