@@ -1,6 +1,8 @@
-"""The messages of the dialect, pymavlink's generated description of every message.
+"""The messages of the dialect: number, name, checksum's extra byte, layout and fields of each.
 
-This is the only file that knows it; it is loaded with the first message.
+`messages.txt` holds what pymavlink's ardupilotmega dialect says of them, a line each. Loading that dialect
+itself takes half a second and a hundred megabytes, which every command and the service would pay for
+layouts alone. `scripts/mavlink_messages.py` writes the file anew; a test holds it against pymavlink.
 """
 
 from __future__ import annotations
@@ -9,8 +11,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from struct import Struct
-from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,33 +49,33 @@ class Description:
 
 
 @cache
-def _messages() -> Mapping[int, Any]:
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    return ardupilotmega.mavlink_map
+def _lines() -> Mapping[int, list[str]]:
+    """Return the words of each message's line by its number."""
+    table = Path(__file__).with_name("messages.txt").read_text("ascii")
+    return {int(words[0]): words for words in map(str.split, table.splitlines())}
 
 
 @cache
 def message_ids() -> Mapping[str, int]:
     """Return the numbers of all messages by their names."""
-    return {message.msgname: number for number, message in _messages().items()}
+    return {words[1]: number for number, words in _lines().items()}
 
 
 @cache
 def crc_extras() -> Mapping[int, int]:
     """Return the extra bytes of all messages by their numbers."""
-    return {number: message.crc_extra for number, message in _messages().items()}
+    return {number: int(words[2]) for number, words in _lines().items()}
 
 
 @cache
 def describe(message_id: int) -> Description | None:
     """Describe a message; None for one that the dialect does not have."""
-    message = _messages().get(message_id)
-    if message is None:
+    words = _lines().get(message_id)
+    if words is None:
         return None
-    codes = re.findall(r"(\d*)([a-zA-Z])", message.unpacker.format)  # such as "<iih10HB16s"
+    _, name, crc_extra, layout, *names = words
+    codes = re.findall(r"(\d*)([a-zA-Z])", layout)  # such as "<iih10HB16s"
     fields = tuple(
-        Field(name, code, int(count or code == "s"))
-        for name, (count, code) in zip(message.ordered_fieldnames, codes, strict=True)
+        Field(name, code, int(count or code == "s")) for name, (count, code) in zip(names, codes, strict=True)
     )
-    return Description(message_id, message.msgname, message.crc_extra, message.unpacker, fields)
+    return Description(message_id, name, int(crc_extra), Struct(layout), fields)
