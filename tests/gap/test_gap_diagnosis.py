@@ -199,8 +199,8 @@ def test_position_far_from_its_datum_makes_no_gradient() -> None:
 def test_orientation_is_found_although_the_yaw_is_unknown(orientation: int) -> None:
     """Without a reference the first guess of the yaw comes from the compass that points elsewhere."""
     fault = [effects.parse(f"orientation:orientation={orientation}")]
-    track = replace(make_track(RICH, fault), reference_q=None)
-    diagnosis = diagnose_gap(track)
+    track = make_track(replace(RICH, duration_s=30.0, rate_hz=10.0), fault)
+    diagnosis = diagnose_gap(replace(track, reference_q=None))
     assert diagnosis.reference == "fused"
     assert diagnosis.effects == {"orientation"}
     assert diagnosis.causes[0].parameters["orientation"] == orientation

@@ -25,7 +25,7 @@ def flights() -> list[list[Setting]]:
 
 def test_iron_is_the_vehicles_and_a_magnet_that_comes_once_the_flights() -> None:
     found = [
-        diagnose_gap(make_track(Recipe("rich", duration_s=50.0, seed=70 + i), settings))
+        diagnose_gap(make_track(Recipe("rich", duration_s=50.0, rate_hz=10.0, seed=70 + i), settings))
         for i, settings in enumerate(flights())
     ]
     vehicle = together(found)
@@ -41,7 +41,7 @@ def test_iron_is_the_vehicles_and_a_magnet_that_comes_once_the_flights() -> None
 def test_iron_that_differs_from_flight_to_flight_is_not_the_vehicles() -> None:
     other = effects.parse("hard_iron:x=-30,y=60,z=0")
     found = [
-        diagnose_gap(make_track(Recipe("rich", duration_s=50.0, seed=80 + i), [iron]))
+        diagnose_gap(make_track(Recipe("rich", duration_s=50.0, rate_hz=10.0, seed=80 + i), [iron]))
         for i, iron in enumerate((_IRON, other))
     ]
     vehicle = together(found)
