@@ -23,8 +23,8 @@ def _vector(message: Any, x: str, y: str, z: str, factor: float) -> FloatArray:
 
 
 def _columns(*columns: Any) -> FloatArray:
-    # Stacked first and turned then, so that each column stays contiguous, as a Series wants it.
-    return np.moveaxis(np.stack(columns), 0, -1)
+    # Turned, not joined along the last axis, so that each column stays contiguous, as a Series wants it.
+    return np.array(columns).T
 
 
 def field_mgauss(imu: Any) -> FloatArray:
