@@ -160,7 +160,7 @@ def _explained(
         floor = foreseen(floor, replayed, split.train, split.test)
     excess = excess_scatter(replayed, baseline) if baseline is not None else 0.0
     start = floor_to_start(floor, replayed, baseline, step_mgauss, excess)
-    identified, widened = identify(replayed, start, split, testable)
+    identified, widened = identify(replayed, start, split, testable, noise_known=floor.measured)
     if not floor.measured:
         floor = widened
     remainder = what_is_left(identified, floor, names, step_mgauss, excess)
@@ -168,10 +168,11 @@ def _explained(
         return identified, remainder, floor
     if remainder.scatter is None:
         # What looked like scatter belongs to what was found: choose again under the floor itself.
-        identified, _ = identify(replayed, floor, split, testable)
+        identified, _ = identify(replayed, floor, split, testable, noise_known=True)
     elif identified.found.best.terms:
         # Extra scatter makes every gain look larger than it is: choose again under it.
-        identified, _ = identify(replayed, with_noise(floor, remainder.problem.noise), split, testable)
+        noisy = with_noise(floor, remainder.problem.noise)
+        identified, _ = identify(replayed, noisy, split, testable, noise_known=True)
     else:
         return identified, remainder, floor
     return identified, what_is_left(identified, floor, names, 0.0, excess), floor

@@ -61,12 +61,17 @@ def cross_matrices(vectors: FloatArray) -> FloatArray:
 
 def exponentials(vectors: FloatArray) -> FloatArray:
     """Return the rotations (N, 3, 3) by rotation vectors (N, 3)."""
-    angle = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
-    safe = np.where(angle > 1e-9, angle, 1.0)
-    k = cross_matrices(vectors)
-    first = np.where(angle > 1e-9, np.sin(safe) / safe, 1.0)[:, None, None]
-    second = np.where(angle > 1e-9, (1.0 - np.cos(safe)) / safe**2, 0.5)[:, None, None]
-    return np.asarray(np.eye(3) + first * k + second * (k @ k))
+    square = np.einsum("ni,ni->n", vectors, vectors)
+    angle = np.sqrt(square)
+    small = angle < 1e-9
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 1.0, np.sin(safe) / safe)
+    second = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    # K^2 = v v^T - |v|^2 I
+    out = cross_matrices(first[:, None] * vectors)
+    out += (second[:, None] * vectors)[:, :, None] * vectors[:, None, :]
+    out[:, (0, 1, 2), (0, 1, 2)] += (1.0 - second * square)[:, None]
+    return out
 
 
 def with_down(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArray:

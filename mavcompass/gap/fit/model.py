@@ -34,8 +34,9 @@ _STEP = 1e-3
 _NUDGE_RAD = 1e-5
 _ITERATIONS = 12
 _CONVERGED = 0.02
-# The first nuisance, the world field, is linear; of the others a derivative serves as far as this.
-_FAR = 0.3
+# The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, and
+# serves to come nearer so far, in natural sizes.
+_NEAR, _FAR = 0.3, 5.0
 # The precision, in natural sizes, of what is not to move.
 _HELD = 1e14
 
@@ -98,6 +99,7 @@ class Problem:
         self._precision = prior.precision
         self._bridge = bridge(replay.valid) if any(noise[g].moving.any() for g in self.groups) else None
         self._lent: tuple[FloatArray, list[FloatArray]] | None = None
+        self._null: Fit | None = None
         self._prior = prior.mean
 
     @property
@@ -290,7 +292,9 @@ class Problem:
 
     def null(self) -> Fit:
         """Fit the nuisances alone."""
-        return self.fit((), (), tuple(n.mean.copy() for n in self.nuisances))
+        if self._null is None:
+            self._null = self.fit((), (), tuple(n.mean.copy() for n in self.nuisances))
+        return self._null
 
     def refit(self, fit: Fit) -> Fit:
         """Fit the same hypothesis to the rows of this problem, from the values that it has."""
@@ -317,7 +321,7 @@ class Problem:
         first, made_at = self._borrowed(terms, x[:n])
         borrowed = first is not None
         for _ in range(iterations):
-            if first is None or not terms or self._moved_far(x[:n], made_at):
+            if first is None or self._moved(x[:n], made_at, _FAR):
                 first, made_at, borrowed = self.columns(terms, x[n:], x[:n], states, range(n)), x[:n], False
                 self._lend(terms, first, made_at)
             own = self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))
@@ -345,7 +349,9 @@ class Problem:
             x, states, r, cost = trial, trial_states, trial_r, trial_cost
             damping *= 0.03
             if gained < _CONVERGED:
-                break
+                if not self._moved(x[:n], made_at, _NEAR):
+                    break
+                first = None
         covariance = invert(normal) if normal.size else normal
         return Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
 
@@ -356,10 +362,10 @@ class Problem:
         if self._lent is None or any(t.effect.kind == "discrete" for t in terms):
             return None, thetas
         columns, made_at = self._lent
-        return (columns, made_at) if not self._moved_far(thetas, made_at) else (None, thetas)
+        return (columns, made_at) if not self._moved(thetas, made_at, _FAR) else (None, thetas)
 
     def _lend(self, terms: tuple[Term, ...], columns: FloatArray, made_at: list[FloatArray]) -> None:
-        if self._lent is None and not any(t.effect.kind == "discrete" for t in terms):
+        if not any(t.effect.kind == "discrete" for t in terms):
             self._lent = (columns, made_at)
 
     def _equations(
@@ -389,10 +395,11 @@ class Problem:
         n = len(self.nuisances)
         return float(r @ r) + self._prior_cost(x[:n]) + weak_cost(x[n:], free[n:], weak)
 
-    def _moved_far(self, thetas: Sequence[FloatArray], made_at: Sequence[FloatArray]) -> bool:
-        """Tell whether nuisances moved a third of a natural size: their derivatives have changed."""
+    def _moved(self, thetas: Sequence[FloatArray], made_at: Sequence[FloatArray], sizes: float) -> bool:
+        """Tell whether nuisances moved by more than so many natural sizes since their derivatives were
+        made."""
         return any(
-            bool((np.abs(now - then) > _FAR * nuisance.effect.scale).any())
+            bool((np.abs(now - then) > sizes * nuisance.effect.scale).any())
             for nuisance, now, then in zip(self.nuisances, thetas, made_at, strict=True)
             if nuisance.effect is not self.nuisances[0].effect
         )

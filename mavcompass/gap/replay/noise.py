@@ -121,11 +121,11 @@ def recursive(factor: float, columns: FloatArray) -> FloatArray:
 
     A banded triangular system does it for all columns at once; scipy.signal takes half a second to load.
     """
-    from scipy.linalg import solve_banded
+    from scipy.linalg.lapack import dtbtrs
 
     band = np.ones((2, len(columns)))
     band[1] = -factor
-    return np.asarray(solve_banded((1, 0), band, columns, check_finite=False))
+    return np.asarray(dtbtrs(band, columns, uplo="L", diag="U")[0])
 
 
 def group_values(reading: Reading, group: Group) -> FloatArray:

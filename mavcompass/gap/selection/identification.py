@@ -21,14 +21,14 @@ _RIVALS = 4
 
 
 def identify(
-    replay: Replay, floor: Floor, split: Split, effects: Sequence[Effect]
+    replay: Replay, floor: Floor, split: Split, effects: Sequence[Effect], noise_known: bool
 ) -> tuple[Identified, Floor]:
-    """Search and guard; without a baseline estimate the noise again from what is left, and repeat.
+    """Search and guard; where the noise is not known estimate it from what is left, and repeat.
 
     Where a change that was found takes time, the readings meanwhile are set aside and the search repeated.
     If nothing that changes is found then, they were the whole disturbance, and must stay.
     """
-    result, own = _searched(replay, floor, split, effects)
+    result, own = _searched(replay, floor, split, effects, 1 if noise_known else _PASSES)
     when = moments(result.fit)
     aside = transients(result.problem, result.fit, when)
     if not aside.any():
@@ -40,16 +40,15 @@ def identify(
     if not floor.measured:
         kept = Problem(fewer, result.problem.noise, calm.train, result.problem.prior)
         start = widened(floor, kept, kept.refit(result.fit))
-    calmer, settled = _searched(fewer, start, calm, effects)
+    calmer, settled = _searched(fewer, start, calm, effects, 1)
     if not moments(calmer.fit):
         return result, own
     return replace(calmer, fit=with_moments(calmer.problem, calmer.fit, when)), settled
 
 
 def _searched(
-    replay: Replay, floor: Floor, split: Split, effects: Sequence[Effect]
+    replay: Replay, floor: Floor, split: Split, effects: Sequence[Effect], passes: int
 ) -> tuple[Identified, Floor]:
-    passes = 1 if floor.measured else _PASSES
     # An independent attitude has no errors that last for seconds.
     exact = floor.representative or replay.reference.kind == "columns"
     previous: frozenset[str] | None = None

@@ -15,19 +15,20 @@ def at_times(time_s: FloatArray, values: FloatArray, wanted_s: FloatArray) -> Fl
     n = time_s.size
     if n < 2:
         return np.repeat(values[:1], wanted_s.size, axis=0)
-    wanted = np.clip(wanted_s, time_s[0], time_s[-1])
-    left = np.clip(np.searchsorted(time_s, wanted, side="right") - 1, 0, n - 2)
+    wanted = np.minimum(np.maximum(wanted_s, time_s[0]), time_s[-1])
+    left = np.minimum(np.maximum(time_s.searchsorted(wanted, side="right") - 1, 0), n - 2)
     first, last = np.maximum(left - 1, 0), np.minimum(left + 2, n - 1)
-    width = time_s[left + 1] - time_s[left]
-    u = (wanted - time_s[left]) / width
+    start, end = time_s.take(left), time_s.take(left + 1)
+    width = end - start
+    u = (wanted - start) / width
     # How much each of the four neighbours counts: slopes are differences of neighbours too.
-    rise = u * u * (3.0 - 2.0 * u)
-    before = width * u * (1.0 - u) ** 2 / (time_s[left + 1] - time_s[first])
-    after = -width * u * u * (1.0 - u) / (time_s[last] - time_s[left])
-    out = values[first] * -before[:, None]
-    out += values[left] * (1.0 - rise - after)[:, None]
-    out += values[left + 1] * (rise + before)[:, None]
-    out += values[last] * after[:, None]
+    rise, bend = u * u * (3.0 - 2.0 * u), width * u * (1.0 - u)
+    before = bend * (1.0 - u) / (end - time_s.take(first))
+    after = -bend * u / (time_s.take(last) - start)
+    out = values.take(first, axis=0) * -before[:, None]
+    out += values.take(left, axis=0) * (1.0 - rise - after)[:, None]
+    out += values.take(left + 1, axis=0) * (rise + before)[:, None]
+    out += values.take(last, axis=0) * after[:, None]
     return np.asarray(out)
 
 
