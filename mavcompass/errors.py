@@ -11,6 +11,8 @@ MavCompassError
  +-- WriteFailed         6  parameters could not be written: undone, or `restore_command` puts them back
  +-- Refused             7  stopped for safety: the vehicle, the pilot or this program said no
 
+A calibration that is written while the autopilot still steers by another heading ends with 8, and no error.
+
 Every message is one sentence about what happened and what it means; `remedy` is the next step.
 """
 

@@ -70,6 +70,8 @@ class TrackBuilder:
         self._columns: dict[str, _Rows] = {}
         self._offset_s: float | None = None
         self.latest_s = -np.inf
+        # Times of the clock before mean nothing on the new one.
+        self._in_force = {i: [InForce(-np.inf, steps[-1].correction)] for i, steps in self._in_force.items()}
 
     def set_correction(self, instance: int, correction: FieldCorrection) -> None:
         """Say which correction the autopilot applies to a compass from the latest message on."""

@@ -61,7 +61,7 @@ ROWS = {
     ],
     "procedure": [
         {"calibrate", "check"},
-        {"writing"},
+        {"autopilot_heading", "restart", "writing"},
         {"desk", "report"},
         {"motion"},
         {"positions"},

@@ -75,6 +75,11 @@ from mavcompass.vehicle.transport import Recording, parse_address
     help="Seconds to stand still at each position.",
 )
 @max_error_option
+@click.option(
+    "--reboot",
+    is_flag=True,
+    help="Allow restarting the autopilot where its own heading cannot be brought right otherwise.",
+)
 @click.option("--speak", is_flag=True, help="Say the prompts aloud (spd-say, espeak-ng or say).")
 @system_option
 @effects_option
@@ -108,6 +113,7 @@ def command(
     step_deg: float,
     dwell_s: float,
     max_error_deg: float,
+    reboot: bool,
     speak: bool,
     system: int | None,
     effects: tuple[str, ...],
@@ -157,6 +163,7 @@ def command(
         writing="yes" if yes else "never" if dry_run else "ask",
         system=system,
         year=this_year(),
+        reboot=reboot,
         dwell=DwellSettings(dwell_s=dwell_s),
     )
     with open_source(address, effects, as_ground_station=turn_by != "auto") as link:

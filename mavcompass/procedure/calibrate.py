@@ -15,12 +15,14 @@ from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult, summary
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, Refused
+from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import Dialect, SaveUndo
-from mavcompass.procedure.motion import Mobility, Motion, Permissions, SafetyLimits, Wishes
+from mavcompass.procedure.motion import Motion, Permissions, SafetyLimits, Wishes
 from mavcompass.procedure.positions import DwellSettings, HandMover, Mover, Window, prove, visit
 from mavcompass.procedure.report import CalibrationReport
+from mavcompass.procedure.restart import restart
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.turning import TurnBy
 from mavcompass.procedure.writing import Writer
@@ -54,6 +56,7 @@ class CalibrateSettings:
         system: MAVLink system id, where several vehicles share the link.
         rate_hz: at which IMU messages are asked for.
         year: decimal year to use where the vehicle does not know the date.
+        reboot: restart the autopilot where its own heading cannot be brought right otherwise.
     """
 
     instances: tuple[int, ...] = (1,)
@@ -68,6 +71,7 @@ class CalibrateSettings:
     system: int | None = None
     rate_hz: float = 25.0
     year: float = 2026.0
+    reboot: bool = False
     dwell: DwellSettings = field(default_factory=DwellSettings)
     limits: SafetyLimits = field(default_factory=SafetyLimits)
 
@@ -89,7 +93,8 @@ def calibrate(context: Context, services: Services, settings: CalibrateSettings)
     A solution that is not good enough is in the report, not accepted, and nothing is written.
     """
     desk = yield from Desk.open(context, services.dialect_for, settings.system)
-    work = _Calibration(desk, services, settings, desk.chosen(settings.instances))
+    own = OwnHeading(desk, settings.year)
+    work = _Calibration(desk, services, settings, desk.chosen(settings.instances), own)
     try:
         return (yield from work.run())
     except Refused as why:
@@ -107,16 +112,28 @@ class _Calibration:
     services: Services
     settings: CalibrateSettings
     instances: tuple[int, ...]
+    own: OwnHeading
 
     def run(self) -> Script[CalibrationReport]:
-        """Visit the positions, solve, write, prove; put everything back however it ends."""
-        desk, settings, rates, finished = self.desk, self.settings, MessageRates(), False
+        """Calibrate, and see that the autopilot steers by it; put every rate back however it ends."""
+        context, rates = self.desk.context, MessageRates()
+        try:
+            yield from rates.ask(context, self.wanted_rates())
+            report = yield from self.calibrate()
+            if report.written:
+                report = yield from self.steer_by_it(report, rates)
+            return report
+        finally:
+            yield from _whatever_comes(lambda _: rates.restore(context))
+
+    def calibrate(self) -> Script[CalibrationReport]:
+        """Visit the positions, solve, write, prove; give the vehicle back however it ends."""
+        desk, settings, finished = self.desk, self.settings, False
         mobility = desk.mobility(
             Wishes(settings.motion, settings.turn_by, settings.permissions, settings.limits)
         )
         writer = Writer(desk, self.services.save_undo, asks=settings.writing == "ask")
         try:
-            yield from rates.ask(desk.context, self.wanted_rates())
             mover = yield from mobility.take_charge(desk.context, desk.parameters)
             report = self.solve((yield from self.visit(mover)))
             while self.wants_more(report, mover):
@@ -127,11 +144,14 @@ class _Calibration:
             if report.accepted and settings.writing != "never":
                 report = yield from writer.write(report)
                 if report.outcome is not None:
+                    last = report.windows[-1]
+                    yield from self.own.written(report.results, last.start_s, last.end_s)
                     report = yield from self.prove_or_undo(report, mover, writer)
             finished = True
             return report
         finally:
-            yield from _put_back(desk.context, mobility, rates, in_a_hurry=not finished)
+            hurry = not finished
+            yield from _whatever_comes(lambda hurried: mobility.end(desk.context, hurry or hurried))
 
     def wanted_rates(self) -> dict[type[mav.Message], float]:
         """List the messages to ask for: fast ones for the calibration, slow ones for safety."""
@@ -155,8 +175,9 @@ class _Calibration:
         """Visit the positions, or one more than were seen."""
         desk, settings = self.desk, self.settings
         count, step_rad = settings.positions, settings.step_rad
+        dwell, keep_up = settings.dwell, self.own.keep_up
         return (
-            yield from visit(desk.context, desk.rest, desk.gyro, mover, count, step_rad, settings.dwell, seen)
+            yield from visit(desk.context, desk.rest, desk.gyro, mover, count, step_rad, dwell, seen, keep_up)
         )
 
     def solve(self, windows: list[Window]) -> CalibrationReport:
@@ -183,6 +204,20 @@ class _Calibration:
             return False
         self.desk.context.show("turn", f"Heading within {worst_deg:.1f} deg so far: one more position.")
         return True
+
+    def steer_by_it(self, report: CalibrationReport, rates: MessageRates) -> Script[CalibrationReport]:
+        """Wait until the autopilot steers by the new heading, and say how far off it is."""
+        own, outcome = self.own, report.outcome
+        assert outcome is not None
+        yield from own.settle()
+        if self.settings.reboot and own.outcome().is_off:
+            try:
+                yield from restart(self.desk, rates, self.wanted_rates(), outcome)
+                own.restarted()
+                yield from own.settle()
+            except (Refused, LinkLost) as trouble:
+                report = report.noting(str(trouble))
+        return replace(report, heading=own.outcome())
 
     def prove_or_undo(
         self, report: CalibrationReport, mover: Mover, writer: Writer
@@ -211,12 +246,9 @@ class _Calibration:
         return replace(report, undone=True).noting(f"{proof.summary()} The old values were put back.")
 
 
-def _put_back(context: Context, mobility: Mobility, rates: MessageRates, in_a_hurry: bool) -> Script[None]:
-    """Give the vehicle back; a stop that comes now finds nothing moving and is no reason to leave it."""
-    for _ in range(2):
-        try:
-            yield from mobility.end(context, in_a_hurry)
-            yield from rates.restore(context)
-            return
-        except Refused:
-            in_a_hurry = True
+def _whatever_comes(put_back: Callable[[bool], Script[None]]) -> Script[None]:
+    """Give something back; a stop that comes now finds nothing moving and only means to hurry."""
+    try:
+        yield from put_back(False)
+    except Refused:
+        yield from put_back(True)

@@ -108,6 +108,15 @@ class Dialect(Protocol):
         """
         ...
 
+    def take_compass_yaw(
+        self, context: Context, parameters: Mapping[str, float], flying: bool
+    ) -> Script[str]:
+        """Have the autopilot take its compass's yaw over at once, in a way that needs no permission.
+
+        Returns how, in words that follow "by"; "" where it knows no such way as it is now.
+        """
+        ...
+
 
 def describe_compasses(builder: TrackBuilder, dialect: Dialect, parameters: Mapping[str, float]) -> None:
     """Tell a recording what telemetry has done to each compass's readings: corrected, or raw and turned."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -12,6 +13,52 @@ from mavcompass.procedure.positions import Proof, Window
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.track import Track
 
+# An autopilot that steers further off than this is not done with.
+RIGHT_DEG = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotHeading:
+    """Say how far the autopilot's own yaw was from the calibrated heading, and how it was brought there.
+
+    Attributes:
+        error_before_deg: at the write. error_after_deg: at the end; nan where it could not be told.
+        by: what brought it there. seconds: from the write to the end.
+        worst_deg: the largest error to expect in the minutes to come.
+        set_aside: True where the autopilot follows no compass any more.
+    """
+
+    error_before_deg: float
+    error_after_deg: float
+    by: str
+    seconds: float
+    worst_deg: float
+    set_aside: bool = False
+
+    @property
+    def known(self) -> bool:
+        """Tell whether the error could be measured."""
+        return math.isfinite(self.error_after_deg)
+
+    @property
+    def is_off(self) -> bool:
+        """Tell whether the vehicle is known to steer by another heading than the calibrated one."""
+        worst_deg = self.worst_deg if math.isfinite(self.worst_deg) else abs(self.error_after_deg)
+        return self.known and worst_deg > RIGHT_DEG
+
+    def summary(self) -> str:
+        """Return the sentence for the person."""
+        before_deg, after_deg = abs(self.error_before_deg), abs(self.error_after_deg)
+        if not self.known:
+            return "Whether the autopilot steers by the new heading could not be told."
+        if not self.is_off:
+            return (
+                f"The autopilot's own heading was {before_deg:.1f} deg off at the write and is"
+                f" {after_deg:.1f} deg off now, by {self.by}."
+            )
+        aside = " and has set its compasses aside" if self.set_aside else ""
+        return f"The autopilot still steers {after_deg:.1f} deg off{aside}; restart it before you drive."
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationReport:
@@ -21,6 +68,7 @@ class CalibrationReport:
         before: the correction in force at the start, per compass.
         proof: what the turn after the write showed; None where nothing was written.
         undone: True where the proof failed and the old values were put back.
+        heading: the autopilot's own heading after the write; None where nothing is written.
     """
 
     identity: VehicleIdentity
@@ -33,6 +81,7 @@ class CalibrationReport:
     outcome: WriteOutcome | None = None
     proof: Proof | None = None
     undone: bool = False
+    heading: AutopilotHeading | None = None
     messages: tuple[str, ...] = ()
 
     @property
@@ -44,6 +93,11 @@ class CalibrationReport:
     def written(self) -> bool:
         """Tell whether the new values are in force on the vehicle."""
         return self.outcome is not None and not self.undone
+
+    @property
+    def steers_off(self) -> bool:
+        """Tell whether the autopilot still steers by another heading than the one that was written."""
+        return self.heading is not None and self.heading.is_off
 
     def noting(self, *sentences: str) -> CalibrationReport:
         """Return the report with more to tell the person."""

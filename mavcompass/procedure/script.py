@@ -11,6 +11,7 @@ run as any other part of it, so what was changed is put back over the wire befor
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -93,6 +94,7 @@ class Context:
         system, component: the vehicle's MAVLink address, 0 until it is known.
         listeners: called with every message from the vehicle before the script sees it.
         watches: called after each event with the time; a sentence stops the procedure.
+        silent_until_s: until then a silent vehicle is not a lost one: it restarts because we asked it to.
     """
 
     now: float = 0.0
@@ -101,6 +103,7 @@ class Context:
     listeners: list[Callable[[Incoming], None]] = field(default_factory=list)
     watches: list[Callable[[float], str | None]] = field(default_factory=list)
     outbox: list[Action] = field(default_factory=list)
+    silent_until_s: float = -math.inf
 
     def send(self, message: Message) -> None:
         """Leave a message to be sent."""
@@ -197,6 +200,12 @@ class Machine(Generic[T]):
 
 
 # --- the words that scripts are made of ----------------------------------------------------------
+
+
+def nothing(result: T) -> Script[T]:
+    """Return at once."""
+    yield from ()
+    return result
 
 
 def pause(context: Context, seconds: float) -> Script[None]:

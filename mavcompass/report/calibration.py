@@ -33,6 +33,8 @@ def write_report(report: CalibrationReport, path: Path) -> None:
     }
     if outcome is not None and outcome.undo_file is not None:
         facts["Undo file"] = str(outcome.undo_file)
+    if report.heading is not None:
+        facts["Autopilot"] = report.heading.summary()
     proof = None if report.proof is None else report.proof.summary()
     _write(path, report.track, report.results, facts, report.messages, proof, report.written)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 
@@ -58,9 +59,21 @@ def live_document(source: str, report: CalibrationReport, method: str) -> dict[s
         "duration_s": report.duration_s,
         "messages": list(report.messages),
     }
+    if (heading := report.heading) is not None:
+        document["autopilot_heading"] = {
+            "error_before_deg": _number(heading.error_before_deg),
+            "error_after_deg": _number(heading.error_after_deg),
+            "by": heading.by,
+            "seconds": heading.seconds,
+            "right": not heading.is_off if heading.known else None,
+        }
     if proof is not None:
         document["proof"] = [asdict(compass) | {"passed": compass.passed} for compass in proof.compasses]
     return document
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _document(

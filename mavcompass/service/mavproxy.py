@@ -174,6 +174,8 @@ class MavCompassModule(mp_module.MPModule):  # type: ignore[misc]  # MAVProxy sh
         self.document = live_document(_SOURCE, report, "four-positions")
         for message in report.messages:
             self._say(message)
+        if report.heading is not None:
+            self._say(report.heading.summary())
         self._say("calibrated, written and read back" if report.written else "nothing was written")
 
     def _say(self, words: str) -> None:

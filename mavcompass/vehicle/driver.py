@@ -142,7 +142,8 @@ class _Drive:
         self._silent_s += min(now_s - self._listened_s, _LONGEST_TURN_S)
         self._listened_s = now_s
         from_vehicle = incoming is not None and incoming.system == context.system
-        if from_vehicle or not context.system:  # finding no vehicle at all is the procedure's to tell
+        # Finding no vehicle at all is the procedure's to tell.
+        if from_vehicle or not context.system or now_s < context.silent_until_s:
             self._silent_s = 0.0
         if self._silent_s > self.silence_s and self.lost is None and not self.machine.done:
             sentence = f"has said nothing for {self._silent_s:.0f} s."

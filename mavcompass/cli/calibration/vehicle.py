@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from mavcompass.cli.calibration.wanted import NOT_ACCEPTED, Wanted
+from mavcompass.cli.calibration.wanted import NOT_ACCEPTED, STEERS_OFF, Wanted
 from mavcompass.cli.calibration.words import say_outcome, say_result
 from mavcompass.cli.options import Output
 from mavcompass.cli.terminal.show import ask_on_terminal, showing
@@ -85,4 +85,4 @@ def _exit_code(report: CalibrationReport) -> int:
         return NOT_ACCEPTED
     if report.plan is not None and report.plan.refusals:
         return NOT_ACCEPTED
-    return 0
+    return STEERS_OFF if report.steers_off else 0

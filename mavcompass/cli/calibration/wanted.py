@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from mavcompass.track import Track
 
 NOT_ACCEPTED = 5
+# Written and proven, but the autopilot still steers by another heading.
+STEERS_OFF = 8
 
 
 @dataclass(frozen=True, slots=True)

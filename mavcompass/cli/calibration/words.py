@@ -24,6 +24,9 @@ def say_outcome(output: Output, report: CalibrationReport) -> None:
             output.say(report.proof.summary())
         if outcome.undo_file is not None:
             output.say(f"To undo: {outcome.restore_command}")
+        if report.heading is not None:
+            said = report.heading.summary()
+            output.say(styled(said, fg="red") if report.steers_off else said)
     elif report.undone:
         output.say("The old values are back on the vehicle.")
     else:

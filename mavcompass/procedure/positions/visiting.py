@@ -7,7 +7,7 @@ the recording, in the vehicle's time, in which it stood still.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -15,13 +15,15 @@ from mavcompass import messages as mav
 from mavcompass.calibration.observation import UNREST, StillnessDetector
 from mavcompass.errors import LinkLost, Refused
 from mavcompass.messages.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
-from mavcompass.procedure.script import Context, Script, pause
+from mavcompass.procedure.script import Context, Script, nothing, pause
 from mavcompass.procedure.turning import GyroAngle, TurnStrategy
 
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2
 # What happened in a longer silence is not known.
 _LONGEST_GAP_S = 1.0
+# A clock that goes back by so much belongs to an autopilot that has restarted.
+_RESTARTED_S = 5.0
 # At the turning points of a swing the tilt rests for a moment.
 _CALM_AFTER_S = 1.0
 
@@ -71,7 +73,9 @@ class Rest:
         if type(message) not in (mav.RawImu, mav.ScaledImu):
             return
         time_s = float(imu_time_s(message))
-        if time_s <= self.time_s:
+        if time_s < self.time_s - _RESTARTED_S:
+            self.detector = StillnessDetector(hold_s=0.0)
+        elif time_s <= self.time_s:
             return
         self.time_s, self.heard_s = time_s, heard.time_s
         state = self.detector.update(
@@ -242,10 +246,12 @@ def visit(
     step_rad: float,
     settings: DwellSettings,
     seen: Sequence[Window] = (),
+    at_each: Callable[[], Script[None]] = lambda: nothing(None),
 ) -> Script[list[Window]]:
     """Visit positions, `step_rad` apart as well as the vehicle can; the first is where it is.
 
-    With `count` positions `seen` already, one more is visited, half a step between those.
+    With `count` positions `seen` already, one more is visited, half a step between those. `at_each` is
+    done at each before the vehicle turns on.
     """
     windows, wanted = list(seen), max(count, len(seen) + 1)
     while len(windows) < wanted:
@@ -254,6 +260,7 @@ def visit(
             context.show(
                 "turn", f"Turning to position {index + 1} of {wanted}.", (index - 0.5) / (wanted + 1.0)
             )
+            yield from at_each()
             angle_rad = _next_turn(gyro, windows, count, step_rad)
             yield from mover.next(context, angle_rad, wanted - index)
         context.show(

@@ -149,7 +149,10 @@ def _summary(report: CalibrationReport) -> str:
         else:
             parts.append(f"compass {result.instance} accepted")
     end = "written" if report.written else "put back" if report.undone else "not written"
-    return f"{', '.join(parts)}; {end}"
+    steers = ""
+    if report.heading is not None and report.steers_off:
+        steers = f"; the autopilot steers {abs(report.heading.error_after_deg):.1f} deg off: restart it"
+    return f"{', '.join(parts)}; {end}{steers}"
 
 
 def _old_and_new(result: CalibrationResult) -> dict[str, Any]:

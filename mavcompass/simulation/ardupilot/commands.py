@@ -14,6 +14,7 @@ from mavcompass.simulation.ardupilot.arming import Arming
 from mavcompass.simulation.ardupilot.compasses import INSTANCES, CompassBank
 from mavcompass.simulation.ardupilot.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.ardupilot.modes import Modes
+from mavcompass.simulation.ardupilot.sources import Sources
 from mavcompass.simulation.autopilot import FORCE, Board, HoverGuidance, ParameterServer, Status, Telemetry
 
 _FORCE_SAVE_CALIBRATION = 76.0
@@ -33,6 +34,7 @@ class Commands:
     hover: HoverGuidance
     compasses: CompassBank
     calibration: MagnetometerCalibration
+    sources: Sources
     parameters: ParameterServer
     telemetry: Telemetry
 
@@ -59,6 +61,7 @@ class Commands:
             MavCmd.PREFLIGHT_CALIBRATION: self._preflight_calibration,
             MavCmd.PREFLIGHT_SET_SENSOR_OFFSETS: self._set_sensor_offsets,
             MavCmd.FIXED_MAG_CAL_YAW: self._fixed_yaw_calibration,
+            MavCmd.SET_EKF_SOURCE_SET: self._use_sources,
             MavCmd.DO_START_MAG_CAL: self._start_magnetometer_calibration,
             MavCmd.DO_ACCEPT_MAG_CAL: self._accept_magnetometer_calibration,
             MavCmd.DO_CANCEL_MAG_CAL: self._cancel_magnetometer_calibration,
@@ -160,6 +163,9 @@ class Commands:
                 self._write_vector("ODI", instance, (0.0, 0.0, 0.0))
                 self._save_device_id(instance)
         return MavResult.ACCEPTED
+
+    def _use_sources(self, c: m.CommandLong) -> MavResult:
+        return MavResult.ACCEPTED if self.sources.use(int(c.param1)) else MavResult.DENIED
 
     def _start_magnetometer_calibration(self, c: m.CommandLong) -> MavResult:
         if self.status.armed:

@@ -14,6 +14,7 @@ from mavcompass.simulation.ardupilot.magnetometer_calibration import Magnetomete
 from mavcompass.simulation.ardupilot.modes import Modes, mode_rules
 from mavcompass.simulation.ardupilot.reports import ArduPilotReports
 from mavcompass.simulation.ardupilot.routine import Routine
+from mavcompass.simulation.ardupilot.sources import Sources
 from mavcompass.simulation.ardupilot.steering import Steering
 from mavcompass.simulation.ardupilot.targets import attitude_target, position_target
 from mavcompass.simulation.autopilot import (
@@ -57,6 +58,7 @@ class ArduPilot(Firmware):
         self.parameters = served = ParameterServer(board, store, ARDUPILOT_MANNERS)
         self.compasses = compasses = CompassBank(board, store)
         self.calibration = calibration = MagnetometerCalibration()
+        self.sources = sources = Sources(board, store)
         self.radio = radio = Radio(throttle_low=board.profile.chassis == "copter")
         self.ground, self.hover = ground, hover = GroundGuidance(board), HoverGuidance(board)
         rules = mode_rules(board.profile)
@@ -68,7 +70,7 @@ class ArduPilot(Firmware):
         self.steering = Steering(board, status, store, rules, radio, ground, hover, arming)
         self.routine = Routine(board, status, served, compasses, calibration, ground, hover, arming)
         self.commands = Commands(
-            board, status, modes, arming, hover, compasses, calibration, served, telemetry
+            board, status, modes, arming, hover, compasses, calibration, sources, served, telemetry
         )
 
     def boot(self, armed: bool) -> None:
@@ -76,6 +78,7 @@ class ArduPilot(Firmware):
         profile, world = self.board.profile, self.board.world
         self.parameters.reset()
         self.calibration.reset()
+        self.sources.boot()
         self.ground.stop()
         self.hover.release()
         self.status.reboot_wanted = self.status.failsafe = False
@@ -113,8 +116,9 @@ class ArduPilot(Firmware):
         self.parameters.attend()
 
     def use_compasses(self, dt_s: float) -> None:
-        """Correct the new readings for the filter; its own calibration listens."""
-        super().use_compasses(dt_s)
+        """Correct the new readings for the filter, where its sources name it; its calibration listens."""
+        self.compasses.read()
+        self.sources.correct(dt_s, self.compasses.yaw())
         self.calibration.observe(self.board.body.yaw_rad)
 
     def battery_failsafe(self) -> None:

@@ -20,7 +20,10 @@ BIAS_PULL_PER_S2 = 0.0015
 BIAS_MAX_RADPS = 0.5 * RAD_PER_DEG
 _TILT_ERROR_SIGMA_RAD = 0.1 * RAD_PER_DEG
 _TILT_ERROR_TIME_S = 40.0
-_VARIANCE_SCALE_RAD = 50.0 * RAD_PER_DEG
+# What is told as the compass's variance is the disagreement in units of three sigmas of the yaw noise.
+_VARIANCE_SCALE_RAD = 3.0 * 0.5
+# After a yaw was taken over the gyro's bias is blamed for little, and fully after so long.
+_BLAME_TIME_S = 40.0
 _VARIANCE_TIME_S = 2.0
 
 
@@ -54,6 +57,7 @@ class AttitudeFilter:
         self.bias_radps = 0.0
         self.innovation_rad = 0.0
         self.compass_variance = 0.0
+        self._blame = 1.0
 
     def align(self, roll_rad: float, pitch_rad: float, compass_yaw_rad: float | None) -> None:
         """Take over the compass's yaw at once, as at power-up; north where there is none."""
@@ -63,6 +67,10 @@ class AttitudeFilter:
         self.yaw_rad = compass_yaw_rad
         self.bias_radps = 0.0
         self.innovation_rad = 0.0
+
+    def take_yaw(self, yaw_rad: float) -> None:
+        """Take a yaw over at once; the bias stays as it has been learnt."""
+        self.yaw_rad, self.innovation_rad, self._blame = yaw_rad, 0.0, 0.0
 
     def predict(self, dt_s: float, gyro: Vector, true_roll_rad: float, true_pitch_rad: float) -> None:
         """Carry the attitude on with the gyro (tilt is observed well by gravity and GPS)."""
@@ -86,9 +94,10 @@ class AttitudeFilter:
         limit = YAW_PULL_MAX_RADPS / YAW_PULL_PER_S
         pull = max(-limit, min(limit, self.innovation_rad))
         self.yaw_rad = wrap_angle(self.yaw_rad + YAW_PULL_PER_S * pull * dt_s)
-        bias = self.bias_radps - BIAS_PULL_PER_S2 * pull * dt_s
+        self._blame = min(1.0, self._blame + dt_s / _BLAME_TIME_S)
+        bias = self.bias_radps - BIAS_PULL_PER_S2 * self._blame * pull * dt_s
         self.bias_radps = max(-BIAS_MAX_RADPS, min(BIAS_MAX_RADPS, bias))
-        target = (self.innovation_rad / _VARIANCE_SCALE_RAD) ** 2
+        target = abs(self.innovation_rad) / _VARIANCE_SCALE_RAD
         self.compass_variance += (target - self.compass_variance) * dt_s / _VARIANCE_TIME_S
 
     def _tilt(self, roll_rad: float, pitch_rad: float) -> None:

@@ -16,6 +16,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.ardupilot.commit import commit_device_ids
 from mavcompass.vehicle.ardupilot.plan import ArduPilotPlanner
+from mavcompass.vehicle.ardupilot.yaw import take_compass_yaw
 from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.dialect import CompassDialect, no_answer
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
@@ -70,3 +71,9 @@ class ArduPilotDialect(CompassDialect):
     def raw_rotation(self, parameters: Mapping[str, float], instance: int) -> None:
         """Return None: RAW_IMU and SCALED_IMU carry the corrected field in body axes."""
         return None
+
+    def take_compass_yaw(
+        self, context: Context, parameters: Mapping[str, float], flying: bool
+    ) -> Script[str]:
+        """Have EKF3 take its compass's yaw over; see `vehicle.ardupilot.yaw`."""
+        return (yield from take_compass_yaw(context, parameters, flying))

@@ -41,6 +41,7 @@ class ArduPilotPlanner(Planner):
     """Plan by ArduPilot's rules."""
 
     instance_of = staticmethod(instance_of)
+    unwatched = "The autopilot's own heading follows a new calibration slowly: restart it before you drive."
 
     def absent(self, instance: int) -> str:
         """Say that there is no such compass."""
@@ -108,10 +109,7 @@ class ArduPilotPlanner(Planner):
 
     def closing_remarks(self, after: Mapping[str, float]) -> list[str]:
         """Say what a person should know of any new calibration."""
-        return [
-            *_about_declination(after),
-            "The autopilot's own heading follows a new calibration slowly: give it a minute or restart it.",
-        ]
+        return _about_declination(after)
 
     def uncommitted(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]

@@ -10,7 +10,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.errors import NoReply
 from mavcompass.frames import FloatArray
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
-from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.script import Context, Script, nothing
 from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.planning import Planner
 from mavcompass.vehicle.parameters.rules import ParameterRules, parameter_rules
@@ -96,6 +96,12 @@ class CompassDialect(ABC):
         """Write a plan as a transaction; see `vehicle.parameters.transaction`."""
         transaction = Transaction(self.encoding, self.source, self.commit)
         return (yield from transaction.run(context, plan, save_undo))
+
+    def take_compass_yaw(
+        self, context: Context, parameters: Mapping[str, float], flying: bool
+    ) -> Script[str]:
+        """Have the autopilot take its compass's yaw over at once; by itself a dialect knows no way."""
+        return (yield from nothing(""))
 
 
 def no_answer() -> NoReply:

@@ -27,7 +27,14 @@ class Wish:
 
 
 class Planner(ABC):
-    """Plan by one autopilot's rules; a subclass knows its parameters."""
+    """Plan by one autopilot's rules; a subclass knows its parameters.
+
+    Attributes:
+        unwatched: what to know of single values written by hand, where nobody sees what the autopilot makes
+            of them; a calibration watches its heading.
+    """
+
+    unwatched = ""
 
     def __init__(self, rules: ParameterRules) -> None:
         self.rules = rules
@@ -141,6 +148,7 @@ class Planner(ABC):
         ]
         if changes and judged:
             remarks += self.closing_remarks(after)
+            remarks += [self.unwatched] if self.unwatched and not touched else []
         return ParameterPlan(
             changes,
             refusals=tuple(doubts) if checked else (),

@@ -1,0 +1,229 @@
+"""The autopilot's own heading after a calibration: how far off it is, and bringing it to the calibrated one.
+
+What steers the vehicle is the autopilot's estimator, not the compass, and that takes a compass which has
+just become right over slowly. On ArduPilot 4.5.7 it was seen 3 to 5 degrees off after a minute, 140 degrees
+where it had ceased to believe the compass, and drifting away where it had set the compass aside.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mavcompass.calibration.observation import dwell_between
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.earth_field import EarthField, earth_field_of
+from mavcompass.errors import LinkError, PoorCalibration, Refused
+from mavcompass.frames import wrap_pi
+from mavcompass.heading.compute import tilt_compensated_heading
+from mavcompass.procedure.desk import Desk
+from mavcompass.procedure.report import AutopilotHeading
+from mavcompass.procedure.script import Context, Script, pause
+from mavcompass.track import Track
+
+# So much disagreement between the estimator and its compass is worth an intervention. The first in units
+# of EKF_STATUS_REPORT.compass_variance, where 1 are 86 degrees.
+_DISAGREES, _WORTH_DEG = 0.02, 1.0
+# An error that grows at a rate comes to so many seconds of it, by measurements on ArduPilot 4.5.7: the old
+# compass has bent the filter's gyro bias, which it unlearns in a minute or two.
+_SWING_S = 26.0
+# Without a compass nothing ever stops it.
+_MINUTE_S = 60.0
+_GOOD_DEG = 1.5
+# The slope of the error is that of the last seconds; of so many at least, else it is not known.
+_SLOPE_S, _SLOPE_AT_LEAST_S = 8.0, 3.2
+# The error falls so fast, as a share of itself per second, once the bias is unlearned.
+_UNLEARNED_PER_S = 0.01
+_SAMPLE_S = 1.2
+_PATIENCE_S, _PATIENCE_WITHOUT_A_WAY_S = 120.0, 15.0
+
+
+def yaw_error_rad(
+    track: Track, result: CalibrationResult, world: EarthField, start_s: float, end_s: float
+) -> float:
+    """Return the autopilot's yaw less the true heading by a calibrated compass, over a still stretch.
+
+    Raises PoorCalibration where the recording holds too little of either.
+    """
+    attitude = track.attitude_rad
+    said = None if attitude is None else attitude.between(start_s, end_s)
+    if said is None or not len(said):
+        raise PoorCalibration("The autopilot did not tell its attitude.")
+    seen = dwell_between(track, result.instance, start_s, end_s)
+    heading = tilt_compensated_heading(
+        result.correction.apply(seen.mean_mgauss), roll_rad=seen.roll_rad, pitch_rad=seen.pitch_rad
+    )
+    yaw = float(np.angle(np.exp(1j * said.values[:, 2]).mean()))
+    return float(wrap_pi(yaw - float(heading) - world.declination_rad))
+
+
+def surest(results: Sequence[CalibrationResult]) -> CalibrationResult:
+    """Return the result whose heading is known best."""
+    return min(results, key=lambda r: r.heading_sigma_deg if math.isfinite(r.heading_sigma_deg) else math.inf)
+
+
+@dataclass(slots=True)
+class OwnHeading:
+    """Watch the autopilot's own heading and bring it to the calibrated one.
+
+    Attributes:
+        result: the calibrated compass that the heading is compared with; None before there is one.
+        before_deg: the error at the write.
+        by: what brought it there. samples: vehicle time and error, degrees, since the last intervention.
+    """
+
+    desk: Desk
+    year: float
+    result: CalibrationResult | None = None
+    before_deg: float = math.nan
+    by: list[str] = field(default_factory=list)
+    samples: list[tuple[float, float]] = field(default_factory=list)
+    _written_s: float = math.nan
+    _has_a_way: bool = True
+
+    # --- while the calibration goes on ----------------------------------------------------------------
+
+    def keep_up(self) -> Script[None]:
+        """Have the autopilot take its compass's yaw over, right or wrong, before the vehicle turns on.
+
+        What the estimator and a bent compass disagree by while the vehicle turns goes into the
+        estimator's gyro bias, and that outlasts the bend by minutes.
+        """
+        ekf = self.desk.state.ekf
+        if ekf is not None and ekf.compass_variance > _DISAGREES:
+            yield from self._take_over()
+
+    def written(self, results: Sequence[CalibrationResult], start_s: float, end_s: float) -> Script[None]:
+        """Measure the error over the last dwell, and have the autopilot take the new heading over."""
+        self._written_s, self.result = self._context.now, surest(results)
+        self._sample(start_s, end_s)
+        self.before_deg = self.error_deg
+        self.samples.clear()
+        if abs(self.before_deg) > _WORTH_DEG:
+            yield from self._put_right(self.before_deg)
+
+    def settle(self) -> Script[None]:
+        """Wait, with progress, until the heading is right and will stay so, helping where there is a way.
+
+        A stop ends the waiting: what was written stands.
+        """
+        began_s, told = self._context.now, False
+        try:
+            while self._context.now - began_s < self._patience_s() and math.isfinite(self.before_deg):
+                self._look()
+                if self.worst_deg <= _GOOD_DEG or (self.set_aside and math.isfinite(self.worst_deg)):
+                    return
+                if self._may_help() and (yield from self._put_right(self.error_deg)):
+                    continue
+                if self._context.now - began_s > _SLOPE_AT_LEAST_S + 1.0:
+                    text = f"The autopilot still steers {abs(self.error_deg):.1f} deg off; waiting for it."
+                    self._context.show("heading", text, live=float(told))
+                    told = True
+                yield from pause(self._context, 1.0)
+        except (Refused, LinkError) as trouble:
+            self._context.show("heading", f"{trouble.what} The autopilot's heading is not waited for.")
+
+    def restarted(self) -> None:
+        """Begin anew after a restart of the autopilot."""
+        self.by = ["a restart"]
+        self.samples.clear()
+        self._has_a_way = True
+
+    def outcome(self) -> AutopilotHeading:
+        """Return what came of it."""
+        return AutopilotHeading(
+            error_before_deg=self.before_deg,
+            error_after_deg=self.error_deg,
+            by=", ".join(dict.fromkeys(self.by)) or "its own filter",
+            seconds=self._context.now - self._written_s,
+            worst_deg=self.worst_deg,
+            set_aside=self.set_aside,
+        )
+
+    # --- what is known of it ------------------------------------------------------------------------
+
+    @property
+    def flying(self) -> bool:
+        """Tell whether the vehicle is in the air."""
+        return self.desk.identity.kind == "copter" and self.desk.state.armed
+
+    @property
+    def error_deg(self) -> float:
+        """Return the latest error, nan where it was never measured."""
+        return self.samples[-1][1] if self.samples else math.nan
+
+    @property
+    def slope_dps(self) -> float:
+        """Return how fast the error changes, degrees per second; nan while that cannot be told."""
+        if not self.samples:
+            return math.nan
+        time_s, error_deg = np.asarray(self.samples).T
+        recent = time_s >= time_s[-1] - _SLOPE_S
+        if time_s[-1] - time_s[recent][0] < _SLOPE_AT_LEAST_S:
+            return math.nan
+        return float(np.polyfit(time_s[recent] - time_s[-1], error_deg[recent], 1)[0])
+
+    @property
+    def worst_deg(self) -> float:
+        """Return the largest error to expect from now on; nan while that cannot be told."""
+        slope_dps = self.slope_dps
+        if math.isnan(slope_dps):
+            return math.nan
+        seconds = _MINUTE_S if self.set_aside else _SWING_S
+        return max(abs(self.error_deg), abs(self.error_deg + seconds * slope_dps))
+
+    @property
+    def set_aside(self) -> bool:
+        """Tell whether the autopilot no longer uses any compass: its variance is then exactly zero."""
+        ekf = self.desk.state.ekf
+        return ekf is not None and ekf.compass_variance == 0.0
+
+    # --- steps --------------------------------------------------------------------------------------
+
+    @property
+    def _context(self) -> Context:
+        return self.desk.context
+
+    def _patience_s(self) -> float:
+        return _PATIENCE_S if self._has_a_way and not self.flying else _PATIENCE_WITHOUT_A_WAY_S
+
+    def _may_help(self) -> bool:
+        """Tell whether taking the compass's yaw over leaves less error: not while the bias is yet to go."""
+        falling = -self.slope_dps * math.copysign(1.0, self.error_deg)
+        return self._has_a_way and not self.flying and falling > _UNLEARNED_PER_S * abs(self.error_deg)
+
+    def _put_right(self, error_deg: float) -> Script[bool]:
+        """Have the autopilot take its compass's yaw over, and say so; False where it knows no way."""
+        if how := (yield from self._take_over()):
+            text = f"The autopilot steered {abs(error_deg):.1f} deg off: it has taken the new heading over."
+            self._context.show("heading", text)
+            self.by.append(how)
+            yield from pause(self._context, 1.0)  # its filter lags, and so does its telemetry
+            self.samples.clear()
+        return bool(how)
+
+    def _take_over(self) -> Script[str]:
+        desk = self.desk
+        how = yield from desk.dialect.take_compass_yaw(desk.context, desk.parameters, self.flying)
+        self._has_a_way = bool(how)
+        return how
+
+    def _look(self) -> None:
+        """Measure the error over the last second, where the vehicle has rested in it."""
+        rest = self.desk.rest
+        if rest.for_s() >= _SAMPLE_S or self.flying:
+            self._sample(rest.time_s - _SAMPLE_S, rest.time_s)
+
+    def _sample(self, start_s: float, end_s: float) -> None:
+        track = self.desk.builder.build()
+        world = earth_field_of(track, self.year)
+        if world is None or self.result is None:
+            return
+        try:
+            error = yaw_error_rad(track, self.result, world, start_s, end_s)
+        except (PoorCalibration, KeyError):
+            return
+        self.samples.append((end_s, math.degrees(error)))

@@ -1,0 +1,91 @@
+"""After a calibration the autopilot itself steers by it, or the person is told that it does not."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+from bent_vehicles import bent_vehicle, calibrated
+
+from mavcompass.frames import wrap_pi
+from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.motion import Permissions
+from mavcompass.procedure.report import AutopilotHeading
+from mavcompass.report.document import live_document
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+
+# A second set of sources in earnest: which of them is in use nobody can tell from outside.
+NO_GENTLE_WAY = {"EK3_SRC2_POSXY": 6.0}
+ARMS_ANYWAY = {"ARMING_CHECK": 0.0}
+
+
+def steers_off_deg(vehicle: SimulatedAutopilot) -> float:
+    return abs(math.degrees(float(wrap_pi(vehicle.filter.yaw_rad - vehicle.body.yaw_rad))))
+
+
+@pytest.mark.parametrize("kind", ["rover", "boat"])
+def test_a_minute_after_the_end_it_steers_by_the_new_heading(kind: str, tmp_path: Path) -> None:
+    vehicle = bent_vehicle(kind, 3)
+    vehicle.advance(vehicle.time_s + 20.0)
+    assert steers_off_deg(vehicle) > 5.0
+    report = calibrated(vehicle, tmp_path)
+    heading = report.heading
+    assert heading is not None and not report.steers_off
+    assert abs(heading.error_after_deg) < 2.0
+    vehicle.advance(vehicle.time_s + 60.0)
+    assert steers_off_deg(vehicle) < 2.0
+    told = json.loads(json.dumps(live_document("sim:test", report, "four-positions")))["autopilot_heading"]
+    assert told["by"] == heading.by == "switching its source of yaw off and on"
+    assert told["right"] is True and abs(told["error_after_deg"]) < 2.0
+
+
+def test_it_is_measured_where_nothing_can_be_done(tmp_path: Path) -> None:
+    vehicle = SimulatedAutopilot("rover", seed=3, parameters=NO_GENTLE_WAY)
+    report = calibrated(vehicle, tmp_path)
+    assert report.heading is not None and report.heading.by == "its own filter"
+    assert math.isclose(abs(report.heading.error_after_deg), steers_off_deg(vehicle), abs_tol=0.7)
+
+
+def test_a_restart_that_was_allowed_brings_it_there(tmp_path: Path) -> None:
+    vehicle = SimulatedAutopilot("rover", seed=3, parameters=NO_GENTLE_WAY | ARMS_ANYWAY, armed=False)
+    vehicle.advance(10.0)
+    vehicle.filter.bias_radps = math.radians(0.5)  # as after a long drive with a bent compass
+    permissions = Permissions(set_mode=True, arm=True)
+    settings = CalibrateSettings(writing="yes", permissions=permissions, reboot=True)
+    shown: list[str] = []
+    report = calibrated(vehicle, tmp_path, settings, shown=shown)
+    assert vehicle.board.boots == 1, shown
+    assert report.heading is not None and report.heading.by.startswith("a restart")
+    assert not report.steers_off and steers_off_deg(vehicle) < 2.0
+    # What was written is still there, and the rates are as the start leaves them.
+    assert report.outcome is not None
+    held = vehicle.firmware.store.values
+    assert all(math.isclose(held[n], v, abs_tol=1e-3) for n, v in report.outcome.values.items())
+
+
+def test_without_the_permission_the_last_line_says_what_to_do(tmp_path: Path) -> None:
+    vehicle = SimulatedAutopilot("rover", seed=3, parameters=NO_GENTLE_WAY | ARMS_ANYWAY, armed=False)
+    vehicle.advance(10.0)
+    vehicle.filter.bias_radps = math.radians(0.5)
+    settings = CalibrateSettings(writing="yes", permissions=Permissions(set_mode=True, arm=True))
+    report = calibrated(vehicle, tmp_path, settings)
+    assert vehicle.board.boots == 0
+    assert report.steers_off and report.written
+    assert report.heading is not None
+    assert report.heading.summary().endswith("deg off; restart it before you drive.")
+
+
+@pytest.mark.parametrize(
+    ("after_deg", "worst_deg", "off"),
+    [
+        (0.3, 0.5, False),
+        (0.3, 2.5, True),
+        (-3.0, 3.0, True),
+        (-3.0, math.nan, True),
+        (math.nan, math.nan, False),
+    ],
+)
+def test_an_error_that_is_going_to_grow_counts(after_deg: float, worst_deg: float, off: bool) -> None:
+    assert AutopilotHeading(10.0, after_deg, "its own filter", 9.0, worst_deg).is_off is off

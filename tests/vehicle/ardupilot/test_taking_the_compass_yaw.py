@@ -1,0 +1,109 @@
+"""MAV_CMD_SET_EKF_SOURCE_SET as the manual has it: a set without a compass, and back to the first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+from dialogue import Expect, Reply, vehicle_script
+
+from mavcompass.enums import MavCmd, MavResult
+from mavcompass.errors import Refused
+from mavcompass.messages import CommandAck, CommandLong
+from mavcompass.procedure.script import Context, Machine, Script, Stop
+from mavcompass.procedure.vehicle_state import find_vehicle
+from mavcompass.vehicle.ardupilot.yaw import HOW, idle_set, take_compass_yaw
+from mavcompass.vehicle.driver import run
+
+SWITCH = MavCmd.SET_EKF_SOURCE_SET
+AS_SHIPPED = {
+    "AHRS_EKF_TYPE": 3.0,
+    "EK3_SRC1_YAW": 1.0,
+    "EK3_SRC2_POSXY": 0.0,
+    "EK3_SRC2_YAW": 0.0,
+    "EK3_SRC3_POSXY": 0.0,
+    "EK3_SRC3_YAW": 0.0,
+}
+
+
+def take(parameters: Mapping[str, float], flying: bool = False) -> Machine[str]:
+    def script(context: Context) -> Script[str]:
+        yield from find_vehicle(context)
+        return (yield from take_compass_yaw(context, parameters, flying))
+
+    return Machine(script)
+
+
+def test_the_second_set_for_a_moment_then_the_first_again() -> None:
+    with vehicle_script(
+        Expect(CommandLong(command=SWITCH, param1=2.0)),
+        Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
+        Expect(CommandLong(command=SWITCH, param1=1.0)),
+        Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
+    ) as link:
+        assert run(take(AS_SHIPPED), link) == HOW
+
+
+def test_firmware_that_does_not_know_the_command_is_left_as_it_is() -> None:
+    with vehicle_script(
+        Expect(CommandLong(command=SWITCH, param1=2.0)), Reply(CommandAck(SWITCH, MavResult.UNSUPPORTED))
+    ) as link:
+        assert run(take(AS_SHIPPED), link) == ""
+
+
+def test_the_way_back_is_asked_for_until_it_is_answered() -> None:
+    with vehicle_script(
+        Expect(CommandLong(command=SWITCH, param1=2.0)),
+        Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
+        Expect(CommandLong(command=SWITCH, param1=1.0)),
+        Expect(CommandLong(command=SWITCH, param1=1.0, confirmation=1)),
+        Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
+    ) as link:
+        assert run(take(AS_SHIPPED), link) == HOW
+
+
+def test_a_stop_in_between_still_leads_back() -> None:
+    with vehicle_script(
+        Expect(CommandLong(command=SWITCH, param1=2.0)),
+        Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
+        Expect(CommandLong(command=SWITCH, param1=1.0)),
+        Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
+    ) as link:
+        machine = take(AS_SHIPPED)
+        inner = machine.step
+
+        def step(event):  # type: ignore[no-untyped-def]
+            actions = inner(event)
+            if isinstance(getattr(event, "message", None), CommandAck):
+                machine.step = inner  # type: ignore[method-assign]
+                actions += inner(Stop(event.time_s, "Enough."))
+            return actions
+
+        machine.step = step  # type: ignore[method-assign]
+        with pytest.raises(Refused, match="Enough"):
+            run(machine, link)
+
+
+def test_a_flying_copter_is_not_touched() -> None:
+    with vehicle_script() as link:
+        assert run(take(AS_SHIPPED, flying=True), link) == ""
+
+
+@pytest.mark.parametrize(
+    ("changed", "chosen"),
+    [
+        ({}, 2),
+        ({"EK3_SRC2_YAW": 1.0}, 3),
+        ({"EK3_SRC1_YAW": 3.0}, 2),  # GPS with the compass to fall back on
+        ({"EK3_SRC1_YAW": 2.0}, None),  # the receiver's yaw: no compass steers
+        ({"EK3_SRC2_POSXY": 6.0}, None),  # a second set in earnest: which is in use, nothing tells
+        ({"EK3_SRC2_YAW": 1.0, "EK3_SRC3_YAW": 1.0}, None),
+        ({"AHRS_EKF_TYPE": 2.0}, None),
+    ],
+)
+def test_which_set_names_no_compass(changed: dict[str, float], chosen: int | None) -> None:
+    assert idle_set(AS_SHIPPED | changed) == chosen
+
+
+def test_firmware_without_sets_has_none() -> None:
+    assert idle_set({"AHRS_EKF_TYPE": 3.0}) is None
