@@ -176,8 +176,8 @@ class _LogReader:
     def _find(self, chunk: Chunk, covered: int) -> _Found:
         data = chunk.data
         first = max(covered, chunk.fresh, 0)
-        marks = (data[first : chunk.size] == HEADER[0]) & (data[first + 1 : chunk.size + 1] == HEADER[1])
-        start = np.flatnonzero(marks) + first
+        start = np.flatnonzero(data[first : chunk.size] == HEADER[0]) + first
+        start = start[data[start + 1] == HEADER[1]]
         kind = data[start + 2]
         self._learn(data, start[(kind == FMT_TYPE) & (start + FMT_BYTES <= chunk.size)])
         length = self._lengths[kind]
