@@ -169,16 +169,24 @@ class _Calibration:
             wanted[first] = 2.0 * rate_hz
         if identity.autopilot == "px4":
             del wanted[mav.EkfStatusReport]
+            wanted[mav.LocalPositionNed] = 4.0
+            # SCALED_IMU is one reading of 5 ms, not a mean: the more of them, the less noise.
+            wanted[first] = 4.0 * rate_hz
         return wanted
 
     def visit(self, mover: Mover, seen: Sequence[Window] = ()) -> Script[list[Window]]:
-        """Visit the positions, or one more than were seen."""
+        """Visit the positions, or one more than were seen, and leave the vehicle to itself.
+
+        Solving takes a small computer seconds, in which nothing is sent: no vehicle may depend on that.
+        """
         desk, settings = self.desk, self.settings
         count, step_rad = settings.positions, settings.step_rad
         dwell, keep_up = settings.dwell, self.own.keep_up
-        return (
-            yield from visit(desk.context, desk.rest, desk.gyro, mover, count, step_rad, dwell, seen, keep_up)
+        windows = yield from visit(
+            desk.context, desk.rest, desk.gyro, mover, count, step_rad, dwell, seen, keep_up
         )
+        yield from mover.release(desk.context)
+        return windows
 
     def solve(self, windows: list[Window]) -> CalibrationReport:
         """Solve and judge every compass on what was recorded."""
@@ -232,6 +240,7 @@ class _Calibration:
             share = 1.0 if isinstance(mover, HandMover) else _PROOF_SHARE
             yield from mover.next(context, share * self.settings.step_rad, 1)
             window = yield from self.desk.dwell(mover, self.settings.dwell)
+            yield from mover.release(context)
             with_it = self.solve([*report.windows, window])
         except Exception as why:
             mover.halt(context)

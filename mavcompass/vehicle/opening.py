@@ -55,9 +55,10 @@ def open_link(
 
             return ReplayedLink.playing(path, read_track, identity)
         case Mavsdk(url):
-            from mavcompass.vehicle.links.mavsdk import MavsdkLink
+            from mavcompass.vehicle.links.wire import WireLink
+            from mavcompass.vehicle.transport.mavsdk import MavsdkTransport
 
-            return MavsdkLink(url, identity)
+            return WireLink(MavsdkTransport(url), identity, signing)
         case UdpIn() | UdpOut() | Tcp() | TcpIn() | Serial():
             from mavcompass.vehicle.links.wire import WireLink
             from mavcompass.vehicle.transport import open_transport

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 import time
 import tty
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -191,26 +190,6 @@ class MavsdkEnd(WireEnd):
                 return self._heard
             self.transport.wait(0.05)
 
-    @contextmanager
-    def beating(self) -> Iterator[None]:
-        stop = threading.Event()
-        beat = FrameWriter().write(HEARTBEAT, SYSTEM, 1)
-
-        def work() -> None:
-            while not stop.wait(0.05):
-                for peer in self.transport.peers():
-                    self.transport.write(beat, peer)
-                for _, data in self.transport.read():  # a new MAVSDK comes from a new port
-                    self.take(data)
-
-        thread = threading.Thread(target=work)
-        thread.start()
-        try:
-            yield
-        finally:
-            stop.set()
-            thread.join()
-
 
 def _is_mavsdks_own(message: Message) -> bool:
     if isinstance(message, Heartbeat):  # unlike ours, MAVSDK's own tell no state
@@ -220,12 +199,12 @@ def _is_mavsdks_own(message: Message) -> bool:
 
 @contextmanager
 def mavsdk() -> Iterator[tuple[Link, FarEnd]]:
-    from mavcompass.vehicle.links.mavsdk import MavsdkLink
+    from mavcompass.vehicle.transport.mavsdk import MavsdkTransport
 
     transport = open_transport(UdpIn("127.0.0.1", 0))
     assert isinstance(transport, UdpTransport)
     far = MavsdkEnd(transport)
-    with MavsdkLink(f"udpout://127.0.0.1:{transport.port}") as link:
+    with WireLink(MavsdkTransport(f"udpout://127.0.0.1:{transport.port}")) as link:
         try:
             yield link, far
         finally:

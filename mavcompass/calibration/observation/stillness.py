@@ -26,6 +26,7 @@ from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRec
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.track import Track
+from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 STILL_RATE_RADPS = math.radians(3.0)
 STILL_TILT_RATE_RADPS = math.radians(6.0)
@@ -40,6 +41,10 @@ _SETTLE_S = 0.25
 _CUT_HALF_WIDTH_RAD = math.radians(20.0)
 _MOST_DWELLS = 48
 _CURRENT_STEP_A = 4.0
+# White noise of the tilt rate has a mean of its own: the length of two noisy components.
+_TILT_FLOOR = 1.3
+# Two readings of a noisy compass lie so many sigmas of one component apart once in a hundred thousand.
+_FIELD_CHANCE = 7.5
 
 
 def find_dwells(
@@ -83,8 +88,7 @@ def _still_windows(record: TurnRecord, shortest_s: float) -> list[tuple[float, f
     time = record.time_s
     rate = _centred_mean(time, record.rate_radps)
     tilt = _centred_mean(time, record.tilt_rate_radps)
-    # White noise of the tilt rate has a mean of its own: the length of two noisy components.
-    tilt_floor = 1.3 * record.noise_radps
+    tilt_floor = _TILT_FLOOR * record.noise_radps
     quiet = (np.abs(rate) < STILL_RATE_RADPS) & (tilt < STILL_TILT_RATE_RADPS + tilt_floor)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
     windows = []
@@ -261,6 +265,35 @@ class Stillness:
     turned_rad: float
 
 
+class WhiteNoise:
+    """Follow the white noise of a vector, per component, by the second differences of its latest samples.
+
+    Smooth motion hardly shows in these, and the median is not moved by a few that are no noise. Samples that
+    are repeated show none.
+    """
+
+    def __init__(self, samples: int = 40) -> None:
+        self._before: deque[tuple[float, ...]] = deque(maxlen=2)
+        self._bends: deque[tuple[float, ...]] = deque(maxlen=samples)
+
+    def hear(self, values: tuple[float, ...]) -> None:
+        """Take the next sample."""
+        if len(self._before) == 2:
+            first, second = self._before
+            self._bends.append(
+                tuple(abs(a - 2.0 * b + c) for a, b, c in zip(first, second, values, strict=True))
+            )
+        self._before.append(values)
+
+    @property
+    def sigma(self) -> float:
+        """Return the root of the mean square of the components' sigmas; 0 while too little was heard."""
+        if len(self._bends) < 8:
+            return 0.0
+        medians = [sorted(column)[len(column) // 2] for column in zip(*self._bends, strict=True)]
+        return math.hypot(*medians) / math.sqrt(len(medians)) / (0.6745 * math.sqrt(6.0))
+
+
 class StillnessDetector:
     """Tell, reading by reading, whether the vehicle stands still enough to average the compass.
 
@@ -279,7 +312,8 @@ class StillnessDetector:
         self._limit = rate_radps
         self._swing = swing_rad
         self._field_step = field_step_mgauss
-        self._window: deque[tuple[float, float, float, float]] = deque()
+        self._window: deque[tuple[float, float, float]] = deque()
+        self._tilt_noise, self._force_noise, self._field_noise = WhiteNoise(), WhiteNoise(), WhiteNoise()
         self._turned = 0.0
         self._last: tuple[float, float] | None = None
         self._quiet_since = math.nan
@@ -306,11 +340,26 @@ class StillnessDetector:
         if self._last is not None:
             self._turned += 0.5 * (rate + self._last[1]) * (time_s - self._last[0])
         self._last = (time_s, rate)
-        self._window.append((time_s, rate, tilt_rate, self._turned))
+        self._tilt_noise.hear((gx - rate * dx, gy - rate * dy, gz - rate * dz))
+        self._force_noise.hear((ax, ay, az))
+        self._field_noise.hear((mx, my, mz))
+        self._window.append((time_s, rate, tilt_rate))
         while self._window[0][0] < time_s - _RATE_SMOOTHING_S:
             self._window.popleft()
         self._judge(time_s, (mx, my, mz))
         return self._state(time_s)
+
+    def averaging_s(self, tilt_rad: float, field_mgauss: float) -> float:
+        """Return how long to average until white noise leaves so little of the tilt and of the field.
+
+        Both are sigmas of the mean, of one component.
+        """
+        if len(self._window) < 2:
+            return 0.0
+        interval_s = (self._window[-1][0] - self._window[0][0]) / (len(self._window) - 1)
+        tilt = self._force_noise.sigma / (STANDARD_GRAVITY_MPS2 * tilt_rad)
+        field = self._field_noise.sigma / field_mgauss
+        return max(tilt, field) ** 2 * interval_s
 
     def _follow_gravity(self, time_s: float, acc: tuple[float, float, float]) -> None:
         length = math.hypot(*acc)
@@ -332,7 +381,7 @@ class StillnessDetector:
             self._stir("rotating")
         elif abs(rate) > self._limit:
             self._stir("hunting")
-        elif tilt > STILL_TILT_RATE_RADPS:
+        elif tilt > STILL_TILT_RATE_RADPS + _TILT_FLOOR * self._tilt_noise.sigma:
             self._stir("tilting")
         elif math.isnan(self._quiet_since):
             self._begin(time_s, mag)
@@ -341,9 +390,14 @@ class StillnessDetector:
             if abs(self._turned - turned) > self._swing:
                 self._begin(time_s, mag)
                 self._reason = "hunting"
-            elif math.dist(mag, field) > self._field_step + 300.0 * abs(self._turned - turned):
+            elif math.dist(mag, field) > self._field_limit(abs(self._turned - turned)):
                 self._begin(time_s, mag)
                 self._reason = "field changing"
+
+    def _field_limit(self, turned_rad: float) -> float:
+        """Return how far one reading may lie from another at rest, by chance and by so small a turn, mG."""
+        chance = _FIELD_CHANCE * self._field_noise.sigma
+        return math.hypot(self._field_step, chance) + 300.0 * turned_rad
 
     def _mean(self, column: int) -> float:
         return sum(row[column] for row in self._window) / len(self._window)

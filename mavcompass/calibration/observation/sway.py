@@ -37,6 +37,8 @@ _BIAS_SIGMA_RADPS = math.radians(0.2)
 _TILT_SIGMA_RAD = math.radians(5.0)
 # What (T1) leaves out: sensors that are not quite square to each other, rates of 25 Hz.
 _FLOOR_RAD = math.radians(0.05)
+# So many headings of the level frame are weighed against each other.
+_ANGLES = 72
 # A mean over a part of a sway misses its amplitude by this many times what the part itself shows of it.
 _SWAY_BEYOND = 8.0
 
@@ -70,7 +72,7 @@ def sway(track: Track, start_s: float, end_s: float) -> Sway | None:
     phi, prior = _tilt_errors(time, rotation, rate, middle)
     up = -level[:, 2][:, np.newaxis, np.newaxis]
     leaning = _integral(time, up * np.stack([-phi[:, 1], phi[:, 0]], axis=1))
-    pushing, push_sigma = _pushes(time, force)
+    pushing, push_sigma = _walks(time, rotation, _noise(force))
     mean, covariance = _solve(
         time,
         known,
@@ -158,41 +160,30 @@ def _tilt_errors(
     The gyro's noise makes phi a random walk: steps of it, knot by knot.
     """
     drifting = _integral(time, rotation[:, :2, :])
-    ramps, width_s = _ramps(time)
-    ramps = ramps - ramps[middle]
-    walking = np.zeros((time.size, 2, 2, ramps.shape[1]))
-    walking[:, 0, 0], walking[:, 1, 1] = ramps, ramps
+    walking, step_sigma = _walks(time, rotation, _noise(rate))
     still = np.broadcast_to(np.eye(2), (time.size, 2, 2))
-    phi = np.concatenate(
-        [still, drifting - drifting[middle], walking.reshape(time.size, 2, -1)],
-        axis=2,
-    )
-    step = _noise(rate[:, :2]) * math.sqrt(float(np.median(np.diff(time))) * width_s)
-    sigma = np.concatenate(
-        [[_TILT_SIGMA_RAD] * 2, [_BIAS_SIGMA_RADPS] * 3, np.full(2 * ramps.shape[1], step)]
-    )
-    return phi, sigma
+    phi = np.concatenate([still, drifting - drifting[middle], walking - walking[middle]], axis=2)
+    return phi, np.concatenate([[_TILT_SIGMA_RAD] * 2, [_BIAS_SIGMA_RADPS] * 3, step_sigma])
 
 
-def _pushes(time: FloatArray, force: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Build what the accelerometer's noise adds to the velocity, (N, 2, 2 K), and the sigmas (2 K,)."""
-    ramps, width_s = _ramps(time)
-    pushing = np.zeros((time.size, 2, 2, ramps.shape[1]))
-    pushing[:, 0, 0], pushing[:, 1, 1] = ramps, ramps
-    step = _noise(force[:, :2]) * math.sqrt(float(np.median(np.diff(time))) * width_s)
-    return pushing.reshape(time.size, 2, -1), np.full(2 * ramps.shape[1], step)
+def _walks(time: FloatArray, rotation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Build what white noise of the body's x and y, (>= 2,), integrates to in the level frame, knot by knot.
 
-
-def _ramps(time: FloatArray) -> tuple[FloatArray, float]:
-    """Return functions of time that rise from 0 to 1 between neighbouring knots, (N, K), and their width."""
+    Returns (N, 2, 2 K) and the sigmas (2 K,). Each axis has its own noise, which turns with the vehicle.
+    """
     count = max(round(float(time[-1] - time[0]) / _KNOT_S), 1)
-    width = float(time[-1] - time[0]) / count
-    return np.clip((time[:, np.newaxis] - time[0]) / width - np.arange(count), 0.0, 1.0), width
+    width_s = float(time[-1] - time[0]) / count
+    knot = np.minimum(((time - time[0]) / width_s).astype(int), count - 1)
+    inside = (knot[:, np.newaxis] == np.arange(count)) / width_s
+    walks = _integral(time, rotation[:, :2, :2, np.newaxis] * inside[:, np.newaxis, np.newaxis, :])
+    step = noise[:2] * math.sqrt(float(np.median(np.diff(time))) * width_s)
+    return walks.reshape(time.size, 2, -1), np.repeat(step, count)
 
 
-def _noise(values: FloatArray) -> float:
-    """Return the white noise of one sample by second differences, which smooth motion hardly shows."""
-    return float(np.median(np.abs(np.diff(values, 2, axis=0)))) / (0.6745 * math.sqrt(6.0)) + 1e-9
+def _noise(values: FloatArray) -> FloatArray:
+    """Return each axis's white noise of one sample, by second differences: smooth motion hardly shows."""
+    bends = np.abs(np.diff(values, 2, axis=0))
+    return np.asarray(np.median(bends, axis=0) / (0.6745 * math.sqrt(6.0)) + 1e-9)
 
 
 def _solve(
@@ -209,12 +200,29 @@ def _solve(
     design[:, :, unknown + 3] = np.stack([-east, north], axis=1)
     rows = design.reshape(-1, unknown + 4) / known.sigma_mps
     target = -pushed[at].reshape(-1) / known.sigma_mps
-    # The velocity at the start may be any; cosine and sine are of the size of one.
-    sigma = np.concatenate([prior, [100.0, 100.0, 2.0, 2.0]])
-    covariance = np.linalg.inv(rows.T @ rows + np.diag(sigma**-2))
-    state = covariance @ (rows.T @ target)
+    # The velocity at the start may be any; cosine and sine are bound to their circle below.
+    sigma = np.concatenate([prior, [100.0] * 4])
+    covariance = np.asarray(np.linalg.inv(rows.T @ rows + np.diag(sigma**-2)))
+    state, covariance = _on_the_circle(covariance @ (rows.T @ target), covariance)
     misfit = float(((rows @ state - target) ** 2).mean())
     return state[:unknown], np.asarray(covariance[:unknown, :unknown] * max(misfit, 1.0))
+
+
+def _on_the_circle(state: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bind the last two unknowns to be a cosine and a sine: a noisy velocity would shrink them to nothing.
+
+    Every angle has its likelihood, and with it the others theirs: mean and covariance over all angles.
+    """
+    angles = np.linspace(0.0, 2.0 * math.pi, _ANGLES, endpoint=False)
+    away = np.stack([np.cos(angles), np.sin(angles)], axis=1) - state[-2:]
+    inverse = np.linalg.inv(covariance[-2:, -2:])
+    cost = 0.5 * np.einsum("ni,ij,nj->n", away, inverse, away)
+    share = np.exp(cost.min() - cost)
+    share /= share.sum()
+    moved = share @ away
+    spread = (share[:, np.newaxis] * (away - moved)).T @ (away - moved)
+    gain = covariance[:, -2:] @ inverse
+    return state + gain @ moved, covariance + gain @ (spread - covariance[-2:, -2:]) @ gain.T
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,11 +3,16 @@
 A compass that is suddenly far off takes the estimator's heading along, the position controller then pushes
 the wrong way, and the copter swings in growing circles until the satellite receiver's velocity has put the
 heading right. That takes ten seconds or so, and nobody needs to do anything.
+
+How still a copter can hold its place is a matter of its own noise. One that never gets slower than it is, but
+wanders about one place and no wider than before, does what it can.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from dataclasses import dataclass, field
 
 from mavcompass.errors import Refused
 from mavcompass.procedure.positions import Rest
@@ -22,18 +27,30 @@ _FASTEST_MPS = 0.5
 _COMPASS_VARIANCE, _VELOCITY_VARIANCE = 0.8, 0.3
 # A copter that swings is given this long; one that hovers well though its estimator doubts the compass, this.
 _PATIENCE_S, _DOUBT_PATIENCE_S = 40.0, 10.0
+# A copter that wanders is watched for two such stretches; so far apart its places may lie in the later one,
+# and so much further than in the earlier one by chance.
+_STRETCH_S, _WIDEST_M, _NO_WIDER = 6.0, 2.0, 1.25
+_M_PER_DEG = 111_319.5
 
 
 def wait_until_calm(context: Context, state: VehicleState, rest: Rest) -> Script[None]:
     """Wait until the copter hovers at its place. Raises Refused where it does not come to that."""
-    began_s = calm_since_s = held_since_s = context.now
-    said = False
+    began_s = calm_since_s = held_since_s = level_since_s = context.now
+    said, wander = False, _Wander()
     while True:
+        wander.note(context.now, state)
+        if rest.why_not == "tilting":
+            level_since_s = context.now
         if _swings(state, rest):
             calm_since_s = held_since_s = context.now
         elif _doubts(state):
             calm_since_s = context.now
         if context.now - calm_since_s >= _CALM_S or context.now - held_since_s >= _DOUBT_PATIENCE_S:
+            return
+        if context.now - level_since_s >= _CALM_S and wander.keeps_to_its_place():
+            context.show(
+                "ready", f"The copter wanders by {wander.reach_m():.1f} m; it holds its place so well."
+            )
             return
         if context.now - began_s > _PATIENCE_S:
             raise Refused(
@@ -44,6 +61,34 @@ def wait_until_calm(context: Context, state: VehicleState, rest: Rest) -> Script
             context.show("ready", "Waiting until the copter holds its place.")
             said = True
         yield from pause(context, _POLL_S)
+
+
+@dataclass(slots=True)
+class _Wander:
+    """Follow where the vehicle was: metres north and east of anywhere."""
+
+    _places: deque[tuple[float, float, float]] = field(default_factory=deque)
+
+    def note(self, now_s: float, state: VehicleState) -> None:
+        """Take the vehicle's latest place."""
+        if (place := state.place) is None:
+            return
+        north, east = place.lat * 1e-7 * _M_PER_DEG, place.lon * 1e-7 * _M_PER_DEG
+        self._places.append((now_s, north, east * math.cos(math.radians(place.lat * 1e-7))))
+        while self._places[0][0] < now_s - 2.0 * _STRETCH_S:
+            self._places.popleft()
+
+    def reach_m(self, back: int = 0) -> float:
+        """Return how far apart the places of a stretch lie: the latest, or the one before."""
+        until_s = self._places[-1][0] - back * _STRETCH_S
+        inside = [p for p in self._places if until_s - _STRETCH_S < p[0] <= until_s]
+        return math.hypot(*(max(p[axis] for p in inside) - min(p[axis] for p in inside) for axis in (1, 2)))
+
+    def keeps_to_its_place(self) -> bool:
+        """Tell whether it wandered no wider in the latest stretch than in the one before, nor far."""
+        if not self._places or self._places[-1][0] - self._places[0][0] < 2.0 * _STRETCH_S - 2.0 * _POLL_S:
+            return False
+        return self.reach_m() <= min(_WIDEST_M, _NO_WIDER * self.reach_m(1))
 
 
 def _swings(state: VehicleState, rest: Rest) -> bool:

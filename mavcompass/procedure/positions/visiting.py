@@ -26,6 +26,8 @@ _LONGEST_GAP_S = 1.0
 _RESTARTED_S = 5.0
 # At the turning points of a swing the tilt rests for a moment.
 _CALM_AFTER_S = 1.0
+# What noise may leave of a dwell's means. Tilt counts twice and more in the heading, by the dip's tangent.
+_TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS = math.radians(0.35), 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,7 @@ class DwellSettings:
 
     Attributes:
         dwell_s: length of a dwell; eighteen fresh readings of a compass read at 10 Hz.
+        longest_s: of a vehicle whose sensors are so noisy that their mean takes longer to be known.
         settle_s: rest before a dwell begins. Rest is judged by the mean of half a second, so by then
             the chassis and the compass's average of 100 ms have settled.
         patience_s: a vehicle that hunts longer than this is dwelt upon as it is; the sway is then in
@@ -52,6 +55,7 @@ class DwellSettings:
     """
 
     dwell_s: float = 1.7
+    longest_s: float = 6.0
     settle_s: float = 0.1
     patience_s: float = 3.0
     tilting_patience_s: float = 10.0
@@ -83,6 +87,11 @@ class Rest:
         )
         self.still_since_s = None if math.isnan(state.since_s) else state.since_s
         self.why_not = state.why_not
+
+    def needed_s(self, settings: DwellSettings) -> float:
+        """Return how long a dwell must last with this vehicle's noise."""
+        by_noise_s = self.detector.averaging_s(_TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS)
+        return max(settings.dwell_s, min(by_noise_s, settings.longest_s))
 
     def for_s(self) -> float:
         """Return for how long it has been still, seconds of the vehicle's time."""
@@ -212,12 +221,12 @@ def dwell(
     for _ in range(3):
         resting = yield from mover.settle(context, rest, settings)
         start_s, angle, samples = rest.time_s, gyro.angle_rad, gyro.samples
-        began, held_s = context.now, context.now
-        while rest.time_s - start_s < settings.dwell_s:
-            if context.now - began > 5.0 * settings.dwell_s + 5.0:
+        began, held_s, dwell_s = context.now, context.now, rest.needed_s(settings)
+        while rest.time_s - start_s < dwell_s:
+            if context.now - began > 5.0 * dwell_s + 5.0:
                 raise LinkLost("The IMU messages stopped coming.", "Bring the link back and run again.")
             if context.now - held_s >= _HOLD_EVERY_S:
-                mover.hold(context, settings.dwell_s - (rest.time_s - start_s))
+                mover.hold(context, dwell_s - (rest.time_s - start_s))
                 held_s = context.now
             heard_s = rest.time_s
             yield from pause(context, 0.05)
@@ -265,7 +274,7 @@ def visit(
             yield from mover.next(context, angle_rad, wanted - index)
         context.show(
             "dwell",
-            f"Position {index + 1} of {wanted}: standing still for {settings.dwell_s:.0f} s.",
+            f"Position {index + 1} of {wanted}: standing still for {rest.needed_s(settings):.0f} s.",
             index / (wanted + 1.0),
             position=float(index + 1),
             turned_deg=math.degrees(gyro.angle_rad),

@@ -15,6 +15,7 @@ _IGNORE_YAW_RATE = 0x800
 YAW_ONLY = _IGNORE_POSITION | _IGNORE_VELOCITY | _IGNORE_ACCELERATION | _IGNORE_YAW_RATE
 YAW_RATE_ONLY = _IGNORE_POSITION | _IGNORE_VELOCITY | _IGNORE_ACCELERATION | _IGNORE_YAW
 STAND_AND_YAW_RATE = _IGNORE_POSITION | _IGNORE_ACCELERATION | _IGNORE_YAW
+PLACE_AND_YAW_RATE = _IGNORE_VELOCITY | _IGNORE_ACCELERATION | _IGNORE_YAW
 
 
 def send_target(
@@ -24,14 +25,19 @@ def send_target(
     yaw_rad: float = 0.0,
     yaw_rate_radps: float = 0.0,
     forward_mps: float = 0.0,
+    place_ned_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> None:
     """Send a target; what the mask ignores stays 0."""
+    x, y, z = place_ned_m
     context.send(
         mav.SetPositionTargetLocalNed(
             target_system=context.system,
             target_component=context.component,
             coordinate_frame=frame,
             type_mask=type_mask,
+            x=x,
+            y=y,
+            z=z,
             vx=forward_mps,
             yaw=yaw_rad,
             yaw_rate=yaw_rate_radps,

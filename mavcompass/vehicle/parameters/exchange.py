@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from mavcompass.errors import LinkLost
 from mavcompass.messages import Message, ParamValue
 from mavcompass.procedure.script import Context, Script
-from mavcompass.vehicle.parameters.values import Encoding, Parameter, decode, same_value
+from mavcompass.vehicle.parameters.values import Encoding, Parameter, decode, holds
 
 WINDOW = 12  # requests under way at once; ArduPilot's own queue holds 20
 _FIRST_PATIENCE_S = 0.8
@@ -114,7 +114,7 @@ class Exchange:
         if ask is None or not ask.tries:
             return False
         parameter = decode(message, self.encoding)
-        if ask.wanted is not None and not same_value(parameter.value, ask.wanted):
+        if ask.wanted is not None and not holds(parameter, ask.wanted, self.encoding):
             ask.hear_other(parameter.value)
             return False
         del self.open[ask.name]

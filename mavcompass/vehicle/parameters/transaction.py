@@ -21,7 +21,7 @@ from mavcompass.installation.invocation import program
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters import protocol
-from mavcompass.vehicle.parameters.values import Encoding, Parameter, is_single, same_value
+from mavcompass.vehicle.parameters.values import Encoding, Parameter, holds, is_single
 
 # After a stop a script has `script.CLEAN_UP_S` to put things back; a silent vehicle is given up before.
 _UNDO_SILENCE_S = 5.0
@@ -87,7 +87,7 @@ class Transaction:
                     f"The vehicle does not answer for {change.name}; nothing was written.",
                     "Check that its firmware has this parameter, then run again.",
                 )
-            if not same_value(held.value, change.old):
+            if not holds(held, change.old, self.encoding):
                 raise WriteFailed(
                     f"{change.name} is {held.value:g} now and was {change.old:g} when the write was planned;"
                     " nothing was written.",

@@ -11,6 +11,7 @@ import numpy as np
 
 from mavcompass.enums import MavParamType
 from mavcompass.messages import ParamSet, ParamValue
+from mavcompass.messages.bits import bits_of_single, single_from_bits
 from mavcompass.procedure.script import Context
 
 # ArduPilot sends an integer as the float of the same value; PX4 puts its four bytes into the float's place.
@@ -55,12 +56,22 @@ def same_value(left: float, right: float) -> bool:
     return is_single(left) and is_single(right) and bool(np.float32(left) == np.float32(right))
 
 
+def holds(parameter: Parameter, wanted: float, encoding: Encoding) -> bool:
+    """Tell whether a vehicle that answered with `parameter` stores `wanted`.
+
+    Whole numbers that travel bit for bit must be the same; all others as 32-bit floats.
+    """
+    if encoding == "bytewise" and parameter.type in _INTEGER_FORMATS:
+        return parameter.value == wanted
+    return same_value(parameter.value, wanted)
+
+
 def decode(message: ParamValue, encoding: Encoding) -> Parameter:
     """Read a PARAM_VALUE; a 32-bit float becomes its shortest decimal."""
     form = _INTEGER_FORMATS.get(message.param_type) if encoding == "bytewise" else None
     if form is None:
         return Parameter(tidy(message.param_value), message.param_type)
-    (whole,) = struct.unpack(form, struct.pack("<f", message.param_value))
+    (whole,) = struct.unpack(form, struct.pack("<I", bits_of_single(message.param_value)))
     return Parameter(float(whole), message.param_type)
 
 
@@ -69,5 +80,6 @@ def encode(name: str, parameter: Parameter, encoding: Encoding, context: Context
     value = parameter.value
     form = _INTEGER_FORMATS.get(parameter.type) if encoding == "bytewise" else None
     if form is not None:
-        (value,) = struct.unpack("<f", struct.pack(form, round(value)))
+        (bits,) = struct.unpack("<I", struct.pack(form, round(value)))
+        value = single_from_bits(bits)
     return ParamSet(context.system, context.component, name, value, parameter.type)

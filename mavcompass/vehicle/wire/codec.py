@@ -16,6 +16,7 @@ from typing import Any
 from mavcompass import messages
 from mavcompass.mavlink.dialect import Description, describe, message_ids
 from mavcompass.messages import Message
+from mavcompass.messages.bits import bits_of_single, single_from_bits
 
 # Payload lengths of MAVLink 1, which knows no extension fields, where the dialect has such fields.
 # The dialect's Python does not mark them; a test compares these with its XML.
@@ -41,6 +42,11 @@ BASE_LENGTHS = {
 }
 
 
+# The first four bytes of these are a float in name only, see `messages.bits`.
+_BITS_FIRST = ("PARAM_VALUE", "PARAM_SET")
+_NUMBER_OF_BITS = Struct("<I")
+
+
 @dataclass(frozen=True, slots=True)
 class WireFormat:
     """Describe one message on the wire.
@@ -59,6 +65,7 @@ class WireFormat:
     _defaults: tuple[Any, ...]
     _places: tuple[tuple[str, int, int, bool], ...]
     _pick: Callable[[tuple[Any, ...]], tuple[Any, ...]] | None
+    _bits_first: bool
 
     def decode(self, payload: bytes) -> Message:
         """Read a payload of any length: what is missing at its end is zero, what is too much is ignored."""
@@ -69,6 +76,8 @@ class WireFormat:
         values = self._struct.unpack(payload)
         if self._pick is not None:  # only numbers: the order is all there is to change
             return self.kind(*self._pick(values))
+        if self._bits_first:
+            values = (single_from_bits(*_NUMBER_OF_BITS.unpack_from(payload)), *values[1:])
         return self.kind(*(_read(values, at, count, text) for _, at, count, text in self._places))
 
     def encode(self, message: Message) -> bytes:
@@ -82,7 +91,10 @@ class WireFormat:
                 values[at : at + count] = value
             else:
                 values[at] = value
-        return self._struct.pack(*values)
+        payload = self._struct.pack(*values)
+        if self._bits_first:
+            return _NUMBER_OF_BITS.pack(bits_of_single(values[0])) + payload[_NUMBER_OF_BITS.size :]
+        return payload
 
 
 def _read(values: tuple[Any, ...], at: int, count: int, text: bool) -> Any:
@@ -127,6 +139,7 @@ def _format_of(description: Description) -> WireFormat:
         _defaults=payload.unpack(bytes(payload.size)),
         _places=places,
         _pick=itemgetter(*(at for _, at, _, _ in places)) if numbers_only else None,
+        _bits_first=description.name in _BITS_FIRST,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -22,12 +23,13 @@ from mavcompass.calibration.fits.textbook import (
     set_reset_offset,
 )
 from mavcompass.calibration.fits.world_field import fit_with_gyro_yaw, fit_world_field
+from mavcompass.calibration.observation.stillness import Stillness
 from mavcompass.calibration.observation.wire import effective_count, unquantise
 from mavcompass.calibration.orientation import search_orientation
 from mavcompass.calibration.positions import next_pose, repeat_test
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import euler_to_matrix, rotate_back, sensor_orientation_matrix
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back, sensor_orientation_matrix
 from mavcompass.heading.deviation import compass_heading_for, deviation_card, fit_deviation
 
 STRONG = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0))
@@ -349,3 +351,40 @@ def test_a_rover_that_tips_is_not_still() -> None:
     for k in range(100):
         state = detector.update(0.02 * k, (0.5, 0.0, 0.0), (0.0, 0.0, -9.8), (200.0, 0.0, 400.0))
     assert not state.still and state.why_not == "tilting"
+
+
+def noisy_readings(
+    rocking_radps: float, jolt_mgauss: float = 0.0
+) -> Iterator[tuple[float, FloatArray, FloatArray, FloatArray]]:
+    """Give 10 s of a vehicle at rest, as PX4's own simulator shakes it: gyro, force, field at 50 Hz."""
+    rng = np.random.default_rng(3)
+    for k in range(500):
+        gyro = rng.normal(0.0, (0.107, 0.05, 0.021))
+        gyro[0] += rocking_radps * math.sin(2.0 * math.pi * 0.4 * 0.02 * k)
+        force = rng.normal((0.0, 0.0, -9.81), (0.35, 1.2, 0.95))
+        field = rng.normal((200.0 + (jolt_mgauss if k > 400 else 0.0), 0.0, 430.0), (20.0, 20.0, 30.0))
+        yield 0.02 * k, gyro, force, field
+
+
+def test_noise_is_no_unrest_and_unrest_is_seen_through_noise() -> None:
+    def states(rocking_radps: float, jolt_mgauss: float = 0.0) -> list[Stillness]:
+        detector = StillnessDetector(hold_s=0.0)
+        return [detector.update(*reading) for reading in noisy_readings(rocking_radps, jolt_mgauss)][50:]
+
+    assert np.mean([state.still for state in states(0.0)]) > 0.97
+    assert np.mean([state.still for state in states(0.3)]) < 0.6
+    begun = [state.since_s for state in states(0.0, jolt_mgauss=400.0)]
+    assert 8.0 < begun[-1] < 8.1
+
+
+def test_the_noisier_the_readings_the_longer_they_are_averaged() -> None:
+    quiet, noisy = StillnessDetector(), StillnessDetector()
+    for time_s, gyro, force, field in noisy_readings(0.0):
+        noisy.update(time_s, gyro, force, field)
+        quiet.update(time_s, gyro, (0.0, 0.0, -9.81), (200.0, 0.0, 430.0))
+    assert quiet.averaging_s(math.radians(0.35), 2.0) == 0.0
+    # One component's noise is 0.92 m/s^2: 0.094 / 0.0061 squared makes 236 readings at 50 Hz.
+    assert noisy.averaging_s(math.radians(0.35), 2.0) == pytest.approx(4.7, rel=0.25)
+    assert noisy.averaging_s(math.radians(0.175), 1.0) == pytest.approx(
+        4.0 * noisy.averaging_s(math.radians(0.35), 2.0)
+    )

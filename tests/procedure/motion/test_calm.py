@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from mavcompass import messages as mav
@@ -13,9 +15,16 @@ from mavcompass.procedure.vehicle_state import VehicleState
 
 
 def waiting(
-    swings_until_s: float = 0.0, doubts_until_s: float = 0.0, tilts_until_s: float = 0.0
+    swings_until_s: float = 0.0,
+    doubts_until_s: float = 0.0,
+    tilts_until_s: float = 0.0,
+    wanders_m: float = 0.0,
+    grows: float = 1.0,
 ) -> tuple[Machine[float], list[str]]:
-    """Let a copter swing, doubt its compass or tilt until some time; the machine tells how long it waited."""
+    """Let a copter fly off, doubt its compass or tilt until some time; the machine tells how long it waited.
+
+    One that wanders goes to and fro for ever, faster than a copter at rest, each time by `grows` as far.
+    """
     state, rest = VehicleState(), Rest()
     shown: list[str] = []
 
@@ -26,9 +35,15 @@ def waiting(
     machine = Machine(script)
     for step in range(700):
         time_s = 0.1 * step
-        speed_cmps = 120 if time_s < swings_until_s else 3
+        speed_cmps = 120 if time_s < swings_until_s or wanders_m else 3
+        north_m = 1.2 * min(time_s, swings_until_s)
+        north_m += 0.5 * wanders_m * grows ** (time_s / 6.0) * math.sin(2.0 * math.pi * time_s / 6.0)
         variance = 1.2 if time_s < doubts_until_s else 0.1
-        state.hear(mav.Incoming(time_s, 1, 1, mav.GlobalPositionInt(vx=speed_cmps)))
+        state.hear(
+            mav.Incoming(
+                time_s, 1, 1, mav.GlobalPositionInt(lat=round(north_m / 111_319.5 * 1e7), vx=speed_cmps)
+            )
+        )
         state.hear(mav.Incoming(time_s, 1, 1, mav.EkfStatusReport(compass_variance=variance)))
         rest.why_not = "tilting" if time_s < tilts_until_s else ""
         shown += [action.text for action in machine.step(Tick(time_s)) if isinstance(action, Show)]
@@ -52,6 +67,18 @@ def test_one_that_swings_is_waited_for(which: str) -> None:
 def test_one_that_doubts_its_compass_is_waited_for_a_while() -> None:
     assert waiting(doubts_until_s=6.0)[0].result == pytest.approx(7.5, abs=0.3)
     assert waiting(doubts_until_s=60.0)[0].result == pytest.approx(10.0, abs=0.3)
+
+
+def test_one_that_wanders_about_its_place_holds_it_as_well_as_it_can() -> None:
+    machine, shown = waiting(wanders_m=1.2)
+    assert machine.result == pytest.approx(12.0, abs=0.5)
+    assert shown[-1] == "The copter wanders by 1.2 m; it holds its place so well."
+
+
+@pytest.mark.parametrize(("wanders_m", "grows"), [(1.2, 1.6), (3.0, 1.0)])
+def test_one_that_wanders_wider_and_wider_or_far_does_not(wanders_m: float, grows: float) -> None:
+    machine, _ = waiting(wanders_m=wanders_m, grows=grows)
+    assert isinstance(machine.error, Refused) and "does not hold its place" in machine.error.what
 
 
 def test_one_that_never_holds_its_place_is_refused_with_the_way_out() -> None:

@@ -9,7 +9,17 @@ from dialogue import HEARTBEAT
 from far_ends import KINDS, SYSTEM, Kind, Saying
 
 from mavcompass.errors import LinkLost
-from mavcompass.messages import Attitude, Heartbeat, Message, NamedValueFloat, ParamSet, RawImu, Statustext
+from mavcompass.messages import (
+    Attitude,
+    Heartbeat,
+    Message,
+    NamedValueFloat,
+    ParamSet,
+    ParamValue,
+    RawImu,
+    Statustext,
+)
+from mavcompass.messages.bits import bits_of_single, single_from_bits
 from mavcompass.vehicle.link import GROUND_STATION, ONBOARD_COMPUTER, Link
 
 
@@ -66,6 +76,41 @@ def test_texts_numbers_and_arrays_come_through(kind: Kind) -> None:
     said = [Statustext(3, "PreArm: Check mag field (xy diff:118>100)"), Attitude(5, yaw=-3.0), RawImu(2**40)]
     with kind.talk(vehicle_says(*said)) as (link, _):
         assert hear(link, 3) == said
+
+
+# Whole numbers of PX4 in the place of a float: -1, a quiet and a signalling NaN, the largest, the smallest
+# (minus zero), a denormal, infinity; and floats: minus zero, denormals, the largest.
+PATTERNS = (
+    -1,
+    0x7FC00000,
+    0x7F800001,
+    2**31 - 1,
+    -(2**31),
+    1,
+    -8_388_608,
+    0x7F7FFFFF,
+    0x00400000,
+    -4_194_305,
+)
+
+
+def parameter(whole: int) -> float:
+    return single_from_bits(whole & 0xFFFFFFFF)
+
+
+def test_parameters_come_through_bit_for_bit_each_way(kind: Kind) -> None:
+    said = [ParamValue("CAL_MAG0_ROT", parameter(whole), 6, 1, i) for i, whole in enumerate(PATTERNS)]
+    with kind.talk(vehicle_says(*said)) as (link, far):
+        heard = hear(link, len(said))
+        assert [bits_of_single(m.param_value) for m in heard if isinstance(m, ParamValue)] == [
+            whole & 0xFFFFFFFF for whole in PATTERNS
+        ]
+        for whole in PATTERNS:
+            link.send(ParamSet(SYSTEM, 1, "CAL_MAG0_ROT", parameter(whole), 6))
+        sent = [m for _, _, m in far.heard(len(PATTERNS))]
+        assert [bits_of_single(m.param_value) for m in sent if isinstance(m, ParamSet)] == [
+            whole & 0xFFFFFFFF for whole in PATTERNS
+        ]
 
 
 def test_many_messages_each_way(kind: Kind) -> None:

@@ -14,10 +14,10 @@ from serving import serving
 
 from mavcompass.enums import MavCmd, MavResult
 from mavcompass.errors import NoVehicle
-from mavcompass.messages import Attitude, Message, NamedValueFloat, ParamSet, ParamValue, RawImu
+from mavcompass.messages import Attitude, ParamSet, ParamValue, RawImu
 from mavcompass.simulation.vehicle import SimulatedAutopilot
-from mavcompass.vehicle.links import mavsdk as mavsdk_link
-from mavcompass.vehicle.links.mavsdk import MavsdkLink, from_json, to_json
+from mavcompass.vehicle.opening import open_link
+from mavcompass.vehicle.transport import mavsdk as mavsdk_transport
 
 
 @contextmanager
@@ -25,7 +25,7 @@ def mavsdk_meets(vehicle: SimulatedAutopilot, speed: float = 4.0) -> Iterator[An
     """Give MAVSDK's System of a vehicle that is served over TCP."""
     from mavsdk.mavsdk import Configuration, Mavsdk
 
-    mavsdk_link._log_through_python()
+    mavsdk_transport._log_through_python()
     with serving(vehicle, speed=speed) as (_, port):
         with Mavsdk(Configuration.create_manual(1, 191, True)) as mavsdk:
             mavsdk.add_any_connection(f"tcpout://127.0.0.1:{port}")
@@ -117,7 +117,7 @@ def test_the_mavsdk_link_reads_the_vehicles_second_compass() -> None:
     from mavcompass.messages import ScaledImu2
 
     with serving(SimulatedAutopilot("rover", seed=2), speed=4.0) as (_, port):
-        with MavsdkLink(f"tcpout://127.0.0.1:{port}") as link:
+        with open_link(f"mavsdk+tcpout://127.0.0.1:{port}") as link:
             kinds = set()
             end_s = link.now() + 5.0
             while not {RawImu, ScaledImu2, Attitude} <= kinds and link.now() < end_s:
@@ -136,27 +136,4 @@ def test_the_mavsdk_link_reads_the_vehicles_second_compass() -> None:
 
 def test_a_port_that_mavsdk_cannot_open_is_told() -> None:
     with pytest.raises(NoVehicle, match="MAVSDK could not open"):
-        MavsdkLink("serial:///dev/no_such_port:57600")
-
-
-@pytest.mark.parametrize(
-    ("kind", "text"),
-    [
-        (RawImu, "nonsense"),
-        (RawImu, '{"xmag": "north"}'),
-        (RawImu, '{"xmag": null}'),
-        (NamedValueFloat, "[]"),
-        (NamedValueFloat, '{"value": []}'),
-    ],
-)
-def test_json_that_is_no_message_is_none(kind: type[Message], text: str) -> None:
-    assert from_json(kind, text) is None
-
-
-def test_json_keeps_what_the_wire_keeps() -> None:
-    message = NamedValueFloat(7, "much too long a name", 0.1)
-    read = from_json(NamedValueFloat, to_json(message))
-    assert isinstance(read, NamedValueFloat)
-    assert read.name == "much too l" and read.value == pytest.approx(0.1, abs=1e-8)
-    gone = from_json(NamedValueFloat, to_json(NamedValueFloat(value=math.inf)))
-    assert isinstance(gone, NamedValueFloat) and math.isnan(gone.value)
+        open_link("mavsdk+serial:///dev/no_such_port:57600")

@@ -7,17 +7,19 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from parameter_vehicle import ParameterVehicle, PX4Vehicle, Radio, ardupilot_parameters, px4_parameters
 
 from mavcompass.errors import LinkLost, NoReply, Refused
 from mavcompass.messages import ParamRequestRead, ParamSet, ParamValue
+from mavcompass.messages.bits import bits_of_single, single_from_bits
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameters import exchange as parameter_exchange
 from mavcompass.vehicle.parameters import protocol as wire
 from mavcompass.vehicle.parameters import values
+from mavcompass.vehicle.wire import codec
 
 BAD_RADIO = {"loss": 0.3, "duplication": 0.05, "delay_s": 0.3, "jitter_s": 0.2}
 
@@ -111,14 +113,30 @@ def test_a_value_that_the_vehicle_will_not_take_is_told_with_what_it_keeps() -> 
 
 
 @given(st.integers(-(2**31), 2**31 - 1))
+@example(-1)
+@example(0x7F800001)  # a signalling NaN, which the processor's float registers quieten
+@example(-(2**31))  # minus zero
+@example(1)  # the smallest denormal
 def test_px4_integers_survive_the_trip_bit_for_bit(whole: int) -> None:
-    bits = np.int32(whole).view(np.uint32)
-    if (bits & 0x7F800000) == 0x7F800000 and bits & 0x007FFFFF and not bits & 0x00400000:
-        return  # a signalling NaN, which the processor's float registers quieten
     context = Context(system=1, component=1)
     sent = values.encode("CAL_MAG0_ROT", values.Parameter(float(whole), 6), "bytewise", context)
-    back = values.decode(ParamValue("CAL_MAG0_ROT", sent.param_value, 6), "bytewise")
+    _, payload = codec.encode(sent)
+    assert int.from_bytes(payload[:4], "little", signed=True) == whole
+    heard = codec.decode(codec.message_id(ParamSet), payload)
+    assert isinstance(heard, ParamSet)
+    back = values.decode(ParamValue("CAL_MAG0_ROT", heard.param_value, 6), "bytewise")
     assert back == values.Parameter(float(whole), 6)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_every_pattern_of_bits_is_a_float_and_back(bits: int) -> None:
+    assert bits_of_single(single_from_bits(bits)) == bits
+
+
+def test_a_large_whole_number_is_not_taken_for_its_neighbour() -> None:
+    neighbour = values.Parameter(float(2**31 - 2), 6)
+    assert not values.holds(neighbour, float(2**31 - 1), "bytewise")
+    assert values.holds(neighbour, float(2**31 - 1), "cast")  # ArduPilot's floats cannot tell them apart
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False))

@@ -1,0 +1,44 @@
+"""The bits of a 32-bit float that is no number but four bytes of something else.
+
+PX4 puts a whole-number parameter into the place of PARAM_VALUE's float. Many whole numbers are NaNs there, -1
+and its neighbours among them, and a processor's conversion between 32 and 64 bits alters the signalling ones.
+A float of 64 bits has room for all 32: here such a NaN keeps its payload.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+_SINGLE_EXPONENT, _SINGLE_PAYLOAD = 0x7F800000, 0x007FFFFF
+_DOUBLE_EXPONENT, _PAYLOAD_SHIFT, _SIGN_SHIFT = 0x7FF0000000000000, 29, 32
+_SINGLE_SIGN = 0x80000000
+
+
+def single_from_bits(bits: int) -> float:
+    """Return the float whose 32-bit form these bits (0 to 2^32 - 1) are.
+
+    >>> single_from_bits(0x40490FDB)
+    3.1415927410125732
+    """
+    payload = bits & _SINGLE_PAYLOAD
+    if bits & _SINGLE_EXPONENT != _SINGLE_EXPONENT or not payload:
+        (number,) = struct.unpack("<f", struct.pack("<I", bits))
+        return float(number)
+    wide = (bits & _SINGLE_SIGN) << _SIGN_SHIFT | _DOUBLE_EXPONENT | payload << _PAYLOAD_SHIFT
+    (number,) = struct.unpack("<d", struct.pack("<Q", wide))
+    return float(number)
+
+
+def bits_of_single(value: float) -> int:
+    """Return the bits (0 to 2^32 - 1) of a float's 32-bit form.
+
+    >>> hex(bits_of_single(single_from_bits(0x7F800001)))
+    '0x7f800001'
+    """
+    if not math.isnan(value):
+        (bits,) = struct.unpack("<I", struct.pack("<f", value))
+        return int(bits)
+    (wide,) = struct.unpack("<Q", struct.pack("<d", value))
+    payload = wide >> _PAYLOAD_SHIFT & _SINGLE_PAYLOAD
+    return wide >> _SIGN_SHIFT & _SINGLE_SIGN | _SINGLE_EXPONENT | payload
