@@ -145,11 +145,14 @@ def px4_correction(parameters: Mapping[str, float], instance: int) -> FieldCorre
         for q in ("OFF", "COMP")
     )
     matrix = rotation @ _px4_scale(parameters, instance) @ rotation.T
+    source = _MOTOR_SOURCES.get(int(parameters.get("CAL_MAG_COMP_TYP", 0.0)), "none")
+    # Gauss at full throttle, but gauss per kiloampere: that is milligauss per ampere.
+    load_mgauss = power_gauss * (1.0 if source == "current" else MGAUSS_PER_GAUSS)
     return FieldCorrection.from_matrix(
         -rotation @ offset_gauss * MGAUSS_PER_GAUSS,
         matrix,
-        motor_mgauss=matrix @ rotation @ power_gauss * MGAUSS_PER_GAUSS,
-        motor_source=_MOTOR_SOURCES.get(int(parameters.get("CAL_MAG_COMP_TYP", 0.0)), "none"),
+        motor_mgauss=matrix @ rotation @ load_mgauss,
+        motor_source=source,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
@@ -9,6 +10,9 @@ import numpy as np
 import pytest
 from ulog_builder import ULogFile
 
+from mavcompass.calibration.calibrate import calibrate_track
+from mavcompass.calibration.result import heading_change_rad
+from mavcompass.compass_parameters import px4_correction
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.logs import read_track
 
@@ -62,6 +66,74 @@ def test_a_rotation_that_nobody_knows_falls_back_to_the_corrected_field(tmp_path
     assert any("no known rotation" in note for note in track.notes)
     np.testing.assert_allclose(track.compasses[2].reported.values[0], [-20.0, 0.0, -400.0], atol=1e-5)
     assert not track.compasses[2].correction_known
+
+
+def flight(path: Path, raw_every: int = 14, learnt_gauss: float = 0.0) -> Path:
+    """Log a compass whose calibration is written in flight, at 3 s, and taken over on the ground, at 4 s."""
+    log = ULogFile()
+    log.topic(
+        "sensor_mag", "uint64_t timestamp_sample", "uint32_t device_id", "float x", "float y", "float z"
+    )
+    log.topic(
+        "vehicle_magnetometer",
+        "uint64_t timestamp_sample",
+        "uint32_t device_id",
+        "float[3] magnetometer_ga",
+        "uint8_t calibration_count",
+    )
+    log.topic(
+        "magnetometer_bias_estimate",
+        "float[4] bias_x",
+        "float[4] bias_y",
+        "float[4] bias_z",
+        "uint8_t[4] valid",
+    )
+    log.parameter("CAL_MAG0_ID", 55).parameter("CAL_MAG0_ROT", -1)
+    for axis, old in zip("XYZ", (0.1, 0.0, 0.0), strict=True):
+        log.parameter(f"CAL_MAG0_{axis}OFF", old).parameter(f"CAL_MAG0_{axis}SCALE", 1.0)
+    if learnt_gauss:
+        log.add("magnetometer_bias_estimate", 900_000, *[learnt_gauss] * 4, *[0.0] * 8, *[1] * 4)
+    for n in range(70):
+        now = 1_000_000 + n * 71_429
+        if n == 28:
+            log.parameter("CAL_MAG0_XOFF", 0.3).parameter("CAL_MAG0_YSCALE", 2.0)
+        x = 0.4 + 0.001 * n
+        in_force, bias = ((0.3, 2.0), 0.0) if n >= 42 else ((0.1, 1.0), learnt_gauss)
+        if n % raw_every == 0:
+            log.add("sensor_mag", now + 500, now, 55, x, 0.02, -0.4)
+        corrected = (x - in_force[0] - bias, in_force[1] * 0.02, -0.4)
+        log.add("vehicle_magnetometer", now + 900, now, 55, *corrected, 7 + (n >= 42))
+    return log.write(path)
+
+
+@pytest.mark.parametrize("learnt_gauss", [0.0, 0.05])
+def test_where_raw_readings_are_sparse_the_corrected_ones_are_undone(
+    tmp_path: Path, learnt_gauss: float
+) -> None:
+    track = read_track(flight(tmp_path / "a.ulg", learnt_gauss=learnt_gauss))
+    (compass,) = track.compasses.values()
+    assert len(compass.reported) == 70 and compass.correction_known and compass.device_id == 55
+    expected = [[400.0 + n, 20.0, -400.0] for n in range(70)]
+    np.testing.assert_allclose(track.raw_field(1), expected, atol=1e-3)
+    # Written in flight, in force on the ground.
+    assert [round(step.from_s, 3) for step in compass.in_force[1:]] == [round(1.0 + 42 * 0.071429, 3)]
+
+
+def test_raw_readings_that_are_dense_enough_are_taken_as_they_are(tmp_path: Path) -> None:
+    track = read_track(flight(tmp_path / "a.ulg", raw_every=2))
+    assert len(track.compasses[1].reported) == 35 and len(track.compasses[1].in_force) == 1
+
+
+def test_the_recorded_hover_gives_what_was_found_live(shared_data: Path) -> None:
+    folder = shared_data / "px4-1.16"
+    live = json.loads((folder / "copter_four_positions.json").read_text())["live_result"]
+    whole = read_track(folder / "copter_four_positions.ulg")
+    found = calibrate_track(whole.between(48.0, 1e9), "four-positions")  # the iron was put in before
+    assert found.accepted and found.heading_sigma_deg < 0.3
+    change_rad = heading_change_rad(
+        px4_correction(live, 1), found.correction, found.horizontal_mgauss, found.vertical_mgauss
+    )
+    assert np.degrees(np.sqrt((change_rad**2).mean())) < 0.3
 
 
 def test_every_value_of_the_recorded_flight_equals_pyulogs(shared_data: Path) -> None:

@@ -123,3 +123,14 @@ def test_device_ids_are_not_written() -> None:
     assert "firmware's own" in DIALECT.plan_values(px4_parameters(), {"CAL_MAG0_ID": 1.0}).refusals[0]
     planned = DIALECT.plan_values(px4_parameters(), {"CAL_MAG0_PRIO": 75.0})
     assert [c.name for c in planned.changes] == ["CAL_MAG0_PRIO"] and not planned.refusals
+
+
+def test_a_motors_field_is_told_per_kiloampere_or_at_full_throttle() -> None:
+    # 10 A of 0.5 G/kA are 5 mG; half the throttle of 0.5 G is 250 mG.
+    raw, load = np.array([[200.0, 0.0, 400.0]]), {2.0: 10.0, 1.0: 0.5}
+    for kind, felt_mgauss in ((2.0, 5.0), (1.0, 250.0)):
+        held = px4_parameters(CAL_MAG_COMP_TYP=kind, CAL_MAG0_XCOMP=0.5, CAL_MAG0_XOFF=0.0)
+        found = DIALECT.correction(held, 1)
+        without = DIALECT.correction({**held, "CAL_MAG_COMP_TYP": 0.0}, 1)
+        moved = found.apply(raw, np.array([load[kind]])) - without.apply(raw)
+        assert np.linalg.norm(moved) == pytest.approx(felt_mgauss, rel=0.02)

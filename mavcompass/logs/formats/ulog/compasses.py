@@ -3,6 +3,9 @@
 Since 1.11 `sensor_mag` is what the sensor measured, in its own axes and uncorrected, and
 `vehicle_magnetometer` the corrected field in body axes. Before, `sensor_mag` (with a field x_raw) was
 corrected by the driver, and `sensor_combined` carried the chosen compass, corrected, in body axes.
+
+The logger's default is one `sensor_mag` a second, too slow for a vehicle that turns, and fourteen
+`vehicle_magnetometer`. There the corrections are undone: see `in_force`.
 """
 
 from __future__ import annotations
@@ -11,20 +14,26 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.compass_parameters import px4_name, px4_rotation
 from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
 from mavcompass.logs.common import Change, finite_series, px4_steps, unknown_correction
+from mavcompass.logs.formats.ulog.in_force import estimated_bias_mgauss, taken_over
 from mavcompass.logs.formats.ulog.topics import has, indexed, time_s, vector
 from mavcompass.track import InForce, MagSeries
 from mavcompass.units import MGAUSS_PER_GAUSS
 
-MAG_TOPICS = ("sensor_mag", "vehicle_magnetometer", "sensor_combined")
+MAG_TOPICS = ("sensor_mag", "vehicle_magnetometer", "sensor_combined", "magnetometer_bias_estimate")
+BoolArray = NDArray[np.bool_]
+
 _FIELD = indexed("magnetometer_ga")
 _SLOTS = 4
 _NO_NEW_SAMPLE = 0x7FFFFFFF
 _MICRO = 1.0e-6
+# So many times as many readings make the corrected field the better one to begin with.
+_DENSER = 3.0
 
 
 def compasses(
@@ -50,43 +59,69 @@ def compasses(
             found[instance] = MagSeries(
                 instance, reported, (InForce(-np.inf, IDENTITY),), True, device_id=device_id
             )
-    if found:
-        return found, notes
     for data in topics.get("vehicle_magnetometer", ()):
         if has(data, *_FIELD):
-            _add_corrected(found, data, time_s(data), _device_id(data), history, parameters)
-    if not found:
-        for data in topics.get("sensor_combined", ())[:1]:
-            if has(data, *_FIELD):
-                prime = parameters.get("CAL_MAG_PRIME")
-                _add_corrected(
-                    found,
-                    data,
-                    _combined_time_s(data),
-                    None if prime is None else int(prime),
-                    history,
-                    parameters,
-                )
+            for device_id in _device_ids(data):
+                _add_denser(found, topics, data, device_id, history, parameters)
+    if found:
+        notes += [unknown_correction(i) for i, compass in found.items() if not compass.correction_known]
+        return found, notes
+    for data in topics.get("sensor_combined", ())[:1]:
+        if has(data, *_FIELD):
+            prime = parameters.get("CAL_MAG_PRIME")
+            device = None if prime is None else int(prime)
+            instance = _instance(device, parameters, found)
+            times = _combined_time_s(data)
+            reported = finite_series(
+                times,
+                vector(data, *_FIELD) * np.where(np.isfinite(times), MGAUSS_PER_GAUSS, np.nan)[:, None],
+            )
+            if reported is not None:
+                steps, known = px4_steps(history, instance)
+                found[instance] = MagSeries(instance, reported, steps, known, device_id=device)
     notes += [unknown_correction(i) for i, compass in found.items() if not compass.correction_known]
     return found, notes
 
 
-def _add_corrected(
+def _add_denser(
     found: dict[int, MagSeries],
+    topics: Mapping[str, Sequence[Any]],
     data: Any,
-    times: FloatArray,
     device_id: int | None,
     history: Sequence[Change],
     parameters: Mapping[str, float],
 ) -> None:
-    instance = _instance(device_id, parameters, found)
-    reported = finite_series(
-        times, vector(data, *_FIELD) * np.where(np.isfinite(times), MGAUSS_PER_GAUSS, np.nan)[:, None]
-    )
-    if reported is None:
+    """Add a compass by its corrected field, in place of its raw readings where these are much sparser."""
+    rows = _rows_of(data, device_id)
+    instance = next((i for i, compass in found.items() if compass.device_id == device_id), None)
+    if instance is None:
+        instance = _instance(device_id, parameters, found)
+    elif np.count_nonzero(rows) < _DENSER * len(found[instance].reported):
         return
-    steps, known = px4_steps(history, instance)
-    found[instance] = MagSeries(instance, reported, steps, known, device_id=device_id)
+    times = time_s(data)[rows]
+    taken = history
+    field_mgauss = vector(data, *_FIELD)[rows] * MGAUSS_PER_GAUSS
+    if has(data, "calibration_count"):
+        counts = np.asarray(data.data["calibration_count"])[rows]
+        taken = taken_over(history, px4_name("", instance), times, counts)
+        field_mgauss = field_mgauss + estimated_bias_mgauss(topics, device_id, times, counts)
+    reported = finite_series(times, field_mgauss)
+    if reported is not None:
+        steps, known = px4_steps(taken, instance)
+        found[instance] = MagSeries(instance, reported, steps, known, device_id=device_id)
+
+
+def _device_ids(data: Any) -> list[int | None]:
+    """List the sensors whose readings a topic carries: PX4 may change from one to another."""
+    ids = data.data.get("device_id")
+    return [None] if ids is None or not len(ids) else list(dict.fromkeys(int(i) for i in ids))
+
+
+def _rows_of(data: Any, device_id: int | None) -> BoolArray:
+    count = len(data.data["timestamp"])
+    if device_id is None:
+        return np.ones(count, dtype=np.bool_)
+    return np.asarray(np.asarray(data.data["device_id"]) == device_id, dtype=np.bool_)
 
 
 def _device_id(data: Any) -> int | None:
