@@ -179,11 +179,11 @@ def _sentences(rows: Sequence[Row], chosen: Callable[[Row], bool]) -> tuple[tupl
     return tuple(said.items())
 
 
-def _slowest(rows: Sequence[Row], most: int = 3) -> tuple[tuple[str, float], ...]:
+def _slowest(rows: Sequence[Row]) -> tuple[tuple[str, float], ...]:
     seconds: dict[str, float] = defaultdict(float)
     for row in rows:
         seconds[row["recording"]] += row.get("seconds") or 0.0
-    return tuple(sorted(seconds.items(), key=lambda item: -item[1])[:most])
+    return tuple(sorted(seconds.items(), key=lambda item: -item[1])[:3])
 
 
 def counted(number: int, thing: str) -> str:

@@ -29,14 +29,14 @@ def nice_ticks(low: float, high: float, count: int = 5) -> list[float]:
     return [round(k * step, 10) for k in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
-def limits(*values: ArrayLike, margin: float = 0.06, least: float = 0.0) -> tuple[float, float]:
+def limits(*values: ArrayLike, least: float = 0.0) -> tuple[float, float]:
     """Return an axis's range that holds all finite values, at least `least` long."""
     everything = np.concatenate([np.ravel(np.asarray(v, dtype=np.float64)) for v in values])
     finite = everything[np.isfinite(everything)]
     if not finite.size:
         return (0.0, 1.0)
     low, high = float(finite.min()), float(finite.max())
-    spare = max(least - (high - low), 0.0) / 2.0 + margin * max(high - low, least, 1e-9)
+    spare = max(least - (high - low), 0.0) / 2.0 + 0.06 * max(high - low, least, 1e-9)
     return (low - spare, high + spare)
 
 
@@ -81,7 +81,7 @@ class Plot:
         low, high = self.y_range
         return self.height - _BOTTOM - (value - low) / (high - low) * (self.height - _TOP - _BOTTOM)
 
-    def line(self, x: ArrayLike, y: ArrayLike, css: str, close: bool = False) -> None:
+    def line(self, x: ArrayLike, y: ArrayLike, css: str) -> None:
         """Draw a line through points; it is broken where a value is not finite."""
         path, pen_down = [], False
         for px, py in self._pixels(x, y):
@@ -91,8 +91,7 @@ class Plot:
             path.append(f"{'L' if pen_down else 'M'}{px:.1f} {py:.1f}")
             pen_down = True
         if path:
-            end = "Z" if close else ""
-            self._pieces.append(f'<path class="line {css}" d="{"".join(path)}{end}"/>')
+            self._pieces.append(f'<path class="line {css}" d="{"".join(path)}"/>')
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, css: str) -> None:
         """Fill between two lines."""
@@ -116,10 +115,10 @@ class Plot:
             f'<circle class="line {css}" cx="{self.x(x):.1f}" cy="{self.y(y):.1f}" r="{pixels:.1f}"/>'
         )
 
-    def text(self, x: float, y: float, words: str, css: str = "", dx: float = 0.0, dy: float = 0.0) -> None:
+    def text(self, x: float, y: float, words: str, dx: float = 0.0, dy: float = 0.0) -> None:
         """Write words at a point."""
         at = f'x="{self.x(x) + dx:.1f}" y="{self.y(y) + dy:.1f}"'
-        self._pieces.append(f'<text class="mark {css}" {at}>{escape(words)}</text>')
+        self._pieces.append(f'<text class="mark" {at}>{escape(words)}</text>')
 
     def render(self) -> str:
         """Return the whole element."""
@@ -159,12 +158,12 @@ def _about_middle(span: tuple[float, float], length: float) -> tuple[float, floa
     return (middle - length / 2.0, middle + length / 2.0)
 
 
-def bars(rows: Sequence[tuple[str, float]], unit: str, title: str, width: float = 420.0) -> str:
+def bars(rows: Sequence[tuple[str, float]], unit: str, title: str) -> str:
     """Draw one horizontal bar per row, longest first given, with its value beside it."""
     known = [(name, value) for name, value in rows if math.isfinite(value)]
     if not known:
         return ""
-    step, left, right = 26.0, 128.0, 76.0
+    width, step, left, right = 420.0, 26.0, 128.0, 76.0
     most = max(value for _, value in known) or 1.0
     pieces = []
     for k, (name, value) in enumerate(known):

@@ -44,9 +44,7 @@ class Service:
         address: host and port of the page, known once it listens. token: the secret.
     """
 
-    def __init__(
-        self, config: ServiceConfig, open_link: OpenLink | None = None, notifier: Notifier | None = None
-    ) -> None:
+    def __init__(self, config: ServiceConfig, open_link: OpenLink | None = None) -> None:
         """Open files and port. Raises UsageError or MavCompassError where that cannot be done."""
         self.config = config
         self.token = load_token(config.token_file)
@@ -55,7 +53,7 @@ class Service:
         self.history = History(config.folder / "history.db")
         self.station = Station(config, self.history, open_link or link_opener(config))
         self.gaps = Gaps(config, self.history)
-        self._notifier = notifier or Notifier()
+        self._notifier = Notifier()
         self._beat = (-1, 0.0)
         self._stopping: asyncio.Event | None = None
         self._loop: asyncio.AbstractEventLoop | None = None

@@ -38,6 +38,7 @@ _HEARTBEAT_EVERY_S = 1.0
 _MEET_AGAIN_S = 10.0
 _JUDGE_EVERY_S = 60.0
 _REOPEN_S = 0.5
+_PATIENCE_S = 15.0
 
 OpenLink = Callable[[], Link]
 
@@ -76,11 +77,11 @@ class Station:
         """Open the link and begin."""
         self._thread.start()
 
-    def stop(self, patience_s: float = 15.0) -> bool:
+    def stop(self) -> bool:
         """End: a procedure is stopped safely first. False where the thread did not end in time."""
         self.desk.close("The service is stopping.")
         self._ending.reason = "The service is stopping."
-        self._thread.join(patience_s)
+        self._thread.join(_PATIENCE_S)
         if self._publisher is not None:
             self._publisher.close()
         return not self._thread.is_alive()

@@ -24,19 +24,18 @@ def heading_errors_rad(
     correction: FieldCorrection | None = None,
     roll_rad: float = 0.0,
     pitch_rad: float = 0.0,
-    headings: int = 72,
 ) -> FloatArray:
     """Return the heading error of a correction (by default the one in force) on the whole circle.
 
-    The vehicle is held at `headings` equal steps and a tilt, at its present current and temperature. The
+    The vehicle is held at 72 equal steps and a tilt, at its present current and temperature. The
     reading is free of noise (that of effects, which may be random, excepted); the tilt and the
     declination are known exactly.
     """
-    yaw = np.linspace(-math.pi, math.pi, headings, endpoint=False)
+    yaw = np.linspace(-math.pi, math.pi, 72, endpoint=False)
     rotation = euler_to_matrix(roll_rad, pitch_rad, yaw)
     raw = raw_readings(vehicle, instance, rotation)
     chosen = vehicle.firmware.compasses.correction(instance) if correction is None else correction
-    load = np.full(headings, vehicle.board.surroundings().current_a)
+    load = np.full(yaw.size, vehicle.board.surroundings().current_a)
     field = chosen.apply(raw, load if chosen.motor_source == "current" else None)
     level = rotate(euler_to_matrix(roll_rad, pitch_rad, 0.0), field)
     found = np.arctan2(-level[:, 1], level[:, 0]) + vehicle.world.declination_rad
@@ -44,14 +43,10 @@ def heading_errors_rad(
 
 
 def heading_error_rms_deg(
-    vehicle: SimulatedAutopilot,
-    instance: int = 1,
-    correction: FieldCorrection | None = None,
-    roll_rad: float = 0.0,
-    pitch_rad: float = 0.0,
+    vehicle: SimulatedAutopilot, instance: int = 1, correction: FieldCorrection | None = None
 ) -> float:
     """Return the rms heading error over the whole circle, degrees; see `heading_errors_rad`."""
-    errors = heading_errors_rad(vehicle, instance, correction, roll_rad, pitch_rad)
+    errors = heading_errors_rad(vehicle, instance, correction)
     return float(np.degrees(np.sqrt(np.mean(errors**2))))
 
 

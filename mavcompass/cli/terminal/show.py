@@ -41,10 +41,9 @@ class PlainShow:
     Prompts that change all the time ("Turn right 34 deg more.") are printed once a second.
     """
 
-    def __init__(self, told_later: Container[str] = (), clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, told_later: Container[str] = ()) -> None:
         self._told_later = told_later
         self._last = ""
-        self._clock = clock
         self._prompted_s = -math.inf
 
     def __call__(self, show: Show) -> None:
@@ -52,7 +51,7 @@ class PlainShow:
         if show.text == self._last or (show.step in self._told_later and show.fraction is not None):
             return
         if _has(show, "live"):
-            now_s = self._clock()
+            now_s = time.monotonic()
             if now_s - self._prompted_s < _PROMPT_EVERY_S:
                 return
             self._prompted_s = now_s

@@ -192,7 +192,7 @@ class Api:
 
     async def history(self, query: HistoryQuery) -> Response:
         entries = await run_in_threadpool(
-            self._history.entries, query.kind, None, query.device, query.before, query.limit
+            self._history.entries, query.kind, query.device, query.before, query.limit
         )
         return JSONResponse({"entries": [entry.head() for entry in entries]})
 

@@ -157,7 +157,6 @@ class History:
     def entries(
         self,
         kind: Kind | None = None,
-        vehicle: str | None = None,
         device: int | None = None,
         before: int | None = None,
         limit: int = 50,
@@ -165,7 +164,7 @@ class History:
         """List entries, newest first; `before` an entry's number continues a list."""
         conditions: list[str] = []
         values: list[object] = []
-        for column, value in (("kind = ?", kind), ("vehicle = ?", vehicle), ("id < ?", before)):
+        for column, value in (("kind = ?", kind), ("id < ?", before)):
             if value is not None:
                 conditions.append(column)
                 values.append(value)

@@ -77,9 +77,9 @@ class Hand:
         )
 
 
-def four_turns(seed: int, tilt_rad: float = math.radians(2.0)) -> tuple[HandMove, ...]:
+def four_turns(seed: int) -> tuple[HandMove, ...]:
     """Draw what a person makes of "four turns of 90 degrees": each 8 degrees off or so, hardly level."""
-    rng = generator(seed, "hand")
+    rng, tilt_rad = generator(seed, "hand"), math.radians(2.0)
     return tuple(
         HandMove(
             turn_rad=math.radians(90.0 + 8.0 * float(rng.standard_normal())),

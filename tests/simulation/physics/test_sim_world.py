@@ -106,7 +106,7 @@ def test_hard_iron_bends_the_heading_as_geometry_says():
     plain = FieldCorrection()
     v = SimulatedAutopilot("rover", compasses=[CompassSetup(CompassModel(plain), plain)] * 3)
     h = v.world.horizontal_mgauss
-    errors = heading_errors_rad(v, 1, FieldCorrection((0.5 * h, 0.0, 0.0)), headings=72)
+    errors = heading_errors_rad(v, 1, FieldCorrection((0.5 * h, 0.0, 0.0)))
     magnetic = np.linspace(-math.pi, math.pi, 72, endpoint=False) - v.world.declination_rad
     expected = np.arctan2(np.sin(magnetic), np.cos(magnetic) + 0.5) - magnetic
     np.testing.assert_allclose(np.exp(1j * errors), np.exp(1j * expected), atol=1e-9)
