@@ -51,12 +51,12 @@ def serving(
         yield server, port_of(transport)
     finally:
         stop.reason = "The test is over."
-        thread.join(5.0)
+        thread.join(30.0)
         transport.close()
     assert not thread.is_alive() and not errors, errors
 
 
-def hear(link: Link, kind: type[Message], timeout_s: float = 3.0) -> Message:
+def hear(link: Link, kind: type[Message], timeout_s: float = 30.0) -> Message:
     """Wait for a message of this kind."""
     end_s = link.now() + timeout_s
     while link.now() < end_s:
