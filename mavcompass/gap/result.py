@@ -21,7 +21,8 @@ SCHEMA = "mavcompass.gap/1"
 class Cause:
     """Hold one named effect: its parameters, their 95 % intervals, how probable, what else it may be.
 
-    `separation` is how many sigmas its best rival falls short; `removes_mgauss` the rms it explains.
+    `separation` is how many sigmas its best rival falls short; `removes_mgauss` and `removes_deg` are the
+    rms of field and heading that it explains.
     """
 
     effect: str
@@ -31,6 +32,7 @@ class Cause:
     ambiguous_with: tuple[str, ...]
     separation: float | None = None
     removes_mgauss: float = 0.0
+    removes_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,6 +250,7 @@ def _cause(cause: Cause) -> dict[str, object]:
         "ambiguous_with": list(cause.ambiguous_with),
         "separation": cause.separation,
         "removes_mgauss": cause.removes_mgauss,
+        "removes_deg": cause.removes_deg,
     }
 
 

@@ -151,6 +151,24 @@ def _bar(x: float, top: float, height: float, css: str) -> str:
     return f'<rect class="fall {css}" x="{x}" y="{top:.1f}" width="76" height="{height:.1f}" rx="3"/>'
 
 
+def levels_figure(levels: Sequence[tuple[str, float, str]], floor: float, unit: str) -> str:
+    """Draw named levels (name, rms, class) as bars on one scale, and the floor as a line."""
+    top = max([level for _, level, _ in levels] + [floor, 1e-9]) * 1.12
+    width, base = 128.0, 170.0
+    pieces = []
+    for k, (name, level, css) in enumerate(levels):
+        x, y = 60.0 + k * width, base - level / top * (base - 14.0)
+        pieces.append(_bar(x, y, base - y, css))
+        pieces.append(f'<text class="mark mid" x="{x + 38}" y="{y - 4:.1f}">{level:.2f} {unit}</text>')
+        pieces.append(f'<text class="tick" x="{x + 38}" y="{base + 14}">{escape(name)}</text>')
+    y, end = base - floor / top * (base - 14.0), 40.0 + width * len(levels)
+    pieces.append(f'<line class="floor" x1="52" x2="{end}" y1="{y:.1f}" y2="{y:.1f}"/>')
+    pieces.append(f'<text class="tick side" x="48" y="{y:.1f}" dy="0.32em">floor</text>')
+    return (
+        f'<svg viewBox="0 0 {end + 10} 196" role="img" aria-label="the gap, {unit}">{"".join(pieces)}</svg>'
+    )
+
+
 def spectrum_figure(picture: Picture) -> str:
     """Draw the spectrum of what is left, in units of the floor's (1: white noise at the floor)."""
     step = float(np.median(np.diff(picture.time_s)))

@@ -63,7 +63,8 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     named = answer.named
     causes = named_causes(identified, named)
     if answer.verdict != "unknown":
-        causes += trace_causes(scatter, evidence.stale_share, evidence.step_mgauss)
+        level = max(float(np.hypot(*evidence.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
+        causes += trace_causes(scatter, evidence.stale_share, evidence.step_mgauss, level)
     causes += evidence.faults
     bars: tuple[Bar, ...] = ()
     if 1 <= len(named.terms) <= _MOST_SHAPLEY:

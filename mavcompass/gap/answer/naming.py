@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mavcompass.gap.fit import Fit, Problem, make_term
-from mavcompass.gap.left import Scatter, rms
+from mavcompass.gap.left import Scatter, apart
 from mavcompass.gap.result import Cause
 from mavcompass.gap.selection import Identified, between_rows
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
@@ -16,8 +18,9 @@ def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
     weights = dict(identified.found.weights)
     own = weights.get(fit.ids, 1.0)
     problem = identified.problem
-    measured = problem.replay.measured.mag_mgauss[problem.index]
-    after = rms(measured - problem.predict(fit).mag_mgauss[problem.index])
+    replay, rows = problem.replay, problem.index
+    measured = replay.measured.mag_mgauss
+    after = apart(replay, measured, problem.predict(fit).mag_mgauss, rows)
     out = []
     at = sum(n.mean.size for n in problem.nuisances)
     for i, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
@@ -27,7 +30,8 @@ def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
         if block.shape == (index.size, index.size):
             sigma[index] = np.sqrt(np.maximum(np.diag(block), 0.0))
         at += index.size
-        left = rms(measured - problem.predict(fit.without(i)).mag_mgauss[problem.index])
+        left = apart(replay, measured, problem.predict(fit.without(i)).mag_mgauss, rows)
+        field, heading = (math.sqrt(max(a**2 - b**2, 0.0)) for a, b in zip(left, after, strict=True))
         others = sorted(
             {e for ids, _ in identified.found.weights if term.effect.id not in ids for e in ids - fit.ids}
         )
@@ -45,7 +49,8 @@ def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
                 probability=sum(w for ids, w in weights.items() if term.effect.id in ids) or own,
                 ambiguous_with=tuple(others),
                 separation=_separation(identified, fit, term.effect.id),
-                removes_mgauss=float(np.sqrt(max(left**2 - after**2, 0.0))),
+                removes_mgauss=field,
+                removes_deg=heading,
             )
         )
     return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
@@ -69,14 +74,20 @@ def _separation(identified: Identified, fit: Fit, effect_id: str) -> float | Non
     return float(np.sqrt(max(min(rivals) - fit.sse, 0.0))) if rivals else None
 
 
-def trace_causes(scatter: Scatter | None, stale_share: float, step_mgauss: float) -> tuple[Cause, ...]:
-    """Describe effects that were found by their scatter or by an exact trace."""
+def trace_causes(
+    scatter: Scatter | None, stale_share: float, step_mgauss: float, level_mgauss: float
+) -> tuple[Cause, ...]:
+    """Describe effects that were found by their scatter or by an exact trace, in a level field."""
     found = []
     if scatter is not None:
         name = "sigma_s" if scatter.effect == "timestamp_jitter" else "sigma_mgauss"
-        found.append((scatter.effect, name, scatter.size))
+        size = scatter.size if name == "sigma_mgauss" else 0.0
+        found.append((scatter.effect, name, scatter.size, size))
     if stale_share > 0.0:
-        found.append(("stale_samples", "fraction", stale_share))
+        found.append(("stale_samples", "fraction", stale_share, 0.0))
     if step_mgauss > 0.0:
-        found.append(("quantisation", "step_mgauss", step_mgauss))
-    return tuple(Cause(e, {n: v}, {n: (v, v)}, 1.0, ()) for e, n, v in found)
+        found.append(("quantisation", "step_mgauss", step_mgauss, step_mgauss / math.sqrt(12.0)))
+    return tuple(
+        Cause(e, {n: v}, {n: (v, v)}, 1.0, (), None, size, math.degrees(size / level_mgauss))
+        for e, n, v, size in found
+    )

@@ -1,0 +1,207 @@
+"""Compare a simulator's recording with a vehicle's: which effects each lacks, and how far that gap closed.
+
+The simulator's recording teaches what the simulator makes of a healthy vehicle: its noise, its lag, the iron
+and the calibration that it flies with. What the vehicle's recording shows beyond that, the simulator lacks.
+Seen the other way round, the vehicle lacks what the simulator's recording shows beyond the vehicle's: too
+much noise, a lag. Flown again with what was found, the simulator is asked anew: what it promised, and what
+it reached.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.diagnose import diagnose_gap
+from mavcompass.gap.result import Cause, Closing, Diagnosis
+from mavcompass.simulation.effects import get
+from mavcompass.track import Track
+
+SCHEMA = "mavcompass.gap-compare/1"
+Lacks = Literal["simulator", "vehicle"]
+_EXPLAINED = ("named", "ambiguous", "named_with_remainder")
+_BLOCK_S, _FEWEST_BLOCKS, _RESAMPLES, _SEED = 2.0, 6, 2000, 11
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Hold an effect that one of the two has and the other lacks."""
+
+    cause: Cause
+    lacks: Lacks
+
+
+@dataclass(frozen=True, slots=True)
+class Achieved:
+    """Hold how far the gap closed when the simulator was flown again, in the field.
+
+    Attributes:
+        path: the simulator's recording. again: the vehicle beside the simulator as it was flown again.
+        shrink: 1 - (left^2 - floor^2) / (gap^2 - floor^2), as promised ones are counted; its 95 % interval.
+        heading_shrink: the same in the heading.
+    """
+
+    path: str
+    again: Diagnosis
+    shrink: float
+    ci95: tuple[float, float]
+    heading_shrink: float
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Hold both directions of a comparison, and what flying again achieved.
+
+    Attributes:
+        vehicle: the vehicle beside the simulator; simulator: the simulator beside the vehicle.
+        differences: what each lacks, the largest first.
+        achieved: one for each recording of the simulator flown again.
+    """
+
+    vehicle: Diagnosis
+    simulator: Diagnosis
+    differences: tuple[Difference, ...]
+    achieved: tuple[Achieved, ...] = ()
+
+    @property
+    def told(self) -> Diagnosis:
+        """Return the direction that explains the gap: the vehicle's unless only the simulator's does."""
+        lacking = {difference.lacks for difference in self.differences}
+        return self.simulator if lacking == {"vehicle"} else self.vehicle
+
+    def to_json(self) -> dict[str, object]:
+        """Return the document `mavcompass.gap-compare/1`, plain values only."""
+        told = self.told.to_json()
+        field = self.told.field
+        return {
+            "schema": SCHEMA,
+            "simulator": self.simulator.to_json()["log"],
+            "vehicle": self.vehicle.to_json()["log"],
+            "verdict": self.told.verdict,
+            "differences": [_difference(d) for d in self.differences],
+            "where": told["where"],
+            "gap": told["gap"],
+            "unknown": told["unknown"],
+            "not_testable": told["not_testable"],
+            "promised": {"shrink": field.shrink, "ci95": list(field.shrink_ci95)},
+            "achieved": _achieved(self.achieved[-1]) if self.achieved else None,
+            "flights": [_achieved(one) for one in self.achieved],
+            "seconds": sum(d.seconds for d in (self.vehicle, self.simulator, *_agains(self.achieved))),
+        }
+
+
+def compare(
+    simulator: Track,
+    vehicle: Track,
+    again: Sequence[Track] = (),
+    instance: int = 1,
+    progress: Callable[[str], None] = lambda doing: None,
+) -> Comparison:
+    """Tell what a simulator lacks beside a vehicle, and the vehicle beside it; judge flights `again`.
+
+    Trajectory, place and rates may differ. Raises BadRecording where there is too little to compare.
+    """
+    progress("the vehicle beside the simulator")
+    forth = diagnose_gap(vehicle, simulator, instance=instance, progress=progress)
+    progress("the simulator beside the vehicle")
+    back = diagnose_gap(simulator, vehicle, instance=instance, progress=progress)
+    differences = _differences(forth, back)
+    achieved = []
+    for track in again:
+        progress("the simulator flown again")
+        closer = diagnose_gap(vehicle, track, instance=instance, progress=progress)
+        achieved.append(_reached(track.source, forth, closer))
+    return Comparison(forth, back, differences, tuple(achieved))
+
+
+def _differences(forth: Diagnosis, back: Diagnosis) -> tuple[Difference, ...]:
+    """Collect what each lacks; what shows both ways, with either sign, is counted as the simulator's."""
+    found = [Difference(cause, "simulator") for cause in _causes(forth)]
+    known = forth.effects | {alias for e in forth.effects for alias in get(e).aliases}
+    alone = not found
+    for cause in _causes(back):
+        if alone or (_amount(cause) and cause.effect not in known):
+            found.append(Difference(cause, "vehicle"))
+    return tuple(sorted(found, key=lambda d: -d.cause.removes_mgauss))
+
+
+def _causes(diagnosis: Diagnosis) -> Iterable[Cause]:
+    return diagnosis.causes if diagnosis.verdict in _EXPLAINED else ()
+
+
+def _amount(cause: Cause) -> bool:
+    """Tell whether a cause is an amount, which cannot be negative: there may only be more of it."""
+    parameters = {p.name: p for p in get(cause.effect).parameters}
+    return all(parameters[name].low >= 0.0 for name in cause.parameters)
+
+
+def _reached(path: str, before: Diagnosis, again: Diagnosis) -> Achieved:
+    """Measure how far the gap closed on the held-out parts of the vehicle's recording."""
+    first, second = _squares(before), _squares(again)
+    blocks = sorted(first.keys() & second.keys())
+    sums = np.array([(*first[b], *second[b]) for b in blocks]).reshape(-1, 4)
+    interval = (math.nan, math.nan)
+    if len(blocks) >= _FEWEST_BLOCKS:
+        picks = np.random.default_rng(_SEED).integers(len(blocks), size=(_RESAMPLES, len(blocks)))
+        gap, gap_count, left, left_count = sums[picks].sum(axis=1).T
+        gap2 = gap / gap_count - before.field.floor**2
+        left2 = left / left_count - again.field.floor**2
+        values = 1.0 - left2[gap2 > 0.0] / gap2[gap2 > 0.0]
+        if values.size:
+            low, high = np.quantile(values, [0.025, 0.975]).tolist()
+            interval = (min(max(low, -1.0), 1.0), min(high, 1.0))
+    of_field, of_heading = _shrink(before.field, again.field), _shrink(before.heading, again.heading)
+    return Achieved(path, again, of_field, interval, of_heading)
+
+
+def _shrink(before: Closing, again: Closing) -> float:
+    """Return the share of the excess over the floor that is gone; each beside the floor of its flight."""
+    excess = before.nominal**2 - before.floor**2
+    left = max(again.nominal**2 - again.floor**2, 0.0)
+    return 1.0 - left / excess if excess > 0.0 else 0.0
+
+
+def _squares(diagnosis: Diagnosis) -> dict[int, tuple[float, float]]:
+    """Return sum and count of the squared held-out residual without effects, by block of time."""
+    picture = diagnosis.picture
+    assert picture is not None
+    rows = np.flatnonzero(picture.test)
+    squares: FloatArray = np.sum(picture.before_mgauss[rows] ** 2, axis=1)
+    block = np.floor(picture.time_s[rows] / _BLOCK_S).astype(np.int64)
+    return {
+        int(b): (float(squares[block == b].sum()), 3.0 * float((block == b).sum())) for b in np.unique(block)
+    }
+
+
+def _agains(achieved: Sequence[Achieved]) -> list[Diagnosis]:
+    return [one.again for one in achieved]
+
+
+def _difference(difference: Difference) -> dict[str, object]:
+    cause = difference.cause
+    return {
+        "effect": cause.effect,
+        "lacks": difference.lacks,
+        "parameters": dict(cause.parameters),
+        "ci95": {name: list(ends) for name, ends in cause.ci95.items()},
+        "probability": cause.probability,
+        "ambiguous_with": list(cause.ambiguous_with),
+        "field_rms_mgauss": cause.removes_mgauss,
+        "heading_rms_deg": cause.removes_deg,
+    }
+
+
+def _achieved(achieved: Achieved) -> dict[str, object]:
+    return {
+        "path": achieved.path,
+        "shrink": achieved.shrink,
+        "ci95": list(achieved.ci95),
+        "heading_shrink": achieved.heading_shrink,
+        "field_rms_mgauss": {"left": achieved.again.field.nominal, "floor": achieved.again.field.floor},
+        "heading_rms_deg": {"left": achieved.again.heading.nominal, "floor": achieved.again.heading.floor},
+    }

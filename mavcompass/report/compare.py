@@ -1,0 +1,69 @@
+"""The report of a comparison of simulator and vehicle: one table, one picture, self-contained HTML."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from mavcompass.gap.comparison import Comparison
+from mavcompass.report.compare_words import compare_advice
+from mavcompass.report.gap_figures import levels_figure, residual_overlay
+from mavcompass.report.gap_words import VERDICTS, shrink_words
+from mavcompass.report.page import write_page
+from mavcompass.simulation.effects import get
+
+
+def write_compare_report(comparison: Comparison, path: Path) -> None:
+    """Write the report of a comparison. Raises UsageError where the file cannot be written."""
+    told = comparison.told
+    field = [("as it is", told.field.nominal, "old"), ("promised", told.field.after, "step")]
+    heading = [("as it is", told.heading.nominal, "old"), ("promised", told.heading.after, "step")]
+    rows = [
+        (
+            "promised",
+            shrink_words(told.field),
+            shrink_words(told.heading),
+            told.field.after,
+            told.heading.after,
+        )
+    ]
+    for number, one in enumerate(comparison.achieved, start=1):
+        name = "flown again" if len(comparison.achieved) == 1 else f"flown again, {number}"
+        field.append((name, one.again.field.nominal, "new"))
+        heading.append((name, one.again.heading.nominal, "new"))
+        low, high = one.ci95
+        interval = f" ({100 * low:.0f} to {100 * high:.0f})" if math.isfinite(low) else ""
+        rows.append(
+            (
+                name, f"{100 * one.shrink:.0f} %{interval}", f"{100 * one.heading_shrink:.0f} %",
+                one.again.field.nominal, one.again.heading.nominal,
+            )
+        )  # fmt: skip
+    shown = {
+        "advice": compare_advice(comparison),
+        "verdict": VERDICTS[told.verdict],
+        "css": "good" if told.verdict in ("no_gap", "named") else "warn",
+        "facts": {
+            "Simulator": comparison.simulator.path or "unknown",
+            "Vehicle": comparison.vehicle.path or "unknown",
+            "Compass": str(told.compass),
+        },
+        "differences": [
+            {
+                "lacks": d.lacks,
+                "id": d.cause.effect,
+                "title": get(d.cause.effect).title,
+                "parameters": ", ".join(f"{name} {value:.4g}" for name, value in d.cause.parameters.items()),
+                "field": d.cause.removes_mgauss,
+                "heading": d.cause.removes_deg,
+            }
+            for d in comparison.differences
+        ],
+        "rows": rows,
+        "field": levels_figure(field, told.field.floor, "mG"),
+        "heading": levels_figure(heading, told.heading.floor, "deg"),
+        "overlays": [
+            (axis, residual_overlay(told.picture, i)) for i, axis in enumerate("xyz") if told.picture
+        ],
+    }
+    write_page(path, "gap_compare.html", shown)

@@ -1,0 +1,74 @@
+"""A comparison of simulator and vehicle in words for a person: first what to do, then what each lacks."""
+
+from __future__ import annotations
+
+from mavcompass.gap.comparison import Achieved, Comparison, Difference
+from mavcompass.gap.result import Closing
+from mavcompass.report.gap_words import VERDICTS, shrink_words
+from mavcompass.simulation.effects import get
+
+_GOOD, _NEARLY = 0.95, 0.05
+
+
+def compare_advice(comparison: Comparison) -> str:
+    """Say in one sentence what to do."""
+    if comparison.achieved:
+        return _of_flying_again(comparison.told.field, comparison.achieved[-1])
+    lacking = [d.cause.effect for d in comparison.differences if d.lacks == "simulator"]
+    surplus = [d.cause.effect for d in comparison.differences if d.lacks == "vehicle"]
+    if lacking:
+        return f"Put into the simulator, fly it again, and compare all three: {', '.join(lacking)}."
+    if surplus:
+        return f"Take out of the simulator what the vehicle does not have: {', '.join(surplus)}."
+    if comparison.told.verdict == "no_gap":
+        return "Nothing to do: the simulator's compass is as good as the vehicle's, to the noise of both."
+    if comparison.told.verdict == "not_testable":
+        return "Record again, with turns through all headings, and with tilt if the vehicle can."
+    return "They differ in a way that no effect of the catalogue explains; look at what it goes with (below)."
+
+
+def _of_flying_again(promised: Closing, achieved: Achieved) -> str:
+    if achieved.shrink >= min(_GOOD, promised.shrink - _NEARLY):
+        return "The simulator now flies like the vehicle: the gap closed as promised."
+    return (
+        f"The gap closed less than promised ({_percent(achieved.shrink)} of {_percent(promised.shrink)}):"
+        " see whether the simulator took all the parameters, then diagnose what is left."
+    )
+
+
+def compare_summary(comparison: Comparison) -> list[str]:
+    """Put a comparison in a few lines for a terminal."""
+    told = comparison.told
+    lines = [compare_advice(comparison), f"  verdict: {VERDICTS[told.verdict]} (compass {told.compass})"]
+    lines += [_difference(d) for d in comparison.differences]
+    lines += [_gap("heading", told.heading, "deg"), _gap("field", told.field, "mG")]
+    if told.unknown and told.unknown_coordinate:
+        lines.append(f"  what no effect explains goes with: {told.unknown_coordinate}")
+    for one in comparison.achieved:
+        low, high = (_percent(end) for end in one.ci95)
+        lines.append(
+            f"  flown again ({one.path or 'unnamed'}): promised {shrink_words(told.field)}, achieved"
+            f" {_percent(one.shrink)} ({low} to {high}) of the field's gap,"
+            f" {_percent(one.heading_shrink)} of the heading's"
+        )
+    return lines
+
+
+def _difference(difference: Difference) -> str:
+    cause = difference.cause
+    effect = get(cause.effect)
+    units = {p.name: "" if p.unit == "1" else f" {p.unit}" for p in effect.parameters}
+    values = ", ".join(f"{name} {value:.3g}{units.get(name, '')}" for name, value in cause.parameters.items())
+    return (
+        f"  the {difference.lacks} lacks {cause.effect}, {effect.title} ({values}):"
+        f" {cause.removes_deg:.1f} deg of heading, {cause.removes_mgauss:.1f} mG"
+    )
+
+
+def _gap(name: str, closing: Closing, unit: str) -> str:
+    said = f"  {name}: {closing.nominal:.1f} {unit} rms apart, of which {closing.floor:.1f} may be noise"
+    return said if closing.after == closing.nominal else f"{said}; {closing.after:.1f} once that is the same"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * min(max(share, 0.0), 1.0):.0f} %" if share == share else "?"

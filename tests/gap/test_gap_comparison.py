@@ -1,0 +1,111 @@
+"""A simulator's recording beside a vehicle's: what each lacks, what was promised, what was achieved."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from mavcompass.cli.gap import command
+from mavcompass.frames import FloatArray
+from mavcompass.gap.comparison import SCHEMA, compare
+from mavcompass.gap.trial.vehicles.cases import make_case
+from mavcompass.logs import read_track
+from mavcompass.report.compare_words import compare_summary
+from mavcompass.track import Track
+
+IRON = np.array([60.0, -35.0, 10.0])
+
+
+def flown_with(track: Track, iron_mgauss: FloatArray) -> Track:
+    """Fly the same simulator with more iron: its compass reports so much more."""
+    compass = track.compasses[1]
+    mag = replace(compass.reported, values=compass.reported.values + iron_mgauss)
+    return replace(track, compasses={**track.compasses, 1: replace(compass, reported=mag)})
+
+
+@pytest.fixture(scope="module")
+def simulator_and_vehicle() -> tuple[Track, Track]:
+    """Another generator's vehicle whose calibration is right: its baseline is the simulator's flight."""
+    case = make_case(2, "none", True)
+    assert case.baseline is not None
+    return case.baseline, case.track
+
+
+def test_what_the_vehicle_has_more_the_simulator_lacks_and_flown_again_it_does_not(
+    simulator_and_vehicle: tuple[Track, Track],
+) -> None:
+    simulator, healthy = simulator_and_vehicle
+    comparison = compare(simulator, flown_with(healthy, IRON), [flown_with(simulator, IRON), simulator])
+    (difference,) = comparison.differences
+    assert (difference.cause.effect, difference.lacks) == ("hard_iron", "simulator")
+    found = [difference.cause.parameters[axis] for axis in "xyz"]
+    assert difference.cause.removes_mgauss == pytest.approx(np.sqrt(np.mean(np.square(found))), rel=0.1)
+    assert difference.cause.removes_deg > 5.0
+    again, unchanged = comparison.achieved
+    assert again.shrink > 0.95 and again.ci95[0] > 0.9 and again.heading_shrink > 0.95
+    assert abs(again.shrink - comparison.told.field.shrink) < 0.05
+    assert abs(unchanged.shrink) < 0.05, "flown again as it was, nothing is achieved"
+    said = compare_summary(comparison)
+    assert "less than promised" in said[0] and "the simulator lacks hard_iron" in said[2]
+
+
+def test_iron_too_much_in_the_simulator_is_iron_of_the_other_sign(
+    simulator_and_vehicle: tuple[Track, Track],
+) -> None:
+    simulator, healthy = simulator_and_vehicle
+    (difference,) = compare(flown_with(simulator, IRON), healthy).differences
+    assert difference.cause.effect == "hard_iron"
+    sign = -1.0 if difference.lacks == "simulator" else 1.0
+    found = [sign * difference.cause.parameters[axis] for axis in "xyz"]
+    np.testing.assert_array_equal(np.sign(found), np.sign(IRON))
+
+
+def test_two_that_do_not_differ(simulator_and_vehicle: tuple[Track, Track]) -> None:
+    comparison = compare(*simulator_and_vehicle)
+    assert comparison.told.verdict == "no_gap" and not comparison.differences
+    assert compare_summary(comparison)[0].startswith("Nothing to do")
+
+
+@pytest.mark.parametrize("lacks", ["simulator", "vehicle"])
+def test_a_lag_of_real_firmware_is_found_on_the_side_that_has_it(
+    shared_data: Path, tmp_path: Path, lacks: str
+) -> None:
+    folder = shared_data / "gap-firmware" / "r_lag"
+    plain, late = folder / "baseline.tlog", folder / "flight.tlog"
+    logs = [plain, late] if lacks == "simulator" else [late, plain]
+    out, page = tmp_path / "c.json", tmp_path / "c.html"
+    run = CliRunner().invoke(command, ["compare", *map(str, logs), "--json", str(out), "--report", str(page)])
+    assert run.exit_code == 0, run.output
+    document = json.loads(out.read_text())
+    assert document["schema"] == SCHEMA and document["achieved"] is None
+    (difference,) = document["differences"]
+    assert (difference["effect"], difference["lacks"]) == ("transport_lag", lacks)
+    labels = json.loads((folder.parent / "labels.json").read_text())["r_lag"]
+    (delay_ms,) = [v for k, v in labels["parameters"].items() if k.endswith("DELAY")]
+    # Boots of the firmware differ by up to 70 ms.
+    assert difference["parameters"]["lag_s"] == pytest.approx(delay_ms / 1000.0, abs=0.07)
+    assert document["promised"]["shrink"] > 0.95
+    assert f"the {lacks} lacks transport_lag" in run.output
+    assert ("gap export" in run.output) == (lacks == "simulator")
+    assert "Simulator and vehicle" in page.read_text() and "<svg" in page.read_text()
+
+
+def test_the_recordings_that_the_reader_cannot_use_are_refused(tmp_path: Path) -> None:
+    empty = tmp_path / "empty.tlog"
+    empty.write_bytes(b"")
+    run = CliRunner().invoke(command, ["compare", str(empty), str(empty)])
+    assert run.exit_code != 0 and "Traceback" not in run.output
+
+
+def test_reading_a_comparison_changes_nothing(shared_data: Path) -> None:
+    """Deterministic: the same recordings, the same document."""
+    folder = shared_data / "gap-firmware" / "r_none"
+    tracks = [read_track(folder / name) for name in ("baseline.tlog", "flight.tlog")]
+    first, second = (compare(tracks[0], tracks[1]).to_json() for _ in range(2))
+    first.pop("seconds"), second.pop("seconds")
+    assert first == second
