@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.serving import listen_option, quiet_option, serve, speed_option
 from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
@@ -21,20 +21,8 @@ _FAULTS = "loss, duplicate, reorder, latency, jitter, time-jump, saturation, fro
 
 @click.command()
 @click.argument("log", type=click.Path(path_type=Path))
-@click.option(
-    "--listen",
-    "where",
-    required=True,
-    metavar="ADDRESS",
-    help="tcp:HOST:PORT or udpin:HOST:PORT wait for clients; udpout:HOST:PORT speaks first.",
-)
-@click.option(
-    "--speed",
-    type=click.FloatRange(0.01, 1000.0),
-    default=1.0,
-    show_default=True,
-    help="2 is twice real time.",
-)
+@listen_option
+@speed_option
 @click.option(
     "--fault",
     "faults",
@@ -44,7 +32,7 @@ _FAULTS = "loss, duplicate, reorder, latency, jitter, time-jump, saturation, fro
     " time-jump=AT:BY, saturation=MILLIGAUSS, frozen-compass=AT (seconds of the replay); may be repeated.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the faults.")
-@click.option("--quiet", is_flag=True, help="Do not say where it listens.")
+@quiet_option
 @common_options
 def command(
     log: Path, where: str, speed: float, faults: tuple[str, ...], seed: int, quiet: bool, output: Output
@@ -62,32 +50,19 @@ def command(
     from mavcompass.vehicle.links.faults import FaultyRecording
     from mavcompass.vehicle.links.server import VehicleServer
     from mavcompass.vehicle.replay import replayed_autopilot
-    from mavcompass.vehicle.stopping import StopRequest, stop_signals
-    from mavcompass.vehicle.transport import listening_address, open_transport
+    from mavcompass.vehicle.transport import listening_address
 
     address = listening_address(where)
     require_for(log, address)
     on_link, on_vehicle = parse_faults(faults)
     recorded = FaultyRecording(replayed_autopilot(log, read_track, on_vehicle), on_link, seed)
-    stop = StopRequest()
-    with ExitStack() as open_things:
-        transport = open_transport(address)
-        open_things.callback(transport.close)
-        server = VehicleServer(recorded, transport, speed=speed, is_over=lambda: recorded.ended)
-        open_things.enter_context(stop_signals(stop))
-        if not quiet:
-            output.say(f"{log} is played at {transport.name}; Ctrl-C ends it.")
-        server.serve(stop)
+    served = serve(
+        address,
+        lambda port: VehicleServer(recorded, port, speed=speed, is_over=lambda: recorded.ended),
+        lambda where: None if quiet else output.say(f"{log} is played at {where}; Ctrl-C ends it."),
+    )
     output.write_json(
-        {
-            "recording": str(log),
-            "address": transport.name,
-            "played_s": recorded.time_s,
-            "to_the_end": recorded.ended,
-            "received": server.statistics.received,
-            "malformed": server.statistics.malformed,
-            "dropped": server.statistics.dropped,
-        }
+        {"recording": str(log), **served, "played_s": recorded.time_s, "to_the_end": recorded.ended}
     )
     return 0
 

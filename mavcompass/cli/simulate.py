@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.serving import listen_option, quiet_option, serve, speed_option
 from mavcompass.errors import UsageError
 from mavcompass.vehicle.transport import VEHICLES
 
@@ -43,13 +44,7 @@ def recording_to(tlog: Path, utc_start_s: float) -> Iterator[Record]:
     show_default=True,
     help="What kind of vehicle, with its firmware.",
 )
-@click.option(
-    "--listen",
-    "where",
-    required=True,
-    metavar="ADDRESS",
-    help="tcp:HOST:PORT or udpin:HOST:PORT wait for clients; udpout:HOST:PORT speaks first.",
-)
+@listen_option
 @click.option(
     "--effect",
     "effects",
@@ -58,20 +53,14 @@ def recording_to(tlog: Path, utc_start_s: float) -> Iterator[Record]:
     help="A physical effect on compass 1 and its IMU (see gap catalogue); may be repeated.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of everything random.")
-@click.option(
-    "--speed",
-    type=click.FloatRange(0.01, 1000.0),
-    default=1.0,
-    show_default=True,
-    help="2 is twice real time.",
-)
+@speed_option
 @click.option("--disarmed", is_flag=True, help="Start at power-up, disarmed (default: armed and ready).")
 @click.option(
     "--tlog",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Record what the vehicle sends to its first client.",
 )
-@click.option("--quiet", is_flag=True, help="Do not say where it listens.")
+@quiet_option
 @common_options
 def command(
     vehicle: str,
@@ -94,40 +83,20 @@ def command(
     """
     from mavcompass.vehicle.links.server import VehicleServer
     from mavcompass.vehicle.links.simulated import simulated_autopilot
-    from mavcompass.vehicle.stopping import StopRequest, stop_signals
-    from mavcompass.vehicle.transport import listening_address, open_transport
+    from mavcompass.vehicle.transport import listening_address
 
     address = listening_address(where)
     require_for(address)
     autopilot = simulated_autopilot(vehicle, seed, effects, armed=not disarmed)
-    stop = StopRequest()
-    with ExitStack() as open_things:
-        record = None
-        if tlog is not None:
-            record = open_things.enter_context(recording_to(tlog, autopilot.world.utc_start_s))
-        transport = open_transport(address)
-        open_things.callback(transport.close)
-        server = VehicleServer(
-            autopilot,
-            transport,
-            speed=speed,
-            is_rebooting=lambda: autopilot.rebooting,
-            record=record,
+    words = f"A simulated {vehicle} (seed {seed}) is at"
+    recording = nullcontext() if tlog is None else recording_to(tlog, autopilot.world.utc_start_s)
+    with recording as record:
+        served = serve(
+            address,
+            lambda port: VehicleServer(
+                autopilot, port, speed=speed, is_rebooting=lambda: autopilot.rebooting, record=record
+            ),
+            lambda where: None if quiet else output.say(f"{words} {where}; Ctrl-C ends it."),
         )
-        open_things.enter_context(stop_signals(stop))
-        if not quiet:
-            output.say(f"A simulated {vehicle} (seed {seed}) is at {transport.name}; Ctrl-C ends it.")
-        server.serve(stop)
-    statistics = server.statistics
-    output.write_json(
-        {
-            "vehicle": vehicle,
-            "seed": seed,
-            "address": transport.name,
-            "vehicle_time_s": autopilot.time_s,
-            "received": statistics.received,
-            "malformed": statistics.malformed,
-            "dropped": statistics.dropped,
-        }
-    )
+    output.write_json({"vehicle": vehicle, "seed": seed, **served, "vehicle_time_s": autopilot.time_s})
     return 0
