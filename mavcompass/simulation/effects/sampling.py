@@ -17,17 +17,17 @@ def at_times(time_s: FloatArray, values: FloatArray, wanted_s: FloatArray) -> Fl
         return np.repeat(values[:1], wanted_s.size, axis=0)
     wanted = np.minimum(np.maximum(wanted_s, time_s[0]), time_s[-1])
     left = np.minimum(np.maximum(time_s.searchsorted(wanted, side="right") - 1, 0), n - 2)
-    first, last = np.maximum(left - 1, 0), np.minimum(left + 2, n - 1)
-    start, end = time_s.take(left), time_s.take(left + 1)
-    width = end - start
-    u = (wanted - start) / width
+    right, first, last = left + 1, np.maximum(left - 1, 0), np.minimum(left + 2, n - 1)
+    begin, end = time_s[left], time_s[right]
+    width = end - begin
+    u = (wanted - begin) / width
     # How much each of the four neighbours counts: slopes are differences of neighbours too.
-    rise, bend = u * u * (3.0 - 2.0 * u), width * u * (1.0 - u)
-    before = bend * (1.0 - u) / (end - time_s.take(first))
-    after = -bend * u / (time_s.take(last) - start)
+    rise = u * u * (3.0 - 2.0 * u)
+    before = width * u * (1.0 - u) ** 2 / (end - time_s[first])
+    after = -width * u * u * (1.0 - u) / (time_s[last] - begin)
     out = values.take(first, axis=0) * -before[:, None]
     out += values.take(left, axis=0) * (1.0 - rise - after)[:, None]
-    out += values.take(left + 1, axis=0) * (rise + before)[:, None]
+    out += values.take(right, axis=0) * (rise + before)[:, None]
     out += values.take(last, axis=0) * after[:, None]
     return np.asarray(out)
 
