@@ -26,13 +26,13 @@ def read_track(path: str | Path) -> Track:
 
 
 def calibrate(
-    track: Track, method: str = "four-positions", instance: int = 1, max_heading_error_deg: float = 2.0
+    track: Track, method: str = "auto", instance: int = 1, max_heading_error_deg: float = 2.0
 ) -> CalibrationResult:
     """Calibrate one compass of a recording.
 
     Args:
-        method: four-positions, four-positions-textbook, min-max, sensitivity-bias, sphere, ellipsoid
-            or world-field.
+        method: auto (what the recording can bear), four-positions, four-positions-textbook, min-max,
+            sensitivity-bias, sphere, ellipsoid or world-field.
         instance: which compass, from 1.
         max_heading_error_deg: what is accepted at most.
 

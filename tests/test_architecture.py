@@ -81,6 +81,7 @@ ROWS = {
     "calibration": [
         {"calibrate", "orientation"},
         {"methods"},
+        {"motion"},
         {"comparison", "judged", "recorded"},
         {"fits", "verdict", "result"},
         {"positions"},

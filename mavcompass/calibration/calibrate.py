@@ -27,11 +27,13 @@ from mavcompass.track import Track
 
 _DEAD_SWING_MGAUSS = 3.0
 _TURNED_RAD = math.radians(30.0)
+# Tried where another method refused.
+_OTHERS = ("four-positions", "world-field", "ellipsoid")
 
 
 def calibrate_track(
     track: Track,
-    method: str = "four-positions",
+    method: str = "auto",
     instance: int = 1,
     *,
     limits: Limits = DEFAULT_LIMITS,
@@ -59,12 +61,33 @@ def calibrate_track(
     solve = find_method(method)
     _check_compass(track, instance)
     world = (earth if earth is not None else earth_field_of(track)) if use_world_model else None
-    return with_parameters(solve(Recorded(track, instance, world, limits, prior, windows)), track)
+    recorded = Recorded(track, instance, world, limits, prior, windows)
+    result = solve(recorded)
+    if not result.accepted and windows is None and method != "auto":
+        result = replace(result, warnings=(*result.warnings, *_would_do(recorded, result.method)))
+    return with_parameters(result, track)
+
+
+def _would_do(recorded: Recorded, refused: str) -> tuple[str, ...]:
+    """Name the methods that would accept what one refused."""
+    return tuple(
+        f"--method {name} would accept this recording: heading within {other.heading_sigma_deg:.1f} deg."
+        for name in _OTHERS
+        if name != refused and (other := _accepted(recorded, name)) is not None
+    )
+
+
+def _accepted(recorded: Recorded, method: str) -> CalibrationResult | None:
+    try:
+        result = find_method(method)(recorded)
+    except PoorCalibration:
+        return None
+    return result if result.accepted else None
 
 
 def calibrate_compasses(
     track: Track,
-    method: str = "four-positions",
+    method: str = "auto",
     instances: tuple[int, ...] | None = None,
     *,
     limits: Limits = DEFAULT_LIMITS,
@@ -74,18 +97,40 @@ def calibrate_compasses(
     """Calibrate several compasses of one recording (None: all) and hold their headings against each other.
 
     A compass whose heading is turned against that of the others, all of them calibrated, is refused: it is
-    mounted turned. With only two, both are told so.
-    Raises what `calibrate_track` raises.
+    mounted turned. With only two, both are told so. One without a solution is refused with its reason.
+    Raises what `calibrate_track` raises, PoorCalibration only where no compass has a solution.
     """
     chosen = tuple(sorted(track.compasses)) if instances is None else instances
-    results = {
-        i: calibrate_track(track, method, i, limits=limits, earth=earth, use_world_model=use_world_model)
-        for i in chosen
-    }
+    results: dict[int, CalibrationResult] = {}
+    refusals: list[PoorCalibration] = []
+    for i in chosen:
+        try:
+            results[i] = calibrate_track(
+                track, method, i, limits=limits, earth=earth, use_world_model=use_world_model
+            )
+        except PoorCalibration as refusal:
+            refusals.append(refusal)
+            results[i] = _refused(track, method, i, refusal)
+    if refusals and len(refusals) == len(chosen):
+        raise refusals[0]
     headings = {
         i: heading_of_track(track, result.correction, i) for i, result in results.items() if result.accepted
     }
     return {i: _held_against(result, i, headings) for i, result in results.items()}
+
+
+def _refused(track: Track, method: str, instance: int, refusal: PoorCalibration) -> CalibrationResult:
+    """Keep what is in force for a compass that the recording cannot calibrate."""
+    in_force = Recorded(track, instance).in_force
+    return CalibrationResult(
+        instance=instance,
+        method=method,
+        accepted=False,
+        reasons=(str(refusal),),
+        raw_offset_mgauss=-np.asarray(in_force.offsets_mgauss),
+        correction=in_force,
+        in_force=in_force,
+    )
 
 
 def _held_against(

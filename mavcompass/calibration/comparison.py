@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mavcompass.calibration.model import HeadingError
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad
 from mavcompass.calibration.verdict import Limits
 from mavcompass.units import DEG_PER_RAD
@@ -34,3 +35,32 @@ def judged(result: CalibrationResult, limits: Limits) -> CalibrationResult:
             f"{UNCERTAIN} by {result.heading_sigma_deg:.1f} degrees (limit {limits.heading_deg:g})."
         )
     return replace(result, reasons=tuple(reasons), accepted=not reasons)
+
+
+def at_least(result: CalibrationResult, scatter_rad: float, limits: Limits) -> CalibrationResult:
+    """Claim no less than a heading scatter that was seen to be left, and judge again by it."""
+    scatter = scatter_rad * DEG_PER_RAD
+    if scatter <= result.heading_sigma_deg:
+        return result
+    grown = math.sqrt(scatter**2 - result.heading_sigma_deg**2)
+    budget = {**result.heading_budget_deg}
+    budget["disturbance"] = math.hypot(budget.get("disturbance", 0.0), grown)
+    error = result.heading_error
+    if error is not None:
+        factor = (scatter / result.heading_sigma_deg) ** 2
+        error = HeadingError(error.state, error.covariance * factor)
+    reasons = result.reasons
+    if scatter > limits.heading_deg:
+        left = (
+            f"The corrected heading would still scatter by {scatter:.1f} degrees about the gyro's "
+            f"(limit {limits.heading_deg:g}): motors, something magnetic, or manoeuvres not followed."
+        )
+        reasons = (*reasons, left)
+    return replace(
+        result,
+        heading_sigma_deg=scatter,
+        heading_budget_deg=budget,
+        heading_error=error,
+        reasons=reasons,
+        accepted=not reasons,
+    )

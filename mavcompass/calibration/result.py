@@ -131,7 +131,11 @@ class CalibrationResult:
     def _card_json(self) -> dict[str, Any] | None:
         if not math.isfinite(self.horizontal_mgauss + self.vertical_mgauss):
             return None
-        card = self.deviation_card()
+        try:
+            card = self.deviation_card()
+        except ValueError:
+            # The correction in force shows one heading all round: there is no card of it.
+            return None
         return {
             "compass_deg": _numbers(card.compass_deg),
             "deviation_deg": _numbers(card.deviation_deg),

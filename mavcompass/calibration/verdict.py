@@ -96,9 +96,9 @@ def _field_size(data: FourPositionData, fit: FourPositionsResult) -> list[str]:
     gain = 0.5 * (fit.state[GAIN][0] + fit.state[GAIN][1])
     if fit.world_model and abs(gain - 1.0) > _WORLD_MISMATCH:
         return [
-            f"The field that turns with the vehicle is {100.0 * gain:.0f} % of the Earth's field at this "
-            "place: steel near the vehicle or under the ground, or a compass that is not what it should be. "
-            "Move at least 10 m away and repeat."
+            f"The compass's gain is off by {share_words(gain - 1.0)}: the field that turns with the vehicle "
+            f"is {100.0 * gain:.0f} % of the Earth's field at this place. Repeat it at least 10 m away: if "
+            "the figure stays, it is the sensor's or its driver's scale (COMPASS_SCALE), otherwise steel nearby."
         ]
     horizontal = float(fit.state[HORIZONTAL]) * gain
     if not fit.world_model and not 15.0 < horizontal < 1.2 * EARTH_TOTAL_MGAUSS[1]:
@@ -107,6 +107,11 @@ def _field_size(data: FourPositionData, fit: FourPositionsResult) -> list[str]:
             f"{'weak' if horizontal < 100.0 else 'strong'}."
         ]
     return []
+
+
+def share_words(off: float) -> str:
+    """Say how much a gain is off, as people do."""
+    return "a third" if 0.28 < abs(off) < 0.38 else f"{100.0 * abs(off):.0f} %"
 
 
 def _mounting(fit: FourPositionsResult, reference: FloatArray | None) -> list[str]:

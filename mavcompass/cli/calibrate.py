@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -148,6 +149,8 @@ def command(
     if in_force_file is not None:
         raise UsageError("--in-force is for recordings.", "A live vehicle tells its parameters itself.")
     refuse_unasked_write(yes, dry_run)
+    if method == "auto":
+        wanted = replace(wanted, method="four-positions")
     from mavcompass.cli.calibration.vehicle import calibrate_vehicle
     from mavcompass.procedure.calibrate import CalibrateSettings
     from mavcompass.procedure.motion import Permissions

@@ -44,9 +44,9 @@ effects_option = click.option(
 method_option = click.option(
     "--method",
     type=click.Choice(method_names()),
-    default="four-positions",
+    default="auto",
     show_default=True,
-    help="How the readings are solved.",
+    help="How the readings are solved (auto: four positions; in a recording without them, its motion).",
 )
 max_error_option = click.option(
     "--max-error-deg",

@@ -38,7 +38,7 @@ class Job:
 
     work: Work
     instances: tuple[int, ...] = (1,)
-    method: str = "four-positions"
+    method: str = "auto"
     max_error_deg: float = 2.0
     reference: str = "auto"
     vehicle_pattern: str | None = None

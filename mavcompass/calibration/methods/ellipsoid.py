@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+from mavcompass.calibration.comparison import at_least
 from mavcompass.calibration.fits.length import fit_ellipsoid
 from mavcompass.calibration.methods._length import length_result
+from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
+from mavcompass.errors import PoorCalibration
 
 
 def calibrate(recorded: Recorded) -> CalibrationResult:
     """Calibrate all axes by the length of the field; no attitude is needed."""
+    try:
+        motion = observe_motion(recorded)
+    except PoorCalibration:
+        motion = None
+    return calibrate_witnessed(recorded, motion)
+
+
+def calibrate_witnessed(recorded: Recorded, motion: Motion | None) -> CalibrationResult:
+    """Calibrate, and claim no less than the heading scatter that is left in the motion."""
     total = recorded.earth.total_mgauss if recorded.earth is not None else None
-    return length_result(recorded, "ellipsoid", lambda raw: fit_ellipsoid(raw, total))
+    result = length_result(recorded, "ellipsoid", lambda raw: fit_ellipsoid(raw, total))
+    if motion is None:
+        return result
+    return at_least(result, motion.scatter_left_rad(result.correction), recorded.limits)

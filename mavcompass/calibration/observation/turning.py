@@ -23,6 +23,8 @@ BARE_BIAS_SIGMA_RADPS = math.radians(3.0)
 # Sensitivity of MEMS gyros as they come and after the autopilot's temperature has settled.
 GYRO_SCALE_SIGMA = 0.01
 _WINDOW_S = 3.0
+# How fast a MEMS gyro's bias wanders while it warms up.
+_DRIFT_RADPS2 = math.radians(0.0007)
 # Windows share their errors (a creep below the compass's resolution): no more than two count as independent.
 _INDEPENDENT_WINDOWS = 2.0
 _GAP_S = 0.5
@@ -41,7 +43,7 @@ class TurnRecord:
     Attributes:
         time_s, angle_rad, rate_radps: bias removed.
         tilt_rate_radps: length of the horizontal part of the angular rate.
-        bias_radps, bias_sigma_radps: the vertical bias taken out and what is not known of it.
+        bias_radps, bias_sigma_radps: the vertical bias taken out (its mean) and what is not known of it.
         noise_radps: white noise of one rate sample.
         interval_s: usual time between samples.
     """
@@ -113,7 +115,7 @@ def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
         angle_rad=angle,
         rate_radps=rate,
         tilt_rate_radps=horizontal,
-        bias_radps=bias,
+        bias_radps=float(np.mean(bias)),
         bias_sigma_radps=sigma,
         noise_radps=noise,
         interval_s=float(np.median(steps)),
@@ -122,21 +124,23 @@ def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
 
 def _vertical_bias(
     track: Track, instance: int, time: FloatArray, vertical: FloatArray, prior_sigma: float
-) -> tuple[float, float]:
-    """Estimate the vertical gyro bias and its sigma from stretches without turning.
+) -> tuple[FloatArray, float]:
+    """Estimate the vertical gyro bias, (N,), and its sigma from stretches without turning.
+
+    The bias drifts with the gyro's temperature, so a stretch tells less of what is further away in time.
 
     In each window the magnetometer bounds the true rate: a field that moves by u mG/s in a horizontal
     field of H mG turns with u / H rad/s at most. That bound, and the noise of u, is the window's sigma.
     """
     compass = track.compasses.get(instance)
     if compass is None or len(compass.reported) < 8:
-        return 0.0, prior_sigma
+        return np.zeros(time.size), prior_sigma
     field_time, field = compass.time_s, np.asarray(compass.reported.values)
     swing = np.percentile(field, 98, axis=0) - np.percentile(field, 2, axis=0)
     amplitude = max(0.5 * float(np.sort(swing)[-2:].max()), 50.0)
     # Autopilots take the bias out at power-up: what turns much faster than that leaves is a turn.
     turning = _TURNING_SIGMAS * prior_sigma
-    weight, total, best = 1.0 / prior_sigma**2, 0.0, prior_sigma
+    seen: list[tuple[float, float, float]] = []
     for start, end in _quiet_stretches(time, vertical, turning):
         rows = slice(*np.searchsorted(time, [start, end]))
         mags = slice(*np.searchsorted(field_time, [start, end]))
@@ -149,10 +153,23 @@ def _vertical_bias(
         rate = vertical[rows]
         sigma = math.hypot(bound, float(rate.std()) / math.sqrt(rate.size))
         sigma = max(sigma, math.radians(0.01))
-        best = min(best, sigma)
-        weight += 1.0 / sigma**2
-        total += float(rate.mean()) / sigma**2
-    return total / weight, max(1.0 / math.sqrt(weight), best / math.sqrt(_INDEPENDENT_WINDOWS))
+        seen.append((0.5 * (start + end), float(rate.mean()), sigma))
+    return _drifting(time, seen, prior_sigma)
+
+
+def _drifting(
+    time: FloatArray, seen: list[tuple[float, float, float]], prior_sigma: float
+) -> tuple[FloatArray, float]:
+    """Weigh what stretches (middle, rate, sigma) tell of the bias at each time, (N,), and its usual sigma."""
+    if not seen:
+        return np.zeros(time.size), prior_sigma
+    middle, rate, sigma = np.array(seen).T
+    variance = sigma**2 + (_DRIFT_RADPS2 * (middle[:, np.newaxis] - middle)) ** 2
+    weight = 1.0 / prior_sigma**2 + (1.0 / variance).sum(axis=1)
+    bias = (rate / variance).sum(axis=1) / weight
+    usual = 1.0 / math.sqrt(float(np.median(weight)))
+    best = min(float(sigma.min()), prior_sigma)
+    return np.interp(time, middle, bias), max(usual, best / math.sqrt(_INDEPENDENT_WINDOWS))
 
 
 def _quiet_stretches(time: FloatArray, rate: FloatArray, limit_radps: float) -> list[tuple[float, float]]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_worlds import FIELD, Iron, body_field, four_positions, heading_errors, iron_of, rms
+from calibration_worlds import FIELD, Iron, body_field, four_positions, iron_of, rms
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +21,6 @@ from mavcompass.calibration.fits.textbook import (
     sensitivity_bias,
     set_reset_offset,
 )
-from mavcompass.calibration.fits.world_field import fit_with_gyro_yaw, fit_world_field
 from mavcompass.calibration.observation.stillness import Stillness
 from mavcompass.calibration.observation.wire import effective_count, unquantise
 from mavcompass.calibration.orientation import search_orientation
@@ -169,73 +167,6 @@ def test_the_sensors_are_brought_into_one_frame() -> None:
     assert fit.spread_before_rad > math.radians(1.0)
     assert fit.spread_after_rad < 1e-6
     assert fit.inclination_rad == pytest.approx(FIELD.inclination_rad, abs=1e-6)
-
-
-def test_motor_and_temperature_terms_are_told_apart() -> None:
-    rng = np.random.default_rng(5)
-    _, field = all_ways(4000)
-    load, temperature = rng.uniform(0, 30, 4000), rng.uniform(10, 50, 4000)
-    warm = (temperature - temperature.mean())[:, np.newaxis]
-    raw = (
-        Iron((30.0, -20.0, 10.0)).raw(field)
-        + load[:, np.newaxis] * (2.0, -1.5, 0.7)
-        + warm * (0.3, -0.2, 0.1)
-        + warm * field * (-2e-3, -1e-3, -3e-3)
-        + rng.normal(0, 1.0, field.shape)
-    )
-    fit = fit_world_field(raw, field, load, temperature)
-    assert np.allclose(fit.motor_mgauss, (2.0, -1.5, 0.7), atol=0.02)
-    assert np.allclose(fit.temperature_bias, (0.3, -0.2, 0.1), atol=0.02)
-    assert np.allclose(fit.temperature_gain, (-2e-3, -1e-3, -3e-3), atol=1e-4)
-    inside = np.abs(fit.offset_mgauss - (30.0, -20.0, 10.0)) < 4 * np.sqrt(np.diag(fit.covariance))[:3]
-    assert inside.all()
-
-
-def test_a_hundred_thousand_samples_take_less_than_a_tenth_of_a_second() -> None:
-    _, field = all_ways(100_000)
-    raw = iron_of(STRONG).raw(field)
-    spent = []
-    for _ in range(3):
-        start = time.process_time()
-        fit = fit_world_field(raw, field)
-        spent.append(time.process_time() - start)
-    assert np.allclose(fit.offset_mgauss, iron_of(STRONG).offset)
-    assert min(spent) < 0.1
-
-
-def test_each_motor_gets_its_own_term() -> None:
-    rng = np.random.default_rng(5)
-    _, field = all_ways(3000)
-    outputs = rng.uniform(0, 1, (3000, 4))
-    fields = rng.normal(0, 20, (4, 3))
-    fit = fit_world_field(field + outputs @ fields, field, outputs)
-    assert np.allclose(fit.motor_mgauss, fields, atol=1e-6)
-
-
-def test_the_gyro_can_stand_in_for_a_yaw_reference() -> None:
-    time_s = np.arange(3000) * 0.02
-    yaw = 1.2 + 0.25 * time_s
-    roll = 0.1 * np.sin(time_s)
-    field = body_field(yaw, roll)
-    from mavcompass.calibration.model import level_to_body
-
-    iron = iron_of(STRONG)
-    answer = fit_with_gyro_yaw(
-        iron.raw(field),
-        time_s,
-        level_to_body(roll, 0.0 * roll),
-        0.24 * time_s,
-        FIELD.horizontal_mgauss,
-        FIELD.ned_mgauss[2],
-    )
-    correction = FieldCorrection.from_matrix(-answer.fit.offset_mgauss, np.linalg.inv(answer.fit.gain))
-    assert answer.drift_radps == pytest.approx(0.01, abs=1e-4)
-    assert rms(heading_errors(correction, iron)) < 0.1
-
-
-def test_motion_that_cannot_tell_is_refused() -> None:
-    with pytest.raises(PoorCalibration):
-        fit_world_field(np.tile(FIELD.vector_mgauss, (50, 1)), np.tile(FIELD.vector_mgauss, (50, 1)))
 
 
 # ---- mounting ----

@@ -1,0 +1,108 @@
+"""The method that the recording can bear: four positions if there are any, else what the motion carries."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from mavcompass.calibration.methods import ellipsoid, four_positions, world_field
+from mavcompass.calibration.motion.changes import Change, calm_since_s, last_stretch, since
+from mavcompass.calibration.motion.observed import Motion, observe_motion
+from mavcompass.calibration.recorded import Recorded
+from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.errors import PoorCalibration
+
+# Two methods that are both sure must agree within so many of their sigmas.
+_AGREE_SIGMAS, _AGREE_DEG = 3.0, 2.0
+
+
+def calibrate(recorded: Recorded) -> CalibrationResult:
+    """Calibrate by still positions where the recording has them, else by its whole motion.
+
+    Iron that changed within the recording is noticed, and the last stretch taken.
+    Raises PoorCalibration where no method finds a solution.
+    """
+    if recorded.windows is not None:
+        return four_positions.calibrate(recorded)
+    motion, change = _observed(recorded)
+    if change is not None:
+        recorded = since(recorded, change.time_s)
+    results, refusals = _tried(recorded, motion)
+    if not results:
+        raise refusals[0]
+    result = _chosen(results)
+    said = [f"Method: {result.method}, chosen by what the recording holds."]
+    if change is not None:
+        said.append(change.words())
+    return replace(result, warnings=(*said, *result.warnings))
+
+
+def _observed(recorded: Recorded) -> tuple[Motion | None, Change | None]:
+    try:
+        return last_stretch(observe_motion(recorded))
+    except PoorCalibration:
+        return None, None
+
+
+def _tried(
+    recorded: Recorded, motion: Motion | None
+) -> tuple[list[CalibrationResult], list[PoorCalibration]]:
+    """Try the methods in order of what they know of the vehicle."""
+    results: list[CalibrationResult] = []
+    refusals: list[PoorCalibration] = []
+    attempts: list[Callable[[], CalibrationResult]] = [
+        lambda: _still(recorded, motion),
+        lambda: world_field.calibrate_motion(motion if motion is not None else observe_motion(recorded)),
+        lambda: ellipsoid.calibrate_witnessed(recorded, motion),
+    ]
+    for attempt in attempts:
+        try:
+            results.append(attempt())
+        except PoorCalibration as refusal:
+            refusals.append(refusal)
+    return results, refusals
+
+
+def _still(recorded: Recorded, motion: Motion | None) -> CalibrationResult:
+    """Calibrate by still positions; where they contradict each other, by those since the last disturbance."""
+    result = four_positions.calibrate_still(recorded, motion)
+    calm_s = None if motion is None else calm_since_s(motion)
+    if result.accepted or calm_s is None:
+        return result
+    try:
+        later = four_positions.calibrate_still(since(recorded, calm_s), motion)
+    except PoorCalibration:
+        return result
+    said = f"Before {calm_s:.0f} s something was disturbed: only the positions after it count."
+    return replace(later, warnings=(said, *later.warnings)) if later.accepted else result
+
+
+def _chosen(results: list[CalibrationResult]) -> CalibrationResult:
+    """Choose an accepted result, still positions first; refuse it where another sure method contradicts."""
+    accepted = [r for r in results if r.accepted]
+    if not accepted:
+        return min(
+            results, key=lambda r: r.heading_sigma_deg if math.isfinite(r.heading_sigma_deg) else math.inf
+        )
+    best = accepted[0] if accepted[0].method == "four-positions" else min(accepted, key=_sigma)
+    for other in accepted:
+        apart = _apart_deg(best, other)
+        allowed = max(_AGREE_SIGMAS * math.hypot(_sigma(best), _sigma(other)), _AGREE_DEG)
+        if apart > allowed:
+            reason = (
+                f"The methods {best.method} and {other.method} are both sure and {apart:.1f} degrees "
+                "apart. Something magnetic changed, or the manoeuvres were not followed. Record again."
+            )
+            return replace(best, accepted=False, reasons=(*best.reasons, reason))
+    return best
+
+
+def _sigma(result: CalibrationResult) -> float:
+    return result.heading_sigma_deg
+
+
+def _apart_deg(one: CalibrationResult, other: CalibrationResult) -> float:
+    """Return by how much two results' headings differ, rms over the circle, their mean left out."""
+    change = heading_change_rad(other.correction, one.correction, one.horizontal_mgauss, one.vertical_mgauss)
+    return math.degrees(float(change.std()))

@@ -1,0 +1,102 @@
+"""When did the iron change? A recording in which something was moved is good for what it is since then."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.calibration.model import HORIZONTAL
+from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, widest_gap_rad
+from mavcompass.calibration.motion.fit import residual_of
+from mavcompass.calibration.motion.observed import Motion
+from mavcompass.calibration.recorded import Recorded
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray
+
+# A model error that bends the heading by less than this is not looked into.
+_WORTH_IT_RAD = math.radians(0.5)
+# A stretch is taken for what is left of the iron's change where its error is smaller by this factor.
+_BETTER = 0.4
+_EVEN_CUTS = 8
+_JUMPS = 4
+# Between a change and the first reading that counts.
+_SETTLE_S = 1.0
+# A smaller difference may be an error of the attitude.
+_IRON_MGAUSS = 15.0
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Say that what was recorded before a time does not fit the rest, and by how much the iron differed."""
+
+    time_s: float
+    moved_mgauss: float
+
+    def words(self) -> str:
+        """Say it in a sentence."""
+        if self.moved_mgauss > _IRON_MGAUSS:
+            return (
+                f"The iron changed by about {self.moved_mgauss:.0f} mG at {self.time_s:.0f} s: only what was "
+                "recorded after it counts."
+            )
+        return (
+            f"What was recorded before {self.time_s:.0f} s does not fit the rest (hard manoeuvres, or "
+            "something magnetic nearby): only what came after counts."
+        )
+
+
+def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
+    """Return the motion since the iron last changed, and what changed; all of it and None without."""
+    horizontal = abs(float(motion.fit.state[HORIZONTAL])) * float(np.abs(motion.fit.gain[:2, :2]).max())
+    if motion.fit.model_mgauss < _WORTH_IT_RAD * horizontal:
+        return motion, None
+    found: tuple[Motion, float] | None = None
+    for start in _candidates(motion):
+        try:
+            later = motion.since(start)
+        except PoorCalibration:
+            continue
+        if 2.0 * math.pi - widest_gap_rad(later.fit.headings_rad) < LEAST_CIRCLE_RAD:
+            continue
+        best = motion.fit.model_mgauss if found is None else found[0].fit.model_mgauss
+        if later.fit.model_mgauss < _BETTER * best:
+            found = later, start
+    if found is None:
+        return motion, None
+    later, start = found
+    before = motion.sections.between(-math.inf, start)
+    moved = np.linalg.norm(residual_of(before, later.fit), axis=1) if len(before) else np.zeros(1)
+    return replace(later, recorded=since(motion.recorded, start)), Change(start, float(np.median(moved)))
+
+
+def calm_since_s(motion: Motion) -> float | None:
+    """Return the end of the last disturbed section; None where there is none."""
+    disturbed = np.flatnonzero(motion.fit.sound < 0.5)
+    return float(motion.sections.end_s[disturbed[-1]]) + _SETTLE_S if disturbed.size else None
+
+
+def since(recorded: Recorded, start_s: float) -> Recorded:
+    """Cut a recording to what was after a time."""
+    return replace(recorded, track=recorded.track.between(start_s, math.inf))
+
+
+def _candidates(motion: Motion) -> list[float]:
+    """List times at which the iron may have changed, in order: where it jumped, and evenly spread ones."""
+    sections = motion.sections
+    start, end = float(sections.start_s[0]), float(sections.end_s[-1])
+    even = start + (end - start) * np.arange(1, _EVEN_CUTS) / _EVEN_CUTS
+    return sorted([*_jumps(motion), *(float(t) for t in even)])
+
+
+def _jumps(motion: Motion) -> FloatArray:
+    """Return the times at which the residual jumps most between neighbouring sections, and stays."""
+    residual, time = motion.fit.residual_mgauss, motion.sections.start_s
+    if len(residual) < 6:
+        return np.empty(0)
+    before = residual[:-3] + residual[1:-2]
+    after = residual[2:-1] + residual[3:]
+    size = np.linalg.norm(after - before, axis=1)
+    order = np.argsort(-size)[:_JUMPS]
+    return np.asarray(time[order + 2] + _SETTLE_S)

@@ -1,0 +1,283 @@
+"""Fit a compass to a motion: sections (S1), the gyro's turns between them, the prior, all at once.
+
+Hard iron, gains, motor field, field lag, the gyro's scale and bias, the Earth's field and the heading of
+every section are estimated together, maximum a posteriori, as in the four-position fit; nothing in it is the
+autopilot's yaw. What the sections contradict beyond their noise is an error of the model, of the same size in
+every section, and estimated with the rest; single sections far out (a passing magnet) are believed
+by how likely they are to be sound.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavcompass.calibration.model import GAIN, OFFSET, gain_matrix
+from mavcompass.calibration.motion.equations import (
+    FIRST,
+    PriorRows,
+    field_residual,
+    first_state,
+    section_variance,
+    turn_residual,
+)
+from mavcompass.calibration.motion.sections import Sections
+from mavcompass.calibration.positions import IronPrior
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray
+
+# Of the motor field per unit of load, each axis: amperes, and the whole throttle; and of most vehicles.
+_MOTOR_SIGMA = {"current": 10.0, "throttle": 100.0, "none": 1e-6}
+_USUAL_MOTOR = 0.05
+_ROUNDS, _STEPS = 8, 10
+# Before the data: one section in twenty stands beside something magnetic, of this size on each axis.
+_DISTURBED_BEFORE, _DISTURBED_MGAUSS = 0.05, 40.0
+# More disturbed sections than this are no exceptions.
+_MOST_DISTURBED = 0.3
+_FEWEST = 4
+# With a larger error of the model there is nothing to refine.
+_HOPELESS_MGAUSS = 500.0
+_DAMPING = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionFit:
+    """Hold the fit of K sections.
+
+    Attributes:
+        state: 16 numbers named by `model.NAMES`, the lag, K headings. covariance: of it.
+        residual_mgauss: measured less predicted, (K, 3).
+        variance_mgauss2: of the residuals by noise, tilt and model error, (K, 3, 3).
+        model_mgauss: the model error of a section, each axis; 0 where chance explains the residuals.
+        sound: probability of each section not being disturbed, (K,).
+        jacobian, whitened: rows of field (3 K) then turns (K - 1), as the fit weighed them: (R, P), (R,).
+        information: the inverse of `covariance`.
+        cost: half the squared whitened residuals, prior included; lower is likelier.
+    """
+
+    state: FloatArray
+    covariance: FloatArray
+    residual_mgauss: FloatArray
+    variance_mgauss2: FloatArray
+    model_mgauss: float
+    sound: FloatArray
+    jacobian: FloatArray
+    whitened: FloatArray
+    information: FloatArray
+    cost: float
+
+    @property
+    def offset_mgauss(self) -> FloatArray:
+        """Return the hard iron, (3,)."""
+        return self.state[OFFSET]
+
+    @property
+    def gain(self) -> FloatArray:
+        """Return the symmetric gain, (3, 3)."""
+        return gain_matrix(self.state[GAIN])
+
+    def cost_under(self, other: MotionFit) -> float:
+        """Return half the squared residuals as another fit of the same sections weighs them."""
+        squares = _square(self.residual_mgauss, other.variance_mgauss2)
+        return 0.5 * float(other.sound @ squares)
+
+    @property
+    def headings_rad(self) -> FloatArray:
+        """Return the sections' magnetic headings, (K,)."""
+        return self.state[FIRST:]
+
+
+def fit_motion(
+    sections: Sections,
+    earth: EarthField | None = None,
+    prior: IronPrior | None = None,
+    load_source: str = "none",
+    in_force: FieldCorrection | None = None,
+    usual_motors: bool = False,
+) -> MotionFit:
+    """Fit a compass to its sections.
+
+    Args:
+        sections: of the recording, K of them.
+        earth: the Earth's field there; None estimates it, and only its horizontal part's direction counts.
+        prior: what is known of compasses in general.
+        load_source: what `sections.load` is: "current", "throttle" or "none".
+        in_force: gives Z's offset where no world model does.
+        usual_motors: expect a motor field as small as most vehicles'.
+
+    Raises PoorCalibration for fewer than four sections, or where the field does not turn with the vehicle.
+    """
+    if len(sections) < _FEWEST:
+        raise PoorCalibration(
+            f"Only {len(sections)} stretches of the recording have compass and gyro together.",
+            "Record both at 10 Hz or more, and turn the vehicle through a full circle.",
+        )
+    motor_sigma = _MOTOR_SIGMA[load_source] * (_USUAL_MOTOR if usual_motors else 1.0)
+    beliefs = prior if prior is not None else IronPrior()
+    x, rules = first_state(sections, earth, beliefs, motor_sigma, in_force)
+    model = _first_model_error(sections, x)
+    sound = np.ones(len(sections))
+    for _ in range(_ROUNDS):
+        variance = section_variance(sections, x, model)
+        x = _settle(sections, x, variance, sound, rules)
+        residual, _ = field_residual(sections, x)
+        fresh = _soundness(residual, variance)
+        grown = _model_error(sections, x, residual, fresh, rules)
+        settled = abs(grown - model) < 0.02 * model + 0.01 and float(np.abs(fresh - sound).max()) < 0.02
+        model, sound = grown, fresh
+        if settled or model > _HOPELESS_MGAUSS:
+            break
+    variance = section_variance(sections, x, model)
+    x = _settle(sections, x, variance, sound, rules)
+    return _summary(sections, x, variance, sound, rules, model)
+
+
+def residual_of(sections: Sections, fit: MotionFit) -> FloatArray:
+    """Return what a fit leaves of other sections of the same recording, (K, 3), at their best headings."""
+    x = np.concatenate([fit.state[:FIRST], np.zeros(len(sections))])
+    inverse = np.linalg.inv(fit.gain)
+    field = np.einsum("kji,kj->ki", sections.mapping, (sections.mean_mgauss - fit.offset_mgauss) @ inverse)
+    x[FIRST:] = np.arctan2(-field[:, 1], field[:, 0])
+    return field_residual(sections, x)[0]
+
+
+def _roots(variance: FloatArray, sound: FloatArray) -> FloatArray:
+    """Return whitening matrices (K, 3, 3): sound and disturbed, weighed by their probability."""
+    weight = np.linalg.inv(variance)
+    loose = np.linalg.inv(variance + _DISTURBED_MGAUSS**2 * np.eye(3))
+    p = sound[:, np.newaxis, np.newaxis]
+    return np.swapaxes(np.linalg.cholesky(p * weight + (1.0 - p) * loose), 1, 2)
+
+
+def _assembled(
+    sections: Sections, x: FloatArray, roots: FloatArray, rules: PriorRows
+) -> tuple[FloatArray, FloatArray]:
+    """Return the whitened residuals and their Jacobian: field, turns, prior."""
+    residual, by = field_residual(sections, x)
+    turns, by_turns = turn_residual(sections, x)
+    rows = -(roots @ by).reshape(-1, x.size)
+    values = np.einsum("kij,kj->ki", roots, residual).ravel()
+    return np.concatenate([values, turns, rules.of(x)]), np.concatenate([rows, by_turns, rules.rows])
+
+
+def _settle(
+    sections: Sections, x: FloatArray, variance: FloatArray, sound: FloatArray, rules: PriorRows
+) -> FloatArray:
+    """Minimise by Gauss-Newton with step halving."""
+    roots = _roots(variance, sound)
+    values, jacobian = _assembled(sections, x, roots, rules)
+    for _ in range(_STEPS):
+        scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
+        scaled = jacobian * scale
+        normal = scaled.T @ scaled
+        normal[np.diag_indices_from(normal)] += _DAMPING
+        step = np.linalg.solve(normal, -scaled.T @ values)
+        cost, share = float(values @ values) * (1.0 + 1e-12), 1.0
+        while True:
+            trial = x + share * scale * step
+            values, jacobian = _assembled(sections, trial, roots, rules)
+            if float(values @ values) <= cost or share < 0.1:
+                break
+            share *= 0.5
+        gained = 1.0 - float(values @ values) / cost
+        x = trial
+        if float(np.abs(step).max()) < 1e-4 or gained < 1e-7:
+            break
+    return x
+
+
+def _soundness(residual: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return each section's probability of not being disturbed, (K,); all sound where too many are not."""
+    loose = variance + _DISTURBED_MGAUSS**2 * np.eye(3)
+    before = math.log(_DISTURBED_BEFORE / (1.0 - _DISTURBED_BEFORE))
+    odds = before + 0.5 * (_square(residual, variance) - _square(residual, loose))
+    odds = odds + 0.5 * (np.linalg.slogdet(variance)[1] - np.linalg.slogdet(loose)[1])
+    sound = 1.0 / (1.0 + np.exp(np.clip(odds, -500.0, 500.0)))
+    return np.ones(len(residual)) if float((1.0 - sound).mean()) > _MOST_DISTURBED else sound
+
+
+def _square(residual: FloatArray, variance: FloatArray) -> FloatArray:
+    return np.asarray((residual * np.linalg.solve(variance, residual[:, :, np.newaxis])[:, :, 0]).sum(axis=1))
+
+
+def _first_model_error(sections: Sections, x: FloatArray) -> float:
+    """Return the size of the first residuals' inner half, so that no outlier rules the start."""
+    residual, _ = field_residual(sections, x)
+    return min(float(np.median(np.abs(residual))) / 0.6745, _HOPELESS_MGAUSS)
+
+
+def _model_error(
+    sections: Sections, x: FloatArray, residual: FloatArray, sound: FloatArray, rules: PriorRows
+) -> float:
+    """Find the model error with which the sound residuals are as large as their degrees of freedom.
+
+    0 where chance alone makes them as large in one case of twenty.
+    """
+    absorbed = _absorbed(sections, x, sound, rules)
+    freedom = float(3.0 * sound.sum() + len(sections) - 1 - absorbed)
+    turns, _ = turn_residual(sections, x)
+    given = float(turns @ turns)
+    if freedom < 1.0:
+        return 0.0
+
+    def excess(size: float, wanted: float) -> float:
+        squares = _square(residual, section_variance(sections, x, size, weighed=False))
+        return float(sound @ squares) + given - wanted
+
+    if excess(0.0, _chance_limit(freedom)) <= 0.0:
+        return 0.0
+    low, high = 0.0, 1.0
+    while excess(high, freedom) > 0.0 and high < _HOPELESS_MGAUSS:
+        low, high = high, 2.0 * high
+    for _ in range(25):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if excess(middle, freedom) > 0.0 else (low, middle)
+    return high
+
+
+def _absorbed(sections: Sections, x: FloatArray, sound: FloatArray, rules: PriorRows) -> float:
+    """Count what the fit absorbs of the measurements: parameters less what the prior holds."""
+    roots = _roots(section_variance(sections, x, 1.0), sound)
+    _, jacobian = _assembled(sections, x, roots, rules)
+    scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
+    scaled = jacobian * scale
+    inverse = np.linalg.inv(scaled.T @ scaled + 1e-12 * np.eye(x.size))
+    held = rules.rows * scale
+    return x.size - float(((held @ inverse) * held).sum())
+
+
+def _chance_limit(freedom: float) -> float:
+    """Return what a chi-square exceeds once in twenty (Wilson and Hilferty)."""
+    third = 2.0 / (9.0 * freedom)
+    return freedom * (1.0 - third + 1.645 * math.sqrt(third)) ** 3
+
+
+def _summary(
+    sections: Sections,
+    x: FloatArray,
+    variance: FloatArray,
+    sound: FloatArray,
+    rules: PriorRows,
+    model: float,
+) -> MotionFit:
+    values, jacobian = _assembled(sections, x, _roots(variance, sound), rules)
+    information = jacobian.T @ jacobian
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-24))
+    scaled = information * np.outer(scale, scale) + 1e-12 * np.eye(x.size)
+    measured = 4 * len(sections) - 1
+    return MotionFit(
+        state=x,
+        covariance=np.linalg.inv(scaled) * np.outer(scale, scale),
+        residual_mgauss=field_residual(sections, x)[0],
+        variance_mgauss2=variance,
+        model_mgauss=model,
+        sound=sound,
+        jacobian=jacobian[:measured],
+        whitened=values[:measured],
+        information=information,
+        cost=0.5 * float(values @ values),
+    )

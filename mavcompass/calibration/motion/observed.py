@@ -1,0 +1,131 @@
+"""One compass's recording as a motion: sections, their fit, and what they say of any correction."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.calibration.motion.findings import sparse_words
+from mavcompass.calibration.motion.fit import MotionFit, fit_motion
+from mavcompass.calibration.motion.reference import ReferenceTurn, reference_turn
+from mavcompass.calibration.motion.scatter import scatter_left_rad
+from mavcompass.calibration.motion.sections import UPHELD, Sections, cut_sections
+from mavcompass.calibration.observation import turn_record, uncorrected_field
+from mavcompass.calibration.observation.turning import TurnRecord
+from mavcompass.calibration.recorded import Recorded
+from mavcompass.correction import FieldCorrection, MotorSource
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray, tilt_from_acceleration, wrap_pi
+from mavcompass.heading.gravity import down_in_body
+from mavcompass.track import Track
+
+# A load that varies less than this shows no motor field.
+_LOAD_SPREAD: tuple[tuple[MotorSource, float], ...] = (("current", 1.0), ("throttle", 0.1))
+# Three more numbers are believed where they lower the cost by this: chance does so once in a thousand.
+_MOTOR_GAIN = 8.0
+_LEAST_TURN_RAD = math.radians(60.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Hold a recording's motion as one compass saw it.
+
+    Attributes:
+        recorded: the recording. record: the turn, by the gyro or a reference.
+        reference: the attitude reference, None where there is none.
+        sections: of the motion. fit: of the sections.
+        load_source: the load that the fit has a motor field for.
+    """
+
+    recorded: Recorded
+    record: TurnRecord
+    reference: ReferenceTurn | None
+    sections: Sections
+    fit: MotionFit
+    load_source: MotorSource
+
+    def scatter_left_rad(self, correction: FieldCorrection) -> float:
+        """Return the heading scatter that a correction leaves, radians; 0 where nothing can tell.
+
+        That is where the gyro was recorded too seldom, and of a thing held by hand, whose accelerometer does
+        not show which way is down while it moves.
+        """
+        track, instance = self.recorded.track, self.recorded.instance
+        levelled = self.reference is not None or track.attitude_rad is not None or track.vehicle in UPHELD
+        if not levelled or sparse_words(self.sections):
+            return 0.0
+        time = track.compasses[instance].time_s
+        if correction.motor_source == "none":
+            field = correction.apply(uncorrected_field(track, instance))
+        else:
+            load = track.motor_load(time, correction.motor_source)
+            field = correction.apply(track.raw_field(instance), load)
+        down = self.reference.down_at(track, time) if self.reference else down_in_body(track, time)
+        return scatter_left_rad(track, instance, field, down, self.record, self.sections, self.fit)
+
+    def since(self, start_s: float) -> Motion:
+        """Keep what lies after a time, fitted anew. Raises PoorCalibration where that is too little."""
+        sections = self.sections.between(start_s, math.inf)
+        return replace(self, sections=sections, fit=_fitted(self.recorded, sections, self.load_source))
+
+
+def observe_motion(recorded: Recorded) -> Motion:
+    """Cut a recording's motion into sections and fit them.
+
+    Raises PoorCalibration where the recording has neither gyro nor reference, or turned too little.
+    """
+    track, instance = recorded.track, recorded.instance
+    reference = reference_turn(track)
+    record = reference.record if reference is not None else _turn_of_the_nose(track, instance)
+    if record is None:
+        raise PoorCalibration(
+            "World-field calibration needs an attitude that does not come from the compass, "
+            "and the recording has no gyro either.",
+            "Record a gyro, GPS yaw or an external reference.",
+        )
+    sections = cut_sections(track, instance, record, uncorrected_field(track, instance), None, reference)
+    if len(sections) and float(np.ptp(sections.turned_rad)) < _LEAST_TURN_RAD:
+        raise PoorCalibration(
+            f"The vehicle turned only {math.degrees(float(np.ptp(sections.turned_rad))):.0f} degrees.",
+            "Turn it through a full circle.",
+        )
+    load, source = _motor_load(track, instance)
+    if load is None:
+        fit = _fitted(recorded, sections, "none")
+        return Motion(recorded, record, reference, sections, fit, "none")
+    loaded = cut_sections(track, instance, record, track.raw_field(instance), load, reference)
+    fit, usual = _fitted(recorded, loaded, source), _fitted(recorded, loaded, source, usual_motors=True)
+    # Both are weighed under the larger errors, those of the fit with hardly a motor field.
+    strong = fit.cost_under(usual) < usual.cost_under(usual) - _MOTOR_GAIN
+    return Motion(recorded, record, reference, loaded, fit if strong else usual, source)
+
+
+def _turn_of_the_nose(track: Track, instance: int) -> TurnRecord | None:
+    """Turn the gyro's angle about the vertical into the nose's: a roll of a pitched vehicle turns that, too.
+
+    psi' = w . down + roll' sin(pitch).
+    """
+    record = turn_record(track, instance)
+    if record is None:
+        return None
+    roll, pitch = tilt_from_acceleration(-down_in_body(track, record.time_s))
+    steps = wrap_pi(np.diff(roll)) * 0.5 * (np.sin(pitch[1:]) + np.sin(pitch[:-1]))
+    return replace(record, angle_rad=record.angle_rad + np.concatenate([[0.0], np.cumsum(steps)]))
+
+
+def _fitted(
+    recorded: Recorded, sections: Sections, source: MotorSource, usual_motors: bool = False
+) -> MotionFit:
+    return fit_motion(sections, recorded.earth, recorded.prior, source, recorded.in_force, usual_motors)
+
+
+def _motor_load(track: Track, instance: int) -> tuple[FloatArray | None, MotorSource]:
+    """Choose the motor load, (N,), that varies enough to be fitted: the current, else the throttle."""
+    time = track.compasses[instance].time_s
+    for source, least in _LOAD_SPREAD:
+        load = track.motor_load(time, source)
+        if load is not None and np.isfinite(load).all() and float(load.std()) > least:
+            return load, source
+    return None, "none"

@@ -1,0 +1,78 @@
+"""The scatter that a correction leaves, seen as a heading: the compass against the gyro, second by second."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mavcompass.calibration.model import HORIZONTAL, VERTICAL
+from mavcompass.calibration.motion.equations import LAG
+from mavcompass.calibration.motion.fit import MotionFit
+from mavcompass.calibration.motion.sections import Sections, unsettled
+from mavcompass.calibration.observation import field_lag_s
+from mavcompass.calibration.observation.turning import TurnRecord
+from mavcompass.frames import FloatArray, wrap_pi
+from mavcompass.heading.compute import tilt_compensated_heading
+from mavcompass.track import Track
+
+# While turning or tilting the lag of the field and of the tilt would be seen, not the compass's error.
+_SLOW_RADPS = math.radians(5.0)
+_FEWEST_S = 5
+# Leaning more than this, a nose has hardly a heading.
+_LEAST_UPRIGHT = math.cos(math.radians(45.0))
+# What counts as chance: so many standard deviations of the noise's own variance.
+_CHANCE = 3.0
+
+
+def scatter_left_rad(
+    track: Track,
+    instance: int,
+    field_mgauss: FloatArray,
+    down: FloatArray,
+    record: TurnRecord,
+    sections: Sections,
+    fit: MotionFit,
+) -> float:
+    """Return the rms scatter of a corrected compass's heading about the gyro's, beyond noise; radians.
+
+    Args:
+        track: the recording.
+        instance: the compass.
+        field_mgauss: its corrected field, (N, 3). down: which way is down in the body, (N, 3).
+        record: the gyro's turn.
+        sections: of the motion.
+        fit: tells the lag, the gyro's drift, and which sections are disturbed: these do not count.
+    """
+    time = track.compasses[instance].time_s
+    usable = np.isfinite(field_mgauss).all(axis=1)
+    usable &= (time >= sections.start_s[0]) & (time <= sections.end_s[-1])
+    usable &= ~unsettled(track, instance)
+    late = field_lag_s(track) + float(fit.state[LAG])
+    tilting = np.interp(time - late, record.time_s, record.tilt_rate_radps) - 1.3 * record.noise_radps
+    slow = usable & (down[:, 2] > _LEAST_UPRIGHT)
+    slow &= np.hypot(record.rate_at(time - late), np.maximum(tilting, 0.0)) < _SLOW_RADPS
+    if int(slow.sum()) < 2:
+        return 0.0
+    time = time[slow]
+    heading = np.asarray(tilt_compensated_heading(field_mgauss[slow], -down[slow]))
+    drift = np.interp(time, sections.middle_s, fit.headings_rad - sections.turned_rad)
+    off = np.asarray(wrap_pi(heading - drift - record.angle_at(time - late)))
+    section = np.clip(np.searchsorted(sections.start_s, time, side="right") - 1, 0, len(sections) - 1)
+    sound = fit.sound[section]
+    off = np.asarray(wrap_pi(off - np.angle((sound * np.exp(1j * off)).sum())))
+    _, second = np.unique(np.floor(time), return_inverse=True)
+    weight = np.bincount(second, sound)
+    readings = np.bincount(second)
+    kept = weight > 0.3 * readings
+    if int(kept.sum()) < _FEWEST_S:
+        return 0.0
+    mean = np.bincount(second, sound * off)[kept] / weight[kept]
+    fresh = float(sections.samples.sum() / max((sections.end_s - sections.start_s).sum(), 1e-9))
+    dip = float(fit.state[VERTICAL] / fit.state[HORIZONTAL])
+    tilt = np.bincount(second, sections.second_tilt_rad[section])[kept] / readings[kept]
+    noise = (sections.noise_mgauss / float(fit.state[HORIZONTAL])) ** 2 / np.minimum(
+        readings[kept], max(fresh, 1.0)
+    ) + (tilt * dip) ** 2
+    chance = float(noise.mean()) * (1.0 + _CHANCE * math.sqrt(2.0 / len(mean)))
+    return math.sqrt(max(float((mean**2).mean()) - chance, 0.0))

@@ -1,0 +1,285 @@
+"""Cut a motion into sections: stretches with nearly one heading, tilt and current, each with its mean field.
+
+The mean of the field over a section that turns and tilts a little is exact all the same,
+
+    mean r = b + T A (H cos psi, -H sin psi, Z) + m I,     A = mean of L R(turned - middle)         (S1)
+
+with L from level to body axes and R the gyro's turn inside the section; `psi` is the heading at its middle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.calibration.model import level_to_body
+from mavcompass.calibration.motion.reference import ReferenceTurn
+from mavcompass.calibration.observation import field_lag_s
+from mavcompass.calibration.observation.turning import (
+    GYRO_SCALE_SIGMA,
+    TurnRecord,
+)
+from mavcompass.calibration.observation.wire import effective_count
+from mavcompass.frames import FloatArray, tilt_from_acceleration
+from mavcompass.heading.gravity import down_in_body
+from mavcompass.track import Track
+
+_WIDEST_TURN_RAD = math.radians(20.0)
+_WIDEST_TILT = math.sin(math.radians(7.0))
+_LONGEST_S = 5.0
+_LONGEST_GAP_S = 1.0
+_MOST_SECTIONS = 160
+# The cutting looks at means over this time; inside a section every reading counts.
+_GRAIN_S = 0.1
+# The tilt's sigma at best: of what stands, by the accelerometer; of what flies, by the estimator.
+_STANDING_TILT_RAD, _FLYING_TILT_RAD = math.radians(0.02), math.radians(0.3)
+# A wheel's or a wave's rocking lasts about this long.
+_ROCKING_S = 1.0
+# A gyro's bias wanders by this much between sections.
+_WANDER_RADPS = math.radians(0.01)
+_LEAST_NOISE_MGAUSS, _USUAL_NOISE_MGAUSS = 0.2, 3.0
+# Readings further apart show motion between them, not noise; a gyro's then miss what the vehicle did.
+_SPARSE_S, _WORST_SPARSE = 0.2, 5.0
+_DENSE_S = 0.1
+_LOAD_STEP = 0.15
+_PARAMETERS_SETTLE_S = 2.0
+# What stands and shows gravity by its accelerometer.
+UPHELD = frozenset({"rover", "ackermann-rover", "boat"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sections:
+    """Hold K sections of one compass's recording, in time order.
+
+    Attributes:
+        start_s, end_s: (K,). mean_mgauss: raw field, (K, 3). samples: fresh readings, (K,).
+        noise_mgauss: white noise of one reading.
+        mapping: A of equation S1, (K, 3, 3). by_lag: its change per second of the field's lag, (K, 3, 3).
+        tilt_sigma_rad: what is not known of roll and pitch, (K,).
+        rocking: whether that is the rocking of what stands, which averages out.
+        turned_rad: the gyro's angle at the middles, (K,), clockwise.
+        step_sigma_rad: of the K - 1 differences of `turned_rad`, without the gyro's scale and bias.
+        bias_sigma_radps, scale_sigma: of the gyro, common to all.
+        load: motor load, (K,), less its mean, `load_mean`; zeros where none was recorded.
+        repeats: how many sections make one visit of a heading, (K,): they share what is wrong there.
+        gyro_rate_hz: how often the rate was recorded.
+    """
+
+    start_s: FloatArray
+    end_s: FloatArray
+    mean_mgauss: FloatArray
+    samples: FloatArray
+    noise_mgauss: float
+    mapping: FloatArray
+    by_lag: FloatArray
+    tilt_sigma_rad: FloatArray
+    rocking: bool
+    turned_rad: FloatArray
+    step_sigma_rad: FloatArray
+    bias_sigma_radps: float
+    scale_sigma: float
+    load: FloatArray
+    load_mean: float
+    repeats: FloatArray
+    gyro_rate_hz: float
+
+    def __len__(self) -> int:
+        """Count the sections."""
+        return len(self.mean_mgauss)
+
+    @property
+    def middle_s(self) -> FloatArray:
+        """Return the middles in time, (K,)."""
+        return 0.5 * (self.start_s + self.end_s)
+
+    @property
+    def second_tilt_rad(self) -> FloatArray:
+        """Return what is not known of the tilt in one second of each section, (K,)."""
+        lasted = np.maximum(self.end_s - self.start_s, _ROCKING_S) / _ROCKING_S
+        return np.asarray(self.tilt_sigma_rad * (np.sqrt(lasted) if self.rocking else 1.0))
+
+    def between(self, start_s: float, end_s: float) -> Sections:
+        """Keep the sections whose middle lies between two times."""
+        first, last = np.searchsorted(self.middle_s, [start_s, end_s])
+        return self.rows(int(first), int(last))
+
+    def rows(self, first: int, last: int) -> Sections:
+        """Keep the sections first <= k < last."""
+        cut = {
+            f.name: value[first:last]
+            for f in fields(self)
+            if isinstance(value := getattr(self, f.name), np.ndarray) and f.name != "step_sigma_rad"
+        }
+        return replace(self, **cut, step_sigma_rad=self.step_sigma_rad[first : max(last - 1, first)])  # type: ignore[arg-type]
+
+
+def cut_sections(
+    track: Track,
+    instance: int,
+    record: TurnRecord,
+    raw_mgauss: FloatArray,
+    load: FloatArray | None = None,
+    reference: ReferenceTurn | None = None,
+) -> Sections:
+    """Cut the motion of one compass into sections.
+
+    Args:
+        track: the recording.
+        instance: the compass.
+        record: the gyro's turn, or an attitude reference's in its place.
+        raw_mgauss: (N, 3), at the compass's times.
+        load: motor load, (N,).
+        reference: the attitude reference that `record` comes from.
+    """
+
+    def down_at(times: FloatArray) -> FloatArray:
+        return down_in_body(track, times) if reference is None else reference.down_at(track, times)
+
+    time = track.compasses[instance].time_s
+    usable = np.isfinite(raw_mgauss).all(axis=1)
+    usable &= (time >= record.time_s[0]) & (time <= record.time_s[-1])
+    usable[1:] &= np.diff(time) > 0.0
+    usable &= ~unsettled(track, instance)
+    time, raw = time[usable], raw_mgauss[usable]
+    loads = np.zeros(time.size) if load is None else load[usable]
+    lag = field_lag_s(track)
+    angle = record.angle_at(time - lag)
+    down = down_at(time - lag)
+    edges, visit = _edges(time, angle, down, loads)
+    first, last = edges[:-1], edges[1:]
+    fresh, _ = effective_count(raw)
+    count = (last - first).astype(float)
+
+    def mean(values: FloatArray) -> FloatArray:
+        if not len(first):
+            return np.empty((0, *values.shape[1:]))
+        total = np.add.reduceat(values, first, axis=0)
+        return total / count.reshape(-1, *[1] * (values.ndim - 1))
+
+    turned = mean(angle)
+    section = np.repeat(np.arange(len(first)), last - first)
+    mapping = turned_mapping(down, angle - turned[section])
+    later = 0.02
+    moved = turned_mapping(down_at(time - lag - later), record.angle_at(time - lag - later) - turned[section])
+    middle = 0.5 * (time[first] + time[last - 1]) if len(first) else np.empty(0)
+    steps = np.diff(middle)
+    middle_load = float(loads.mean()) if loads.size else 0.0
+    if reference is None:
+        white = np.array([_step_sigma(record, a, b) for a, b in pairwise(middle)])
+        sigma = np.hypot(white, _WANDER_RADPS * steps)
+    else:
+        sigma = np.full(steps.size, math.sqrt(2.0) * reference.sigma_rad)
+    return Sections(
+        start_s=time[first] if len(first) else np.empty(0),
+        end_s=time[last - 1] if len(first) else np.empty(0),
+        mean_mgauss=mean(raw),
+        samples=np.maximum(np.add.reduceat(fresh.astype(float), first), 1.0) if len(first) else np.empty(0),
+        noise_mgauss=_white_noise(time[fresh], raw[fresh], track.compasses[instance].quantum_mgauss),
+        mapping=mean(mapping),
+        by_lag=(mean(moved) - mean(mapping)) / later,
+        tilt_sigma_rad=_tilt_sigma(track, mean(down), mean(down**2), time[last - 1] - time[first]),
+        rocking=track.vehicle in UPHELD,
+        turned_rad=turned,
+        step_sigma_rad=sigma,
+        bias_sigma_radps=record.bias_sigma_radps,
+        scale_sigma=GYRO_SCALE_SIGMA if reference is None else 1e-9,
+        load=mean(loads) - middle_load,
+        load_mean=middle_load,
+        repeats=np.bincount(visit)[visit].astype(float),
+        gyro_rate_hz=1.0 / max(record.interval_s, 1e-6),
+    )
+
+
+def unsettled(track: Track, instance: int) -> NDArray[np.bool_]:
+    """Mark readings around a change of the parameters, (N,): these take force one by one, and told late."""
+    compass = track.compasses[instance]
+    steps = np.array([step.from_s for step in compass.in_force[1:]])
+    nearest = np.abs(compass.time_s[:, np.newaxis] - steps).min(axis=1, initial=math.inf)
+    return np.asarray(nearest < _PARAMETERS_SETTLE_S)
+
+
+def turned_mapping(down: FloatArray, turned: FloatArray) -> FloatArray:
+    """Return L R(turned), (N, 3, 3): level axes at the section's heading to body axes."""
+    level = level_to_body(*tilt_from_acceleration(-down))
+    cos, sin = np.cos(turned), np.sin(turned)
+    out = np.empty_like(level)
+    # The horizontal field turns against the vehicle.
+    out[:, :, 0] = level[:, :, 0] * cos[:, np.newaxis] - level[:, :, 1] * sin[:, np.newaxis]
+    out[:, :, 1] = level[:, :, 0] * sin[:, np.newaxis] + level[:, :, 1] * cos[:, np.newaxis]
+    out[:, :, 2] = level[:, :, 2]
+    return out
+
+
+def _tilt_sigma(track: Track, mean: FloatArray, square: FloatArray, lasted: FloatArray) -> FloatArray:
+    """Return what rocking leaves unknown of each section's tilt, (K,), beside what its source is good for."""
+    if track.vehicle not in UPHELD:
+        return np.full(lasted.size, _FLYING_TILT_RAD)
+    swing = np.sqrt(np.maximum(square - mean**2, 0.0).sum(axis=1) / 2.0)
+    share = np.sqrt(np.minimum(1.0, _ROCKING_S / np.maximum(lasted, 1e-3)))
+    return np.asarray(np.hypot(_STANDING_TILT_RAD, swing * share))
+
+
+def _step_sigma(record: TurnRecord, start_s: float, end_s: float) -> float:
+    missed = min(max(record.interval_s / _DENSE_S, 1.0), _WORST_SPARSE)
+    sigma = missed * record.independent_sigma_rad(start_s, end_s)
+    return max(min(sigma, math.pi), math.radians(0.02))
+
+
+def _edges(
+    time: FloatArray, angle: FloatArray, down: FloatArray, load: FloatArray
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return where sections begin, and the end, so that none turns, tilts or lasts long; and their visits."""
+    if time.size < 2:
+        return np.zeros(1, dtype=np.intp), np.zeros(0, dtype=np.intp)
+    grain = np.concatenate([[0], np.flatnonzero(np.diff(np.floor(time / _GRAIN_S))) + 1])
+    longest = max(_LONGEST_S, float(time[-1] - time[0]) / (0.5 * _MOST_SECTIONS))
+    widest, tilt, gap = (
+        _WIDEST_TURN_RAD,
+        _WIDEST_TILT,
+        max(_LONGEST_GAP_S, 3.0 * float(np.median(np.diff(time)))),
+    )
+    step = _LOAD_STEP * max(float(np.ptp(load)), 1e-9) + 1e-9
+    while True:
+        edges, visit = _greedy(time, angle, down, load, grain, (longest, widest, tilt, step, gap))
+        if len(visit) <= _MOST_SECTIONS:
+            return edges, visit
+        widest, tilt, step, longest, gap = 1.2 * widest, 1.25 * tilt, 1.25 * step, 1.1 * longest, 1.25 * gap
+
+
+def _greedy(
+    time: FloatArray,
+    angle: FloatArray,
+    down: FloatArray,
+    load: FloatArray,
+    grain: NDArray[np.intp],
+    limits: tuple[float, float, float, float, float],
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    longest, widest, tilt, step, gap = limits
+    t, a, i, d = time[grain].tolist(), angle[grain].tolist(), load[grain].tolist(), down[grain].tolist()
+    edges, visit = [0], [0]
+    begun, low, high, lean, current, before = t[0], a[0], a[0], d[0], i[0], t[0]
+    for k in range(1, len(t)):
+        low, high = min(low, a[k]), max(high, a[k])
+        leaning = sum((p - q) ** 2 for p, q in zip(d[k], lean, strict=True)) > tilt**2
+        moved = high - low > widest or leaning or abs(i[k] - current) > step or t[k] - before > gap
+        if moved or t[k] - begun > longest:
+            edges.append(int(grain[k]))
+            visit.append(visit[-1] + moved)
+            begun = t[k]
+        if moved:
+            low, high, lean, current = a[k], a[k], d[k], i[k]
+        before = t[k]
+    return np.array([*edges, time.size], dtype=np.intp), np.array(visit, dtype=np.intp)
+
+
+def _white_noise(time: FloatArray, raw: FloatArray, quantum_mgauss: float) -> float:
+    """Return the noise of one reading by third differences, which a smooth turn hardly shows."""
+    least = math.hypot(_LEAST_NOISE_MGAUSS, quantum_mgauss / math.sqrt(12.0))
+    if len(raw) < 8 or float(np.median(np.diff(time))) > _SPARSE_S:
+        return max(least, _USUAL_NOISE_MGAUSS)
+    bends = np.abs(np.diff(raw, 3, axis=0))
+    return max(float(np.median(bends)) / (0.6745 * math.sqrt(20.0)), least)

@@ -1,0 +1,223 @@
+"""Calibration by any motion: exact on exact data, honest on disturbed data, and the cause named."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turning_track
+
+from mavcompass.calibration import calibrate_compasses, calibrate_track
+from mavcompass.calibration.model import level_to_body
+from mavcompass.calibration.motion.fit import fit_motion
+from mavcompass.calibration.motion.observed import observe_motion
+from mavcompass.calibration.recorded import Recorded
+from mavcompass.correction import FieldCorrection
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray
+from mavcompass.logs import read_track
+from mavcompass.track import MagSeries, Series, Track
+
+STRONG = FieldCorrection((60.0, -40.0, 25.0), (1.08, 0.93, 1.0), (0.02, 0.0, 0.0))
+ROUND = tuple(70.0 if k % 2 else 50.0 for k in range(9))
+
+
+def driven(iron: Iron, **changes: object) -> Track:
+    """A rover that turns round more than once, with short stops."""
+    return turning_track(iron, dwell_s=2.0, turn_s=2.5, turns_deg=ROUND, **changes)  # type: ignore[arg-type]
+
+
+def with_field(track: Track, added: FloatArray) -> Track:
+    """Add a field (N, 3) to what the compass of a made-up track reads."""
+    compass = track.compasses[1]
+    reported = Series.of(compass.time_s, compass.reported.values + added)
+    return replace(track, compasses={1: replace(compass, reported=reported)})
+
+
+def thinned(series: Series | None, every: int) -> Series:
+    assert series is not None
+    return Series.of(series.time_s[::every], series.values[::every])
+
+
+def gain_of(factor: float) -> Iron:
+    return Iron((30.0, -20.0, 10.0), factor * np.eye(3))
+
+
+def test_sections_without_noise_give_the_iron_back_exactly() -> None:
+    """The mean over a section that turns and tilts obeys equation S1 without any error."""
+    iron = iron_of(STRONG)
+    track = driven(iron, noise=0.0, gyro_noise=0.0)
+    fit = observe_motion(Recorded(track, earth=FIELD)).fit
+    correction = FieldCorrection.from_matrix(-fit.offset_mgauss, np.linalg.inv(fit.gain))
+    assert fit.model_mgauss == 0.0
+    assert rms(heading_errors(correction, iron)) < 0.03
+
+
+@pytest.mark.parametrize("first_deg", [0.0, 77.0, 181.0, 300.0])
+def test_where_the_nose_points_at_the_start_does_not_matter(first_deg: float) -> None:
+    iron = iron_of(STRONG)
+    result = calibrate_track(driven(iron, first_deg=first_deg), "world-field", earth=FIELD)
+    assert result.accepted, result.reasons
+    assert rms(heading_errors(result.correction, iron)) < 0.15
+    field = np.array([[100.0, -50.0, 300.0]])
+    assert np.allclose(result.correction.undo(result.correction.apply(field)), field)
+
+
+def test_the_claim_covers_the_error_as_often_as_it_says() -> None:
+    """Forty vehicles: the heading error over the claimed sigma has the spread of 1."""
+    ratios = []
+    rng = np.random.default_rng(77)
+    for seed in range(40):
+        iron = iron_of(replace(STRONG, offsets_mgauss=tuple(rng.normal(0.0, 60.0, 3))))
+        track = driven(iron, seed=seed, noise=3.0)
+        result = calibrate_track(track, "world-field", earth=FIELD)
+        assert result.heading_error is not None
+        place = int(rng.integers(72))
+        sigma = math.degrees(float(result.heading_error.sigma_rad(math.radians(5.0 * place))[0]))
+        ratios.append(heading_errors(result.correction, iron)[place] / sigma)
+    assert 0.6 < rms(np.array(ratios)) < 1.3
+
+
+def test_a_passing_magnet_is_kept_out_and_told() -> None:
+    iron = iron_of(STRONG)
+    track = driven(iron)
+    time = track.compasses[1].time_s
+    passing = np.exp(-0.5 * ((time - 20.0) / 0.8) ** 2)[:, np.newaxis] * [90.0, -60.0, 30.0]
+    result = calibrate_track(with_field(track, passing), "world-field", earth=FIELD)
+    assert result.accepted, result.reasons
+    assert rms(heading_errors(result.correction, iron)) < 3.0 * result.heading_sigma_deg + 0.1
+    assert any("magnetic passed by" in words for words in result.warnings)
+
+
+def test_the_motors_field_is_found_where_the_current_swings() -> None:
+    iron = iron_of(STRONG)
+    track = driven(iron)
+    time = track.compasses[1].time_s
+    current = 10.0 + 8.0 * np.sin(0.9 * time)
+    per_ampere = np.array([3.0, -2.0, 1.0])
+    disturbed = replace(
+        with_field(track, current[:, np.newaxis] * per_ampere), current_a=Series.of(time, current)
+    )
+    result = calibrate_track(disturbed, "world-field", earth=FIELD)
+    assert result.accepted, result.reasons
+    assert result.correction.motor_source == "current"
+    undone = np.linalg.solve(result.correction.matrix, -np.asarray(result.correction.motor_mgauss))
+    assert np.allclose(undone, per_ampere, atol=0.2)
+    assert rms(heading_errors(result.correction, iron)) < 0.5
+
+
+def test_no_result_claims_less_than_the_scatter_it_leaves() -> None:
+    """A field that no rigid compass has, and nothing recorded explains: it stays in the claim."""
+    rng = np.random.default_rng(3)
+    track = driven(iron_of(STRONG))
+    time = track.compasses[1].time_s
+    knots = np.arange(0.0, time[-1] + 3.0, 3.0)
+    wandering = np.stack(
+        [np.interp(time, knots, rng.normal(0.0, 25.0, knots.size)) for _ in range(3)], axis=1
+    )
+    result = calibrate_track(with_field(track, wandering), "world-field", earth=FIELD)
+    assert not result.accepted
+    assert result.heading_sigma_deg > 3.0
+    assert any("scatters by" in reason for reason in result.reasons)
+
+
+def test_few_headings_do_not_make_a_small_sigma() -> None:
+    track = turning_track(iron_of(STRONG), turns_deg=(40.0, 40.0))
+    result = calibrate_track(track, "world-field", earth=FIELD)
+    assert not result.accepted
+    assert any("of the circle" in reason for reason in result.reasons)
+
+
+def test_a_gain_off_by_a_third_is_called_that() -> None:
+    result = calibrate_track(driven(gain_of(0.69)), "world-field", earth=FIELD)
+    assert any("gain is off by a third" in words for words in (*result.reasons, *result.warnings))
+    refused = calibrate_track(driven(gain_of(0.69)), "four-positions", earth=FIELD)
+    assert any("gain is off by a third" in words for words in (*refused.reasons, *refused.warnings))
+
+
+def test_telemetry_once_a_second_is_called_too_seldom() -> None:
+    track = turning_track(iron_of(STRONG), dwell_s=3.0, turn_s=0.8, turns_deg=9 * (110.0,))
+    sparse = replace(track, gyro_radps=thinned(track.gyro_radps, 50))
+    refused = calibrate_track(sparse, "four-positions", earth=FIELD)
+    assert not refused.accepted
+    assert len(refused.reasons) == 1 and "seldom" in refused.reasons[0]
+    # Length and dip are left to the motion, and they are true.
+    whole = calibrate_track(sparse, "world-field", earth=FIELD)
+    assert rms(heading_errors(whole.correction, iron_of(STRONG))) < 2.0 * whole.heading_sigma_deg
+
+
+def test_iron_that_changes_is_noticed_and_the_last_stretch_taken() -> None:
+    after = iron_of(STRONG)
+    track = turning_track(after, dwell_s=2.0, turn_s=2.5, turns_deg=(*ROUND, *ROUND))
+    time = track.compasses[1].time_s
+    changed = with_field(track, np.where(time < 41.0, 1.0, 0.0)[:, np.newaxis] * [70.0, 40.0, 0.0])
+    result = calibrate_track(changed, earth=FIELD)
+    assert result.accepted, result.reasons
+    assert any("iron changed" in words for words in result.warnings)
+    assert rms(heading_errors(result.correction, after)) < 0.3
+
+
+def test_a_recording_says_by_which_method_it_was_solved() -> None:
+    stops = calibrate_track(turning_track(iron_of(STRONG)), earth=FIELD)
+    assert stops.method == "four-positions"
+    assert any(words.startswith("Method: four-positions") for words in stops.warnings)
+
+
+def test_a_refusal_names_the_method_that_would_accept() -> None:
+    """A compass turned every way without a gyro: no positions, but a full ellipsoid."""
+    rng = np.random.default_rng(8)
+    direction = rng.normal(0.0, 1.0, (4000, 3))
+    field = FIELD.total_mgauss * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    time = np.arange(4000) * 0.05
+    compass = MagSeries(1, Series.of(time, iron_of(STRONG).raw(field) + rng.normal(0.0, 1.0, field.shape)))
+    track = Track(source="made up", compasses={1: compass})
+    with pytest.raises(PoorCalibration):
+        calibrate_track(track, "world-field", earth=FIELD)
+    assert calibrate_track(track, earth=FIELD).method == "ellipsoid"
+
+
+def test_one_compass_without_a_solution_does_not_take_the_others_with_it() -> None:
+    track = turning_track(iron_of(STRONG))
+    still = np.tile(np.array([300.0, 0.0, -400.0]), (len(track.compasses[1].time_s), 1))
+    dead = MagSeries(2, Series.of(track.compasses[1].time_s, still))
+    found = calibrate_compasses(
+        replace(track, compasses={1: track.compasses[1], 2: dead}), "four-positions", earth=FIELD
+    )
+    assert found[1].accepted
+    assert not found[2].accepted and "frozen" in found[2].reasons[0]
+    found[2].to_json()
+
+
+def test_too_few_sections_are_refused() -> None:
+    motion = observe_motion(Recorded(driven(iron_of(STRONG)), earth=FIELD))
+    with pytest.raises(PoorCalibration, match="stretches"):
+        fit_motion(motion.sections.rows(0, 3), FIELD)
+
+
+@pytest.mark.parametrize("ending", ["tlog", "BIN"])
+def test_firmware_is_cured_by_its_motion_alone(shared_data: Path, ending: str) -> None:
+    """The exact cure is OFS 120, -80, DIA 1.1, 0.9; stops are not needed for it."""
+    track = read_track(shared_data / f"ardupilot-4.6.3/rover_dist.{ending}")
+    result = calibrate_track(track, "world-field")
+    exact = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0))
+    assert result.accepted, result.reasons
+    error = rms(heading_errors(result.correction, iron_of(exact)))
+    assert error < 0.4
+    assert error < 3.0 * result.heading_sigma_deg
+
+
+def test_equation_s1_holds_for_a_section_that_turns_and_rolls() -> None:
+    """A finite-difference check of the mapping against body fields made sample by sample."""
+    psi = 0.7 + np.linspace(-0.15, 0.15, 200)
+    roll = np.linspace(0.0, 0.1, 200)
+    h, z = FIELD.horizontal_mgauss, FIELD.ned_mgauss[2]
+    level = np.stack([h * np.cos(psi), -h * np.sin(psi), np.full(200, z)], axis=1)
+    mean = np.einsum("nij,nj->ni", level_to_body(roll, 0.0 * roll), level).mean(axis=0)
+    from mavcompass.calibration.motion.sections import turned_mapping
+
+    down = np.stack([np.zeros(200), np.sin(roll), np.cos(roll)], axis=1)
+    mapping = turned_mapping(down, psi - 0.7).mean(axis=0)
+    assert np.allclose(mapping @ [h * math.cos(0.7), -h * math.sin(0.7), z], mean)
