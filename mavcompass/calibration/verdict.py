@@ -98,7 +98,7 @@ def _field_size(data: FourPositionData, fit: FourPositionsResult) -> list[str]:
         return [
             f"The compass's gain is off by {share_words(gain - 1.0)}: the field that turns with the vehicle "
             f"is {100.0 * gain:.0f} % of the Earth's field at this place. Repeat it at least 10 m away: if "
-            "the figure stays, it is the sensor's or its driver's scale (COMPASS_SCALE), otherwise steel nearby."
+            "the figure stays, it is the scale of sensor or driver (COMPASS_SCALE), otherwise steel nearby."
         ]
     horizontal = float(fit.state[HORIZONTAL]) * gain
     if not fit.world_model and not 15.0 < horizontal < 1.2 * EARTH_TOTAL_MGAUSS[1]:

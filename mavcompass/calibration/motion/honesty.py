@@ -112,6 +112,7 @@ def _scatter(sections: Sections, fit: MotionFit) -> float:
     angle = (across * fit.residual_mgauss).sum(axis=1)
     spread = np.einsum("ki,kij,kj->k", across, fit.variance_mgauss2, across)
     model = fit.model_mgauss**2 * (across**2).sum(axis=1)
-    share = fit.sound / fit.sound.sum()
+    share = fit.sound / sections.repeats
+    share = share / share.sum()
     seen = float(share @ angle**2) - float(share @ (spread - model))
     return math.sqrt(max(seen, float(share @ model)))

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcompass.calibration.model import MOTOR
 from mavcompass.calibration.motion.findings import sparse_words
 from mavcompass.calibration.motion.fit import MotionFit, fit_motion
 from mavcompass.calibration.motion.reference import ReferenceTurn, reference_turn
-from mavcompass.calibration.motion.scatter import scatter_left_rad
+from mavcompass.calibration.motion.scatter import motors_left_rad, scatter_left_rad
 from mavcompass.calibration.motion.sections import UPHELD, Sections, cut_sections
 from mavcompass.calibration.observation import turn_record, uncorrected_field
 from mavcompass.calibration.observation.turning import TurnRecord
@@ -63,7 +64,17 @@ class Motion:
             load = track.motor_load(time, correction.motor_source)
             field = correction.apply(track.raw_field(instance), load)
         down = self.reference.down_at(track, time) if self.reference else down_in_body(track, time)
-        return scatter_left_rad(track, instance, field, down, self.record, self.sections, self.fit)
+        left = scatter_left_rad(track, instance, field, down, self.record, self.sections, self.fit)
+        return math.hypot(left, self._motors_left_rad(correction))
+
+    def _motors_left_rad(self, correction: FieldCorrection) -> float:
+        """Return the heading scatter by the motors, as far as a correction does not take it out."""
+        if self.load_source == "none":
+            return 0.0
+        undone = np.zeros(3)
+        if correction.motor_source == self.load_source:
+            undone = -np.linalg.solve(correction.matrix, np.asarray(correction.motor_mgauss))
+        return motors_left_rad(self.sections, self.fit, self.fit.state[MOTOR] - undone)
 
     def since(self, start_s: float) -> Motion:
         """Keep what lies after a time, fitted anew. Raises PoorCalibration where that is too little."""

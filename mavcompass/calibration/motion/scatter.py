@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mavcompass.calibration.model import HORIZONTAL, VERTICAL
+from mavcompass.calibration.model import HORIZONTAL, MOTOR, VERTICAL
 from mavcompass.calibration.motion.equations import LAG
 from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.sections import Sections, unsettled
@@ -60,7 +60,10 @@ def scatter_left_rad(
     off = np.asarray(wrap_pi(heading - drift - record.angle_at(time - late)))
     section = np.clip(np.searchsorted(sections.start_s, time, side="right") - 1, 0, len(sections) - 1)
     sound = fit.sound[section]
-    off = np.asarray(wrap_pi(off - np.angle((sound * np.exp(1j * off)).sum())))
+    # Every visit of a heading counts alike, however long it lasted.
+    lasted = np.maximum(sections.end_s - sections.start_s, 1.0)
+    visit = sound / (sections.repeats * lasted)[section]
+    off = np.asarray(wrap_pi(off - np.angle((visit * np.exp(1j * off)).sum())))
     _, second = np.unique(np.floor(time), return_inverse=True)
     weight = np.bincount(second, sound)
     readings = np.bincount(second)
@@ -74,5 +77,19 @@ def scatter_left_rad(
     noise = (sections.noise_mgauss / float(fit.state[HORIZONTAL])) ** 2 / np.minimum(
         readings[kept], max(fresh, 1.0)
     ) + (tilt * dip) ** 2
-    chance = float(noise.mean()) * (1.0 + _CHANCE * math.sqrt(2.0 / len(mean)))
-    return math.sqrt(max(float((mean**2).mean()) - chance, 0.0))
+    share = (np.bincount(second, visit)[kept] / readings[kept]).clip(1e-12)
+    share = share / share.sum()
+    chance = float(share @ noise) * (1.0 + _CHANCE * math.sqrt(2.0 * float(share @ share)))
+    return math.sqrt(max(float(share @ mean**2) - chance, 0.0))
+
+
+def motors_left_rad(sections: Sections, fit: MotionFit, left_mgauss: FloatArray) -> float:
+    """Return the heading scatter by a motor field (3,) per unit of load that no correction takes out, radians.
+
+    What chance gives the fit is not counted.
+    """
+    sigma = np.diag(fit.covariance)[MOTOR]
+    beyond = np.maximum(left_mgauss**2 - _CHANCE * sigma, 0.0)[:2].sum()
+    swing = float(np.average((sections.load) ** 2, weights=1.0 / sections.repeats))
+    horizontal = float(fit.state[HORIZONTAL]) * float(np.trace(fit.gain[:2, :2])) / 2.0
+    return math.sqrt(0.5 * float(beyond) * swing) / abs(horizontal)
