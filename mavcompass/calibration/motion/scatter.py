@@ -84,7 +84,7 @@ def scatter_left_rad(
 
 
 def motors_left_rad(sections: Sections, fit: MotionFit, left_mgauss: FloatArray) -> float:
-    """Return the heading scatter by a motor field (3,) per unit of load that no correction takes out, radians.
+    """Return the heading scatter by a motor field (3,) per unit of load that is not taken out, radians.
 
     What chance gives the fit is not counted.
     """
