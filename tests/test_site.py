@@ -45,7 +45,7 @@ def test_every_command_and_option_is_in_the_reference(pages: ModuleType) -> None
 
 
 def test_refusals_have_their_exit_code_and_their_remedy(pages: ModuleType) -> None:
-    found = set(pages.found_refusals())
+    found = pages.found_refusals()
     assert (2, "--yes and --dry-run exclude each other.", "Give one of them.") in found
     assert any(code == 4 and "no magnetometer" in what for code, what, _ in found)
     assert {code for code, _, _ in found} == {2, 3, 4, 5, 6, 7}

@@ -12,6 +12,7 @@ import re
 import textwrap
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -156,14 +157,16 @@ def refusals() -> str:
     return "\n".join(lines)
 
 
-def found_refusals() -> Iterator[tuple[int, str, str]]:
-    """Yield exit code, sentence and remedy of every place that makes an error of ours with its own words."""
+@cache
+def found_refusals() -> frozenset[tuple[int, str, str]]:
+    """Return exit code, sentence and remedy of every place that makes an error of ours with its own words."""
     kinds = {
         name: kind
         for name, kind in vars(errors).items()
         if isinstance(kind, type) and issubclass(kind, errors.MavCompassError) and kind.exit_code in MEANING
     }
-    for file in sorted(PACKAGE.rglob("*.py")):
+    found = set()
+    for file in PACKAGE.rglob("*.py"):
         tree = ast.parse(file.read_text(encoding="utf-8"))
         constants = _constants(tree)
         for node in ast.walk(tree):
@@ -171,7 +174,8 @@ def found_refusals() -> Iterator[tuple[int, str, str]]:
                 words = [_words(argument, constants) for argument in node.args[:2]]
                 if words and words[0]:
                     remedy = words[1] if len(words) > 1 and words[1] else ""
-                    yield kinds[node.func.id].exit_code, words[0], remedy
+                    found.add((kinds[node.func.id].exit_code, words[0], remedy))
+    return frozenset(found)
 
 
 def _constants(tree: ast.Module) -> dict[str, ast.expr]:
