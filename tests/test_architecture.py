@@ -35,7 +35,7 @@ ROWS = {
     "gap": [
         {"comparison", "trial"},
         {"diagnose"},
-        {"answer"},
+        {"answer", "export"},
         {"selection"},
         {"left"},
         {"fit"},

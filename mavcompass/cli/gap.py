@@ -195,7 +195,7 @@ def _effect(effect: object) -> dict[str, object]:
 @click.option(
     "--to",
     "target",
-    type=click.Choice(("ardupilot-sitl", "mavcompass")),
+    type=click.Choice(("ardupilot-lua", "ardupilot-sitl", "gazebo", "mavcompass", "px4-sitl")),
     required=True,
     help="Which simulator is to have it.",
 )
@@ -213,21 +213,21 @@ def export(
     reference: str,
     output: Output,
 ) -> None:
-    """Write LOG's vehicle, its known iron and the effects found, to FILE for ArduPilot's simulator or ours.
+    """Write LOG's vehicle, its known iron and the effects found, to FILE for a simulator.
+
+    What the simulator cannot hold is said in the file and here, with the heading error that stays.
 
     \b
     Example: mavcompass gap export flight.tlog --to ardupilot-sitl found.parm
     """
-    from mavcompass.gap.answer import ardupilot_sitl, parameter_file, preset, vehicle_settings
+    from mavcompass.gap.export import TARGETS, found_in
     from mavcompass.report.gap_words import VERDICTS
 
     require_for(log, baseline)
     diagnosis = _diagnosed(log, instance, baseline, (), reference)
-    settings = vehicle_settings(diagnosis)
-    exported = ardupilot_sitl(settings)
-    text = preset(settings, log.name) if target == "mavcompass" else parameter_file(exported, log.name)
+    exported = TARGETS[target](found_in(diagnosis, log.name))
     try:
-        file.write_text(text, encoding="utf-8")
+        file.write_text(exported.text, encoding="utf-8")
     except OSError as error:
         raise UsageError(
             f"{file} could not be written ({error.strerror}).",
@@ -235,20 +235,18 @@ def export(
         ) from error
     found = ", ".join(sorted(diagnosis.effects)) or "no effect"
     output.say(f"{file}: the vehicle's known iron and {found} ({VERDICTS[diagnosis.verdict]}).")
-    if target == "ardupilot-sitl":
-        for sentence in exported.lacking:
-            output.say(f"Not in the simulator: {sentence}")
-        output.say(f"Use it: sim_vehicle.py --add-param-file={shlex.quote(str(file))}")
-    else:
-        output.say(f"Use it: {program()} calibrate sim:rover --dry-run --effect @{shlex.quote(str(file))}")
+    for sentence in exported.lacking:
+        output.say(f"Not in the simulator: {sentence}")
+    use = exported.use.replace("FILE", shlex.quote(str(file)))
+    output.say(f"Use it: {use.replace('mavcompass calibrate', f'{program()} calibrate')}")
     output.write_json(
         {
             "schema": "mavcompass.gap-export/1",
             "to": target,
             "verdict": diagnosis.verdict,
             "effects": sorted(diagnosis.effects),
-            "parameters": exported.parameters if target == "ardupilot-sitl" else {},
-            "lacking": list(exported.lacking) if target == "ardupilot-sitl" else [],
+            "parameters": dict(exported.parameters),
+            "lacking": list(exported.lacking),
         }
     )
 

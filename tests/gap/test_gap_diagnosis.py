@@ -13,7 +13,10 @@ import pytest
 from mavcompass.cli.main import main
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.gap import Diagnosis, diagnose_gap
-from mavcompass.gap.answer.export import affine_map, ardupilot_sitl, preset, settings_of
+from mavcompass.gap.export.ardupilot import ardupilot_sitl
+from mavcompass.gap.export.exported import Found
+from mavcompass.gap.export.ours import preset
+from mavcompass.gap.export.vehicle import affine_map, settings_of
 from mavcompass.gap.trial.bench import draw_label, tracks_of
 from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
 from mavcompass.logs import write_track_csv
@@ -126,7 +129,7 @@ def test_document_has_the_promised_form(baseline: Track) -> None:
 def test_preset_in_our_simulator_closes_the_gap_as_claimed(baseline: Track, tmp_path: Path) -> None:
     diagnosis = diagnose("hard_iron:x=40,y=-25+misalignment:x=0.03,z=0.02", baseline)
     path = tmp_path / "found.json"
-    path.write_text(preset(settings_of(diagnosis.causes), "case"), encoding="utf-8")
+    path.write_text(preset(Found(settings_of(diagnosis.causes), "case")).text, encoding="utf-8")
     distortion = effects.Distortion(effects.read_preset(path))
     truth = effects.distortion(["hard_iron:x=40,y=-25", "misalignment:x=0.03,z=0.02"])
     from mavcompass.gap.trial.cases import ideal
@@ -153,7 +156,7 @@ def test_export_inverts_what_the_firmware_simulates() -> None:
         effects.parse("hard_iron:x=-120,y=80,z=-40"),
         effects.parse("low_pass"),
     ]
-    exported = ardupilot_sitl(settings)
+    exported = ardupilot_sitl(Found(settings))
     names = [f"SIM_MAG1_{kind}_{axis}" for kind in ("OFS", "DIA", "ODI") for axis in "XYZ"]
     expected = [120.0, -80.0, 40.0, 1.1, 0.9, 1.02, 0.03, -0.02, 0.01]
     np.testing.assert_allclose([exported.parameters[n] for n in names], expected, rtol=1e-6)
@@ -161,7 +164,7 @@ def test_export_inverts_what_the_firmware_simulates() -> None:
 
 
 def test_rotation_is_said_to_be_lacking_in_the_firmware_simulator() -> None:
-    exported = ardupilot_sitl([effects.parse("misalignment:z=0.1")])
+    exported = ardupilot_sitl(Found([effects.parse("misalignment:z=0.1")]))
     assert "5.73 degrees" in exported.lacking[0]
     matrix, offset = affine_map([effects.parse("misalignment:z=0.1")])
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)

@@ -10,7 +10,10 @@ import pytest
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.answer.export import ardupilot_sitl, preset, settings_of, vehicle_settings
+from mavcompass.gap.export.ardupilot import ardupilot_sitl
+from mavcompass.gap.export.exported import Found
+from mavcompass.gap.export.ours import preset
+from mavcompass.gap.export.vehicle import settings_of, vehicle_settings
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.stated import from_recording
@@ -26,7 +29,7 @@ def test_firmware_recording_gives_back_the_simulators_parameters(shared_data: Pa
     assert diagnosis.effects == {"hard_iron", "axis_scale"}
     assert diagnosis.reference == "fused"
     assert diagnosis.field.after < diagnosis.field.floor
-    exported = ardupilot_sitl(vehicle_settings(diagnosis)).parameters
+    exported = ardupilot_sitl(Found(vehicle_settings(diagnosis))).parameters
     for axis, offset, diagonal in (("X", 120.0, 1.1), ("Y", -80.0, 0.9), ("Z", 40.0, 1.0)):
         assert exported[f"SIM_MAG1_OFS_{axis}"] == pytest.approx(offset, rel=0.02)
         assert exported[f"SIM_MAG1_DIA_{axis}"] == pytest.approx(diagonal, rel=0.02)
@@ -38,7 +41,7 @@ def test_iron_that_the_calibration_cures_is_known_and_exported(shared_data: Path
     assert diagnosis.verdict == "no_gap" and not diagnosis.causes
     assert diagnosis.in_force is not None
     np.testing.assert_allclose(diagnosis.in_force.hard_iron_mgauss, [-5.0, -13.0, 18.0])
-    exported = ardupilot_sitl(vehicle_settings(diagnosis)).parameters
+    exported = ardupilot_sitl(Found(vehicle_settings(diagnosis))).parameters
     for axis, true in zip("XYZ", (5.0, 13.0, -18.0), strict=True):
         assert exported[f"SIM_MAG1_OFS_{axis}"] == pytest.approx(true, abs=3.0)
 
@@ -50,7 +53,7 @@ def test_preset_in_our_simulator_closes_the_recorded_gap_as_claimed(
     track = read_track(shared_data / "ardupilot-4.6.3" / "rover_dist_use2.tlog")
     diagnosis = diagnose_gap(track)
     path = tmp_path / "found.json"
-    path.write_text(preset(settings_of(diagnosis.causes), "rover"), encoding="utf-8")
+    path.write_text(preset(Found(settings_of(diagnosis.causes), "rover")).text, encoding="utf-8")
     problem, fit = with_settings(track, read_preset(path))
     left, before = (float(np.mean(left_of(problem, fit, on) ** 2)) for on in (True, False))
     assert 1.0 - left / before == pytest.approx(diagnosis.field.shrink, abs=0.01)

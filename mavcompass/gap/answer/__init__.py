@@ -1,19 +1,14 @@
 """Put the answer together: verdict, names, how far the gap closes, where it lies, what to do next."""
 
 from mavcompass.gap.answer.description import Evidence, describe
-from mavcompass.gap.answer.export import ardupilot_sitl, parameter_file, preset, vehicle_settings
 from mavcompass.gap.answer.locate import bin_means
 from mavcompass.gap.answer.several import together
 from mavcompass.gap.answer.verdict import decide
 
 __all__ = [
     "Evidence",
-    "ardupilot_sitl",
     "bin_means",
     "decide",
     "describe",
-    "parameter_file",
-    "preset",
     "together",
-    "vehicle_settings",
 ]

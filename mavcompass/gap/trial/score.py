@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.errors import UsageError
 from mavcompass.frames import FloatArray
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.diagnose import withheld_effects
@@ -150,11 +151,15 @@ def _distance(search: Search, removed: frozenset[str], most: int) -> float:
 
 
 def _truth_distance(label: Label, search: Search) -> float:
-    """Return how far the catalogue's own model of the truth stays from it; nan where it is not testable."""
+    """Return how far the catalogue's own model of the truth stays from it; nan where it has none."""
     terms = {term.effect.id: term for term in search.terms}
     if not terms.keys() >= set(label.ids):
         return math.nan
-    settings = [parse(text) for text in label.effects]
+    try:
+        settings = [parse(text) for text in label.effects]
+    except UsageError:
+        # Another make's effect may be larger than the catalogue calls physical.
+        return math.nan
     fit = search.problem.fit(
         [terms[s.effect.id] for s in settings],
         [s.theta for s in settings],

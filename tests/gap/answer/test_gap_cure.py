@@ -9,7 +9,9 @@ import pytest
 
 from mavcompass.correction import FieldCorrection
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.answer.export import ardupilot_sitl, vehicle_settings
+from mavcompass.gap.export.ardupilot import ardupilot_sitl
+from mavcompass.gap.export.exported import Found
+from mavcompass.gap.export.vehicle import vehicle_settings
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.report.gap_words import summary
 from mavcompass.simulation import effects
@@ -48,7 +50,7 @@ def test_hard_iron_is_what_the_calibration_does_not_know(offsets: tuple[float, f
     for axis, true, known in zip("xyz", (-30.0, 20.0, 12.0), offsets, strict=True):
         assert cause.parameters[axis] == pytest.approx(true + known, abs=2.5)
     # A simulator gets the whole of it.
-    whole = ardupilot_sitl(vehicle_settings(diagnosis)).parameters
+    whole = ardupilot_sitl(Found(vehicle_settings(diagnosis))).parameters
     assert whole["SIM_MAG1_OFS_X"] == pytest.approx(30.0, abs=2.0)
 
 
@@ -61,7 +63,7 @@ def test_what_a_baseline_teaches_goes_to_the_simulator_too() -> None:
     diagnosis = diagnose_gap(with_calibration(make_track(recipe, [_HARD_IRON, more], 1), wrong), baseline)
     assert diagnosis.effects == {"hard_iron"}
     assert diagnosis.causes[0].parameters["y"] == pytest.approx(50.0, abs=2.0)
-    whole = ardupilot_sitl(vehicle_settings(diagnosis)).parameters
+    whole = ardupilot_sitl(Found(vehicle_settings(diagnosis))).parameters
     assert whole["SIM_MAG1_OFS_X"] == pytest.approx(30.0, abs=2.0)
     assert whole["SIM_MAG1_OFS_Y"] == pytest.approx(-70.0, abs=2.0)
 

@@ -1,0 +1,34 @@
+"""Put the vehicle as it was found into a simulator: a file per simulator, and what it cannot hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import MappingProxyType
+
+from mavcompass.gap.export.ardupilot import ardupilot_sitl
+from mavcompass.gap.export.exported import Exported, Found
+from mavcompass.gap.export.gazebo import gazebo
+from mavcompass.gap.export.lua import ardupilot_lua
+from mavcompass.gap.export.ours import preset
+from mavcompass.gap.export.px4 import px4_sitl
+from mavcompass.gap.export.vehicle import settings_of, vehicle_settings
+from mavcompass.gap.result import Diagnosis
+
+TARGETS: MappingProxyType[str, Callable[[Found], Exported]] = MappingProxyType(
+    {
+        "ardupilot-lua": ardupilot_lua,
+        "ardupilot-sitl": ardupilot_sitl,
+        "gazebo": gazebo,
+        "mavcompass": preset,
+        "px4-sitl": px4_sitl,
+    }
+)
+
+
+def found_in(diagnosis: Diagnosis, source: str) -> Found:
+    """Collect the whole vehicle of a diagnosis, and what each of its causes costs in heading."""
+    costs = {cause.effect: cause.removes_deg for cause in diagnosis.causes}
+    return Found(vehicle_settings(diagnosis), source, costs)
+
+
+__all__ = ["TARGETS", "Exported", "Found", "found_in", "settings_of", "vehicle_settings"]

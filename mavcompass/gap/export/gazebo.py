@@ -1,0 +1,60 @@
+"""Gazebo's magnetometer, as SDF: a constant, white noise, steps of the numbers, a bias that wanders.
+
+Its axes are x forward, y left, z up, its unit is the tesla. `mean` is the constant: `bias_mean` is drawn with
+either sign. Gains, oblique axes and what goes with motors or places need a plugin of the world's own.
+"""
+
+from __future__ import annotations
+
+import math
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from mavcompass.gap.export.exported import Exported, Found
+from mavcompass.gap.export.vehicle import affine_map
+
+SIMULATOR = "Gazebo's magnetometer"
+_TESLA = 1e-7
+_LEFT_UP = np.array([1.0, -1.0, -1.0])
+_WANDERS_S = 3600.0
+_OWN_MATRIX = 1e-3
+
+
+def gazebo(found: Found) -> Exported:
+    """Write the <sensor> of a model; noise and steps are those that were found beside the simulator's."""
+    matrix, offset = affine_map([s for s in found.settings if s.effect.affine])
+    values = {s.effect.id: s.values for s in found.settings}
+    lacking = []
+    if np.abs(matrix - np.eye(3)).max() > _OWN_MATRIX:
+        lacking.append(f"Gains, oblique axes and turns of the compass: {SIMULATOR} has none.")
+    held = {"noise_excess", "quantisation", "bias_random_walk"}
+    lacking += [
+        found.without(s, SIMULATOR) for s in found.settings if not s.effect.affine and s.effect.id not in held
+    ]
+    scatter = _TESLA * values.get("noise_excess", {}).get("sigma_mgauss", 0.0)
+    step = _TESLA * values.get("quantisation", {}).get("step_mgauss", 0.0)
+    walk = values.get("bias_random_walk", {}).get("sigma_mgauss_per_sqrt_s", 0.0)
+    kind = "gaussian_quantized" if step else "gaussian"
+    lines = ['<?xml version="1.0"?>']
+    source = escape(found.source or "a recording").replace("--", "- -")
+    lines += [f"<!-- What was found in {source}, for {SIMULATOR}: tesla, x forward, y left, z up."]
+    lines += [f"     Not in the simulator: {escape(sentence)}" for sentence in lacking]
+    lines += ["-->", '<sensor name="magnetometer_sensor" type="magnetometer">', "  <always_on>1</always_on>"]
+    lines += ["  <update_rate>100</update_rate>", "  <magnetometer>"]
+    for axis, mean in zip("xyz", (_TESLA * _LEFT_UP * offset).tolist(), strict=True):
+        lines += [f'    <{axis}><noise type="{kind}">', f"      <mean>{mean:.6g}</mean>"]
+        lines += [f"      <stddev>{scatter:.6g}</stddev>"]
+        if walk:
+            # A walk that is held back only after an hour.
+            lines += [
+                f"      <dynamic_bias_stddev>{_TESLA * walk * math.sqrt(_WANDERS_S / 2.0):.6g}"
+                "</dynamic_bias_stddev>",
+                f"      <dynamic_bias_correlation_time>{_WANDERS_S:g}</dynamic_bias_correlation_time>",
+            ]
+        if step:
+            lines += [f"      <precision>{step:.6g}</precision>"]
+        lines += [f"    </noise></{axis}>"]
+    lines += ["  </magnetometer>", "</sensor>"]
+    use = "put FILE into the model's <link>, in the place of its magnetometer"
+    return Exported("\n".join(lines) + "\n", use, {}, tuple(lacking))

@@ -1,0 +1,28 @@
+"""PX4's simulated magnetometer (sensor_mag_sim: SIH, jMAVSim), by its parameters: an offset, no more.
+
+It reports field + SIM_MAG_OFFSET in gauss, with a noise of its own that no parameter changes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mavcompass.gap.export.exported import Exported, Found, commented
+from mavcompass.gap.export.vehicle import affine_map
+
+SIMULATOR = "PX4's simulated magnetometer"
+_OWN_MATRIX = 1e-3
+
+
+def px4_sitl(found: Found) -> Exported:
+    """Write a parameter file in the form of PX4's ground stations: system, component, name, value, type."""
+    matrix, offset = affine_map([s for s in found.settings if s.effect.affine])
+    parameters = {f"SIM_MAG_OFFSET_{axis}": float(offset[i]) / 1000.0 for i, axis in enumerate("XYZ")}
+    lacking = []
+    if np.abs(matrix - np.eye(3)).max() > _OWN_MATRIX:
+        lacking.append(f"Gains, oblique axes and turns of the compass: {SIMULATOR} has an offset only.")
+    lacking += [found.without(s, SIMULATOR) for s in found.settings if not s.effect.affine]
+    lines = [f"# What was found in {found.source or 'a recording'}, for {SIMULATOR}"]
+    lines += commented("# not in the simulator:", lacking)
+    lines += [f"1\t1\t{name}\t{value:.9g}\t9" for name, value in parameters.items()]
+    return Exported("\n".join(lines) + "\n", "load FILE in QGroundControl", parameters, tuple(lacking))

@@ -1,0 +1,85 @@
+"""The vehicle as a simulator must have it: the iron that its calibration cures, and what was found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.result import Cause, Diagnosis
+from mavcompass.simulation.effects import Setting, get
+from mavcompass.simulation.effects.effect import Chain, Signals
+from mavcompass.simulation.physics.signals import Reading, Stimulus
+
+_ROTATION_LEFT_OUT_RAD = math.radians(0.05)
+_LEAST_MOTOR = 0.02
+
+
+def settings_of(causes: Iterable[Cause]) -> list[Setting]:
+    """Turn named causes into settings of their effects; parameters that were not fitted are neutral."""
+    out = []
+    for cause in causes:
+        effect = get(cause.effect)
+        theta = effect.neutral()
+        for i, parameter in enumerate(effect.parameters):
+            theta[i] = cause.parameters.get(parameter.name, theta[i])
+        out.append(Setting(effect, np.clip(theta, effect.lower, effect.upper)))
+    return out
+
+
+def vehicle_settings(diagnosis: Diagnosis) -> list[Setting]:
+    """Return what makes a simulator of the whole vehicle: the iron that its calibration cures, and the
+    causes.
+
+    Of raw = A field + b the matrix is split into a turn and a symmetric part, A = R S.
+    """
+    causes = settings_of(diagnosis.causes)
+    iron = diagnosis.in_force
+    if iron is None:
+        return causes
+    u, sizes, vt = np.linalg.svd(iron.tuned_matrix)
+    turn, stretch = u @ vt, vt.T @ np.diag(sizes) @ vt
+    vector = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    offset = turn.T @ iron.tuned_hard_iron_mgauss
+    found: dict[str, dict[str, float]] = {}
+    if np.abs(offset).max() > 0.0:
+        found["hard_iron"] = dict(zip("xyz", offset.tolist(), strict=True))
+    soft = stretch - np.eye(3)
+    if np.abs(soft).max() > 1e-6:
+        places = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+        found["soft_iron"] = {name: float(soft[i, j]) for name, (i, j) in places.items()}
+    if float(np.linalg.norm(vector)) > _ROTATION_LEFT_OUT_RAD:
+        found["misalignment"] = dict(zip("xyz", vector.tolist(), strict=True))
+    if iron.motor_source == "current" and np.abs(iron.tuned_motor_mgauss).max() > _LEAST_MOTOR:
+        found["motor_current"] = dict(zip("xyz", iron.tuned_motor_mgauss.tolist(), strict=True))
+    known = settings_of(Cause(effect, values, {}, 1.0, ()) for effect, values in found.items())
+    return _summed([*known, *causes])
+
+
+def _summed(settings: Iterable[Setting]) -> list[Setting]:
+    """Make one of what the calibration cures of the motors' field and what was found beside it."""
+    out: dict[str, Setting] = {}
+    for number, setting in enumerate(settings):
+        name = setting.effect.id
+        if name == "motor_current" and name in out:
+            setting = Setting(setting.effect, out[name].theta + setting.theta)
+        out[name if name == "motor_current" else f"{name} {number}"] = setting
+    return list(out.values())
+
+
+def affine_map(settings: Sequence[Setting]) -> tuple[FloatArray, FloatArray]:
+    """Compose affine effects to raw = A field + b: A (3, 3), b (3,), by passing a basis through them."""
+    field: FloatArray = np.zeros((4, 3))
+    field[1:] = 100.0 * np.eye(3)
+    n = len(field)
+    rotation: FloatArray = np.broadcast_to(np.eye(3), (n, 3, 3)).astype(np.float64)
+    zero, none = np.zeros((n, 3)), np.zeros(n)
+    stimulus = Stimulus(
+        np.arange(n, dtype=np.float64), rotation, field, zero, zero, zero, zero, none, none, none,
+        np.zeros((n, 0)),
+    )  # fmt: skip
+    out = Chain(list(settings)).run(Signals(stimulus, Reading(field, zero, zero)), None)
+    raw = out.reading.mag_mgauss
+    return (raw[1:] - raw[0]).T / 100.0, raw[0]

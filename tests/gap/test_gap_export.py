@@ -1,0 +1,179 @@
+"""Exports: a file per simulator that makes the field that was found, or says what it cannot."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import lupa
+import numpy as np
+import pytest
+
+from mavcompass.frames import FloatArray, euler_to_matrix
+from mavcompass.gap.export import TARGETS, Found
+from mavcompass.gap.result import Cause
+from mavcompass.simulation import effects
+from mavcompass.simulation.effects import catalogue
+from mavcompass.simulation.effects.effect import Chain, Setting, Signals
+from mavcompass.simulation.physics.signals import Reading, Stimulus
+
+AFFINE = {"hard_iron", "soft_iron", "axis_scale"}
+IMU = {"accel_bias", "accel_scale", "gyro_bias", "gyro_scale"}
+PARAMETERS = {*AFFINE, *IMU, "orientation", "motor_current", "noise_excess", "transport_lag"}
+SCRIPTED = {
+    "hard_iron_step",
+    "temperature_bias",
+    "per_motor",
+    "relay_field",
+    "spatial_dipole",
+    "field_gradient",
+}
+# What each holds as it is; docs/gap.md has the same table.
+HOLDS = {
+    "ardupilot-sitl": PARAMETERS,
+    "ardupilot-lua": PARAMETERS | SCRIPTED,
+    "px4-sitl": {"hard_iron"},
+    "gazebo": {"hard_iron", "noise_excess", "quantisation", "bias_random_walk"},
+    "mavcompass": set(catalogue()),
+}
+
+
+def typical(effect_id: str) -> Setting:
+    text = {"relay_field": "relay_field:x=25,y=-15,z=10,source=3,threshold=0.5"}.get(effect_id, effect_id)
+    return effects.parse(text)
+
+
+@pytest.mark.parametrize("target", sorted(TARGETS))
+def test_a_simulator_holds_an_effect_or_the_file_says_that_it_does_not(target: str) -> None:
+    held = set()
+    for effect_id in catalogue():
+        found = Found([typical(effect_id)], "a.tlog", {effect_id: 3.2})
+        exported = TARGETS[target](found)
+        if not exported.lacking:
+            held.add(effect_id)
+        assert all(sentence in exported.text.replace("&lt;", "<") for sentence in exported.lacking)
+        assert (
+            not exported.lacking
+            or effect_id in {*AFFINE, "misalignment", "non_orthogonality"}
+            or any("3.2 deg of heading" in sentence for sentence in exported.lacking)
+        )
+    assert held == HOLDS[target]
+
+
+def test_px4_is_told_in_gauss_and_in_the_form_of_its_ground_stations() -> None:
+    exported = TARGETS["px4-sitl"](Found([effects.parse("hard_iron:x=120,y=-80,z=40")]))
+    rows = [line.split("\t") for line in exported.text.splitlines() if not line.startswith("#")]
+    assert rows == [
+        ["1", "1", "SIM_MAG_OFFSET_X", "0.12", "9"],
+        ["1", "1", "SIM_MAG_OFFSET_Y", "-0.08", "9"],
+        ["1", "1", "SIM_MAG_OFFSET_Z", "0.04", "9"],
+    ]
+
+
+def test_gazebo_is_told_in_tesla_with_left_and_up() -> None:
+    found = Found(
+        [effects.parse("hard_iron:x=120,y=-80,z=40"), effects.parse("noise_excess:sigma_mgauss=6")], "a<b--c"
+    )
+    sensor = ElementTree.fromstring(TARGETS["gazebo"](found).text)
+    assert sensor.attrib["type"] == "magnetometer"
+    for axis, mean in zip("xyz", (120e-7, 80e-7, -40e-7), strict=True):
+        noise = sensor.find(f"magnetometer/{axis}/noise")
+        assert noise is not None and noise.attrib["type"] == "gaussian"
+        assert float(noise.findtext("mean", "")) == pytest.approx(mean)
+        assert float(noise.findtext("stddev", "")) == pytest.approx(6e-7)
+
+
+def test_our_preset_is_the_vehicle_itself() -> None:
+    settings = [typical("soft_iron"), typical("spatial_dipole")]
+    document = json.loads(TARGETS["mavcompass"](Found(settings)).text)
+    again = [effects.parse(text) for text in document["effects"]]
+    for setting, read in zip(settings, again, strict=True):
+        np.testing.assert_allclose(read.theta, setting.theta, rtol=1e-5)
+
+
+class Firmware:
+    """Stand in for ArduPilot beside a script: its bindings answer from one instant of a flight."""
+
+    def __init__(self, text: str, time_s: float, position: FloatArray, rotation: FloatArray) -> None:
+        self.parameters: dict[str, float] = {}
+        self.rotation, self.position, self.time_s = rotation, position, time_s
+        self.lua = lupa.LuaRuntime(unpack_returned_tuples=True)  # type: ignore[call-arg]
+        vector = self.lua.execute(
+            """
+            local function vector(x, y, z)
+              local v = { x, y, z }
+              local function part(i)
+                return function(_, value) if value then v[i] = value end return v[i] end
+              end
+              return { x = part(1), y = part(2), z = part(3) }
+            end
+            Vector3f = function() return vector(0, 0, 0) end
+            return vector
+            """
+        )
+        scope = self.lua.globals()
+        scope.param = self._object(set=self._set)
+        scope.millis = lambda: self._object(tofloat=lambda _: 1000.0 * self.time_s)
+        scope.baro = self._object(get_temperature=lambda _: 31.5)
+        scope.battery = self._object(current_amps=lambda _, instance: 12.0)
+        scope.SRV_Channels = self._object(get_output_pwm=lambda _, number: 1000 + 100 * (number - 32))
+        scope.ahrs = self._object(
+            get_relative_position_NED_origin=lambda _: vector(*self.position.tolist()),
+            earth_to_body=lambda _, v: vector(*(self.rotation.T @ [v.x(v), v.y(v), v.z(v)]).tolist()),
+        )
+        self.update = self.lua.execute(text)[0]
+
+    def _object(self, **methods: object) -> object:
+        return self.lua.table_from(methods)
+
+    def _set(self, _: object, name: str, value: float) -> None:
+        self.parameters[name] = value
+
+    def raw(self, field_ned_mgauss: FloatArray) -> FloatArray:
+        """Return what the firmware's simulator makes of a field: E^-1 field - OFS."""
+        self.update()
+        p = self.parameters
+        x, y, z = (p[f"SIM_MAG1_ODI_{axis}"] for axis in "XYZ")
+        cure = np.diag([p[f"SIM_MAG1_DIA_{axis}"] for axis in "XYZ"])
+        cure += np.array([[0.0, x, y], [x, 0.0, z], [y, z, 0.0]])
+        offsets = np.array([p[f"SIM_MAG1_OFS_{axis}"] for axis in "XYZ"])
+        return np.asarray(np.linalg.inv(cure) @ self.rotation.T @ field_ned_mgauss - offsets)
+
+
+@pytest.mark.parametrize("time_s", [10.0, 45.0])
+@pytest.mark.parametrize("effect_id", sorted(SCRIPTED))
+def test_the_script_makes_the_field_that_our_own_effect_makes(effect_id: str, time_s: float) -> None:
+    """The script runs in a real Lua, beside stand-ins for the firmware's bindings."""
+    settings = [
+        effects.parse("soft_iron:xx=0.08,yy=-0.05,xy=0.03"),
+        effects.parse("hard_iron:x=40,y=-20,z=10"),
+        typical(effect_id),
+    ]
+    # The recording begins at its datum, from which a gradient counts.
+    position, rotation = np.array([[0.0, 0.0, 0.0], [3.0, -2.0, -1.5]]), euler_to_matrix(0.2, -0.3, 1.1)
+    field, zero, two = np.tile([230.0, 50.0, -520.0], (2, 1)), np.zeros((2, 3)), np.ones(2)
+    motors = np.tile(0.1 * np.arange(1, 9), (2, 1))
+    stimulus = Stimulus(
+        np.array([0.0, time_s]), np.stack([rotation, rotation]), field, zero, zero, position, zero,
+        12.0 * two, 0.5 * two, 31.5 * two, motors,
+    )  # fmt: skip
+    before = Signals(stimulus, Reading(field @ rotation, zero, zero))
+    truth = Chain(settings).run(before, None).reading.mag_mgauss[1]
+    script = TARGETS["ardupilot-lua"](Found(settings)).text
+    firmware = Firmware(script, time_s, position[1], rotation)
+    np.testing.assert_allclose(firmware.raw(field[1]), truth, atol=0.02)
+
+
+def test_what_the_calibration_cures_of_the_motors_is_added_to_what_was_found() -> None:
+    from mavcompass.gap.export.vehicle import vehicle_settings
+    from mavcompass.gap.result import Cured
+
+    iron = Cured(
+        True, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.eye(3), np.array([1.0, 2.0, -3.0]),
+        "current", 1.0,
+    )  # fmt: skip
+    cause = Cause("motor_current", {"x": 0.5, "y": -1.0, "z": 0.25}, {}, 1.0, ())
+    whole = vehicle_settings(SimpleNamespace(causes=(cause,), in_force=iron))  # type: ignore[arg-type]
+    (motors,) = whole
+    np.testing.assert_allclose(motors.theta, [1.5, 1.0, -2.75])
