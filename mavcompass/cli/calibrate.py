@@ -71,9 +71,7 @@ from mavcompass.vehicle.transport import Recording, parse_address
     "--dwell",
     "dwell_s",
     type=click.FloatRange(0.5, 60.0),
-    default=1.7,
-    show_default=True,
-    help="Seconds to stand still at each position.",
+    help="Seconds to stand still at each position; by default until the heading is sure enough.",
 )
 @max_error_option
 @click.option(
@@ -112,7 +110,7 @@ def command(
     dry_run: bool,
     positions: int,
     step_deg: float,
-    dwell_s: float,
+    dwell_s: float | None,
     max_error_deg: float,
     reboot: bool,
     speak: bool,
@@ -167,7 +165,7 @@ def command(
         system=system,
         year=this_year(),
         reboot=reboot,
-        dwell=DwellSettings(dwell_s=dwell_s),
+        dwell=DwellSettings() if dwell_s is None else DwellSettings(dwell_s=dwell_s, shortest_s=dwell_s),
     )
     with open_source(address, effects, as_ground_station=turn_by != "auto") as link:
         return calibrate_vehicle(link, wanted, settings, speak)

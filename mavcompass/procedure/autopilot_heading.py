@@ -24,21 +24,22 @@ from mavcompass.procedure.report import AutopilotHeading
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.track import Track
 
-# So much disagreement between the estimator and its compass is worth an intervention. The first in units
-# of EKF_STATUS_REPORT.compass_variance, where 1 are 86 degrees.
-_DISAGREES, _WORTH_DEG = 0.02, 1.0
+# Less is not worth an intervention after the write.
+_WORTH_DEG = 2.0
 # An error that grows at a rate comes to so many seconds of it, by measurements on ArduPilot 4.5.7: the old
 # compass has bent the filter's gyro bias, which it unlearns in a minute or two.
-_SWING_S = 26.0
+_SWING_S = 20.0
 # Without a compass nothing ever stops it.
 _MINUTE_S = 60.0
-_GOOD_DEG = 1.5
+_GOOD_DEG = 1.8
 # The slope of the error is that of the last seconds; of so many at least, else it is not known.
 _SLOPE_S, _SLOPE_AT_LEAST_S = 8.0, 3.2
 # The error falls so fast, as a share of itself per second, once the bias is unlearned.
 _UNLEARNED_PER_S = 0.01
 _SAMPLE_S = 1.2
-_PATIENCE_S, _PATIENCE_WITHOUT_A_WAY_S = 120.0, 15.0
+# Its filter lags, and so does its telemetry.
+_LAG_S = 0.8
+_PATIENCE_S, _PATIENCE_WITHOUT_A_WAY_S = 120.0, 45.0
 
 
 def yaw_error_rad(
@@ -83,17 +84,17 @@ class OwnHeading:
     samples: list[tuple[float, float]] = field(default_factory=list)
     _written_s: float = math.nan
     _has_a_way: bool = True
+    _not_before_s: float = -math.inf
 
     # --- while the calibration goes on ----------------------------------------------------------------
 
     def keep_up(self) -> Script[None]:
         """Have the autopilot take its compass's yaw over, right or wrong, before the vehicle turns on.
 
-        What the estimator and a bent compass disagree by while the vehicle turns goes into the
-        estimator's gyro bias, and that outlasts the bend by minutes.
+        What a settled estimator and a bent compass disagree by in a turn goes into the estimator's gyro
+        bias, and that outlasts the bend by minutes. One that has just taken a yaw over blames its yaw.
         """
-        ekf = self.desk.state.ekf
-        if ekf is not None and ekf.compass_variance > _DISAGREES:
+        if self._has_a_way:
             yield from self._take_over()
 
     def written(self, results: Sequence[CalibrationResult], start_s: float, end_s: float) -> Script[None]:
@@ -130,7 +131,7 @@ class OwnHeading:
         """Begin anew after a restart of the autopilot."""
         self.by = ["a restart"]
         self.samples.clear()
-        self._has_a_way = True
+        self._has_a_way, self._not_before_s = True, -math.inf
 
     def outcome(self) -> AutopilotHeading:
         """Return what came of it."""
@@ -201,8 +202,8 @@ class OwnHeading:
             text = f"The autopilot steered {abs(error_deg):.1f} deg off: it has taken the new heading over."
             self._context.show("heading", text)
             self.by.append(how)
-            yield from pause(self._context, 1.0)  # its filter lags, and so does its telemetry
             self.samples.clear()
+            self._not_before_s = self.desk.rest.time_s + _LAG_S + _SAMPLE_S
         return bool(how)
 
     def _take_over(self) -> Script[str]:
@@ -214,7 +215,7 @@ class OwnHeading:
     def _look(self) -> None:
         """Measure the error over the last second, where the vehicle has rested in it."""
         rest = self.desk.rest
-        if rest.for_s() >= _SAMPLE_S or self.flying:
+        if rest.time_s >= self._not_before_s and (rest.for_s() >= _SAMPLE_S or self.flying):
             self._sample(rest.time_s - _SAMPLE_S, rest.time_s)
 
     def _sample(self, start_s: float, end_s: float) -> None:

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from mavcompass import messages as mav
+from mavcompass.calibration.observation import dwell_between
 from mavcompass.calibration.result import CalibrationResult, summary
 from mavcompass.earth_field import EarthField, earth_field_of
-from mavcompass.errors import LinkLost, Refused
+from mavcompass.errors import LinkLost, PoorCalibration, Refused
 from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
@@ -31,6 +32,8 @@ from mavcompass.track import Track
 # Two thirds of a step prove as much as a whole one and take less of the vehicle's time.
 _PROOF_SHARE = 2.0 / 3.0
 _PLACELESS = "The vehicle does not know its place: nothing was taken from the world's magnetic model."
+# The Earth's horizontal and vertical field in temperate latitudes, where the place is not known.
+_TYPICAL_MGAUSS = (220.0, 430.0)
 # Silent for so long after a stop, the vehicle was not stopped but lost.
 _LOST_S = 2.5
 
@@ -181,12 +184,31 @@ class _Calibration:
         """
         desk, settings = self.desk, self.settings
         count, step_rad = settings.positions, settings.step_rad
-        dwell, keep_up = settings.dwell, self.own.keep_up
         windows = yield from visit(
-            desk.context, desk.rest, desk.gyro, mover, count, step_rad, dwell, seen, keep_up
+            desk.context,
+            desk.rest,
+            desk.gyro,
+            mover,
+            count,
+            step_rad,
+            settings.dwell,
+            seen,
+            self.own.keep_up,
+            self.sureness_deg,
         )
         yield from mover.release(desk.context)
         return windows
+
+    def sureness_deg(self, start_s: float, end_s: float) -> float:
+        """Return how far the heading by one still stretch may be off, 1 sigma, of the worst compass."""
+        track = self.desk.builder.build()
+        try:
+            seen = [dwell_between(track, i, start_s, end_s) for i in self.instances]
+        except (PoorCalibration, KeyError):
+            return math.inf
+        world = earth_field_of(track, self.settings.year)
+        across, down = _TYPICAL_MGAUSS if world is None else (world.horizontal_mgauss, world.ned_mgauss[2])
+        return max(math.degrees(dwell.heading_sigma_rad(across, down)) for dwell in seen)
 
     def solve(self, windows: list[Window]) -> CalibrationReport:
         """Solve and judge every compass on what was recorded."""
@@ -239,7 +261,7 @@ class _Calibration:
         try:
             share = 1.0 if isinstance(mover, HandMover) else _PROOF_SHARE
             yield from mover.next(context, share * self.settings.step_rad, 1)
-            window = yield from self.desk.dwell(mover, self.settings.dwell)
+            window = yield from self.desk.dwell(mover, self.settings.dwell, self.sureness_deg)
             yield from mover.release(context)
             with_it = self.solve([*report.windows, window])
         except Exception as why:

@@ -9,7 +9,7 @@ from mavcompass import messages as mav
 from mavcompass.errors import Refused
 from mavcompass.procedure.dialect import Dialect, describe_compasses
 from mavcompass.procedure.motion import Mobility, Wishes
-from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Window, dwell
+from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Sureness, Window, dwell
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
@@ -92,9 +92,11 @@ class Desk:
         """Return what chooses who turns the vehicle."""
         return Mobility(self.identity, self.state, self.gyro, self.rest, wishes)
 
-    def dwell(self, mover: Mover, settings: DwellSettings) -> Script[Window]:
+    def dwell(
+        self, mover: Mover, settings: DwellSettings, sureness: Sureness | None = None
+    ) -> Script[Window]:
         """Wait for rest and stand still; see `positions.dwell`."""
-        return (yield from dwell(self.context, self.rest, self.gyro, mover, settings))
+        return (yield from dwell(self.context, self.rest, self.gyro, mover, settings, sureness))
 
     def duration_s(self) -> float:
         """Return how long the desk has been open."""

@@ -14,11 +14,12 @@ from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.report import AutopilotHeading
 from mavcompass.report.document import live_document
+from mavcompass.simulation.ardupilot import ArduPilot
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
+ARMS_ANYWAY = {"ARMING_CHECK": 0.0}
 # A second set of sources in earnest: which of them is in use nobody can tell from outside.
 NO_GENTLE_WAY = {"EK3_SRC2_POSXY": 6.0}
-ARMS_ANYWAY = {"ARMING_CHECK": 0.0}
 
 
 def steers_off_deg(vehicle: SimulatedAutopilot) -> float:
@@ -48,33 +49,40 @@ def test_it_is_measured_where_nothing_can_be_done(tmp_path: Path) -> None:
     assert math.isclose(abs(report.heading.error_after_deg), steers_off_deg(vehicle), abs_tol=0.7)
 
 
-def test_a_restart_that_was_allowed_brings_it_there(tmp_path: Path) -> None:
-    vehicle = SimulatedAutopilot("rover", seed=3, parameters=NO_GENTLE_WAY | ARMS_ANYWAY, armed=False)
+def with_its_compasses_aside() -> SimulatedAutopilot:
+    """A rover that steers by its gyro alone, and wrongly, until it is restarted."""
+    vehicle = SimulatedAutopilot("rover", seed=3, parameters=ARMS_ANYWAY, armed=False)
     vehicle.advance(10.0)
-    vehicle.filter.bias_radps = math.radians(0.5)  # as after a long drive with a bent compass
-    permissions = Permissions(set_mode=True, arm=True)
-    settings = CalibrateSettings(writing="yes", permissions=permissions, reboot=True)
+    firmware = vehicle.firmware
+    assert isinstance(firmware, ArduPilot)
+    firmware.emergency_yaw_reset()
+    vehicle.filter.yaw_rad += math.radians(20.0)
+    return vehicle
+
+
+def test_a_restart_that_was_allowed_brings_it_there(tmp_path: Path) -> None:
+    vehicle = with_its_compasses_aside()
+    settings = CalibrateSettings(writing="yes", permissions=Permissions(set_mode=True, arm=True), reboot=True)
     shown: list[str] = []
     report = calibrated(vehicle, tmp_path, settings, shown=shown)
     assert vehicle.board.boots == 1, shown
-    assert report.heading is not None and report.heading.by.startswith("a restart")
+    assert report.heading is not None and report.heading.by == "a restart"
     assert not report.steers_off and steers_off_deg(vehicle) < 2.0
-    # What was written is still there, and the rates are as the start leaves them.
     assert report.outcome is not None
     held = vehicle.firmware.store.values
     assert all(math.isclose(held[n], v, abs_tol=1e-3) for n, v in report.outcome.values.items())
 
 
 def test_without_the_permission_the_last_line_says_what_to_do(tmp_path: Path) -> None:
-    vehicle = SimulatedAutopilot("rover", seed=3, parameters=NO_GENTLE_WAY | ARMS_ANYWAY, armed=False)
-    vehicle.advance(10.0)
-    vehicle.filter.bias_radps = math.radians(0.5)
+    vehicle = with_its_compasses_aside()
     settings = CalibrateSettings(writing="yes", permissions=Permissions(set_mode=True, arm=True))
     report = calibrated(vehicle, tmp_path, settings)
     assert vehicle.board.boots == 0
     assert report.steers_off and report.written
     assert report.heading is not None
-    assert report.heading.summary().endswith("deg off; restart it before you drive.")
+    last_line = report.heading.summary()
+    assert "has set its compasses aside" in last_line
+    assert last_line.endswith("restart it before you drive.")
 
 
 @pytest.mark.parametrize(

@@ -62,6 +62,13 @@ class Dwell:
     current_a: float = math.nan
     unsteady_mgauss: float = 0.0
 
+    def heading_sigma_rad(self, horizontal_mgauss: float, vertical_mgauss: float) -> float:
+        """Return how far the heading by this position may be off in such a field: noise, tilt, unrest."""
+        level = (self.covariance_mgauss2 + self.quantisation_mgauss2)[:2, :2]
+        noise = math.sqrt(float(np.linalg.eigvalsh(level)[-1]))
+        across_mgauss = math.hypot(noise, self.unsteady_mgauss, vertical_mgauss * self.tilt_sigma_rad)
+        return across_mgauss / horizontal_mgauss
+
 
 @dataclass(frozen=True, slots=True)
 class Step:

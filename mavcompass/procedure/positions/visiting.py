@@ -20,6 +20,7 @@ from mavcompass.procedure.turning import GyroAngle, TurnStrategy
 
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2
+_ASK_EVERY_S = 0.2
 # What happened in a longer silence is not known.
 _LONGEST_GAP_S = 1.0
 # A clock that goes back by so much belongs to an autopilot that has restarted.
@@ -44,7 +45,9 @@ class DwellSettings:
     """Hold how long to stand still.
 
     Attributes:
-        dwell_s: length of a dwell; eighteen fresh readings of a compass read at 10 Hz.
+        dwell_s: the longest dwell; eighteen fresh readings of a compass read at 10 Hz.
+        shortest_s: the shortest; from then on it ends once the heading by it is sure enough.
+        enough_deg: how sure that is, 1 sigma.
         longest_s: of a vehicle whose sensors are so noisy that their mean takes longer to be known.
         settle_s: rest before a dwell begins. Rest is judged by the mean of half a second, so by then
             the chassis and the compass's average of 100 ms have settled.
@@ -55,6 +58,8 @@ class DwellSettings:
     """
 
     dwell_s: float = 1.7
+    shortest_s: float = 0.8
+    enough_deg: float = 0.15
     longest_s: float = 6.0
     settle_s: float = 0.1
     patience_s: float = 3.0
@@ -214,24 +219,42 @@ def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettin
     return True
 
 
+# Tells how sure the heading by a stretch is, 1 sigma in degrees.
+Sureness = Callable[[float, float], float]
+
+
 def dwell(
-    context: Context, rest: Rest, gyro: GyroAngle, mover: Mover, settings: DwellSettings
+    context: Context,
+    rest: Rest,
+    gyro: GyroAngle,
+    mover: Mover,
+    settings: DwellSettings,
+    sureness: Sureness | None = None,
 ) -> Script[Window]:
-    """Stand still for a dwell; one that is disturbed, or partly not heard, begins anew, twice at the most."""
+    """Stand still for a dwell; one that is disturbed, or partly not heard, begins anew, twice at the most.
+
+    Where `sureness` tells, it ends as soon as the heading by it is sure enough.
+    """
     for _ in range(3):
         resting = yield from mover.settle(context, rest, settings)
         start_s, angle, samples = rest.time_s, gyro.angle_rad, gyro.samples
-        began, held_s, dwell_s = context.now, context.now, rest.needed_s(settings)
-        while rest.time_s - start_s < dwell_s:
-            if context.now - began > 5.0 * dwell_s + 5.0:
+        began, held_s = context.now, context.now
+        length_s, needed_s, asks_s = 0.0, rest.needed_s(settings), settings.shortest_s
+        while length_s < needed_s:
+            if context.now - began > 5.0 * needed_s + 5.0:
                 raise LinkLost("The IMU messages stopped coming.", "Bring the link back and run again.")
             if context.now - held_s >= _HOLD_EVERY_S:
-                mover.hold(context, dwell_s - (rest.time_s - start_s))
+                mover.hold(context, needed_s - length_s)
                 held_s = context.now
             heard_s = rest.time_s
             yield from pause(context, 0.05)
             if (resting and rest.still_since_s is None) or rest.time_s - heard_s > _LONGEST_GAP_S:
                 break
+            length_s = rest.time_s - start_s
+            if sureness is not None and resting and length_s >= asks_s:
+                asks_s = length_s + _ASK_EVERY_S
+                if sureness(start_s, rest.time_s) <= settings.enough_deg:
+                    needed_s = length_s
         else:
             if resting and gyro.samples > samples:
                 _learn_bias(gyro, angle, rest.time_s - start_s)
@@ -256,11 +279,12 @@ def visit(
     settings: DwellSettings,
     seen: Sequence[Window] = (),
     at_each: Callable[[], Script[None]] = lambda: nothing(None),
+    sureness: Sureness | None = None,
 ) -> Script[list[Window]]:
     """Visit positions, `step_rad` apart as well as the vehicle can; the first is where it is.
 
     With `count` positions `seen` already, one more is visited, half a step between those. `at_each` is
-    done at each before the vehicle turns on.
+    done at each before the vehicle turns on, `sureness` ends its dwell; see `dwell`.
     """
     windows, wanted = list(seen), max(count, len(seen) + 1)
     while len(windows) < wanted:
@@ -274,12 +298,12 @@ def visit(
             yield from mover.next(context, angle_rad, wanted - index)
         context.show(
             "dwell",
-            f"Position {index + 1} of {wanted}: standing still for {rest.needed_s(settings):.0f} s.",
+            f"Position {index + 1} of {wanted}: standing still.",
             index / (wanted + 1.0),
             position=float(index + 1),
             turned_deg=math.degrees(gyro.angle_rad),
         )
-        window = yield from dwell(context, rest, gyro, mover, settings)
+        window = yield from dwell(context, rest, gyro, mover, settings, sureness)
         if mover.accept(context, window.turned_rad):
             windows.append(window)
     return windows

@@ -121,6 +121,11 @@ class ArduPilot(Firmware):
         self.sources.correct(dt_s, self.compasses.yaw())
         self.calibration.observe(self.board.body.yaw_rad)
 
+    def emergency_yaw_reset(self) -> None:
+        """Set the compasses aside, as EKF3 does in flight where the receiver's velocity contradicts them."""
+        self.sources.compasses_aside = True
+        self.board.say("EKF3 IMU0 emergency yaw reset", MavSeverity.WARNING)
+
     def battery_failsafe(self) -> None:
         """Warn, and stop or come down."""
         self.status.battery_low = self.status.failsafe = True

@@ -13,6 +13,9 @@ class Sources:
 
     Seen on ArduPilot 4.5.7: when the compass becomes the source of yaw, its yaw is taken over at once; a
     flying copter goes back within a second to what its filter has learnt of the field.
+
+    Attributes:
+        compasses_aside: the filter follows no compass until the next start, whatever its sources are.
     """
 
     def __init__(self, board: Board, store: ParameterStore) -> None:
@@ -23,6 +26,7 @@ class Sources:
     def boot(self) -> None:
         """Use the first set."""
         self.number = 1
+        self.compasses_aside = False
         self._followed = True
 
     def use(self, number: int) -> bool:
@@ -35,7 +39,8 @@ class Sources:
     def correct(self, dt_s: float, compass_yaw_rad: float | None) -> None:
         """Let the filter follow the compass, where that is its source of yaw."""
         estimate, flying = self._board.filter, self._board.profile.hovers and not self._board.body.landed
-        follows = self._store.get(f"EK3_SRC{self.number}_YAW", 1.0) in (_COMPASS, _COMPASS_AS_FALLBACK)
+        named = self._store.get(f"EK3_SRC{self.number}_YAW", 1.0) in (_COMPASS, _COMPASS_AS_FALLBACK)
+        follows = named and not self.compasses_aside
         if follows and not self._followed and compass_yaw_rad is not None and not flying:
             estimate.take_yaw(compass_yaw_rad)
         estimate.correct(dt_s, compass_yaw_rad if follows else None)

@@ -88,7 +88,7 @@ class AttitudeFilter:
     def correct(self, dt_s: float, compass_yaw_rad: float | None) -> None:
         """Be pulled towards the compass's yaw; None or nan where there is no compass to believe."""
         if compass_yaw_rad is None or not math.isfinite(compass_yaw_rad):
-            self.innovation_rad = 0.0
+            self.innovation_rad = self.compass_variance = 0.0
         else:
             self.innovation_rad = wrap_angle(compass_yaw_rad - self.yaw_rad)
         limit = YAW_PULL_MAX_RADPS / YAW_PULL_PER_S

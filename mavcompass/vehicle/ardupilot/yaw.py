@@ -22,7 +22,7 @@ HOW = "switching its source of yaw off and on"
 _SETS = (1, 2, 3)
 _EKF3, _COMPASS, _COMPASS_AS_FALLBACK, _NONE = 3.0, 1.0, 3.0, 0.0
 # One step of the filter would do; several survive a busy processor.
-_OFF_S = 0.2
+_OFF_S = 0.1
 
 
 def take_compass_yaw(context: Context, parameters: Mapping[str, float], flying: bool) -> Script[str]:
