@@ -58,7 +58,7 @@ class DwellSettings:
     """
 
     dwell_s: float = 1.7
-    shortest_s: float = 0.8
+    shortest_s: float = 0.6
     enough_deg: float = 0.15
     longest_s: float = 6.0
     settle_s: float = 0.1

@@ -33,15 +33,12 @@ def take_compass_yaw(context: Context, parameters: Mapping[str, float], flying: 
     idle = None if flying else idle_set(parameters)
     if idle is None or (yield from _use(context, idle)) != MavResult.ACCEPTED:
         return ""
-    stopped: Refused | None = None
     try:
         yield from pause(context, _OFF_S)
-    except Refused as stop:
-        stopped = stop
-    while (yield from _back(context)) is None:
-        pass  # a stop, which comes once: the vehicle needs its sources whatever else happens
-    if stopped is not None:
-        raise stopped
+        yield from _use(context, _SETS[0])
+    except Refused:
+        yield from _use(context, _SETS[0])  # a stop comes once, and the vehicle needs its sources
+        raise
     return HOW
 
 
@@ -64,10 +61,3 @@ def idle_set(parameters: Mapping[str, float]) -> int | None:
 def _use(context: Context, number: int) -> Script[MavResult]:
     what = "which sources its estimator uses"
     return (yield from command(context, MavCmd.SET_EKF_SOURCE_SET, float(number), what=what))
-
-
-def _back(context: Context) -> Script[MavResult | None]:
-    try:
-        return (yield from _use(context, _SETS[0]))
-    except Refused:
-        return None
