@@ -7,7 +7,7 @@ the recording, in the vehicle's time, in which it stood still.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -21,6 +21,8 @@ from mavcompass.procedure.turning import GyroAngle, TurnStrategy
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2
 _ASK_EVERY_S = 0.2
+# Noise would fall to 0.71 in twice the time.
+_MUCH_SURER = 0.85
 # What happened in a longer silence is not known.
 _LONGEST_GAP_S = 1.0
 # A clock that goes back by so much belongs to an autopilot that has restarted.
@@ -46,8 +48,9 @@ class DwellSettings:
 
     Attributes:
         dwell_s: the longest dwell; eighteen fresh readings of a compass read at 10 Hz.
-        shortest_s: the shortest; from then on it ends once the heading by it is sure enough.
-        enough_deg: how sure that is, 1 sigma.
+        shortest_s: the shortest; from then on it ends once the heading by it is sure enough, or not much
+            surer than it was after half the time: what sways is not averaged out by standing longer.
+        enough_deg: how sure is enough, 1 sigma.
         longest_s: of a vehicle whose sensors are so noisy that their mean takes longer to be known.
         settle_s: rest before a dwell begins. Rest is judged by the mean of half a second, so by then
             the chassis and the compass's average of 100 ms have settled.
@@ -240,6 +243,7 @@ def dwell(
         start_s, angle, samples = rest.time_s, gyro.angle_rad, gyro.samples
         began, held_s = context.now, context.now
         length_s, needed_s, asks_s = 0.0, rest.needed_s(settings), settings.shortest_s
+        known: dict[float, float] = {}
         while length_s < needed_s:
             if context.now - began > 5.0 * needed_s + 5.0:
                 raise LinkLost("The IMU messages stopped coming.", "Bring the link back and run again.")
@@ -253,13 +257,23 @@ def dwell(
             length_s = rest.time_s - start_s
             if sureness is not None and resting and length_s >= asks_s:
                 asks_s = length_s + _ASK_EVERY_S
-                if sureness(start_s, rest.time_s) <= settings.enough_deg:
+                known[length_s] = sureness(start_s, rest.time_s)
+                if _is_enough(known, length_s, settings):
                     needed_s = length_s
         else:
             if resting and gyro.samples > samples:
                 _learn_bias(gyro, angle, rest.time_s - start_s)
             return Window(start_s, rest.time_s, gyro.angle_rad)
     return Window(start_s, rest.time_s, gyro.angle_rad)
+
+
+def _is_enough(known: Mapping[float, float], length_s: float, settings: DwellSettings) -> bool:
+    """Tell whether a dwell may end, from how sure the heading was after each length, degrees."""
+    now_deg = known[length_s]
+    if now_deg <= settings.enough_deg:
+        return True
+    halves_deg = [sure_deg for at_s, sure_deg in known.items() if at_s <= 0.5 * length_s]
+    return bool(halves_deg) and now_deg > _MUCH_SURER * halves_deg[-1]
 
 
 def _learn_bias(gyro: GyroAngle, angle_before_rad: float, seconds: float) -> None:
