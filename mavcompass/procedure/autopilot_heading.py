@@ -28,7 +28,7 @@ from mavcompass.track import Track
 _WORTH_DEG = 2.0
 # An error that grows at a rate comes to so many seconds of it, by measurements on ArduPilot 4.5.7: the old
 # compass has bent the filter's gyro bias, which it unlearns in a minute or two.
-_SWING_S = 20.0
+_SWING_S = 17.0
 # Without a compass nothing ever stops it.
 _MINUTE_S = 60.0
 _GOOD_DEG = 1.8
