@@ -23,6 +23,10 @@ _HOLD_WHILE_SETTLING_S = 0.2
 _ASK_EVERY_S = 0.2
 # Noise would fall to 0.71 in twice the time.
 _MUCH_SURER = 0.85
+# Nothing shorter tells what a vehicle that sways does.
+_SWAYS_S = 1.4
+# A vehicle that needs so many times the usual dwell has noisy sensors.
+_NOISY = 1.5
 # What happened in a longer silence is not known.
 _LONGEST_GAP_S = 1.0
 # A clock that goes back by so much belongs to an autopilot that has restarted.
@@ -258,7 +262,9 @@ def dwell(
             if sureness is not None and resting and length_s >= asks_s:
                 asks_s = length_s + _ASK_EVERY_S
                 known[length_s] = sureness(start_s, rest.time_s)
-                if _is_enough(known, length_s, settings):
+                # Noise, unlike swaying, is averaged out by standing longer.
+                noisy = rest.needed_s(settings) > _NOISY * settings.dwell_s
+                if _is_enough({} if noisy else known, known[length_s], length_s, settings):
                     needed_s = length_s
         else:
             if resting and gyro.samples > samples:
@@ -267,13 +273,14 @@ def dwell(
     return Window(start_s, rest.time_s, gyro.angle_rad)
 
 
-def _is_enough(known: Mapping[float, float], length_s: float, settings: DwellSettings) -> bool:
-    """Tell whether a dwell may end, from how sure the heading was after each length, degrees."""
-    now_deg = known[length_s]
+def _is_enough(
+    known: Mapping[float, float], now_deg: float, length_s: float, settings: DwellSettings
+) -> bool:
+    """Tell whether a dwell may end, from how sure the heading was after each length before, degrees."""
     if now_deg <= settings.enough_deg:
         return True
     halves_deg = [sure_deg for at_s, sure_deg in known.items() if at_s <= 0.5 * length_s]
-    return bool(halves_deg) and now_deg > _MUCH_SURER * halves_deg[-1]
+    return bool(halves_deg) and length_s >= _SWAYS_S and now_deg > _MUCH_SURER * halves_deg[-1]
 
 
 def _learn_bias(gyro: GyroAngle, angle_before_rad: float, seconds: float) -> None:
