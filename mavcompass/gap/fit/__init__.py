@@ -1,8 +1,9 @@
 """Fit hypotheses to a replay, and search the set of effects that explains it best."""
 
 from mavcompass.gap.fit.chance import least_gain
+from mavcompass.gap.fit.composition import difference
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, make_term
-from mavcompass.gap.fit.model import Problem, difference
+from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Found, Search
 
 __all__ = [

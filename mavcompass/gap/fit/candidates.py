@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.fit.composition import difference
 from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension
-from mavcompass.gap.fit.model import Problem, difference
+from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.normal import BlockNormal
 from mavcompass.gap.replay import REFERENCE_YAW, WORLD_FIELD, group_values, yaw_starts
 from mavcompass.simulation.effects.effect import Misfit
@@ -82,7 +83,7 @@ class Candidates:
         self.list: list[Candidate] = []
         self._columns = 0
         n = len(problem.nuisances)
-        states = problem.states(base.terms, base.thetas, base.nuisance_thetas)
+        states = problem.composition.states(base.terms, base.thetas, base.nuisance_thetas)
         known = problem.columns(base.terms, base.thetas, base.nuisance_thetas, states, range(n))
         self._parts = [known]
         residual = problem.residual(states[-1].reading)
@@ -128,7 +129,7 @@ class Candidates:
             guesses = term.effect.starts(misfit)
         for guess in guesses:
             terms, thetas = (*fit.terms, term), (*fit.thetas, guess)
-            states = problem.states(terms, thetas, fit.nuisance_thetas)
+            states = problem.composition.states(terms, thetas, fit.nuisance_thetas)
             place = len(problem.nuisances) + len(fit.terms)
             own = problem.columns(terms, thetas, fit.nuisance_thetas, states, [place])
             shift: FloatArray | None = None

@@ -1,37 +1,31 @@
 """Fit hypotheses (nuisances and effects with values) to a replay by Gauss and Newton.
 
 The residual is whitened by the noise floor, so that its sum of squares is minus twice the logarithm of
-the likelihood, up to a constant. Derivatives are differences of the forward models: each parameter runs
-the composition again from its own stage on.
+the likelihood, up to a constant.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.fit.composition import Composition
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
 from mavcompass.gap.fit.newton import bridge, invert, moved, solve
 from mavcompass.gap.replay import (
     REFERENCE_YAW,
-    TELEMETRY_AGE,
     Noise,
     Nuisance,
     Prior,
     Replay,
     group_values,
-    turned,
 )
-from mavcompass.simulation.effects.effect import Effect, Signals
-from mavcompass.simulation.effects.sampling import at_times
+from mavcompass.simulation.effects.effect import Signals
 from mavcompass.simulation.physics.signals import Reading
 
-_STEP = 1e-3
-_NUDGE_RAD = 1e-5
 _ITERATIONS = 12
 _CONVERGED = 0.02
 # The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, and
@@ -39,39 +33,6 @@ _CONVERGED = 0.02
 _NEAR, _FAR = 0.3, 5.0
 # The precision, in natural sizes, of what is not to move.
 _HELD = 1e14
-
-
-def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
-    """Return the change of a reading, over a step."""
-    return Reading(
-        *(
-            np.zeros_like(b) if a is b else (a - b) / step
-            for a, b in (
-                (after.mag_mgauss, before.mag_mgauss),
-                (after.acc_mps2, before.acc_mps2),
-                (after.gyro_radps, before.gyro_radps),
-            )
-        )
-    )
-
-
-def _nudged(signals: Signals) -> list[Signals]:
-    """Turn an attitude a little about each of the world's axes."""
-    return [
-        turned(signals, np.broadcast_to(axis, (signals.stimulus.time_s.size, 3)))
-        for axis in _NUDGE_RAD * np.eye(3)
-    ]
-
-
-def _along(by_axis: Sequence[Reading], curves_rad: FloatArray, yaw_rad: float) -> list[Reading]:
-    """Combine the changes by turns about the world's axes to those by curves of a frame turned by a yaw."""
-    if not curves_rad.shape[2]:
-        return []
-    c, d = math.cos(yaw_rad), math.sin(yaw_rad)
-    turns = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]]) @ curves_rad
-    mag = np.stack([one.mag_mgauss for one in by_axis], axis=2) @ turns
-    still = by_axis[0]
-    return [Reading(mag[:, :, k], 0.0 * still.acc_mps2, 0.0 * still.gyro_radps) for k in range(mag.shape[2])]
 
 
 class Problem:
@@ -84,6 +45,7 @@ class Problem:
         self.prior = prior
         self.nuisances = prior.nuisances
         self.groups = replay.groups
+        self.composition = Composition(replay, prior.nuisances)
         usable = replay.valid.copy()
         most = max((noise[g].coefficients.shape[0] for g in self.groups), default=0)
         for lag in range(1, most + 1):
@@ -129,11 +91,11 @@ class Problem:
         """Return what the simulation says under a hypothesis, or under its nuisances alone."""
         terms = fit.terms if effects else ()
         thetas = fit.thetas if effects else ()
-        return self.states(terms, thetas, fit.nuisance_thetas)[-1].reading
+        return self.composition.states(terms, thetas, fit.nuisance_thetas)[-1].reading
 
     def signals(self, fit: Fit) -> Signals:
         """Return the simulated signals under a hypothesis."""
-        return self.states(fit.terms, fit.thetas, fit.nuisance_thetas)[-1]
+        return self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)[-1]
 
     def innovations(self, reading: Reading) -> dict[str, FloatArray]:
         """Return measured minus predicted, whitened, (N, 3) per sensor."""
@@ -157,30 +119,6 @@ class Problem:
         """Hold values across rows without a reading, so that what is correlated stays so."""
         return values if self._bridge is None else values[self._bridge]
 
-    def _ordered(self, terms: Sequence[Term]) -> list[tuple[Effect, int]]:
-        """List the effects of the composition in order, with their places in the list of parameters."""
-        members = [(n.effect, i) for i, n in enumerate(self.nuisances)]
-        members += [(t.effect, len(self.nuisances) + i) for i, t in enumerate(terms)]
-        # Sorting is stable: a nuisance acts before the effects of its stage.
-        return sorted(members, key=lambda member: member[0].stage)
-
-    def states(
-        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray]
-    ) -> list[Signals]:
-        """Return the signals after each member of the composition, the replay's own first."""
-        everything = [*nuisance_thetas, *thetas]
-        states = [self.replay.signals]
-        for effect, place in self._ordered(terms):
-            states.append(effect.forward(states[-1], everything[place], {}, None))
-        return states
-
-    def _run_from(
-        self, order: list[tuple[Effect, int]], at: int, state: Signals, thetas: list[FloatArray]
-    ) -> Reading:
-        for effect, place in order[at:]:
-            state = effect.forward(state, thetas[place], {}, None)
-        return state.reading
-
     def columns(
         self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
         states: list[Signals], wanted: Sequence[int],
@@ -189,59 +127,13 @@ class Problem:
 
         `wanted` holds places: nuisances first, then terms. One column per free parameter.
         """
-        return self.whitened(self._changes(terms, thetas, nuisance_thetas, states, wanted))
+        return self.whitened(self.composition.changes(terms, thetas, nuisance_thetas, states, wanted))
 
     def nuisance_changes(self, fit: Fit) -> list[Reading]:
         """Return the derivatives of the prediction by the nuisances' parameters, under a fit."""
-        states = self.states(fit.terms, fit.thetas, fit.nuisance_thetas)
+        states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
         places = range(len(self.nuisances))
-        return self._changes(fit.terms, fit.thetas, fit.nuisance_thetas, states, places)
-
-    def _changes(
-        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
-        states: list[Signals], wanted: Sequence[int],
-    ) -> list[Reading]:  # fmt: skip
-        order = self._ordered(terms)
-        everything = [*nuisance_thetas, *thetas]
-        places = {place: at for at, (_, place) in enumerate(order)}
-        # A common delay comes last and is the same for all that comes before it: once for all columns.
-        late = order[-1][0].id == TELEMETRY_AGE if order else False
-        end = len(order) - 1 if late else len(order)
-        changes: list[Reading] = []
-        early: list[int] = []
-        for place in wanted:
-            at = places[place]
-            effect = order[at][0]
-            stop = end if at < end else len(order)
-            base = states[stop].reading
-            free = np.flatnonzero(self._free(terms, place))
-            for j in free[:1] if effect.id == REFERENCE_YAW else free:
-                theta = everything[place].copy()
-                step = _STEP * max(effect.parameters[j].scale, 1e-12)
-                if theta[j] + step > effect.parameters[j].high:
-                    step = -step
-                theta[j] += step
-                moved = everything.copy()
-                moved[place] = theta
-                if stop < len(order):
-                    early.append(len(changes))
-                changes.append(difference(self._run_from(order[:stop], at, states[at], moved), base, step))
-            if effect.id == REFERENCE_YAW:
-                early += range(len(changes), len(changes) + free.size - 1) if stop < len(order) else []
-                after = (self._run_from(order[:stop], at + 1, s, everything) for s in _nudged(states[at + 1]))
-                by_axis = [difference(reading, base, _NUDGE_RAD) for reading in after]
-                yaw = float(everything[place][0])
-                changes += _along(by_axis, self.replay.reference.curves_rad, yaw)
-        if early and late:
-            self._delay(changes, early, float(everything[order[-1][1]][0]))
-        return changes
-
-    def _delay(self, changes: list[Reading], which: Sequence[int], delay_s: float) -> None:
-        time = self.replay.time_s
-        stacked = np.concatenate([changes[i].mag_mgauss for i in which], axis=1)
-        late = at_times(time, stacked, time - delay_s)
-        for n, i in enumerate(which):
-            changes[i] = Reading(late[:, 3 * n : 3 * n + 3], changes[i].acc_mps2, changes[i].gyro_radps)
+        return self.composition.changes(fit.terms, fit.thetas, fit.nuisance_thetas, states, places)
 
     def whitened(self, changes: Sequence[Reading]) -> FloatArray:
         """Return changes of the prediction as whitened columns, one for each; rows as in `residual`."""
@@ -258,12 +150,6 @@ class Problem:
                 out[:, some] = white.reshape(rows.size * 3, some.size)
             parts.append(out)
         return np.concatenate(parts)
-
-    def _free(self, terms: Sequence[Term], place: int) -> Mask:
-        n = len(self.nuisances)
-        if place < n:
-            return np.ones(len(self.nuisances[place].effect.parameters), dtype=np.bool_)
-        return terms[place - n].free
 
     def strain(self, fit: Fit) -> float:
         """Return how far a fit strains what is known of vehicle and place together, in squared sigmas.
@@ -311,9 +197,9 @@ class Problem:
         terms = tuple(terms)
         x = [np.array(t, dtype=np.float64) for t in (*nuisance_thetas, *thetas)]
         n = len(self.nuisances)
-        free = [np.flatnonzero(self._free(terms, i)) for i in range(len(x))]
+        free = [self.composition.free(terms, i) for i in range(len(x))]
         weak = weak_precision(terms)
-        states = self.states(terms, x[n:], x[:n])
+        states = self.composition.states(terms, x[n:], x[:n])
         r = self.residual(states[-1].reading)
         cost = self._cost(r, x, free, weak)
         damping = 1e-6
@@ -332,7 +218,7 @@ class Problem:
             for _ in range(6):
                 step = solve(normal, gradient, damping)
                 trial = moved(x, step, free, self._bounds(terms))
-                trial_states = self.states(terms, trial[n:], trial[:n])
+                trial_states = self.composition.states(terms, trial[n:], trial[:n])
                 trial_r = self.residual(trial_states[-1].reading)
                 trial_cost = self._cost(trial_r, trial, free, weak)
                 if trial_cost < cost:

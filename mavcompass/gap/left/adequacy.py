@@ -70,7 +70,7 @@ def judge(problem: Problem, fit: Fit, compare_scatter: bool, thorough: bool = Tr
 
 def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
     z = problem.innovations(problem.predict(fit))
-    states = problem.states(fit.terms, fit.thetas, fit.nuisance_thetas)
+    states = problem.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
     count = len(problem.nuisances) + len(fit.terms)
     J = problem.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, range(count))
     n = problem.index.size

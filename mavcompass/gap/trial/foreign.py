@@ -93,7 +93,7 @@ def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
         ),
         floor.prior.precision,
     )
-    as_known = Problem(exact, floor.noise, exact.valid, prior).states(
+    as_known = Problem(exact, floor.noise, exact.valid, prior).composition.states(
         (), (), [n.mean for n in prior.nuisances]
     )
     made: FloatArray = as_known[-1].reading.mag_mgauss + change[middles]

@@ -171,7 +171,7 @@ def _truth_distance(label: Label, search: Search) -> float:
 def _size(problem: Problem) -> float:
     """Return the whitened length of what the effects change, nothing else being fitted."""
     known = [n.mean for n in problem.nuisances]
-    return float(np.linalg.norm(problem.residual(problem.states((), (), known)[-1].reading)))
+    return float(np.linalg.norm(problem.residual(problem.composition.states((), (), known)[-1].reading)))
 
 
 def closing_of_the_truth(label: Label, answer: Answer) -> tuple[float, float]:

@@ -212,7 +212,7 @@ def test_derivatives_are_finite_differences_through_the_whole_chain(
     members = [effects.parse(text) for text in (*texts, "misalignment:x=0.02,y=-0.03,z=0.04")]
     terms = [make_term(s.effect, replayed.signals) for s in members]
     thetas = [s.theta for s in members]
-    states = problem.states(terms, thetas, nuisances)
+    states = problem.composition.states(terms, thetas, nuisances)
     everything = [*nuisances, *thetas]
     n = len(nuisances)
     columns = problem.columns(terms, thetas, nuisances, states, range(len(everything)))
@@ -227,7 +227,7 @@ def test_derivatives_are_finite_differences_through_the_whole_chain(
             for sign in (1.0, -1.0):
                 moved = [x.copy() for x in everything]
                 moved[place][j] += sign * h
-                reading = problem.states(terms, moved[n:], moved[:n])[-1].reading
+                reading = problem.composition.states(terms, moved[n:], moved[:n])[-1].reading
                 ends.append(-problem.residual(reading))
             exact = (ends[0] - ends[1]) / (2.0 * h)
             off = float(np.linalg.norm(columns[:, at] - exact))

@@ -1,0 +1,142 @@
+"""The simulation that a hypothesis makes of a replay: nuisances and effects in order, and its derivatives.
+
+Derivatives are differences of the forward models: each parameter runs the composition again from its own
+stage on. What an attitude may be off by, and a common delay, are reckoned once for all columns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit.hypothesis import Term
+from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, Replay, turned
+from mavcompass.simulation.effects.effect import Effect, Signals
+from mavcompass.simulation.effects.sampling import at_times
+from mavcompass.simulation.physics.signals import Reading
+
+_STEP = 1e-3
+_NUDGE_RAD = 1e-5
+
+
+def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
+    """Return the change of a reading, over a step."""
+    return Reading(
+        *(
+            np.zeros_like(b) if a is b else (a - b) / step
+            for a, b in (
+                (after.mag_mgauss, before.mag_mgauss),
+                (after.acc_mps2, before.acc_mps2),
+                (after.gyro_radps, before.gyro_radps),
+            )
+        )
+    )
+
+
+def _nudged(signals: Signals) -> list[Signals]:
+    """Turn an attitude a little about each of the world's axes."""
+    return [
+        turned(signals, np.broadcast_to(axis, (signals.stimulus.time_s.size, 3)))
+        for axis in _NUDGE_RAD * np.eye(3)
+    ]
+
+
+def _along(by_axis: Sequence[Reading], curves_rad: FloatArray, yaw_rad: float) -> list[Reading]:
+    """Combine the changes by turns about the world's axes to those by curves of a frame turned by a yaw."""
+    if not curves_rad.shape[2]:
+        return []
+    c, d = math.cos(yaw_rad), math.sin(yaw_rad)
+    turns = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]]) @ curves_rad
+    mag = np.stack([one.mag_mgauss for one in by_axis], axis=2) @ turns
+    still = by_axis[0]
+    return [Reading(mag[:, :, k], 0.0 * still.acc_mps2, 0.0 * still.gyro_radps) for k in range(mag.shape[2])]
+
+
+class Composition:
+    """Run nuisances and effects on a replay; places count the nuisances first, then the terms."""
+
+    def __init__(self, replay: Replay, nuisances: Sequence[Nuisance]) -> None:
+        self.replay = replay
+        self.nuisances = nuisances
+
+    def free(self, terms: Sequence[Term], place: int) -> NDArray[np.int64]:
+        """Return the places of the free parameters of a member."""
+        n = len(self.nuisances)
+        if place < n:
+            return np.arange(len(self.nuisances[place].effect.parameters))
+        return np.flatnonzero(terms[place - n].free)
+
+    def _ordered(self, terms: Sequence[Term]) -> list[tuple[Effect, int]]:
+        """List the effects of the composition in order, with their places in the list of parameters."""
+        members = [(n.effect, i) for i, n in enumerate(self.nuisances)]
+        members += [(t.effect, len(self.nuisances) + i) for i, t in enumerate(terms)]
+        # Sorting is stable: a nuisance acts before the effects of its stage.
+        return sorted(members, key=lambda member: member[0].stage)
+
+    def states(
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray]
+    ) -> list[Signals]:
+        """Return the signals after each member of the composition, the replay's own first."""
+        everything = [*nuisance_thetas, *thetas]
+        states = [self.replay.signals]
+        for effect, place in self._ordered(terms):
+            states.append(effect.forward(states[-1], everything[place], {}, None))
+        return states
+
+    def _run_from(
+        self, order: list[tuple[Effect, int]], at: int, state: Signals, thetas: list[FloatArray]
+    ) -> Reading:
+        for effect, place in order[at:]:
+            state = effect.forward(state, thetas[place], {}, None)
+        return state.reading
+
+    def changes(
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
+        states: list[Signals], wanted: Sequence[int],
+    ) -> list[Reading]:  # fmt: skip
+        """Return the derivatives of the prediction by the free parameters of some members, in their order."""
+        order = self._ordered(terms)
+        everything = [*nuisance_thetas, *thetas]
+        places = {place: at for at, (_, place) in enumerate(order)}
+        # A common delay comes last and is the same for all that comes before it: once for all columns.
+        late = order[-1][0].id == TELEMETRY_AGE if order else False
+        end = len(order) - 1 if late else len(order)
+        changes: list[Reading] = []
+        early: list[int] = []
+        for place in wanted:
+            at = places[place]
+            effect = order[at][0]
+            stop = end if at < end else len(order)
+            base = states[stop].reading
+            free = self.free(terms, place)
+            for j in free[:1] if effect.id == REFERENCE_YAW else free:
+                theta = everything[place].copy()
+                step = _STEP * max(effect.parameters[j].scale, 1e-12)
+                if theta[j] + step > effect.parameters[j].high:
+                    step = -step
+                theta[j] += step
+                moved = everything.copy()
+                moved[place] = theta
+                if stop < len(order):
+                    early.append(len(changes))
+                changes.append(difference(self._run_from(order[:stop], at, states[at], moved), base, step))
+            if effect.id == REFERENCE_YAW:
+                early += range(len(changes), len(changes) + free.size - 1) if stop < len(order) else []
+                after = (self._run_from(order[:stop], at + 1, s, everything) for s in _nudged(states[at + 1]))
+                by_axis = [difference(reading, base, _NUDGE_RAD) for reading in after]
+                yaw = float(everything[place][0])
+                changes += _along(by_axis, self.replay.reference.curves_rad, yaw)
+        if early and late:
+            self._delay(changes, early, float(everything[order[-1][1]][0]))
+        return changes
+
+    def _delay(self, changes: list[Reading], which: Sequence[int], delay_s: float) -> None:
+        time = self.replay.time_s
+        stacked = np.concatenate([changes[i].mag_mgauss for i in which], axis=1)
+        late = at_times(time, stacked, time - delay_s)
+        for n, i in enumerate(which):
+            changes[i] = Reading(late[:, 3 * n : 3 * n + 3], changes[i].acc_mps2, changes[i].gyro_radps)
