@@ -12,8 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
+from mavcompass.frames import FloatArray, rotate_back
 from mavcompass.gap.attitude.rest import Bias
+from mavcompass.gap.attitude.steering import told_rotation
 from mavcompass.gap.result import Cause
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -63,13 +64,13 @@ def _accelerometer_bias(track: Track) -> Bias | None:
     attitude = track.attitude_rad
     if attitude is None or len(attitude) < _FEWEST or track.acc_mps2 is None:
         return None
-    when, first = np.unique(attitude.time_s, return_index=True)
+    when = np.unique(attitude.time_s)
     acceleration = _acceleration(track, when)
     if acceleration is None or float(np.median(np.diff(when))) > _SLOWEST_S:
         return None
-    roll, pitch, yaw = attitude.values[first].T
-    rotation = euler_to_matrix(roll, pitch, np.unwrap(yaw))
-    force = rotate_back(rotation, acceleration - np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2]))
+    force = rotate_back(
+        told_rotation(attitude, when), acceleration - np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
+    )
     values = track.acc_mps2.at(when) - force
     values = values[np.isfinite(values).all(axis=1)]
     parts = np.array([part.mean(axis=0) for part in np.array_split(values, _BLOCKS) if len(part)])

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
-from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
+from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix
 from mavcompass.gap.attitude.kinematics import (
     integral,
     interpolated,
@@ -29,10 +29,10 @@ from mavcompass.gap.attitude.levelling import sensed_by, started
 from mavcompass.gap.attitude.navigation import Smoothed, Witness, carried, smoothed_attitude
 from mavcompass.gap.attitude.receiver import receiver_velocity
 from mavcompass.gap.attitude.rest import Bias, bias_at_rest
-from mavcompass.gap.attitude.steering import steered_by
+from mavcompass.gap.attitude.steering import steered_by, told_rotation
 from mavcompass.gap.attitude.yaw import age_of
 from mavcompass.simulation.effects.sampling import at_times
-from mavcompass.track import Series, Track
+from mavcompass.track import Track
 
 ReferenceKind = Literal["columns", "fused", "gps-yaw", "gyro", "attitude"]
 Choice = Literal["auto", "gyro", "gps-yaw", "attitude", "columns"]
@@ -248,16 +248,14 @@ def _autopilot_rotation(track: Track, clock: FloatArray) -> FloatArray | None:
     series = track.attitude_rad
     if series is None or len(series) < _FEWEST:
         return None
-    when, first = np.unique(series.time_s, return_index=True)
+    when = np.unique(series.time_s)
     if (
         float(np.median(np.diff(when))) > SLOWEST_GYRO_S
         or when[0] > clock[0] + 1.0
         or when[-1] < clock[-1] - 1.0
     ):
         return None
-    roll, pitch, yaw = series.values[first].T
-    angles = Series.of(when, np.stack([roll, pitch, np.unwrap(yaw)], axis=1)).at(clock)
-    return euler_to_matrix(*angles.T)
+    return told_rotation(series, clock)
 
 
 def _ahead(rotation: FloatArray, other: FloatArray) -> FloatArray:
@@ -284,12 +282,8 @@ def _facing(rotation: FloatArray, yaw: FloatArray) -> FloatArray:
 def _attitude(track: Track, time_s: FloatArray, instance: int) -> Reference | None:
     if track.attitude_rad is None or len(track.attitude_rad) < 8:
         return None
-    series = track.attitude_rad
-    clock, first = np.unique(series.time_s, return_index=True)
-    roll, pitch, yaw = series.values[first].T
-    angles = np.stack([roll, pitch, np.unwrap(yaw)], axis=1)
-    interpolated = Series.of(clock, angles).at(time_s)
-    rotation = euler_to_matrix(*interpolated.T)
+    clock = np.unique(track.attitude_rad.time_s)
+    rotation = told_rotation(track.attitude_rad, time_s)
     rate = body_rate(time_s, rotation)
     if track.gyro_radps is not None and len(track.gyro_radps) > 8:
         rate = track.gyro_radps.at(time_s)

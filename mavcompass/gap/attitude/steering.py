@@ -1,10 +1,13 @@
-"""Which compass the autopilot's yaw was made from: the one under test, or others."""
+"""The autopilot's own attitude, and which compass its yaw was made from: the one under test, or others."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-from mavcompass.track import Track
+import numpy as np
+
+from mavcompass.frames import FloatArray, euler_to_matrix
+from mavcompass.track import Series, Track
 
 Steering = Literal["own", "other", "unknown"]
 _MOST_COMPASSES = 3
@@ -12,6 +15,14 @@ _MOST_COMPASSES = 3
 _YAW_WITHOUT_COMPASS = (2.0, 3.0, 6.0, 8.0)
 # EKF2_MAG_TYPE of PX4: none.
 _PX4_NO_COMPASS = (5.0, 6.0)
+
+
+def told_rotation(attitude_rad: Series, time_s: FloatArray) -> FloatArray:
+    """Return the autopilot's attitude (roll, pitch, yaw) at other times, as rotations (N, 3, 3)."""
+    when, first = np.unique(attitude_rad.time_s, return_index=True)
+    roll, pitch, yaw = attitude_rad.values[first].T
+    angles = Series.of(when, np.stack([roll, pitch, np.unwrap(yaw)], axis=1)).at(time_s)
+    return euler_to_matrix(*angles.T)
 
 
 def steered_by(track: Track, instance: int) -> Steering:
