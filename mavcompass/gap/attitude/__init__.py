@@ -1,7 +1,7 @@
 """The attitude that a recording tells, and how far it goes: never from the compass under test."""
 
 from mavcompass.gap.attitude.inertial import accelerometer_fault, gyro_fault, without_fault
-from mavcompass.gap.attitude.kinematics import exponentials, turned_about_down
+from mavcompass.gap.attitude.kinematics import exponentials, second_derivative, turned_about_down
 from mavcompass.gap.attitude.receiver import local_position, north_east_m
 from mavcompass.gap.attitude.reference import (
     UNKNOWN_YAW_RAD,
@@ -22,6 +22,7 @@ __all__ = [
     "local_position",
     "north_east_m",
     "reference_attitude",
+    "second_derivative",
     "turned_about_down",
     "without_fault",
 ]

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
-from mavcompass.gap.attitude import UNKNOWN_YAW_RAD, Choice, Reference, local_position, reference_attitude
+from mavcompass.gap.attitude import (
+    UNKNOWN_YAW_RAD,
+    Choice,
+    Reference,
+    local_position,
+    reference_attitude,
+    second_derivative,
+)
 from mavcompass.gap.replay.in_force import KnownIron, calibration_in_force, known_iron, load_of
 from mavcompass.gap.replay.integrity import Trace
 from mavcompass.gap.replay.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
@@ -257,14 +264,12 @@ def _with_linear_acceleration(stimulus: Stimulus, acc: FloatArray, reference: Re
     known = np.isfinite(position).all(axis=1) & np.isfinite(acc).all(axis=1) & reference.known
     if reference.kind != "columns" or known.sum() < 0.9 * len(position):
         return stimulus
-    from scipy.signal import savgol_filter
-
     step = float(np.median(np.diff(stimulus.time_s)))
     window = max(5, 2 * round(0.08 / step) + 1)
     path = np.stack(
         [np.interp(stimulus.time_s, stimulus.time_s[known], p[known]) for p in position.T], axis=1
     )
-    linear = savgol_filter(path, window, 3, deriv=2, delta=step, axis=0)
+    linear = second_derivative(path, window, step)
     moving = stimulus.specific_force_mps2 + rotate_back(stimulus.rotation, linear)
     at_rest_error = np.median(np.abs(acc - stimulus.specific_force_mps2)[known])
     moving_error = np.median(np.abs(acc - moving)[known])
