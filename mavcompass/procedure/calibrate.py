@@ -269,7 +269,13 @@ class _Calibration:
             yield from writer.take_back(report, f"The proof was cut short ({why}).")
             raise
         proof = prove(with_it.track, report.windows[-1], window, report.results, with_it.results)
-        report = replace(report, proof=proof, track=with_it.track, duration_s=with_it.duration_s)
+        report = replace(
+            report,
+            proof=proof,
+            on_vehicle_s=window.end_s - report.windows[0].start_s,
+            track=with_it.track,
+            duration_s=with_it.duration_s,
+        )
         if proof.passed:
             context.show("prove", proof.summary(), 1.0)
             return report

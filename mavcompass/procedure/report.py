@@ -67,6 +67,7 @@ class CalibrationReport:
     Attributes:
         before: the correction in force at the start, per compass.
         proof: what the turn after the write showed; None where nothing was written.
+        on_vehicle_s: from the first position to the end of the proof, by the vehicle's clock.
         undone: True where the proof failed and the old values were put back.
         heading: the autopilot's own heading after the write; None where nothing is written.
     """
@@ -80,6 +81,7 @@ class CalibrationReport:
     plan: ParameterPlan | None = None
     outcome: WriteOutcome | None = None
     proof: Proof | None = None
+    on_vehicle_s: float | None = None
     undone: bool = False
     heading: AutopilotHeading | None = None
     messages: tuple[str, ...] = ()

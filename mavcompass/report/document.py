@@ -57,6 +57,7 @@ def live_document(source: str, report: CalibrationReport, method: str) -> dict[s
         "verified": report.written and outcome is not None and outcome.verified,
         "undo_file": None if outcome is None or outcome.undo_file is None else str(outcome.undo_file),
         "duration_s": report.duration_s,
+        "on_vehicle_s": report.on_vehicle_s,
         "messages": list(report.messages),
     }
     if (heading := report.heading) is not None:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from mavcompass.earth_field import EarthField
 from mavcompass.heading.live import Heading
+from mavcompass.heading.witnesses import Blame, Tolerances, Witness, who_is_wrong
 from mavcompass.service.config import WatchConfig
 
 Severity = Literal["warning", "bad"]
@@ -127,8 +128,12 @@ class _GyroComparison:
         self.square.add((self._difference_rad - self.mean.value) ** 2, abs(turned))
 
     @property
+    def known(self) -> bool:
+        return self.square.known and self.mean.known
+
+    @property
     def rms_rad(self) -> float:
-        return math.sqrt(self.square.value) if self.square.known and self.mean.known else 0.0
+        return math.sqrt(self.square.value) if self.known else 0.0
 
 
 @dataclass(slots=True)
@@ -198,12 +203,13 @@ class CompassWatch:
         if not 0.0 < step_s < 5.0:  # the first, or after a silence: nothing has passed in between
             return self.findings
         findings: list[Finding] = []
-        for instance, heading in glance.headings.items():
-            if glance.time_s - heading.time_s > 1.0:
-                continue
+        fresh = {i: h for i, h in glance.headings.items() if glance.time_s - h.time_s <= 1.0}
+        for instance, heading in fresh.items():
             record = self._records.setdefault(instance, _CompassRecord())
             self._learn(record, heading, glance, step_s)
-            findings += self._judge(record, instance, glance)
+        blames = self._blames(list(fresh))
+        for instance in fresh:
+            findings += self._judge(self._records[instance], instance, glance, blames.get(instance))
         self.findings = tuple(findings)
         return self.findings
 
@@ -225,14 +231,37 @@ class CompassWatch:
         if glance.current_a is not None:
             record.current.add(glance.current_a, heading.horizontal_mgauss, heading.level_mgauss[2], step_s)
 
-    def _judge(self, record: _CompassRecord, instance: int, glance: Glance) -> list[Finding]:
+    def _blames(self, instances: list[int]) -> dict[int, Blame]:
+        """Tell which compasses are wrong; where nothing tells, the difference is the last one's."""
+        if 1 not in instances:
+            return {}
+        limits, records = self.limits, self._records
+        witnesses = [
+            Witness(
+                i,
+                records[i].apart.value,
+                records[i].dip.value if records[i].dip.known else math.nan,
+                records[i].strength.value if records[i].strength.known else math.nan,
+                records[i].gyro.rms_rad / _DEG if records[i].gyro.known else math.nan,
+            )
+            for i in instances
+        ]
+        # Half the limit is what the latch below still counts as apart.
+        tolerances = Tolerances(
+            0.5 * limits.agreement_deg, limits.gyro_deg, limits.dip_deg, limits.field_percent
+        )
+        return {blame.instance or instances[-1]: blame for blame in who_is_wrong(witnesses, tolerances)}
+
+    def _judge(
+        self, record: _CompassRecord, instance: int, glance: Glance, blame: Blame | None
+    ) -> list[Finding]:
         horizontal = glance.headings[instance].horizontal_mgauss
         swing_deg = math.degrees(record.current.swing_mgauss() / max(horizontal, 1.0) / math.sqrt(2.0))
         limits = self.limits
         measured = {
             "field": (record.strength.value, limits.field_percent),
             "dip": (record.dip.value, limits.dip_deg),
-            "agreement": (record.apart.value, limits.agreement_deg),
+            "agreement": (0.0 if blame is None else blame.apart_deg, limits.agreement_deg),
             "gyro": (record.gyro.rms_rad / _DEG, limits.gyro_deg),
             "course": (record.course.value if record.course.known else 0.0, limits.course_deg),
             "current": (swing_deg, limits.current_deg),
@@ -241,7 +270,10 @@ class CompassWatch:
         for name, (value, limit) in measured.items():
             latch = record.latches.setdefault(name, _Latch())
             if latch.update(glance.time_s, abs(value), limit):
-                findings.append(_finding(name, instance, value, limit))
+                found = _finding(name, instance, value, limit)
+                if name == "agreement" and blame is not None:
+                    found = replace(found, text=blame.why)
+                findings.append(found)
         return findings
 
 
@@ -257,9 +289,9 @@ _WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
         "Move away from iron and current; if it stays, calibrate.",
     ),
     "agreement": (
-        "{value:+.0f} deg from compass 1",
-        "Compass {i} points {size:.0f} deg {side} of compass 1.",
-        "Calibrate both; if they still differ, check the mounting orientation.",
+        "{value:+.0f} deg off the others",
+        "Compass {i} points {size:.0f} deg {side} of the others.",
+        "Calibrate it; if it still differs, check the mounting orientation.",
     ),
     "gyro": (
         "heading does not follow gyro",

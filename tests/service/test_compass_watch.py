@@ -75,6 +75,16 @@ def test_compasses_that_disagree_are_found() -> None:
     assert found(lambda t: glance(t, heading(t, 6.2), heading(t, 0.2, 2))) == {"agreement2"}
 
 
+def test_the_compass_that_two_others_outvote_is_the_one_found() -> None:
+    watch = CompassWatch(WatchConfig())
+    see = [heading(0.0, 1.0 + 26.0 * DEG), heading(0.0, 1.0, 2), heading(0.0, 1.0 + 0.5 * DEG, 3)]
+    at = lambda t: glance(t, *(replace(h, time_s=t) for h in see))  # noqa: E731
+    assert found(at, watch=watch) == {"agreement1"}
+    (finding,) = watch.findings
+    assert finding.text.startswith("Compass 1 is off by 26 deg: 2 and 3 agree with each other within 0.5 deg")
+    assert finding.short == "Compass 1: +26 deg off the others"
+
+
 def test_a_heading_that_does_not_follow_the_gyro_is_found_after_a_turn() -> None:
     def see(t: float) -> Glance:
         turned = 0.3 * t

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
 from mavcompass.frames import FloatArray, wrap_pi
+from mavcompass.heading.witnesses import Witness, who_is_wrong
 
 Verdict = Literal["pass", "warn", "fail"]
 _ORDER: tuple[Verdict, ...] = ("pass", "warn", "fail")
@@ -166,14 +167,20 @@ def judge_field(reading: Reading, world: EarthField | None) -> list[CheckItem]:
     ]
 
 
-def judge_agreement(first: Reading, other: Reading) -> CheckItem:
-    """Judge whether two compasses point the same way."""
-    apart_deg = math.degrees(float(wrap_pi(other.heading_rad - first.heading_rad)))
-    verdict = _grade(abs(apart_deg), 5.0, 15.0)
-    remedy = "" if verdict == "pass" else "Calibrate both; then check their mounting orientation."
-    side = "right" if apart_deg > 0 else "left"
-    text = f"Compass {other.instance} points {abs(apart_deg):.1f} deg {side} of compass {first.instance}."
-    return CheckItem("agreement", verdict, text, remedy, other.instance, apart_deg, 5.0)
+def judge_agreement(witnesses: Sequence[Witness]) -> list[CheckItem]:
+    """Judge whether the compasses point the same way, and which of them is wrong where they do not."""
+    if len(witnesses) < 2:
+        return []
+    items = []
+    for blame in who_is_wrong(witnesses):
+        whom = f"compass {blame.instance}" if blame.instance else "both"
+        remedy = f"Calibrate {whom}; if it stays, check the mounting orientation."
+        verdict = _grade(abs(blame.apart_deg), 5.0, 15.0)
+        items.append(CheckItem("agreement", verdict, blame.why, remedy, blame.instance, blame.apart_deg, 5.0))
+    if not items:
+        numbers = ", ".join(str(witness.instance) for witness in witnesses)
+        items.append(CheckItem("agreement", "pass", f"The compasses {numbers} agree with each other."))
+    return items
 
 
 def judge_gyro(rate_radps: FloatArray) -> CheckItem:

@@ -19,6 +19,7 @@ from mavcompass.earth_field import EarthField, decimal_year, earth_field
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
+from mavcompass.heading.witnesses import Witness
 from mavcompass.procedure.check import items
 from mavcompass.procedure.check.items import CheckItem, Reading, Verdict
 from mavcompass.procedure.commands import MessageRates
@@ -132,6 +133,7 @@ class _Checker:
     mobility: Mobility | None = None
     windows: list[Window] = field(default_factory=list)
     items: list[CheckItem] = field(default_factory=list)
+    readings: list[Reading] = field(default_factory=list)
     turned: bool = False
 
     def wanted_rates(self) -> dict[type[mav.Message], float]:
@@ -173,7 +175,6 @@ class _Checker:
         if world is None:
             text = "The vehicle does not know its place: the field was not compared with the world's."
             self._add(CheckItem("place", "warn", text, "Wait for a GPS fix and check again."))
-        readings: list[Reading] = []
         for instance in self.desk.instances:
             reading = self._reading(track, instance, window)
             if reading is None:
@@ -181,9 +182,7 @@ class _Checker:
                 self._add(CheckItem("data", "fail", text, "Check its cable and COMPASS_USE.", instance))
                 continue
             self.items += items.judge_field(reading, world)
-            if readings:
-                self._add(items.judge_agreement(readings[0], reading))
-            readings.append(reading)
+            self.readings.append(reading)
 
     def _reading(self, track: Track, instance: int, window: Window) -> Reading | None:
         if instance not in track.compasses:
@@ -266,8 +265,20 @@ class _Checker:
             yield from self.mobility.end(self.desk.context, in_a_hurry=not self.turned)
 
     def report(self) -> CheckReport:
-        """Put the list together."""
+        """Put the list together; which of several compasses is wrong, the turn may have told."""
+        self.items += items.judge_agreement([self._witness(reading) for reading in self.readings])
         return CheckReport(self.desk.identity, tuple(self.items), self.turned, self.desk.duration_s())
+
+    def _witness(self, reading: Reading) -> Witness:
+        found = {item.name: item.value for item in self.items if item.instance == reading.instance}
+        known = self.world() is not None
+        return Witness(
+            reading.instance,
+            math.degrees(reading.heading_rad),
+            dip_off_deg=found.get("dip", math.nan),
+            strength_off_percent=found["field"] if known else math.nan,
+            turn_off_deg=found.get("turn", math.nan),
+        )
 
     def _add(self, item: CheckItem | None) -> None:
         if item is not None:

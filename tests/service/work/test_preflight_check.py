@@ -15,9 +15,12 @@ from mavcompass.cli.check import command
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
+from mavcompass.heading.witnesses import Witness
 from mavcompass.procedure.check import CheckReport, CheckSettings, check, items
 from mavcompass.procedure.check.items import Reading
 from mavcompass.procedure.script import Machine
+from mavcompass.simulation.physics.compasses import CompassSetup
+from mavcompass.simulation.physics.sensors import CompassModel
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import run
@@ -115,10 +118,21 @@ def test_without_a_place_only_an_absurd_field_fails() -> None:
 
 
 def test_agreement_is_judged_across_north() -> None:
-    first = Reading(1, 200.0, 400.0, np.radians(359.0))
-    assert items.judge_agreement(first, Reading(2, 200.0, 400.0, np.radians(1.0))).verdict == "pass"
-    assert items.judge_agreement(first, Reading(2, 200.0, 400.0, np.radians(10.0))).verdict == "warn"
-    assert items.judge_agreement(first, Reading(2, 200.0, 400.0, np.radians(90.0))).verdict == "fail"
+    for heading_deg, verdict in ((1.0, "pass"), (10.0, "warn"), (90.0, "fail")):
+        (item,) = items.judge_agreement([Witness(1, 359.0), Witness(2, heading_deg)])
+        assert item.verdict == verdict
+
+
+def test_the_compass_at_fault_is_named_with_two_sound_ones_beside_it() -> None:
+    sound = FieldCorrection((50.0, -30.0, 20.0))
+    bent = FieldCorrection((150.0, 70.0, 20.0))
+    setups = [CompassSetup(CompassModel(sound, 1.0), c) for c in (bent, sound, sound)]
+    vehicle = SimulatedAutopilot("rover", seed=3, compasses=setups, start_yaw_deg=90.0)
+    report = checked(vehicle, "none")
+    (item,) = (item for item in report.items if item.name == "agreement")
+    assert item.instance == 1 and item.verdict == "fail"
+    assert item.text.startswith("Compass 1 is off by ") and "2 and 3 agree with each other" in item.text
+    assert item.remedy.startswith("Calibrate compass 1;")
 
 
 def test_the_estimator_and_its_words_are_judged() -> None:
