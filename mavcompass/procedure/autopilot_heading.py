@@ -8,7 +8,7 @@ where it had ceased to believe the compass, and drifting away where it had set t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -37,9 +37,13 @@ _SLOPE_S, _SLOPE_AT_LEAST_S = 8.0, 3.2
 # The error falls so fast, as a share of itself per second, once the bias is unlearned.
 _UNLEARNED_PER_S = 0.01
 _SAMPLE_S = 1.2
+# What noise may leave of a sample; noisy sensors take longer samples, and everything with them.
+_TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS, _LONGEST_SAMPLE_S = math.radians(0.5), 3.0, 5.0
 # Its filter lags, and so does its telemetry.
 _LAG_S = 0.8
 _PATIENCE_S, _PATIENCE_WITHOUT_A_WAY_S = 120.0, 45.0
+# An autopilot that loads a calibration when it is disarmed is waited for so long, and then left to do it.
+_LANDING_PATIENCE_S, _LOADS_WITHIN_S = 60.0, 3.0
 
 
 def yaw_error_rad(
@@ -74,6 +78,7 @@ class OwnHeading:
         result: the calibrated compass that the heading is compared with; None before there is one.
         before_deg: the error at the write.
         by: what brought it there. samples: vehicle time and error, degrees, since the last intervention.
+        not_loaded: True while the autopilot flies on with the calibration that it took off with.
     """
 
     desk: Desk
@@ -82,6 +87,8 @@ class OwnHeading:
     before_deg: float = math.nan
     by: list[str] = field(default_factory=list)
     samples: list[tuple[float, float]] = field(default_factory=list)
+    not_loaded: bool = False
+    _values: Mapping[str, float] = field(default_factory=dict)
     _written_s: float = math.nan
     _has_a_way: bool = True
     _not_before_s: float = -math.inf
@@ -97,9 +104,19 @@ class OwnHeading:
         if self._has_a_way:
             yield from self._take_over()
 
-    def written(self, results: Sequence[CalibrationResult], start_s: float, end_s: float) -> Script[None]:
-        """Measure the error over the last dwell, and have the autopilot take the new heading over."""
-        self._written_s, self.result = self._context.now, surest(results)
+    def written(
+        self,
+        results: Sequence[CalibrationResult],
+        values: Mapping[str, float],
+        start_s: float,
+        end_s: float,
+    ) -> Script[None]:
+        """Measure the error over the last dwell, and have the autopilot take the new heading over.
+
+        `values` are the parameters that were written.
+        """
+        self._written_s, self.result, self._values = self._context.now, surest(results), values
+        self.not_loaded = self.desk.dialect.loads_disarmed and self.desk.state.armed
         self._sample(start_s, end_s)
         self.before_deg = self.error_deg
         self.samples.clear()
@@ -111,15 +128,18 @@ class OwnHeading:
 
         A stop ends the waiting: what was written stands.
         """
-        began_s, told = self._context.now, False
+        told = False
         try:
+            if self.not_loaded and not (yield from self._load()):
+                return
+            began_s = self._context.now
             while self._context.now - began_s < self._patience_s() and math.isfinite(self.before_deg):
                 self._look()
                 if self.worst_deg <= _GOOD_DEG or (self.set_aside and math.isfinite(self.worst_deg)):
                     return
                 if self._may_help() and (yield from self._put_right(self.error_deg)):
                     continue
-                if self._context.now - began_s > _SLOPE_AT_LEAST_S + 1.0:
+                if self._context.now - began_s > _SLOPE_AT_LEAST_S * self._slowness + 1.0:
                     text = f"The autopilot still steers {abs(self.error_deg):.1f} deg off; waiting for it."
                     self._context.show("heading", text, live=float(told))
                     told = True
@@ -142,6 +162,7 @@ class OwnHeading:
             seconds=self._context.now - self._written_s,
             worst_deg=self.worst_deg,
             set_aside=self.set_aside,
+            not_loaded=self.not_loaded,
         )
 
     # --- what is known of it ------------------------------------------------------------------------
@@ -162,8 +183,8 @@ class OwnHeading:
         if not self.samples:
             return math.nan
         time_s, error_deg = np.asarray(self.samples).T
-        recent = time_s >= time_s[-1] - _SLOPE_S
-        if time_s[-1] - time_s[recent][0] < _SLOPE_AT_LEAST_S:
+        recent = time_s >= time_s[-1] - _SLOPE_S * self._slowness
+        if time_s[-1] - time_s[recent][0] < _SLOPE_AT_LEAST_S * self._slowness:
             return math.nan
         return float(np.polyfit(time_s[recent] - time_s[-1], error_deg[recent], 1)[0])
 
@@ -191,10 +212,43 @@ class OwnHeading:
     def _patience_s(self) -> float:
         return _PATIENCE_S if self._has_a_way and not self.flying else _PATIENCE_WITHOUT_A_WAY_S
 
+    @property
+    def _sample_s(self) -> float:
+        """Return how long a sample must be with this vehicle's noise."""
+        by_noise_s = self.desk.rest.detector.averaging_s(_TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS)
+        return max(_SAMPLE_S, min(by_noise_s, _LONGEST_SAMPLE_S))
+
+    @property
+    def _slowness(self) -> float:
+        return self._sample_s / _SAMPLE_S
+
+    def _load(self) -> Script[bool]:
+        """Wait until the vehicle is disarmed, and have it load what was written; False where it flies on."""
+        context, state = self._context, self.desk.state
+        end_s, told = context.now + _LANDING_PATIENCE_S, False
+        while state.armed and context.now < end_s:
+            if not told:
+                context.show(
+                    "heading", "Land and disarm it: the autopilot loads the new values on the ground."
+                )
+                told = True
+            yield from pause(context, 0.5)
+        if state.armed:
+            return False
+        yield from pause(context, _LOADS_WITHIN_S)
+        self.not_loaded = not (yield from self._put_right(self.before_deg))
+        return not self.not_loaded
+
     def _may_help(self) -> bool:
-        """Tell whether taking the compass's yaw over leaves less error: not while the bias is yet to go."""
+        """Tell whether taking the compass's yaw over leaves less error: not while the bias is yet to go.
+
+        An estimator that has slid off from where a loaded calibration put it does not come back by itself.
+        """
+        error_deg = abs(self.error_deg)
         falling = -self.slope_dps * math.copysign(1.0, self.error_deg)
-        return self._has_a_way and not self.flying and falling > _UNLEARNED_PER_S * abs(self.error_deg)
+        unlearned = falling > _UNLEARNED_PER_S * error_deg
+        stays_off = self.desk.dialect.loads_disarmed and math.isfinite(self.slope_dps)
+        return self._has_a_way and not self.flying and error_deg > _WORTH_DEG and (unlearned or stays_off)
 
     def _put_right(self, error_deg: float) -> Script[bool]:
         """Have the autopilot take its compass's yaw over, and say so; False where it knows no way."""
@@ -203,20 +257,24 @@ class OwnHeading:
             self._context.show("heading", text)
             self.by.append(how)
             self.samples.clear()
-            self._not_before_s = self.desk.rest.time_s + _LAG_S + _SAMPLE_S
+            self._not_before_s = self.desk.rest.time_s + _LAG_S + self._sample_s
         return bool(how)
 
     def _take_over(self) -> Script[str]:
         desk = self.desk
-        how = yield from desk.dialect.take_compass_yaw(desk.context, desk.parameters, self.flying)
+        if self._values and desk.dialect.loads_disarmed:
+            on_the_ground = not desk.state.armed
+            how = (yield from desk.dialect.load_written(desk.context, self._values)) if on_the_ground else ""
+        else:
+            how = yield from desk.dialect.take_compass_yaw(desk.context, desk.parameters, self.flying)
         self._has_a_way = bool(how)
         return how
 
     def _look(self) -> None:
         """Measure the error over the last second, where the vehicle has rested in it."""
         rest = self.desk.rest
-        if rest.time_s >= self._not_before_s and (rest.for_s() >= _SAMPLE_S or self.flying):
-            self._sample(rest.time_s - _SAMPLE_S, rest.time_s)
+        if rest.time_s >= self._not_before_s and (rest.for_s() >= self._sample_s or self.flying):
+            self._sample(rest.time_s - self._sample_s, rest.time_s)
 
     def _sample(self, start_s: float, end_s: float) -> None:
         track = self.desk.builder.build()

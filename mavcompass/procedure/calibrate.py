@@ -148,7 +148,8 @@ class _Calibration:
                 report = yield from writer.write(report)
                 if report.outcome is not None:
                     last = report.windows[-1]
-                    yield from self.own.written(report.results, last.start_s, last.end_s)
+                    values = report.outcome.values
+                    yield from self.own.written(report.results, values, last.start_s, last.end_s)
                     report = yield from self.prove_or_undo(report, mover, writer)
             finished = True
             return report

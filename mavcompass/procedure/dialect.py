@@ -72,6 +72,11 @@ class Dialect(Protocol):
         """Return "ardupilot" or "px4"."""
         ...
 
+    @property
+    def loads_disarmed(self) -> bool:
+        """Tell whether a calibration that is written in flight is not in force before it is disarmed."""
+        ...
+
     def read_parameters(self, context: Context, names: Sequence[str]) -> Script[dict[str, float]]:
         """Read parameters by name; a name that the vehicle does not know is absent from the answer."""
         ...
@@ -114,6 +119,13 @@ class Dialect(Protocol):
         """Have the autopilot take its compass's yaw over at once, in a way that needs no permission.
 
         Returns how, in words that follow "by"; "" where it knows no such way as it is now.
+        """
+        ...
+
+    def load_written(self, context: Context, written: Mapping[str, float]) -> Script[str]:
+        """Have an autopilot that `loads_disarmed`, and now is, load these parameters again.
+
+        Returns how that brings its heading right, in words that follow "by"; "" where it does not.
         """
         ...
 

@@ -26,6 +26,7 @@ class AutopilotHeading:
         by: what brought it there. seconds: from the write to the end.
         worst_deg: the largest error to expect in the minutes to come.
         set_aside: True where the autopilot follows no compass any more.
+        not_loaded: True where the autopilot has not loaded the new calibration, and may lose it.
     """
 
     error_before_deg: float
@@ -34,6 +35,7 @@ class AutopilotHeading:
     seconds: float
     worst_deg: float
     set_aside: bool = False
+    not_loaded: bool = False
 
     @property
     def known(self) -> bool:
@@ -44,11 +46,16 @@ class AutopilotHeading:
     def is_off(self) -> bool:
         """Tell whether the vehicle is known to steer by another heading than the calibrated one."""
         worst_deg = self.worst_deg if math.isfinite(self.worst_deg) else abs(self.error_after_deg)
-        return self.known and worst_deg > RIGHT_DEG
+        return self.not_loaded or (self.known and worst_deg > RIGHT_DEG)
 
     def summary(self) -> str:
         """Return the sentence for the person."""
         before_deg, after_deg = abs(self.error_before_deg), abs(self.error_after_deg)
+        if self.not_loaded:
+            return (
+                "The autopilot still flies by the old calibration: it loads the new one when it is disarmed,"
+                " and may put other values in its place then. Land while this waits, or use --takeoff."
+            )
         if not self.known:
             return "Whether the autopilot steers by the new heading could not be told."
         if not self.is_off:

@@ -34,7 +34,7 @@ def heading_errors_rad(
     yaw = np.linspace(-math.pi, math.pi, 72, endpoint=False)
     rotation = euler_to_matrix(roll_rad, pitch_rad, yaw)
     raw = raw_readings(vehicle, instance, rotation)
-    chosen = vehicle.firmware.compasses.correction(instance) if correction is None else correction
+    chosen = vehicle.firmware.compasses.held(instance) if correction is None else correction
     load = np.full(yaw.size, vehicle.board.surroundings().current_a)
     field = chosen.apply(raw, load if chosen.motor_source == "current" else None)
     level = rotate(euler_to_matrix(roll_rad, pitch_rad, 0.0), field)

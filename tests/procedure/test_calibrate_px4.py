@@ -12,6 +12,7 @@ from bent_vehicles import bent_vehicle, calibrated
 
 from mavcompass.errors import Refused
 from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.motion import Permissions
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.simulation.vehicle import SimulatedAutopilot
@@ -67,3 +68,50 @@ def test_a_mounting_that_nobody_can_tell_is_refused_before_anything_moves(tmp_pa
     with pytest.raises(Refused, match="custom angle"):
         calibrated(vehicle, tmp_path)
     assert abs(math.degrees(vehicle.body.yaw_rad - yaw_rad)) < 3.0
+
+
+class Pilot(list[str]):
+    """Read what is shown, and land when asked to."""
+
+    def __init__(self, vehicle: SimulatedAutopilot) -> None:
+        super().__init__()
+        self.vehicle = vehicle
+
+    def append(self, text: str) -> None:
+        super().append(text)
+        if text.startswith("Land and disarm"):
+            self.vehicle.firmware.modes.enter("LAND")
+
+
+def test_on_the_ground_it_loads_the_calibration_that_disarming_has_overwritten(tmp_path: Path) -> None:
+    vehicle = bent_vehicle("px4-copter", seed=3)
+    pilot = Pilot(vehicle)
+    report = calibrated(vehicle, tmp_path, shown=pilot)
+    assert not vehicle.firmware.status.armed
+    assert any("had put other values in place" in text for text in pilot)
+    assert report.outcome is not None and report.heading is not None
+    held = vehicle.firmware.store.values
+    assert all(math.isclose(held[n], v, abs_tol=1e-6) for n, v in report.outcome.values.items())
+    in_force = vehicle.firmware.compasses.correction(1)
+    assert heading_error_rms_deg(vehicle, 1, in_force) < 1.0
+    assert not report.steers_off and abs(report.heading.error_after_deg) < 2.0
+    assert report.heading.by.startswith("PX4's own reset")
+
+
+def test_one_that_flies_on_is_told_to_fly_by_the_old_calibration(tmp_path: Path) -> None:
+    vehicle = bent_vehicle("px4-copter", seed=3)
+    in_force = vehicle.firmware.compasses.correction(1)
+    report = calibrated(vehicle, tmp_path)
+    assert report.written and report.steers_off
+    assert vehicle.firmware.compasses.correction(1) == in_force
+    assert report.heading is not None and "still flies by the old calibration" in report.heading.summary()
+
+
+def test_one_that_it_took_off_with_is_landed_and_loaded(tmp_path: Path) -> None:
+    vehicle = SimulatedAutopilot("px4-copter", seed=5, armed=False, ready_s=2.0, calibration="old")
+    permissions = Permissions(set_mode=True, arm=True, takeoff_m=5.0)
+    vehicle.advance(5.0)
+    report = calibrated(vehicle, tmp_path, CalibrateSettings(writing="yes", permissions=permissions))
+    assert not vehicle.firmware.status.armed
+    assert report.written and not report.steers_off
+    assert heading_error_rms_deg(vehicle, 1, vehicle.firmware.compasses.correction(1)) < 1.0

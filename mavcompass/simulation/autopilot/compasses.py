@@ -41,6 +41,10 @@ class Compasses(ABC):
     def correction(self, instance: int) -> FieldCorrection:
         """Return the correction in force, in body axes."""
 
+    def held(self, instance: int) -> FieldCorrection:
+        """Return the correction that the parameters hold, in force or not."""
+        return self.correction(instance)
+
     @abstractmethod
     def yaw(self) -> float | None:
         """Return the heading of the compass that steers; None where there is none to believe."""

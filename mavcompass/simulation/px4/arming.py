@@ -47,4 +47,5 @@ class Arming:
         """Stop the motors."""
         if self.status.armed:
             self.status.armed = False
+            self.compasses.store_learnt()
             self.board.say(f"Disarmed by {by}")

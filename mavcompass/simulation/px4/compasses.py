@@ -4,25 +4,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.compass_parameters import px4_correction, px4_name
+from mavcompass.compass_parameters import px4_correction, px4_name, px4_values
 from mavcompass.correction import FieldCorrection, Vector
 from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, sensor_orientation_matrix
-from mavcompass.simulation.autopilot import Board, Compasses, ParameterStore
+from mavcompass.simulation.autopilot import Board, Compasses, ParameterStore, Status
 
 INSTANCES = (1, 2)
-# Changes of the offset that are shorter than this do not reach the running calibration.
-_SMALLEST_CHANGE_MGAUSS = 1.0
+# Changes of the offset, and of the matrix, that are no longer than this are not loaded.
+_SMALLEST_CHANGE_MGAUSS, _SMALLEST_CHANGE = 5.0, 0.01
+# What the estimator learns of an offset in a flight, as a share of it.
+_LEARNT = 0.6
 
 
 class Px4Compasses(Compasses):
-    """Hold raw readings in the sensors' axes, and the corrected field in the body's."""
+    """Hold raw readings in the sensors' axes, and the corrected field in the body's.
 
-    def __init__(self, board: Board, store: ParameterStore, mounting: int) -> None:
+    Parameters are loaded while it is disarmed only; on disarming, what the estimator has learnt of the
+    steering compass's offset is stored, with the rest of the calibration that it flew with.
+    """
+
+    def __init__(self, board: Board, store: ParameterStore, status: Status, mounting: int) -> None:
         """Mount the first compass with a MAV_SENSOR_ORIENTATION, the second without."""
         super().__init__(board, store, len(INSTANCES))
+        self._status = status
         self._mounting = [sensor_orientation_matrix(o) for o in (mounting, 0)]
         self._corrections = [self._wanted(i) for i in INSTANCES]
         self._rotations = [self._rotation(i) for i in INSTANCES]
@@ -45,15 +53,41 @@ class Px4Compasses(Compasses):
         """Return the correction in force, in body axes; none beyond the compasses it has."""
         return self._corrections[instance - 1] if instance in INSTANCES else FieldCorrection()
 
+    def held(self, instance: int) -> FieldCorrection:
+        """Return the correction that the parameters hold, loaded or not."""
+        return self._wanted(instance)
+
     def parameters_changed(self) -> None:
-        """Take parameters over, except offsets that hardly changed."""
+        """Load the parameters, except what hardly changed; a loaded calibration resets the heading."""
+        if self._status.armed:
+            return
         self._rotations = [self._rotation(i) for i in INSTANCES]
         for place, instance in enumerate(INSTANCES):
-            old, new = self._corrections[place], self._wanted(instance)
-            moved = math.dist(old.offsets_mgauss, new.offsets_mgauss)
-            same = (old.diagonals, old.off_diagonals) == (new.diagonals, new.off_diagonals)
-            if moved >= _SMALLEST_CHANGE_MGAUSS or not same or old.motor_mgauss != new.motor_mgauss:
+            new = _where_changed(self._corrections[place], self._wanted(instance))
+            if new != self._corrections[place]:
                 self._corrections[place] = new
+                if instance == self.steering:
+                    self._reset_heading()
+
+    def store_learnt(self) -> None:
+        """Store the calibration that it flew with, its offset moved toward what the estimator has learnt."""
+        if self.steering is None:
+            return
+        place = self.steering - 1
+        flown, cure = self._corrections[place], self._board.sensors.compasses[place].model.iron
+        bias = np.subtract(cure.offsets_mgauss, flown.offsets_mgauss) * (_LEARNT, _LEARNT, 0.0)
+        if math.hypot(*bias) <= _SMALLEST_CHANGE_MGAUSS:
+            return
+        x, y, z = np.add(flown.offsets_mgauss, bias).tolist()
+        self._corrections[place] = learnt = replace(flown, offsets_mgauss=(x, y, z))
+        for name, value in px4_values(learnt, self.steering, self._rotations[place]).items():
+            self._store.set(name, value)
+        self._reset_heading()
+
+    def _reset_heading(self) -> None:
+        self.read()
+        if (yaw_rad := self.yaw()) is not None:
+            self._board.filter.take_yaw(yaw_rad)
 
     def read(self) -> None:
         """Take the new readings, turn them into the sensors' axes, correct them."""
@@ -93,3 +127,14 @@ class Px4Compasses(Compasses):
 
     def _rotation(self, instance: int) -> FloatArray:
         return sensor_orientation_matrix(self._orientation(instance) or 0)
+
+
+def _where_changed(old: FieldCorrection, new: FieldCorrection) -> FieldCorrection:
+    """Take over of a calibration what changed by more than a little: offset, diagonal, off-diagonal."""
+    if math.dist(old.offsets_mgauss, new.offsets_mgauss) <= _SMALLEST_CHANGE_MGAUSS:
+        new = replace(new, offsets_mgauss=old.offsets_mgauss)
+    if math.dist(old.diagonals, new.diagonals) <= _SMALLEST_CHANGE:
+        new = replace(new, diagonals=old.diagonals)
+    if math.dist(old.off_diagonals, new.off_diagonals) <= _SMALLEST_CHANGE:
+        new = replace(new, off_diagonals=old.off_diagonals)
+    return new

@@ -51,9 +51,9 @@ class Px4(Firmware):
         self.board = board
         self.store = store = ParameterStore(parameter_table("px4.param"), defaults, storage)
         self.parameters = served = ParameterServer(board, store, PX4_MANNERS)
-        self.compasses = compasses = Px4Compasses(board, store, mounting)
-        self.radio = radio = Radio(throttle_low=False)
         self.status = status = Status("POSCTL")
+        self.compasses = compasses = Px4Compasses(board, store, status, mounting)
+        self.radio = radio = Radio(throttle_low=False)
         hover, setpoints = HoverGuidance(board), Setpoints(board)
         self.modes = modes = Modes(board, status, hover, setpoints)
         self.arming = arming = Arming(board, status, store, compasses)
@@ -66,7 +66,7 @@ class Px4(Firmware):
     def boot(self, armed: bool) -> None:
         """Power up; `armed` begins hovering in HOLD instead."""
         self.parameters.reset()
-        self.status.reboot_wanted = False
+        self.status.reboot_wanted = self.status.armed = False
         self.align()
         self.status.armed = armed
         self.status.mode = "HOLD" if armed else "POSCTL"

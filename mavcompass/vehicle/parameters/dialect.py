@@ -25,6 +25,7 @@ class CompassDialect(ABC):
         autopilot: its name. prefix: what the names of its compass parameters begin with.
         encoding: how it puts integers into PARAM_VALUE. planner_kind: what plans its writes.
         commit: what must be done beside the parameters after they are written.
+        loads_disarmed: True where what is written in flight is not in force before it is disarmed.
     """
 
     autopilot: Literal["ardupilot", "px4"]
@@ -32,6 +33,7 @@ class CompassDialect(ABC):
     encoding: Encoding
     planner_kind: type[Planner]
     commit: Commit | None = None
+    loads_disarmed: bool = False
 
     def __init__(self, source: str = "SOURCE") -> None:
         """Take the vehicle's address, which error messages repeat in the command that restores."""
@@ -101,6 +103,10 @@ class CompassDialect(ABC):
         self, context: Context, parameters: Mapping[str, float], flying: bool
     ) -> Script[str]:
         """Have the autopilot take its compass's yaw over at once; by itself a dialect knows no way."""
+        return (yield from nothing(""))
+
+    def load_written(self, context: Context, written: Mapping[str, float]) -> Script[str]:
+        """Have the autopilot load what was written; what is in force at once needs no loading."""
         return (yield from nothing(""))
 
 

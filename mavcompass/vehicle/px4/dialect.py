@@ -12,6 +12,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters.dialect import CompassDialect, no_answer
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
+from mavcompass.vehicle.px4.loading import load
 from mavcompass.vehicle.px4.plan import PX4Planner
 
 COMPASSES = (1, 2, 3, 4)
@@ -24,6 +25,7 @@ class PX4Dialect(CompassDialect):
     prefix = "CAL_MAG"
     encoding: Encoding = "bytewise"
     planner_kind = PX4Planner
+    loads_disarmed = True
 
     def compass_parameters_typed(self, context: Context) -> Script[dict[str, Parameter]]:
         """Read everything about all compasses, with types; unused slots are not asked for further."""
@@ -57,3 +59,7 @@ class PX4Dialect(CompassDialect):
     def raw_rotation(self, parameters: Mapping[str, float], instance: int) -> FloatArray | None:
         """Return how the sensor is mounted: SCALED_IMU carries its readings as they are."""
         return px4_rotation(parameters, instance)
+
+    def load_written(self, context: Context, written: Mapping[str, float]) -> Script[str]:
+        """Have PX4 load its calibration, which resets the heading; see `vehicle.px4.loading`."""
+        return (yield from load(context, written))

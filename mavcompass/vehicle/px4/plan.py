@@ -14,8 +14,8 @@ from mavcompass.units import MGAUSS_PER_GAUSS
 from mavcompass.vehicle.parameters.planning import Judgement, Planner, Wish
 from mavcompass.vehicle.parameters.rules import check_correction
 
-# PX4 takes over a change of the offsets during the run only when it is longer than this.
-_SMALLEST_LIVE_CHANGE_MGAUSS = 1.0
+# PX4 loads a change of the offsets, of the diagonal, of the rest during the run only where it is longer.
+_SMALLEST_LIVE_CHANGE_MGAUSS, _SMALLEST_LIVE_CHANGE = 5.0, 0.01
 # Turning a correction into body axes and back leaves this much, in gauss and as a factor.
 _ROUNDING = 1e-6
 
@@ -69,9 +69,13 @@ class PX4Planner(Planner):
         except KeyError:
             return [_custom_angle(instance)], []
         refusals, remarks = check_correction(new, self.rules, label, self.rules.offset_largest_mgauss)
-        moved_mgauss = float(np.linalg.norm(np.subtract(new.offsets_mgauss, old.offsets_mgauss)))
-        if 0.0 < moved_mgauss < _SMALLEST_LIVE_CHANGE_MGAUSS:
-            remarks.append(f"{label}: so small a change of the offsets is taken over at the next start.")
+        for what, moved, smallest in (
+            ("offsets", np.subtract(new.offsets_mgauss, old.offsets_mgauss), _SMALLEST_LIVE_CHANGE_MGAUSS),
+            ("scales", np.subtract(new.diagonals, old.diagonals), _SMALLEST_LIVE_CHANGE),
+            ("cross terms", np.subtract(new.off_diagonals, old.off_diagonals), _SMALLEST_LIVE_CHANGE),
+        ):
+            if _ROUNDING < float(np.linalg.norm(moved)) <= smallest:
+                remarks.append(f"{label}: so small a change of the {what} is taken over at the next start.")
         if after.get(px4_name("PRIO", instance), -1.0) == 0.0:
             remarks.append(f"{label} is switched off ({px4_name('PRIO', instance)} is 0).")
         return refusals, remarks

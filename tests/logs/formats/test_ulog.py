@@ -69,7 +69,7 @@ def test_a_rotation_that_nobody_knows_falls_back_to_the_corrected_field(tmp_path
 
 
 def flight(path: Path, raw_every: int = 14, learnt_gauss: float = 0.0) -> Path:
-    """Log a compass whose calibration is written in flight, at 3 s, and taken over on the ground, at 4 s."""
+    """Log a compass whose calibration is written at 7 s and loaded at 8 s; one written at 1 s never is."""
     log = ULogFile()
     log.topic(
         "sensor_mag", "uint64_t timestamp_sample", "uint32_t device_id", "float x", "float y", "float z"
@@ -93,16 +93,18 @@ def flight(path: Path, raw_every: int = 14, learnt_gauss: float = 0.0) -> Path:
         log.parameter(f"CAL_MAG0_{axis}OFF", old).parameter(f"CAL_MAG0_{axis}SCALE", 1.0)
     if learnt_gauss:
         log.add("magnetometer_bias_estimate", 900_000, *[learnt_gauss] * 4, *[0.0] * 8, *[1] * 4)
-    for n in range(70):
+    for n in range(126):
         now = 1_000_000 + n * 71_429
-        if n == 28:
+        if n == 1:
+            log.parameter("CAL_MAG0_ZOFF", 0.7)
+        if n == 84:
             log.parameter("CAL_MAG0_XOFF", 0.3).parameter("CAL_MAG0_YSCALE", 2.0)
         x = 0.4 + 0.001 * n
-        in_force, bias = ((0.3, 2.0), 0.0) if n >= 42 else ((0.1, 1.0), learnt_gauss)
+        in_force, bias = ((0.3, 2.0), 0.0) if n >= 98 else ((0.1, 1.0), learnt_gauss)
         if n % raw_every == 0:
             log.add("sensor_mag", now + 500, now, 55, x, 0.02, -0.4)
         corrected = (x - in_force[0] - bias, in_force[1] * 0.02, -0.4)
-        log.add("vehicle_magnetometer", now + 900, now, 55, *corrected, 7 + (n >= 42))
+        log.add("vehicle_magnetometer", now + 900, now, 55, *corrected, 7 + (n >= 98))
     return log.write(path)
 
 
@@ -112,16 +114,16 @@ def test_where_raw_readings_are_sparse_the_corrected_ones_are_undone(
 ) -> None:
     track = read_track(flight(tmp_path / "a.ulg", learnt_gauss=learnt_gauss))
     (compass,) = track.compasses.values()
-    assert len(compass.reported) == 70 and compass.correction_known and compass.device_id == 55
-    expected = [[400.0 + n, 20.0, -400.0] for n in range(70)]
+    assert len(compass.reported) == 126 and compass.correction_known and compass.device_id == 55
+    expected = [[400.0 + n, 20.0, -400.0] for n in range(126)]
     np.testing.assert_allclose(track.raw_field(1), expected, atol=1e-3)
     # Written in flight, in force on the ground.
-    assert [round(step.from_s, 3) for step in compass.in_force[1:]] == [round(1.0 + 42 * 0.071429, 3)]
+    assert [round(step.from_s, 3) for step in compass.in_force[1:]] == [round(1.0 + 98 * 0.071429, 3)]
 
 
 def test_raw_readings_that_are_dense_enough_are_taken_as_they_are(tmp_path: Path) -> None:
     track = read_track(flight(tmp_path / "a.ulg", raw_every=2))
-    assert len(track.compasses[1].reported) == 35 and len(track.compasses[1].in_force) == 1
+    assert len(track.compasses[1].reported) == 63 and len(track.compasses[1].in_force) == 1
 
 
 def test_the_recorded_hover_gives_what_was_found_live(shared_data: Path) -> None:

@@ -165,15 +165,42 @@ def test_offsets_written_take_effect_subtracted_in_the_sensors_axes(station):
     np.testing.assert_allclose(moved, shift, atol=1e-4)
 
 
-def test_a_tiny_change_of_offset_is_not_taken_over(station):
+@pytest.mark.parametrize(("name", "change"), [("XOFF", 0.004), ("XSCALE", 0.008), ("ZODIAG", 0.009)])
+def test_a_tiny_change_is_not_loaded(station, name, change):
+    s = station("px4-copter", seed=1, armed=False)
+    in_force = s.vehicle.firmware.compasses.correction(1)
+    s.set(f"CAL_MAG0_{name}", s.read(f"CAL_MAG0_{name}") + change)
+    assert s.vehicle.firmware.compasses.correction(1) == in_force
+    s.set(f"CAL_MAG0_{name}", s.read(f"CAL_MAG0_{name}") + change)
+    assert s.vehicle.firmware.compasses.correction(1) != in_force
+
+
+def test_what_is_written_in_flight_is_not_loaded_and_overwritten_when_it_is_disarmed(station):
     s = station("px4-copter", seed=1)
     in_force = s.vehicle.firmware.compasses.correction(1)
-    s.set("CAL_MAG0_XOFF", s.read("CAL_MAG0_XOFF") + 0.0005)
+    scale = s.read("CAL_MAG0_XSCALE")
+    s.set("CAL_MAG0_XOFF", 0.9)
+    s.set("CAL_MAG0_XSCALE", 1.3)
     assert s.vehicle.firmware.compasses.correction(1) == in_force
+    assert s.command(21) == 0
+    s.wait(25.0)
+    assert not s.vehicle.firmware.status.armed
+    assert abs(s.read("CAL_MAG0_XOFF") - 0.9) > 0.1  # what it flew with, and what it learnt
+    assert s.read("CAL_MAG0_XSCALE") == pytest.approx(scale, abs=1e-6)
+
+
+def test_a_calibration_that_is_loaded_resets_the_heading(station):
+    s = station("px4-copter", seed=1, armed=False, tilt_deg=0.0)
+    s.wait(5.0)
+    estimate = s.vehicle.firmware.board.filter
+    before_rad = estimate.yaw_rad
+    s.set("CAL_MAG0_XOFF", s.read("CAL_MAG0_XOFF") + 0.15)
+    assert abs(math.degrees(estimate.yaw_rad - before_rad)) > 5.0
+    assert estimate.yaw_rad == pytest.approx(s.vehicle.firmware.compasses.yaw(), abs=0.02)
 
 
 def test_a_calibration_of_another_sensor_is_ignored(station):
-    s = station("px4-copter", seed=1)
+    s = station("px4-copter", seed=1, armed=False)
     other = struct.unpack("<f", struct.pack("<i", 1234))[0]
     s.ask(m.ParamSet(1, 1, "CAL_MAG0_ID", other, 6), m.ParamValue)
     assert s.vehicle.firmware.compasses.correction(1) == FieldCorrection()

@@ -18,8 +18,9 @@ from mavcompass.logs.common import Change
 from mavcompass.logs.formats.ulog.topics import has, time_s
 from mavcompass.units import MGAUSS_PER_GAUSS
 
-# The logger writes a changed parameter down a little before or after its calibration takes effect.
-_LOGGED_WITHIN_S = 1.0
+# The logger writes a changed parameter down a little before or after its calibration takes effect. What was
+# written in flight takes none: on disarming, PX4 stores the calibration that it flew with over it.
+_LOGGED_WITHIN_S, _LOADED_WITHIN_S = 1.0, 5.0
 
 
 def taken_over(
@@ -38,7 +39,8 @@ def taken_over(
         if not counted or not np.isfinite(change.from_s):
             out.append(change)
             continue
-        later_s = raised_s[raised_s >= change.from_s - _LOGGED_WITHIN_S]
+        after_s = raised_s - change.from_s
+        later_s = raised_s[(after_s >= -_LOGGED_WITHIN_S) & (after_s <= _LOADED_WITHIN_S)]
         if later_s.size:
             out.append(replace(change, from_s=float(later_s[0])))
     return tuple(sorted(out, key=lambda change: change.from_s))

@@ -1,0 +1,68 @@
+"""Have PX4 load a calibration that was written while it flew, and take its compass's heading over.
+
+Seen in its source and on its firmware (August 2024). `VehicleMagnetometer` loads CAL_MAGn_* only while
+disarmed, when some parameter changes; each change of the calibration that it sees has the estimator reset its
+heading to the compass's. And on disarming it first stores the calibration that it flew with, moved toward the
+bias that its estimator learnt in flight, over whatever was written meanwhile.
+
+The reset lasts where the estimator's tilt and gyro bias are good. Right after a landing they were seen not to
+be, and the heading slid off by ten degrees in two seconds: then it is loaded again.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+from mavcompass.errors import LinkError, Refused, WriteFailed
+from mavcompass.procedure.script import Context, Script, pause
+from mavcompass.vehicle.parameters import protocol
+from mavcompass.vehicle.parameters.values import holds
+
+HOW = "PX4's own reset when it loads a calibration on the ground"
+
+_OFFSETS = re.compile(r"CAL_MAG\d_XOFF")
+# What PX4 takes for another calibration is a change by more than 0.005 gauss.
+_ANOTHER_GAUSS = 0.006
+# By then the changed calibration has been loaded.
+_SEEN_S = 0.3
+
+
+def load(context: Context, written: Mapping[str, float]) -> Script[str]:
+    """Write CAL_MAG parameters again, offset first by 6 mG and then as they are; return how that helps.
+
+    Only for a vehicle that is disarmed, and knows them. Raises WriteFailed where they could not be written,
+    Refused for a stop, which leaves them written.
+    """
+    held = yield from protocol.read(context, tuple(written), "bytewise", exist=True)
+    wanted = {name: replace(held[name], value=value) for name, value in written.items() if name in held}
+    moved = {
+        n: replace(p, value=p.value + _ANOTHER_GAUSS) for n, p in wanted.items() if _OFFSETS.fullmatch(n)
+    }
+    if not moved:
+        return ""
+    if any(not holds(held[name], parameter.value, "bytewise") for name, parameter in wanted.items()):
+        context.show("write", "PX4 had put other values in place of the new ones; they are written again.")
+    stopped: Refused | None = None
+    try:
+        yield from protocol.write(context, moved, "bytewise")
+        yield from pause(context, _SEEN_S)
+    except Refused as stop:
+        stopped = stop
+    while True:
+        try:
+            echoes_s = yield from protocol.write(context, wanted, "bytewise")
+            yield from protocol.prove(context, wanted, "bytewise", echoes_s)
+            break
+        except Refused as stop:  # which comes once
+            stopped = stop
+        except LinkError as trouble:
+            values = ", ".join(f"{name} {wanted[name].value:.6g}" for name in moved)
+            raise WriteFailed(
+                f"The new values were to be written again, and may be 6 mG off: {trouble.what}",
+                f"Bring the link back and set: {values}.",
+            ) from trouble
+    if stopped is not None:
+        raise stopped
+    return HOW

@@ -1,0 +1,56 @@
+"""A calibration that PX4 loads on the ground: written again, made to load, the heading reset."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from parameter_vehicle import PX4Vehicle, Radio, px4_parameters
+
+from mavcompass.errors import Refused, WriteFailed
+from mavcompass.messages import ParamSet
+from mavcompass.procedure.script import Context, Script
+from mavcompass.vehicle.px4.loading import HOW, load
+
+NEW = {"CAL_MAG0_XOFF": 0.12, "CAL_MAG0_YOFF": -0.08, "CAL_MAG0_XSCALE": 0.9}
+
+
+def loading(context: Context) -> Script[Any]:
+    return load(context, NEW)
+
+
+def offsets_sent(radio: Radio) -> list[float]:
+    return [m.param_value for m in radio.sent if isinstance(m, ParamSet) and m.param_id == "CAL_MAG0_XOFF"]
+
+
+def test_what_disarming_has_overwritten_is_written_again() -> None:
+    vehicle = PX4Vehicle(px4_parameters(**NEW) | {"CAL_MAG0_XOFF": 0.07, "CAL_MAG0_XSCALE": 1.0})
+    radio = Radio(vehicle)
+    assert radio.run(loading) == HOW
+    assert {name: vehicle.values[name] for name in NEW} == {n: float(np.float32(v)) for n, v in NEW.items()}
+    assert any("had put other values" in show.text for show in radio.shown)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_px4_sees_another_calibration_and_then_the_right_one(seed: int) -> None:
+    vehicle = PX4Vehicle(px4_parameters(**NEW))
+    radio = Radio(vehicle, seed=seed, loss=0.2, silence_s=15.0)
+    assert radio.run(loading) == HOW
+    assert max(offsets_sent(radio)) == pytest.approx(0.126)
+    assert vehicle.values["CAL_MAG0_XOFF"] == float(np.float32(0.12))
+
+
+@pytest.mark.parametrize("stop_s", [0.06, 0.2, 0.42])
+def test_a_stop_in_between_leaves_nothing_moved(stop_s: float) -> None:
+    vehicle = PX4Vehicle(px4_parameters(**NEW))
+    with pytest.raises(Refused):
+        Radio(vehicle, stop_s=stop_s).run(loading)
+    assert vehicle.values["CAL_MAG0_XOFF"] == float(np.float32(0.12))
+
+
+def test_a_link_that_is_cut_in_between_is_told_with_the_value_to_set() -> None:
+    vehicle = PX4Vehicle(px4_parameters(**NEW))
+    with pytest.raises(WriteFailed, match="may be 6 mG off"):
+        Radio(vehicle, cut_s=0.12, silence_s=60.0).run(loading)
+    assert vehicle.values["CAL_MAG0_XOFF"] != float(np.float32(0.12))
