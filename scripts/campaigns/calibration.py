@@ -138,9 +138,9 @@ class Truth:
 
 def draw(scenario: Scenario, rng: np.random.Generator) -> tuple[Truth, FourPositionData]:
     """Make one vehicle and what its sensors see at the positions."""
-    truth = _vehicle(scenario, rng)
+    truth = vehicle_of(scenario, rng)
     k = scenario.positions
-    psi = _headings(scenario, truth, rng)
+    psi = headings_of(scenario, truth, rng)
     roll, pitch = np.radians(rng.normal(0.0, 1.0, (2, k)) * scenario.tilt)
     noise = scenario.noise if scenario.noise >= 0.0 else 10.0 ** rng.uniform(-0.7, 0.3)
     current = rng.uniform(0.0, 1.0, k) * scenario.current
@@ -178,7 +178,7 @@ def draw(scenario: Scenario, rng: np.random.Generator) -> tuple[Truth, FourPosit
     return truth, _with_steps(scenario, dwells, psi, rng)
 
 
-def _vehicle(scenario: Scenario, rng: np.random.Generator) -> Truth:
+def vehicle_of(scenario: Scenario, rng: np.random.Generator) -> Truth:
     spread = 0.0 if scenario.offset_of_h else scenario.gain
     gain = np.diag(1.0 + rng.normal(0.0, 1.0, 3) * spread)
     gain[2, 2] = 0.5 * (gain[0, 0] + gain[1, 1]) + rng.normal() * 0.03
@@ -194,7 +194,7 @@ def _vehicle(scenario: Scenario, rng: np.random.Generator) -> Truth:
     return Truth(offset, gain)
 
 
-def _headings(scenario: Scenario, truth: Truth, rng: np.random.Generator) -> FloatArray:
+def headings_of(scenario: Scenario, truth: Truth, rng: np.random.Generator) -> FloatArray:
     k = scenario.positions
     first = rng.uniform(0.0, 2.0 * math.pi)
     nominal = 2.0 * math.pi / k if k != 5 else math.pi / 2.0

@@ -17,6 +17,8 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
 
+# Two halves of a recording may contradict each other by this much more than is claimed.
+_BY_CHANCE = 1.5
 _COVARIANCE_NAMES = (
     *(f"offset_{a}" for a in "xyz"),
     *(f"gain_{p}" for p in ("xx", "yy", "zz", "xy", "xz", "yz")),
@@ -37,6 +39,9 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
     honest = weigh_honestly(motion.sections, motion.fit, recorded.prior)
     correction = _correction(motion, honest.state)
     honest = honest.at_least(motion.scatter_left_rad(correction))
+    apart = motion.halves_apart_rad()
+    if apart > _BY_CHANCE * honest.error.rms_rad():
+        honest = honest.at_least(apart)
     mounting = _mounting_rad(motion)
     sigma = honest.error.rms_rad()
     reasons, warnings = findings(motion.sections, motion.fit, honest, recorded.earth, motion.load_source)

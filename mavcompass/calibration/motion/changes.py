@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.calibration.model import HORIZONTAL
-from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, widest_gap_rad
+from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, circle_seen_rad
 from mavcompass.calibration.motion.fit import residual_of
 from mavcompass.calibration.motion.observed import Motion
 from mavcompass.calibration.recorded import Recorded
@@ -58,7 +58,7 @@ def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
             later = motion.since(start)
         except PoorCalibration:
             continue
-        if 2.0 * math.pi - widest_gap_rad(later.fit.headings_rad) < LEAST_CIRCLE_RAD:
+        if circle_seen_rad(later.fit.headings_rad) < LEAST_CIRCLE_RAD:
             continue
         best = motion.fit.model_mgauss if found is None else found[0].fit.model_mgauss
         if later.fit.model_mgauss < _BETTER * best:

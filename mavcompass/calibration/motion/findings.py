@@ -24,11 +24,13 @@ _ALIKE = 0.2
 _TURNED_MOUNT = 0.35
 # Less of the circle than this cannot tell iron from heading.
 LEAST_CIRCLE_RAD = math.radians(150.0)
+_FEWEST_READINGS = 150
 # A turn known no better shows nothing of the compass.
 _SPARSE_RAD = math.radians(5.0)
 _SCATTER_TOLD_DEG, _SCATTER_REFUSED_DEG = 1.0, 2.0
 # Motors, or a change of the iron, are named where they are at least this share of the horizontal field.
 _NAMED_SHARE = 0.1
+_MOTORS_REFUSED_SHARE = 0.6
 
 
 def findings(
@@ -40,7 +42,13 @@ def findings(
     sparse = sparse_words(sections)
     if sparse and honest.error.rms_rad() * DEG_PER_RAD > _SCATTER_TOLD_DEG:
         reasons.append(sparse)
-    seen = 2.0 * math.pi - widest_gap_rad(fit.headings_rad)
+    readings = float(sections.samples.sum())
+    if readings < _FEWEST_READINGS:
+        reasons.append(
+            f"The compass was recorded only {readings:.0f} times, too seldom to average what disturbs it. "
+            "Record it 10 times a second or more."
+        )
+    seen = circle_seen_rad(fit.headings_rad)
     if seen < LEAST_CIRCLE_RAD:
         reasons.append(
             f"The vehicle pointed to only {seen * DEG_PER_RAD:.0f} degrees of the circle. "
@@ -62,15 +70,22 @@ def findings(
         left = f"The corrected heading still scatters by {scatter:.1f} degrees"
         words = left + _cause(sections, fit, load_source)
         (reasons if scatter > _SCATTER_REFUSED_DEG else warnings).append(words)
+    horizontal = abs(float(fit.state[HORIZONTAL]))
+    motors = float(np.linalg.norm(fit.state[MOTOR])) * float(np.ptp(sections.load))
+    if load_source != "none" and motors > _MOTORS_REFUSED_SHARE * horizontal:
+        reasons.append(
+            f"The motors' field of {motors:.0f} mG is {100.0 * motors / horizontal:.0f} % of the Earth's "
+            "horizontal field: no compensation is that exact. Move the compass away from the power leads."
+        )
     if kept_out := _kept_out_words(sections, fit):
         warnings.append(kept_out)
     return tuple(reasons), tuple(warnings)
 
 
-def widest_gap_rad(headings_rad: FloatArray) -> float:
-    """Return the widest arc of the circle without a heading, radians."""
+def circle_seen_rad(headings_rad: FloatArray) -> float:
+    """Return how much of the circle headings cover: all but their widest gap, radians."""
     ordered = np.sort(np.mod(headings_rad, 2.0 * math.pi))
-    return float(np.diff(np.concatenate([ordered, [ordered[0] + 2.0 * math.pi]])).max())
+    return 2.0 * math.pi - float(np.diff(np.concatenate([ordered, [ordered[0] + 2.0 * math.pi]])).max())
 
 
 def sparse_words(sections: Sections) -> str:

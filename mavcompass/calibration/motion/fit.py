@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.calibration.model import GAIN, OFFSET, gain_matrix
+from mavcompass.calibration.model import GAIN, MOTOR, OFFSET, gain_matrix
 from mavcompass.calibration.motion.equations import (
     FIRST,
     PriorRows,
@@ -136,12 +136,20 @@ def fit_motion(
     return _summary(sections, x, variance, sound, rules, model)
 
 
+def level_headings(sections: Sections, fit: MotionFit, load_shift: float = 0.0) -> FloatArray:
+    """Return the headings that a fit makes of the readings of sections, (K,), radians.
+
+    `load_shift` is the mean load of the fit's own sections less that of these.
+    """
+    motors = (sections.load - load_shift)[:, np.newaxis] * fit.state[MOTOR]
+    raw = sections.mean_mgauss - fit.offset_mgauss - motors
+    field = np.einsum("kji,kj->ki", sections.mapping, raw @ np.linalg.inv(fit.gain))
+    return np.arctan2(-field[:, 1], field[:, 0])
+
+
 def residual_of(sections: Sections, fit: MotionFit) -> FloatArray:
     """Return what a fit leaves of other sections of the same recording, (K, 3), at their best headings."""
-    x = np.concatenate([fit.state[:FIRST], np.zeros(len(sections))])
-    inverse = np.linalg.inv(fit.gain)
-    field = np.einsum("kji,kj->ki", sections.mapping, (sections.mean_mgauss - fit.offset_mgauss) @ inverse)
-    x[FIRST:] = np.arctan2(-field[:, 1], field[:, 0])
+    x = np.concatenate([fit.state[:FIRST], level_headings(sections, fit)])
     return field_residual(sections, x)[0]
 
 

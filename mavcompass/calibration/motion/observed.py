@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.calibration.model import MOTOR
-from mavcompass.calibration.motion.findings import sparse_words
-from mavcompass.calibration.motion.fit import MotionFit, fit_motion
+from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, circle_seen_rad, sparse_words
+from mavcompass.calibration.motion.fit import MotionFit, fit_motion, level_headings
 from mavcompass.calibration.motion.reference import ReferenceTurn, reference_turn
 from mavcompass.calibration.motion.scatter import motors_left_rad, scatter_left_rad
 from mavcompass.calibration.motion.sections import UPHELD, Sections, cut_sections
@@ -26,6 +26,7 @@ from mavcompass.track import Track
 _LOAD_SPREAD: tuple[tuple[MotorSource, float], ...] = (("current", 1.0), ("throttle", 0.1))
 # Three more numbers are believed where they lower the cost by this: chance does so once in a thousand.
 _MOTOR_GAIN = 8.0
+_FEWEST_OF_HALF = 8
 _LEAST_TURN_RAD = math.radians(60.0)
 
 
@@ -75,6 +76,21 @@ class Motion:
         if correction.motor_source == self.load_source:
             undone = -np.linalg.solve(correction.matrix, np.asarray(correction.motor_mgauss))
         return motors_left_rad(self.sections, self.fit, self.fit.state[MOTOR] - undone)
+
+    def halves_apart_rad(self) -> float:
+        """Return the sigma that two halves of the motion, calibrated by themselves, show; 0 without.
+
+        Each has twice the variance of the whole, so their difference has four times it.
+        """
+        middle = len(self.sections) // 2
+        headings = []
+        for half in (self.sections.rows(0, middle), self.sections.rows(middle, len(self.sections))):
+            if len(half) < _FEWEST_OF_HALF or circle_seen_rad(half.turned_rad) < LEAST_CIRCLE_RAD:
+                return 0.0
+            fit = _fitted(self.recorded, half, self.load_source)
+            headings.append(level_headings(self.sections, fit, half.load_mean - self.sections.load_mean))
+        apart = wrap_pi(headings[0] - headings[1])
+        return 0.5 * float(np.std(wrap_pi(apart - np.angle(np.exp(1j * apart).mean()))))
 
     def since(self, start_s: float) -> Motion:
         """Keep what lies after a time, fitted anew. Raises PoorCalibration where that is too little."""

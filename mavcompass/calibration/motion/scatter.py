@@ -22,7 +22,7 @@ _FEWEST_S = 5
 # Leaning more than this, a nose has hardly a heading.
 _LEAST_UPRIGHT = math.cos(math.radians(45.0))
 # What counts as chance: so many standard deviations of the noise's own variance.
-_CHANCE = 3.0
+_CHANCE = 4.0
 
 
 def scatter_left_rad(
@@ -60,7 +60,6 @@ def scatter_left_rad(
     off = np.asarray(wrap_pi(heading - drift - record.angle_at(time - late)))
     section = np.clip(np.searchsorted(sections.start_s, time, side="right") - 1, 0, len(sections) - 1)
     sound = fit.sound[section]
-    # Every visit of a heading counts alike, however long it lasted.
     lasted = np.maximum(sections.end_s - sections.start_s, 1.0)
     visit = sound / (sections.repeats * lasted)[section]
     off = np.asarray(wrap_pi(off - np.angle((visit * np.exp(1j * off)).sum())))
@@ -77,10 +76,16 @@ def scatter_left_rad(
     noise = (sections.noise_mgauss / float(fit.state[HORIZONTAL])) ** 2 / np.minimum(
         readings[kept], max(fresh, 1.0)
     ) + (tilt * dip) ** 2
-    share = (np.bincount(second, visit)[kept] / readings[kept]).clip(1e-12)
-    share = share / share.sum()
-    chance = float(share @ noise) * (1.0 + _CHANCE * math.sqrt(2.0 * float(share @ share)))
-    return math.sqrt(max(float(share @ mean**2) - chance, 0.0))
+    # Long standing must not hide what the turns show, nor the turns what long standing shows.
+    by_visit = (np.bincount(second, visit)[kept] / readings[kept]).clip(1e-12)
+    return max(_beyond_noise(mean, noise, share) for share in (by_visit, np.ones_like(by_visit)))
+
+
+def _beyond_noise(off_rad: FloatArray, variance: FloatArray, weights: FloatArray) -> float:
+    """Return the weighted rms of what noise of a given variance does not explain."""
+    share = weights / weights.sum()
+    chance = float(share @ variance) * (1.0 + _CHANCE * math.sqrt(2.0 * float(share @ share)))
+    return math.sqrt(max(float(share @ off_rad**2) - chance, 0.0))
 
 
 def motors_left_rad(sections: Sections, fit: MotionFit, left_mgauss: FloatArray) -> float:
