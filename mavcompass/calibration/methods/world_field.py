@@ -17,9 +17,9 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
 
-# Two halves of a recording may contradict each other by this much more than is claimed.
-_BY_CHANCE = 1.5
-_COVARIANCE_NAMES = (
+# Two halves of a recording may contradict each other by so many sigmas.
+_BY_CHANCE = 2.0
+COVARIANCE_NAMES = (
     *(f"offset_{a}" for a in "xyz"),
     *(f"gain_{p}" for p in ("xx", "yy", "zz", "xy", "xz", "yz")),
 )
@@ -37,14 +37,21 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
     """Turn the fit of a motion into a judged result."""
     recorded = motion.recorded
     honest = weigh_honestly(motion.sections, motion.fit, recorded.prior)
-    correction = _correction(motion, honest.state)
+    correction = correction_of(motion, honest.state)
     honest = honest.at_least(motion.scatter_left_rad(correction))
-    apart = motion.halves_apart_rad()
-    if apart > _BY_CHANCE * honest.error.rms_rad():
-        honest = honest.at_least(apart)
+    ratio = motion.halves_ratio()
+    if ratio > _BY_CHANCE:
+        honest = honest.at_least(ratio * honest.noise_rad)
     mounting = _mounting_rad(motion)
     sigma = honest.error.rms_rad()
-    reasons, warnings = findings(motion.sections, motion.fit, honest, recorded.earth, motion.load_source)
+    reasons, warnings = findings(
+        motion.sections,
+        motion.fit,
+        honest,
+        recorded.earth,
+        motion.load_source,
+        recorded.limits.heading_deg,
+    )
     if motion.reference is None:
         unknown = "No yaw reference was recorded; the gyro's turned angle was used with an unknown start."
         warnings = (unknown, *warnings)
@@ -58,7 +65,7 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
             raw_offset_mgauss=-np.asarray(correction.offsets_mgauss),
             correction=correction,
             in_force=recorded.in_force,
-            covariance_names=_COVARIANCE_NAMES,
+            covariance_names=COVARIANCE_NAMES,
             covariance=honest.error.covariance,
             not_observable=("mounting_yaw",) if motion.reference is None else (),
             residual_rms_mgauss=math.sqrt(float((motion.fit.residual_mgauss**2).mean())),
@@ -85,7 +92,7 @@ def _mounting_rad(motion: Motion) -> float:
     return abs(float(np.angle(np.exp(1j * away).mean())))
 
 
-def _correction(motion: Motion, state: FloatArray) -> FieldCorrection:
+def correction_of(motion: Motion, state: FloatArray) -> FieldCorrection:
     """Turn a fitted state into a correction; without the world model its horizontal diagonals average 1.
 
     The state's offset is that at the mean load, the correction's that without load.

@@ -27,16 +27,24 @@ LEAST_CIRCLE_RAD = math.radians(150.0)
 _FEWEST_READINGS = 150
 # A turn known no better shows nothing of the compass.
 _SPARSE_RAD = math.radians(5.0)
-_SCATTER_TOLD_DEG, _SCATTER_REFUSED_DEG = 1.0, 2.0
+_SCATTER_TOLD_DEG = 1.0
 # Motors, or a change of the iron, are named where they are at least this share of the horizontal field.
 _NAMED_SHARE = 0.1
 _MOTORS_REFUSED_SHARE = 0.6
 
 
 def findings(
-    sections: Sections, fit: MotionFit, honest: Honesty, earth: EarthField | None, load_source: str
+    sections: Sections,
+    fit: MotionFit,
+    honest: Honesty,
+    earth: EarthField | None,
+    load_source: str,
+    limit_deg: float,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the reasons to refuse a fit, and what should be known of it otherwise."""
+    """Return the reasons to refuse a fit, and what should be known of it otherwise.
+
+    `limit_deg` is the largest heading error that is accepted.
+    """
     reasons: list[str] = []
     warnings: list[str] = []
     sparse = sparse_words(sections)
@@ -69,7 +77,7 @@ def findings(
     if scatter > _SCATTER_TOLD_DEG:
         left = f"The corrected heading still scatters by {scatter:.1f} degrees"
         words = left + _cause(sections, fit, load_source)
-        (reasons if scatter > _SCATTER_REFUSED_DEG else warnings).append(words)
+        (reasons if scatter > limit_deg else warnings).append(words)
     horizontal = abs(float(fit.state[HORIZONTAL]))
     motors = float(np.linalg.norm(fit.state[MOTOR])) * float(np.ptp(sections.load))
     if load_source != "none" and motors > _MOTORS_REFUSED_SHARE * horizontal:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.calibration.model import GAIN, MOTOR, OFFSET, gain_matrix
+from mavcompass.calibration.model import GAIN, MOTOR, OFFSET, HeadingError, gain_matrix
 from mavcompass.calibration.motion.equations import (
     FIRST,
     PriorRows,
@@ -134,6 +134,11 @@ def fit_motion(
     variance = section_variance(sections, x, model)
     x = _settle(sections, x, variance, sound, rules)
     return _summary(sections, x, variance, sound, rules, model)
+
+
+def sigma_of(fit: MotionFit) -> float:
+    """Return the level heading's sigma by a fit's covariance alone, rms over the circle, radians."""
+    return HeadingError(fit.state[:11], fit.covariance[:9, :9]).rms_rad()
 
 
 def level_headings(sections: Sections, fit: MotionFit, load_shift: float = 0.0) -> FloatArray:

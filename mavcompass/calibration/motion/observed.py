@@ -9,7 +9,7 @@ import numpy as np
 
 from mavcompass.calibration.model import MOTOR
 from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, circle_seen_rad, sparse_words
-from mavcompass.calibration.motion.fit import MotionFit, fit_motion, level_headings
+from mavcompass.calibration.motion.fit import MotionFit, fit_motion, level_headings, sigma_of
 from mavcompass.calibration.motion.reference import ReferenceTurn, reference_turn
 from mavcompass.calibration.motion.scatter import motors_left_rad, scatter_left_rad
 from mavcompass.calibration.motion.sections import UPHELD, Sections, cut_sections
@@ -77,20 +77,26 @@ class Motion:
             undone = -np.linalg.solve(correction.matrix, np.asarray(correction.motor_mgauss))
         return motors_left_rad(self.sections, self.fit, self.fit.state[MOTOR] - undone)
 
-    def halves_apart_rad(self) -> float:
-        """Return the sigma that two halves of the motion, calibrated by themselves, show; 0 without.
+    def first(self, count: int) -> Motion:
+        """Keep the first sections, fitted anew. Raises PoorCalibration where these are too few."""
+        sections = self.sections.rows(0, count)
+        return replace(self, sections=sections, fit=_fitted(self.recorded, sections, self.load_source))
 
-        Each has twice the variance of the whole, so their difference has four times it.
+    def halves_ratio(self) -> float:
+        """Return by how much more two halves of the motion differ, calibrated by themselves, than they claim.
+
+        In sigmas of the heading, rms over the sections; 0 where a half does not turn far enough.
         """
         middle = len(self.sections) // 2
-        headings = []
+        headings, variance = [], 0.0
         for half in (self.sections.rows(0, middle), self.sections.rows(middle, len(self.sections))):
             if len(half) < _FEWEST_OF_HALF or circle_seen_rad(half.turned_rad) < LEAST_CIRCLE_RAD:
                 return 0.0
             fit = _fitted(self.recorded, half, self.load_source)
             headings.append(level_headings(self.sections, fit, half.load_mean - self.sections.load_mean))
+            variance += sigma_of(fit) ** 2
         apart = wrap_pi(headings[0] - headings[1])
-        return 0.5 * float(np.std(wrap_pi(apart - np.angle(np.exp(1j * apart).mean()))))
+        return float(np.std(wrap_pi(apart - np.angle(np.exp(1j * apart).mean())))) / math.sqrt(variance)
 
     def since(self, start_s: float) -> Motion:
         """Keep what lies after a time, fitted anew. Raises PoorCalibration where that is too little."""
