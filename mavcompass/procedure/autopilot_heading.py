@@ -43,7 +43,8 @@ _TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS, _LONGEST_SAMPLE_S = math.radians(0.5), 3.0
 _LAG_S = 0.8
 _PATIENCE_S, _PATIENCE_WITHOUT_A_WAY_S = 120.0, 45.0
 # An autopilot that loads a calibration when it is disarmed is waited for so long, and then left to do it.
-_LANDING_PATIENCE_S, _LOADS_WITHIN_S = 60.0, 3.0
+# What so many loads have not brought right, another will not.
+_LANDING_PATIENCE_S, _LOADS_WITHIN_S, _LOADS = 60.0, 3.0, 4
 
 
 def yaw_error_rad(
@@ -90,6 +91,7 @@ class OwnHeading:
     not_loaded: bool = False
     _values: Mapping[str, float] = field(default_factory=dict)
     _written_s: float = math.nan
+    _latest_deg: float = math.nan
     _has_a_way: bool = True
     _not_before_s: float = -math.inf
 
@@ -139,7 +141,7 @@ class OwnHeading:
                     return
                 if self._may_help() and (yield from self._put_right(self.error_deg)):
                     continue
-                if self._context.now - began_s > _SLOPE_AT_LEAST_S * self._slowness + 1.0:
+                if self.samples and self._context.now - began_s > _SLOPE_AT_LEAST_S * self._slowness + 1.0:
                     text = f"The autopilot still steers {abs(self.error_deg):.1f} deg off; waiting for it."
                     self._context.show("heading", text, live=float(told))
                     told = True
@@ -149,7 +151,7 @@ class OwnHeading:
 
     def restarted(self) -> None:
         """Begin anew after a restart of the autopilot."""
-        self.by = ["a restart"]
+        self.by, self._latest_deg = ["a restart"], math.nan
         self.samples.clear()
         self._has_a_way, self._not_before_s = True, -math.inf
 
@@ -174,8 +176,8 @@ class OwnHeading:
 
     @property
     def error_deg(self) -> float:
-        """Return the latest error, nan where it was never measured."""
-        return self.samples[-1][1] if self.samples else math.nan
+        """Return the latest error, also that from before an intervention; nan where it was never measured."""
+        return self._latest_deg
 
     @property
     def slope_dps(self) -> float:
@@ -265,9 +267,10 @@ class OwnHeading:
         if self._values and desk.dialect.loads_disarmed:
             on_the_ground = not desk.state.armed
             how = (yield from desk.dialect.load_written(desk.context, self._values)) if on_the_ground else ""
+            self._has_a_way = bool(how) and self.by.count(how) < _LOADS
         else:
             how = yield from desk.dialect.take_compass_yaw(desk.context, desk.parameters, self.flying)
-        self._has_a_way = bool(how)
+            self._has_a_way = bool(how)
         return how
 
     def _look(self) -> None:
@@ -285,4 +288,5 @@ class OwnHeading:
             error = yaw_error_rad(track, self.result, world, start_s, end_s)
         except (PoorCalibration, KeyError):
             return
-        self.samples.append((end_s, math.degrees(error)))
+        self._latest_deg = math.degrees(error)
+        self.samples.append((end_s, self._latest_deg))

@@ -6,7 +6,9 @@ heading to the compass's. And on disarming it first stores the calibration that 
 bias that its estimator learnt in flight, over whatever was written meanwhile.
 
 The reset lasts where the estimator's tilt and gyro bias are good. Right after a landing they were seen not to
-be, and the heading slid off by ten degrees in two seconds: then it is loaded again.
+be, and the heading slid off by ten degrees in two seconds: then it is loaded again. Where the heading was
+more than some 17 degrees off the compass's (EKF2_HEAD_NOISE), the estimator believes no compass any more
+and resets nothing while it stands; a restart is what helps then.
 """
 
 from __future__ import annotations
