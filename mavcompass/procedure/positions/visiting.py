@@ -20,7 +20,7 @@ from mavcompass.procedure.turning import GyroAngle, TurnStrategy
 
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2
-_ASK_EVERY_S = 0.2
+_FIRST_ASKED_S, _ASK_EVERY_S = 0.6, 0.2
 # Noise would fall to 0.71 in twice the time.
 _MUCH_SURER = 0.85
 # Nothing shorter tells what a vehicle that sways does.
@@ -52,8 +52,9 @@ class DwellSettings:
 
     Attributes:
         dwell_s: the longest dwell; eighteen fresh readings of a compass read at 10 Hz.
-        shortest_s: the shortest; from then on it ends once the heading by it is sure enough, or not much
-            surer than it was after half the time: what sways is not averaged out by standing longer.
+        shortest_s: the shortest, which is still found again in a recording; from then on it ends once the
+            heading by it is sure enough, or not much surer than it was after half the time: what sways is
+            not averaged out by standing longer.
         enough_deg: how sure is enough, 1 sigma.
         longest_s: of a vehicle whose sensors are so noisy that their mean takes longer to be known.
         settle_s: rest before a dwell begins. Rest is judged by the mean of half a second, so by then
@@ -65,7 +66,7 @@ class DwellSettings:
     """
 
     dwell_s: float = 1.7
-    shortest_s: float = 0.6
+    shortest_s: float = 0.95
     enough_deg: float = 0.15
     longest_s: float = 6.0
     settle_s: float = 0.1
@@ -246,7 +247,7 @@ def dwell(
         resting = yield from mover.settle(context, rest, settings)
         start_s, angle, samples = rest.time_s, gyro.angle_rad, gyro.samples
         began, held_s = context.now, context.now
-        length_s, needed_s, asks_s = 0.0, rest.needed_s(settings), settings.shortest_s
+        length_s, needed_s, asks_s = 0.0, rest.needed_s(settings), _FIRST_ASKED_S
         known: dict[float, float] = {}
         while length_s < needed_s:
             if context.now - began > 5.0 * needed_s + 5.0:
@@ -264,7 +265,8 @@ def dwell(
                 known[length_s] = sureness(start_s, rest.time_s)
                 # Noise, unlike swaying, is averaged out by standing longer.
                 noisy = rest.needed_s(settings) > _NOISY * settings.dwell_s
-                if _is_enough({} if noisy else known, known[length_s], length_s, settings):
+                long_enough = length_s >= settings.shortest_s
+                if long_enough and _is_enough({} if noisy else known, known[length_s], length_s, settings):
                     needed_s = length_s
         else:
             if resting and gyro.samples > samples:
