@@ -96,7 +96,7 @@ def test_four_positions_cut_from_a_continuous_turn_agree_with_the_whole_turn(sha
     """
     name = "real/hmc5883l-hand-rotation/rotate-ccw-around-z-pointing-up.csv"
     track = read_track(shared_data / name)
-    result = calibrate_track(track)
+    result = calibrate_track(track, "four-positions")
     assert result.accepted, result.reasons
     assert len(result.positions) == 8
     assert result.heading_error is not None

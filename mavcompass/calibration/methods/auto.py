@@ -15,6 +15,8 @@ from mavcompass.errors import PoorCalibration
 
 # Two methods that are both sure must agree within so many of their sigmas.
 _AGREE_SIGMAS, _AGREE_DEG = 3.0, 2.0
+# Still positions are preferred as long as no other method is surer by this factor.
+_SURER = 2.0
 
 
 def calibrate(recorded: Recorded) -> CalibrationResult:
@@ -85,7 +87,9 @@ def _chosen(results: list[CalibrationResult]) -> CalibrationResult:
         return min(
             results, key=lambda r: r.heading_sigma_deg if math.isfinite(r.heading_sigma_deg) else math.inf
         )
-    best = accepted[0] if accepted[0].method == "four-positions" else min(accepted, key=_sigma)
+    best = min(accepted, key=_sigma)
+    if accepted[0].method == "four-positions" and _sigma(accepted[0]) < _SURER * _sigma(best):
+        best = accepted[0]
     for other in accepted:
         apart = _apart_deg(best, other)
         allowed = max(_AGREE_SIGMAS * math.hypot(_sigma(best), _sigma(other)), _AGREE_DEG)
