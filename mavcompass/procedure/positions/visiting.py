@@ -20,7 +20,7 @@ from mavcompass.procedure.turning import GyroAngle, TurnStrategy
 
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2
-_FIRST_ASKED_S, _ASK_EVERY_S = 0.6, 0.2
+_FIRST_ASKED_S, _ASK_EVERY_S = 0.6, 0.14
 # Noise would fall to 0.71 in twice the time.
 _MUCH_SURER = 0.85
 # Nothing shorter tells what a vehicle that sways does.
@@ -66,7 +66,7 @@ class DwellSettings:
     """
 
     dwell_s: float = 1.7
-    shortest_s: float = 0.95
+    shortest_s: float = 0.92
     enough_deg: float = 0.15
     longest_s: float = 6.0
     settle_s: float = 0.1
