@@ -31,8 +31,6 @@ from mavcompass.track import Track
 
 # Half a step and a bit prove as much as a whole one and take less of the vehicle's time.
 _PROOF_SHARE = 0.55
-# The proof's dwell is found again in no recording, so it may be as short as its heading allows.
-_PROOF_SHORTEST_S = 0.6
 _PLACELESS = "The vehicle does not know its place: nothing was taken from the world's magnetic model."
 # The Earth's horizontal and vertical field in temperate latitudes, where the place is not known.
 _TYPICAL_MGAUSS = (220.0, 430.0)
@@ -264,9 +262,7 @@ class _Calibration:
         try:
             share = 1.0 if isinstance(mover, HandMover) else _PROOF_SHARE
             yield from mover.next(context, share * self.settings.step_rad, 1)
-            settings = self.settings.dwell
-            short = replace(settings, shortest_s=min(settings.shortest_s, _PROOF_SHORTEST_S))
-            window = yield from self.desk.dwell(mover, short, self.sureness_deg)
+            window = yield from self.desk.dwell(mover, self.settings.dwell, self.sureness_deg)
             yield from mover.release(context)
             with_it = self.solve([*report.windows, window])
         except Exception as why:

@@ -112,7 +112,7 @@ def test_a_damaged_rules_file_is_named(damage: str, tmp_path: Path, monkeypatch:
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("rate_deg_s = 21.0", "rate_deg_s = -21.0"),
+        ("rate_deg_s = 26.0", "rate_deg_s = -26.0"),
         ("[[turn]]", "[[tern]]"),
         ("coast_s", "cost_s"),
         ("kinds", "kinds = 3 #"),
