@@ -59,7 +59,8 @@ def test_a_task_that_ends_its_process_or_raises_costs_only_itself(started: list[
     died, raised = done[-1].failure, done[-2].failure
     assert died is not None and died.kind == DIED and "exit code 7" in died.text
     assert raised is not None and (raised.kind, raised.text) == ("ValueError", "no square of minus two")
-    assert len(started) == 3 and not any(map(is_alive, started))  # only the dead one was replaced
+    # Only the dead one was replaced; on a busy machine one of the two may have done all the work.
+    assert 2 <= len(started) <= 3 and not any(map(is_alive, started))
 
 
 def test_a_task_over_its_time_is_stopped() -> None:
