@@ -91,7 +91,9 @@ class Comparison:
             "promised": {"shrink": field.shrink, "ci95": list(field.shrink_ci95)},
             "achieved": _achieved(self.achieved[-1]) if self.achieved else None,
             "flights": [_achieved(one) for one in self.achieved],
-            "seconds": sum(d.seconds for d in (self.vehicle, self.simulator, *_agains(self.achieved))),
+            "seconds": self.vehicle.seconds
+            + self.simulator.seconds
+            + sum(one.again.seconds for one in self.achieved),
         }
 
 
@@ -176,10 +178,6 @@ def _squares(diagnosis: Diagnosis) -> dict[int, tuple[float, float]]:
     return {
         int(b): (float(squares[block == b].sum()), 3.0 * float((block == b).sum())) for b in np.unique(block)
     }
-
-
-def _agains(achieved: Sequence[Achieved]) -> list[Diagnosis]:
-    return [one.again for one in achieved]
 
 
 def _difference(difference: Difference) -> dict[str, object]:

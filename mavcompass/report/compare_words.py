@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mavcompass.gap.comparison import Achieved, Comparison, Difference
 from mavcompass.gap.result import Closing
-from mavcompass.report.gap_words import VERDICTS, shrink_words
+from mavcompass.report.gap_words import VERDICTS, cause_values, shrink_words
 from mavcompass.simulation.effects import get
 
 _GOOD, _NEARLY = 0.95, 0.05
@@ -56,11 +56,8 @@ def compare_summary(comparison: Comparison) -> list[str]:
 
 def _difference(difference: Difference) -> str:
     cause = difference.cause
-    effect = get(cause.effect)
-    units = {p.name: "" if p.unit == "1" else f" {p.unit}" for p in effect.parameters}
-    values = ", ".join(f"{name} {value:.3g}{units.get(name, '')}" for name, value in cause.parameters.items())
     return (
-        f"  the {difference.lacks} lacks {cause.effect}, {effect.title} ({values}):"
+        f"  the {difference.lacks} lacks {cause.effect}, {get(cause.effect).title} ({cause_values(cause)}):"
         f" {cause.removes_deg:.1f} deg of heading, {cause.removes_mgauss:.1f} mG"
     )
 

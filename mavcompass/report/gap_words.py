@@ -125,14 +125,17 @@ def summary(diagnosis: Diagnosis, everything: bool = False) -> list[str]:
     return lines
 
 
-def _cause(cause: Cause) -> list[str]:
-    effect = get(cause.effect)
-    units = {p.name: "" if p.unit == "1" else f" {p.unit}" for p in effect.parameters}
+def cause_values(cause: Cause) -> str:
+    """Spell a cause's parameters with their units; of many the first ones."""
+    units = {p.name: "" if p.unit == "1" else f" {p.unit}" for p in get(cause.effect).parameters}
     shown = list(cause.parameters.items())[:_SHOWN_VALUES]
     values = ", ".join(f"{name} {value:.3g}{units.get(name, '')}" for name, value in shown)
-    if len(shown) < len(cause.parameters):
-        values += ", ..."
-    lines = [f"  {cause.effect} ({100.0 * cause.probability:.0f} %), {effect.title}: {values}"]
+    return values + ", ..." if len(shown) < len(cause.parameters) else values
+
+
+def _cause(cause: Cause) -> list[str]:
+    percent, title = f"{100.0 * cause.probability:.0f} %", get(cause.effect).title
+    lines = [f"  {cause.effect} ({percent}), {title}: {cause_values(cause)}"]
     if cause.ambiguous_with:
         lines.append(f"    may also be {', '.join(cause.ambiguous_with)}")
     return lines

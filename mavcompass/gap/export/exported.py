@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.export.vehicle import affine_map
 from mavcompass.simulation.effects import Setting
+
+_OWN_MATRIX = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +33,13 @@ class Found:
         cost = self.heading_deg.get(setting.effect.id)
         stays = "" if cost is None else f" {cost:.1f} deg of heading stay unsimulated."
         return f"{setting.effect.id}: {setting.effect.title}. {simulator} has no such thing.{stays}"
+
+    def offset_alone(self, simulator: str) -> tuple[FloatArray, list[str]]:
+        """Return the offset (3,) in mG for a simulator that has no matrix, and what that leaves out."""
+        matrix, offset = affine_map([s for s in self.settings if s.effect.affine])
+        if np.abs(matrix - np.eye(3)).max() <= _OWN_MATRIX:
+            return offset, []
+        return offset, [f"Gains, oblique axes and turns of the compass: {simulator} has none."]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,22 +12,17 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from mavcompass.gap.export.exported import Exported, Found
-from mavcompass.gap.export.vehicle import affine_map
 
 SIMULATOR = "Gazebo's magnetometer"
 _TESLA = 1e-7
 _LEFT_UP = np.array([1.0, -1.0, -1.0])
 _WANDERS_S = 3600.0
-_OWN_MATRIX = 1e-3
 
 
 def gazebo(found: Found) -> Exported:
     """Write the <sensor> of a model; noise and steps are those that were found beside the simulator's."""
-    matrix, offset = affine_map([s for s in found.settings if s.effect.affine])
+    offset, lacking = found.offset_alone(SIMULATOR)
     values = {s.effect.id: s.values for s in found.settings}
-    lacking = []
-    if np.abs(matrix - np.eye(3)).max() > _OWN_MATRIX:
-        lacking.append(f"Gains, oblique axes and turns of the compass: {SIMULATOR} has none.")
     held = {"noise_excess", "quantisation", "bias_random_walk"}
     lacking += [
         found.without(s, SIMULATOR) for s in found.settings if not s.effect.affine and s.effect.id not in held

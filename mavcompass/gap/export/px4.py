@@ -5,22 +5,15 @@ It reports field + SIM_MAG_OFFSET in gauss, with a noise of its own that no para
 
 from __future__ import annotations
 
-import numpy as np
-
 from mavcompass.gap.export.exported import Exported, Found, commented
-from mavcompass.gap.export.vehicle import affine_map
 
 SIMULATOR = "PX4's simulated magnetometer"
-_OWN_MATRIX = 1e-3
 
 
 def px4_sitl(found: Found) -> Exported:
     """Write a parameter file in the form of PX4's ground stations: system, component, name, value, type."""
-    matrix, offset = affine_map([s for s in found.settings if s.effect.affine])
+    offset, lacking = found.offset_alone(SIMULATOR)
     parameters = {f"SIM_MAG_OFFSET_{axis}": float(offset[i]) / 1000.0 for i, axis in enumerate("XYZ")}
-    lacking = []
-    if np.abs(matrix - np.eye(3)).max() > _OWN_MATRIX:
-        lacking.append(f"Gains, oblique axes and turns of the compass: {SIMULATOR} has an offset only.")
     lacking += [found.without(s, SIMULATOR) for s in found.settings if not s.effect.affine]
     lines = [f"# What was found in {found.source or 'a recording'}, for {SIMULATOR}"]
     lines += commented("# not in the simulator:", lacking)

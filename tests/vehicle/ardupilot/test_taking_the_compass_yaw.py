@@ -24,6 +24,12 @@ AS_SHIPPED = {
     "EK3_SRC3_POSXY": 0.0,
     "EK3_SRC3_YAW": 0.0,
 }
+THERE_AND_BACK = (
+    Expect(CommandLong(command=SWITCH, param1=2.0)),
+    Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
+    Expect(CommandLong(command=SWITCH, param1=1.0)),
+    Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
+)
 
 
 def take(parameters: Mapping[str, float], flying: bool = False) -> Machine[str]:
@@ -35,12 +41,7 @@ def take(parameters: Mapping[str, float], flying: bool = False) -> Machine[str]:
 
 
 def test_the_second_set_for_a_moment_then_the_first_again() -> None:
-    with vehicle_script(
-        Expect(CommandLong(command=SWITCH, param1=2.0)),
-        Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
-        Expect(CommandLong(command=SWITCH, param1=1.0)),
-        Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
-    ) as link:
+    with vehicle_script(*THERE_AND_BACK) as link:
         assert run(take(AS_SHIPPED), link) == HOW
 
 
@@ -63,12 +64,7 @@ def test_the_way_back_is_asked_for_until_it_is_answered() -> None:
 
 
 def test_a_stop_in_between_still_leads_back() -> None:
-    with vehicle_script(
-        Expect(CommandLong(command=SWITCH, param1=2.0)),
-        Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
-        Expect(CommandLong(command=SWITCH, param1=1.0)),
-        Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
-    ) as link:
+    with vehicle_script(*THERE_AND_BACK) as link:
         machine = take(AS_SHIPPED)
         inner = machine.step
 
