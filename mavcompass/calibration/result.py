@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -163,6 +163,11 @@ def _number(value: float) -> float | None:
 
 def _numbers(values: Any) -> list[float | None]:
     return [_number(v) for v in np.asarray(values, dtype=np.float64).ravel()]
+
+
+def surest(results: Sequence[CalibrationResult]) -> CalibrationResult:
+    """Return the result whose heading is known best, the first of equals."""
+    return min(results, key=lambda r: r.heading_sigma_deg if math.isfinite(r.heading_sigma_deg) else math.inf)
 
 
 def heading_change_rad(

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mavcompass.calibration.observation import dwell_between
-from mavcompass.calibration.result import CalibrationResult
+from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkError, PoorCalibration, Refused
 from mavcompass.frames import wrap_pi
@@ -64,11 +64,6 @@ def yaw_error_rad(
     )
     yaw = float(np.angle(np.exp(1j * said.values[:, 2]).mean()))
     return float(wrap_pi(yaw - float(heading) - world.declination_rad))
-
-
-def surest(results: Sequence[CalibrationResult]) -> CalibrationResult:
-    """Return the result whose heading is known best."""
-    return min(results, key=lambda r: r.heading_sigma_deg if math.isfinite(r.heading_sigma_deg) else math.inf)
 
 
 @dataclass(slots=True)

@@ -10,7 +10,7 @@ from mavcompass.calibration.methods import ellipsoid, four_positions, world_fiel
 from mavcompass.calibration.motion.changes import Change, calm_since_s, last_stretch, since
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.calibration.result import CalibrationResult, heading_change_rad, surest
 from mavcompass.errors import PoorCalibration
 
 # Two methods that are both sure must agree within so many of their sigmas.
@@ -84,10 +84,8 @@ def _chosen(results: list[CalibrationResult]) -> CalibrationResult:
     """Choose an accepted result, still positions first; refuse it where another sure method contradicts."""
     accepted = [r for r in results if r.accepted]
     if not accepted:
-        return min(
-            results, key=lambda r: r.heading_sigma_deg if math.isfinite(r.heading_sigma_deg) else math.inf
-        )
-    best = min(accepted, key=_sigma)
+        return surest(results)
+    best = surest(accepted)
     if accepted[0].method == "four-positions" and _sigma(accepted[0]) < _SURER * _sigma(best):
         best = accepted[0]
     for other in accepted:
