@@ -58,15 +58,14 @@ def vehicle_settings(diagnosis: Diagnosis) -> list[Setting]:
     return _summed([*known, *causes])
 
 
-def _summed(settings: Iterable[Setting]) -> list[Setting]:
+def _summed(settings: list[Setting]) -> list[Setting]:
     """Make one of what the calibration cures of the motors' field and what was found beside it."""
-    out: dict[str, Setting] = {}
-    for number, setting in enumerate(settings):
-        name = setting.effect.id
-        if name == "motor_current" and name in out:
-            setting = Setting(setting.effect, out[name].theta + setting.theta)
-        out[name if name == "motor_current" else f"{name} {number}"] = setting
-    return list(out.values())
+    motors = [setting for setting in settings if setting.effect.id == "motor_current"]
+    if len(motors) < 2:
+        return settings
+    cured, found = motors
+    whole = Setting(cured.effect, cured.theta + found.theta)
+    return [whole if setting is cured else setting for setting in settings if setting is not found]
 
 
 def affine_map(settings: Sequence[Setting]) -> tuple[FloatArray, FloatArray]:
