@@ -1,16 +1,14 @@
-"""`mavcompass gap ...`: the gap between the simulation and a recording."""
+"""`mavcompass gap ...`: diagnosis, catalogue, export and the sealed examination."""
 
 from __future__ import annotations
 
 import shlex
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from mavcompass.cli.gap.shared import baseline_option, compass_option, diagnosed
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.source import reference_option
@@ -21,15 +19,6 @@ from mavcompass.installation.invocation import program
 if TYPE_CHECKING:
     from mavcompass.gap.result import Diagnosis
     from mavcompass.gap.trial import Generator
-
-_compass_option = click.option(
-    "--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True, help="Which compass."
-)
-_baseline_option = click.option(
-    "--baseline",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="A recording of the same vehicle that is accepted as good: gives the noise floor.",
-)
 
 
 @click.group()
@@ -46,8 +35,8 @@ def command() -> None:
     "logs", metavar="LOG...", nargs=-1, required=True,
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
 )  # fmt: skip
-@_compass_option
-@_baseline_option
+@compass_option
+@baseline_option
 @click.option("--thorough", is_flag=True, help="Compare more readings of a long recording; takes longer.")
 @click.option("--withhold", multiple=True, metavar="EFFECT", help="Do not use this effect and its aliases.")
 @reference_option
@@ -73,7 +62,7 @@ def diagnose(
     require_for(*logs, baseline, report=report)
     if report is not None and len(logs) > 1:
         raise UsageError("A report shows one recording.", "Name one recording, or leave --report out.")
-    found = [_diagnosed(log, instance, baseline, withhold, reference, thorough) for log in logs]
+    found = [diagnosed(log, instance, baseline, withhold, reference, thorough) for log in logs]
     for log, diagnosis in zip(logs, found, strict=True):
         if len(logs) > 1:
             output.say(f"{log}:")
@@ -92,55 +81,6 @@ def diagnose(
         from mavcompass.report.gap import write_gap_report
 
         write_gap_report(diagnosis, report)
-        output.say(f"Report: {report}")
-
-
-@command.command()
-@click.argument("simulator", metavar="SIM", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument("vehicle", metavar="REAL", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument(
-    "again", metavar="[SIM2]...", nargs=-1, type=click.Path(exists=True, dir_okay=False, path_type=Path)
-)
-@_compass_option
-@click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
-@common_options
-def compare(
-    simulator: Path,
-    vehicle: Path,
-    again: tuple[Path, ...],
-    instance: int,
-    report: Path | None,
-    output: Output,
-) -> None:
-    """Say what a simulator's recording lacks beside the vehicle's, and the vehicle's beside it.
-
-    SIM2, the simulator flown again with what `gap export REAL --baseline SIM` wrote, tells how much of the
-    promised shrink was achieved. Trajectory, place and rates may differ.
-
-    \b
-    Example: mavcompass gap compare sitl.tlog flight.tlog sitl_again.tlog --report closed.html
-    """
-    require_for(simulator, vehicle, *again, report=report)
-    with _progress(vehicle.name) as progress:
-        from mavcompass.gap.comparison import compare as compared
-        from mavcompass.logs import read_track
-
-        tracks = [read_track(log) for log in (simulator, vehicle, *again)]
-        comparison = compared(tracks[0], tracks[1], tracks[2:], instance, progress)
-    from mavcompass.report.compare_words import compare_summary
-
-    first, *rest = compare_summary(comparison)
-    output.say(styled(first, bold=True))
-    for line in rest:
-        output.say(line)
-    if not again and any(d.lacks == "simulator" for d in comparison.differences):
-        logs = f"{shlex.quote(str(vehicle))} --baseline {shlex.quote(str(simulator))}"
-        output.say(f"  next: {program()} gap export {logs} --to ardupilot-sitl found.parm")
-    output.write_json(comparison.to_json())
-    if report is not None:
-        from mavcompass.report.compare import write_compare_report
-
-        write_compare_report(comparison, report)
         output.say(f"Report: {report}")
 
 
@@ -200,8 +140,8 @@ def _effect(effect: object) -> dict[str, object]:
     help="Which simulator is to have it.",
 )
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
-@_compass_option
-@_baseline_option
+@compass_option
+@baseline_option
 @reference_option
 @common_options
 def export(
@@ -224,7 +164,7 @@ def export(
     from mavcompass.report.gap_words import VERDICTS
 
     require_for(log, baseline)
-    diagnosis = _diagnosed(log, instance, baseline, (), reference)
+    diagnosis = diagnosed(log, instance, baseline, (), reference)
     exported = TARGETS[target](found_in(diagnosis, log.name))
     try:
         file.write_text(exported.text, encoding="utf-8")
@@ -283,27 +223,6 @@ def blind_trial(cases: int, seed: int, generator: Generator, report: Path | None
         output.say(f"Report: {report}")
 
 
-def _diagnosed(
-    log: Path,
-    instance: int,
-    baseline: Path | None,
-    withhold: tuple[str, ...],
-    reference: str,
-    thorough: bool = False,
-) -> Diagnosis:
-    with _progress(log.name) as progress:
-        from mavcompass.gap.diagnose import diagnose_gap, withheld_effects
-        from mavcompass.logs import read_track
-
-        withheld_effects(withhold)  # a wrong name is said before a long recording is read
-        track = read_track(log)
-        before = read_track(baseline) if baseline is not None else None
-        return diagnose_gap(
-            track, before, withhold, instance, reference,  # type: ignore[arg-type]
-            thorough=thorough, progress=progress,
-        )  # fmt: skip
-
-
 def _say(diagnosis: Diagnosis, output: Output) -> None:
     from mavcompass.report.gap_words import summary
 
@@ -311,15 +230,3 @@ def _say(diagnosis: Diagnosis, output: Output) -> None:
     output.say(styled(first, bold=True, fg="green" if diagnosis.verdict == "no_gap" else "yellow"))
     for line in rest:
         output.say(line)
-
-
-@contextmanager
-def _progress(name: str) -> Iterator[Callable[[str], None]]:
-    """Show what is being done on a terminal, from the first moment; stay quiet in a pipe."""
-    if not sys.stderr.isatty():
-        yield lambda doing: None
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status(f"{name}: reading") as status:
-        yield lambda doing: status.update(f"{name}: {doing}")

@@ -1,0 +1,57 @@
+"""What the commands about the gap share: options, a diagnosis of a file, what is being done."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from mavcompass.gap.result import Diagnosis
+
+compass_option = click.option(
+    "--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True, help="Which compass."
+)
+baseline_option = click.option(
+    "--baseline",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="A recording of the same vehicle that is accepted as good: gives the noise floor.",
+)
+
+
+def diagnosed(
+    log: Path,
+    instance: int,
+    baseline: Path | None,
+    withhold: tuple[str, ...],
+    reference: str,
+    thorough: bool = False,
+) -> Diagnosis:
+    """Read a recording and diagnose it, saying what is being done."""
+    with showing_progress(log.name) as progress:
+        from mavcompass.gap.diagnose import diagnose_gap, withheld_effects
+        from mavcompass.logs import read_track
+
+        withheld_effects(withhold)  # a wrong name is said before a long recording is read
+        track = read_track(log)
+        before = read_track(baseline) if baseline is not None else None
+        return diagnose_gap(
+            track, before, withhold, instance, reference,  # type: ignore[arg-type]
+            thorough=thorough, progress=progress,
+        )  # fmt: skip
+
+
+@contextmanager
+def showing_progress(name: str) -> Iterator[Callable[[str], None]]:
+    """Show what is being done on a terminal, from the first moment; stay quiet in a pipe."""
+    if not sys.stderr.isatty():
+        yield lambda doing: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(f"{name}: reading") as status:
+        yield lambda doing: status.update(f"{name}: {doing}")
