@@ -1,86 +1,90 @@
-"""A running calibration of a recording: in constant memory, as a service learns from ordinary driving."""
+"""A running calibration: what the latest minutes of work show, as a service learns while the vehicle is used.
+
+Nothing is kept but the recording of these minutes, so that memory is constant. Their motion is fitted and
+judged as `world_field` does it. Nobody drives a pattern here, so more is asked before the result is believed:
+each half of the minutes must go round by itself, so that it can be held against the other.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.calibration.comparison import at_least, compared, judged
-from mavcompass.calibration.methods.world_field import COVARIANCE_NAMES, correction_of
-from mavcompass.calibration.model import HORIZONTAL, VERTICAL
-from mavcompass.calibration.motion.findings import gain_words
-from mavcompass.calibration.motion.fit import sigma_of
-from mavcompass.calibration.motion.honesty import weigh_honestly
-from mavcompass.calibration.motion.observed import observe_motion
-from mavcompass.calibration.motion.running import RunningFit, begin, begin_at, update
+from mavcompass.calibration.methods.world_field import calibrate_motion
+from mavcompass.calibration.motion.changes import Change, last_stretch, since
+from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
-from mavcompass.errors import PoorCalibration
 
-_MOST_NOT_SEEN = 5
+# More than this is not kept.
+WINDOW_S = 600.0
+_SECTORS = 12
+_SIGMAS = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Learnt:
+    """Hold what was learnt of one compass.
+
+    Attributes:
+        result: the calibration, not accepted where it is not to be believed yet.
+        not_seen_deg: the twelfths of the circle that it did not point to, by their first magnetic heading.
+        change: when the iron last changed, None where it did not; only what came after counts.
+    """
+
+    result: CalibrationResult
+    not_seen_deg: tuple[int, ...]
+    change: Change | None
+
+    @property
+    def gain_deg(self) -> float:
+        """Return by how much at least it lowers the heading error in force, at three sigmas; 0 if unsure."""
+        if not self.result.accepted:
+            return 0.0
+        return max(self.result.heading_change_deg - _SIGMAS * self.result.heading_sigma_deg, 0.0)
 
 
 def calibrate(recorded: Recorded) -> CalibrationResult:
-    """Run through a recording section by section; the result is what is known at its end.
+    """Calibrate by the last minutes of a recording. Raises what `learn` raises."""
+    end_s = float(recorded.track.compasses[recorded.instance].time_s[-1])
+    learnt = learn(since(recorded, end_s - WINDOW_S))
+    said = [] if learnt.change is None else [learnt.change.words()]
+    if learnt.not_seen_deg:
+        parts = ", ".join(f"{deg} to {deg + 360 // _SECTORS}" for deg in learnt.not_seen_deg)
+        said.append(f"Not seen yet: headings {parts} degrees.")
+    return replace(learnt.result, warnings=(*said, *learnt.result.warnings))
 
-    Raises PoorCalibration where the recording has no gyro, or never goes far enough round to begin.
+
+def learn(recorded: Recorded) -> Learnt:
+    """Tell what a recording of some minutes shows of a compass.
+
+    Raises PoorCalibration where the recording has no gyro, or hardly turned.
     """
-    motion = observe_motion(recorded)
-    sections = motion.sections
-    count = begin_at(sections)
-    if count is None:
-        raise PoorCalibration(
-            "The vehicle never turned far enough for a running calibration to begin.",
-            "Drive or fly through all headings.",
+    track = recorded.track
+    if track.attitude_rad is not None and len(track.attitude_rad):
+        # The accelerometer of what drives feels its bends and brakes, too: the estimator knows down better.
+        recorded = replace(recorded, track=replace(track, acc_mps2=None))
+    motion, change = _since_it_changed(observe_motion(recorded))
+    result = calibrate_motion(motion)
+    reasons = result.reasons
+    if math.isnan(motion.halves_ratio()):
+        unproven = (
+            "The vehicle did not go round often enough to hold one half of its way against the other. "
+            "Drive or fly on, through all headings."
         )
-    first = motion.first(count)
-    honest = weigh_honestly(first.sections, first.fit, recorded.prior)
-    claimed = honest.error.rms_rad() / sigma_of(first.fit)
-    running = begin(first.sections, first.fit, max(claimed, 1.0) ** 2)
-    for k in range(count, len(sections)):
-        running = update(running, sections.rows(k, k + 1), float(sections.step_sigma_rad[k - 1]))
-    correction = correction_of(motion, running.state)
-    sigma = math.degrees(running.heading_error.rms_rad())
-    result = CalibrationResult(
-        instance=recorded.instance,
-        method="running",
-        accepted=False,
-        reasons=_reasons(running),
-        warnings=_warnings(running, recorded),
-        raw_offset_mgauss=-np.asarray(correction.offsets_mgauss),
-        correction=correction,
-        in_force=recorded.in_force,
-        covariance_names=COVARIANCE_NAMES,
-        covariance=running.heading_error.covariance,
-        not_observable=("mounting_yaw",),
-        residual_rms_mgauss=running.model_mgauss,
-        heading_sigma_deg=sigma,
-        heading_budget_deg={"noise": sigma},
-        heading_error=running.heading_error,
-        horizontal_mgauss=float(running.state[HORIZONTAL]),
-        vertical_mgauss=float(running.state[VERTICAL]),
-    )
-    left = motion.scatter_left_rad(correction) if math.isnan(running.changed_s) else 0.0
-    return at_least(judged(compared(result), recorded.limits), left, recorded.limits)
+        reasons = (*reasons, unproven)
+    result = replace(result, method="running", reasons=reasons, accepted=not reasons)
+    return Learnt(result, _not_seen_deg(motion), change)
 
 
-def _reasons(running: RunningFit) -> tuple[str, ...]:
-    if len(running.not_seen_deg) <= _MOST_NOT_SEEN:
-        return ()
-    return (f"{_headings(running)} were not seen yet. Drive or fly through them.",)
+def _since_it_changed(motion: Motion) -> tuple[Motion, Change | None]:
+    later, change = last_stretch(motion)
+    return (later, change) if change is not None and change.is_iron else (motion, None)
 
 
-def _warnings(running: RunningFit, recorded: Recorded) -> tuple[str, ...]:
-    said = []
-    if running.not_seen_deg:
-        said.append(f"Not seen yet: {_headings(running)}.")
-    if not math.isnan(running.changed_s):
-        said.append(f"The iron changed at {running.changed_s:.0f} s; what was learnt before it is forgotten.")
-    if recorded.earth is not None and (words := gain_words(running.state[3:6])):
-        said.append(words)
-    return tuple(said)
-
-
-def _headings(running: RunningFit) -> str:
-    return "headings " + ", ".join(f"{deg} to {deg + 30}" for deg in running.not_seen_deg) + " degrees"
+def _not_seen_deg(motion: Motion) -> tuple[int, ...]:
+    part = np.mod(motion.fit.headings_rad[motion.fit.sound > 0.5], 2.0 * math.pi) / (2.0 * math.pi) * _SECTORS
+    seen = np.bincount(np.minimum(part.astype(np.intp), _SECTORS - 1), minlength=_SECTORS)
+    return tuple(int(360 / _SECTORS * k) for k in np.flatnonzero(seen == 0))

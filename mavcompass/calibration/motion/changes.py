@@ -34,9 +34,14 @@ class Change:
     time_s: float
     moved_mgauss: float
 
+    @property
+    def is_iron(self) -> bool:
+        """Tell whether iron aboard was moved; else it may be manoeuvres, or something that passed."""
+        return self.moved_mgauss > _IRON_MGAUSS
+
     def words(self) -> str:
         """Say it in a sentence."""
-        if self.moved_mgauss > _IRON_MGAUSS:
+        if self.is_iron:
             return (
                 f"The iron changed by about {self.moved_mgauss:.0f} mG at {self.time_s:.0f} s: only what was "
                 "recorded after it counts."
@@ -68,7 +73,15 @@ def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
     later, start = found
     before = motion.sections.between(-math.inf, start)
     moved = np.linalg.norm(residual_of(before, later.fit), axis=1) if len(before) else np.zeros(1)
-    return replace(later, recorded=since(motion.recorded, start)), Change(start, float(np.median(moved)))
+    change = Change(_dated(motion, later, float(np.median(moved))), float(np.median(moved)))
+    return replace(later, recorded=since(motion.recorded, start)), change
+
+
+def _dated(motion: Motion, later: Motion, moved_mgauss: float) -> float:
+    """Return since when the sections agree with the fit of the last of them; before it most are off."""
+    off = np.linalg.norm(residual_of(motion.sections, later.fit), axis=1) > 0.5 * moved_mgauss
+    explained = np.concatenate([[0], np.cumsum(np.where(off, 1, -1))])[:-1]
+    return float(motion.sections.start_s[int(np.argmax(explained))])
 
 
 def calm_since_s(motion: Motion) -> float | None:

@@ -233,9 +233,10 @@ def _model_error(
     absorbed = _absorbed(sections, x, sound, rules)
     freedom = float(3.0 * sound.sum() + len(sections) - 1 - absorbed)
     turns, _ = turn_residual(sections, x)
-    given = float(turns @ turns)
     if freedom < 1.0:
         return 0.0
+    # Turns that are bent beyond their noise are pulled by sections: these will, with their error, let go.
+    given = min(float(turns @ turns), float(turns.size))
 
     def excess(size: float, wanted: float) -> float:
         squares = _square(residual, section_variance(sections, x, size, weighed=False))

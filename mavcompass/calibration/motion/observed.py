@@ -77,21 +77,16 @@ class Motion:
             undone = -np.linalg.solve(correction.matrix, np.asarray(correction.motor_mgauss))
         return motors_left_rad(self.sections, self.fit, self.fit.state[MOTOR] - undone)
 
-    def first(self, count: int) -> Motion:
-        """Keep the first sections, fitted anew. Raises PoorCalibration where these are too few."""
-        sections = self.sections.rows(0, count)
-        return replace(self, sections=sections, fit=_fitted(self.recorded, sections, self.load_source))
-
     def halves_ratio(self) -> float:
         """Return by how much more two halves of the motion differ, calibrated by themselves, than they claim.
 
-        In sigmas of the heading, rms over the sections; 0 where a half does not turn far enough.
+        In sigmas of the heading, rms over the sections; nan where a half does not turn far enough.
         """
         middle = len(self.sections) // 2
         headings, variance = [], 0.0
         for half in (self.sections.rows(0, middle), self.sections.rows(middle, len(self.sections))):
             if len(half) < _FEWEST_OF_HALF or circle_seen_rad(half.turned_rad) < LEAST_CIRCLE_RAD:
-                return 0.0
+                return math.nan
             fit = _fitted(self.recorded, half, self.load_source)
             headings.append(level_headings(self.sections, fit, half.load_mean - self.sections.load_mean))
             variance += sigma_of(fit) ** 2

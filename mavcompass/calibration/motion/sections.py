@@ -35,7 +35,7 @@ _LONGEST_GAP_S = 1.0
 _MOST_SECTIONS = 160
 # The cutting looks at means over this time; inside a section every reading counts.
 _GRAIN_S = 0.1
-# The tilt's sigma at best: of what stands, by the accelerometer; of what flies, by the estimator.
+# The tilt's sigma at best: of what stands, by the accelerometer; else by the estimator.
 _STANDING_TILT_RAD, _FLYING_TILT_RAD = math.radians(0.02), math.radians(0.3)
 # A wheel's or a wave's rocking lasts about this long.
 _ROCKING_S = 1.0
@@ -216,7 +216,7 @@ def turned_mapping(down: FloatArray, turned: FloatArray) -> FloatArray:
 
 def _tilt_sigma(track: Track, mean: FloatArray, square: FloatArray, lasted: FloatArray) -> FloatArray:
     """Return what rocking leaves unknown of each section's tilt, (K,), beside what its source is good for."""
-    if track.vehicle not in UPHELD:
+    if track.vehicle not in UPHELD or track.acc_mps2 is None:
         return np.full(lasted.size, _FLYING_TILT_RAD)
     swing = np.sqrt(np.maximum(square - mean**2, 0.0).sum(axis=1) / 2.0)
     share = np.sqrt(np.minimum(1.0, _ROCKING_S / np.maximum(lasted, 1e-3)))
