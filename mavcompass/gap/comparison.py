@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -112,13 +112,26 @@ def compare(
     forth = diagnose_gap(vehicle, simulator, instance=instance, progress=progress)
     progress("the simulator beside the vehicle")
     back = diagnose_gap(simulator, vehicle, instance=instance, progress=progress)
-    differences = _differences(forth, back)
-    achieved = []
+    comparison = Comparison(forth, back, _differences(forth, back))
+    return flown_again(comparison, vehicle, again, progress)
+
+
+def flown_again(
+    comparison: Comparison,
+    vehicle: Track,
+    again: Sequence[Track],
+    progress: Callable[[str], None] = lambda doing: None,
+) -> Comparison:
+    """Judge the simulator's flights with what was found in it, on the vehicle's recording that it was for.
+
+    Raises BadRecording where there is too little to compare.
+    """
+    achieved = list(comparison.achieved)
     for track in again:
         progress("the simulator flown again")
-        closer = diagnose_gap(vehicle, track, instance=instance, progress=progress)
-        achieved.append(_reached(track.source, forth, closer))
-    return Comparison(forth, back, differences, tuple(achieved))
+        closer = diagnose_gap(vehicle, track, instance=comparison.vehicle.compass, progress=progress)
+        achieved.append(_reached(track.source, comparison.vehicle, closer))
+    return replace(comparison, achieved=tuple(achieved))
 
 
 def _differences(forth: Diagnosis, back: Diagnosis) -> tuple[Difference, ...]:

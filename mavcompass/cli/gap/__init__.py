@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from mavcompass.cli.gap.closing import compare
 from mavcompass.cli.gap.commands import command
+from mavcompass.cli.gap.fly import fly
 
 command.add_command(compare)
+command.add_command(fly)
 
 __all__ = ["command"]

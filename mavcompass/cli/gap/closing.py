@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -12,6 +13,9 @@ from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.terminal.colour import styled
 from mavcompass.installation.invocation import program
+
+if TYPE_CHECKING:
+    from mavcompass.gap.comparison import Comparison
 
 
 @click.command()
@@ -46,18 +50,29 @@ def compare(
 
         tracks = [read_track(log) for log in (simulator, vehicle, *again)]
         comparison = compared(tracks[0], tracks[1], tracks[2:], instance, progress)
+    say_comparison(comparison, output)
+    if not again and any(d.lacks == "simulator" for d in comparison.differences):
+        logs = f"{shlex.quote(str(vehicle))} --baseline {shlex.quote(str(simulator))}"
+        output.say(f"  next: {program()} gap export {logs} --to ardupilot-sitl found.parm")
+    output.write_json(comparison.to_json())
+    write_report(comparison, report, output)
+
+
+def say_comparison(comparison: Comparison, output: Output) -> None:
+    """Say what to do, and how the two differ."""
     from mavcompass.report.compare_words import compare_summary
 
     first, *rest = compare_summary(comparison)
     output.say(styled(first, bold=True))
     for line in rest:
         output.say(line)
-    if not again and any(d.lacks == "simulator" for d in comparison.differences):
-        logs = f"{shlex.quote(str(vehicle))} --baseline {shlex.quote(str(simulator))}"
-        output.say(f"  next: {program()} gap export {logs} --to ardupilot-sitl found.parm")
-    output.write_json(comparison.to_json())
-    if report is not None:
-        from mavcompass.report.compare import write_compare_report
 
-        write_compare_report(comparison, report)
-        output.say(f"Report: {report}")
+
+def write_report(comparison: Comparison, report: Path | None, output: Output) -> None:
+    """Write the report where one is wanted."""
+    if report is None:
+        return
+    from mavcompass.report.compare import write_compare_report
+
+    write_compare_report(comparison, report)
+    output.say(f"Report: {report}")

@@ -25,15 +25,17 @@ def cured_iron(problem: Problem, fit: Fit, floor: Floor) -> Cured:
     total = float(np.linalg.norm(problem.replay.signals.stimulus.field_ned_mgauss[0]))
     trust = floor.trust
     doubted = np.zeros(12) if trust is None else iron.sigma(trust)
+    # Beside a baseline without a calibration the nominal simulation has no iron: all is among the causes.
+    known = IRON_OFFSET in values
     sigma = math.hypot(rms(doubted[:3]), rms(doubted[3:]) * total) / level
     return Cured(
         calibrated=iron.calibrated,
         hard_iron_mgauss=iron.offset_mgauss,
         matrix=iron.matrix,
         motor_mgauss=iron.motor_mgauss,
-        tuned_hard_iron_mgauss=iron.offset_mgauss + offset[:3],
-        tuned_matrix=iron.matrix @ (np.eye(3) + change),
-        tuned_motor_mgauss=iron.motor_mgauss + motor,
+        tuned_hard_iron_mgauss=iron.offset_mgauss + offset[:3] if known else np.zeros(3),
+        tuned_matrix=iron.matrix @ (np.eye(3) + change) if known else np.eye(3),
+        tuned_motor_mgauss=iron.motor_mgauss + motor if known else np.zeros(3),
         motor_source=iron.source,
         sigma_heading_deg=math.degrees(sigma),
     )

@@ -11,7 +11,7 @@ from mavcompass.gap.export.gazebo import gazebo
 from mavcompass.gap.export.lua import ardupilot_lua
 from mavcompass.gap.export.ours import preset
 from mavcompass.gap.export.px4 import px4_sitl
-from mavcompass.gap.export.vehicle import settings_of, vehicle_settings
+from mavcompass.gap.export.vehicle import nominal_settings, settings_of, vehicle_settings
 from mavcompass.gap.result import Diagnosis
 
 TARGETS: MappingProxyType[str, Callable[[Found], Exported]] = MappingProxyType(
@@ -31,4 +31,4 @@ def found_in(diagnosis: Diagnosis, source: str) -> Found:
     return Found(vehicle_settings(diagnosis), source, costs)
 
 
-__all__ = ["TARGETS", "Exported", "Found", "found_in", "settings_of", "vehicle_settings"]
+__all__ = ["TARGETS", "Exported", "Found", "found_in", "nominal_settings", "settings_of", "vehicle_settings"]

@@ -8,10 +8,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.replay import calibration_in_force, known_iron
 from mavcompass.gap.result import Cause, Diagnosis
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Chain, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.track import Track
 
 _ROTATION_LEFT_OUT_RAD = math.radians(0.05)
 _LEAST_MOTOR = 0.02
@@ -30,19 +32,29 @@ def settings_of(causes: Iterable[Cause]) -> list[Setting]:
 
 
 def vehicle_settings(diagnosis: Diagnosis) -> list[Setting]:
-    """Return what makes a simulator of the whole vehicle: the iron that its calibration cures, and the
-    causes.
-
-    Of raw = A field + b the matrix is split into a turn and a symmetric part, A = R S.
-    """
+    """Return what makes a simulator of the whole vehicle: the iron that its calibration cures, the causes."""
     causes = settings_of(diagnosis.causes)
     iron = diagnosis.in_force
     if iron is None:
         return causes
-    u, sizes, vt = np.linalg.svd(iron.tuned_matrix)
+    motor = iron.tuned_motor_mgauss if iron.motor_source == "current" else np.zeros(3)
+    return _summed([*_iron(iron.tuned_matrix, iron.tuned_hard_iron_mgauss, motor), *causes])
+
+
+def nominal_settings(track: Track, instance: int = 1) -> list[Setting]:
+    """Return the iron that a recording's calibration in force cures: the vehicle as far as it is known."""
+    correction = calibration_in_force(track.compasses[instance])
+    iron = known_iron(correction, np.zeros(0), correction.motor_source)
+    motor = iron.motor_mgauss if iron.source == "current" else np.zeros(3)
+    return _iron(iron.matrix, iron.offset_mgauss, motor)
+
+
+def _iron(matrix: FloatArray, offset_mgauss: FloatArray, motor_mgauss: FloatArray) -> list[Setting]:
+    """Split raw = A field + b + motor current into effects; A = R S, a turn and a symmetric part."""
+    u, sizes, vt = np.linalg.svd(matrix)
     turn, stretch = u @ vt, vt.T @ np.diag(sizes) @ vt
     vector = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    offset = turn.T @ iron.tuned_hard_iron_mgauss
+    offset = turn.T @ offset_mgauss
     found: dict[str, dict[str, float]] = {}
     if np.abs(offset).max() > 0.0:
         found["hard_iron"] = dict(zip("xyz", offset.tolist(), strict=True))
@@ -52,10 +64,9 @@ def vehicle_settings(diagnosis: Diagnosis) -> list[Setting]:
         found["soft_iron"] = {name: float(soft[i, j]) for name, (i, j) in places.items()}
     if float(np.linalg.norm(vector)) > _ROTATION_LEFT_OUT_RAD:
         found["misalignment"] = dict(zip("xyz", vector.tolist(), strict=True))
-    if iron.motor_source == "current" and np.abs(iron.tuned_motor_mgauss).max() > _LEAST_MOTOR:
-        found["motor_current"] = dict(zip("xyz", iron.tuned_motor_mgauss.tolist(), strict=True))
-    known = settings_of(Cause(effect, values, {}, 1.0, ()) for effect, values in found.items())
-    return _summed([*known, *causes])
+    if np.abs(motor_mgauss).max() > _LEAST_MOTOR:
+        found["motor_current"] = dict(zip("xyz", motor_mgauss.tolist(), strict=True))
+    return settings_of(Cause(effect, values, {}, 1.0, ()) for effect, values in found.items())
 
 
 def _summed(settings: list[Setting]) -> list[Setting]:

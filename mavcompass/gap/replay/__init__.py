@@ -1,6 +1,14 @@
 """A recording beside its nominal simulation: rows, field, iron, noise, and what is solved for besides."""
 
-from mavcompass.gap.replay.in_force import ANOTHER_IRON, IRON_MATRIX, IRON_OFFSET, STATED, Trust
+from mavcompass.gap.replay.in_force import (
+    ANOTHER_IRON,
+    IRON_MATRIX,
+    IRON_OFFSET,
+    STATED,
+    Trust,
+    calibration_in_force,
+    known_iron,
+)
 from mavcompass.gap.replay.noise import (
     USUAL_SCATTER_MGAUSS,
     WORST_SCATTER_MGAUSS,
@@ -45,10 +53,12 @@ __all__ = [
     "Trust",
     "averaged",
     "block_diagonal",
+    "calibration_in_force",
     "compass_rows",
     "estimate_noise",
     "group_values",
     "half_testable",
+    "known_iron",
     "replay",
     "rough_sigma",
     "shared_period_s",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from mavcompass.procedure.motion.mobility import Mobility, Motion, Wishes
-from mavcompass.procedure.motion.readiness import Permissions
+from mavcompass.procedure.motion.readiness import Permissions, Readiness
 from mavcompass.procedure.motion.safety import SafetyLimits
 
 __all__ = [
     "Mobility",
     "Motion",
     "Permissions",
+    "Readiness",
     "SafetyLimits",
     "Wishes",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 
 from mavcompass.enums import COMPONENT_AUTOPILOT
 from mavcompass.messages import Incoming, Message
@@ -45,6 +46,9 @@ class WireLink(Link):
     """Speak MAVLink over UDP, TCP or a serial port.
 
     A message with a target system goes to the peers where that system was heard lately; any other to all.
+
+    Attributes:
+        on_frame: called with every good frame that is heard, before its message is handed out.
     """
 
     def __init__(
@@ -56,6 +60,7 @@ class WireLink(Link):
         self._channels: dict[Peer, _Channel] = {}
         self._homes: dict[int, dict[Peer, float]] = {}
         self._heard: deque[Incoming] = deque()
+        self.on_frame: Callable[[Frame], None] | None = None
 
     def now(self) -> float:
         """Return the monotonic clock."""
@@ -111,6 +116,8 @@ class WireLink(Link):
         for frame in channel.parser.feed(data):
             self.statistics.count(frame.system, frame.component, frame.sequence)
             self._homes.setdefault(frame.system, {})[peer] = now_s
+            if self.on_frame is not None:
+                self.on_frame(frame)
             message = decode(frame.message_id, frame.payload)
             if message is None:
                 self.statistics.unknown += 1

@@ -1,0 +1,68 @@
+"""A program with the options of ArduPilot's simulator, in which the embedded firmware flies.
+
+It has the dialogue of the real one: `--help`, a file of parameters, a connection to the port of `--serial0`.
+SIM_MAG1_OFS and SIM_MAG1_DIA are the iron of its first compass; with SIM_TEST_DIES it ends at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from mavcompass.compass_parameters import ardupilot_correction
+from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.errors import LinkLost
+from mavcompass.simulation.physics.compasses import CompassSetup
+from mavcompass.simulation.physics.sensors import CompassModel
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.links.server import VehicleServer
+from mavcompass.vehicle.parameters.files import read_parameter_file
+from mavcompass.vehicle.stopping import StopRequest
+from mavcompass.vehicle.transport import Reconnect, Tcp, open_transport
+
+VEHICLES = {"rover": "ackermann-rover", "rover-skid": "rover", "quad": "copter"}
+
+
+def iron(values: dict[str, float]) -> FieldCorrection:
+    """Return what would cure the compass's iron, in the form in which the simulator is told of it."""
+    return FieldCorrection(
+        tuple(values.get(f"SIM_MAG1_OFS_{axis}", 0.0) for axis in "XYZ"),  # type: ignore[arg-type]
+        tuple(values.get(f"SIM_MAG1_DIA_{axis}", 1.0) for axis in "XYZ"),  # type: ignore[arg-type]
+    )
+
+
+def main() -> None:
+    options = argparse.ArgumentParser()
+    options.add_argument("--wipe", action="store_true")
+    for name in ("model", "home", "defaults", "speedup", "rc-in-port", "serial0", "serial1", "serial2"):
+        options.add_argument(f"--{name}")
+    told = options.parse_args()
+    values = read_parameter_file(Path(told.defaults))
+    if "SIM_TEST_DIES" in values:
+        sys.exit("panic: no such frame")
+    lat, lon, alt, heading = map(float, told.home.split(","))
+    plain = CompassSetup(CompassModel(IDENTITY, 2.0), IDENTITY)
+    first = CompassSetup(CompassModel(iron(values), 2.0), ardupilot_correction(values, 1))
+    vehicle = SimulatedAutopilot(
+        VEHICLES[told.model],
+        seed=5,
+        parameters={name: value for name, value in values.items() if not name.startswith("SIM_")},
+        compasses=(first, plain, plain),
+        place=(lat, lon, alt),
+        start_yaw_deg=heading,
+        armed=False,
+        ready_s=2.0,
+    )
+    Path("pid").write_text(str(os.getpid()))
+    kind, host, port = told.serial0.split(":")
+    assert kind == "tcpclient"
+    transport = open_transport(Tcp(host, int(port)), Reconnect(again_s=0.0))
+    try:
+        VehicleServer(vehicle, transport, speed=float(told.speedup)).serve(StopRequest())
+    except LinkLost:
+        pass
+
+
+main()

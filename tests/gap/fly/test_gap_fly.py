@@ -1,0 +1,167 @@
+"""`gap fly` with a program that speaks as ArduPilot's simulator does, the embedded firmware inside."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from mavcompass.cli.gap import command
+from mavcompass.errors import BadRecording, Refused, UsageError
+from mavcompass.logs import TlogWriter, read_track
+from mavcompass.procedure.flying import Profile, profile_of
+from mavcompass.track import MagSeries, Series, Track
+from mavcompass.vehicle.flying import fly_in_simulator
+from mavcompass.vehicle.simulators import ArduPilotSitl, calibration_in
+
+FAKE = Path(__file__).with_name("sitl_of_ours.py")
+HIDDEN = {"SIM_MAG1_OFS_X": -60.0, "SIM_MAG1_OFS_Y": 35.0, "SIM_MAG1_OFS_Z": -20.0, "COMPASS_OFS_X": -5.0}
+SPEED = 20.0
+
+
+def bends(seconds: float = 32.0, kind: str = "rover") -> Profile:
+    """Drive bends to both sides at a walking pace."""
+    time_s = np.arange(0.0, seconds, 0.1)
+    rate = np.where((time_s // 10.0) % 2 == 0, 0.5, -0.35)
+    yaw = np.cumsum(rate) * 0.1
+    velocity = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(time_s.size)])
+    place = np.cumsum(velocity, axis=0) * 0.1
+    return Profile(kind, time_s, yaw, rate, velocity, place, (47.4, 8.5, 500.0), 20.0, 1.8e9)
+
+
+@pytest.fixture(scope="module")
+def sitl(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    program = tmp_path_factory.mktemp("sitl") / "ardurover"
+    program.write_text(f"#!{sys.executable}\n{FAKE.read_text()}")
+    program.chmod(0o755)
+    return program
+
+
+def fly(sitl: ArduPilotSitl, folder: Path, parameters: dict[str, float], profile: Profile) -> Path:
+    tlog = folder / "flown.tlog"
+    with TlogWriter(tlog) as writer:
+        fly_in_simulator(sitl, profile, parameters, folder, writer.append)
+    return tlog
+
+
+def is_gone(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def test_the_simulator_is_made_like_the_vehicle_and_shows_it(sitl: Path, tmp_path: Path) -> None:
+    real = fly(ArduPilotSitl(sitl, speed=SPEED), tmp_path, HIDDEN, bends())
+    assert is_gone(int((tmp_path / "pid").read_text())), "the simulator is left running"
+    track = read_track(real)
+    assert track.vehicle == "rover" and track.parameters["COMPASS_OFS_X"] == -5.0
+    assert (
+        track.utc_offset_s is not None
+        and track.compasses[1].in_force[-1].correction.offsets_mgauss[0] == -5.0
+    )
+    flown, asked = profile_of(track), bends()
+    assert flown.rate_hz == pytest.approx(20.0, rel=0.05)
+    turned = np.degrees(flown.yaw_rad - asked.yaw_rad[: flown.yaw_rad.size])
+    assert np.std(turned) < 8.0 and np.mean(flown.forward_mps) == pytest.approx(1.0, abs=0.1)
+
+    kept, out, page = tmp_path / "kept", tmp_path / "fly.json", tmp_path / "fly.html"
+    words = ["fly", str(real), "--sitl", str(sitl), "--speed", str(SPEED), "--keep", str(kept)]
+    run = CliRunner().invoke(command, [*words, "--json", str(out), "--report", str(page)])
+    assert run.exit_code == 0, run.output
+    assert "the gap closed as promised" in run.output and "the simulator lacks hard_iron" in run.output
+    document = json.loads(out.read_text())
+    exported = document["export"]["parameters"]
+    for name in ("SIM_MAG1_OFS_X", "SIM_MAG1_OFS_Y", "SIM_MAG1_OFS_Z"):
+        assert exported[name] == pytest.approx(HIDDEN[name], abs=2.0)
+    assert document["promised"]["shrink"] > 0.95 and document["achieved"]["shrink"] > 0.95
+    assert {path.name for path in kept.iterdir()} == {"found.parm", "simulator.tlog", "simulator_again.tlog"}
+    plain = read_track(kept / "simulator.tlog").parameters
+    assert plain["COMPASS_OFS_X"] == -5.0, "the simulator is flown with the calibration of the vehicle"
+    assert page.stat().st_size > 10_000
+
+
+def test_what_ends_or_is_of_another_kind_is_said_and_nothing_is_left(sitl: Path, tmp_path: Path) -> None:
+    rover = ArduPilotSitl(sitl, "rover", speed=SPEED)
+    with pytest.raises(UsageError, match=r"ended by itself. It said: .*no such frame"):
+        fly(rover, tmp_path, {"SIM_TEST_DIES": 1.0}, bends())
+    with pytest.raises(Refused, match="flies a rover, the recording is of a copter"):
+        fly(rover, tmp_path, {"SIM_MAG1_OFS_X": 1.0}, bends(kind="copter"))
+    assert is_gone(int((tmp_path / "pid").read_text()))
+
+
+@pytest.mark.parametrize(
+    ("program", "said"),
+    [
+        (None, "There is no program"),
+        ("#!/bin/sh\necho usage\n", "is not ArduPilot's simulator"),
+        ("", "is not a program that may be run"),
+        ("\x7fELF", "could not be started"),
+    ],
+)
+def test_a_program_that_is_none_is_refused_before_anything_is_read(
+    program: str | None, said: str, tmp_path: Path
+) -> None:
+    file, log = tmp_path / "arducopter", tmp_path / "empty.tlog"
+    log.touch()
+    if program is not None:
+        file.write_text(program)
+        file.chmod(0o755 if program else 0o644)
+    run = CliRunner().invoke(command, ["fly", str(log), "--sitl", str(file)])
+    assert isinstance(run.exception, UsageError) and said in str(run.exception)
+    assert run.exception.remedy
+
+
+def still(track: Track, **columns: object) -> Track:
+    return Track(**{name: getattr(track, name) for name in Track.__slots__} | columns)  # type: ignore[arg-type]
+
+
+def test_a_recording_whose_motion_is_not_known_is_refused() -> None:
+    time_s = np.arange(0.0, 30.0, 0.1)
+    compass = MagSeries(1, Series.of(time_s, np.full((300, 3), 200.0)))
+    attitude = Series.of(time_s, np.column_stack([0.0 * time_s, 0.0 * time_s, 3.0 + 0.02 * time_s]))
+    whole = Track(vehicle="copter", compasses={1: compass}, attitude_rad=attitude)
+    profile = profile_of(whole, longest_s=20.0)
+    assert profile.duration_s == pytest.approx(19.9) and not profile.pivots and profile.home is None
+    assert np.allclose(profile.yaw_rate_radps[5:-5], 0.02)
+    assert np.all(profile.position_m[:, 2] <= -2.0), "a copter is never asked to fly through the ground"
+    with pytest.raises(BadRecording, match="tells no attitude"):
+        profile_of(still(whole, attitude_rad=None))
+    with pytest.raises(BadRecording, match="tells no compass 2"):
+        profile_of(whole, 2)
+    with pytest.raises(BadRecording, match="kind 'plane'"):
+        profile_of(still(whole, vehicle="plane"))
+    with pytest.raises(BadRecording, match="8 s with attitude"):
+        profile_of(whole, longest_s=8.0)
+
+
+def test_of_a_vehicle_the_calibration_alone_goes_into_the_simulator() -> None:
+    told = {
+        "COMPASS_OFS_X": 0.0, "COMPASS_OFS_Y": 0.0, "COMPASS_OFS_Z": 0.0, "COMPASS_DIA_X": 1.1,
+        "COMPASS_MOT_Z": 2.0, "COMPASS_MOTCT": 2.0, "COMPASS_SCALE": 1.02, "COMPASS_OFS2_X": 7.0,
+        "COMPASS_DEV_ID": 97539.0, "COMPASS_USE": 1.0, "SERIAL1_BAUD": 57.0,
+    }  # fmt: skip
+    taken = calibration_in(told)
+    assert taken.keys() == {name for name in told if name.startswith("COMPASS_")} - {
+        "COMPASS_OFS2_X", "COMPASS_DEV_ID", "COMPASS_USE",
+    }  # fmt: skip
+    assert 0.0 < taken["COMPASS_OFS_X"] < 0.01, "all zero the simulator takes for not calibrated"
+
+
+def test_a_model_that_pivots_is_chosen_for_a_motion_that_does(tmp_path: Path) -> None:
+    sitl = ArduPilotSitl(tmp_path / "x")
+    assert sitl.model_for("rover", False) == "rover" and sitl.model_for("rover", True) == "rover-skid"
+    assert sitl.model_for("copter", True) == "quad"
+    mine = tmp_path / "mine.parm"
+    mine.write_text("COMPASS_USE 1\nSIM_MAG_RND 3\n")
+    values = ArduPilotSitl(tmp_path / "x", "", {"SIM_MAG_RND": 2.0}, [mine]).parameters_for(
+        "rover-skid", {"SIM_MAG1_OFS_X": 9.0}
+    )
+    assert (values["COMPASS_USE"], values["SIM_MAG_RND"], values["SIM_MAG1_OFS_X"]) == (1.0, 3.0, 9.0)
+    assert values["SERVO1_FUNCTION"] == 73.0 and values["ARMING_CHECK"] == 0.0
