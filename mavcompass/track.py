@@ -8,7 +8,7 @@ force at the time; `Track.raw_field` gives the readings with that correction und
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -181,8 +181,47 @@ class Track:
         }
         return replace(self, compasses=compasses, **cut)  # type: ignore[arg-type]
 
+    def shifted(self, by_s: float) -> Track:
+        """Let everything have happened later by some seconds."""
+        moved = {
+            name: Series(series.time_s + by_s, series.values)
+            for name in self.__slots__
+            if isinstance(series := getattr(self, name), Series)
+        }
+        compasses = {
+            i: replace(
+                compass,
+                reported=Series(compass.time_s + by_s, compass.reported.values),
+                in_force=tuple(InForce(step.from_s + by_s, step.correction) for step in compass.in_force),
+            )
+            for i, compass in self.compasses.items()
+        }
+        return replace(self, compasses=compasses, **moved)  # type: ignore[arg-type]
+
     @property
     def duration_s(self) -> float:
         """Return the time from the first to the last magnetometer reading of any compass."""
         ends = [(c.time_s[0], c.time_s[-1]) for c in self.compasses.values() if len(c.reported)]
         return float(max(e[1] for e in ends) - min(e[0] for e in ends)) if ends else 0.0
+
+
+def joined(tracks: Sequence[Track]) -> Track:
+    """Join pieces of one recording, in order of time; what is not a column is taken from the last."""
+    last = tracks[-1]
+    columns = {
+        name: _joined([series for track in tracks if isinstance(series := getattr(track, name), Series)])
+        for name in last.__slots__
+        if any(isinstance(getattr(track, name), Series) for track in tracks)
+    }
+    compasses = {
+        i: replace(compass, reported=_joined([t.compasses[i].reported for t in tracks if i in t.compasses]))
+        for i, compass in last.compasses.items()
+    }
+    return replace(last, compasses=compasses, **columns)  # type: ignore[arg-type]
+
+
+def _joined(pieces: Sequence[Series]) -> Series:
+    # A message that came late lies in the piece after its own.
+    times = np.concatenate([piece.time_s for piece in pieces])
+    order = np.argsort(times, kind="stable")
+    return Series.of(times[order], np.concatenate([piece.values for piece in pieces])[order])

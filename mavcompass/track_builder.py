@@ -66,12 +66,15 @@ class TrackBuilder:
         self._start_anew()
 
     def _start_anew(self) -> None:
-        self._imu = {name: _Rows() for name in telemetry.MAG_MESSAGES}
-        self._columns: dict[str, _Rows] = {}
+        self._clear()
         self._offset_s: float | None = None
         self.latest_s = -np.inf
         # Times of the clock before mean nothing on the new one.
         self._in_force = {i: [InForce(-np.inf, steps[-1].correction)] for i, steps in self._in_force.items()}
+
+    def _clear(self) -> None:
+        self._imu = {name: _Rows() for name in telemetry.MAG_MESSAGES}
+        self._columns: dict[str, _Rows] = {}
 
     def set_correction(self, instance: int, correction: FieldCorrection) -> None:
         """Say which correction the autopilot applies to a compass from the latest message on."""
@@ -165,6 +168,12 @@ class TrackBuilder:
             truncated=True,
             not_applied=self._not_applied.get(instance),
         )
+
+    def take(self) -> Track:
+        """Give the Track since the last `take` and keep nothing of it: for who listens for hours."""
+        track = self.build()
+        self._clear()
+        return track
 
     def build(self) -> Track:
         """Give the Track of all that was heard since the vehicle's last start."""

@@ -60,7 +60,7 @@ ROWS = {
         {"link", "stopping"},
     ],
     "procedure": [
-        {"calibrate", "check", "flying"},
+        {"calibrate", "check", "flying", "learnt"},
         {"autopilot_heading", "restart", "writing"},
         {"desk", "report"},
         {"motion"},

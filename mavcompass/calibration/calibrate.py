@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.calibration.methods import find_method
+from mavcompass.calibration.methods.running import Learnt, learn
 from mavcompass.calibration.positions import DEFAULT_PRIOR, IronPrior
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
@@ -66,6 +67,18 @@ def calibrate_track(
     if not result.accepted and windows is None and method != "auto":
         result = replace(result, warnings=(*result.warnings, *_would_do(recorded, result.method)))
     return with_parameters(result, track)
+
+
+def learn_compass(
+    track: Track, instance: int, earth: EarthField | None, limits: Limits = DEFAULT_LIMITS
+) -> Learnt:
+    """Tell what some minutes of work show of one compass.
+
+    Raises BadRecording where the compass is missing, PoorCalibration where there is nothing to learn from.
+    """
+    _check_compass(track, instance)
+    learnt = learn(Recorded(track, instance, earth, limits))
+    return replace(learnt, result=with_parameters(learnt.result, track))
 
 
 def _would_do(recorded: Recorded, refused: str) -> tuple[str, ...]:

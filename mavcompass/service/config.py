@@ -140,6 +140,20 @@ class WatchConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class LearningConfig:
+    """Say whether the service learns while the vehicle works, and what it offers to write.
+
+    Attributes:
+        enabled: learn. margin_deg: by so much an offer lowers the heading error in force, at three sigmas.
+        limit_deg: the largest heading error, 1 sigma, that is offered.
+    """
+
+    enabled: bool = True
+    margin_deg: Annotated[float, Meta(ge=0.5, le=90.0)] = 2.0
+    limit_deg: Annotated[float, Meta(ge=0.1, le=5.0)] = 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class StorageConfig:
     """Say where history, undo files and reports lie ("": systemd's or the user's state folder)."""
 
@@ -155,6 +169,7 @@ class ServiceConfig:
     mavlink: MavlinkConfig = MavlinkConfig()
     heading: HeadingConfig = HeadingConfig()
     watch: WatchConfig = WatchConfig()
+    learning: LearningConfig = LearningConfig()
     storage: StorageConfig = StorageConfig()
 
     @property

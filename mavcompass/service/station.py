@@ -26,6 +26,7 @@ from mavcompass.service.view import GONE_S, VehicleView
 from mavcompass.service.watch import CompassWatch, Finding
 from mavcompass.service.work.history import History
 from mavcompass.service.work.jobs import Jobs
+from mavcompass.service.work.learning import Learning
 from mavcompass.service.work.tasks import Desk
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.stopping import StopRequest
@@ -56,6 +57,7 @@ class Station:
         self.config = config
         self.desk = Desk()
         self.watch = CompassWatch(config.watch)
+        self.learning = Learning(config.learning)
         self.view: VehicleView | None = None
         self.stale: tuple[Finding, ...] = ()
         self.link: Link | None = None
@@ -65,7 +67,7 @@ class Station:
         self._open_link = open_link
         self._due = Schedule()
         self._teller = Teller(config, self.desk, self._due)
-        self._jobs = Jobs(config, history, self._hear_in_procedure)
+        self._jobs = Jobs(config, history, self.learning, self._hear_in_procedure)
         self._rates = RateKeeper({})
         self._publisher = HeadingPublisher(config.heading.publish) if config.heading.publish else None
         self._ending = StopRequest()
@@ -82,6 +84,7 @@ class Station:
         self.desk.close("The service is stopping.")
         self._ending.reason = "The service is stopping."
         self._thread.join(_PATIENCE_S)
+        self.learning.close()
         if self._publisher is not None:
             self._publisher.close()
         return not self._thread.is_alive()
@@ -95,8 +98,8 @@ class Station:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Return what is wrong with the compasses, the bad first."""
-        both = (*self.watch.findings, *self.stale)
-        return tuple(sorted(both, key=lambda finding: finding.severity != "bad"))
+        all_of_them = (*self.watch.findings, *self.stale, *self.learning.findings)
+        return tuple(sorted(all_of_them, key=lambda finding: finding.severity != "bad"))
 
     # --- the thread ---------------------------------------------------------------------------------
 
@@ -139,6 +142,7 @@ class Station:
     def _after_work(self) -> None:
         """Read the parameters again, which may have changed, and judge the compass anew."""
         self.watch.restart()
+        self.learning.restart()
         self._due.hurry("meet")
 
     def _hear_in_procedure(self, link: Link, heard: Incoming) -> None:
@@ -154,14 +158,17 @@ class Station:
         if heard.time_s - view.heard_s > GONE_S and math.isfinite(view.heard_s):
             view.reconnects += 1
             view.level.restart()
+            self.learning.restart()
             self._vehicle_is_back()
         if view.restarted(heard.message):
             _log.warning("the vehicle was restarted")
             view.restart()
             self.watch.restart()
+            self.learning.restart()
             self._vehicle_is_back()
         self._rates.count(type(heard.message))
         heading = view.hear(heard)
+        self.learning.hear(view, heard)
         if heading is not None:
             self.headings += 1
             if self._publisher is not None:
@@ -171,7 +178,8 @@ class Station:
 
     def _hear_other(self, link: Link, heard: Incoming) -> None:
         """Take a message of anybody but the vehicle: a command, or the vehicle's first heartbeat."""
-        self._teller.hear_command(link, self.view, heard)
+        offered = [lesson.instance for lesson in self.learning.offers()]
+        self._teller.hear_command(link, self.view, heard, offered)
         found = identify(heard)
         wanted = self.config.vehicle.system
         if found is None or self.view is not None or (wanted and found.system != wanted):
@@ -212,6 +220,8 @@ class Station:
                 self._due.hurry("judge")
         elif self._due.is_due("judge", now_s, _JUDGE_EVERY_S):
             self.stale = self._jobs.judge_calibrations(view)
+        else:
+            self.learning.tend(view)
 
 
 def _wanted_rates(identity: VehicleIdentity, rate_hz: float) -> dict[type[mav.Message], float]:

@@ -15,7 +15,7 @@ from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.enums import MagCalStatus, MavCmd, MavResult, MavSeverity
 from mavcompass.service.watch import Finding
-from mavcompass.service.work.tasks import CalibrationRequest, Task
+from mavcompass.service.work.tasks import LEARNT, CalibrationRequest, Task
 
 HEADING_NAME = "MC_HDG"
 SIGMA_NAME = "MC_HDG_SD"
@@ -52,11 +52,16 @@ def as_long(message: mav.Message) -> mav.CommandLong | None:
 
 
 def answer(
-    command: mav.CommandLong, task: Task | None, compasses: Sequence[int], accept_commands: bool
+    command: mav.CommandLong,
+    task: Task | None,
+    compasses: Sequence[int],
+    accept_commands: bool,
+    offered: Sequence[int] = (),
 ) -> Reply:
     """Decide on a command addressed to this component.
 
-    `task` is the one under way or the last one, `compasses` those that the vehicle has.
+    `task` is the one under way or the last one, `compasses` those that the vehicle has, `offered` those for
+    which something better was learnt: to accept that is consent to have it written.
     """
     calibrating = task is not None and not task.finished and task.request.kind == "calibration"
     match command.command:
@@ -69,6 +74,9 @@ def answer(
         case MavCmd.DO_ACCEPT_MAG_CAL:
             if task is not None and task.question is not None and calibrating:
                 return Reply(MavResult.ACCEPTED, Order("accept"))
+            if offered and accept_commands and (task is None or task.finished):
+                request = CalibrationRequest(compasses=tuple(offered), writing="yes", method=LEARNT)
+                return Reply(MavResult.ACCEPTED, Order("start", request))
             return Reply(MavResult.FAILED)
         case MavCmd.DO_CANCEL_MAG_CAL:
             # Cancelling what is not running is no mistake: stations send it to be sure.

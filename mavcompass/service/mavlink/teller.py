@@ -94,15 +94,21 @@ class Teller:
 
     # --- commands -----------------------------------------------------------------------------------
 
-    def hear_command(self, link: Link, view: VehicleView | None, heard: Incoming) -> None:
-        """Answer a command that is addressed to this component; pass over anything else."""
+    def hear_command(
+        self, link: Link, view: VehicleView | None, heard: Incoming, offered: Sequence[int]
+    ) -> None:
+        """Answer a command that is addressed to this component; pass over anything else.
+
+        `offered` are the compasses for which something better was learnt.
+        """
         command = component.as_long(heard.message)
         address = (link.identity.spoken_system, link.identity.component)
         if command is None or (command.target_system, command.target_component) != address:
             return
         task = self._desk.current
         compasses = () if view is None else self._config.vehicle.compasses or view.instances()
-        reply = component.answer(command, task, compasses, self._config.mavlink.accept_commands)
+        accepts = self._config.mavlink.accept_commands
+        reply = component.answer(command, task, compasses, accepts, offered)
         result = reply.result if reply.order is None else self._obey(reply.order, reply.result, task)
         link.send(mav.CommandAck(command.command, result, 0, 0, heard.system, heard.component))
 

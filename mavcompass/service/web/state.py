@@ -10,6 +10,7 @@ from mavcompass.heading.live import Heading
 from mavcompass.service.station import Station
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
+from mavcompass.service.work.learning import Lesson
 
 SCHEMA = "mavcompass.state/1"
 
@@ -56,7 +57,28 @@ def state_json(station: Station) -> dict[str, Any]:
         "world": None if station.view is None else _world_json(station.view),
         "now": moment_json(station),
         "findings": [finding_json(finding) for finding in station.findings],
+        "learning": [_lesson_json(station, lesson) for lesson in list(station.learning.lessons.values())],
         "task": None if task is None else task.to_json(),
+    }
+
+
+def _lesson_json(station: Station, lesson: Lesson) -> dict[str, Any]:
+    """Describe what was learnt of a compass: old against new, how sure, and what it has not seen yet."""
+    learnt, config = lesson.learnt, station.config.learning
+    about: dict[str, Any] = {"compass": lesson.instance, "margin_deg": config.margin_deg, "offered": False}
+    if learnt is None:
+        return about | {"reasons": [lesson.why_not]}
+    result = learnt.result
+    return about | {
+        "offered": lesson in station.learning.offers(),
+        "sigma_deg": _number(result.heading_sigma_deg),
+        "in_force_error_deg": _number(result.heading_change_deg),
+        "not_seen_deg": list(learnt.not_seen_deg),
+        "iron_changed_at": None
+        if lesson.changed_at is None
+        else lesson.changed_at.isoformat(timespec="seconds"),
+        "reasons": list(result.reasons),
+        "parameters": {name: _number(value) for name, value in result.parameters.items()},
     }
 
 

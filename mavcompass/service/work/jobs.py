@@ -10,16 +10,18 @@ from typing import Any
 
 from mavcompass.errors import MavCompassError
 from mavcompass.messages import Incoming
+from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Machine, Show
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
 from mavcompass.service.work import procedures
 from mavcompass.service.work.history import History
+from mavcompass.service.work.learning import Learning
 from mavcompass.service.work.recorder import Recorder
 from mavcompass.service.work.results import Results, sigma_deg
 from mavcompass.service.work.staleness import stale_findings
-from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Task, UndoRequest
+from mavcompass.service.work.tasks import LEARNT, CalibrationRequest, CheckRequest, Task, UndoRequest
 from mavcompass.service.work.worker import Worker
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import PollAnswer, run
@@ -37,11 +39,16 @@ class Jobs:
     """
 
     def __init__(
-        self, config: ServiceConfig, history: History, hear: Callable[[Link, Incoming], None]
+        self,
+        config: ServiceConfig,
+        history: History,
+        learning: Learning,
+        hear: Callable[[Link, Incoming], None],
     ) -> None:
         self.recorder: Recorder | None = None
         self._config = config
         self._history = history
+        self._learning = learning
         self._hear = hear
         self._worker = Worker()
         self._results = Results(config, history, self._worker)
@@ -92,16 +99,20 @@ class Jobs:
         source, system = config.vehicle.source, view.identity.system
         undo_folder = config.folder / "undo"
         if isinstance(request, CalibrationRequest):
-            machine = procedures.calibration(
-                task,
-                replace(request, compasses=request.compasses or config.vehicle.compasses),
-                source,
-                system,
-                view.year,
-                config.vehicle.rate_hz,
-                self._worker,
-                undo_folder,
-            )
+            request = replace(request, compasses=request.compasses or config.vehicle.compasses)
+            if request.method == LEARNT:
+                machine = self._write_learnt(request, view, task)
+            else:
+                machine = procedures.calibration(
+                    task,
+                    request,
+                    source,
+                    system,
+                    view.year,
+                    config.vehicle.rate_hz,
+                    self._worker,
+                    undo_folder,
+                )
             self.recorder = recorder = Recorder()
             self._results.calibrated(task, view, self._carry_out(link, view, machine, task), recorder)
         elif isinstance(request, CheckRequest):
@@ -110,6 +121,27 @@ class Jobs:
         elif isinstance(request, UndoRequest):
             undoing = procedures.undo(self._results.undo_path(request), source, system, undo_folder)
             self._results.undone(task, view, self._carry_out(link, view, undoing, task))
+
+    def _write_learnt(
+        self, request: CalibrationRequest, view: VehicleView, task: Task
+    ) -> Machine[CalibrationReport]:
+        offered = self._learning.offers()
+        wanted = request.compasses or tuple(lesson.instance for lesson in offered)
+        task.results = tuple(
+            lesson.learnt.result
+            for lesson in offered
+            if lesson.learnt is not None and lesson.instance in wanted
+        )
+        config = self._config
+        return procedures.write_learnt(
+            request,
+            task.results,
+            config.vehicle.source,
+            view.identity,
+            view.year,
+            config.vehicle.rate_hz,
+            config.folder / "undo",
+        )
 
     def _carry_out(self, link: Link, view: VehicleView, machine: Machine[Any], task: Task) -> Any:
         """Run what a task asks for; what the parameters are is not known after it, however it ended."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,11 +10,13 @@ from typing import Any
 from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.enums import MavCmd
-from mavcompass.errors import MavCompassError
+from mavcompass.errors import MavCompassError, Refused
 from mavcompass.procedure.calibrate import CalibrateSettings, Services, calibrate
 from mavcompass.procedure.check import CheckReport, CheckSettings
 from mavcompass.procedure.check import check as check_script
 from mavcompass.procedure.dialect import WriteOutcome
+from mavcompass.procedure.learnt import LearntSettings
+from mavcompass.procedure.learnt import write_learnt as write_learnt_script
 from mavcompass.procedure.positions import DwellSettings
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script, expect
@@ -111,6 +114,32 @@ def calibration(
         dwell=DwellSettings(dwell_s=request.dwell_s),
     )
     return Machine(lambda context: calibrate(context, services, settings))
+
+
+def write_learnt(
+    request: CalibrationRequest,
+    results: Sequence[CalibrationResult],
+    source: str,
+    identity: VehicleIdentity,
+    year: float,
+    rate_hz: float,
+    undo_folder: Path,
+) -> Machine[CalibrationReport]:
+    """Build the procedure that writes what was learnt on the way. Raises Refused where that is nothing."""
+    if not results:
+        raise Refused(
+            "Nothing was learnt yet that would lower the heading error in force by the margin.",
+            "Drive or fly on through all headings, or calibrate by four positions.",
+        )
+    settings = LearntSettings(
+        request.writing == "ask", request.writing != "never", identity.system, rate_hz, year
+    )
+    save = undo_saver(identity.autopilot, source, undo_folder)
+
+    def script(context: Context) -> Script[CalibrationReport]:
+        return write_learnt_script(context, lambda make: make_dialect(make, source), save, results, settings)
+
+    return Machine(script)
 
 
 def check(

@@ -21,6 +21,9 @@ Motion = Literal["auto", "vehicle", "hand"]
 State = Literal["waiting", "running", "asking", "done", "failed"]
 Origin = Literal["http", "mavlink"]
 
+# The method that writes what the service learnt while the vehicle worked: nothing moves.
+LEARNT = "running"
+
 _MOST_LINES = 200
 _AFTER_WRITING = 0.9
 
@@ -50,7 +53,12 @@ class CalibrationRequest:
         Writing, Meta(description="Whether the result is written: after a question, at once, or not at all.")
     ] = "ask"
     method: Annotated[
-        str, Meta(extra_json_schema={"enum": list(method_names())}), checked(_unknown_method)
+        str,
+        Meta(
+            extra_json_schema={"enum": list(method_names())},
+            description="running: write what was learnt while the vehicle worked; nothing moves.",
+        ),
+        checked(_unknown_method),
     ] = "four-positions"
     positions: Annotated[int, Meta(ge=3, le=24)] = 4
     dwell_s: Annotated[float, Meta(ge=0.5, le=60.0)] = 2.0

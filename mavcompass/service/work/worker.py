@@ -77,6 +77,22 @@ def solve(
     return solver(method, max_heading_error_deg)(track, instance, windows, earth)
 
 
+def learn(pieces: list[Any], instances: tuple[int, ...], earth: Any, limit_deg: float) -> dict[int, Any]:
+    """Tell what pieces of a recording show of each compass: a `Learnt`, or why there is none."""
+    from mavcompass.calibration.calibrate import learn_compass
+    from mavcompass.calibration.verdict import Limits
+    from mavcompass.track import joined
+
+    track = joined(pieces)
+    found: dict[int, Any] = {}
+    for instance in instances:
+        try:
+            found[instance] = learn_compass(track, instance, earth, Limits(heading_deg=limit_deg))
+        except MavCompassError as error:
+            found[instance] = str(error)
+    return found
+
+
 def write_calibration_report(report: Any, path: Path) -> None:
     """Write the HTML report of a calibration."""
     from mavcompass.report.calibration import write_report

@@ -55,6 +55,13 @@ def test_a_calibration_starts_for_the_compasses_of_the_mask(mask: float, chosen:
     assert reply.order.request.writing == "ask"
 
 
+def test_accepting_an_offer_is_consent_to_have_it_written() -> None:
+    reply = component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), None, (1, 2), True, offered=(2,))
+    assert reply.result == MavResult.ACCEPTED and reply.order is not None
+    assert reply.order.request == CalibrationRequest(compasses=(2,), writing="yes", method="running")
+    assert component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), None, (1, 2), True).result == MavResult.FAILED
+
+
 def test_autosave_writes_without_asking() -> None:
     reply = component.answer(command(MavCmd.DO_START_MAG_CAL, 0, 1, 1), None, (1,), True)
     assert reply.order is not None and reply.order.request is not None

@@ -185,7 +185,10 @@ function showFindings(findings) {
   for (const finding of findings) groups.set(finding.remedy, [...(groups.get(finding.remedy) ?? []), finding]);
   $("findings").replaceChildren(...[...groups].map(([remedy, group]) => {
     const css = group.some((f) => f.severity === "bad") ? "finding worst" : "finding";
-    return show.node("div", { class: css }, ...group.map((f) => show.node("b", { text: f.text })), show.node("span", { text: remedy }));
+    const offered = group.filter((f) => f.id === "learnt").map((f) => f.compass);
+    const take = () => begin("/api/calibration", { method: "running", writing: "ask", compasses: offered });
+    const button = offered.length ? [show.node("button", { text: "Write what was learnt", onclick: take })] : [];
+    return show.node("div", { class: css }, ...group.map((f) => show.node("b", { text: f.text })), show.node("span", { text: remedy }), ...button);
   }));
 }
 
