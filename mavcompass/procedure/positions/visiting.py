@@ -15,7 +15,7 @@ from mavcompass import messages as mav
 from mavcompass.calibration.observation import UNREST, StillnessDetector
 from mavcompass.errors import LinkLost, Refused
 from mavcompass.messages.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
-from mavcompass.procedure.script import Context, Script, nothing, pause
+from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import GyroAngle, TurnStrategy
 
 _HOLD_EVERY_S = 0.5
@@ -238,14 +238,18 @@ def dwell(
     mover: Mover,
     settings: DwellSettings,
     sureness: Sureness | None = None,
+    meanwhile: Callable[[], Script[None]] | None = None,
 ) -> Script[Window]:
     """Stand still for a dwell; one that is disturbed, or partly not heard, begins anew, twice at the most.
 
-    Where `sureness` tells, it ends as soon as the heading by it is sure enough.
+    Where `sureness` tells, it ends as soon as the heading by it is sure enough. `meanwhile` is done once.
     """
     for _ in range(3):
         resting = yield from mover.settle(context, rest, settings)
         start_s, angle, samples = rest.time_s, gyro.angle_rad, gyro.samples
+        if meanwhile is not None:
+            yield from meanwhile()
+            meanwhile = None
         began, held_s = context.now, context.now
         length_s, needed_s, asks_s = 0.0, rest.needed_s(settings), _FIRST_ASKED_S
         known: dict[float, float] = {}
@@ -301,22 +305,23 @@ def visit(
     step_rad: float,
     settings: DwellSettings,
     seen: Sequence[Window] = (),
-    at_each: Callable[[], Script[None]] = lambda: nothing(None),
+    at_each: Callable[[], Script[None]] | None = None,
     sureness: Sureness | None = None,
 ) -> Script[list[Window]]:
     """Visit positions, `step_rad` apart as well as the vehicle can; the first is where it is.
 
     With `count` positions `seen` already, one more is visited, half a step between those. `at_each` is
-    done at each before the vehicle turns on, `sureness` ends its dwell; see `dwell`.
+    done at each that the vehicle turns on from, while it dwells; `sureness` ends its dwell, see `dwell`.
     """
     windows, wanted = list(seen), max(count, len(seen) + 1)
+    if seen and at_each is not None:
+        yield from at_each()
     while len(windows) < wanted:
         index = len(windows)
         if index:
             context.show(
                 "turn", f"Turning to position {index + 1} of {wanted}.", (index - 0.5) / (wanted + 1.0)
             )
-            yield from at_each()
             angle_rad = _next_turn(gyro, windows, count, step_rad)
             yield from mover.next(context, angle_rad, wanted - index)
         context.show(
@@ -326,7 +331,8 @@ def visit(
             position=float(index + 1),
             turned_deg=math.degrees(gyro.angle_rad),
         )
-        window = yield from dwell(context, rest, gyro, mover, settings, sureness)
+        meanwhile = at_each if index + 1 < wanted else None
+        window = yield from dwell(context, rest, gyro, mover, settings, sureness, meanwhile)
         if mover.accept(context, window.turned_rad):
             windows.append(window)
     return windows

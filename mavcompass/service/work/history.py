@@ -108,14 +108,20 @@ class History:
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
+        database = self._database
         with self._lock:
-            self._database.execute("BEGIN IMMEDIATE")
             try:
-                yield self._database
-            except BaseException:
-                self._database.execute("ROLLBACK")
+                database.execute("BEGIN IMMEDIATE")
+                yield database
+                database.execute("COMMIT")
+            except BaseException as error:
+                if database.in_transaction:  # a full disk has ended it already
+                    database.execute("ROLLBACK")
+                if isinstance(error, sqlite3.Error):
+                    raise MavCompassError(
+                        f"The history could not be written ({error}).", "Make room on the service's disk."
+                    ) from error
                 raise
-            self._database.execute("COMMIT")
 
     def add(
         self,
@@ -129,7 +135,7 @@ class History:
         report: str | None = None,
         undo_file: str | None = None,
     ) -> int:
-        """Add an entry and return its number."""
+        """Add an entry and return its number. Raises MavCompassError where the disk does not take it."""
         row = (made_at, kind, vehicle, int(ok), summary, json.dumps(document), report, undo_file)
         with self._transaction() as database:
             cursor = database.execute(

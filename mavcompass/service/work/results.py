@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from mavcompass.errors import MavCompassError, UsageError
 from mavcompass.procedure.check import CheckReport
 from mavcompass.procedure.dialect import WriteOutcome
 from mavcompass.procedure.report import CalibrationReport
+from mavcompass.procedure.script import Show
 from mavcompass.report.document import live_document
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.view import VehicleView
@@ -48,19 +50,40 @@ class Results:
         document["old_and_new"] = [_old_and_new(result) for result in report.results]
         ok = report.accepted and not report.undone
         undo_file = document["undo_file"]
-        number = self._history.add(
-            "calibration",
-            utc_now(),
-            view.key,
+        number = self._record(
+            task,
+            view,
             report.written,
             _summary(report),
             document,
             [(result.instance, view.device_id(result.instance)) for result in report.results],
-            undo_file=None if undo_file is None else str(undo_file),
+            None if undo_file is None else str(undo_file),
         )
-        self._save_recording(recorder, number)
-        self._save_report(report, number)
+        if number is not None:
+            self._save_recording(recorder, number)
+            self._save_report(report, number)
         task.finish(ok, document, number)
+
+    def _record(
+        self,
+        task: Task,
+        view: VehicleView | None,
+        ok: bool,
+        summary: str,
+        document: Mapping[str, Any],
+        compasses: Sequence[tuple[int, int]] = (),
+        undo_file: str | None = None,
+    ) -> int | None:
+        """Add an entry; where the disk does not take it, that is told, and what was done stays done."""
+        key = "unknown" if view is None else view.key
+        try:
+            return self._history.add(
+                task.request.kind, utc_now(), key, ok, summary, document, compasses, undo_file=undo_file
+            )
+        except MavCompassError as error:
+            _log.warning("%s", error)
+            task.show(Show("end", str(error)))
+            return None
 
     def _save_recording(self, recorder: Recorder, number: int) -> None:
         folder = self._config.folder / "recordings"
@@ -77,18 +100,16 @@ class Results:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._worker.call(write_calibration_report, report, path)
+            self._history.attach_report(number, str(path))
         except (OSError, MavCompassError, ImportError) as error:
             _log.warning("the report of calibration %d could not be written: %s", number, error)
-        else:
-            self._history.attach_report(number, str(path))
 
     def checked(self, task: Task, view: VehicleView, report: CheckReport) -> None:
         """Record a pre-flight check."""
         document = report.to_json()
         compasses = [(instance, view.device_id(instance)) for instance in view.instances()]
         ok = report.verdict != "fail"
-        number = self._history.add("check", utc_now(), view.key, ok, report.summary(), document, compasses)
-        task.finish(ok, document, number)
+        task.finish(ok, document, self._record(task, view, ok, report.summary(), document, compasses))
 
     def undone(self, task: Task, view: VehicleView, outcome: WriteOutcome) -> None:
         """Record that an undo file was put back."""
@@ -101,8 +122,8 @@ class Results:
             "values": dict(outcome.values),
         }
         summary = f"{len(outcome.values)} parameters put back."
-        number = self._history.add(
-            "undo", utc_now(), view.key, outcome.verified, summary, document, undo_file=document["undo_file"]
+        number = self._record(
+            task, view, outcome.verified, summary, document, undo_file=document["undo_file"]
         )
         task.finish(outcome.verified, document, number)
 
@@ -110,9 +131,7 @@ class Results:
         """Record that a request came to nothing."""
         task.fail(error)
         document = {"error": task.error, "remedy": task.remedy, "lines": task.lines[-20:]}
-        key = "unknown" if view is None else view.key
-        kind = task.request.kind
-        task.entry = self._history.add(kind, utc_now(), key, False, task.error, document)
+        task.entry = self._record(task, view, False, task.error, document)
 
     def undo_path(self, request: UndoRequest) -> Path:
         """Find the undo file that a request names. Raises UsageError for any other file."""

@@ -23,6 +23,9 @@ _SETS = (1, 2, 3)
 _EKF3, _COMPASS, _COMPASS_AS_FALLBACK, _NONE = 3.0, 1.0, 3.0, 0.0
 # One step of the filter would do; several survive a busy processor.
 _OFF_S = 0.1
+# By then the compass's yaw is in force: a turn named relative to the yaw before it may go the other way
+# round, and does so for seconds where its successor never comes.
+_ON_S = 0.12
 
 
 def take_compass_yaw(context: Context, parameters: Mapping[str, float], flying: bool) -> Script[str]:
@@ -36,6 +39,7 @@ def take_compass_yaw(context: Context, parameters: Mapping[str, float], flying: 
     try:
         yield from pause(context, _OFF_S)
         yield from _use(context, _SETS[0])
+        yield from pause(context, _ON_S)
     except Refused:
         yield from _use(context, _SETS[0])  # a stop comes once, and the vehicle needs its sources
         raise

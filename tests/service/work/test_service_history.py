@@ -88,3 +88,18 @@ def test_several_threads_may_write(tmp_path: Path) -> None:
         thread.join()
     assert len({entry.id for entry in history.entries(limit=200)}) == 80
     history.close()
+
+
+def test_a_full_disk_is_told_and_the_history_goes_on_afterwards(tmp_path: Path) -> None:
+    history = History(tmp_path / "history.db")
+    add(history)
+    database = history._database
+    pages = database.execute("PRAGMA page_count").fetchone()[0]
+    database.execute(f"PRAGMA max_page_count = {pages}")
+    large = {"much": "x" * 100_000}
+    with pytest.raises(MavCompassError, match=r"The history could not be written \(.*full\)"):
+        history.add("check", "2026-06-01T00:00:00+00:00", "boat", True, "fine", large)
+    database.execute(f"PRAGMA max_page_count = {pages + 1000}")
+    assert add(history) == 2
+    assert [entry.id for entry in history.entries()] == [2, 1]
+    history.close()

@@ -103,3 +103,19 @@ def test_which_set_names_no_compass(changed: dict[str, float], chosen: int | Non
 
 def test_firmware_without_sets_has_none() -> None:
     assert idle_set({"AHRS_EKF_TYPE": 3.0}) is None
+
+
+def test_nothing_is_commanded_before_the_yaw_is_in_force() -> None:
+    # A heading named relative to the yaw before would turn the vehicle the other way round.
+    with vehicle_script(*THERE_AND_BACK) as link:
+        machine, heard_s = take(AS_SHIPPED), []
+        inner = machine.step
+
+        def step(event):  # type: ignore[no-untyped-def]
+            if isinstance(getattr(event, "message", None), CommandAck):
+                heard_s.append(event.time_s)
+            return inner(event)
+
+        machine.step = step  # type: ignore[method-assign]
+        run(machine, link)
+        assert machine.context.now - heard_s[-1] >= 0.1  # what the estimator's compass takes for a reading

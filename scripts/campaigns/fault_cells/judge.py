@@ -1,0 +1,118 @@
+"""Judge what a cell left behind: by the vehicle's storage, the disk, and what the person was told."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+
+from fault_cells.scene import Hung, Killed, Scene
+from fault_cells.works import Ending, Work, write_file
+from mavcompass.errors import MavCompassError, UsageError
+from mavcompass.vehicle.parameters.undo import UndoRecord, load_record
+from mavcompass.vehicle.parameters.values import same_value
+
+STANDS_WITHIN_S = 1.0
+_LOOKS_ON_S = 4.0
+_COMMAND = re.compile(r"(\S+) params restore (\S+) (\S+\.json)")
+# What these change after the last reading, no program can know.
+UNSEEN = ("second client", "rebooted, old")
+
+
+def judge_end(scene: Scene, work: Work, ending: Ending, ended_s: float, known: frozenset[Path]) -> list[str]:
+    """List what is wrong at the end of a run; `known` are the undo files from before it."""
+    error = ending.error
+    wrong = list(scene.tracebacks)
+    if isinstance(error, Hung):
+        wrong.append(f"hangs: {error}")
+    elif error is not None and not isinstance(error, (MavCompassError, Killed)):
+        wrong.append(f"traceback: {type(error).__name__}: {error}")
+    elif isinstance(error, MavCompassError) and re.match(r"\w+Error: ", error.what):
+        wrong.append(f"traceback, told as {error.what}")
+    return wrong + _what_was_told(scene, ending, known) + _motion(scene, work, ended_s)
+
+
+def _motion(scene: Scene, work: Work, ended_s: float) -> list[str]:
+    """Look on for a while: the vehicle stands, and did so in time."""
+    vehicle = scene.vehicle
+    with scene.link() as link:
+        end_s = vehicle.time_s + _LOOKS_ON_S
+        while link.now() < end_s:
+            link.receive(end_s - link.now())
+    longer_s = scene.turning_s - ended_s
+    if scene.fault is not None and scene.fault.ends_it:
+        # The service goes on after a fault, and may turn the vehicle again when it is asked to.
+        last_s = scene.stood_s if work.goes_on else scene.turning_s
+        longer_s = max(longer_s, last_s - scene.at_s)
+    return [f"turned {longer_s:.2f} s longer"] if work.moves and longer_s > STANDS_WITHIN_S else []
+
+
+def _what_was_told(scene: Scene, ending: Ending, known: frozenset[Path]) -> list[str]:
+    """Compare what was told with what the vehicle holds now."""
+    records = _records(scene, known)
+    if not ending.written:
+        return []
+    if scene.foreign and scene.fault is not None and scene.fault.name in UNSEEN:
+        read_after = all(scene.read_s.get(n, -1e9) > scene.foreign_s + 0.1 for n in scene.foreign)
+        if not read_after:
+            return []  # nobody can know
+    now = scene.compass_values()
+    planned = dict(records[-1][1].planned) if records else {}
+    torn = [name for name, value in planned.items() if not same_value(now[name], value)]
+    return [f"told written, and {', '.join(torn) or 'nothing'} is not"] if torn or not planned else []
+
+
+def judge_way_back(scene: Scene, known: frozenset[Path]) -> list[str]:
+    """Where the vehicle does not hold the old set, follow the sentence that restores it."""
+    now, before = scene.compass_values(), scene.before
+    changed = {name for name in before if not same_value(now[name], before[name])}
+    foreign = {name for name, value in scene.foreign.items() if same_value(now[name], value)}
+    if not changed - foreign:
+        return []
+    records = _records(scene, known)
+    if not records:
+        return [f"changed {', '.join(sorted(changed - foreign))} without an undo file"]
+    path, record = records[0]
+    wrong = []
+    if uncovered := changed - foreign - set(record.before):
+        wrong.append(f"the undo file lacks {', '.join(sorted(uncovered))}")
+    own = {name: value for name, value in record.before.items() if name not in scene.foreign}
+    if false := [name for name, value in own.items() if not same_value(value, before[name])]:
+        wrong.append(f"the undo file holds another old value of {', '.join(false)}")
+    return wrong + _way_back(scene, path, record)
+
+
+def _records(scene: Scene, known: frozenset[Path]) -> list[tuple[Path, UndoRecord]]:
+    """Read the undo files of the run, in the order of their making; half ones are none."""
+    found = []
+    for path in sorted(
+        set(scene.undo_folder.glob("*.json")) - known, key=lambda p: (p.stat().st_ctime_ns, p)
+    ):
+        try:
+            found.append((path, load_record(path)))
+        except UsageError:
+            continue
+    return found
+
+
+def _way_back(scene: Scene, path: Path, record: UndoRecord) -> list[str]:
+    """Find the sentence that restores, and do what it says."""
+    sentences = [match for text in scene.told for match in _COMMAND.finditer(text)]
+    named = {Path(shlex.split(match[3])[0]) for match in sentences}
+    if path not in named:
+        return [f"nobody was told how to restore {path.name}"]
+    said = list(scene.told)
+    try:
+        write_file(scene, path, checked=False)
+    except BaseException as error:
+        return [f"the way back does not work: {type(error).__name__}: {error}"]
+    finally:
+        scene.told = said
+    return _not_back(scene, record.before)
+
+
+def _not_back(scene: Scene, wanted: Mapping[str, float]) -> list[str]:
+    now = scene.compass_values()
+    left = [name for name, value in wanted.items() if not same_value(now[name], value)]
+    return [f"the way back leaves {', '.join(left)}"] if left else []
