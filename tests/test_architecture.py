@@ -33,7 +33,7 @@ MAY_IMPORT = {  # each also its own files and the ground floor
 # A folder of one of these rooms holds about a dozen modules, and no module of them takes part in a circle.
 ROWS = {
     "gap": [
-        {"comparison", "trial"},
+        {"comparison", "rehearsal", "trial"},
         {"diagnose"},
         {"answer", "export"},
         {"selection"},
@@ -100,7 +100,7 @@ ROWS = {
     ],
     "fleet": [{"run", "summary"}, {"columns", "engine", "journal"}, {"examine"}, {"recordings", "vehicles"}],
     "report": [
-        {"calibration", "compare", "fleet", "gap"},
+        {"calibration", "compare", "fleet", "gap", "rehearsal"},
         {"compare_words"},
         {"document", "figures", "gap_figures", "gap_words"},
         {"page", "svg"},

@@ -125,6 +125,27 @@ class Cured:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """Hold one explanation of a recording as a normal distribution over place, vehicle and effects.
+
+    The values are, one after the other: what the world's field is more than its model, north, east, down, mG;
+    E of the vehicle's matrix A (1 + E), row by row; what its offset, mG, and its motors' field, mG per unit
+    of load, are more than the calibration in force says; then every parameter of each effect.
+
+    Attributes:
+        weight: how probable it is, beside the other explanations.
+        effects: the ids of its effects, in the order of their values; places: where these begin.
+        mean, covariance: (P,), (P, P); what was not fitted does not vary.
+    """
+
+    weight: float
+    effects: tuple[str, ...]
+    places: tuple[int, ...]
+    mean: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Picture:
     """Hold arrays for plots.
 
@@ -152,7 +173,8 @@ class Diagnosis:
 
     `field` and `heading` are about the vehicle beside its nominal simulation, which knows the calibration in
     force (`in_force`: what that cures, which is not sought). `corrected_rms_mgauss` is the corrected reading
-    beside the plain field (None: no calibration is in force).
+    beside the plain field (None: no calibration is in force). `beliefs` are the explanations as
+    distributions: one, or those between which the recording does not decide.
     """
 
     path: str
@@ -181,6 +203,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     corrected_rms_mgauss: float | None = None
     in_force: Cured | None = None
+    beliefs: tuple[Belief, ...] = dataclasses.field(default=(), repr=False, compare=False)
     picture: Picture | None = dataclasses.field(default=None, repr=False, compare=False)
 
     @property

@@ -10,6 +10,7 @@ sigma grows by how much their answers differ.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,7 @@ _LOOK_CLOSER = 0.2
 # meant to cover two thirds, not the rare exception.
 _NEGLIGIBLE = 0.1
 _FREE = 1e-7
+_SIZES2 = np.square(SIZES_MGAUSS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,20 +50,13 @@ class DisturbanceBlend:
     freedom: int
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Hypotheses:
-    """Collect the hypotheses: which dwell (-1: none), log probability, state, covariance."""
+    """Hold the hypotheses: which dwell (-1: none), log probability, and how to get state and covariance."""
 
-    owners: list[int]
-    weights: list[float]
-    states: list[FloatArray]
-    covariances: list[FloatArray]
-
-    def add(self, owner: int, weight: float, state: FloatArray, covariance: FloatArray) -> None:
-        self.owners.append(owner)
-        self.weights.append(weight)
-        self.states.append(state)
-        self.covariances.append(covariance)
+    owners: Sequence[int]
+    weights: Sequence[float]
+    fitted: Callable[[int], tuple[FloatArray, FloatArray]]
 
     def shares(self) -> FloatArray:
         share = np.exp(np.array(self.weights) - max(self.weights))
@@ -70,6 +65,14 @@ class _Hypotheses:
     def probability(self, count: int) -> FloatArray:
         share, owners = self.shares(), np.array(self.owners)
         return np.array([share[owners == j].sum() for j in range(count)])
+
+    def mixture(self) -> tuple[FloatArray, FloatArray]:
+        share = self.shares()
+        states, covariances = zip(*(self.fitted(place) for place in range(len(share))), strict=True)
+        mean = share @ np.array(states)
+        apart = np.array(states) - mean
+        spread = (apart * share[:, np.newaxis]).T @ apart
+        return mean, np.tensordot(share, np.array(covariances), axes=1) + spread
 
 
 def weigh_disturbances(problem: PositionProblem, fit: PositionFit) -> DisturbanceBlend:
@@ -82,15 +85,13 @@ def weigh_disturbances(problem: PositionProblem, fit: PositionFit) -> Disturbanc
     best = fit
     if float(hypotheses.probability(k).sum()) > _LOOK_CLOSER:
         hypotheses, best = _refitted(problem, fit)
-    if float(hypotheses.probability(k).sum()) < _NEGLIGIBLE:
-        state, covariance = fit.state, fit.covariance
-    else:
-        share = hypotheses.shares()
-        state, covariance = _mixture(share, np.array(hypotheses.states), np.array(hypotheses.covariances))
+    probability = hypotheses.probability(k)
+    unlikely = float(probability.sum()) < _NEGLIGIBLE
+    state, covariance = (fit.state, fit.covariance) if unlikely else hypotheses.mixture()
     return DisturbanceBlend(
         state=state,
         covariance=covariance,
-        probability=hypotheses.probability(k),
+        probability=probability,
         size_mgauss=sizes,
         chi_square=best.chi_square,
         freedom=best.freedom,
@@ -100,42 +101,64 @@ def weigh_disturbances(problem: PositionProblem, fit: PositionFit) -> Disturbanc
 def _linear(problem: PositionProblem, fit: PositionFit) -> tuple[_Hypotheses, FloatArray]:
     """Weigh the hypotheses from the one fit; returns them and how far each dwell is off, (K,)."""
     k = len(problem.mean)
+    rows = fit.jacobian[: 3 * k].reshape(k, 3, -1)
+    residual = np.einsum("kij,kj->ki", problem.whiten, fit.residual) * np.sqrt(fit.weights)[:, np.newaxis]
+    spared = np.eye(3) - rows @ fit.covariance @ np.swapaxes(rows, 1, 2)
+    values, vectors = np.linalg.eigh(0.5 * (spared + np.swapaxes(spared, 1, 2)))
+    # A direction that the fit takes up whole tells nothing: it counts as undisturbed, with nothing left.
+    seen = values > _FREE
+    values = np.where(seen, values, 1.0)
+    free = np.einsum("kij,ki->kj", vectors, residual) * seen
+    alone = np.einsum("kij,kj->ki", vectors, free / values)  # what the other dwells leave over
+    sizes = np.linalg.norm(np.linalg.solve(problem.whiten, alone[:, :, np.newaxis])[:, :, 0], axis=1)
+    square = problem.whiten @ np.swapaxes(problem.whiten, 1, 2)
+    turned = np.swapaxes(vectors, 1, 2) @ square @ vectors * (seen[:, :, np.newaxis] & seen[:, np.newaxis])
+    grown = values[:, :, np.newaxis] * turned * values[:, np.newaxis]
+    bent = _diagonal(values) + _SIZES2[:, np.newaxis, np.newaxis, np.newaxis] * grown  # (S, K, 3, 3)
+    # The log likelihood ratio, disturbed against not. Undisturbed the residual has the covariance B = I -
+    # leverage; disturbed B + B D B.
+    solved = np.linalg.solve(bent, np.broadcast_to(free[:, :, np.newaxis], (*bent.shape[:3], 1)))[..., 0]
+    ratio = 0.5 * (
+        (free**2 / values).sum(axis=1)
+        - (free * solved).sum(axis=2)
+        + np.log(values).sum(axis=1)
+        - np.linalg.slogdet(bent)[1]
+    )
+    ratio[:, ~seen.any(axis=1)] = -math.inf
     odds = math.log(DISTURBED_RUNS / (k * len(SIZES_MGAUSS)))
-    hypotheses = _Hypotheses([-1], [math.log(1.0 - DISTURBED_RUNS)], [fit.state], [fit.covariance])
-    sizes = np.zeros(k)
-    for j in range(k):
-        rows = fit.jacobian[3 * j : 3 * j + 3]
-        residual = problem.whiten[j] @ fit.residual[j] * math.sqrt(fit.weights[j])
-        spared = np.eye(3) - rows @ fit.covariance @ rows.T
-        values, vectors = np.linalg.eigh(0.5 * (spared + spared.T))
-        seen = values > _FREE
-        if not seen.any():
-            continue
-        basis = vectors[:, seen]
-        alone = basis @ ((basis.T @ residual) / values[seen])  # what the other dwells leave over
-        sizes[j] = float(np.linalg.norm(np.linalg.solve(problem.whiten[j], alone)))
-        for size in SIZES_MGAUSS:
-            widened = size**2 * problem.whiten[j] @ problem.whiten[j].T
-            state, covariance = _widened(fit, rows, residual, widened)
-            weight = odds + _log_ratio(residual, values[seen], basis, widened)
-            hypotheses.add(j, weight, state, covariance)
-    return hypotheses, sizes
+
+    def fitted(place: int) -> tuple[FloatArray, FloatArray]:
+        if place == 0:
+            return fit.state, fit.covariance
+        size, j = divmod(place - 1, k)
+        return _widened(fit, rows[j], residual[j], _SIZES2[size] * square[j])
+
+    owners, weights = [-1, *np.tile(np.arange(k), len(_SIZES2)).tolist()], (odds + ratio).ravel().tolist()
+    return _Hypotheses(owners, [math.log(1.0 - DISTURBED_RUNS), *weights], fitted), sizes
+
+
+def _diagonal(values: FloatArray) -> FloatArray:
+    return values[:, :, np.newaxis] * np.eye(values.shape[1])
 
 
 def _refitted(problem: PositionProblem, fit: PositionFit) -> tuple[_Hypotheses, PositionFit]:
     """Fit each hypothesis on its own; returns them and the likeliest fit. Laplace's evidence weighs them."""
     k = len(problem.mean)
     odds = math.log(DISTURBED_RUNS / (k * len(REFIT_SIZES_MGAUSS)))
-    first = math.log(1.0 - DISTURBED_RUNS) + _evidence(problem, fit)
-    hypotheses = _Hypotheses([-1], [first], [fit.state], [fit.covariance])
-    fits = [fit]
+    owners, fits = [-1], [fit]
+    weights = [math.log(1.0 - DISTURBED_RUNS) + _evidence(problem, fit)]
     for j in range(k):
         for size in REFIT_SIZES_MGAUSS:
             loosened = problem.loosened(j, size)
             trial = fit_positions(loosened)
-            hypotheses.add(j, odds + _evidence(loosened, trial), trial.state, trial.covariance)
+            owners.append(j)
+            weights.append(odds + _evidence(loosened, trial))
             fits.append(trial)
-    return hypotheses, fits[int(np.argmax(hypotheses.weights))]
+
+    def fitted(place: int) -> tuple[FloatArray, FloatArray]:
+        return fits[place].state, fits[place].covariance
+
+    return _Hypotheses(owners, weights, fitted), fits[int(np.argmax(weights))]
 
 
 def _evidence(problem: PositionProblem, fit: PositionFit) -> float:
@@ -157,27 +180,3 @@ def _widened(
     covariance = fit.covariance + across @ lost @ inner @ across.T
     covariance = 0.5 * (covariance + covariance.T)
     return fit.state + covariance @ rows.T @ (lost @ residual), covariance
-
-
-def _log_ratio(residual: FloatArray, values: FloatArray, basis: FloatArray, widened: FloatArray) -> float:
-    """Return the log likelihood ratio of the residual, disturbed against not.
-
-    Undisturbed it has the covariance B = I - leverage; disturbed B + B D B. Both are restricted to the
-    directions that the fit leaves free.
-    """
-    free = basis.T @ residual
-    plain = np.diag(values)
-    bent = plain + plain @ (basis.T @ widened @ basis) @ plain
-    return 0.5 * float(
-        free @ (free / values)
-        - free @ np.linalg.solve(bent, free)
-        + np.log(values).sum()
-        - np.linalg.slogdet(bent)[1]
-    )
-
-
-def _mixture(share: FloatArray, states: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    mean = share @ states
-    apart = states - mean
-    spread = (apart * share[:, np.newaxis]).T @ apart
-    return mean, np.tensordot(share, covariances, axes=1) + spread

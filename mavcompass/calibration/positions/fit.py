@@ -26,7 +26,7 @@ _ROBUST_FROM = 6
 _MANY_SIGMAS_3D = 11.34  # chi-square of three, 99 %
 _ITERATIONS = 40
 # Before the data: most compasses away from steel have no cross terms that matter.
-_CROSS_TERMS_BEFORE = 0.25
+CROSS_TERMS_BEFORE = 0.25
 
 # Whitened residuals (R,), their Jacobian (R, P), field residuals (K, 3).
 Evaluation = tuple[FloatArray, FloatArray, FloatArray]
@@ -173,7 +173,7 @@ def _spike_and_slab(
     gain = covariance[:, index] @ np.linalg.inv(block)
     posterior = -0.5 * float(value @ np.linalg.solve(block, value)) - 0.5 * float(np.linalg.slogdet(block)[1])
     before = -len(index) * math.log(sigma)
-    odds = math.log((1.0 - _CROSS_TERMS_BEFORE) / _CROSS_TERMS_BEFORE)
+    odds = math.log((1.0 - CROSS_TERMS_BEFORE) / CROSS_TERMS_BEFORE)
     log_odds = min(max(posterior - before + odds, -700.0), 700.0)
     spike = 1.0 / (1.0 + math.exp(-log_odds))
     shift = -gain @ value

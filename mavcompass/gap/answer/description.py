@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.gap.answer.advise import next_flights
+from mavcompass.gap.answer.belief import beliefs
 from mavcompass.gap.answer.cure import corrected_rms, cured_iron
 from mavcompass.gap.answer.locate import where
 from mavcompass.gap.answer.naming import named_causes, trace_causes
@@ -103,6 +104,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         ),
         corrected_rms_mgauss=corrected_rms(problem, named, test),
         in_force=cured_iron(problem, named, floor),
+        beliefs=beliefs(identified, named, answer.verdict == "ambiguous"),
         picture=picture(problem, named, test),
     )
 

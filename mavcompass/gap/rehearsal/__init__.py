@@ -1,0 +1,6 @@
+"""The rehearsal: the calibration of a diagnosed vehicle, done a thousand times in the simulation."""
+
+from mavcompass.gap.rehearsal.rehearse import rehearse
+from mavcompass.gap.rehearsal.result import Errors, Expected, Part, Rehearsal, Remedy
+
+__all__ = ["Errors", "Expected", "Part", "Rehearsal", "Remedy", "rehearse"]

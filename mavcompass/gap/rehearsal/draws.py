@@ -1,0 +1,163 @@
+"""One vehicle of a kind: parameters from what is believed, and all that chance decides besides."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.calibration.positions import DEFAULT_PRIOR
+from mavcompass.calibration.positions.fit import CROSS_TERMS_BEFORE
+from mavcompass.frames import FloatArray
+from mavcompass.gap.rehearsal.kind import Kind
+from mavcompass.gap.result import Belief
+from mavcompass.simulation.effects import Setting, get
+from mavcompass.simulation.effects.effect import Chain, Effect, Memory, Rng, Signals, Stage
+
+MOST_POSITIONS = 10
+# The horizontal cross term of the iron, and the vertical ones.
+_CROSS = (((0, 1),), ((0, 2), (1, 2)))
+# What scatters single readings or their times is in the vehicle's stances.
+_ACTING = frozenset({"mean", "discrete"})
+# How far a turn of 90 degrees ends from where it should.
+_TURN_SIGMA_RAD = math.radians(3.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Individual:
+    """Hold one vehicle, and the chances that it meets; K is `MOST_POSITIONS`.
+
+    Attributes:
+        field_ned_mgauss: the field where it is calibrated and used, (3,).
+        matrix, offset_mgauss, motor_mgauss: raw = matrix field + offset + motor load.
+        settings: its effects.
+        heading_rad: where it begins; turned_off_rad: how far each position is from where it should be, (K,).
+        stance: which stance each position is, (K,); used: which of the recording's readings it is used in.
+        noise, quantisation, tilt, step: unit normals for each position, (K, 3), (K, 3), (K, 2), (K,).
+        gyro_scale, gyro_bias: unit normals.
+    """
+
+    field_ned_mgauss: FloatArray
+    matrix: FloatArray
+    offset_mgauss: FloatArray
+    motor_mgauss: FloatArray
+    settings: tuple[Setting, ...]
+    heading_rad: float
+    turned_off_rad: FloatArray
+    stance: NDArray[np.int64]
+    used: int
+    noise: FloatArray
+    quantisation: FloatArray
+    tilt: FloatArray
+    step: FloatArray
+    gyro_scale: float
+    gyro_bias: float
+
+    def chain(self, without: Collection[str], load: FloatArray) -> Chain:
+        """Return what its sensors make of the field: iron, motors and effects but those named.
+
+        `load` (N,) is what the motors' field goes with.
+        """
+        acting = [s for s in self.settings if s.effect.id not in without]
+        return Chain([_iron(self, load), *acting])
+
+
+def _iron(individual: Individual, load: FloatArray) -> Setting:
+    def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
+        field = signals.reading.mag_mgauss @ individual.matrix.T
+        motors = np.nan_to_num(load)[:, np.newaxis] * individual.motor_mgauss
+        return signals.with_mag(field + individual.offset_mgauss + motors)
+
+    return Setting(Effect("the vehicle's iron", "", Stage.MATRIX, (), forward), np.zeros(0))
+
+
+class Draws:
+    """Draw vehicles of a kind; the same seed and number give the same vehicle."""
+
+    def __init__(self, kind: Kind, seed: int) -> None:
+        self._kind = kind
+        self._seed = seed
+        self._roots = [_root(belief.covariance) for belief in kind.beliefs]
+        self._weights = np.array([belief.weight for belief in kind.beliefs])
+        self._crossed = [_crossed(kind, belief) for belief in kind.beliefs]
+
+    def __getitem__(self, number: int) -> Individual:
+        """Return one vehicle."""
+        rng, kind, k = np.random.default_rng([self._seed, number]), self._kind, MOST_POSITIONS
+        which = int(rng.choice(self._weights.size, p=self._weights / self._weights.sum()))
+        belief = kind.beliefs[which]
+        values = belief.mean + self._roots[which] @ rng.standard_normal(belief.mean.size)
+        matrix = kind.matrix @ (np.eye(3) + values[3:12].reshape(3, 3))
+        # A turn of the compass in the vehicle shows in no turn of both: it is the mounting's, see (M1).
+        matrix = 0.5 * (matrix + matrix.T)
+        for places, probability in zip(_CROSS, self._crossed[which], strict=True):
+            if rng.random() >= probability:
+                for i, j in places:
+                    matrix[i, j] = matrix[j, i] = 0.0
+        return Individual(
+            field_ned_mgauss=kind.field_ned_mgauss + values[:3],
+            matrix=matrix,
+            offset_mgauss=kind.offset_mgauss + values[12:15],
+            motor_mgauss=kind.motor_mgauss + values[15:18],
+            settings=(*_settings(belief, values), *self._faults(rng)),
+            heading_rad=float(rng.uniform(-math.pi, math.pi)),
+            turned_off_rad=_TURN_SIGMA_RAD * rng.standard_normal(k),
+            stance=rng.integers(len(kind.stances), size=k),
+            used=int(rng.integers(kind.used.time_s.size)),
+            noise=rng.standard_normal((k, 3)),
+            quantisation=rng.standard_normal((k, 3)),
+            tilt=rng.standard_normal((k, 2)),
+            step=rng.standard_normal(k),
+            gyro_scale=float(rng.standard_normal()),
+            gyro_bias=float(rng.standard_normal()),
+        )
+
+    def _faults(self, rng: np.random.Generator) -> list[Setting]:
+        out = []
+        for fault in self._kind.faults:
+            effect = get(fault.effect)
+            theta = effect.neutral()
+            for i, name in enumerate(effect.names):
+                low, high = fault.ci95.get(name, (theta[i], theta[i]))
+                spread = (high - low) / (2.0 * 1.96) * float(rng.standard_normal())
+                theta[i] = fault.parameters.get(name, theta[i]) + spread
+            out.append(Setting(effect, np.clip(theta, effect.lower, effect.upper)))
+        return out
+
+
+def _crossed(kind: Kind, belief: Belief) -> list[float]:
+    """Return how probable horizontal and vertical cross terms are, by the prior that the fit has too.
+
+    Before anything is known a quarter of the compasses have some, of a certain size; what the recording
+    leaves unknown of them is no reason to believe in those that it does not show.
+    """
+    matrix = kind.matrix @ (np.eye(3) + belief.mean[3:12].reshape(3, 3))
+    sigma = np.sqrt(np.diag(belief.covariance)[3:12]).reshape(3, 3)
+    out = []
+    for places in _CROSS:
+        log_odds = math.log(CROSS_TERMS_BEFORE / (1.0 - CROSS_TERMS_BEFORE))
+        for i, j in places:
+            known = max(0.5 * math.hypot(sigma[i, j], sigma[j, i]), 1e-6)
+            value, wide = 0.5 * (matrix[i, j] + matrix[j, i]), math.hypot(known, DEFAULT_PRIOR.cross_sigma)
+            log_odds += 0.5 * value**2 * (1.0 / known**2 - 1.0 / wide**2) + math.log(known / wide)
+        out.append(1.0 / (1.0 + math.exp(min(-log_odds, 700.0))))
+    return out
+
+
+def _settings(belief: Belief, values: FloatArray) -> list[Setting]:
+    out = []
+    for effect, at in zip(map(get, belief.effects), belief.places, strict=True):
+        theta = values[at : at + len(effect.parameters)]
+        if effect.kind in _ACTING:
+            out.append(Setting(effect, np.clip(theta, effect.lower, effect.upper)))
+    return out
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return a square root of a covariance, which may be singular."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return scale[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))

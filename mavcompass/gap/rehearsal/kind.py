@@ -1,0 +1,124 @@
+"""A kind of vehicle: all that a recording and its diagnosis tell of one, as distributions to draw from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.calibration.observation import Dwell, turn_record
+from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField, earth_field_of
+from mavcompass.errors import BadRecording
+from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude import Choice
+from mavcompass.gap.rehearsal.stances import stances_of
+from mavcompass.gap.replay import Replay, replay
+from mavcompass.gap.result import Belief, Cause, Diagnosis
+from mavcompass.simulation.effects import get
+from mavcompass.simulation.physics.signals import Stimulus
+from mavcompass.track import Track
+
+# A turn of 90 degrees, and the two halves of the positions beside it.
+STEP_S = 5.0
+# What rocks and buildings add to the world model, as a share of the field; more counts as not told.
+_ANOMALY_SHARE, _TOLD = 0.01, 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kind:
+    """Hold a vehicle as its recording shows it.
+
+    Attributes:
+        beliefs: what may be wrong with it, and with the place. faults: causes that are told apart from these
+            (accelerometer, gyro).
+        in_force: the correction in force; matrix (3, 3), offset_mgauss (3,) and motor_mgauss (3,): the iron
+            that it cures.
+        field_ned_mgauss: the field (3,) to which a belief adds. earth: the field as a calibration has it;
+            None where the place is unknown.
+        stances: how it stands. still: the loads and places that go with them; used: those of all readings.
+        step_sigma_rad, gyro_bias_sigma_radps, gyro_scale_sigma: of the angle between two stances.
+    """
+
+    beliefs: tuple[Belief, ...]
+    faults: tuple[Cause, ...]
+    in_force: FieldCorrection
+    matrix: FloatArray
+    offset_mgauss: FloatArray
+    motor_mgauss: FloatArray
+    field_ned_mgauss: FloatArray
+    earth: EarthField | None
+    stances: tuple[Dwell, ...]
+    still: Stimulus
+    used: Stimulus
+    step_sigma_rad: float
+    gyro_bias_sigma_radps: float
+    gyro_scale_sigma: float
+    vehicle: str
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Return the ids of all effects that it may have, the likeliest explanation's first."""
+        ids = [effect for belief in self.beliefs for effect in belief.effects]
+        return tuple(dict.fromkeys([*ids, *(fault.effect for fault in self.faults)]))
+
+
+def kind_of(track: Track, diagnosis: Diagnosis, reference: Choice = "auto") -> Kind:
+    """Collect what a recording and its diagnosis tell of a vehicle.
+
+    Raises BadRecording without a gyro, or where compass and gyro are never recorded together.
+    """
+    replayed, earth = replay(track, diagnosis.compass, reference), earth_field_of(track)
+    record = turn_record(track, diagnosis.compass)
+    if record is None:
+        raise BadRecording(
+            "The recording has no gyro: how surely this vehicle's turns are known cannot be told.",
+            "Record the angular rate too (RAW_IMU, SCALED_IMU or IMU messages).",
+        )
+    stimulus, iron = replayed.signals.stimulus, replayed.iron
+    field = np.asarray(stimulus.field_ned_mgauss[0])
+    level = float(np.hypot(field[0], field[1]))
+    stances = stances_of(track, diagnosis.compass, record, level, float(field[2]))
+    named = {effect for belief in diagnosis.beliefs for effect in belief.effects}
+    told = [_told(belief, replayed, earth) for belief in diagnosis.beliefs]
+    middles = np.array([0.5 * (stance.start_s + stance.end_s) for stance in stances])
+    nearest = np.clip(np.searchsorted(stimulus.time_s, middles), 0, stimulus.time_s.size - 1)
+    return Kind(
+        beliefs=tuple(told),
+        faults=tuple(c for c in diagnosis.causes if c.effect not in named and get(c.effect).kind == "mean"),
+        in_force=iron.correction,
+        matrix=iron.matrix,
+        offset_mgauss=iron.offset_mgauss,
+        motor_mgauss=iron.motor_mgauss,
+        field_ned_mgauss=field,
+        earth=earth,
+        stances=stances,
+        still=rows_of(stimulus, nearest),
+        used=rows_of(stimulus, np.flatnonzero(replayed.valid)),
+        step_sigma_rad=record.noise_radps * math.sqrt(STEP_S * record.interval_s),
+        gyro_bias_sigma_radps=record.bias_sigma_radps,
+        gyro_scale_sigma=GYRO_SCALE_SIGMA,
+        vehicle=track.vehicle,
+    )
+
+
+def rows_of(stimulus: Stimulus, rows: np.ndarray) -> Stimulus:
+    """Take rows of a stimulus."""
+    return Stimulus(*(getattr(stimulus, name)[rows] for name in Stimulus.__slots__))
+
+
+def _told(belief: Belief, replayed: Replay, earth: EarthField | None) -> Belief:
+    """Hold the field to what the world model leaves open where the recording told nothing of it.
+
+    Where a vehicle does not turn, or its place is unknown, the field and the vehicle's offset cannot be told
+    apart.
+    """
+    sigma = _ANOMALY_SHARE * float(np.linalg.norm(replayed.signals.stimulus.field_ned_mgauss[0]))
+    if math.sqrt(float(np.diag(belief.covariance)[:3].max())) < _TOLD * sigma:
+        return belief
+    gain = belief.covariance[:, :3] @ np.linalg.inv(belief.covariance[:3, :3] + sigma**2 * np.eye(3))
+    off = -belief.mean[:3] if earth is not None else np.zeros(3)
+    covariance = belief.covariance - gain @ belief.covariance[:3, :]
+    return replace(belief, mean=belief.mean + gain @ off, covariance=covariance)

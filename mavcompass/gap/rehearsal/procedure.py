@@ -1,0 +1,201 @@
+"""The calibration of one vehicle in the simulation: positions as the live procedure observes them, its fit.
+
+The numerical core of the live procedure, without its dialogue: the vehicle stands at each position, tilted
+and loaded as in one of its recorded stances, and turns between them; field, gravity and rate pass through its
+effects; their means get the errors that the stance was observed with; the same fit as ever gives the
+correction, and where its heading is not sure enough, one more position is visited, up to eight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.calibration.observation import Dwell, FourPositionData, Step
+from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions
+from mavcompass.correction import FieldCorrection
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
+from mavcompass.gap.rehearsal.draws import Individual
+from mavcompass.gap.rehearsal.kind import STEP_S, Kind
+from mavcompass.simulation.effects.effect import Signals
+from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+NOISE, QUANTISATION, TILT, GYRO, FIELD = "noise", "quantisation", "tilt", "gyro", "field"
+_ENOUGH_RAD, _MOST_POSITIONS = math.radians(0.3), 8
+_HZ, _DWELL_ROWS = 10.0, 13
+_STEP_ROWS = round(STEP_S * _HZ)
+_AFTERWARDS_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Protocol:
+    """Say how a calibration is done.
+
+    Attributes:
+        positions: on the level; steps of 90 degrees, those beyond four between the first.
+        leaning_rad: roll and pitch of further positions, by hand.
+        motors_off: without any load. away_m: so far from where the recording was made, north, east, down.
+        motor_mgauss: what the correction takes for the motors' field per ampere, raw; None: as in force.
+    """
+
+    positions: int = 4
+    leaning_rad: tuple[tuple[float, float], ...] = ()
+    motors_off: bool = False
+    away_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    motor_mgauss: tuple[float, float, float] | None = None
+
+
+USUAL = Protocol()
+
+
+def calibrate(
+    kind: Kind, individual: Individual, protocol: Protocol = USUAL, without: Collection[str] = ()
+) -> FourPositionsResult:
+    """Calibrate one vehicle; `without` takes effects and sources of error out.
+
+    Raises PoorCalibration where the fit refuses.
+    """
+    in_force = corrected_in_force(kind, protocol)
+    data = observed(kind, individual, protocol, in_force, without)
+    fit = solve_four_positions(data, in_force, kind.earth)
+    if fit.heading_sigma_rad <= _ENOUGH_RAD or protocol.leaning_rad:
+        return fit
+    most = observed(kind, individual, replace(protocol, positions=_MOST_POSITIONS), in_force, without)
+    for count in range(protocol.positions + 1, _MOST_POSITIONS + 1):
+        data = replace(most, dwells=most.dwells[:count], steps=most.steps[: count - 1])
+        fit = solve_four_positions(data, in_force, kind.earth)
+        if fit.heading_sigma_rad <= _ENOUGH_RAD:
+            break
+    return fit
+
+
+def corrected_in_force(kind: Kind, protocol: Protocol) -> FieldCorrection:
+    """Return the correction that a calibration starts from, with the protocol's motor compensation."""
+    if protocol.motor_mgauss is None:
+        return kind.in_force
+    x, y, z = (-kind.in_force.matrix @ np.array(protocol.motor_mgauss)).tolist()
+    return replace(kind.in_force, motor_mgauss=(x, y, z), motor_source="current")
+
+
+def loads(stimulus: Stimulus, correction: FieldCorrection) -> FloatArray:
+    """Return what the motors' field goes with, (N,): the throttle if the correction says so."""
+    return stimulus.throttle if correction.motor_source == "throttle" else stimulus.current_a
+
+
+def observed(
+    kind: Kind,
+    individual: Individual,
+    protocol: Protocol,
+    in_force: FieldCorrection,
+    without: Collection[str],
+) -> FourPositionData:
+    """Let a vehicle visit its positions; return them as the calibration observes them."""
+    count = protocol.positions + len(protocol.leaning_rad)
+    stimulus = _motion(kind, individual, protocol, count, without)
+    ideal = Reading(
+        rotate_back(stimulus.rotation, stimulus.field_ned_mgauss),
+        stimulus.specific_force_mps2,
+        stimulus.rate_radps,
+    )
+    chain = individual.chain(without, loads(stimulus, kind.in_force))
+    said = chain.run(Signals(stimulus, ideal), None).reading
+    # The compensation in force stays in what a calibration sees.
+    compensated = np.linalg.solve(in_force.matrix, in_force.motor_field(loads(stimulus, in_force)).T).T
+    vertical = np.einsum("ij,ij->i", stimulus.rotation[:, 2, :], said.gyro_radps)
+    bias = individual.gyro_bias * kind.gyro_bias_sigma_radps * (GYRO not in without)
+    scale = 1.0 + individual.gyro_scale * kind.gyro_scale_sigma * (GYRO not in without)
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (vertical[1:] + vertical[:-1])) / _HZ])
+    dwells, middles = [], []
+    for k in range(count):
+        rows = _rows(k)
+        field = (said.mag_mgauss + compensated)[rows].mean(axis=0)
+        force = said.acc_mps2[rows].mean(axis=0)
+        current = float(stimulus.current_a[rows].mean())
+        dwells.append(_dwell(kind, individual, k, field, force, current, without))
+        middles.append(float(turned[rows].mean()))
+    steps = []
+    for k, turn in enumerate(np.diff(middles).tolist()):
+        sigma = math.hypot(kind.step_sigma_rad, dwells[k].turned_sigma_rad, dwells[k + 1].turned_sigma_rad)
+        error = sigma * float(individual.step[k]) * (GYRO not in without)
+        steps.append(Step(scale * turn + bias * STEP_S + error, sigma, STEP_S))
+    return FourPositionData(tuple(dwells), tuple(steps), kind.gyro_scale_sigma, kind.gyro_bias_sigma_radps)
+
+
+def _dwell(
+    kind: Kind,
+    individual: Individual,
+    k: int,
+    field_mgauss: FloatArray,
+    force_mps2: FloatArray,
+    current_a: float,
+    without: Collection[str],
+) -> Dwell:
+    """Observe one position with the errors of one of the vehicle's stances."""
+    stance = kind.stances[individual.stance[k]]
+    noise = np.linalg.cholesky(stance.covariance_mgauss2 + 1e-9 * np.eye(3)) @ individual.noise[k]
+    whole = np.linalg.cholesky(stance.quantisation_mgauss2 + 1e-9 * np.eye(3)) @ individual.quantisation[k]
+    tilt = stance.tilt_sigma_rad * individual.tilt[k] * (TILT not in without)
+    x, y, z = force_mps2.tolist()
+    return replace(
+        stance,
+        mean_mgauss=field_mgauss + noise * (NOISE not in without) + whole * (QUANTISATION not in without),
+        acc_mps2=force_mps2,
+        roll_rad=math.atan2(-y, -z) + float(tilt[0]),
+        pitch_rad=math.atan2(x, math.hypot(y, z)) + float(tilt[1]),
+        coherence=1.0,
+        current_a=current_a,
+        unsteady_mgauss=0.0,
+    )
+
+
+def _rows(k: int) -> slice:
+    return slice(k * _STEP_ROWS, k * _STEP_ROWS + _DWELL_ROWS)
+
+
+def _motion(
+    kind: Kind, individual: Individual, protocol: Protocol, count: int, without: Collection[str]
+) -> Stimulus:
+    """Stand, turn by a profile of least jerk, stand again: rows at 10 Hz."""
+    n = (count - 1) * _STEP_ROWS + _DWELL_ROWS
+    level = protocol.positions
+    even = np.array([k if k < 4 else k - 0.5 for k in range(level)] + [*range(level, count)])
+    heading = individual.heading_rad + 0.5 * math.pi * even + individual.turned_off_rad[:count]
+    stances = [kind.stances[i] for i in individual.stance[:count]]
+    roll = np.array([stance.roll_rad for stance in stances])
+    pitch = np.array([stance.pitch_rad for stance in stances])
+    for k, (lean_roll, lean_pitch) in enumerate(protocol.leaning_rad, level):
+        roll[k], pitch[k] = lean_roll, lean_pitch
+    position, since = np.divmod(np.arange(n), _STEP_ROWS)
+    after = np.minimum(position + 1, count - 1)
+    share = np.clip((since - _DWELL_ROWS + 1) / (_STEP_ROWS - _DWELL_ROWS + 1), 0.0, 1.0)
+    way = share**3 * (10.0 + share * (6.0 * share - 15.0))
+    speed = 30.0 * (share * (1.0 - share)) ** 2 * _HZ / (_STEP_ROWS - _DWELL_ROWS + 1)
+    turn = heading[after] - heading[position]
+
+    def between(values: FloatArray) -> FloatArray:
+        return values[position] + way * (values[after] - values[position])
+
+    rotation = euler_to_matrix(between(roll), between(pitch), between(heading))
+    where = np.where(since < _DWELL_ROWS, position, after)
+    at = individual.stance[:count][where]
+    load = 0.0 if protocol.motors_off else 1.0
+    down = rotation[:, 2, :]
+    start_s = float(kind.used.time_s[-1]) + _AFTERWARDS_S
+    field = kind.field_ned_mgauss if FIELD in without else individual.field_ned_mgauss
+    return Stimulus(
+        time_s=start_s + np.arange(n) / _HZ,
+        rotation=rotation,
+        field_ned_mgauss=np.tile(field, (n, 1)),
+        rate_radps=down * (turn * speed)[:, np.newaxis],
+        specific_force_mps2=down * -STANDARD_GRAVITY_MPS2,
+        position_ned_m=kind.still.position_ned_m[at] + np.array(protocol.away_m),
+        velocity_ned_mps=np.zeros((n, 3)),
+        current_a=kind.still.current_a[at] * load,
+        throttle=kind.still.throttle[at] * load,
+        temperature_degc=kind.still.temperature_degc[at],
+        motors=kind.still.motors[at] * load,
+    )

@@ -1,0 +1,140 @@
+"""What a rehearsal tells: the heading error to expect, what makes it, what would lower it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+SCHEMA = "mavcompass.gap-rehearsal/1"
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """Hold the rms heading error over the circle to expect, degrees.
+
+    `rms_deg` is over all vehicles drawn; 95 of 100 of them lie in `interval95_deg`.
+    """
+
+    rms_deg: float
+    median_deg: float
+    interval95_deg: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Hold the heading error to expect on the level, and leaning by 15 degrees in any direction."""
+
+    level: Expected
+    tilted: Expected
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Hold what makes a part of the error: an effect, or a source of it, and the error without.
+
+    `share` is the part of the level error's square that goes with it, `share_tilted` of the tilted one's.
+    """
+
+    name: str
+    is_effect: bool
+    without: Errors
+    share: float
+    share_tilted: float
+
+
+@dataclass(frozen=True, slots=True)
+class Remedy:
+    """Hold what was tried instead of the usual calibration, the error with it, and how much lower that is.
+
+    `change` and `change_tilted` are ratios of rms errors, of the same vehicles: 0.5 halves it.
+    """
+
+    words: str
+    errors: Errors
+    change: float
+    change_tilted: float
+
+
+@dataclass(frozen=True, slots=True)
+class Rehearsal:
+    """Hold the whole answer.
+
+    Attributes:
+        source: the recording. compass: from 1. effects: what the vehicle may have.
+        errors: to expect after calibrating this vehicle by four positions, used as in the recording.
+        parts: the budget, the largest first. remedies: what was tried, the best first.
+        draws: how many vehicles; compared: how many of them for each part and remedy; refused: how many fits
+            had no solution. positions: how many were visited, on the average.
+        claimed_deg: what the calibration itself would say of its level error, 1 sigma rms.
+        stances: how many calm stretches the recording shows. notes: what to know about all this.
+    """
+
+    source: str
+    compass: int
+    effects: tuple[str, ...]
+    errors: Errors
+    parts: tuple[Part, ...]
+    remedies: tuple[Remedy, ...]
+    draws: int
+    compared: int
+    refused: int
+    positions: float
+    claimed_deg: float
+    stances: int
+    seed: int
+    seconds: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def dominant(self) -> Part | None:
+        """Return what makes most of the level error; None where nothing makes a tenth of it."""
+        return self.parts[0] if self.parts and self.parts[0].share >= 0.1 else None
+
+    def to_json(self) -> dict[str, object]:
+        """Return the document `mavcompass.gap-rehearsal/1`, plain values only."""
+        return {
+            "schema": SCHEMA,
+            "log": self.source,
+            "compass": self.compass,
+            "effects": list(self.effects),
+            "heading_error_deg": _errors(self.errors),
+            "budget": [
+                {
+                    "name": part.name,
+                    "kind": "effect" if part.is_effect else "source",
+                    "share": part.share,
+                    "share_tilted": part.share_tilted,
+                    "without": _errors(part.without),
+                }
+                for part in self.parts
+            ],
+            "dominant": self.dominant.name if self.dominant is not None else None,
+            "remedies": [
+                {
+                    "what": remedy.words,
+                    "change": remedy.change,
+                    "change_tilted": remedy.change_tilted,
+                    "heading_error_deg": _errors(remedy.errors),
+                }
+                for remedy in self.remedies
+            ],
+            "draws": self.draws,
+            "compared": self.compared,
+            "refused": self.refused,
+            "positions": self.positions,
+            "claimed_deg": self.claimed_deg,
+            "stances": self.stances,
+            "seed": self.seed,
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+        }
+
+
+def _errors(errors: Errors) -> dict[str, object]:
+    return {
+        name: {
+            "rms": expected.rms_deg,
+            "median": expected.median_deg,
+            "interval95": list(expected.interval95_deg),
+        }
+        for name, expected in (("level", errors.level), ("tilt_15", errors.tilted))
+    }
