@@ -81,7 +81,7 @@ def turn_residual(sections: Sections, x: FloatArray) -> tuple[FloatArray, FloatA
 def section_variance(
     sections: Sections, x: FloatArray, model_mgauss: float, weighed: bool = True
 ) -> FloatArray:
-    """Return the covariance of each section's mean, (K, 3, 3): noise, tilt, model error.
+    """Return the covariance of each section's mean, (K, 3, 3): noise, whole numbers, tilt, model error.
 
     `weighed`: what the sections of one visit share is multiplied, so that together they count once.
     """
@@ -92,7 +92,8 @@ def section_variance(
     roll = np.stack([np.zeros_like(bx), bz, -by], axis=1) @ gain.T
     pitch = np.stack([-bz, np.zeros_like(bx), bx], axis=1) @ gain.T
     tilt = np.einsum("ki,kj->kij", roll, roll) + np.einsum("ki,kj->kij", pitch, pitch)
-    shared = tilt * sections.tilt_sigma_rad[:, np.newaxis, np.newaxis] ** 2 + model_mgauss**2 * np.eye(3)
+    alike = (model_mgauss**2 + sections.hidden_mgauss**2)[:, np.newaxis, np.newaxis] * np.eye(3)
+    shared = tilt * sections.tilt_sigma_rad[:, np.newaxis, np.newaxis] ** 2 + alike
     white = (sections.noise_mgauss**2 / sections.samples)[:, np.newaxis, np.newaxis] * np.eye(3)
     return np.asarray(
         (sections.repeats if weighed else np.ones(psi.size))[:, np.newaxis, np.newaxis] * shared + white

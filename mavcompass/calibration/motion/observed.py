@@ -13,7 +13,7 @@ from mavcompass.calibration.motion.fit import MotionFit, fit_motion, level_headi
 from mavcompass.calibration.motion.reference import ReferenceTurn, reference_turn
 from mavcompass.calibration.motion.scatter import motors_left_rad, scatter_left_rad
 from mavcompass.calibration.motion.sections import UPHELD, Sections, cut_sections
-from mavcompass.calibration.observation import turn_record, uncorrected_field
+from mavcompass.calibration.observation import centred, turn_record, uncorrected_field
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection, MotorSource
@@ -104,7 +104,8 @@ def observe_motion(recorded: Recorded) -> Motion:
 
     Raises PoorCalibration where the recording has neither gyro nor reference, or turned too little.
     """
-    track, instance = recorded.track, recorded.instance
+    track, instance = centred(recorded.track, recorded.instance), recorded.instance
+    recorded = replace(recorded, track=track)
     reference = reference_turn(track)
     record = reference.record if reference is not None else _turn_of_the_nose(track, instance)
     if record is None:

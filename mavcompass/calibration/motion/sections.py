@@ -23,7 +23,7 @@ from mavcompass.calibration.observation.turning import (
     GYRO_SCALE_SIGMA,
     TurnRecord,
 )
-from mavcompass.calibration.observation.wire import effective_count
+from mavcompass.calibration.observation.wire import effective_count, hidden_by_step
 from mavcompass.frames import FloatArray, tilt_from_acceleration
 from mavcompass.heading.gravity import down_in_body
 from mavcompass.track import Track
@@ -57,7 +57,7 @@ class Sections:
 
     Attributes:
         start_s, end_s: (K,). mean_mgauss: raw field, (K, 3). samples: fresh readings, (K,).
-        noise_mgauss: white noise of one reading.
+        noise_mgauss: white noise of one reading. hidden_mgauss: by whole numbers, in each mean, (K,).
         mapping: A of equation S1, (K, 3, 3). by_lag: its change per second of the field's lag, (K, 3, 3).
         tilt_sigma_rad: what is not known of roll and pitch, (K,).
         rocking: whether that is the rocking of what stands, which averages out.
@@ -74,6 +74,7 @@ class Sections:
     mean_mgauss: FloatArray
     samples: FloatArray
     noise_mgauss: float
+    hidden_mgauss: FloatArray
     mapping: FloatArray
     by_lag: FloatArray
     tilt_sigma_rad: FloatArray
@@ -167,6 +168,9 @@ def cut_sections(
     moved = turned_mapping(down_at(time - lag - later), record.angle_at(time - lag - later) - turned[section])
     middle = 0.5 * (time[first] + time[last - 1]) if len(first) else np.empty(0)
     steps = np.diff(middle)
+    mean_raw = mean(raw)
+    spread = np.sqrt(np.maximum(mean(raw**2) - mean_raw**2, 0.0).mean(axis=1))
+    quantum = track.compasses[instance].quantum_mgauss
     middle_load = float(loads.mean()) if loads.size else 0.0
     if reference is None:
         white = np.array([_step_sigma(record, a, b) for a, b in pairwise(middle)])
@@ -176,9 +180,10 @@ def cut_sections(
     return Sections(
         start_s=time[first] if len(first) else np.empty(0),
         end_s=time[last - 1] if len(first) else np.empty(0),
-        mean_mgauss=mean(raw),
+        mean_mgauss=mean_raw,
         samples=np.maximum(np.add.reduceat(fresh.astype(float), first), 1.0) if len(first) else np.empty(0),
-        noise_mgauss=_white_noise(time[fresh], raw[fresh], track.compasses[instance].quantum_mgauss),
+        noise_mgauss=_white_noise(time[fresh], raw[fresh], quantum),
+        hidden_mgauss=hidden_by_step(spread, quantum),
         mapping=mean(mapping),
         by_lag=(mean(moved) - mean(mapping)) / later,
         tilt_sigma_rad=_tilt_sigma(track, mean(down), mean(down**2), time[last - 1] - time[first]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.heading.gravity import down_in_body
-from mavcompass.track import MagSeries, Track
+from mavcompass.track import MagSeries, Series, Track
 
 # The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.
 ARDUPILOT_LAG_S = 0.09
@@ -153,6 +153,21 @@ def uncorrected_field(track: Track, instance: int) -> FloatArray:
     for step, first, last in zip(compass.in_force, edges[:-1], edges[1:], strict=True):
         raw[int(first) : int(last)] = step.correction.undo(reported[int(first) : int(last)])
     return raw
+
+
+def centred(track: Track, instance: int) -> Track:
+    """Put readings that were cut toward zero into the middle of their steps, so that averages are right.
+
+    Raises KeyError for a compass that the recording does not have.
+    """
+    compass = track.compasses[instance]
+    if not compass.truncated:
+        return track
+    reported = np.asarray(compass.reported.values)
+    middle = Series.of(compass.time_s, reported + 0.5 * compass.quantum_mgauss * np.sign(reported))
+    return replace(
+        track, compasses={**track.compasses, instance: replace(compass, reported=middle, truncated=False)}
+    )
 
 
 def dwell_between(

@@ -59,6 +59,14 @@ def unquantise(
     return value * quantum, sigma * quantum
 
 
+def hidden_by_step(spread: ArrayLike, quantum: float) -> FloatArray:
+    """Return what whole numbers hide of averages, 1 sigma each, (K,), for the readings' spread, (K,)."""
+    if quantum <= 0.0:
+        return np.zeros_like(np.asarray(spread, dtype=np.float64))
+    noise = np.interp((np.asarray(spread) / quantum) ** 2, _seen_variances(), _NOISE_GRID)
+    return quantum * np.sqrt([_hidden_variance(float(s)) for s in noise])
+
+
 def _hidden_variance(noise: float) -> float:
     """Return the conversion's variance of an average, in steps squared, for a noise in steps."""
     k2 = _HARMONICS**2
