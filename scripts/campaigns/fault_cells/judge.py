@@ -73,7 +73,9 @@ def judge_way_back(scene: Scene, known: frozenset[Path]) -> list[str]:
     records = _records(scene, known)
     if not records:
         return [f"changed {', '.join(sorted(changed - foreign))} without an undo file"]
-    path, record = records[0]
+    # A run that was killed between its undo file and the sentence had changed nothing.
+    named = _named(scene)
+    path, record = next(((p, r) for p, r in records if p in named), records[0])
     wrong = []
     if uncovered := changed - foreign - set(record.before):
         wrong.append(f"the undo file lacks {', '.join(sorted(uncovered))}")
@@ -96,11 +98,15 @@ def _records(scene: Scene, known: frozenset[Path]) -> list[tuple[Path, UndoRecor
     return found
 
 
+def _named(scene: Scene) -> set[Path]:
+    """List the undo files whose command was told."""
+    told = [match for text in scene.told for match in _COMMAND.finditer(text)]
+    return {Path(shlex.split(match[3])[0]) for match in told}
+
+
 def _way_back(scene: Scene, path: Path, record: UndoRecord) -> list[str]:
     """Find the sentence that restores, and do what it says."""
-    sentences = [match for text in scene.told for match in _COMMAND.finditer(text)]
-    named = {Path(shlex.split(match[3])[0]) for match in sentences}
-    if path not in named:
+    if path not in _named(scene):
         return [f"nobody was told how to restore {path.name}"]
     said = list(scene.told)
     try:
