@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -68,7 +69,11 @@ def command(
 
     def say_ready() -> None:
         print(f"mavcompass serves {config.vehicle.source}")
-        print(f"  page       {service.url}#token={service.token}")
+        in_journal = "JOURNAL_STREAM" in os.environ and not sys.stdout.isatty()
+        if in_journal:  # systemd's, which more people may read than the token's file
+            print(f"  page       {service.url} (token in {config.token_file})")
+        else:
+            print(f"  page       {service.url}#token={service.token}")
         print(f"  data       {config.folder}")
         if config.is_open_to_the_network:
             print("  The page can be reached from the network; whoever has the token can move the vehicle.")

@@ -33,6 +33,11 @@ def identify(heard: mav.Incoming) -> VehicleIdentity | None:
     return VehicleIdentity(heard.system, heard.component, autopilot, VEHICLES.get(beat.type, "unknown"))
 
 
+def printable(text: str) -> str:
+    """Take out what would move a terminal's cursor, colour it or begin another line of a log."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
 def find_vehicle(
     context: Context, system: int | None = None, timeout_s: float = 10.0
 ) -> Script[VehicleIdentity]:
@@ -112,7 +117,7 @@ class VehicleState:
             case mav.SystemTime():
                 self.utc = message
             case mav.Statustext():
-                self.texts.append(message.text)
+                self.texts.append(printable(message.text))
 
     @property
     def armed(self) -> bool:

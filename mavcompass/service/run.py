@@ -16,7 +16,9 @@ from mavcompass.service.config import ServiceConfig, split_host_port
 from mavcompass.service.station import OpenLink, Station
 from mavcompass.service.systemd import Notifier
 from mavcompass.service.web.app import build_app
+from mavcompass.service.web.connections import Connection
 from mavcompass.service.web.security import load_token
+from mavcompass.service.web.stream import MOST_HEARD_BYTES
 from mavcompass.service.work.gaps import Gaps
 from mavcompass.service.work.history import History
 from mavcompass.vehicle.link import Link
@@ -85,8 +87,9 @@ class Service:
         server = _Server(
             uvicorn.Config(
                 app,
-                http="h11",
+                http=Connection,
                 ws="websockets-sansio",
+                ws_max_size=MOST_HEARD_BYTES,
                 lifespan="off",
                 log_config=None,
                 access_log=False,

@@ -6,6 +6,8 @@ import configparser
 import json
 import re
 import shlex
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -50,6 +52,16 @@ def test_the_unit_notifies_watches_and_has_time_to_stop() -> None:
     assert command[0].startswith("/") and command[1:3] == ["serve", "--config"]
     assert "AF_UNIX" in service["RestrictAddressFamilies"], "notifications are sent over one"
     assert unit["Install"]["WantedBy"] == "multi-user.target"
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
+def test_the_unit_gives_up_what_it_does_not_need() -> None:
+    unit = str(DEPLOY / "mavcompass.service")
+    options = ["--offline=true", "--no-pager", "--threshold=20"]  # tenths
+    asked = subprocess.run(["systemd-analyze", "security", *options, unit], capture_output=True, text=True)
+    if "offline" in asked.stderr:
+        pytest.skip("this systemd-analyze cannot judge a file")
+    assert asked.returncode == 0, asked.stdout[-500:]
 
 
 def test_the_router_sends_to_where_the_service_listens() -> None:

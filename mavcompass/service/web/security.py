@@ -128,7 +128,10 @@ class Guard:
         origin = headers.get("origin")
         if origin is None:
             return True  # no browser: the token decides
-        return origin.lower() in self._origins or urlsplit(origin).netloc.lower() == host.lower()
+        try:
+            return origin.lower() in self._origins or urlsplit(origin).netloc.lower() == host.lower()
+        except ValueError:
+            return False  # no address at all
 
     def _has_token(self, headers: Headers) -> bool:
         scheme, _, given = headers.get("authorization", "").partition(" ")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections import Counter
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -16,7 +17,9 @@ from mavcompass.service.station import Station
 from mavcompass.service.web.state import finding_json, moment_json
 
 DEFAULT_HZ, MOST_HZ = 10.0, 20.0
-MOST_LISTENERS = 16
+MOST_LISTENERS, MOST_OF_ONE = 16, 12
+# What listeners say is dropped; none needs more for it.
+MOST_HEARD_BYTES = 4096
 _TRY_LATER = 1013
 
 
@@ -25,15 +28,16 @@ class Stream:
 
     def __init__(self, station: Station) -> None:
         self._station = station
-        self._listeners = 0
+        self._listeners: Counter[str] = Counter()
 
     async def endpoint(self, socket: WebSocket) -> None:
         """Send `now` at the listener's rate, and task and findings when they have changed."""
         rate_hz = _rate(socket.query_params.get("rate_hz"))
-        if self._listeners >= MOST_LISTENERS:
+        who = "" if socket.client is None else socket.client.host
+        if self._listeners.total() >= MOST_LISTENERS or self._listeners[who] >= MOST_OF_ONE:
             await socket.close(_TRY_LATER)
             return
-        self._listeners += 1
+        self._listeners[who] += 1
         try:
             await socket.accept()
             goodbye = asyncio.ensure_future(_until_gone(socket))
@@ -44,7 +48,8 @@ class Stream:
         except WebSocketDisconnect:
             pass
         finally:
-            self._listeners -= 1
+            self._listeners[who] -= 1
+            self._listeners += Counter()  # forgets whom nothing is left of
 
     async def _send(self, socket: WebSocket, period_s: float, goodbye: asyncio.Future[None]) -> None:
         seen: dict[str, Any] = {}
