@@ -18,6 +18,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import diagnose_gap
+from mavcompass.gap.left import DISCREPANCY_MGAUSS
 from mavcompass.gap.result import Cause, Closing, Diagnosis
 from mavcompass.simulation.effects import get
 from mavcompass.track import Track
@@ -25,6 +26,7 @@ from mavcompass.track import Track
 SCHEMA = "mavcompass.gap-compare/1"
 Lacks = Literal["simulator", "vehicle"]
 _EXPLAINED = ("named", "ambiguous", "named_with_remainder")
+_FLOOR_KNOWN = 0.9**2
 _BLOCK_S, _FEWEST_BLOCKS, _RESAMPLES, _SEED = 2.0, 6, 2000, 11
 
 
@@ -61,12 +63,14 @@ class Comparison:
         vehicle: the vehicle beside the simulator; simulator: the simulator beside the vehicle.
         differences: what each lacks, the largest first.
         achieved: one for each recording of the simulator flown again.
+        held: the shrink that those effects promise which the simulator can hold; None where it is not told.
     """
 
     vehicle: Diagnosis
     simulator: Diagnosis
     differences: tuple[Difference, ...]
     achieved: tuple[Achieved, ...] = ()
+    held: float | None = None
 
     @property
     def told(self) -> Diagnosis:
@@ -88,7 +92,11 @@ class Comparison:
             "gap": told["gap"],
             "unknown": told["unknown"],
             "not_testable": told["not_testable"],
-            "promised": {"shrink": field.shrink, "ci95": list(field.shrink_ci95)},
+            "promised": {
+                "shrink": field.shrink,
+                "ci95": list(field.shrink_ci95),
+                "by_what_the_simulator_holds": self.held,
+            },
             "achieved": _achieved(self.achieved[-1]) if self.achieved else None,
             "flights": [_achieved(one) for one in self.achieved],
             "seconds": self.vehicle.seconds
@@ -165,16 +173,28 @@ def _reached(path: str, before: Diagnosis, again: Diagnosis) -> Achieved:
         picks = np.random.default_rng(_SEED).integers(len(blocks), size=(_RESAMPLES, len(blocks)))
         gap, gap_count, left, left_count = sums[picks].sum(axis=1).T
         gap2 = gap / gap_count - before.field.floor**2
-        left2 = left / left_count - again.field.floor**2
+        left2 = _off(left / left_count, again.field.floor**2)
         values = 1.0 - left2[gap2 > 0.0] / gap2[gap2 > 0.0]
         if values.size:
             low, high = np.quantile(values, [0.025, 0.975]).tolist()
             interval = (min(max(low, -1.0), 1.0), min(high, 1.0))
-    of_field, of_heading = _shrink(before.field, again.field), _shrink(before.heading, again.heading)
-    return Achieved(path, again, of_field, interval, of_heading)
+    excess = before.field.nominal**2 - before.field.floor**2
+    left = float(_off(np.array(again.field.nominal**2), again.field.floor**2))
+    of_field = 1.0 - left / excess if excess > 0.0 else 0.0
+    return Achieved(path, again, of_field, interval, _heading_shrink(before.heading, again.heading))
 
 
-def _shrink(before: Closing, again: Closing) -> float:
+def _off(left2: FloatArray, floor2: float) -> FloatArray:
+    """Return by how much the squared residual lies off the floor's, mG^2.
+
+    Above it something is missing. Well below it the simulator has too much noise, which must not count as a
+    gap that closed; a floor holds something for the model itself, and is not known to a tenth.
+    """
+    noise2 = _FLOOR_KNOWN * floor2 - DISCREPANCY_MGAUSS**2
+    return np.maximum(np.maximum(left2 - floor2, noise2 - left2), 0.0)
+
+
+def _heading_shrink(before: Closing, again: Closing) -> float:
     """Return the share of the excess over the floor that is gone; each beside the floor of its flight."""
     excess = before.nominal**2 - before.floor**2
     left = max(again.nominal**2 - again.floor**2, 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mavcompass.gap.comparison import Achieved, Comparison, Difference
+from mavcompass.gap.comparison import Comparison, Difference
 from mavcompass.gap.result import Closing
 from mavcompass.report.gap_words import VERDICTS, cause_values, shrink_words
 from mavcompass.simulation.effects import get
@@ -12,8 +12,8 @@ _GOOD, _NEARLY = 0.95, 0.05
 
 def compare_advice(comparison: Comparison) -> str:
     """Say in one sentence what to do."""
-    if comparison.achieved:
-        return _of_flying_again(comparison.told.field, comparison.achieved[-1])
+    if comparison.achieved and comparison.differences:
+        return _of_flying_again(comparison)
     lacking = [d.cause.effect for d in comparison.differences if d.lacks == "simulator"]
     surplus = [d.cause.effect for d in comparison.differences if d.lacks == "vehicle"]
     if lacking:
@@ -27,11 +27,18 @@ def compare_advice(comparison: Comparison) -> str:
     return "They differ in a way that no effect of the catalogue explains; look at what it goes with (below)."
 
 
-def _of_flying_again(promised: Closing, achieved: Achieved) -> str:
-    if achieved.shrink >= min(_GOOD, promised.shrink - _NEARLY):
+def _of_flying_again(comparison: Comparison) -> str:
+    whole, held, reached = comparison.told.field.shrink, comparison.held, comparison.achieved[-1].shrink
+    promised = whole if held is None else held
+    if reached >= min(_GOOD, promised - _NEARLY):
+        if promised < min(_GOOD, whole) - _NEARLY:
+            return (
+                f"The gap closed as far as this simulator can hold what was found ({_percent(reached)}; with"
+                f" all of it {_percent(whole)}): see below what it lacks."
+            )
         return "The simulator now flies like the vehicle: the gap closed as promised."
     return (
-        f"The gap closed less than promised ({_percent(achieved.shrink)} of {_percent(promised.shrink)}):"
+        f"The gap closed less than promised ({_percent(reached)} of {_percent(promised)}):"
         " see whether the simulator took all the parameters, then diagnose what is left."
     )
 
@@ -44,10 +51,11 @@ def compare_summary(comparison: Comparison) -> list[str]:
     lines += [_gap("heading", told.heading, "deg"), _gap("field", told.field, "mG")]
     if told.unknown and told.unknown_coordinate:
         lines.append(f"  what no effect explains goes with: {told.unknown_coordinate}")
+    held = "" if comparison.held is None else f", {_percent(comparison.held)} by what the simulator holds"
     for one in comparison.achieved:
         low, high = (_percent(end) for end in one.ci95)
         lines.append(
-            f"  flown again ({one.path or 'unnamed'}): promised {shrink_words(told.field)}, achieved"
+            f"  flown again ({one.path or 'unnamed'}): promised {shrink_words(told.field)}{held}, achieved"
             f" {_percent(one.shrink)} ({low} to {high}) of the field's gap,"
             f" {_percent(one.heading_shrink)} of the heading's"
         )

@@ -15,8 +15,8 @@ from mavcompass.procedure.script import Machine, Show
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.link import GROUND_STATION
 from mavcompass.vehicle.links.wire import WireLink
-from mavcompass.vehicle.simulators import RunningProgram
-from mavcompass.vehicle.transport.tcp import TcpServerTransport
+from mavcompass.vehicle.simulators import Flight, RunningProgram
+from mavcompass.vehicle.transport import Transport
 from mavcompass.vehicle.wire import Frame
 
 Record = Callable[[int, bytes], None]
@@ -32,14 +32,17 @@ class Simulator(Protocol):
     def start(
         self,
         folder: Path,
-        kind: str,
-        pivots: bool,
-        home: tuple[float, float, float] | None,
-        heading_deg: float,
+        flight: Flight,
         parameters: Mapping[str, float],
-        port: int,
+        port: Transport,
     ) -> RunningProgram:
-        """Start it; it connects to `port` of the loopback."""
+        """Start it in `folder`; it speaks to `port`."""
+
+    def listen(self) -> Transport:
+        """Open a port of the loopback for it."""
+
+    def live(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        """Return what is to be set over the link once it runs."""
 
 
 class _Recorder:
@@ -88,18 +91,21 @@ def fly_in_simulator(
     the flight. Raises UsageError or LinkError where the simulator does not start or stays silent, Refused
     where it does not fly.
     """
-    transport = TcpServerTransport("127.0.0.1", 0)
+    transport = simulator.listen()
     with closing(WireLink(transport, GROUND_STATION)) as link:
         recorder = _Recorder(record, time.time() if profile.utc_s is None else profile.utc_s)
         link.on_frame = recorder.hear
         heading_deg = math.degrees(float(profile.yaw_rad[0])) % 360.0
-        with simulator.start(
-            folder, profile.kind, profile.pivots, profile.home, heading_deg, parameters, transport.port
-        ) as program:
+        flight = Flight(profile.kind, profile.pivots, profile.home, heading_deg)
+        with simulator.start(folder, flight, parameters, transport) as program:
             _wait_for(transport, program)
             machine = Machine(
                 lambda context: fly_profile(
-                    context, profile, FlightRates.like(profile.rate_hz), recorder.switch
+                    context,
+                    profile,
+                    FlightRates.like(profile.rate_hz),
+                    recorder.switch,
+                    simulator.live(parameters),
                 )
             )
             try:
@@ -110,7 +116,7 @@ def fly_in_simulator(
                 raise
 
 
-def _wait_for(transport: TcpServerTransport, program: RunningProgram) -> None:
+def _wait_for(transport: Transport, program: RunningProgram) -> None:
     """Wait until the simulator connects."""
     give_up_s = time.monotonic() + _CONNECTS_S
     while not transport.peers():

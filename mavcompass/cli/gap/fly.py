@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mavcompass.gap.comparison import Comparison
     from mavcompass.gap.export import Exported
     from mavcompass.procedure.flying import Profile
-    from mavcompass.vehicle.simulators import ArduPilotSitl
+    from mavcompass.vehicle.simulators import ArduPilotSitl, Px4Sih
 
 _file = click.Path(exists=True, dir_okay=False, path_type=Path)
 PLAIN, AGAIN, EXPORT = "simulator.tlog", "simulator_again.tlog", "found.parm"
@@ -36,7 +36,7 @@ SCHEMA = "mavcompass.gap-fly/1"
     type=click.Path(path_type=Path),
     required=True,
     metavar="PROGRAM",
-    help="ArduPilot's simulator of this kind of vehicle: ardurover or arducopter.",
+    help="ArduPilot's simulator of this kind of vehicle (ardurover, arducopter), or PX4's (px4).",
 )
 @click.option(
     "--simulator",
@@ -61,9 +61,7 @@ SCHEMA = "mavcompass.gap-fly/1"
     show_default=True,
     help="Fly at most so much of the recording.",
 )
-@click.option(
-    "--speed", type=click.FloatRange(0.1, 100.0), default=8.0, show_default=True, help="2 is twice real time."
-)
+@click.option("--speed", type=click.FloatRange(0.1, 100.0), help="2 is twice real time (default: 8; PX4: 4).")
 @click.option(
     "--keep",
     type=click.Path(file_okay=False, path_type=Path),
@@ -80,7 +78,7 @@ def fly(
     defaults: tuple[Path, ...],
     model: str,
     seconds: float,
-    speed: float,
+    speed: float | None,
     keep: Path | None,
     report: Path | None,
     output: Output,
@@ -99,15 +97,14 @@ def fly(
     from mavcompass.gap.export import TARGETS, Found, found_in, nominal_settings
     from mavcompass.logs import read_track
     from mavcompass.procedure.flying import profile_of
-    from mavcompass.vehicle.simulators import ArduPilotSitl, calibration_in
+    from mavcompass.vehicle.simulators import simulator_of
 
-    simulator = ArduPilotSitl(program, model, {}, defaults, speed)
-    simulator.check()
+    simulator = simulator_of(program, model, defaults, speed)
     with _folder(keep) as folder, showing_progress(log.name) as progress:
         vehicle = read_track(log)
         profile = profile_of(vehicle, longest_s=seconds)
-        export = TARGETS["ardupilot-sitl"]
-        cure = calibration_in(vehicle.parameters)
+        export = TARGETS[simulator.target]
+        cure = simulator.calibration_in(vehicle.parameters)
         iron = export(Found(nominal_settings(vehicle))).parameters
         simulator = replace(simulator, known=cure | dict(iron))
         if plain is None:
@@ -116,11 +113,13 @@ def fly(
         source = comparison.vehicle
         if baseline is not None:
             source = diagnosed(log, 1, baseline, (), "auto")
-        exported = export(found_in(source, log.name))
+        found = found_in(source, log.name)
+        exported = export(found)
         if exported.parameters:
             (folder / EXPORT).write_text(exported.text, encoding="utf-8")
-            found = cure | dict(exported.parameters)
-            again = _flown(simulator, profile, found, folder / AGAIN, "with what was found", progress)
+            parameters = cure | dict(exported.parameters)
+            again = _flown(simulator, profile, parameters, folder / AGAIN, "with what was found", progress)
+            comparison = replace(comparison, held=found.promised(exported))
             comparison = flown_again(comparison, vehicle, [read_track(again)], progress)
     _say(comparison, exported, keep, output)
     output.write_json(_document(simulator, profile, comparison, exported, keep))
@@ -144,7 +143,7 @@ def _folder(keep: Path | None) -> Iterator[Path]:
 
 
 def _flown(
-    simulator: ArduPilotSitl,
+    simulator: ArduPilotSitl | Px4Sih,
     profile: Profile,
     parameters: Mapping[str, float],
     tlog: Path,
@@ -174,7 +173,7 @@ def _say(comparison: Comparison, exported: Exported, keep: Path | None, output: 
 
 
 def _document(
-    simulator: ArduPilotSitl,
+    simulator: ArduPilotSitl | Px4Sih,
     profile: Profile,
     comparison: Comparison,
     exported: Exported,
@@ -184,7 +183,7 @@ def _document(
     return {
         "schema": SCHEMA,
         "program": simulator.program,
-        "model": simulator.model_for(profile.kind, profile.pivots),
+        "to": simulator.target,
         "seconds_flown": profile.duration_s,
         "export": {"parameters": dict(exported.parameters), "lacking": list(exported.lacking)},
         "promised": compared["promised"],

@@ -39,9 +39,14 @@ class Affine:
         places = zip(_AXES, ((0, 1), (0, 2), (1, 2)), strict=True)
         return out | {f"SIM_MAG1_ODI_{axis}": float(cure[i, j]) for axis, (i, j) in places}
 
+    @property
+    def left_out(self) -> list[str]:
+        """List the effects that the simulator does not have of it."""
+        return ["misalignment"] if self.left_out_rad > _ROTATION_WORTH_SAYING_RAD else []
+
     def lacking(self) -> list[str]:
         """Say what of it the simulator does not have."""
-        if self.left_out_rad <= _ROTATION_WORTH_SAYING_RAD:
+        if not self.left_out:
             return []
         return [
             f"A rotation of the compass by {math.degrees(self.left_out_rad):.2f} degrees: the simulator turns"
@@ -65,13 +70,15 @@ def ardupilot_sitl(found: Found) -> Exported:
     affine = affine_of(found)
     parameters = affine.parameters() if affine is not None else {}
     lacking = affine.lacking() if affine is not None else []
+    left_out = affine.left_out if affine is not None else []
     for setting in found.settings:
         if setting.effect.sitl is not None:
             parameters |= setting.effect.sitl(setting.values)
         elif not setting.effect.affine:
             lacking.append(found.without(setting, SIMULATOR))
+            left_out.append(setting.effect.id)
     lines = [f"# What was found in {found.source or 'a recording'}, for {SIMULATOR}"]
     lines += commented("# not in the simulator:", lacking)
     lines += [f"{name},{value:.6g}" for name, value in parameters.items()]
     use = "sim_vehicle.py --add-param-file=FILE"
-    return Exported("\n".join(lines) + "\n", use, parameters, tuple(lacking))
+    return Exported("\n".join(lines) + "\n", use, parameters, tuple(lacking), tuple(left_out))

@@ -22,11 +22,15 @@ class Found:
         settings: the whole vehicle's, in the order in which they act.
         source: where they were found.
         heading_deg: what each named effect costs in heading, rms.
+        shrink: by how much the gap in the field closes with all of them.
+        shares: the part of that which each named effect has.
     """
 
     settings: Sequence[Setting]
     source: str = ""
     heading_deg: Mapping[str, float] = field(default_factory=dict)
+    shrink: float = 0.0
+    shares: Mapping[str, float] = field(default_factory=dict)
 
     def without(self, setting: Setting, simulator: str) -> str:
         """Say that a simulator has no such thing, and what error of the heading stays for it."""
@@ -34,12 +38,18 @@ class Found:
         stays = "" if cost is None else f" {cost:.1f} deg of heading stay unsimulated."
         return f"{setting.effect.id}: {setting.effect.title}. {simulator} has no such thing.{stays}"
 
-    def offset_alone(self, simulator: str) -> tuple[FloatArray, list[str]]:
-        """Return the offset (3,) in mG for a simulator that has no matrix, and what that leaves out."""
+    def offset_alone(self, simulator: str) -> tuple[FloatArray, list[str], list[str]]:
+        """Return the offset (3,) in mG for a simulator that has no matrix, what that leaves out, and its
+        effects."""
         matrix, offset = affine_map([s for s in self.settings if s.effect.affine])
         if np.abs(matrix - np.eye(3)).max() <= _OWN_MATRIX:
-            return offset, []
-        return offset, [f"Gains, oblique axes and turns of the compass: {simulator} has none."]
+            return offset, [], []
+        bent = [s.effect.id for s in self.settings if s.effect.affine and s.effect.id != "hard_iron"]
+        return offset, [f"Gains, oblique axes and turns of the compass: {simulator} has none."], bent
+
+    def promised(self, exported: Exported) -> float:
+        """Return by how much the gap closes with those effects alone that an export holds."""
+        return max(self.shrink - sum(self.shares.get(effect, 0.0) for effect in set(exported.left_out)), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +58,15 @@ class Exported:
 
     Attributes:
         text: of the file. use: how a person uses it, FILE in the place of its name.
-        parameters: the simulator's own, where it has some; lacking: in sentences what it cannot hold.
+        parameters: the simulator's own, where it has some.
+        lacking: in sentences what it cannot hold; left_out: the effects among that.
     """
 
     text: str
     use: str
     parameters: Mapping[str, float] = field(default_factory=dict)
     lacking: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
 
 def commented(mark: str, lines: Iterable[str]) -> list[str]:

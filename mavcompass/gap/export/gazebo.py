@@ -21,12 +21,12 @@ _WANDERS_S = 3600.0
 
 def gazebo(found: Found) -> Exported:
     """Write the <sensor> of a model; noise and steps are those that were found beside the simulator's."""
-    offset, lacking = found.offset_alone(SIMULATOR)
+    offset, lacking, left_out = found.offset_alone(SIMULATOR)
     values = {s.effect.id: s.values for s in found.settings}
     held = {"noise_excess", "quantisation", "bias_random_walk"}
-    lacking += [
-        found.without(s, SIMULATOR) for s in found.settings if not s.effect.affine and s.effect.id not in held
-    ]
+    lost = [s for s in found.settings if not s.effect.affine and s.effect.id not in held]
+    lacking += [found.without(s, SIMULATOR) for s in lost]
+    left_out += [s.effect.id for s in lost]
     scatter = _TESLA * values.get("noise_excess", {}).get("sigma_mgauss", 0.0)
     step = _TESLA * values.get("quantisation", {}).get("step_mgauss", 0.0)
     walk = values.get("bias_random_walk", {}).get("sigma_mgauss_per_sqrt_s", 0.0)
@@ -52,4 +52,4 @@ def gazebo(found: Found) -> Exported:
         lines += [f"    </noise></{axis}>"]
     lines += ["  </magnetometer>", "</sensor>"]
     use = "put FILE into the model's <link>, in the place of its magnetometer"
-    return Exported("\n".join(lines) + "\n", use, {}, tuple(lacking))
+    return Exported("\n".join(lines) + "\n", use, {}, tuple(lacking), tuple(left_out))

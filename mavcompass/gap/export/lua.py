@@ -151,6 +151,7 @@ def ardupilot_lua(found: Found) -> Exported:
     offset = np.zeros(3) if affine is None else affine.offset_mgauss
     parameters = {} if affine is None else affine.parameters()
     lacking = [] if affine is None else affine.lacking()
+    left_out = [] if affine is None else affine.left_out
     effects = []
     for setting in found.settings:
         text = _written(setting)
@@ -160,6 +161,7 @@ def ardupilot_lua(found: Found) -> Exported:
             effects.append(f"  function(b) -- {setting.effect.id}\n    {text}\n  end,")
         elif not setting.effect.affine:
             lacking.append(found.without(setting, SIMULATOR))
+            left_out.append(setting.effect.id)
     head = [f"What was found in {found.source or 'a recording'}, for {SIMULATOR}: put it into scripts/, with"]
     head += ["SCR_ENABLE 1 in the parameters.", *(f"Not in the simulator: {s}" for s in lacking)]
     text = _FRAME.substitute(
@@ -170,4 +172,4 @@ def ardupilot_lua(found: Found) -> Exported:
         effects="\n".join(effects),
     )
     use = "cp FILE scripts/ beside the simulator, and start it with SCR_ENABLE 1"
-    return Exported(text, use, parameters, tuple(lacking))
+    return Exported(text, use, parameters, tuple(lacking), tuple(left_out))

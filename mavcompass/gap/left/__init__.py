@@ -22,9 +22,10 @@ from mavcompass.gap.left.scatter import (
     noise_with,
 )
 from mavcompass.gap.left.stated import from_recording
-from mavcompass.gap.left.taught import from_baseline
+from mavcompass.gap.left.taught import DISCREPANCY_MGAUSS, from_baseline
 
 __all__ = [
+    "DISCREPANCY_MGAUSS",
     "Adequacy",
     "Floor",
     "Scatter",

@@ -17,6 +17,7 @@ from mavcompass.gap.replay import (
     Replay,
     estimate_noise,
     rough_sigma,
+    with_white,
 )
 
 _DRIFT_MODES = 80
@@ -82,7 +83,7 @@ def find_scatter(
             size = math.sqrt(sigma**2 - USUAL_SCATTER_MGAUSS**2)
             candidates.append(Scatter("noise_excess", size, float(error.size)))
     if floor.measured and not representative and "noise_excess" in allowed and excess > 0.0:
-        size = math.sqrt(excess * float(np.mean(floor.noise["mag"].rms ** 2)))
+        size = math.sqrt(excess)
         left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
         beyond = float(np.mean(left[rows] ** 2)) - floor.field_rms_mgauss**2
         # Scatter between neighbours is scatter of the readings only if it shows in what is left.
@@ -113,13 +114,13 @@ def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:
 
 
 def excess_scatter(replay: Replay, baseline: Replay) -> float:
-    """Return the excess variance of the scatter over the baseline's, both where the field hardly turns.
+    """Return the variance of the scatter beyond the baseline's, mG^2, both where the field hardly turns.
 
     0 where it is not much more: readings that are late, averaged or repeated scatter while the vehicle turns.
     """
     now, before = _quiet_scatter(replay), _quiet_scatter(baseline)
-    excess = (now / max(before, 1e-9)) ** 2 - 1.0
-    return excess if excess > _DOUBTFUL_EXCESS else 0.0
+    excess = now**2 - before**2
+    return excess if excess > _DOUBTFUL_EXCESS * before**2 else 0.0
 
 
 def _quiet_scatter(replay: Replay) -> float:
@@ -177,8 +178,7 @@ def noise_with(problem: Problem, fit: Fit, scatter: Scatter) -> Noise:
     error = replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
     floor = problem.noise["mag"]
     if scatter.effect == "noise_excess" and floor.channels is not None:
-        larger = math.sqrt(1.0 + scatter.size**2 / float(np.mean(floor.rms**2)))
-        return {**problem.noise, "mag": replace(floor, sigma=floor.sigma * larger, rms=floor.rms * larger)}
+        return {**problem.noise, "mag": with_white(floor, scatter.size)}
     if scatter.effect == "noise_excess":
         return {**problem.noise, "mag": estimate_noise(error, problem.usable, replay.resolution_mgauss)}
     change = floor.in_channels(np.gradient(problem.signals(fit).reading.mag_mgauss, replay.time_s, axis=0))

@@ -56,7 +56,7 @@ _REPRESENTATIVE_P = 1e-5
 # How much the same vehicle differs from one recording to the next, in the nuisances' own units.
 _FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.02, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
 _SAME_PLACE_M = 1000.0
-_DISCREPANCY_MGAUSS = 1.2
+DISCREPANCY_MGAUSS = 1.2
 _UNMEASURED, _LEVEL_MORE = 3.0, 1.25
 # What another iron must explain beyond the calibration in force, and how far that may be strained (squared
 # sigmas).
@@ -92,8 +92,8 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
         noise["mag"], larger = _grown(noise["mag"], law, baseline, replay)
         # The error of the model itself: attitudes and times of another flight are off in another way.
         level = max(float(np.hypot(*replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
-        field_rms = math.hypot(field_rms * larger, _DISCREPANCY_MGAUSS)
-        heading_rms = math.hypot(heading_rms * larger, math.degrees(_DISCREPANCY_MGAUSS / level))
+        field_rms = math.hypot(field_rms * larger, DISCREPANCY_MGAUSS)
+        heading_rms = math.hypot(heading_rms * larger, math.degrees(DISCREPANCY_MGAUSS / level))
         # Scatter that is alike in all axes is scatter of the heading too, whatever the baseline's turns
         # showed.
         heading_rms = max(heading_rms, math.degrees(_LEVEL_MORE * field_rms / level))

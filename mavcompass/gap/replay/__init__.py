@@ -19,6 +19,7 @@ from mavcompass.gap.replay.noise import (
     rough_sigma,
     wandering,
     white,
+    with_white,
 )
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.nuisance import (
@@ -67,5 +68,6 @@ __all__ = [
     "untestable_effects",
     "wandering",
     "white",
+    "with_white",
     "yaw_starts",
 ]

@@ -22,7 +22,7 @@ from mavcompass.gap.left import (
     noise_with,
     with_noise,
 )
-from mavcompass.gap.replay import Noise, Replay
+from mavcompass.gap.replay import Noise, Replay, with_white
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.simulation.physics.signals import Reading
 
@@ -51,17 +51,18 @@ def floor_to_start(
     """Add to the floor what the numbers tell before any search: their steps, and scatter between neighbours.
 
     With too small a noise everything looks like an effect, and the search for it is long and vain. Where the
-    noise is not known in detail only `excess` counts: how much larger than the baseline's the variance of the
-    scatter is.
+    noise is not known in detail only `excess` counts: the variance of the scatter beyond the baseline's,
+    mG^2.
     """
     if step_mgauss > 0.0:
         return with_noise(floor, with_steps(floor.noise, step_mgauss))
     if baseline is None or not floor.measured:
         return floor
-    if floor.representative:
-        scale = early_scale(replay, baseline)
-    else:
-        scale = np.full(replay.nominal_mgauss.shape, math.sqrt(1.0 + excess)) if excess > 0.0 else None
+    if not floor.representative:
+        if excess <= 0.0:
+            return floor
+        return with_noise(floor, {**floor.noise, "mag": with_white(floor.noise["mag"], math.sqrt(excess))})
+    scale = early_scale(replay, baseline)
     if scale is None:
         return floor
     return with_noise(floor, {**floor.noise, "mag": replace(floor.noise["mag"], row_scale=scale)})
@@ -81,7 +82,7 @@ def what_is_left(
 ) -> Remainder:
     """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise.
 
-    `excess` is how much larger than a baseline's the variance of the scatter was found before any search.
+    `excess` is the variance of the scatter beyond a baseline's, mG^2, found before any search.
     """
     replay, chosen = identified.problem.replay, identified.fit
     noise = with_steps(floor.noise, step_mgauss) if step_mgauss > 0.0 else floor.noise

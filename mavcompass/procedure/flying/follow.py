@@ -9,15 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 from mavcompass import messages as mav
-from mavcompass.enums import MavCmd, MavFrame
+from mavcompass.enums import MavCmd, MavFrame, MavParamType
 from mavcompass.errors import NoReply, Refused
+from mavcompass.messages.bits import single_from_bits
 from mavcompass.procedure.commands import command
 from mavcompass.procedure.flying.profile import Profile
-from mavcompass.procedure.modes import ModeKeeper
+from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper, mode_command
 from mavcompass.procedure.motion import Permissions, Readiness
-from mavcompass.procedure.script import Context, Script, expect, pause
+from mavcompass.procedure.script import Context, Script, expect, pause, request
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
 
 # EKF_STATUS_REPORT.flags: attitude, horizontal velocity, absolute horizontal position.
@@ -26,6 +28,7 @@ _PLACE_PATIENCE_S = 120.0
 _ARMING_TRIES, _ARMING_AGAIN_S = 8, 1.0
 _TO_THE_BEGIN_S, _NEAR_M, _LEVEL_RAD = 40.0, 1.5, math.radians(4.0)
 _SETTLE_S = 4.0
+_OFFBOARD_TRIES, _STREAM_BEFORE_S = 6, 1.5
 _TARGET_S = 0.09
 # Rate of turn per radian that a rover's yaw lags the profile's.
 _YAW_GAIN_PER_S = 0.7
@@ -48,12 +51,17 @@ class FlightRates:
         """Ask for the compass, the attitude and the rest as often as telemetry of such a rate does."""
         imu_hz = min(max(rate_hz, 5.0), 50.0)
         slow_hz = min(imu_hz, 10.0)
-        raw_imu, attitude, battery = 27, 30, 147
+        raw_imu, scaled_imu, attitude, battery = 27, 26, 30, 147
         local, place, hud, servo, receiver, status, ekf, pressure = 32, 33, 74, 36, 24, 1, 193, 29
         rates = {message: slow_hz for message in (local, place, hud, servo, battery)}
-        rates |= {raw_imu: imu_hz, attitude: max(imu_hz, 10.0)}
+        rates |= {raw_imu: imu_hz, scaled_imu: imu_hz, attitude: max(imu_hz, 10.0)}
         rates |= {receiver: 5.0, status: 4.0, ekf: 4.0, pressure: 2.0}
         return cls(rates)
+
+    def of(self, autopilot: str) -> dict[int, float]:
+        """Return the rates without the message of the compass that this autopilot does not fill."""
+        empty = 26 if autopilot == "ardupilot" else 27
+        return {number: hertz for number, hertz in self.by_message.items() if number != empty}
 
 
 @dataclass(slots=True)
@@ -83,8 +91,11 @@ def fly_profile(
     profile: Profile,
     rates: FlightRates,
     recording: Callable[[bool], None],
+    parameters: Mapping[str, float] = MappingProxyType({}),
 ) -> Script[VehicleIdentity]:
     """Make a simulated vehicle fly a profile; `recording` is told when the flight begins and when it ends.
+
+    `parameters` are set before, where the simulator does not take them as it starts.
 
     Raises Refused where the vehicle is of another kind, or will not be armed or fly; LinkError where it does
     not answer.
@@ -99,12 +110,15 @@ def fly_profile(
     state, clock = VehicleState(), _Clock()
     context.listeners += [state.hear, clock.hear]
     context.watches.append(clock.stands)
-    for number, hertz in rates.by_message.items():
+    yield from _set(context, parameters)
+    for number, hertz in rates.of(identity.autopilot).items():
         yield from command(
             context, MavCmd.SET_MESSAGE_INTERVAL, float(number), 1e6 / hertz, what="a message rate"
         )
     yield from _until_it_knows_its_place(context, identity, state, clock)
     yield from _ready(context, identity, state, profile)
+    if identity.autopilot == "px4":
+        yield from _into_offboard(context, profile, state, clock)
     if profile.kind == "copter":
         yield from _to_the_begin(context, profile, state, clock)
     yield from _read_parameters(context)
@@ -112,6 +126,21 @@ def fly_profile(
     yield from _follow(context, profile, clock)
     recording(False)
     return identity
+
+
+def _set(context: Context, parameters: Mapping[str, float]) -> Script[None]:
+    """Set parameters; a whole number is sent as PX4 takes one, by its bits."""
+    for name, value in parameters.items():
+        whole = isinstance(value, int)
+        kind = MavParamType.INT32 if whole else MavParamType.REAL32
+        sent = single_from_bits(int(value) & 0xFFFFFFFF) if whole else value
+        yield from request(
+            context,
+            mav.ParamSet(context.system, context.component, name, sent, kind),
+            mav.ParamValue,
+            lambda answer, name=name: answer.param_id == name,  # type: ignore[misc]
+            f"the parameter {name}",
+        )
 
 
 def _until_it_knows_its_place(
@@ -152,6 +181,22 @@ def _ready(
             if attempt == _ARMING_TRIES - 1:
                 raise
             yield from pause(context, _ARMING_AGAIN_S)
+
+
+def _into_offboard(context: Context, profile: Profile, state: VehicleState, clock: _Clock) -> Script[None]:
+    """Bring a PX4 into OFFBOARD, which it enters only while targets come."""
+    for _ in range(_OFFBOARD_TRIES):
+        until_s = clock.time_s + _STREAM_BEFORE_S
+        while clock.time_s < until_s:
+            _target(context, profile, 0, clock, still=True)
+            yield from _next_attitude(context)
+        context.send(mode_command(context, "px4", PX4_OFFBOARD))
+        if state.mode == PX4_OFFBOARD:
+            return
+    raise Refused(
+        "The simulated vehicle did not enter OFFBOARD.",
+        "Fly the simulator by hand, and use `mavcompass gap compare`.",
+    )
 
 
 def _to_the_begin(context: Context, profile: Profile, state: VehicleState, clock: _Clock) -> Script[None]:

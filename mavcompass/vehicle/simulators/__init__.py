@@ -2,7 +2,28 @@
 
 from __future__ import annotations
 
-from mavcompass.vehicle.simulators.ardupilot import ArduPilotSitl, calibration_in
-from mavcompass.vehicle.simulators.program import RunningProgram
+from collections.abc import Sequence
+from pathlib import Path
 
-__all__ = ["ArduPilotSitl", "RunningProgram", "calibration_in"]
+from mavcompass.vehicle.simulators.ardupilot import ArduPilotSitl
+from mavcompass.vehicle.simulators.flight import Flight
+from mavcompass.vehicle.simulators.program import RunningProgram
+from mavcompass.vehicle.simulators.px4 import Px4Sih
+
+__all__ = ["ArduPilotSitl", "Flight", "Px4Sih", "RunningProgram", "simulator_of"]
+
+
+def simulator_of(
+    program: Path, model: str, defaults: Sequence[Path], speed: float | None
+) -> ArduPilotSitl | Px4Sih:
+    """Return the simulator that a program is: PX4's by its name, ArduPilot's otherwise; checked.
+
+    Raises UsageError where it cannot be run or is none.
+    """
+    simulator: ArduPilotSitl | Px4Sih
+    if program.name.startswith("px4"):
+        simulator = Px4Sih(program, {}, tuple(defaults), 4.0 if speed is None else speed)
+    else:
+        simulator = ArduPilotSitl(program, model, {}, defaults, 8.0 if speed is None else speed)
+    simulator.check()
+    return simulator

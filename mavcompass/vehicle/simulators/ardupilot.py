@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,14 +11,17 @@ from pathlib import Path
 from mavcompass.errors import UsageError
 from mavcompass.installation.data_files import params_path
 from mavcompass.vehicle.parameters.files import read_parameter_file
+from mavcompass.vehicle.simulators.flight import Flight
 from mavcompass.vehicle.simulators.program import RunningProgram, help_of
+from mavcompass.vehicle.transport import Transport
+from mavcompass.vehicle.transport.tcp import TcpServerTransport
 
 _OPTIONS = ("--home", "--model", "--defaults", "--speedup", "--serial0")
 # Where nobody says where: the field that ArduPilot's own trials use.
 _SOMEWHERE = (-35.363262, 149.165237, 584.0)
 _PARAMETERS_FILE = "flight.parm"
 # Of the vehicle's own calibration: what the readings that it reports were made with.
-_CALIBRATION = ("OFS", "DIA", "ODI", "MOT", "SCALE")
+_CALIBRATION = re.compile(r"COMPASS_((OFS|DIA|ODI|MOT)_[XYZ]|SCALE|MOTCT)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +41,8 @@ class ArduPilotSitl:
     defaults: Sequence[Path] = ()
     speed: float = 8.0
 
+    target = "ardupilot-sitl"
+
     def check(self) -> None:
         """Raise UsageError where the program cannot be run or is no such simulator, or a file is none."""
         said = help_of(self.program)
@@ -50,11 +56,20 @@ class ArduPilotSitl:
         for file in self.defaults:
             read_parameter_file(file)
 
-    def model_for(self, kind: str, pivots: bool) -> str:
+    def listen(self) -> Transport:
+        """Open the port to which it will connect: any that is free."""
+        return TcpServerTransport("127.0.0.1", 0)
+
+    def live(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        """Return what is to be set over the link once it runs: nothing, it starts with its parameters."""
+        return {}
+
+    def model_for(self, flight: Flight) -> str:
         """Return the simulator's model of a vehicle."""
         if self.model:
             return self.model
-        return {"copter": "quad", "boat": "motorboat"}.get(kind) or ("rover-skid" if pivots else "rover")
+        models = {"copter": "quad", "boat": "motorboat", "rover": "rover-skid" if flight.pivots else "rover"}
+        return models[flight.kind]
 
     def parameters_for(self, model: str, over: Mapping[str, float]) -> dict[str, float]:
         """Return all parameters: of every flight, of its model, the vehicle's, the person's, `over`."""
@@ -68,46 +83,35 @@ class ArduPilotSitl:
     def start(
         self,
         folder: Path,
-        kind: str,
-        pivots: bool,
-        home: tuple[float, float, float] | None,
-        heading_deg: float,
+        flight: Flight,
         parameters: Mapping[str, float],
-        port: int,
+        port: Transport,
     ) -> RunningProgram:
-        """Start it in `folder`; it will connect to `port` of this computer by TCP and listen to nobody.
-
-        Raises UsageError where it cannot be started.
-        """
-        model = self.model_for(kind, pivots)
+        """Start it in `folder`; it connects to `port` of this computer. Raises UsageError where it cannot."""
+        model = self.model_for(flight)
         file = folder / _PARAMETERS_FILE
         lines = [f"{name} {value:.9g}" for name, value in self.parameters_for(model, parameters).items()]
         file.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        lat, lon, alt = _SOMEWHERE if home is None else home
+        lat, lon, alt = _SOMEWHERE if flight.home is None else flight.home
         command: list[str | Path] = [
             self.program.absolute(), "--wipe", "--model", model,
-            "--home", f"{lat:.8f},{lon:.8f},{alt:.2f},{heading_deg:.2f}",
+            "--home", f"{lat:.8f},{lon:.8f},{alt:.2f},{flight.heading_deg:.2f}",
             "--defaults", file.absolute(), "--speedup", f"{self.speed:g}",
             "--rc-in-port", str(_free_udp_port()),
-            "--serial0", f"tcpclient:127.0.0.1:{port}", "--serial1", "none:x", "--serial2", "none:x",
+            "--serial0", f"tcpclient:{port.name.removeprefix('tcpin:')}",
+            "--serial1", "none:x", "--serial2", "none:x",
         ]  # fmt: skip
         return RunningProgram(command, folder)
 
-
-def calibration_in(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Pick a vehicle's calibration of compass 1: a simulator that has its iron needs its cure as well."""
-    out = {}
-    for name, value in parameters.items():
-        words = name.split("_")
-        if words[0] == "COMPASS" and len(words) in (2, 3) and words[1] in _CALIBRATION:
-            out[name] = value
-    if "COMPASS_MOTCT" in parameters:
-        out["COMPASS_MOTCT"] = parameters["COMPASS_MOTCT"]
-    offsets = [name for name in out if name.startswith("COMPASS_OFS_")]
-    if offsets and not any(out[name] for name in offsets):
-        # All zero the simulator would take for not calibrated, and copy its own iron there.
-        out[offsets[0]] = 0.001
-    return out
+    @staticmethod
+    def calibration_in(parameters: Mapping[str, float]) -> dict[str, float]:
+        """Pick a vehicle's calibration of compass 1: a simulator that has its iron needs its cure as well."""
+        out = {name: value for name, value in parameters.items() if _CALIBRATION.fullmatch(name)}
+        offsets = [name for name in out if name.startswith("COMPASS_OFS_")]
+        if offsets and not any(out[name] for name in offsets):
+            # All zero the simulator would take for not calibrated, and copy its own iron there.
+            out[offsets[0]] = 0.001
+        return out
 
 
 def _free_udp_port() -> int:

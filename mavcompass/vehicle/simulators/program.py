@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -25,8 +25,13 @@ class RunningProgram:
     What it says goes to a file in its folder.
     """
 
-    def __init__(self, command: Sequence[str | Path], folder: Path) -> None:
-        """Start it in `folder`, without a terminal. Raises UsageError where it cannot be started."""
+    def __init__(
+        self, command: Sequence[str | Path], folder: Path, environment: Mapping[str, str] | None = None
+    ) -> None:
+        """Start it in `folder`, without a terminal, in this environment (default: ours).
+
+        Raises UsageError where it cannot be started.
+        """
         self._output = folder / _OUTPUT_FILE
         with self._output.open("ab") as said:
             try:
@@ -38,6 +43,7 @@ class RunningProgram:
                     stdout=said,
                     stderr=subprocess.STDOUT,
                     start_new_session=True,
+                    env=environment,
                 )
             except OSError as error:
                 raise UsageError(*_cannot_start(command[0], error)) from error

@@ -17,7 +17,7 @@ from mavcompass.logs import TlogWriter, read_track
 from mavcompass.procedure.flying import Profile, profile_of
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.vehicle.flying import fly_in_simulator
-from mavcompass.vehicle.simulators import ArduPilotSitl, calibration_in
+from mavcompass.vehicle.simulators import ArduPilotSitl, Flight
 
 FAKE = Path(__file__).with_name("sitl_of_ours.py")
 HIDDEN = {"SIM_MAG1_OFS_X": -60.0, "SIM_MAG1_OFS_Y": 35.0, "SIM_MAG1_OFS_Z": -20.0, "COMPASS_OFS_X": -5.0}
@@ -147,7 +147,7 @@ def test_of_a_vehicle_the_calibration_alone_goes_into_the_simulator() -> None:
         "COMPASS_MOT_Z": 2.0, "COMPASS_MOTCT": 2.0, "COMPASS_SCALE": 1.02, "COMPASS_OFS2_X": 7.0,
         "COMPASS_DEV_ID": 97539.0, "COMPASS_USE": 1.0, "SERIAL1_BAUD": 57.0,
     }  # fmt: skip
-    taken = calibration_in(told)
+    taken = ArduPilotSitl.calibration_in(told)
     assert taken.keys() == {name for name in told if name.startswith("COMPASS_")} - {
         "COMPASS_OFS2_X", "COMPASS_DEV_ID", "COMPASS_USE",
     }  # fmt: skip
@@ -156,8 +156,9 @@ def test_of_a_vehicle_the_calibration_alone_goes_into_the_simulator() -> None:
 
 def test_a_model_that_pivots_is_chosen_for_a_motion_that_does(tmp_path: Path) -> None:
     sitl = ArduPilotSitl(tmp_path / "x")
-    assert sitl.model_for("rover", False) == "rover" and sitl.model_for("rover", True) == "rover-skid"
-    assert sitl.model_for("copter", True) == "quad"
+    models = {("rover", False): "rover", ("rover", True): "rover-skid", ("copter", True): "quad"}
+    for (kind, pivots), model in models.items():
+        assert sitl.model_for(Flight(kind, pivots, None, 0.0)) == model
     mine = tmp_path / "mine.parm"
     mine.write_text("COMPASS_USE 1\nSIM_MAG_RND 3\n")
     values = ArduPilotSitl(tmp_path / "x", "", {"SIM_MAG_RND": 2.0}, [mine]).parameters_for(

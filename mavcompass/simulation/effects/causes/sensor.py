@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mavcompass.frames import FloatArray
@@ -128,7 +130,8 @@ EFFECTS = (
         aliases=("timestamp_jitter", "ac_interference"),
         separated_by="a still recording beside a moving one",
         source="raw = field + n; HMC5883L and QMC5883L about 2 mG, IST8310 3 mG",
-        sitl=lambda values: {"SIM_MAG_RND": values["sigma_mgauss"] / 0.17},
+        # Evenly spread between -1 and 1, and ten of these are averaged.
+        sitl=lambda values: {"SIM_MAG_RND": values["sigma_mgauss"] * math.sqrt(3.0 * 10.0)},
     ),
     Effect(
         id="bias_random_walk",
