@@ -49,7 +49,8 @@ class ParameterPlan:
 class WriteOutcome:
     """Say how a write ended: every value read back equal, where its undo lies, what else to know.
 
-    `restore_command` is what a person types to put the old values back.
+    `restore_command` is what a person types to put the old values back, `again_command` to write the new ones
+    once more.
     """
 
     verified: bool
@@ -57,6 +58,7 @@ class WriteOutcome:
     values: Mapping[str, float]
     remarks: tuple[str, ...] = ()
     restore_command: str = ""
+    again_command: str = ""
 
 
 # Puts an undo record on disk before the first write and returns its path; injected, as procedures

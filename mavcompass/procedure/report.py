@@ -54,7 +54,7 @@ class AutopilotHeading:
         if self.not_loaded:
             return (
                 "The autopilot still flies by the old calibration: it loads the new one when it is disarmed,"
-                " and may put other values in its place then. Land while this waits, or use --takeoff."
+                " and may put other values in its place then."
             )
         if not self.known:
             return "Whether the autopilot steers by the new heading could not be told."

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
@@ -37,6 +38,7 @@ from mavcompass.units import STANDARD_GRAVITY_MPS2
 STEP_S, EVERY = 0.04, 2.5
 HOUR_S, SOON_S, LATER_S, EAGER_S = 3600.0, 60.0, 300.0, 600.0
 MARGIN_DEG, LIMIT_DEG = 2.0, 1.0
+SOON_ENOUGH_S = 300.0
 KINDS = ("magnets", "moved", "parked", "motors")
 BASE = SCENARIOS["wrong steps"]
 
@@ -210,8 +212,21 @@ def rms_deg(correction: FieldCorrection, truth: Truth) -> float:
     return math.sqrt(float((errors_deg(at_rest, truth) ** 2).mean()))
 
 
+def words(kind: str, off_deg: float, tally: Tally) -> str:
+    """Say what became of the hours."""
+    said = f"{kind}, {off_deg:g} deg off: {tally.hours} hours, asked {tally.asked} times"
+    if tally.offered_s:
+        soon = 100.0 * np.mean(np.array(tally.offered_s) <= SOON_ENOUGH_S)
+        said += (
+            f"; first offer after {np.median(tally.offered_s):.0f} s (median), {max(tally.offered_s):.0f} s"
+        )
+        said += f" (the last), {soon:.0f} % within {SOON_ENOUGH_S / 60:.0f} minutes"
+        said += f", leaving {np.median(tally.left_deg):.2f} deg, the worst {max(tally.left_deg):.2f}"
+    return f"{said}; no offer in {tally.never}; wrong offers: {len(tally.wrong)}"
+
+
 def main() -> int:
-    """Print the figures."""
+    """Print the figures, and those so far on standard error."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hours", type=int, default=50)
     parser.add_argument("--seed", type=int, default=7)
@@ -220,14 +235,11 @@ def main() -> int:
     options = parser.parse_args()
     for kind in KINDS if options.kind == "all" else (options.kind,):
         tally, rng = Tally(), np.random.default_rng(options.seed)
-        for _ in range(options.hours):
+        for done in range(1, options.hours + 1):
             drive(rng, options.off, kind, tally)
-        words = f"{kind}, {options.off:g} deg off: {tally.hours} hours, asked {tally.asked} times"
-        if tally.offered_s:
-            late = max(tally.offered_s)
-            words += f"; first offer after {np.median(tally.offered_s):.0f} s, the last {late:.0f} s"
-            words += f", leaving {np.median(tally.left_deg):.2f} deg, the worst {max(tally.left_deg):.2f}"
-        print(f"{words}; no offer in {tally.never}; wrong offers: {len(tally.wrong)}", flush=True)
+            if done % 10 == 0 and done < options.hours:
+                print(words(kind, options.off, tally), file=sys.stderr, flush=True)
+        print(words(kind, options.off, tally), flush=True)
         for one in tally.wrong:
             print("   ", one)
     return 0

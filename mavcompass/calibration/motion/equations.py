@@ -170,8 +170,8 @@ def _linear(
 ) -> tuple[FloatArray, float]:
     """Solve for the linear part at the headings of `x`, robustly; returns the state and its cost."""
     x, weights, cost = x.copy(), np.ones(len(sections)), math.inf
+    residual, by = field_residual(sections, x)
     for _ in range(3):
-        residual, by = field_residual(sections, x)
         root = np.sqrt(weights)[:, np.newaxis] / noise
         rows = np.concatenate(
             [(by[:, :, free] * root[:, :, np.newaxis]).reshape(-1, free.size), rules.rows[:, free]]
@@ -179,7 +179,7 @@ def _linear(
         values = np.concatenate([(residual * root).ravel(), -rules.of(x)])
         step, *_ = np.linalg.lstsq(rows, values, rcond=None)
         x[free] += step
-        residual, _ = field_residual(sections, x)
+        residual, by = field_residual(sections, x)
         size = np.linalg.norm(residual, axis=1)
         weights = 1.0 / np.maximum(1.0, size / max(2.0 * float(np.median(size)), 1e-6))
         cost = float((weights * size**2).sum()) / noise**2 + float((rules.of(x) ** 2).sum())

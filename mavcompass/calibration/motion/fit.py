@@ -238,9 +238,11 @@ def _model_error(
     # Turns that are bent beyond their noise are pulled by sections: these will, with their error, let go.
     given = min(float(turns @ turns), float(turns.size))
 
+    noise, axes = np.linalg.eigh(section_variance(sections, x, 0.0, weighed=False))
+    along = sound[:, np.newaxis] * np.einsum("kij,ki->kj", axes, residual) ** 2
+
     def excess(size: float, wanted: float) -> float:
-        squares = _square(residual, section_variance(sections, x, size, weighed=False))
-        return float(sound @ squares) + given - wanted
+        return float((along / (noise + size**2)).sum()) + given - wanted
 
     if excess(0.0, _chance_limit(freedom)) <= 0.0:
         return 0.0

@@ -26,6 +26,8 @@ def say_outcome(output: Output, report: CalibrationReport) -> None:
             output.say(f"To undo: {outcome.restore_command}")
         if report.heading is not None:
             said = report.heading.summary()
+            if report.heading.not_loaded:
+                said += f" Land and disarm it, then: {outcome.again_command}"
             output.say(styled(said, fg="red") if report.steers_off else said)
     elif report.undone:
         output.say("The old values are back on the vehicle.")

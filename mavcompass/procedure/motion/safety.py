@@ -17,6 +17,8 @@ from mavcompass.procedure.modes import ModeKeeper, mode_name
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleState
 
+# Events come at least this often; a longer step is our own computer's, which was busy or asleep.
+_LONGEST_STEP_S = 0.2
 # Sticks that rest in the middle, by kind; throttles need not.
 _CENTRED: dict[Kind, tuple[int, ...]] = {"rover": (1,), "boat": (1,), "copter": (1, 2, 4), "sub": (4,)}
 _CENTRE_US, _HELD_US = 1500, 150
@@ -70,6 +72,9 @@ class MotionGuard:
     _sticks: tuple[int, ...] | None = None
     _place: mav.GlobalPositionInt | None = None
     _arrivals: list[float] = field(default_factory=list)
+    _heard_s: float = math.nan
+    _looked_s: float = math.nan
+    _silent_s: float = 0.0
 
     def begin(self) -> None:
         """Take the state at the start as what must not change.
@@ -104,7 +109,7 @@ class MotionGuard:
 
     def check(self, now_s: float) -> str | None:
         """Return the sentence that ends the motion, None while all is well."""
-        if now_s - self.state.heard_s > self.silence_limit_s():
+        if self._listened_in_vain_s(now_s) > self.silence_limit_s():
             return "The vehicle fell silent: the link is lost."
         if not self.state.armed:
             return "The vehicle was disarmed."
@@ -118,6 +123,15 @@ class MotionGuard:
             or self._fence()
             or self._strayed()
         )
+
+    def _listened_in_vain_s(self, now_s: float) -> float:
+        """Return how long the vehicle said nothing while we listened: our own sleep is not its silence."""
+        if self.state.heard_s != self._heard_s:
+            self._heard_s, self._silent_s = self.state.heard_s, 0.0
+        else:
+            self._silent_s += min(now_s - self._looked_s, _LONGEST_STEP_S)
+        self._looked_s = now_s
+        return self._silent_s
 
     def _mode_is_foreign(self) -> bool:
         return self.state.mode != self._mode if self.modes is None else self.modes.is_foreign()

@@ -39,7 +39,7 @@ class VehicleProfile:
 
     Attributes:
         name: the file's name. autopilot: "ardupilot" or "px4". kinds: vehicles it is for, as in
-            `vehicle_state`, with "ackermann-rover" for one that cannot pivot.
+            `vehicle_state`, with "ackermann-rover" and "ackermann-boat" for those that cannot pivot.
         ways: best first; the next is tried where the gyro sees no motion.
         drift_m: the room that its turning takes, where that is more than usual; else 0.
     """
@@ -53,7 +53,7 @@ class VehicleProfile:
 
 def vehicle_profile(kind: str, autopilot: str, ackermann: bool = False) -> VehicleProfile | None:
     """Choose the profile of a vehicle; None where only a person can turn it."""
-    wanted = "ackermann-rover" if ackermann and kind == "rover" else kind
+    wanted = f"ackermann-{kind}" if ackermann and kind in ("rover", "boat") else kind
     for profile in vehicle_profiles():
         if profile.autopilot == autopilot and wanted in profile.kinds:
             return profile

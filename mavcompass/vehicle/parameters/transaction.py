@@ -21,6 +21,7 @@ from mavcompass.installation.invocation import program
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters import protocol
+from mavcompass.vehicle.parameters.undo import written_file
 from mavcompass.vehicle.parameters.values import Encoding, Parameter, holds, is_single
 
 # After a stop a script has `script.CLEAN_UP_S` to put things back; a silent vehicle is given up before.
@@ -75,7 +76,8 @@ class Transaction:
                     undo_file,
                 ) from why
             raise
-        return WriteOutcome(True, undo_file, {name: p.value for name, p in new.items()}, remarks, command)
+        values = {name: p.value for name, p in new.items()}
+        return WriteOutcome(True, undo_file, values, remarks, command, again_command(self.source, undo_file))
 
     def _read_before(self, context: Context, plan: ParameterPlan) -> Script[dict[str, Parameter]]:
         """Read the parameters that will change; nothing is written where they are not as planned."""
@@ -147,6 +149,11 @@ def counted(parameters: int) -> str:
 def restore_command(source: str, undo_file: Path) -> str:
     """Spell the command that puts back what an undo file holds."""
     return f"{program()} params restore {shlex.quote(source)} {shlex.quote(str(undo_file))}"
+
+
+def again_command(source: str, undo_file: Path) -> str:
+    """Spell the command that writes the new values once more."""
+    return f"{program()} params write {shlex.quote(source)} {shlex.quote(str(written_file(undo_file)))}"
 
 
 def _sentence(error: Exception) -> str:

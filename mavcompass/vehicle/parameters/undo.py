@@ -1,7 +1,8 @@
 """Keep on disk what a vehicle held before a write, so that any other tool can put it back too.
 
-Each record is two files of the same name: `.json` with everything, `.param` with the old values in
-the form that ground stations load. They are complete and flushed to the disk before `save` returns.
+Each record is three files of the same name: `.json` with everything, `.param` with the old values in
+the form that ground stations load, `.new.param` with the new ones. They are complete and flushed to the disk
+before `save` returns.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def undo_saver(
 
 
 def save_record(record: UndoRecord, folder: Path) -> Path:
-    """Write both files of a record, flushed to the disk, and return the path of the `.json`."""
+    """Write the files of a record, flushed to the disk, and return the path of the `.json`."""
     folder.mkdir(parents=True, exist_ok=True)
     path = _free_path(folder, record)
     comment = (
@@ -91,6 +92,8 @@ def save_record(record: UndoRecord, folder: Path) -> Path:
         "Load this file to put it back.",
     )
     _write_through(path.with_suffix(".param"), parameter_text(record.before, "param", comment))
+    written = f"What mavcompass wrote to the vehicle at {record.source}, {record.made_at}."
+    _write_through(written_file(path), parameter_text(record.planned, "param", (written,)))
     document = {
         "schema": SCHEMA,
         "made_at": record.made_at,
@@ -102,6 +105,11 @@ def save_record(record: UndoRecord, folder: Path) -> Path:
     }
     _write_through(path, json.dumps(document, indent=1) + "\n")
     return path
+
+
+def written_file(undo_file: Path) -> Path:
+    """Return where the new values lie beside an undo file."""
+    return undo_file.with_suffix(".new.param")
 
 
 def load_record(path: Path) -> UndoRecord:

@@ -97,8 +97,8 @@ def test_the_undo_file_is_on_disk_before_the_first_write(tmp_path: Path, flushed
     vehicle.set = spying_set  # type: ignore[method-assign]
     plan = plan_for(vehicle)
     write(Radio(vehicle), plan, tmp_path)
-    # both files whole, each flushed itself and in its folder
-    assert seen and set(seen) == {(len(plan.changes), 2, 4)}
+    # all three files whole, each flushed itself and in its folder
+    assert seen and set(seen) == {(len(plan.changes), 3, 6)}
 
 
 def test_the_undo_file_tells_all_and_other_tools_can_load_it(tmp_path: Path) -> None:
@@ -110,6 +110,10 @@ def test_the_undo_file_tells_all_and_other_tools_can_load_it(tmp_path: Path) -> 
     assert document["before"]["COMPASS_OFS_X"] == 5.0
     assert document["planned"]["COMPASS_OFS_X"] == 120.0
     assert read_parameter_file(outcome.undo_file.with_suffix(".param")) == document["before"]
+    assert read_parameter_file(outcome.undo_file.with_suffix(".new.param")) == document["planned"]
+    assert outcome.again_command.endswith(
+        f"params write {SOURCE} {outcome.undo_file.with_suffix('.new.param')}"
+    )
     assert not list(tmp_path.glob("*.part"))
     assert newest_record(SOURCE, tmp_path) == outcome.undo_file
     assert newest_record("tcp:elsewhere:1", tmp_path) is None
