@@ -19,7 +19,7 @@ from mavcompass.cli.source import (
     open_source,
     refuse_contradiction,
     refuse_unasked_write,
-    system_option,
+    systems_option,
     this_year,
 )
 from mavcompass.errors import UsageError
@@ -80,7 +80,7 @@ from mavcompass.vehicle.transport import Recording, parse_address
     help="Allow restarting the autopilot where its own heading cannot be brought right otherwise.",
 )
 @click.option("--speak", is_flag=True, help="Say the prompts aloud (spd-say, espeak-ng or say).")
-@system_option
+@systems_option
 @effects_option
 @click.option(
     "--in-force",
@@ -114,7 +114,7 @@ def command(
     max_error_deg: float,
     reboot: bool,
     speak: bool,
-    system: int | None,
+    system: int | str | None,
     effects: tuple[str, ...],
     in_force_file: Path | None,
     params_out: Path | None,
@@ -162,10 +162,14 @@ def command(
         positions=positions,
         step_rad=math.radians(step_deg),
         writing="yes" if yes else "never" if dry_run else "ask",
-        system=system,
+        system=None if isinstance(system, str) else system,
         year=this_year(),
         reboot=reboot,
         dwell=DwellSettings() if dwell_s is None else DwellSettings(dwell_s=dwell_s, shortest_s=dwell_s),
     )
     with open_source(address, effects, as_ground_station=turn_by != "auto") as link:
+        if system == "all":
+            from mavcompass.cli.calibration.several import calibrate_all
+
+            return calibrate_all(link, wanted, settings, speak)
         return calibrate_vehicle(link, wanted, settings, speak)

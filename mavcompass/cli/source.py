@@ -34,6 +34,22 @@ compass_option = click.option(
 system_option = click.option(
     "--system", type=click.IntRange(1, 255), help="System id, where several vehicles are heard."
 )
+
+
+def _systems(context: click.Context, parameter: click.Parameter, value: str | None) -> int | str | None:
+    if value is None or value == "all":
+        return value
+    if value.isdecimal() and 1 <= int(value) <= 255:
+        return int(value)
+    raise click.BadParameter("give a system id from 1 to 255, or all.", context, parameter)
+
+
+systems_option = click.option(
+    "--system",
+    callback=_systems,
+    metavar="N|all",
+    help="System id, where several vehicles are heard; all turns one after the other.",
+)
 effects_option = click.option(
     "--effect",
     "effects",

@@ -70,6 +70,22 @@ def find_vehicle(
     )
 
 
+def find_vehicles(
+    context: Context, timeout_s: float = 10.0, others_within_s: float = 3.0
+) -> Script[tuple[VehicleIdentity, ...]]:
+    """Wait for the heartbeats of all autopilots on the link, in the order of their system ids.
+
+    They beat once a second: `others_within_s` after the first one, all were heard. Raises NoVehicle.
+    """
+    found = {(first := (yield from find_vehicle(context, None, timeout_s))).system: first}
+    end = context.now + others_within_s
+    while context.now < end:
+        event = yield end
+        if isinstance(event, mav.Incoming) and (other := identify(event)) is not None:
+            found.setdefault(other.system, other)
+    return tuple(found[system] for system in sorted(found))
+
+
 @dataclass(slots=True)
 class VehicleState:
     """Keep the latest of what the vehicle says of itself; `hear` is a listener of a Context."""

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
+import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
+from mavcompass.cli.calibration.several import calibrate_all
+from mavcompass.cli.calibration.wanted import Wanted
+from mavcompass.cli.options import Output
 from mavcompass.messages import Message
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.simulation.autopilot import Outgoing
@@ -72,3 +77,28 @@ def test_a_pilot_who_takes_the_other_vehicle_stops_nothing(tmp_path: Path) -> No
     settings = CalibrateSettings(writing="yes", system=1)
     report = calibrated(one, tmp_path, settings, SimulatedLink(Crowd(one, seven)), shown)
     assert report.written and heading_error_rms_deg(one) < 0.5
+
+
+def test_all_vehicles_are_turned_one_after_the_other_with_one_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("MAVCOMPASS_UNDO_DIR", str(tmp_path / "undo"))
+    one, seven, nine = vehicle("rover", 1), vehicle("rover", 7), vehicle("boat", 9)
+    nine.pilot_switches_mode("MANUAL")
+    output = Output(str(tmp_path / "all.json"))
+    wanted = Wanted("sim:crowd", "four-positions", (1,), 2.0, tmp_path / "new.param", None, output)
+    link = SimulatedLink(Crowd(nine, seven, one))
+    code = calibrate_all(link, wanted, CalibrateSettings(writing="yes"), speak=False)
+    document = json.loads((tmp_path / "all.json").read_text())
+    assert document["schema"] == "mavcompass.calibrations/1"
+    assert [one["system"] for one in document["vehicles"]] == [1, 7, 9]
+    assert [one.get("written") for one in document["vehicles"]] == [True, True, None]
+    assert document["vehicles"][0]["schema"] == "mavcompass.calibration/1"
+    assert "GUIDED" in document["vehicles"][2]["remedy"]
+    assert code == document["vehicles"][2]["exit_code"] == 7
+    assert heading_error_rms_deg(one) < 0.5 and heading_error_rms_deg(seven) < 0.5
+    assert heading_error_rms_deg(nine) > 2.0
+    said = capsys.readouterr().out
+    assert "System 7 (ardupilot rover): calibrated, written and proven." in said
+    assert (tmp_path / "new-system7.param").exists()
+    assert "--system 7" in said, "the way back names the vehicle"

@@ -29,7 +29,7 @@ def solve_recording(wanted: Wanted, in_force_file: Path | None) -> int:
             track, wanted.method, chosen, limits=Limits(heading_deg=wanted.max_error_deg)
         )
     except PoorCalibration as error:
-        wanted.write_refusal(error, chosen, track)
+        wanted.output.write_json(wanted.refused(error, chosen, track))
         raise
     results = list(found.values())
     for note in track.notes:

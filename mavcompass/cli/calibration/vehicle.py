@@ -15,27 +15,38 @@ from mavcompass.procedure.report import CalibrationReport
 from mavcompass.report.document import live_document
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.stopping import StopRequest
 
 
 def calibrate_vehicle(link: Link, wanted: Wanted, settings: CalibrateSettings, speak: bool) -> int:
     """Calibrate a live vehicle; return the exit code."""
+    try:
+        document, code = calibrate_one(link, wanted, settings, speak)
+    except PoorCalibration as error:
+        wanted.output.write_json(wanted.refused(error, settings.instances or (1,)))
+        raise
+    wanted.output.write_json(document)
+    return code
+
+
+def calibrate_one(
+    link: Link, wanted: Wanted, settings: CalibrateSettings, speak: bool, stop: StopRequest | None = None
+) -> tuple[dict[str, object], int]:
+    """Calibrate a live vehicle; return its document, written nowhere yet, and the exit code."""
     source, output = wanted.source, wanted.output
     before_deg = _true_error_deg(link, settings.instances)
     told_later = _told_later(output, settings.writing)
     with showing(told_later=told_later) as shown, speaking(shown, speak) as show:
-        try:
-            report = calibrate_on(
-                link,
-                source,
-                settings,
-                wanted.method,
-                wanted.max_error_deg,
-                on_show=show,
-                on_ask=ask_on_terminal,
-            )
-        except PoorCalibration as error:
-            wanted.write_refusal(error, settings.instances or (1,))
-            raise
+        report = calibrate_on(
+            link,
+            source,
+            settings,
+            wanted.method,
+            wanted.max_error_deg,
+            on_show=show,
+            on_ask=ask_on_terminal,
+            stop=stop,
+        )
     after_deg = _true_error_deg(link, settings.instances)
     for result in report.results:
         say_result(output, result)
@@ -48,7 +59,6 @@ def calibrate_vehicle(link: Link, wanted: Wanted, settings: CalibrateSettings, s
             f" {before_deg:.2f} deg before, {after_deg:.2f} deg after."
         )
         document["true_heading_error_deg"] = {"before": before_deg, "after": after_deg}
-    output.write_json(document)
     if report.accepted:
         wanted.write_params(document)
     if wanted.report_file is not None:
@@ -57,7 +67,7 @@ def calibrate_vehicle(link: Link, wanted: Wanted, settings: CalibrateSettings, s
         write_report(report, wanted.report_file)
         output.say(f"Report: {wanted.report_file}")
     say_outcome(output, report)
-    return _exit_code(report)
+    return document, _exit_code(report)
 
 
 def _told_later(output: Output, writing: str) -> tuple[str, ...]:
@@ -76,7 +86,10 @@ def _true_error_deg(link: Link, instances: tuple[int, ...]) -> float | None:
     if autopilot is None:
         return None
     from mavcompass.simulation.heading_error import heading_error_rms_deg
+    from mavcompass.simulation.vehicle import SimulatedAutopilot
 
+    if not isinstance(autopilot, SimulatedAutopilot):
+        return None
     return heading_error_rms_deg(autopilot, instances[0] if instances else 1)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,13 +29,21 @@ class Wanted:
     report_file: Path | None
     output: Output
 
-    def write_refusal(
+    def refused(
         self, error: PoorCalibration, instances: tuple[int, ...], track: Track | None = None
-    ) -> None:
-        """Write the document of a calibration that could not be solved."""
+    ) -> dict[str, object]:
+        """Put together the document of a calibration that could not be solved."""
         from mavcompass.report.document import refused_document
 
-        self.output.write_json(refused_document(self.source, self.method, instances, str(error), track))
+        return refused_document(self.source, self.method, instances, str(error), track)
+
+    def of_system(self, system: int) -> Wanted:
+        """Return the same for one of several vehicles: its files are named by its system id."""
+
+        def named(path: Path | None) -> Path | None:
+            return None if path is None else path.with_name(f"{path.stem}-system{system}{path.suffix}")
+
+        return replace(self, params_out=named(self.params_out), report_file=named(self.report_file))
 
     def write_params(self, document: dict[str, Any]) -> None:
         """Write the parameters of an accepted calibration where a file was named."""

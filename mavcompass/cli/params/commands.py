@@ -227,7 +227,7 @@ def _write(
         left = {"restore_command": error.restore_command} if isinstance(error, WriteFailed) else {}
         output.write_json({**document, "written": False, "verified": False, "error": str(error), **left})
         raise
-    _say_outcome(output, report, source, dry_run)
+    _say_outcome(output, report, dry_run)
     outcome = report.outcome
     document["remarks"] = [*report.plan.remarks, *(outcome.remarks if outcome else ())]
     document |= {"written": outcome is not None, "verified": outcome is not None and outcome.verified}
@@ -262,8 +262,8 @@ def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None
         output.say(f"Note: {remark}")
 
 
-def _say_outcome(output: Output, report: WriteReport, source: str, dry_run: bool) -> None:
-    from mavcompass.vehicle.parameters.transaction import counted, restore_command
+def _say_outcome(output: Output, report: WriteReport, dry_run: bool) -> None:
+    from mavcompass.vehicle.parameters.transaction import counted
 
     outcome = report.outcome
     if outcome is None:
@@ -276,4 +276,4 @@ def _say_outcome(output: Output, report: WriteReport, source: str, dry_run: bool
         output.say(f"Note: {remark}")
     output.say(f"{counted(len(outcome.values))} written and read back.")
     if outcome.undo_file is not None:
-        output.say(f"To undo: {restore_command(source, outcome.undo_file)}")
+        output.say(f"To undo: {outcome.restore_command}")

@@ -57,7 +57,7 @@ class Transaction:
         old = yield from self._read_before(context, plan)
         new = {c.name: Parameter(c.new, old[c.name].type) for c in plan.changes}
         undo_file = save_undo(plan, {name: p.value for name, p in old.items()})
-        command = restore_command(self.source, undo_file)
+        command = restore_command(self.source, undo_file, context.system)
         context.show("write", f"Writing {counted(len(new))}; to put the old values back: {command}")
         remarks: tuple[str, ...] = ()
         try:
@@ -66,7 +66,7 @@ class Transaction:
                 remarks = yield from self.commit(context, plan)
             yield from protocol.prove(context, new, self.encoding, echoes_s)
         except GeneratorExit:
-            raise self._left(undo_file, "the procedure was ended") from None
+            raise self._left(context, undo_file, "the procedure was ended") from None
         except Exception as why:
             yield from self._put_back(context, old, undo_file, why)
             if isinstance(why, MavCompassError) and not isinstance(why, Refused):
@@ -77,7 +77,9 @@ class Transaction:
                 ) from why
             raise
         values = {name: p.value for name, p in new.items()}
-        return WriteOutcome(True, undo_file, values, remarks, command, again_command(self.source, undo_file))
+        return WriteOutcome(
+            True, undo_file, values, remarks, command, again_command(self.source, undo_file, context.system)
+        )
 
     def _read_before(self, context: Context, plan: ParameterPlan) -> Script[dict[str, Parameter]]:
         """Read the parameters that will change; nothing is written where they are not as planned."""
@@ -110,16 +112,16 @@ class Transaction:
             except Refused:
                 continue  # a stop, which comes once: the vehicle is still, and half a calibration is worse
             except GeneratorExit:
-                raise self._left(undo_file, _sentence(why)) from None
+                raise self._left(context, undo_file, _sentence(why)) from None
             except MavCompassError as trouble:
-                left = self._left(undo_file, f"{_sentence(why)} Then: {trouble.what}")
+                left = self._left(context, undo_file, f"{_sentence(why)} Then: {trouble.what}")
                 context.show("undo", str(left))  # whatever becomes of the error on its way out
                 raise left from trouble
             context.show("undo", "The old parameters are back.")
             return
 
-    def _left(self, undo_file: Path, why: str) -> WriteFailed:
-        command = restore_command(self.source, undo_file)
+    def _left(self, context: Context, undo_file: Path, why: str) -> WriteFailed:
+        command = restore_command(self.source, undo_file, context.system)
         return WriteFailed(
             f"Writing was cut short and could not be undone ({why.rstrip('.')}): the vehicle may hold some"
             " new and some old values.",
@@ -146,14 +148,19 @@ def counted(parameters: int) -> str:
     return "1 parameter" if parameters == 1 else f"{parameters} parameters"
 
 
-def restore_command(source: str, undo_file: Path) -> str:
+def restore_command(source: str, undo_file: Path, system: int = 1) -> str:
     """Spell the command that puts back what an undo file holds."""
-    return f"{program()} params restore {shlex.quote(source)} {shlex.quote(str(undo_file))}"
+    return _spelt("restore", source, undo_file, system)
 
 
-def again_command(source: str, undo_file: Path) -> str:
+def again_command(source: str, undo_file: Path, system: int = 1) -> str:
     """Spell the command that writes the new values once more."""
-    return f"{program()} params write {shlex.quote(source)} {shlex.quote(str(written_file(undo_file)))}"
+    return _spelt("write", source, written_file(undo_file), system)
+
+
+def _spelt(verb: str, source: str, file: Path, system: int) -> str:
+    which = f" --system {system}" if system > 1 else ""
+    return f"{program()} params {verb} {shlex.quote(source)} {shlex.quote(str(file))}{which}"
 
 
 def _sentence(error: Exception) -> str:
