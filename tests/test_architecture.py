@@ -38,7 +38,7 @@ ROWS = {
         {"answer", "export"},
         {"selection"},
         {"left"},
-        {"fit"},
+        {"fit", "traces"},
         {"replay"},
         {"attitude"},
         {"blas", "result"},

@@ -13,7 +13,6 @@ from mavcompass.gap.blas import single_thread
 from mavcompass.gap.left import (
     Floor,
     doubting,
-    excess_scatter,
     foreseen,
     from_baseline,
     from_recording,
@@ -25,7 +24,6 @@ from mavcompass.gap.replay import (
     half_testable,
     replay,
     shared_period_s,
-    traces_to_name,
     untestable_effects,
 )
 from mavcompass.gap.result import Cause, Diagnosis
@@ -37,6 +35,7 @@ from mavcompass.gap.selection import (
     split_blocks,
     what_is_left,
 )
+from mavcompass.gap.traces import Traces, find_traces, searched
 from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.track import Track
 
@@ -122,21 +121,25 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
         floor = floor.larger(_WITHOUT_WITNESS)
 
     # 5. Traces
-    names = frozenset(e.id for e in testable)
-    stale_share, step_mgauss = traces_to_name(replayed, before, float(floor.noise["mag"].rms.mean()), names)
+    traces, replayed = find_traces(
+        replayed, before, float(floor.noise["mag"].rms.mean()), floor.field_rms_mgauss,
+        frozenset(e.id for e in testable), floor.representative,
+    )  # fmt: skip
+    if before is None and traces.rapid:
+        floor = from_recording(replayed)
 
     # 6. Split, 7. Search, 8. What is left
     how.progress(f"weighing {len(testable)} effects")
-    identified, remainder, floor = _explained(replayed, before, floor, testable, step_mgauss)
+    identified, remainder, floor = _explained(replayed, before, floor, testable, traces)
     how.progress("looking at what is left")
     adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
 
     # 9. Answer
     evidence = Evidence(
-        track, how.compass, replayed, floor, identified, remainder, adequacy, stale_share, step_mgauss,
-        untestable, withheld, faults,
+        track, how.compass, replayed, floor, identified, remainder, adequacy, traces, untestable,
+        withheld, faults,
     )  # fmt: skip
-    return describe(evidence, decide(identified, floor, remainder, adequacy, evidence.traces, half))
+    return describe(evidence, decide(identified, floor, remainder, adequacy, evidence.beside, half))
 
 
 def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, Replay | None]:
@@ -151,28 +154,28 @@ def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, R
 
 
 def _explained(
-    replayed: Replay, baseline: Replay | None, floor: Floor, testable: list[Effect], step_mgauss: float
+    replayed: Replay, baseline: Replay | None, floor: Floor, testable: list[Effect], traces: Traces
 ) -> tuple[Identified, Remainder, Floor]:
     """Search, and search again where the noise turns out to be another than the search assumed."""
     split = split_blocks(replayed.time_s, replayed.valid)
     names = frozenset(e.id for e in testable)
     if not floor.representative and (floor.measured or replayed.reference.kind != "columns"):
         floor = foreseen(floor, replayed, split.train, split.test)
-    excess = excess_scatter(replayed, baseline) if baseline is not None else 0.0
-    start = floor_to_start(floor, replayed, baseline, step_mgauss, excess)
-    identified, widened = identify(replayed, start, split, testable, noise_known=floor.measured)
+    start = floor_to_start(floor, replayed, baseline, traces)
+    effects = searched(replayed, testable)
+    identified, widened = identify(replayed, start, split, effects, noise_known=floor.measured)
     if not floor.measured:
         floor = widened
-    remainder = what_is_left(identified, floor, names, step_mgauss, excess)
-    if remainder.scatter is None and (start is floor or not floor.measured or step_mgauss > 0.0):
+    remainder = what_is_left(identified, floor, names, traces)
+    if remainder.scatter is None and (start is floor or not floor.measured or traces.step_mgauss > 0.0):
         return identified, remainder, floor
     if remainder.scatter is None:
         # What looked like scatter belongs to what was found: choose again under the floor itself.
-        identified, _ = identify(replayed, floor, split, testable, noise_known=True)
+        identified, _ = identify(replayed, floor, split, effects, noise_known=True)
     elif identified.found.best.terms:
         # Extra scatter makes every gain look larger than it is: choose again under it.
         noisy = with_noise(floor, remainder.problem.noise)
-        identified, _ = identify(replayed, noisy, split, testable, noise_known=True)
+        identified, _ = identify(replayed, noisy, split, effects, noise_known=True)
     else:
         return identified, remainder, floor
-    return identified, what_is_left(identified, floor, names, 0.0, excess), floor
+    return identified, what_is_left(identified, floor, names, replace(traces, step_mgauss=0.0)), floor

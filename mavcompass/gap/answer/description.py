@@ -23,6 +23,7 @@ from mavcompass.gap.left import Adequacy, Floor, Scatter
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.result import Bar, Cause, Closing, Diagnosis
 from mavcompass.gap.selection import SILENT, Identified, Remainder
+from mavcompass.gap.traces import Traces
 from mavcompass.track import Track
 
 _MOST_SHAPLEY = 4
@@ -31,10 +32,7 @@ _UNSEEN = "No held-out part shows what is named: its shrink is not measured. Rec
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """Hold all that was found about one recording.
-
-    `stale_share` and `step_mgauss` are zero where they are not named.
-    """
+    """Hold all that was found about one recording."""
 
     track: Track
     compass: int
@@ -43,17 +41,24 @@ class Evidence:
     identified: Identified
     remainder: Remainder
     adequacy: Adequacy
-    stale_share: float
-    step_mgauss: float
+    traces: Traces
     untestable: dict[str, str]
     withheld: frozenset[str]
     faults: tuple[Cause, ...]
 
     @property
-    def traces(self) -> bool:
-        """Tell whether something is named besides the fitted effects: faults, scatter, repeats or steps."""
-        told = bool(self.faults) or self.remainder.scatter is not None
-        return told or self.stale_share > 0.0 or self.step_mgauss > 0.0
+    def beside(self) -> bool:
+        """Tell whether something is named besides the fitted effects: faults, scatter, other traces."""
+        return bool(self.faults) or self.remainder.scatter is not None or self.traces.named
+
+    @property
+    def unseen_mgauss2(self) -> float:
+        """Return the variance of the readings that averaged and cleaned rows do not have."""
+        scatter = self.remainder.scatter
+        unseen = sum(rapid.variance_mgauss2 for rapid in self.traces.rapid)
+        if scatter is not None and scatter.effect == "noise_excess":
+            unseen += scatter.size**2 - scatter.on_rows_mgauss2(self.replay)
+        return unseen
 
 
 def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
@@ -65,7 +70,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     causes = named_causes(identified, named)
     if answer.verdict != "unknown":
         level = max(float(np.hypot(*evidence.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
-        causes += trace_causes(scatter, evidence.stale_share, evidence.step_mgauss, level)
+        causes += trace_causes(scatter, evidence.traces, level)
     causes += evidence.faults
     bars: tuple[Bar, ...] = ()
     if 1 <= len(named.terms) <= _MOST_SHAPLEY:
@@ -125,19 +130,19 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     """Measure the closing; take a name back that makes held-out readings worse."""
     identified, floor, scatter = evidence.identified, evidence.floor, evidence.remainder.scatter
     problem, test = identified.problem, identified.split.test
-    added = evidence.step_mgauss**2 / 12.0
+    added = evidence.traces.step_mgauss**2 / 12.0
     if scatter is not None and answer.verdict != "unknown":
         added += _added_variance(scatter, problem, answer.named, test)
-    field, heading = closings(problem, answer.named, test, floor, added)
+    field, heading = closings(problem, answer.named, test, floor, added, evidence.unseen_mgauss2)
     none = identified.found.null
     where_left = evidence.adequacy.tests[0].coordinate if evidence.adequacy.tests else "time"
     turns = bool(problem.replay.present & {"turning", "tilt"}) or floor.measured
-    said = consistent(answer, field, heading, where_left, floor, none, evidence.traces, turns, problem.replay)
+    said = consistent(answer, field, heading, where_left, floor, none, evidence.beside, turns, problem.replay)
     if said.named is not answer.named:
         # Without its names an answer has other figures, which it must not contradict either.
-        field, heading = closings(problem, said.named, test, floor, added)
+        field, heading = closings(problem, said.named, test, floor, added, evidence.unseen_mgauss2)
         said = consistent(
-            said, field, heading, where_left, floor, none, evidence.traces, turns, problem.replay
+            said, field, heading, where_left, floor, none, evidence.beside, turns, problem.replay
         )
     answer = said
     if answer.named.terms and _worse_on(problem, answer.named, test):
@@ -173,7 +178,7 @@ def _never_worse(closing: Closing) -> Closing:
 
 def _added_variance(scatter: Scatter, problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> float:
     if scatter.effect == "noise_excess":
-        return scatter.size**2
+        return scatter.on_rows_mgauss2(problem.replay)
     field = problem.signals(fit).reading.mag_mgauss
     change = np.gradient(field, problem.replay.time_s, axis=0)[test]
     return float(np.mean((scatter.size * change) ** 2))

@@ -10,6 +10,7 @@ from mavcompass.gap.fit import Fit, Problem, make_term
 from mavcompass.gap.left import Scatter, apart
 from mavcompass.gap.result import Cause
 from mavcompass.gap.selection import Identified, between_rows
+from mavcompass.gap.traces import Traces
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
 
 
@@ -74,20 +75,31 @@ def _separation(identified: Identified, fit: Fit, effect_id: str) -> float | Non
     return float(np.sqrt(max(min(rivals) - fit.sse, 0.0))) if rivals else None
 
 
-def trace_causes(
-    scatter: Scatter | None, stale_share: float, step_mgauss: float, level_mgauss: float
-) -> tuple[Cause, ...]:
-    """Describe effects that were found by their scatter or by an exact trace, in a level field."""
-    found = []
+def trace_causes(scatter: Scatter | None, traces: Traces, level_mgauss: float) -> tuple[Cause, ...]:
+    """Describe effects that single readings told, in a level field."""
+    found: list[tuple[str, dict[str, float], dict[str, float], float]] = []
     if scatter is not None:
         name = "sigma_s" if scatter.effect == "timestamp_jitter" else "sigma_mgauss"
-        size = scatter.size if name == "sigma_mgauss" else 0.0
-        found.append((scatter.effect, name, scatter.size, size))
-    if stale_share > 0.0:
-        found.append(("stale_samples", "fraction", stale_share, 0.0))
-    if step_mgauss > 0.0:
-        found.append(("quantisation", "step_mgauss", step_mgauss, step_mgauss / math.sqrt(12.0)))
+        found.append(
+            (scatter.effect, {name: scatter.size}, {}, scatter.size if name == "sigma_mgauss" else 0.0)
+        )
+    if traces.stale_share > 0.0:
+        found.append(("stale_samples", {"fraction": traces.stale_share}, {}, 0.0))
+    if traces.step_mgauss > 0.0:
+        step = traces.step_mgauss
+        found.append(("quantisation", {"step_mgauss": step}, {}, step / math.sqrt(12.0)))
+    for rapid in traces.rapid:
+        found.append((rapid.effect, rapid.parameters, rapid.sigma, math.sqrt(rapid.variance_mgauss2)))
     return tuple(
-        Cause(e, {n: v}, {n: (v, v)}, 1.0, (), None, size, math.degrees(size / level_mgauss))
-        for e, n, v, size in found
+        Cause(
+            effect,
+            values,
+            {n: (v - 1.96 * sigma.get(n, 0.0), v + 1.96 * sigma.get(n, 0.0)) for n, v in values.items()},
+            1.0,
+            (),
+            None,
+            size,
+            math.degrees(size / level_mgauss),
+        )
+        for effect, values, sigma, size in found
     )

@@ -24,11 +24,17 @@ _SEED = 7
 
 
 def closings(
-    problem: Problem, fit: Fit, test: NDArray[np.bool_], floor: Floor, added_mgauss2: float = 0.0
+    problem: Problem,
+    fit: Fit,
+    test: NDArray[np.bool_],
+    floor: Floor,
+    added_mgauss2: float = 0.0,
+    unseen_mgauss2: float = 0.0,
 ) -> tuple[Closing, Closing]:
     """Measure field and heading on held-out rows: nominal, after, floor, shrink with its interval.
 
-    `added_mgauss2` is the variance that a named scatter effect adds to what the simulator makes.
+    `added_mgauss2` is the variance that a named scatter effect adds to what the simulator makes of the rows,
+    `unseen_mgauss2` what named effects add to single readings, and rows do not have: it is all explained.
     """
     measured = problem.replay.measured.mag_mgauss
     nominal, after = problem.predict(fit, effects=False), problem.predict(fit)
@@ -39,14 +45,14 @@ def closings(
     free = _free_share(fit, measured[rows])
     field = _closing(
         before_field[rows], after_field[rows], floor.field_rms_mgauss * math.sqrt(free), floor.measured,
-        added_mgauss2, floor.error_mgauss * math.sqrt(free), _blocks(problem, rows),
+        added_mgauss2, unseen_mgauss2, floor.error_mgauss * math.sqrt(free), _blocks(problem, rows),
     )  # fmt: skip
     h0, h1 = _headings(problem, nominal), _headings(problem, after)
     level = max(float(np.hypot(*problem.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
-    added_deg2 = math.degrees(1.0) ** 2 * added_mgauss2 / level**2
+    deg2 = math.degrees(1.0 / level) ** 2
     heading = _closing(
         np.degrees(h0[rows])[:, None], np.degrees(h1[rows])[:, None], floor.heading_rms_deg, floor.measured,
-        added_deg2, np.zeros((0, 1)), _blocks(problem, rows),
+        deg2 * added_mgauss2, deg2 * unseen_mgauss2, np.zeros((0, 1)), _blocks(problem, rows),
     )  # fmt: skip
     return field, heading
 
@@ -74,13 +80,14 @@ def _closing(
     floor: float,
     measured: bool,
     added: float,
+    unseen: float,
     floor_error: FloatArray,
     blocks: NDArray[np.int64],
 ) -> Closing:
-    nominal2, after2 = float(np.mean(before**2)), float(np.mean(after**2))
+    nominal2, after2 = float(np.mean(before**2)) + unseen, float(np.mean(after**2))
     after2 = max(after2 - added, min(after2, floor**2)) if added else after2
     shrink = _shrink(nominal2, after2, floor**2)
-    interval = _interval(before, after, added, floor, floor_error, blocks)
+    interval = _interval(before, after, added, unseen, floor, floor_error, blocks)
     # What is left may lie below the floor by chance: no more than all of the gap closes.
     shrink = min(shrink, 1.0)
     if not measured:
@@ -99,6 +106,7 @@ def _interval(
     before: FloatArray,
     after: FloatArray,
     added: float,
+    unseen: float,
     floor: float,
     floor_error: FloatArray,
     blocks: NDArray[np.int64],
@@ -114,7 +122,7 @@ def _interval(
     sums1 = np.bincount(label, (after**2).sum(axis=1))
     picks = rng.integers(count, size=(_RESAMPLES, count))
     n = size[picks].sum(axis=1)
-    nominal2 = sums0[picks].sum(axis=1) / n
+    nominal2 = sums0[picks].sum(axis=1) / n + unseen
     after2 = np.maximum(sums1[picks].sum(axis=1) / n - added, 0.0)
     floor2 = np.full(_RESAMPLES, floor**2)
     if len(floor_error) > 40:

@@ -24,6 +24,7 @@ _LEAST = {"gyro_bias": 0.012, "accel_bias": 0.25}
 _SIGMAS = 6.0
 _FEWEST, _BLOCKS = 200, 12
 _SMOOTHED_S = 0.5
+_OF_ACCELERATION = 0.02
 # Between attitudes farther apart a tilting vehicle turns in ways that their difference does not show.
 _SLOWEST_S = 0.06
 
@@ -68,14 +69,16 @@ def _accelerometer_bias(track: Track) -> Bias | None:
     acceleration = _acceleration(track, when)
     if acceleration is None or float(np.median(np.diff(when))) > _SLOWEST_S:
         return None
-    force = rotate_back(
-        told_rotation(attitude, when), acceleration - np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
-    )
+    told = told_rotation(attitude, when)
+    force = rotate_back(told, acceleration - np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2]))
     values = track.acc_mps2.at(when) - force
     values = values[np.isfinite(values).all(axis=1)]
     parts = np.array([part.mean(axis=0) for part in np.array_split(values, _BLOCKS) if len(part)])
     # As blocks of the recording contradict each other.
-    return Bias(values.mean(axis=0), parts.std(axis=0) / math.sqrt(max(len(parts) - 1, 1)))
+    scatter = parts.std(axis=0) / math.sqrt(max(len(parts) - 1, 1))
+    # A filter's level errs as the vehicle accelerates, and a yaw that is off turns the acceleration.
+    pushed = math.sqrt(float(np.mean(np.sum(acceleration**2, axis=1))))
+    return Bias(values.mean(axis=0), np.hypot(scatter, _OF_ACCELERATION * pushed))
 
 
 def _acceleration(track: Track, when: FloatArray) -> FloatArray | None:

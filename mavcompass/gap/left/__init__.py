@@ -17,7 +17,6 @@ from mavcompass.gap.left.scatter import (
     Scatter,
     drift_gain,
     early_scale,
-    excess_scatter,
     find_scatter,
     noise_with,
 )
@@ -33,7 +32,6 @@ __all__ = [
     "doubting",
     "drift_gain",
     "early_scale",
-    "excess_scatter",
     "find_scatter",
     "foreseen",
     "from_baseline",

@@ -16,15 +16,13 @@ from mavcompass.gap.replay import (
     Noise,
     Replay,
     estimate_noise,
-    rough_sigma,
     with_white,
 )
+from mavcompass.gap.traces import neighbours, quiet_scatter
 
 _DRIFT_MODES = 80
 # The scatter's own distribution is only known from the recording: be slower to name it.
 _SCATTER_TRIALS = 50
-# How much larger than a baseline's the variance of the scatter must be where noise is not known in detail.
-_DOUBTFUL_EXCESS = 1.0
 # Without a baseline, times may scatter by this much and be healthy.
 _DOUBTFUL_JITTER_S = 0.02
 _DRIFT_SIZES = (0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 13.0)
@@ -32,23 +30,28 @@ _DRIFT_SIZES = (0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 13.0)
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """Hold a named scatter effect, its size, and the gain of twice the log-likelihood."""
+    """Hold a named scatter effect, its size in single readings, and the gain of twice the log-likelihood."""
 
     effect: str
     size: float
     gain: float
 
+    def on_rows_mgauss2(self, replay: Replay) -> float:
+        """Return the variance of scattering readings on rows that are means of them."""
+        return self.size**2 / replay.averaged
+
 
 def find_scatter(
-    problem: Problem, fit: Fit, allowed: frozenset[str], floor: Floor, excess: float = 0.0
+    problem: Problem, fit: Fit, allowed: frozenset[str], floor: Floor, excess_mgauss2: float = 0.0
 ) -> Scatter | None:
     """Compare even and rate-dependent excess scatter of the magnetometer with the floor's.
 
     Even excess needs a representative floor; the scatter of time stamps shows by its dependence on the
     rate of change alone, and then competes against even excess of any size. Without one, only what no data
-    sheet allows is called excess.
+    sheet allows is called excess; with a baseline that is not exact, what single readings scatter beyond its
+    own, `excess_mgauss2`.
     """
-    rows = problem.usable
+    rows, width = problem.usable, problem.replay.averaged
     noise = problem.noise["mag"]
     error = noise.in_channels(problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss)
     error = (error / noise.rms)[rows]
@@ -69,26 +72,24 @@ def find_scatter(
     candidates = []
     representative = floor.representative
     if representative and "noise_excess" in allowed and even_size > 0.0:
-        size = math.sqrt(even_size) * float(np.sqrt(np.mean(noise.rms**2)))
+        size = math.sqrt(even_size * width * float(np.mean(noise.rms**2)))
         candidates.append(Scatter("noise_excess", size, even / inflation))
     trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
     if "timestamp_jitter" in allowed and late_size > 0.0 and trusted:
         gain = late if representative else _beyond_even(y, x)
         candidates.append(Scatter("timestamp_jitter", math.sqrt(late_size), gain / inflation))
     if not floor.measured and "noise_excess" in allowed:
-        sigma = math.sqrt(
-            float(np.mean(rough_sigma(error * noise.rms, np.ones(len(error), dtype=np.bool_)) ** 2))
-        )
+        sigma = quiet_scatter(problem.replay.readings)
         if sigma > WORST_SCATTER_MGAUSS:
             size = math.sqrt(sigma**2 - USUAL_SCATTER_MGAUSS**2)
             candidates.append(Scatter("noise_excess", size, float(error.size)))
-    if floor.measured and not representative and "noise_excess" in allowed and excess > 0.0:
-        size = math.sqrt(excess)
+    if floor.measured and not representative and "noise_excess" in allowed and excess_mgauss2 > 0.0:
+        found = Scatter("noise_excess", math.sqrt(excess_mgauss2), float(error.size))
         left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
         beyond = float(np.mean(left[rows] ** 2)) - floor.field_rms_mgauss**2
         # Scatter between neighbours is scatter of the readings only if it shows in what is left.
-        if beyond > 0.5 * size**2:
-            candidates.append(Scatter("noise_excess", size, float(error.size)))
+        if width > 1 or beyond > 0.5 * excess_mgauss2:
+            candidates.append(found)
     candidates = [c for c in candidates if c.gain > least_gain(1, _SCATTER_TRIALS)]
     return max(candidates, key=lambda c: c.gain) if candidates else None
 
@@ -99,7 +100,7 @@ def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:
     Second differences hold next to nothing of slow causes, so that this can be told before any search.
     None where the scatter is the baseline's.
     """
-    own, nominal = _neighbours(replay), _neighbours(baseline)
+    own, nominal = (neighbours(one.measured.mag_mgauss - one.nominal_mgauss) for one in (replay, baseline))
     size = np.sqrt(np.mean(nominal[baseline.valid] ** 2, axis=0))
     y = (own / size)[replay.valid] ** 2
     change = np.gradient(replay.signals.reading.mag_mgauss, replay.time_s, axis=0) / size
@@ -111,34 +112,6 @@ def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:
     if late > even:
         return np.asarray(np.sqrt(1.0 + late_size * change**2))
     return np.full(change.shape, math.sqrt(1.0 + even_size))
-
-
-def excess_scatter(replay: Replay, baseline: Replay) -> float:
-    """Return the variance of the scatter beyond the baseline's, mG^2, both where the field hardly turns.
-
-    0 where it is not much more: readings that are late, averaged or repeated scatter while the vehicle turns.
-    """
-    now, before = _quiet_scatter(replay), _quiet_scatter(baseline)
-    excess = now**2 - before**2
-    return excess if excess > _DOUBTFUL_EXCESS * before**2 else 0.0
-
-
-def _quiet_scatter(replay: Replay) -> float:
-    """Return the scatter between neighbours in mG, robustly, on the quieter half of the rows."""
-    turning = np.linalg.norm(np.gradient(replay.nominal_mgauss, replay.time_s, axis=0), axis=1)
-    slow = turning <= np.quantile(turning[replay.valid], 0.4)
-    rows = replay.valid & slow
-    rows[1:-1] &= slow[:-2] & slow[2:]
-    size = np.median(np.abs(_neighbours(replay)[rows]), axis=0) if rows.sum() > 20 else np.zeros(3)
-    return float(1.4826 * np.sqrt(np.mean(size**2)))
-
-
-def _neighbours(replay: Replay) -> FloatArray:
-    """Return second differences of measured minus ideal, scaled to the deviation of white noise, (N, 3)."""
-    error = replay.measured.mag_mgauss - replay.nominal_mgauss
-    out = np.zeros_like(error)
-    out[1:-1] = (error[2:] - 2.0 * error[1:-1] + error[:-2]) / math.sqrt(6.0)
-    return out
 
 
 def _even_gain(y: FloatArray) -> tuple[float, float]:
@@ -178,7 +151,7 @@ def noise_with(problem: Problem, fit: Fit, scatter: Scatter) -> Noise:
     error = replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
     floor = problem.noise["mag"]
     if scatter.effect == "noise_excess" and floor.channels is not None:
-        return {**problem.noise, "mag": with_white(floor, scatter.size)}
+        return {**problem.noise, "mag": with_white(floor, math.sqrt(scatter.on_rows_mgauss2(replay)))}
     if scatter.effect == "noise_excess":
         return {**problem.noise, "mag": estimate_noise(error, problem.usable, replay.resolution_mgauss)}
     change = floor.in_channels(np.gradient(problem.signals(fit).reading.mag_mgauss, replay.time_s, axis=0))

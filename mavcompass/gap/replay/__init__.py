@@ -32,9 +32,9 @@ from mavcompass.gap.replay.nuisance import (
     turned,
     yaw_starts,
 )
+from mavcompass.gap.replay.readings import Readings
 from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
 from mavcompass.gap.replay.testable import half_testable, untestable_effects
-from mavcompass.gap.replay.traces import traces_to_name
 
 __all__ = [
     "ANOTHER_IRON",
@@ -49,6 +49,7 @@ __all__ = [
     "Noise",
     "Nuisance",
     "Prior",
+    "Readings",
     "Replay",
     "SensorNoise",
     "Trust",
@@ -63,7 +64,6 @@ __all__ = [
     "replay",
     "rough_sigma",
     "shared_period_s",
-    "traces_to_name",
     "turned",
     "untestable_effects",
     "wandering",

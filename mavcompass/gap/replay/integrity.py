@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,10 @@ from numpy.typing import NDArray
 from mavcompass.frames import FloatArray
 
 _FEWEST_LEVELS = 6
+# Steps that are looked for behind a calibration: finer ones drown in the messages' own rounding.
+_FINEST_MGAUSS, _COARSEST_MGAUSS = 4.0, 100.0
+_IN_STEP, _AS_GOOD, _WORTH_A_LEVEL = 0.85, 0.97, 0.005
+_BIN_MGAUSS, _MOST_BINS = 0.25, 1 << 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,3 +66,46 @@ def _lattice(field: FloatArray) -> float:
         1.0, np.sqrt(np.concatenate([np.full(g.size, g.max(initial=0.0)) for g in gaps]) / step)
     )
     return step if bool((off <= allowed).all()) else 0.0
+
+
+def coarse_step(raw_mgauss: FloatArray, valid: NDArray[np.bool_]) -> float:
+    """Return the step on whose multiples raw readings (N, 3) lie, each within a part of it; 0 without one.
+
+    A calibration and the messages' rounding blur what was a lattice: for the right step q the mean of
+    exp(2 pi i raw / q), the characteristic function of the readings, stays near 1 on every axis. Some axis
+    must go over many steps: readings that stand still lie on multiples of anything.
+    """
+    field = raw_mgauss[valid]
+    if len(field) < 10 * _FEWEST_LEVELS:
+        return 0.0
+    span = float(np.abs(field).max())
+    least = 1 << math.ceil(math.log2(2.0 * span / _BIN_MGAUSS + 2.0))
+    if least > _MOST_BINS:
+        return 0.0
+    length = min(max(8 * least, 1 << 14), _MOST_BINS)
+    inside: FloatArray | None = None
+    for column in field.T:
+        at = np.round(column / _BIN_MGAUSS).astype(np.int64) % length
+        wave = np.fft.rfft(np.bincount(at, minlength=length)).real / len(field)
+        inside = wave if inside is None else np.minimum(inside, wave)
+    assert inside is not None
+    frequency = np.fft.rfftfreq(length, _BIN_MGAUSS)
+    usable = (frequency >= 1.0 / _COARSEST_MGAUSS) & (frequency <= 1.0 / _FINEST_MGAUSS)
+    best = float(inside[usable].max(initial=0.0))
+    if best < _IN_STEP:
+        return 0.0
+    # Multiples of the right frequency are as good: the coarsest step is meant, at the top of its peak.
+    good = np.flatnonzero(usable & (inside >= max(_IN_STEP, _AS_GOOD * best)))
+    first = int(good[0])
+    last = first
+    while last + 1 < inside.size and inside[last + 1] >= _IN_STEP:
+        last += 1
+    step = 1.0 / float(frequency[first + int(np.argmax(inside[first : last + 1]))])
+    levels = max(_levels(column, step) for column in field.T)
+    return step if levels >= _FEWEST_LEVELS else 0.0
+
+
+def _levels(column: FloatArray, step_mgauss: float) -> int:
+    """Count the steps on which more than a few readings lie."""
+    _, counts = np.unique(np.round(column / step_mgauss), return_counts=True)
+    return int((counts >= max(_WORTH_A_LEVEL * column.size, 2.0)).sum())

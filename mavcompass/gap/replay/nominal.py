@@ -28,6 +28,7 @@ from mavcompass.gap.replay.integrity import Trace
 from mavcompass.gap.replay.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
 from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
+from mavcompass.gap.replay.readings import Readings
 from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
@@ -69,7 +70,7 @@ class Replay:
         trace: repeats and steps of the numbers, as they were logged.
         iron: what the calibration in force says of the raw sensor.
         nominal_mgauss: what the raw sensor says if that is right and nothing else is wrong, (N, 3).
-        averaged: how many neighbouring readings each row is the mean of.
+        readings: every reading, of which the rows are means; averaged: of how many neighbours each.
         place: latitude, longitude in degrees, altitude in metres; None where unknown.
         doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
             noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
@@ -90,6 +91,7 @@ class Replay:
     notes: tuple[str, ...]
     iron: KnownIron
     nominal_mgauss: FloatArray
+    readings: Readings
     corrected_mgauss: FloatArray | None = None
     averaged: int = 1
     place: tuple[float, float, float] | None = None
@@ -99,6 +101,20 @@ class Replay:
     def time_s(self) -> FloatArray:
         """Return the times of the rows, (N,)."""
         return self.signals.stimulus.time_s
+
+    def without(self, change_mgauss: FloatArray) -> Replay:
+        """Take what an effect adds to every raw reading (M, 3) out of readings and rows."""
+        picked = _middles(len(change_mgauss), self.averaged)
+        change = averaged(change_mgauss, self.averaged)[picked]
+        corrected = self.corrected_mgauss
+        if corrected is not None:
+            corrected = corrected - change @ np.linalg.inv(self.iron.matrix).T
+        return replace(
+            self,
+            measured=replace(self.measured, mag_mgauss=self.measured.mag_mgauss - change),
+            corrected_mgauss=corrected,
+            readings=self.readings.without(change_mgauss),
+        )
 
 
 def replay(track: Track, instance: int = 1, choice: Choice = "auto", period_s: float | None = None) -> Replay:
@@ -124,10 +140,12 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto", period_s: f
     load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
     iron = known_iron(correction, load, source)
     raw, corrected = rows.raw_mgauss, rows.corrected_mgauss
+    ideal_all = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape))
+    turning = ideal_all @ iron.matrix.T
+    steady = iron.offset_mgauss + np.interp(rows.time_s, time_s, iron.load)[:, None] * iron.motor_mgauss
+    readings = Readings.of(rows.time_s, raw, turning + steady, whole.known & rows.usable)
     if rows.width > 1:
         # What is averaged is the difference to the nominal field, which hardly turns with the vehicle.
-        ideal_all = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape))
-        turning = ideal_all @ iron.matrix.T
         raw = averaged(raw - turning, rows.width)[picked] + turning[picked]
         if corrected is not None:
             corrected = averaged(corrected - ideal_all, rows.width)[picked] + ideal_all[picked]
@@ -176,6 +194,7 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto", period_s: f
         corrected_mgauss=corrected,
         iron=iron,
         nominal_mgauss=iron.raw(ideal.mag_mgauss),
+        readings=readings,
         averaged=rows.width,
         place=_place(track),
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay.integrity import Trace, inspect
+from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.track import MagSeries, Series, Track
 
 FEWEST_ROWS = 60
@@ -53,10 +53,16 @@ def compass_rows(track: Track, compass: MagSeries, period_s: float = 0.0) -> Row
     reported = compass.reported.values[keep]
     logged = inspect(reported, np.asarray(np.isfinite(reported).all(axis=1)), time_s)
     telemetry = track.autopilot != "unknown" or _slower_than_logged(reported)
+    restored = _restored(compass)
+    raw = replace(track, compasses={compass.instance: restored}).raw_field(compass.instance)[keep]
     if telemetry:
-        # A reading that is sent again says nothing new; one that is frozen for longer is a finding of its
-        # own.
-        keep = keep[_fresh(reported)]
+        step = coarse_step(raw, np.asarray(np.isfinite(raw).all(axis=1)))
+        logged = replace(logged, step_mgauss=max(step, logged.step_mgauss))
+        if step == 0.0:
+            # A reading that is sent again says nothing new; one that is frozen for longer is a finding of its
+            # own. Coarse numbers repeat by chance.
+            fresh = _fresh(reported)
+            keep, raw = keep[fresh], raw[fresh]
         time_s = compass.time_s[keep]
     if time_s.size < FEWEST_ROWS:
         raise BadRecording(
@@ -64,8 +70,6 @@ def compass_rows(track: Track, compass: MagSeries, period_s: float = 0.0) -> Row
             " too few.",
             "Record at least half a minute of turning.",
         )
-    restored = _restored(compass)
-    raw = replace(track, compasses={compass.instance: restored}).raw_field(compass.instance)[keep]
     corrected = _corrected(track, restored)
     corrected = None if corrected is None else corrected[keep]
     finite = np.asarray(np.isfinite(raw).all(axis=1))

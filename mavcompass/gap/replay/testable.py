@@ -10,7 +10,8 @@ from mavcompass.simulation.effects import Effect
 _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
 # Ten readings a second, averaged, are a low pass by nature: how much of one depends on the turns.
 _LATE = frozenset({"transport_lag", "stale_samples"})
-_FAST = frozenset({"ac_interference", "set_reset_offset", "noise_excess", "timestamp_jitter"})
+_REPEATED = 0.1
+_FAST = frozenset({"timestamp_jitter"})
 _NO_SENSOR = (
     "the sensors that would show it were not recorded, or feel motion that the recording does not tell"
 )
@@ -65,7 +66,9 @@ def untestable_effects(
         if len(effect.groups) == 1 and effect.groups[0] in replayed.doubtful:
             # What is not known of the motion looks like any fault of the sensor that feels it.
             out[effect.id] = _NO_SENSOR
-        if replayed.telemetry and effect.id in _TIMING and not (age_known and effect.id in _LATE):
+        smooths = effect.id == "low_pass" and replayed.trace.stale_share > _REPEATED
+        taught = age_known and (effect.id in _LATE or effect.id == "low_pass") and not smooths
+        if replayed.telemetry and effect.id in _TIMING and not taught:
             out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"
         if replayed.averaged > 1 and effect.id in _FAST:
             out[effect.id] = (

@@ -71,19 +71,38 @@ def _searched(
 
 
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
-    candidate = _moments_in_training(candidate)
-    dropped = list(candidate.dropped)
-    while candidate.fit.terms:
-        reason = refused(candidate, floor)
-        if reason is None:
-            break
-        effect_id, why = reason
-        dropped.append((effect_id, why))
-        rest = candidate.search.without(candidate.fit, effect_id)
-        candidate = replace(candidate, fit=rest)
+    candidate = _allowed(_moments_in_training(candidate), floor)
+    if candidate.dropped and not floor.representative:
+        # What was needed beside a refused effect need not be what does best without it.
+        fewer = candidate.search.run(max(len(candidate.fit.terms), 1)).best
+        score = candidate.search.score
+        if fewer.ids != candidate.fit.ids and score(fewer) < score(candidate.fit):
+            rival = _allowed(_moments_in_training(replace(candidate, fit=fewer)), floor)
+            candidate = rival if len(rival.fit.terms) >= len(candidate.fit.terms) else candidate
     if candidate.fit.terms and floor.measured and not floor.representative:
         candidate = _simplest(candidate, floor)
-    return replace(candidate, fit=candidate.search.pruned(candidate.fit), dropped=tuple(dropped))
+    candidate = replace(candidate, fit=candidate.search.pruned(candidate.fit))
+    return replace(candidate, as_good=(*candidate.as_good, *_smoothed(candidate)))
+
+
+def _allowed(candidate: Identified, floor: Floor) -> Identified:
+    """Take the effects out that a guard refuses, one after the other."""
+    while candidate.fit.terms and (reason := refused(candidate, floor)) is not None:
+        rest = candidate.search.without(candidate.fit, reason[0])
+        dropped = tuple({**dict(candidate.dropped), reason[0]: reason[1]}.items())
+        candidate = replace(candidate, fit=rest, dropped=dropped)
+    return candidate
+
+
+def _smoothed(candidate: Identified) -> tuple[frozenset[str], ...]:
+    """Return the set with a low pass in the place of a lag, where the recording could not tell one.
+
+    A compass that is read slowly, averaged and repeated smooths by nature.
+    """
+    ids, tried = candidate.fit.ids, {term.effect.id for term in candidate.search.terms}
+    if "transport_lag" not in ids or "low_pass" in tried:
+        return ()
+    return (ids - {"transport_lag"} | {"low_pass"},)
 
 
 def _simplest(candidate: Identified, floor: Floor) -> Identified:

@@ -24,6 +24,7 @@ from mavcompass.gap.left import (
 )
 from mavcompass.gap.replay import Noise, Replay, with_white
 from mavcompass.gap.selection.identified import Identified
+from mavcompass.gap.traces import Traces
 from mavcompass.simulation.physics.signals import Reading
 
 _LEAST_MGAUSS = 0.3
@@ -45,23 +46,21 @@ class Remainder:
     comparable: bool
 
 
-def floor_to_start(
-    floor: Floor, replay: Replay, baseline: Replay | None, step_mgauss: float, excess: float
-) -> Floor:
+def floor_to_start(floor: Floor, replay: Replay, baseline: Replay | None, traces: Traces) -> Floor:
     """Add to the floor what the numbers tell before any search: their steps, and scatter between neighbours.
 
     With too small a noise everything looks like an effect, and the search for it is long and vain. Where the
-    noise is not known in detail only `excess` counts: the variance of the scatter beyond the baseline's,
-    mG^2.
+    noise is not known in detail only what single readings scatter beyond the baseline's counts.
     """
-    if step_mgauss > 0.0:
-        return with_noise(floor, with_steps(floor.noise, step_mgauss))
+    if traces.step_mgauss > 0.0:
+        return with_noise(floor, with_steps(floor.noise, traces.step_mgauss))
     if baseline is None or not floor.measured:
         return floor
     if not floor.representative:
-        if excess <= 0.0:
+        if traces.excess_mgauss2 <= 0.0:
             return floor
-        return with_noise(floor, {**floor.noise, "mag": with_white(floor.noise["mag"], math.sqrt(excess))})
+        noisier = with_white(floor.noise["mag"], math.sqrt(traces.excess_mgauss2 / replay.averaged))
+        return with_noise(floor, {**floor.noise, "mag": noisier})
     scale = early_scale(replay, baseline)
     if scale is None:
         return floor
@@ -77,13 +76,9 @@ def with_steps(noise: Noise, step_mgauss: float) -> Noise:
     }
 
 
-def what_is_left(
-    identified: Identified, floor: Floor, names: frozenset[str], step_mgauss: float, excess: float = 0.0
-) -> Remainder:
-    """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise.
-
-    `excess` is the variance of the scatter beyond a baseline's, mG^2, found before any search.
-    """
+def what_is_left(identified: Identified, floor: Floor, names: frozenset[str], traces: Traces) -> Remainder:
+    """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise."""
+    step_mgauss = traces.step_mgauss
     replay, chosen = identified.problem.replay, identified.fit
     noise = with_steps(floor.noise, step_mgauss) if step_mgauss > 0.0 else floor.noise
     problem = Problem(replay, noise, replay.valid, floor.prior)
@@ -93,7 +88,7 @@ def what_is_left(
     problem = _without_plateaus(problem, fit)
     if step_mgauss > 0.0:
         return _unrounded(problem, fit, floor, step_mgauss)
-    scatter = find_scatter(problem, fit, names, floor, excess)
+    scatter = find_scatter(problem, fit, names, floor, traces.excess_mgauss2)
     if scatter is None:
         # A saturated reading has no scatter.
         return Remainder(problem, fit, None, "clipping" not in fit.ids)

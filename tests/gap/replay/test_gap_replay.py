@@ -23,8 +23,8 @@ from mavcompass.gap.replay.nuisance import (
 )
 from mavcompass.gap.replay.rows import compass_rows
 from mavcompass.gap.replay.testable import untestable_effects
-from mavcompass.gap.replay.traces import names_stale, names_step
 from mavcompass.gap.selection.split import split_blocks
+from mavcompass.gap.traces.steps_and_repeats import names_stale, names_step
 from mavcompass.gap.trial.cases import PLACE, Recipe, make_track
 from mavcompass.simulation.effects import catalogue
 from mavcompass.track import MagSeries, Series, Track

@@ -96,9 +96,11 @@ def _relay_starts(misfit: Misfit) -> list[FloatArray]:
     """Try every recorded load with the threshold that fits best; keep the best two.
 
     Of rows sorted by the load, those above a threshold are a tail: the gain of a constant on the last k
-    is |their sum|^2 / k.
+    of n, against the mean of the others, is |their sum|^2 / (k (1 - k / n)), once the mean of all is taken
+    out.
     """
     y = misfit.residual.mag_mgauss[misfit.rows] / misfit.sigma_mgauss
+    y = y - y.mean(axis=0)
     if len(y) < 4 * _FEWEST_SWITCHED:
         return []
     found: list[tuple[float, FloatArray]] = []
@@ -110,14 +112,15 @@ def _relay_starts(misfit: Misfit) -> list[FloatArray]:
         order = np.argsort(-known, kind="stable")
         known, total = known[order], np.cumsum(y[order], axis=0)
         count = np.arange(1, known.size + 1)
-        gain = (total**2).sum(axis=1) / count
+        weight = count * (1.0 - count / known.size)
+        gain = (total**2).sum(axis=1) / np.maximum(weight, 0.5)
         # A threshold lies between two loads that differ, with readings enough on both sides.
         gain[:-1][known[:-1] <= known[1:]] = 0.0
         gain[:_FEWEST_SWITCHED] = 0.0
         gain[-_FEWEST_SWITCHED:] = 0.0
         best = int(np.argmax(gain))
         if gain[best] > 0.0:
-            field = total[best] / count[best] * misfit.sigma_mgauss
+            field = total[best] / weight[best] * misfit.sigma_mgauss
             threshold = 0.5 * (known[best] + known[best + 1])
             found.append((float(gain[best]), np.array([*field, float(source), threshold])))
     found.sort(key=lambda item: -item[0])

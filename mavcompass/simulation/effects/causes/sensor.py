@@ -164,8 +164,8 @@ EFFECTS = (
         title="the gain of an axis depends on the field across it",
         stage=Stage.MATRIX,
         parameters=axes(
-            -0.1,
-            0.1,
+            -0.2,
+            0.2,
             (0.03, -0.02, 0.02, 0.025, -0.03, 0.015),
             0.01,
             "1 at 1 G",

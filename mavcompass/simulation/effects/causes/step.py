@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects.effect import (
@@ -34,13 +35,15 @@ def _starts(misfit: Misfit) -> list[FloatArray]:
     """Find the best step and the best pulse by scanning cumulated residuals.
 
     The gain of a constant over rows a..b against the mean of the others is |S_b - S_a - f S|^2 /
-    (n f (1 - f)), with S the cumulated whitened residual and f the fraction of rows inside.
+    (n f (1 - f)), with S the cumulated whitened residual, whose mean is taken out, and f the fraction of
+    rows inside.
     """
     rows = np.flatnonzero(misfit.rows)
     if rows.size < 20:
         return []
     time = misfit.time_s
     y = misfit.residual.mag_mgauss[rows] / misfit.sigma_mgauss
+    y = y - y.mean(axis=0)
     stride = max(1, rows.size // 400)
     shortest = max(4, math.ceil(_SHORTEST_S / float(np.median(np.diff(time[rows])))))
     marks = np.arange(0, rows.size + 1, stride)
@@ -51,7 +54,7 @@ def _starts(misfit: Misfit) -> list[FloatArray]:
         for axis in range(3):
             c = cumulated[:, axis]
             gain += (c[None, :] - c[:, None]) ** 2
-        gain = np.where(inside >= shortest, gain / inside, 0.0)
+        gain = np.where((inside >= shortest) & (inside < rows.size), gain / _weight(inside, rows.size), 0.0)
     coarse = [np.unravel_index(int(np.argmax(gain[1:, :-1])), gain[1:, :-1].shape)]
     picks = [(int(marks[coarse[0][0] + 1]), int(marks[coarse[0][1]]), False)]
     picks.append((int(marks[1 + int(np.argmax(gain[1:, -1]))]), rows.size, True))
@@ -63,7 +66,7 @@ def _starts(misfit: Misfit) -> list[FloatArray]:
         if end - first > _ALWAYS * rows.size:
             # Hard iron that is there all the time is no step.
             continue
-        level = misfit.residual.mag_mgauss[rows[first:end]].mean(axis=0)
+        level = misfit.sigma_mgauss * y[first:end].mean(axis=0) / (1.0 - (end - first) / rows.size)
         on = _between(time, rows, first)
         off = NEVER_S if to_the_end or end >= rows.size else _between(time, rows, end)
         starts.append(np.array([*np.clip(level, -1500.0, 1500.0), on, off]))
@@ -79,12 +82,17 @@ def _refine(
     for _ in range(2):
         firsts = np.clip(first + reach, 0, end - shortest)
         total = cumulated[end] - cumulated[firsts]
-        first = int(firsts[np.argmax((total**2).sum(axis=1) / (end - firsts))])
+        first = int(firsts[np.argmax((total**2).sum(axis=1) / _weight(end - firsts, len(y)))])
         if not to_the_end:
             ends = np.clip(end + reach, first + shortest, len(y))
             total = cumulated[ends] - cumulated[first]
-            end = int(ends[np.argmax((total**2).sum(axis=1) / (ends - first))])
+            end = int(ends[np.argmax((total**2).sum(axis=1) / _weight(ends - first, len(y)))])
     return first, end
+
+
+def _weight(inside: FloatArray | NDArray[np.int64], count: int) -> FloatArray:
+    """Return n f (1 - f) of numbers of rows inside; all of them are no step."""
+    return np.maximum(np.asarray(inside * (1.0 - inside / count), dtype=np.float64), 0.5)
 
 
 def _between(time: FloatArray, rows: np.ndarray, index: int) -> float:

@@ -6,26 +6,20 @@ import math
 
 import numpy as np
 
-from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay import Replay
 
 # MAVLink's messages and ArduPilot's parameters count whole milligauss.
 _USUAL_STEP_MGAUSS = 1.0 + 1e-6
 _REPEATS_WORTH_NAMING = 0.003
+# A sensor's steps are told from those of the messages only where they are far coarser: in units of the noise
+# that rounding to the messages' makes.
+_MUCH_COARSER = 14.0
 # Autopilots read their compass ten times a second and repeat it meanwhile; a rest may look like a repeat.
 # While the field changes by this a live sensor changes too; at rest its noise does within some seconds.
 _MOVED_MGAUSS, _NO_REST_S = 5.0, 5.0
 _TELEMETRY_HOLDS_S, _FAR_LONGER = 0.3, 1.5
 # Messages as often as readings fall beside them now and then: one reading in two of them.
 _SEEN_TWICE_S = 0.2
-
-
-def traces_to_name(
-    replay: Replay, baseline: Replay | None, noise_mgauss: float, names: frozenset[str]
-) -> tuple[float, float]:
-    """Return the share of repeats and the step of the numbers, zero where they are not to be named."""
-    stale = "stale_samples" in names and names_stale(replay, baseline)
-    step = "quantisation" in names and names_step(replay, baseline, noise_mgauss)
-    return stale_share(replay, baseline) if stale else 0.0, replay.trace.step_mgauss if step else 0.0
 
 
 def names_stale(replay: Replay, baseline: Replay | None) -> bool:
@@ -60,7 +54,10 @@ def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
             np.interp(t, replay.time_s, replay.nominal_mgauss[:, axis]) for t in (since, since + held)
         )
         moved = np.maximum(moved, np.abs(now - then))
-    held = np.where((moved > _MOVED_MGAUSS) | (held > _NO_REST_S), held, 0.0)
+    # Coarse numbers change only with the field.
+    changes = max(_MOVED_MGAUSS, 2.0 * replay.trace.step_mgauss)
+    rests = replay.trace.step_mgauss <= _USUAL_STEP_MGAUSS
+    held = np.where((moved > changes) | ((held > _NO_REST_S) & rests), held, 0.0)
     usual = _TELEMETRY_HOLDS_S
     if baseline is not None and baseline.telemetry and baseline.trace.held_s.size:
         usual = max(
@@ -77,7 +74,7 @@ def _steps_of(replay: Replay) -> tuple[float, float]:
 def names_step(replay: Replay, baseline: Replay | None, noise_mgauss: float) -> bool:
     """Tell whether the step of the numbers is an effect: coarse beside the noise, and not nominal."""
     found, nominal = replay.trace, baseline.trace if baseline is not None else None
-    if found.step_mgauss <= 0.0 or replay.resolution_mgauss > 0.0:
+    if found.step_mgauss <= _MUCH_COARSER * replay.resolution_mgauss:
         return False
     if found.step_mgauss <= _USUAL_STEP_MGAUSS:
         return False

@@ -1,0 +1,15 @@
+"""What single readings tell before any search: repeats, coarse steps, scatter, what changes each reading."""
+
+from mavcompass.gap.traces.rapid import Rapid
+from mavcompass.gap.traces.scattered import excess_variance, neighbours, quiet_scatter
+from mavcompass.gap.traces.traces import Traces, find_traces, searched
+
+__all__ = [
+    "Rapid",
+    "Traces",
+    "excess_variance",
+    "find_traces",
+    "neighbours",
+    "quiet_scatter",
+    "searched",
+]

@@ -1,0 +1,165 @@
+"""Effects that change from reading to reading: an offset that changes sign, a line of alternating current.
+
+Averaged rows hide them. They are looked for in every reading, beside the slow rest of what the nominal
+simulation leaves, and taken out before anything is averaged.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.replay import Readings, averaged
+from mavcompass.gap.traces.scattered import excess_variance, quiet_variance
+
+IDS = ("set_reset_offset", "ac_interference")
+# Of the fast excess over the baseline's an effect must hold so much; less beside noise.
+_SHARE, _BESIDE_NOISE = 0.7, 0.25
+# A line at half the rate alternates too: what toggles has fewer parameters, and need not hold quite as much.
+_SIMPLER = 0.05
+_BLOCK = 12
+_SLOW_S = 2.0
+_LOWEST_HZ = 0.5
+_FINER = 8
+# How much nearer than its width in the spectrum the frequency of a line is sought.
+_STEPS, _ROUNDS = 8, 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rapid:
+    """Hold an effect that was found in the single readings.
+
+    Attributes:
+        effect: its id; parameters: its values; sigma: their standard deviations.
+        change_mgauss: what it adds to every reading, (M, 3).
+    """
+
+    effect: str
+    parameters: dict[str, float]
+    sigma: dict[str, float]
+    change_mgauss: FloatArray
+
+    @property
+    def variance_mgauss2(self) -> float:
+        """Return its mean square over readings and axes."""
+        return float(np.mean(self.change_mgauss**2))
+
+
+def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: float) -> Rapid | None:
+    """Return the effect that holds most of the fast excess over the baseline's; None where none holds it.
+
+    Of less than `least_mgauss` rms none is told.
+    """
+    if readings.quiet.sum() < 2 * _BLOCK:
+        return None
+    fast = _fast(readings)
+    usual = 0.0 if baseline is None else quiet_variance(baseline, _fast(baseline))
+    excess = quiet_variance(readings, fast) - usual
+    if excess <= least_mgauss**2:
+        return None
+
+    def share(rapid: Rapid) -> float:
+        if rapid.variance_mgauss2 <= least_mgauss**2:
+            return 0.0
+        left = quiet_variance(readings, fast - _without_slow(readings, rapid.change_mgauss))
+        return 1.0 - (left - usual) / excess
+
+    toggling, line = _toggling(readings, fast), _line(readings, fast)
+    best = toggling if share(toggling) > share(line) - _SIMPLER else line
+    if share(best) > _SHARE:
+        return best
+    if share(best) < _BESIDE_NOISE or baseline is None:
+        return None
+    return best if excess_variance(readings.without(best.change_mgauss), baseline) > 0.0 else None
+
+
+def _fast(readings: Readings) -> FloatArray:
+    error = np.where(readings.valid[:, None], np.nan_to_num(readings.error_mgauss), 0.0)
+    return _without_slow(readings, error)
+
+
+def _without_slow(readings: Readings, columns: FloatArray) -> FloatArray:
+    """Return columns (M, k) without what lasts for seconds."""
+    width = max(2 * round(0.5 * _SLOW_S / readings.period_s) + 1, 5)
+    return columns - averaged(columns, width)
+
+
+def _toggling(readings: Readings, fast: FloatArray) -> Rapid:
+    """Fit an offset that changes sign with every reading.
+
+    Readings that were lost are counted by the time; where the count errs a block of a dozen readings has the
+    other sign.
+    """
+    count = np.concatenate([[0], np.cumsum(np.round(np.diff(readings.time_s) / readings.period_s))])
+    sign = 1.0 - 2.0 * (count % 2)
+    blocks = np.arange(len(fast)) // _BLOCK
+    size = np.bincount(blocks, readings.valid)
+    sums = np.stack([np.bincount(blocks, sign * column * readings.valid) for column in fast.T], axis=1)
+    _, vectors = np.linalg.eigh((sums / np.maximum(size, 1.0)[:, None]).T @ sums)
+    sign = sign * np.where(sums @ vectors[:, -1] < 0.0, -1.0, 1.0)[blocks]
+    offset, sigma = _fitted(readings, sign[:, None], fast)
+    return _rapid("set_reset_offset", ("x", "y", "z"), offset[0], sigma[0], sign[:, None] * offset)
+
+
+def _line(readings: Readings, fast: FloatArray) -> Rapid:
+    """Fit a sine of one frequency: the largest of the spectrum, then closer by least squares."""
+    time, rows = readings.time_s, readings.valid
+    since = time - time[0]
+    step = readings.period_s / _FINER
+    at = np.round(since / step).astype(np.int64)
+    length = int(2 ** math.ceil(math.log2(at[-1] + 1)))
+    power = np.zeros(length // 2 + 1)
+    for column in fast.T:
+        power += np.abs(np.fft.rfft(np.bincount(at, column * rows, minlength=length))) ** 2
+    hertz = np.fft.rfftfreq(length, step)
+    within = (hertz > _LOWEST_HZ) & (hertz < 0.5 / readings.period_s)
+    if not within.any():
+        return _rapid("ac_interference", _WAVES, np.zeros(7), np.zeros(7), np.zeros_like(fast))
+    best, width = float(hertz[int(np.argmax(np.where(within, power, 0.0)))]), 1.0 / float(since[-1])
+    for _ in range(_ROUNDS):
+        tried = best + width * np.linspace(-1.0, 1.0, 2 * _STEPS + 1)
+        best = float(tried[int(np.argmin([_left(_waves(since, f)[rows], fast[rows]) for f in tried]))])
+        width /= _STEPS
+    # The catalogue counts the phase on the recording's own clock.
+    columns = _waves(time, best)
+    waves, sigma = _fitted(readings, columns, fast)
+    values, doubt = np.append(waves.ravel(), best), np.append(sigma.ravel(), width)
+    return _rapid("ac_interference", _WAVES, values, doubt, columns @ waves)
+
+
+_WAVES = (*(f"{wave}_{axis}" for wave in ("sin", "cos") for axis in "xyz"), "frequency_hz")
+
+
+def _waves(time_s: FloatArray, hertz: float) -> FloatArray:
+    phase = 2.0 * math.pi * hertz * time_s
+    return np.stack([np.sin(phase), np.cos(phase)], axis=1)
+
+
+def _left(columns: FloatArray, values: FloatArray) -> float:
+    """Return the sum of squares that columns (M, k) leave of values (M, 3)."""
+    best = np.linalg.solve(columns.T @ columns, columns.T @ values)
+    return float(np.sum((values - columns @ best) ** 2))
+
+
+def _fitted(readings: Readings, columns: FloatArray, fast: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Fit columns (M, k) without their slow part to what is fast (M, 3); return values and sigmas (k, 3)."""
+    rows = readings.valid
+    design = _without_slow(readings, columns)[rows]
+    covariance = np.linalg.inv(design.T @ design)
+    values = covariance @ design.T @ fast[rows]
+    noise = np.std(fast[rows] - design @ values, axis=0)
+    return values, np.sqrt(np.diag(covariance))[:, None] * noise
+
+
+def _rapid(
+    effect: str, names: tuple[str, ...], values: FloatArray, sigma: FloatArray, change: FloatArray
+) -> Rapid:
+    return Rapid(
+        effect,
+        dict(zip(names, values.tolist(), strict=True)),
+        dict(zip(names, sigma.tolist(), strict=True)),
+        np.asarray(change),
+    )

@@ -1,0 +1,66 @@
+"""Scatter from reading to reading: how much more than the baseline's, and whether it is noise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.replay import Readings
+
+# How much larger than a baseline's the variance of the scatter must be where noise is not known in detail.
+_DOUBTFUL_EXCESS = 1.0
+# White noise scatters alike between neighbours and between readings further apart, and at all times.
+_UNLIKE, _SPANS, _UNSTEADY = 2.0, 8, 4.0
+_FEWEST = 20
+
+
+def quiet_variance(readings: Readings, values: FloatArray) -> float:
+    """Return the mean square of columns (M, 3) over the quieter readings."""
+    return float(np.mean(values[readings.quiet] ** 2)) if readings.quiet.any() else 0.0
+
+
+def excess_variance(readings: Readings, baseline: Readings) -> float:
+    """Return the variance of white scatter in excess of the baseline's, mG^2, while the field hardly turns.
+
+    0 where it is not much more, and where it is no noise: fast changes that follow each other, or come in
+    bursts.
+    """
+    now, before = quiet_scatter(readings), quiet_scatter(baseline)
+    excess = now**2 - before**2
+    if excess <= _DOUBTFUL_EXCESS * max(before, 1e-9) ** 2:
+        return 0.0
+    return excess if _white(readings, baseline, excess) and _steady(readings, excess) else 0.0
+
+
+def quiet_scatter(readings: Readings, apart: int = 1) -> float:
+    """Return the scatter between readings some steps apart in mG, robustly, on the quieter ones."""
+    both = readings.quiet.copy()
+    both[:apart] = both[both.size - apart :] = False
+    if both.sum() <= _FEWEST:
+        return 0.0
+    size = np.median(np.abs(neighbours(readings.error_mgauss, apart)[both]), axis=0)
+    return float(1.4826 * np.sqrt(np.mean(size**2)))
+
+
+def neighbours(error_mgauss: FloatArray, apart: int = 1) -> FloatArray:
+    """Return second differences of columns (N, 3), scaled to white noise's deviation; zero at the ends."""
+    out = np.zeros_like(error_mgauss)
+    k = apart
+    if len(out) > 2 * k:
+        out[k:-k] = error_mgauss[2 * k :] - 2.0 * error_mgauss[k:-k] + error_mgauss[: -2 * k]
+    return out / math.sqrt(6.0)
+
+
+def _white(readings: Readings, baseline: Readings, excess: float) -> bool:
+    """Tell whether readings further apart scatter more than the baseline's by the same as neighbours do."""
+    further = quiet_scatter(readings, 2) ** 2 - quiet_scatter(baseline, 2) ** 2
+    return excess / _UNLIKE < further < _UNLIKE * excess
+
+
+def _steady(readings: Readings, excess: float) -> bool:
+    """Tell whether the scatter stays alike all the time."""
+    square = np.mean(neighbours(readings.error_mgauss)[readings.quiet] ** 2, axis=1)
+    spans = [float(np.mean(part)) for part in np.array_split(square, _SPANS) if part.size >= _FEWEST]
+    return not spans or max(spans) < _UNSTEADY * max(min(spans), 0.25 * excess)

@@ -1,0 +1,74 @@
+"""All that single readings tell, together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from mavcompass.gap.replay import Replay
+from mavcompass.gap.traces.rapid import IDS, Rapid, find_rapid
+from mavcompass.gap.traces.scattered import excess_variance
+from mavcompass.gap.traces.steps_and_repeats import names_stale, names_step, stale_share
+from mavcompass.simulation.effects import Effect
+
+# An effect of less than this share of the floor lifts nothing above it.
+_MATERIAL = 0.75
+_MOST_RAPID = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Traces:
+    """Hold what single readings tell.
+
+    Attributes:
+        stale_share: the share of repeats; step_mgauss: the step of the numbers; zero where not to be named.
+        rapid: effects that change with every reading, and were taken out.
+        excess_mgauss2: the variance of white scatter beyond the baseline's, of single readings.
+    """
+
+    stale_share: float = 0.0
+    step_mgauss: float = 0.0
+    rapid: tuple[Rapid, ...] = ()
+    excess_mgauss2: float = 0.0
+
+    @property
+    def named(self) -> bool:
+        """Tell whether something is to be named."""
+        return self.stale_share > 0.0 or self.step_mgauss > 0.0 or bool(self.rapid)
+
+
+def find_traces(
+    replay: Replay,
+    baseline: Replay | None,
+    noise_mgauss: float,
+    floor_mgauss: float,
+    names: frozenset[str],
+    exact: bool,
+) -> tuple[Traces, Replay]:
+    """Read the traces off every reading; return the replay without what changes with each of them.
+
+    `names` are the effects that may be named. Where the floor is `exact` and no readings are averaged, the
+    search finds by itself what changes from reading to reading.
+    """
+    stale = stale_share(replay, baseline) if names_stale(replay, baseline) else 0.0
+    step = replay.trace.step_mgauss if names_step(replay, baseline, noise_mgauss) else 0.0
+    scattered, before = replay, None if baseline is None else baseline.readings
+    rapid: tuple[Rapid, ...] = ()
+    if step == 0.0 and not (exact and replay.averaged == 1):
+        for _ in range(_MOST_RAPID):
+            found = find_rapid(scattered.readings, before, _MATERIAL * floor_mgauss)
+            if found is None:
+                break
+            rapid, scattered = (*rapid, found), scattered.without(found.change_mgauss)
+    # What may not be named stays in the readings, but it is no noise either.
+    excess = 0.0 if before is None else excess_variance(scattered.readings, before)
+    rapid = tuple(one for one in rapid if one.effect in names)
+    for one in rapid:
+        replay = replay.without(one.change_mgauss)
+    stale = stale if "stale_samples" in names else 0.0
+    return Traces(stale, step if "quantisation" in names else 0.0, rapid, excess), replay
+
+
+def searched(replay: Replay, effects: Iterable[Effect]) -> list[Effect]:
+    """Leave out of a search what averaged rows cannot show, and single readings have told."""
+    return [e for e in effects if replay.averaged == 1 or e.id not in IDS]

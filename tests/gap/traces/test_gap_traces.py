@@ -1,0 +1,179 @@
+"""What single readings tell: toggling, lines, scatter and steps, each beside what it is not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.frames import FloatArray
+from mavcompass.gap.diagnose import diagnose_gap
+from mavcompass.gap.replay import Readings, replay
+from mavcompass.gap.replay.integrity import coarse_step
+from mavcompass.gap.traces import excess_variance, find_traces
+from mavcompass.gap.traces.rapid import find_rapid
+from mavcompass.gap.trial.vehicles.cases import make_case
+from mavcompass.simulation.effects import catalogue
+from mavcompass.simulation.effects.effect import Misfit, Signals
+from mavcompass.simulation.physics.signals import Reading, Stimulus
+
+B = np.array([6.0, -9.0, 4.0])
+NOISE = 2.0
+
+
+def readings(error: FloatArray, time_s: FloatArray) -> Readings:
+    """Return readings of a vehicle that turns half of the time, with an error beside its nominal field."""
+    turning = np.where(np.sin(0.1 * time_s) > 0.0, 1.0, 0.05)
+    yaw = np.cumsum(turning) * 0.02
+    nominal = 300.0 * np.stack([np.cos(yaw), -np.sin(yaw), 0.0 * yaw], axis=1)
+    return Readings.of(time_s, nominal + error, nominal, np.ones(time_s.size, dtype=np.bool_))
+
+
+def noisy(time_s: FloatArray, seed: int, sigma: float = NOISE) -> FloatArray:
+    """Return white noise on an error that wanders for seconds, as an attitude's does, (N, 3)."""
+    rng = np.random.default_rng(seed)
+    wandering = 5.0 * np.sin(0.21 * time_s[:, None] + rng.uniform(0.0, 6.0, 3))
+    return wandering + sigma * rng.standard_normal((time_s.size, 3))
+
+
+T = np.arange(0.0, 120.0, 0.04)
+HEALTHY = readings(noisy(T, 1), T)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=8, deadline=None)
+def test_toggling_offset_is_found_though_readings_were_lost(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    heard = rng.random(T.size) > 0.05
+    sign = np.where(np.arange(T.size) % 2 == 0, 1.0, -1.0)
+    found = find_rapid(readings((noisy(T, seed) + sign[:, None] * B)[heard], T[heard]), HEALTHY, 1.0)
+    assert found is not None and found.effect == "set_reset_offset"
+    offset = np.array([found.parameters[axis] for axis in "xyz"])
+    offset *= np.sign(offset[0])
+    doubt = np.array([found.sigma[axis] for axis in "xyz"])
+    assert (np.abs(offset - B) < 5.0 * doubt).all() and doubt == pytest.approx(
+        np.full(3, NOISE / math.sqrt(heard.sum())), rel=0.2
+    )
+
+
+@pytest.mark.parametrize("hertz", [0.8, 3.7, 11.9])
+def test_line_is_found_with_its_frequency_and_its_phase(hertz: float) -> None:
+    phase = 2.0 * np.pi * hertz * T
+    waves = np.outer(np.sin(phase), B) + np.outer(np.cos(phase), 0.5 * B[::-1])
+    found = find_rapid(readings(noisy(T, 2) + waves, T), HEALTHY, 1.0)
+    assert found is not None and found.effect == "ac_interference"
+    assert found.parameters["frequency_hz"] == pytest.approx(hertz, abs=1e-3)
+    assert np.sqrt(np.mean((found.change_mgauss - waves) ** 2)) < 0.3
+
+
+def test_toggling_is_found_beside_noise_and_beside_a_line() -> None:
+    sign = np.where(np.arange(T.size) % 2 == 0, 1.0, -1.0)
+    toggling = sign[:, None] * B
+    noise = readings(noisy(T, 10, sigma=6.0) + toggling, T)
+    found = find_rapid(noise, HEALTHY, 1.0)
+    assert found is not None and found.effect == "set_reset_offset"
+    rest = noise.without(found.change_mgauss)
+    assert math.sqrt(excess_variance(rest, HEALTHY)) == pytest.approx(math.sqrt(6.0**2 - NOISE**2), rel=0.05)
+
+    both = readings(noisy(T, 11) + toggling + np.outer(np.sin(2.0 * np.pi * 5.3 * T), 3.0 * B), T)
+    line = find_rapid(both, HEALTHY, 1.0)
+    assert line is not None and line.effect == "ac_interference"
+    found = find_rapid(both.without(line.change_mgauss), HEALTHY, 1.0)
+    assert found is not None and found.effect == "set_reset_offset"
+
+
+def test_noise_alone_is_neither_toggling_nor_a_line() -> None:
+    assert find_rapid(readings(noisy(T, 3, sigma=15.0), T), HEALTHY, 1.0) is None
+    assert find_rapid(HEALTHY, HEALTHY, 1.0) is None
+
+
+def test_white_scatter_is_measured_and_what_is_no_noise_is_not() -> None:
+    found = excess_variance(readings(noisy(T, 4, sigma=7.0), T), HEALTHY)
+    assert math.sqrt(found) == pytest.approx(math.sqrt(7.0**2 - NOISE**2), rel=0.05)
+    rng = np.random.default_rng(5)
+    bursts = np.where((T % 30.0 < 3.0)[:, None], 40.0, 0.0) * rng.standard_normal((T.size, 3))
+    smooth = 12.0 * np.sin(2.0 * np.pi * 2.0 * T + 3.0 * np.sin(0.3 * T))[:, None] * np.ones(3)
+    for other in (bursts, smooth):
+        assert excess_variance(readings(noisy(T, 6) + other, T), HEALTHY) == 0.0
+    assert excess_variance(readings(noisy(T, 7, sigma=1.3 * NOISE), T), HEALTHY) == 0.0
+
+
+@given(st.floats(6.0, 60.0), st.integers(0, 1000))
+@settings(max_examples=15, deadline=None)
+def test_steps_of_a_sensor_are_seen_behind_its_calibration_and_the_messages_rounding(
+    step: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    yaw = np.cumsum(0.02 * np.sin(0.002 * np.arange(3000)))
+    field = 350.0 * np.stack([np.cos(yaw), -np.sin(yaw), 0.4 + 0.0 * yaw], axis=1)
+    fine = field + rng.uniform(-200.0, 200.0, 3) + NOISE * rng.standard_normal(field.shape)
+    calibration = FieldCorrection(offsets_mgauss=(50.0, -80.0, 20.0), diagonals=(1.1, 0.9, 1.05))
+    for raw, is_coarse in ((step * np.round(fine / step), True), (fine, False)):
+        told = np.trunc(calibration.apply(raw))
+        undone = (told + 0.5 * np.sign(told)) @ np.linalg.inv(
+            calibration.matrix
+        ).T - calibration.offsets_mgauss
+        found = coarse_step(undone, np.ones(len(raw), dtype=np.bool_))
+        assert found == (pytest.approx(step, rel=0.02) if is_coarse else 0.0)
+
+
+def test_readings_that_stand_still_lie_on_no_step() -> None:
+    rng = np.random.default_rng(8)
+    still = np.array([120.0, -40.0, 400.0]) + 0.3 * rng.standard_normal((2000, 3))
+    positions = np.repeat(
+        np.array([[120.0, 40.0], [-40.0, 120.0], [-120.0, -40.0], [40.0, -120.0]]), 500, axis=0
+    )
+    dwells = np.column_stack([positions, np.full(2000, 400.0)]) + 0.3 * rng.standard_normal((2000, 3))
+    everything = np.ones(2000, dtype=np.bool_)
+    assert coarse_step(still, everything) == coarse_step(dwells, everything) == 0.0
+
+
+def test_step_is_looked_for_beside_a_constant() -> None:
+    # What is there all the time must not hide when something more came.
+    time = np.arange(0.0, 60.0, 0.1)
+    residual = np.tile([30.0, -20.0, 10.0], (time.size, 1)) + np.where(time >= 21.0, 1.0, 0.0)[:, None] * B
+    none = np.zeros_like(residual)
+    one = np.zeros(time.size)
+    stimulus = Stimulus(
+        time, np.tile(np.eye(3), (time.size, 1, 1)), none, none, none, none, none, one, one, one, none[:, :0]
+    )
+    misfit = Misfit(
+        Signals(stimulus, Reading(none, none, none)), Reading(residual, none, none),
+        np.ones(time.size, dtype=np.bool_), np.full(3, NOISE), False,
+    )  # fmt: skip
+    starts = catalogue()["hard_iron_step"].starts
+    assert starts is not None
+    best = min(starts(misfit), key=lambda s: abs(s[3] - 21.0))
+    assert best[3] == pytest.approx(21.0, abs=0.1) and best[:3] == pytest.approx(B, abs=1e-6)
+
+
+def test_long_telemetry_names_what_averaged_rows_hide() -> None:
+    case = make_case(304241175, "single")
+    assert [effect for effect, _ in case.effects] == ["set_reset_offset"]
+    found = diagnose_gap(case.track, case.baseline)
+    assert found.verdict == "named" and found.effects == {"set_reset_offset"}
+    assert (
+        found.field.nominal == pytest.approx(27.3, rel=0.05) and found.field.after < 1.25 * found.field.floor
+    )
+    # Where it may not be named it is not taken for noise either, and stays in the readings.
+    now, before = (replay(t, 1, "auto", 0.3) for t in (case.track, case.baseline) if t is not None)
+    traces, left = find_traces(now, before, 2.0, 2.6, frozenset({"noise_excess"}), exact=False)
+    assert not traces.named and traces.excess_mgauss2 == 0.0 and left is now
+
+
+def test_replay_without_an_effect_is_that_of_rows_and_readings_without_it() -> None:
+    case = make_case(304241175, "single")
+    plain = replay(case.track, 1, "auto", 0.3)
+    change = np.random.default_rng(9).standard_normal(plain.readings.error_mgauss.shape)
+    mended = plain.without(change)
+    assert plain.averaged == 5
+    assert plain.corrected_mgauss is not None and mended.corrected_mgauss is not None
+    assert mended.readings.error_mgauss == pytest.approx(plain.readings.error_mgauss - change)
+    of_rows = plain.measured.mag_mgauss - mended.measured.mag_mgauss
+    assert of_rows[7] == pytest.approx(change[35:40].mean(axis=0))
+    of_corrected = plain.corrected_mgauss - mended.corrected_mgauss
+    assert of_corrected == pytest.approx(of_rows @ plain.iron.correction.matrix.T)
