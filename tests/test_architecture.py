@@ -98,7 +98,13 @@ ROWS = {
         {"config", "schedule"},
         {"models"},
     ],
-    "fleet": [{"run", "summary"}, {"columns", "engine", "journal"}, {"examine"}, {"recordings", "vehicles"}],
+    "fleet": [
+        {"run", "summary"},
+        {"population"},
+        {"columns", "engine", "journal"},
+        {"examine"},
+        {"recordings", "vehicles"},
+    ],
     "report": [
         {"calibration", "compare", "fleet", "gap", "rehearsal"},
         {"compare_words"},

@@ -83,6 +83,8 @@ _DIAGNOSE = [
     Column("heading_gap_floor_deg", "number", "the noise floor"),
     Column("heading_gap_shrink", "number", "share of the gap that the effects close"),
     Column("causes_json", "text", "the named causes with parameters and intervals, as in the gap JSON"),
+    Column("iron_json", "text", "the whole iron (offset mG, gains, motors mG/A): names, values, covariance"),
+    Column("scatter_mgauss", "number", "white scatter of the readings, per axis"),
 ]
 
 

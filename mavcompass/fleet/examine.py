@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from mavcompass.errors import BadRecording, MavCompassError
 from mavcompass.fleet.vehicles import accelerometer_mark
 
@@ -18,12 +20,13 @@ if TYPE_CHECKING:
     from mavcompass.calibration.result import CalibrationResult
     from mavcompass.correction import FieldCorrection
     from mavcompass.gap.result import Diagnosis
-    from mavcompass.track import Track
+    from mavcompass.track import MagSeries, Track
 
 Row = dict[str, Any]
 Work = Literal["calibrate", "diagnose"]
 _AXES = ("x", "y", "z")
 _PAIRS = ("xy", "xz", "yz")
+_PIECE, _FEWEST_PIECES = 12, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +61,7 @@ def examine(job: Job, path: str) -> list[Row]:
             track = read_track(file)
     except (MavCompassError, OSError) as error:
         return [error_row(job, path, type(error).__name__, str(error))]
-    rows = list(_rows(job, path, track))
+    rows = list(rows_of(job, path, track))
     each_s = (time.perf_counter() - began) / len(rows)
     return [row | {"seconds": each_s} for row in rows]
 
@@ -74,7 +77,8 @@ def error_row(job: Job, path: str, kind: str, text: str) -> Row:
     }
 
 
-def _rows(job: Job, path: str, track: Track) -> Iterator[Row]:
+def rows_of(job: Job, path: str, track: Track) -> Iterator[Row]:
+    """Yield the rows of a recording that was read, one per compass."""
     about = _about(job, path, track)
     if not track.compasses:
         yield about | _error(BadRecording("It has no magnetometer readings.", "Log the compass."))
@@ -186,8 +190,10 @@ def _offset_sigmas(result: CalibrationResult) -> Row:
 
 def _diagnosed(job: Job, track: Track, instance: int) -> Row:
     from mavcompass.gap import diagnose_gap
+    from mavcompass.gap.rehearsal import IRON_NAMES, whole_iron
 
     found = diagnose_gap(track, None, (), instance, job.reference)  # type: ignore[arg-type]
+    iron = whole_iron(found)
     return {
         "status": "ok",
         "verdict": found.verdict,
@@ -199,7 +205,26 @@ def _diagnosed(job: Job, track: Track, instance: int) -> Row:
         **_gap("field", "mgauss", found),
         **_gap("heading", "deg", found),
         "causes_json": json.dumps(_finite(found.to_json()["causes"]), allow_nan=False),
+        "iron_json": None
+        if iron is None
+        else json.dumps(
+            {"names": IRON_NAMES, "values": iron[0].tolist(), "covariance": iron[1].tolist()}, allow_nan=False
+        ),
+        "scatter_mgauss": _scatter_mgauss(track.compasses[instance]),
     }
+
+
+def _scatter_mgauss(compass: MagSeries) -> float | None:
+    """Return the white scatter of fresh readings per axis, by the quietest quarter of third differences."""
+    reported = np.asarray(compass.reported.values)
+    reported = reported[np.isfinite(reported).all(axis=1)]
+    fresh = reported[np.concatenate([[True], np.any(np.diff(reported, axis=0) != 0.0, axis=1)])]
+    pieces = (len(fresh) - 3) // _PIECE
+    if pieces < _FEWEST_PIECES:
+        return None
+    square = np.diff(fresh, 3, axis=0)[: pieces * _PIECE].reshape(pieces, -1) ** 2
+    # White noise of one sigma makes third differences of sqrt(20).
+    return float(np.sqrt(np.percentile(square.mean(axis=1), 25.0) / 20.0))
 
 
 def _gap(name: Literal["field", "heading"], unit: str, found: Diagnosis) -> Row:

@@ -12,6 +12,7 @@ import numpy as np
 
 from mavcompass.errors import PoorCalibration
 from mavcompass.fleet.examine import Row, Work
+from mavcompass.fleet.population import Distribution, Odd, learn
 
 _AXES = ("x", "y", "z")
 _DAY_S = 86_400.0
@@ -101,6 +102,7 @@ class Summary:
         errors: recording and what went wrong, once each. vehicles: the ones to look at first come first.
         slowest: the recordings that took longest, with their seconds.
         not_accepted: recordings that gave no calibration, and why.
+        population: what diagnosed vehicles have in common; None of calibrations.
     """
 
     work: Work
@@ -110,6 +112,7 @@ class Summary:
     effects: tuple[EffectSize, ...]
     slowest: tuple[tuple[str, float], ...] = ()
     not_accepted: tuple[tuple[str, str], ...] = ()
+    population: Distribution | None = None
 
     @property
     def look_first(self) -> tuple[Vehicle, ...]:
@@ -122,7 +125,12 @@ def summarise(rows: Sequence[Row], work: Work) -> Summary:
     by_vehicle: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         by_vehicle[row["vehicle"]].append(row)
-    vehicles = [_vehicle(name, by_vehicle[name]) for name in sorted(by_vehicle)]
+    population = learn(rows) if work == "diagnose" else None
+    odd = population.odd if population is not None else ()
+    vehicles = [
+        _vehicle(name, by_vehicle[name], [one for one in odd if one.vehicle == name])
+        for name in sorted(by_vehicle)
+    ]
     vehicles.sort(key=lambda v: (-v.worst_deg, -len(v.why), v.name))
     return Summary(
         work,
@@ -132,6 +140,7 @@ def summarise(rows: Sequence[Row], work: Work) -> Summary:
         _effects(rows),
         _slowest(rows),
         _sentences(rows, _is_not_accepted),
+        population,
     )
 
 
@@ -210,7 +219,7 @@ def _effects(rows: Sequence[Row]) -> tuple[EffectSize, ...]:
     return tuple(sorted(out, key=lambda e: (-e.recordings, -e.median_mgauss)))
 
 
-def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
+def _vehicle(name: str, rows: Sequence[Row], odd: Sequence[Odd]) -> Vehicle:
     histories = _histories(rows)
     sizes: dict[str, float] = {}
     for row in rows:
@@ -222,6 +231,7 @@ def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
     reasons = [reason for history in histories for reason in _reasons(history, diagnosed)]
     reasons.sort(key=lambda reason: reason[0], reverse=True)
     why = [text for _, text in reasons]
+    why += [f"compass {one.compass}: not like the others: {one.words}" for one in odd]
     unexplained = _count(row for row in rows if row.get("unknown"))
     if unexplained:
         shows = "shows" if unexplained == 1 else "show"

@@ -14,6 +14,7 @@ _SOURCES = {
     "quantisation": "whole numbers on the wire",
     "tilt": "what is not known of the tilt",
     "gyro": "what is not known of the turns",
+    "motors": "a field of the motors that this recording does not exclude",
     "field": "the field here, which is not quite the world model's",
 }
 # A ratio of rms errors from here on is not worth a person's time.

@@ -54,7 +54,8 @@ def test_diagnose_names_effects_and_their_size(
     twelve: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "gaps.parquet"
-    assert main(["fleet", "diagnose", str(twelve / "boat-2"), "--out", str(out), "--workers", "2"]) == 0
+    asked = ["fleet", "diagnose", str(twelve / "boat-2"), "--out", str(out), "--workers", "2"]
+    assert main([*asked, "--presets", "2"]) == 0
     rows = pq.read_table(out).to_pylist()
     assert len(rows) == 4 and {row["status"] for row in rows} == {"ok"}
     worst = rows[-1]
@@ -62,6 +63,10 @@ def test_diagnose_names_effects_and_their_size(
     assert "hard_iron" in worst["effects"].split(",")
     assert worst["effect_hard_iron_mgauss"] > 10.0
     assert json.loads(worst["causes_json"])[0]["parameters"]
+    learnt = json.loads((tmp_path / "gaps.distribution.json").read_text(encoding="utf-8"))
+    assert (learnt["schema"], learnt["vehicles"]) == ("mavcompass.fleet-distribution/1", 1)
+    assert learnt["recordings"] == 4 and learnt["odd"] == []
+    assert len(list(tmp_path.glob("gaps.distribution.*.preset.json"))) == 2
     said = capsys.readouterr().out
     assert "Look at boat-2 (" in said and "last: " in said and "simulation's heading is" in said
     assert "heading off" not in said + out.with_suffix(".html").read_text(encoding="utf-8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -117,6 +118,20 @@ def calibrate(
 @command.command()
 @fleet_options
 @reference_option
+@click.option(
+    "--distribution",
+    "distribution_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE.json",
+    help="What the vehicles have in common (default: beside the table, FILE.distribution.json).",
+)
+@click.option(
+    "--presets",
+    type=click.IntRange(0, 10_000),
+    default=0,
+    metavar="N",
+    help="Draw N vehicles of the fleet as presets for `simulate --effect @FILE`, beside the distribution.",
+)
 def diagnose(
     paths: tuple[str, ...],
     out: Path,
@@ -129,9 +144,14 @@ def diagnose(
     retry_errors: bool,
     report_file: Path | None,
     reference: str,
+    distribution_file: Path | None,
+    presets: int,
     output: Output,
 ) -> int:
     """Diagnose the sim-to-real gap of every recording: which effects, how large, on which vehicles.
+
+    What the vehicles have in common is learnt as a distribution, for domain randomisation, and the vehicle
+    that is not like the others is named.
 
     \b
     Example: mavcompass fleet diagnose "flights/**/*.BIN" --out gaps.parquet --scheduler tcp://10.0.0.5:8786
@@ -140,7 +160,16 @@ def diagnose(
 
     job = Job("diagnose", instances, reference=reference, vehicle_pattern=vehicle_pattern)
     engine = _engine(workers, scheduler, timeout_s)
-    return _run(job, paths, out, engine, fresh, retry_errors, report_file, output)
+    learnt = Learnt(distribution_file or out.with_suffix(".distribution.json"), presets)
+    return _run(job, paths, out, engine, fresh, retry_errors, report_file, output, learnt)
+
+
+@dataclass(frozen=True, slots=True)
+class Learnt:
+    """Say where the fleet's distribution goes, and how many vehicles are drawn from it."""
+
+    file: Path
+    presets: int
 
 
 def _engine(workers: int | None, scheduler: str | None, timeout_s: float) -> Engine:
@@ -160,6 +189,7 @@ def _run(
     retry_errors: bool,
     report_file: Path | None,
     output: Output,
+    learnt: Learnt | None = None,
 ) -> int:
     from mavcompass.fleet.recordings import find_recordings
     from mavcompass.fleet.run import journal_of, run_fleet
@@ -197,7 +227,15 @@ def _run(
     facts = {"Table": str(out), "Work": job.work, "Examined now": f"{result.examined}, kept: {result.kept}"}
     if slow := [f"{short(path)} ({seconds:.0f} s)" for path, seconds in summary.slowest if seconds >= LONG_S]:
         facts["Slowest"] = ", ".join(slow)
+    if learnt is not None and summary.population is not None:
+        from mavcompass.fleet.population import write_distribution
+
+        written = write_distribution(summary.population, learnt.file, learnt.presets)
+        drawn = f" and {len(written) - 1} presets" if learnt.presets else ""
+        facts["Distribution"] = f"{learnt.file}{drawn}"
     write_fleet_report(summary, facts, page)
     say(output, result, summary, out, page)
+    if "Distribution" in facts:
+        output.say(f"Distribution: {facts['Distribution']}")
     output.write_json(document(result, summary, out, page))
     return NOTHING_USABLE if result.rows and all(row["status"] == "error" for row in result.rows) else 0

@@ -27,6 +27,7 @@ def document(result: FleetResult, summary: Summary, out: Path, page: Path) -> di
         "slowest": [{"recording": recording, "seconds": seconds} for recording, seconds in summary.slowest],
         "effects": [asdict(effect) for effect in summary.effects],
         "vehicles": [_vehicle(vehicle) for vehicle in summary.vehicles],
+        "odd": [asdict(odd) for odd in summary.population.odd] if summary.population is not None else [],
         "look_first": [vehicle.name for vehicle in summary.look_first],
     }
 

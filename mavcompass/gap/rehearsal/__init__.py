@@ -1,6 +1,7 @@
 """The rehearsal: the calibration of a diagnosed vehicle, done a thousand times in the simulation."""
 
+from mavcompass.gap.rehearsal.iron import IRON_NAMES, whole_iron
 from mavcompass.gap.rehearsal.rehearse import rehearse
 from mavcompass.gap.rehearsal.result import Errors, Expected, Part, Rehearsal, Remedy
 
-__all__ = ["Errors", "Expected", "Part", "Rehearsal", "Remedy", "rehearse"]
+__all__ = ["IRON_NAMES", "Errors", "Expected", "Part", "Rehearsal", "Remedy", "rehearse", "whole_iron"]

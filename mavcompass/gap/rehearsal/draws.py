@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from mavcompass.calibration.positions import DEFAULT_PRIOR
 from mavcompass.calibration.positions.fit import CROSS_TERMS_BEFORE
 from mavcompass.frames import FloatArray
+from mavcompass.gap.rehearsal.iron import effects_in, iron_settings
 from mavcompass.gap.rehearsal.kind import Kind
 from mavcompass.gap.result import Belief
 from mavcompass.simulation.effects import Setting, get
-from mavcompass.simulation.effects.effect import Chain, Effect, Memory, Rng, Signals, Stage
+from mavcompass.simulation.effects.effect import Chain
 
 MOST_POSITIONS = 10
+# What the recording leaves open of the motors' field, beside what the calibration in force says of it.
+MOTORS = "motors"
 # The horizontal cross term of the iron, and the vertical ones.
 _CROSS = (((0, 1),), ((0, 2), (1, 2)))
 # What scatters single readings or their times is in the vehicle's stances.
@@ -32,7 +35,8 @@ class Individual:
 
     Attributes:
         field_ned_mgauss: the field where it is calibrated and used, (3,).
-        matrix, offset_mgauss, motor_mgauss: raw = matrix field + offset + motor load.
+        matrix, offset_mgauss, motor_mgauss: raw = matrix field + offset + motor load. known_motor_mgauss: the
+            motors' field as its calibration in force has it.
         settings: its effects.
         heading_rad: where it begins; turned_off_rad: how far each position is from where it should be, (K,).
         stance: which stance each position is, (K,); used: which of the recording's readings it is used in.
@@ -44,6 +48,7 @@ class Individual:
     matrix: FloatArray
     offset_mgauss: FloatArray
     motor_mgauss: FloatArray
+    known_motor_mgauss: FloatArray
     settings: tuple[Setting, ...]
     heading_rad: float
     turned_off_rad: FloatArray
@@ -62,16 +67,8 @@ class Individual:
         `load` (N,) is what the motors' field goes with.
         """
         acting = [s for s in self.settings if s.effect.id not in without]
-        return Chain([_iron(self, load), *acting])
-
-
-def _iron(individual: Individual, load: FloatArray) -> Setting:
-    def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-        field = signals.reading.mag_mgauss @ individual.matrix.T
-        motors = np.nan_to_num(load)[:, np.newaxis] * individual.motor_mgauss
-        return signals.with_mag(field + individual.offset_mgauss + motors)
-
-    return Setting(Effect("the vehicle's iron", "", Stage.MATRIX, (), forward), np.zeros(0))
+        motor = self.known_motor_mgauss if MOTORS in without else self.motor_mgauss
+        return Chain([*iron_settings(self.matrix, self.offset_mgauss, motor, load), *acting])
 
 
 class Draws:
@@ -102,7 +99,9 @@ class Draws:
             matrix=matrix,
             offset_mgauss=kind.offset_mgauss + values[12:15],
             motor_mgauss=kind.motor_mgauss + values[15:18],
-            settings=(*_settings(belief, values), *self._faults(rng)),
+            known_motor_mgauss=kind.motor_mgauss,
+            settings=tuple(s for s in effects_in(belief, values) if s.effect.kind in _ACTING)
+            + tuple(self._faults(rng)),
             heading_rad=float(rng.uniform(-math.pi, math.pi)),
             turned_off_rad=_TURN_SIGMA_RAD * rng.standard_normal(k),
             stance=rng.integers(len(kind.stances), size=k),
@@ -144,15 +143,6 @@ def _crossed(kind: Kind, belief: Belief) -> list[float]:
             value, wide = 0.5 * (matrix[i, j] + matrix[j, i]), math.hypot(known, DEFAULT_PRIOR.cross_sigma)
             log_odds += 0.5 * value**2 * (1.0 / known**2 - 1.0 / wide**2) + math.log(known / wide)
         out.append(1.0 / (1.0 + math.exp(min(-log_odds, 700.0))))
-    return out
-
-
-def _settings(belief: Belief, values: FloatArray) -> list[Setting]:
-    out = []
-    for effect, at in zip(map(get, belief.effects), belief.places, strict=True):
-        theta = values[at : at + len(effect.parameters)]
-        if effect.kind in _ACTING:
-            out.append(Setting(effect, np.clip(theta, effect.lower, effect.upper)))
     return out
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from mavcompass.gap.attitude import Choice
 from mavcompass.gap.blas import single_thread
-from mavcompass.gap.rehearsal.draws import Draws
+from mavcompass.gap.rehearsal.draws import MOTORS, Draws
 from mavcompass.gap.rehearsal.judging import TILT_RAD
 from mavcompass.gap.rehearsal.kind import Kind, kind_of
 from mavcompass.gap.rehearsal.procedure import FIELD, GYRO, NOISE, QUANTISATION, TILT, Protocol
@@ -23,7 +23,7 @@ from mavcompass.gap.rehearsal.runs import Run, calibrations
 from mavcompass.gap.result import Diagnosis
 from mavcompass.track import Track
 
-SOURCES = (NOISE, QUANTISATION, TILT, GYRO, FIELD)
+SOURCES = (NOISE, QUANTISATION, TILT, GYRO, FIELD, MOTORS)
 # So many vehicles tell a difference, since they meet the same chances.
 _COMPARED_SHARE, _FEWEST_COMPARED = 0.06, 40
 _AWAY_M = 10.0

@@ -16,7 +16,7 @@ from mavcompass.gap.rehearsal import Rehearsal, rehearse
 from mavcompass.gap.rehearsal.draws import Draws
 from mavcompass.gap.rehearsal.judging import heading_errors_deg
 from mavcompass.gap.rehearsal.kind import Kind, kind_of
-from mavcompass.gap.rehearsal.procedure import FIELD, GYRO, NOISE, QUANTISATION, TILT, calibrate
+from mavcompass.gap.rehearsal.procedure import calibrate
 from mavcompass.gap.rehearsal.rehearse import SOURCES
 from mavcompass.gap.result import Diagnosis
 from mavcompass.gap.trial.cases import Recipe, make_track
@@ -69,7 +69,7 @@ def test_without_any_error_the_calibration_is_exact(kind: Kind) -> None:
     nothing = {*SOURCES, "motor_current"}
     draws = Draws(kind, seed=5)
     for number in range(3):
-        vehicle = replace(draws[number], matrix=np.diag([1.04, 0.95, 1.0]), motor_mgauss=np.zeros(3))
+        vehicle = replace(draws[number], matrix=np.diag([1.04, 0.95, 1.0]))
         fit = calibrate(kind, vehicle, without=nothing)
         level, tilted = heading_errors_deg(kind, vehicle, fit.correction, nothing)
         assert level < 0.03 and level <= tilted
@@ -100,14 +100,7 @@ def test_an_effect_that_no_calibration_cures_dominates_and_its_compensation_help
     assert "compensation" in best.words and best.change < 0.5 and is_worth_it(best)
     without = rehearsal.dominant.without.level.rms_deg
     assert best.errors.level.rms_deg == pytest.approx(without, rel=0.5)
-    assert {part.name for part in rehearsal.parts} == {
-        NOISE,
-        QUANTISATION,
-        TILT,
-        GYRO,
-        FIELD,
-        "motor_current",
-    }
+    assert {part.name for part in rehearsal.parts} == {*SOURCES, "motor_current"}
 
 
 def test_it_is_told_in_words_as_json_and_as_a_page(rehearsal: Rehearsal, tmp_path: Path) -> None:

@@ -1,0 +1,202 @@
+"""The distribution of the effects over a fleet, for domain randomisation: as JSON and as presets."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mavcompass.errors import UsageError
+from mavcompass.fleet.examine import Row
+from mavcompass.fleet.population.estimates import IRON, SIZES, Vehicle, vehicles_of
+from mavcompass.fleet.population.odd import FALSE_NAMES, Odd, odd_ones
+from mavcompass.fleet.population.pooling import DEGREES_OF_FREEDOM, Pooled, pool
+from mavcompass.frames import FloatArray
+
+SCHEMA = "mavcompass.fleet-distribution/1"
+_FEWEST = 4
+_NAMES = {
+    "hard_iron": ("x", "y", "z"),
+    "soft_iron": ("xx", "yy", "zz", "xy", "xz", "yz"),
+    "motor_current": ("x", "y", "z"),
+}
+# The iron's gains are A; the effect soft_iron is A - I.
+_NEUTRAL = {"soft_iron": np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """Hold an effect over the fleet: how many have it, and its parameters' distribution (Student's t).
+
+    `prevalence` is the share of vehicles with its 95 % interval.
+    """
+
+    effect: str
+    vehicles: int
+    prevalence: tuple[float, float, float]
+    names: tuple[str, ...]
+    location: FloatArray
+    spread: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Distribution:
+    """Hold what was learnt of a fleet.
+
+    Attributes:
+        vehicles, recordings: diagnosed ones, compass by compass.
+        whole: the iron and the motors' field that every vehicle has: all of it, the calibration's included.
+        effects: what was named beside these. sizes: median of scatter and gap, mG, and the spread of its
+            logarithm.
+        odd: vehicles that are not like the others.
+    """
+
+    vehicles: int
+    recordings: int
+    whole: tuple[Spread, ...]
+    effects: tuple[Spread, ...]
+    sizes: Mapping[str, tuple[float, float]]
+    odd: tuple[Odd, ...]
+
+    def to_json(self) -> dict[str, object]:
+        """Return the document `mavcompass.fleet-distribution/1`, plain values only."""
+        return {
+            "schema": SCHEMA,
+            "vehicles": self.vehicles,
+            "recordings": self.recordings,
+            "family": "multivariate Student t",
+            "degrees_of_freedom": DEGREES_OF_FREEDOM,
+            "whole": [_spread(spread) for spread in self.whole],
+            "effects": [_spread(spread) for spread in self.effects],
+            "sizes": {
+                name: {"median": median, "log_sigma": sigma} for name, (median, sigma) in self.sizes.items()
+            },
+            "odd": [asdict(odd) for odd in self.odd],
+            "false_names_expected": FALSE_NAMES,
+        }
+
+    def preset(self, rng: np.random.Generator) -> list[str]:
+        """Draw one vehicle of the fleet: effects as `simulate --effect` reads them."""
+        drawn = list(self.whole)
+        drawn += [spread for spread in self.effects if rng.random() < spread.prevalence[0]]
+        return [_drawn(spread, rng) for spread in drawn]
+
+
+def learn(rows: Sequence[Row]) -> Distribution:
+    """Learn a fleet's distribution from the rows of its diagnoses.
+
+    Partial pooling: each vehicle counts by what is known of it, and for less the further it lies out.
+    """
+    vehicles = vehicles_of(rows)
+    pooled: dict[str, Pooled] = {}
+    for quantity in (*IRON, *SIZES):
+        known = [v.quantities[quantity] for v in vehicles if quantity in v.quantities]
+        if len(known) >= _FEWEST:
+            pooled[quantity] = pool(
+                np.array([k.value for k in known]), np.array([k.covariance for k in known])
+            )
+    whole = [
+        Spread(
+            quantity, fleet.vehicles, _prevalence(fleet.vehicles, fleet.vehicles), _NAMES[quantity],
+            fleet.location - _NEUTRAL.get(quantity, 0.0), fleet.spread,
+        )
+        for quantity, fleet in pooled.items()
+        if quantity in IRON
+    ]  # fmt: skip
+    return Distribution(
+        vehicles=len(vehicles),
+        recordings=sum(vehicle.recordings for vehicle in vehicles),
+        whole=tuple(whole),
+        effects=tuple(_effects(vehicles)),
+        sizes={
+            name: (float(np.exp(pooled[name].location[0])), float(np.sqrt(pooled[name].spread[0, 0])))
+            for name in SIZES
+            if name in pooled
+        },
+        odd=odd_ones(vehicles, pooled),
+    )
+
+
+def _effects(vehicles: Sequence[Vehicle]) -> list[Spread]:
+    """Describe the effects that were named and are not part of the whole iron."""
+    from mavcompass.simulation.effects import get
+
+    out = []
+    for effect in sorted({effect for vehicle in vehicles for effect in vehicle.effects}):
+        if get(effect).affine or effect in IRON:
+            continue
+        cases = [vehicle.effects[effect] for vehicle in vehicles if effect in vehicle.effects]
+        names = tuple(name for name in get(effect).names if all(name in case for case in cases))
+        values = np.array([[case[name][0] for name in names] for case in cases])
+        sigmas = np.array([[max(case[name][1], 1e-9) for name in names] for case in cases])
+        if len(cases) >= _FEWEST and names:
+            fleet = pool(values, np.einsum("vi,ij->vij", sigmas**2, np.eye(len(names))))
+            location, spread = fleet.location, fleet.spread
+        else:  # too few to tell how they differ: as much as they are known, or lie apart
+            location = np.median(values, axis=0)
+            spread = np.diag(np.median(sigmas, axis=0) ** 2 + values.var(axis=0))
+        out.append(
+            Spread(effect, len(cases), _prevalence(len(cases), len(vehicles)), names, location, spread)
+        )
+    return sorted(out, key=lambda spread: -spread.vehicles)
+
+
+def _prevalence(having: int, of: int) -> tuple[float, float, float]:
+    """Return the share that has something, by Jeffreys' rule: median and 95 % interval."""
+    from scipy.special import betaincinv
+
+    middle, low, high = betaincinv(having + 0.5, of - having + 0.5, [0.5, 0.025, 0.975]).tolist()
+    return middle, low, high
+
+
+def _spread(spread: Spread) -> dict[str, object]:
+    middle, low, high = spread.prevalence
+    return {
+        "effect": spread.effect,
+        "vehicles": spread.vehicles,
+        "prevalence": middle,
+        "prevalence_ci95": [low, high],
+        "parameters": list(spread.names),
+        "location": spread.location.tolist(),
+        "spread": spread.spread.tolist(),
+    }
+
+
+def _drawn(spread: Spread, rng: np.random.Generator) -> str:
+    from mavcompass.simulation.effects import Setting, get, spell
+
+    far = np.sqrt(DEGREES_OF_FREEDOM / rng.chisquare(DEGREES_OF_FREEDOM))
+    values = rng.multivariate_normal(np.zeros(len(spread.names)), spread.spread, method="eigh")
+    drawn = dict(zip(spread.names, (spread.location + far * values).tolist(), strict=True))
+    effect = get(spread.effect)
+    inside = {
+        p.name: float(np.clip(drawn[p.name], p.low, p.high)) for p in effect.parameters if p.name in drawn
+    }
+    return spell(Setting.of(effect, inside))
+
+
+def write_distribution(distribution: Distribution, path: Path, presets: int = 0, seed: int = 1) -> list[Path]:
+    """Write the document, and presets of our simulator drawn from it beside it; return all that was written.
+
+    Raises UsageError where a file cannot be written.
+    """
+    from mavcompass.simulation.effects.registry import PRESET_SCHEMA
+
+    documents: dict[Path, dict[str, object]] = {path: distribution.to_json()}
+    rng = np.random.default_rng(seed)
+    for number in range(presets):
+        file = path.with_name(f"{path.stem}.{number + 1:03d}.preset.json")
+        effects = distribution.preset(rng)
+        documents[file] = {"schema": PRESET_SCHEMA, "source": path.name, "effects": effects}
+    try:
+        for file, document in documents.items():
+            file.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UsageError(
+            f"{path} could not be written ({error.strerror}).",
+            "Name a file in a folder that you may write to.",
+        ) from error
+    return list(documents)
