@@ -260,19 +260,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"{len(cells)} cells of {whole}: "
         + ", ".join(f"{w.name} {w.kind} {len(t.steps)} steps" for w, t in traces.items())
     )
-    outcomes = []
-    for cell in cells:
-        outcome = run_cell(cell, traces[cell.work])
-        outcome.scene = None
-        outcomes.append(outcome)
-        if outcome.wrong:
-            print(
-                f"  {cell} at {cell.step.kind} {cell.step.what}: {'; '.join(outcome.wrong)} [{outcome.told}]",
-                flush=True,
-            )
+    outcomes: list[Outcome] = []
+    try:
+        for cell in cells:
+            outcomes.append(run_cell(cell, traces[cell.work]))
+            tell(outcomes[-1], len(outcomes))
+    except KeyboardInterrupt:
+        print("stopped")
     table(outcomes)
     print(f"{time.monotonic() - began_s:.0f} s")
     return 1 if any(outcome.wrong for outcome in outcomes) else 0
+
+
+def tell(outcome: Outcome, count: int) -> None:
+    """Print what went wrong, and how far it is."""
+    outcome.scene = None
+    if outcome.wrong:
+        cell = outcome.cell
+        print(f"  {cell} at {cell.step.kind} {cell.step.what}: {'; '.join(outcome.wrong)} [{outcome.told}]")
+    if outcome.wrong or count % 250 == 0:
+        print(f"  {count} cells", flush=True)
 
 
 def table(outcomes: Sequence[Outcome]) -> None:

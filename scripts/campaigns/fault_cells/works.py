@@ -153,16 +153,16 @@ def first_undo(scene: Scene) -> Path:
 
 
 WORKS = (
-    Work("calibrate", "rover", calibrate, share=2.0, moves=True),
-    Work("calibrate", "copter", calibrate, share=0.5, moves=True),
-    Work("calibrate", "px4-copter", calibrate, share=0.15, moves=True),
-    Work("check", "rover", check, share=1.0, moves=True),
-    Work("write", "rover", write, prepare_write, share=2.0),
-    Work("write", "px4-copter", write, prepare_write, share=1.0),
-    Work("restore", "rover", restore, prepare_undo, share=1.0),
-    Work("undo", "rover", undo, prepare_undo, share=1.0),
-    Work("serve", "rover", serve, share=1.0, moves=True, goes_on=True),
-    Work("serve undo", "rover", serve_undo, prepare_undo, share=0.5, goes_on=True),
+    Work("calibrate", "rover", calibrate, share=1.2, moves=True),
+    Work("calibrate", "copter", calibrate, share=0.15, moves=True),
+    Work("calibrate", "px4-copter", calibrate, share=0.03, moves=True),
+    Work("check", "rover", check, share=1.5, moves=True),
+    Work("write", "rover", write, prepare_write, share=2.5),
+    Work("write", "px4-copter", write, prepare_write, share=1.2),
+    Work("restore", "rover", restore, prepare_undo, share=1.5),
+    Work("undo", "rover", undo, prepare_undo, share=1.5),
+    Work("serve", "rover", serve, share=0.5, moves=True, goes_on=True),
+    Work("serve undo", "rover", serve_undo, prepare_undo, share=0.7, goes_on=True),
 )
 
 
