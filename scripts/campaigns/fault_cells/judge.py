@@ -14,7 +14,7 @@ from mavcompass.vehicle.parameters.undo import UndoRecord, load_record
 from mavcompass.vehicle.parameters.values import same_value
 
 STANDS_WITHIN_S = 1.0
-_LOOKS_ON_S = 4.0
+_LOOKS_ON_S = 3.0
 _COMMAND = re.compile(r"(\S+) params restore (\S+) (\S+\.json)")
 # What these change after the last reading, no program can know.
 UNSEEN = ("second client", "rebooted, old")
@@ -45,7 +45,11 @@ def _motion(scene: Scene, work: Work, ended_s: float) -> list[str]:
         # The service goes on after a fault, and may turn the vehicle again when it is asked to.
         last_s = scene.stood_s if work.goes_on else scene.turning_s
         longer_s = max(longer_s, last_s - scene.at_s)
-    return [f"turned {longer_s:.2f} s longer"] if work.moves and longer_s > STANDS_WITHIN_S else []
+    return (
+        [f"turned {longer_s:.2f} s longer"]
+        if work.moves and longer_s > STANDS_WITHIN_S + work.flies_on_s
+        else []
+    )
 
 
 def _what_was_told(scene: Scene, ending: Ending, known: frozenset[Path]) -> list[str]:

@@ -49,6 +49,7 @@ class Work:
 
     Attributes:
         share: of the cells, in proportion. moves: it turns the vehicle. goes_on: after a fault, by itself.
+        flies_on_s: so long the autopilot follows a target whose successor never came.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Work:
     share: float = 1.0
     moves: bool = False
     goes_on: bool = False
+    flies_on_s: float = 0.0
 
 
 def calibrate(scene: Scene) -> bool:
@@ -153,15 +155,15 @@ def first_undo(scene: Scene) -> Path:
 
 
 WORKS = (
-    Work("calibrate", "rover", calibrate, share=1.2, moves=True),
-    Work("calibrate", "copter", calibrate, share=0.15, moves=True),
-    Work("calibrate", "px4-copter", calibrate, share=0.03, moves=True),
+    Work("calibrate", "rover", calibrate, share=0.8, moves=True),
+    Work("calibrate", "copter", calibrate, share=0.05, moves=True),
+    Work("calibrate", "px4-copter", calibrate, share=0.01, moves=True, flies_on_s=1.0),  # COM_OF_LOSS_T
     Work("check", "rover", check, share=1.5, moves=True),
     Work("write", "rover", write, prepare_write, share=2.5),
     Work("write", "px4-copter", write, prepare_write, share=1.2),
     Work("restore", "rover", restore, prepare_undo, share=1.5),
     Work("undo", "rover", undo, prepare_undo, share=1.5),
-    Work("serve", "rover", serve, share=0.5, moves=True, goes_on=True),
+    Work("serve", "rover", serve, share=0.3, moves=True, goes_on=True),
     Work("serve undo", "rover", serve_undo, prepare_undo, share=0.7, goes_on=True),
 )
 

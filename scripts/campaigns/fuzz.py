@@ -1,0 +1,131 @@
+"""Feed hostile bytes to everything that reads them: no traceback, no hang, bounded memory.
+
+    python scripts/campaigns/fuzz.py [--minutes 8] [--target toml].. [--seed 1]
+
+Every target runs in a process of its own for its share of the time, coverage-guided by atheris where that is
+installed (`pip install atheris`), by plain mutation where it is not. An input may take 20 s and the process
+2 GB. What broke something is kept in scripts/campaigns/fuzz_corpus/TARGET and tried again by the tests. Exit
+code 1 if anything broke.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from types import FrameType
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+CORPUS = HERE / "fuzz_corpus"
+LONGEST_INPUT_S, MOST_MEMORY_MB, MOST_BYTES = 20, 2048, 8192
+NAMES = (
+    "framing codec listeners tlog dataflash dataflash-text ulog csv"
+    " param params undo toml address effect body guard"
+).split()
+
+
+def main() -> int:
+    """Run every target for its share and tell what broke."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--minutes", type=float, default=8.0, help="over all targets in sum")
+    parser.add_argument("--target", action="append", choices=NAMES)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    targets = options.target or NAMES
+    if options.one:
+        return fuzz(targets[0], 60.0 * options.minutes, options.seed)
+    share, broken = options.minutes / len(targets), []
+    for name in targets:
+        command = [sys.executable, __file__, "--one", "--target", name]
+        command += ["--minutes", str(share), "--seed", str(options.seed)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60.0 * share + 300.0)
+        last = [line for line in done.stderr.splitlines() if line.startswith(("#", "Done"))][-1:]
+        print(f"{name:15} {'broke' if done.returncode else 'right'}  {' '.join(last)}", flush=True)
+        if done.returncode:
+            broken.append(name)
+            print("\n".join(done.stderr.splitlines()[-40:]))
+    return 1 if broken else 0
+
+
+def fuzz(name: str, seconds: float, seed: int) -> int:
+    """Fuzz one target in this process."""
+    with tempfile.TemporaryDirectory() as work:
+        try:
+            import atheris
+        except ImportError:
+            return mutate_for(name, seconds, seed)
+        with atheris.instrument_imports(include=["mavcompass"], enable_loader_override=False):
+            from fuzz_targets import TARGETS, seeds
+        for k, content in enumerate([*seeds(name), *kept(name)]):
+            (Path(work) / f"seed-{k}").write_bytes(content)
+        (CORPUS / name).mkdir(parents=True, exist_ok=True)
+        limits = [f"-timeout={LONGEST_INPUT_S}", f"-rss_limit_mb={MOST_MEMORY_MB}", f"-max_len={MOST_BYTES}"]
+        kept_in = f"-artifact_prefix={CORPUS / name}/"
+        time_limit = f"-max_total_time={max(1, round(seconds))}"
+        atheris.Setup([sys.argv[0], work, *limits, kept_in, time_limit, f"-seed={seed}"], TARGETS[name])
+        atheris.Fuzz()  # ends the process
+        return 0
+
+
+def mutate_for(name: str, seconds: float, seed: int) -> int:
+    """Fuzz by mutation alone."""
+    from fuzz_targets import TARGETS, seeds
+
+    def over(number: int, frame: FrameType | None) -> None:
+        raise TimeoutError(f"an input took more than {LONGEST_INPUT_S} s")
+
+    signal.signal(signal.SIGALRM, over)
+    limit = MOST_MEMORY_MB * 2**20
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    chance, corpus, count = random.Random(seed), [*seeds(name), *kept(name)], 0
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        content, count = mutated(chance.choice(corpus), chance), count + 1
+        signal.alarm(LONGEST_INPUT_S)
+        try:
+            TARGETS[name](content)
+        except BaseException:
+            (CORPUS / name).mkdir(parents=True, exist_ok=True)
+            (CORPUS / name / f"crash-{seed}-{count}").write_bytes(content)
+            raise
+        finally:
+            signal.alarm(0)
+    print(f"Done {count} runs", file=sys.stderr)
+    return 0
+
+
+def mutated(content: bytes, chance: random.Random) -> bytes:
+    """Change, cut, double or insert some bytes."""
+    data = bytearray(content)
+    for _ in range(chance.choice((1, 2, 4, 16))):
+        at = chance.randrange(len(data) + 1)
+        match chance.randrange(4):
+            case 0:
+                data[at : at + 1] = chance.randbytes(1)
+            case 1:
+                del data[at : at + chance.randrange(64)]
+            case 2:
+                data[at:at] = data[at : at + chance.randrange(64)]
+            case _:
+                data[at:at] = chance.choice((b"\0", b"\xff" * 4, b"nan", b"1e30", b"-inf", b"[" * 99, b"\n"))
+    return bytes(data[:MOST_BYTES])
+
+
+def kept(name: str) -> list[bytes]:
+    """Return what broke a target once."""
+    return [path.read_bytes() for path in sorted((CORPUS / name).glob("*")) if path.is_file()]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

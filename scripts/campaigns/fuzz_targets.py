@@ -1,0 +1,203 @@
+"""What `fuzz.py` feeds: each takes bytes and raises only what is not the product's own error."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+PROJECT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(PROJECT), str(PROJECT / "tests" / "logs")]
+
+from mavcompass.errors import MavCompassError  # noqa: E402
+from mavcompass.logs import read_track  # noqa: E402
+from mavcompass.messages import Incoming, ParamValue, RawImu, Statustext  # noqa: E402
+from mavcompass.procedure.motion import SafetyLimits  # noqa: E402
+from mavcompass.procedure.motion.safety import MotionGuard  # noqa: E402
+from mavcompass.procedure.positions import Rest  # noqa: E402
+from mavcompass.procedure.turning import GyroAngle  # noqa: E402
+from mavcompass.procedure.vehicle_state import VehicleState, identify  # noqa: E402
+from mavcompass.service.config import parse_config  # noqa: E402
+from mavcompass.service.web.bodies import (  # noqa: E402
+    Answer,
+    BadRequest,
+    Comparing,
+    HistoryQuery,
+    parse_address,
+    parse_body,
+)
+from mavcompass.service.web.security import Guard  # noqa: E402
+from mavcompass.service.work.tasks import CalibrationRequest  # noqa: E402
+from mavcompass.simulation.effects import registry  # noqa: E402
+from mavcompass.track_builder import TrackBuilder  # noqa: E402
+from mavcompass.vehicle.link import LinkStatistics  # noqa: E402
+from mavcompass.vehicle.parameters.files import read_parameter_file  # noqa: E402
+from mavcompass.vehicle.parameters.undo import load_record  # noqa: E402
+from mavcompass.vehicle.parameters.values import decode as decode_parameter  # noqa: E402
+from mavcompass.vehicle.transport import parse_address as parse_source  # noqa: E402
+from mavcompass.vehicle.wire import FrameParser, decode, encode, message_id  # noqa: E402
+
+Target = Callable[[bytes], object]
+_FOLDER = Path(tempfile.mkdtemp(prefix="fuzz", dir="/dev/shm" if os.path.isdir("/dev/shm") else None))
+# Frames of these are read by the listeners of a procedure.
+_HEARD = (0, 1, 2, 22, 24, 26, 27, 29, 30, 32, 33, 36, 65, 74, 77, 105, 116, 129, 147, 193, 245, 253)
+
+
+def framing(data: bytes) -> None:
+    """Feed a port's bytes in pieces."""
+    parser = FrameParser(LinkStatistics())
+    step = 1 + data[0] % 61 if data else 1
+    for at in range(0, len(data), step):
+        for frame in parser.feed(data[at : at + step]):
+            decode(frame.message_id, frame.payload)
+
+
+def codec(data: bytes) -> None:
+    """Decode a payload, and encode what came of it."""
+    if len(data) > 3 and (message := decode(int.from_bytes(data[:3], "little"), data[3:])) is not None:
+        encode(message)
+
+
+def listeners(data: bytes) -> None:
+    """Let everything that listens in a procedure hear messages with any numbers in them."""
+    state, gyro, rest = VehicleState(), GyroAngle(), Rest()
+    builder = TrackBuilder("ardupilot", "rover")
+    guard = MotionGuard(state, gyro, "copter", SafetyLimits())
+    for at in range(0, len(data) - 60, 60):
+        message = decode(_HEARD[data[at] % len(_HEARD)], data[at + 1 : at + 60])
+        if message is None:
+            continue
+        heard = Incoming(at * 0.01, 1, 1, message)
+        identify(heard)
+        if isinstance(message, ParamValue):
+            decode_parameter(message, "bytewise" if data[at] & 1 else "cast")
+        for listener in (state.hear, gyro.hear, rest.hear, guard.hear, builder.add):
+            listener(heard)
+        guard.check(at * 0.01)
+    with suppress(MavCompassError):
+        builder.build()
+
+
+def _file(suffix: str, read: Callable[[Path], object]) -> Target:
+    path = _FOLDER / f"fuzzed{suffix}"
+
+    def target(data: bytes) -> None:
+        path.write_bytes(data)
+        with suppress(MavCompassError):
+            read(path)
+
+    return target
+
+
+def _text(read: Callable[[str], object]) -> Target:
+    def target(data: bytes) -> None:
+        with suppress(MavCompassError):
+            read(data.decode("utf-8", "replace"))
+
+    return target
+
+
+def body(data: bytes) -> None:
+    """Read a request's body and its address as each model."""
+    for model in (CalibrationRequest, Comparing, Answer):
+        with suppress(BadRequest):
+            parse_body(data, "application/json", model)  # type: ignore[type-var]
+    text = data.decode("utf-8", "replace")
+    pairs = dict(pair.partition("=")[::2] for pair in text.split("&"))
+    with suppress(BadRequest):
+        parse_address(pairs, HistoryQuery)
+
+
+def guard(data: bytes) -> None:
+    """Let the service's guard judge a request with these headers."""
+    names = (b"host", b"origin", b"authorization", b"content-length", b"sec-fetch-site")
+    values = data.split(b"\n")
+    headers = [*zip(names, values, strict=False)]
+    scope: dict[str, Any] = {"type": "http", "method": "POST", "path": "/", "headers": headers}
+    if data[:1] > b"\x80":
+        scope["type"] = "websocket"
+
+    async def inside(scope: Any, receive: Any, send: Any) -> None:
+        given = dict(scope["headers"]).get(b"authorization", b"")
+        assert scope["type"] == "websocket" or b"the right token" in given, "let in without the token"
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "http.request"}
+
+    async def send(message: Any) -> None: ...
+
+    asyncio.run(Guard(inside, "the right token")(scope, receive, send))
+
+
+def effect(data: bytes) -> None:
+    """Read effects as `simulate` and SOURCE take them."""
+    text = data.decode("utf-8", "replace")
+    with suppress(MavCompassError):
+        parse_source(f"sim:rover,effect={text}")
+    with suppress(MavCompassError):
+        registry.parse(text)
+
+
+TARGETS: dict[str, Target] = {
+    "framing": framing,
+    "codec": codec,
+    "listeners": listeners,
+    "tlog": _file(".tlog", read_track),
+    "dataflash": _file(".bin", read_track),
+    "dataflash-text": _file(".log", read_track),
+    "ulog": _file(".ulg", read_track),
+    "csv": _file(".csv", read_track),
+    "param": _file(".param", read_parameter_file),
+    "params": _file(".params", read_parameter_file),
+    "undo": _file(".json", load_record),
+    "toml": _text(parse_config),
+    "address": _text(parse_source),
+    "effect": effect,
+    "body": body,
+    "guard": guard,
+}
+
+
+def seeds(target: str) -> list[bytes]:
+    """Return what a target's fuzzing begins with."""
+    recordings = {
+        "tlog": ".tlog",
+        "dataflash": ".bin",
+        "dataflash-text": ".log",
+        "ulog": ".ulg",
+        "csv": ".csv",
+    }
+    if target in recordings or target == "framing":
+        from mutations import originals
+
+        contents = originals(_FOLDER / "originals")
+        return [contents[recordings.get(target, ".tlog")][:6000]]
+    undo = b'{"schema":"mavcompass.undo/1","made_at":"","autopilot":"px4","source":"sim:rover",'
+    texts: dict[str, list[bytes]] = {
+        "param": [b"# saved\nCOMPASS_OFS_X,5\nCOMPASS_OFS_Y 1e-3\n"],
+        "params": [b"# Vehicle-Id\tComponent\n1\t1\tCAL_MAG0_ID\t396809\t6\n1\t1\tCAL_MAG0_XOFF\t0.1\t9\n"],
+        "undo": [undo + b'"before":{"A":1},"planned":{"A":2.5},"parameters":{}}'],
+        "toml": [(PROJECT / "scripts" / "deploy" / "mavcompass.toml").read_bytes()[:3000]],
+        "address": [
+            b"udpin:0.0.0.0:14550",
+            b"tcp:[::1]:5760",
+            b"/dev/ttyACM0:57600",
+            b"mavsdk+udpin://0.0.0.0:14540",
+            b"serial:///dev/ttyACM0:57600",
+            b"sim:rover,seed=3,effect=hard_iron+relay_field",
+        ],
+        "effect": [b"hard_iron:x=100,y=-50", b"motor_current:x=1e3"],
+        "body": [b'{"compasses":[1],"motion":"hand","positions":4,"dwell_s":2.5}', b"kind=check&limit=3"],
+        "guard": [b"localhost:8808\nhttp://localhost:8808\nBearer x\n12\nsame-origin", b"[::1]:1\n\n\n\n"],
+    }
+    if target in ("codec", "listeners"):
+        messages = (RawImu(xmag=200), Statustext(2, "PreArm: compass"), ParamValue("COMPASS_OFS_X", 5.0, 9))
+        if target == "codec":
+            return [message_id(type(m)).to_bytes(3, "little") + encode(m)[1] for m in messages]
+        return [b"".join(bytes([k]) + bytes(range(59)) for k in range(22))]
+    return texts[target]
