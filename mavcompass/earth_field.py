@@ -102,6 +102,19 @@ def earth_field(lat_deg: float, lon_deg: float, alt_m: float, year: float) -> Ea
     return EarthField(ned_mgauss=(x, y, z), sigma_mgauss=(sx, sy, sz))
 
 
+def middle_place(places: FloatArray) -> tuple[float, float, float]:
+    """Return the median latitude and longitude, degrees, and altitude of places (N, 3).
+
+    They may lie on either side of the date line. Rows that are not numbers are left out.
+    """
+    known = np.asarray(places)[np.isfinite(places).all(axis=1)]
+    lat, lon, alt = known.T
+    if np.ptp(lon) > 180.0:
+        lon = np.where(lon < 0.0, lon + 360.0, lon)
+    east = float(np.median(lon))
+    return float(np.median(lat)), east - 360.0 if east > 180.0 else east, float(np.median(alt))
+
+
 def earth_field_of(track: Track, year: float | None = None) -> EarthField | None:
     """Return the field at a recording's place and date; None where it does not know its place.
 
@@ -114,7 +127,7 @@ def earth_field_of(track: Track, year: float | None = None) -> EarthField | None
     known = np.isfinite(place.values).all(axis=1) & (np.abs(place.values[:, :2]).sum(axis=1) > 1e-6)
     if not known.any():
         return None
-    lat, lon, alt = (float(v) for v in np.median(place.values[known], axis=0))
+    lat, lon, alt = middle_place(place.values[known])
     if track.utc_offset_s is not None:
         year = decimal_year(track.utc_offset_s + float(place.time_s[-1]))
     # A hundredth of a degree or year is far below the model's sigma, and hits the cache.

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mavcompass.correction import FieldCorrection
-from mavcompass.earth_field import EarthField, decimal_year, earth_field
+from mavcompass.earth_field import EarthField, decimal_year, earth_field, middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, tilt_from_acceleration
 from mavcompass.heading.compute import tilt_compensated_heading
@@ -64,11 +64,11 @@ def earth_field_of(track: Track) -> EarthField | None:
     known = np.isfinite(place.values).all(axis=1) & (np.abs(place.values[:, :2]).max(axis=1) > 1e-6)
     if not known.any():
         return None
-    lat, lon, alt = np.median(np.asarray(place.values)[known], axis=0)
+    lat, lon, alt = middle_place(place.values[known])
     year = _UNKNOWN_YEAR
     if track.utc_offset_s is not None and track.utc_offset_s > 0.0:
         year = decimal_year(track.utc_offset_s + float(place.time_s[-1]))
-    return earth_field(round(float(lat), 4), round(float(lon), 4), round(float(alt), 0), round(year, 2))
+    return earth_field(round(lat, 4), round(lon, 4), round(alt, 0), round(year, 2))
 
 
 def heading_of_track(
@@ -169,8 +169,8 @@ def _result(
     true = np.asarray(true_heading(magnetic, world))
     grid = None
     if track.place is not None and len(track.place):
-        lat, lon = np.median(np.asarray(track.place.values)[:, :2], axis=0)
-        grid = np.asarray(grid_heading(true, float(lat), float(lon)))
+        lat, lon, _ = middle_place(track.place.values)
+        grid = np.asarray(grid_heading(true, lat, lon))
     return HeadingResult(
         time_s=time_s,
         magnetic_rad=magnetic,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavcompass.earth_field import middle_place
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.kinematics import interpolated
 from mavcompass.simulation.physics.world import EARTH_RADIUS_M
@@ -143,7 +144,7 @@ def local_position(place: Series | None) -> Series | None:
     if place is None or not np.isfinite(place.values).all(axis=1).any():
         return None
     lat, lon, alt = place.values.T
-    lat_0, lon_0 = float(np.nanmedian(lat)), float(np.nanmedian(lon))
+    lat_0, lon_0, _ = middle_place(place.values)
     north, east = north_east_m(lat, lon, lat_0, lon_0)
     return Series.of(place.time_s, np.stack([north, east, -alt], axis=1))
 
@@ -153,7 +154,9 @@ def north_east_m(
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far north and east of a place others lie, in metres, on the plane that touches there."""
     north = np.radians(lat_deg - about_lat_deg) * EARTH_RADIUS_M
-    east = np.radians(lon_deg - about_lon_deg) * EARTH_RADIUS_M * math.cos(math.radians(about_lat_deg))
+    off_deg = np.asarray(lon_deg - about_lon_deg)
+    off_deg = np.where(np.abs(off_deg) > 180.0, off_deg - np.copysign(360.0, off_deg), off_deg)
+    east = np.radians(off_deg) * EARTH_RADIUS_M * math.cos(math.radians(about_lat_deg))
     return north, east
 
 

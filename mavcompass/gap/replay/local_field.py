@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mavcompass.earth_field import decimal_year, earth_field
+from mavcompass.earth_field import decimal_year, earth_field, middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate
 from mavcompass.gap.attitude import Reference
@@ -26,8 +26,7 @@ def world_field(
 ) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
     """Return the field in NED, its sigma, and what to say about it."""
     if track.place is not None and np.isfinite(track.place.values).all(axis=1).any():
-        place = track.place.values[np.isfinite(track.place.values).all(axis=1)]
-        lat, lon, alt = np.median(place, axis=0).tolist()
+        lat, lon, alt = middle_place(track.place.values)
         year = decimal_year(track.utc_offset_s) if track.utc_offset_s else _YEAR_WHERE_UNKNOWN
         earth = earth_field(round(lat, 5), round(lon, 5), round(alt, 1), round(year, 3))
         refined = _measured_by_others(track, instance, time_s, reference, earth.vector_mgauss)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.earth_field import middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
 from mavcompass.gap.attitude import (
@@ -204,8 +205,7 @@ def _place(track: Track) -> tuple[float, float, float] | None:
     """Return latitude, longitude and altitude in the middle of a recording's places."""
     if track.place is None or not np.isfinite(track.place.values).all(axis=1).any():
         return None
-    lat, lon, alt = np.nanmedian(track.place.values, axis=0).tolist()
-    return lat, lon, alt
+    return middle_place(track.place.values)
 
 
 def _middles(count: int, width: int) -> slice:

@@ -202,7 +202,8 @@ class MotionGuard:
             self._place = place
             return None
         north_m = (place.lat - start.lat) * 1e-7 * 111_319.5
-        east_m = (place.lon - start.lon) * 1e-7 * 111_319.5 * math.cos(math.radians(start.lat * 1e-7))
+        east_deg = ((place.lon - start.lon) * 1e-7 + 180.0) % 360.0 - 180.0  # the date line may lie between
+        east_m = east_deg * 111_319.5 * math.cos(math.radians(start.lat * 1e-7))
         drift_m = math.hypot(north_m, east_m)
         if drift_m > self.limits.drift_m:
             reason = f"The vehicle moved {drift_m:.1f} m away from where it started."

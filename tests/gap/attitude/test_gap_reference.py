@@ -15,6 +15,7 @@ from mavcompass.gap.attitude.kinematics import (
     rotation_vectors,
     turned_between,
 )
+from mavcompass.gap.attitude.receiver import local_position
 from mavcompass.gap.attitude.reference import body_rate, reference_attitude
 from mavcompass.gap.attitude.rest import bias_at_rest
 from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
@@ -203,3 +204,11 @@ def test_gyro_reference_follows_a_tumbling_vehicle_without_its_compass() -> None
     true_yaw = np.unwrap(np.arctan2(truth[:, 1, 0], truth[:, 0, 0]))
     off = yaw - true_yaw
     assert np.degrees(np.std(off - np.polyval(np.polyfit(t, off, 1), t))) < 1.0
+
+
+def test_places_on_both_sides_of_the_date_line_are_neighbours() -> None:
+    places = np.array([[-17.0, 179.9999, 0.0], [-17.0, -179.9999, 0.0], [-17.0, 179.9998, 0.0]])
+    local = local_position(Series.of(np.arange(3.0), places))
+    assert local is not None
+    apart_m = 0.0003 * 111_195.0 * math.cos(math.radians(17.0))
+    assert np.ptp(local.values[:, 1]) == pytest.approx(apart_m, rel=0.01)

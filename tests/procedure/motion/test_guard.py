@@ -1,0 +1,47 @@
+"""What ends a motion, number by number; whole motions are interrupted in `test_interrupted`."""
+
+from __future__ import annotations
+
+import pytest
+
+from mavcompass import messages as mav
+from mavcompass.messages import Incoming
+from mavcompass.procedure.motion.safety import MotionGuard
+from mavcompass.procedure.turning import GyroAngle
+from mavcompass.procedure.vehicle_state import VehicleState, printable
+
+ARMED = mav.Heartbeat(type=10, autopilot=3, base_mode=128, custom_mode=15, system_status=4)
+
+
+def guarded(lat: int, lon: int) -> tuple[VehicleState, MotionGuard]:
+    state = VehicleState()
+    guard = MotionGuard(state, GyroAngle(), "rover")
+    for message in (ARMED, mav.GlobalPositionInt(lat=lat, lon=lon)):
+        state.hear(Incoming(0.0, 1, 1, message))
+    guard.begin()
+    return state, guard
+
+
+@pytest.mark.parametrize(
+    ("start", "now", "strayed"),
+    [
+        (1_799_999_990, -1_799_999_990, False),
+        (-1_799_999_990, 1_799_999_990, False),
+        (1_799_999_990, -1_799_990_000, True),
+        (85_000_000, 85_000_100, False),
+        (85_000_000, 85_001_000, True),
+    ],
+)
+def test_the_room_to_move_in_goes_on_beyond_the_date_line(start: int, now: int, strayed: bool) -> None:
+    state, guard = guarded(-170_000_000, start)
+    state.hear(Incoming(0.1, 1, 1, mav.GlobalPositionInt(lat=-170_000_000, lon=now)))
+    said = guard.check(0.1)
+    assert (said is not None) == strayed, said
+    assert said is None or "m away from where it started" in said
+
+
+def test_what_a_vehicle_says_cannot_move_a_cursor_or_begin_a_line() -> None:
+    state, _ = guarded(470_000_000, 80_000_000)
+    state.hear(Incoming(0.2, 1, 1, mav.Statustext(2, "PreArm: \x1b[2J\r\nERROR: all is well\u202e\x9b")))
+    assert list(state.texts) == ["PreArm: ?[2J??ERROR: all is well??"]
+    assert printable("Höhe 3 m, 20 °C") == "Höhe 3 m, 20 °C"
