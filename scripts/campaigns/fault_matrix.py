@@ -9,8 +9,8 @@ runs the procedure anew and lets one fault happen at one step. Cells are drawn e
 and kinds of steps. Afterwards the vehicle must hold the old set or the new one, or there are an undo file
 and the sentence that restores it, which is then followed; it stands within a second; nothing went on for too
 long; nothing but the product's own errors was raised or logged. Half of the procedures that were killed, or
-whose link was closed, are started again first and must come to an end of their own. Exit code 1 if any
-cell fails.
+whose link was closed, are started again first and must come to an end of their own. `--processes` has real
+programs killed by the system. Exit code 1 if any cell fails.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from fault_cells.faults import FAULTS, applies, clock_of
 from fault_cells.judge import judge_end, judge_way_back
+from fault_cells.processes import killed_process
 from fault_cells.scene import Fault, Hung, Killed, Scene, Step, watched_files
 from fault_cells.works import WORKS, Ending, Work
 
@@ -248,6 +249,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--work", action="append", choices=sorted({w.name for w in WORKS}))
     parser.add_argument("--fault", action="append", choices=[f.name for f in FAULTS])
     parser.add_argument("--cell", help="run this one again")
+    parser.add_argument("--processes", type=int, default=0, help="as many real programs are killed, too")
     options = parser.parse_args(arguments)
     if options.cell:
         return tell_again(options.cell)
@@ -268,8 +270,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("stopped")
     table(outcomes)
+    killed = [killed_process(number % 8 + 1) for number in range(options.processes)]
+    print("\n".join(f"a killed program: {sentence}" for wrong in killed for sentence in wrong))
     print(f"{time.monotonic() - began_s:.0f} s")
-    return 1 if any(outcome.wrong for outcome in outcomes) else 0
+    return 1 if any(outcome.wrong for outcome in outcomes) or any(killed) else 0
 
 
 def tell(outcome: Outcome, count: int) -> None:

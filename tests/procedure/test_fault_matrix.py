@@ -60,3 +60,7 @@ def test_a_table_tells_cells_and_failures(matrix: ModuleType, capsys: pytest.Cap
     options = ["--cells", "2", "--work", "write", "--fault", "lost", "--seed", "4"]
     assert matrix.main(options) == 0
     assert "0 of 2 cells failed" in capsys.readouterr().out
+
+
+def test_a_program_that_the_system_killed_has_told_the_way_back(matrix: ModuleType) -> None:
+    assert matrix.killed_process(4) == []

@@ -155,6 +155,10 @@ class History:
         with self._transaction() as database:
             database.execute("UPDATE entry SET report = ? WHERE id = ?", (report, number))
 
+    def has_undo(self, undo_file: str) -> bool:
+        """Tell whether an entry names this undo file."""
+        return bool(self._select("WHERE undo_file = ? LIMIT 1", (undo_file,)))
+
     def entry(self, number: int) -> Entry | None:
         """Return one entry, None where there is none of this number."""
         found = self._select("WHERE id = ?", (number,))

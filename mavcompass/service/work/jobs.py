@@ -17,6 +17,7 @@ from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
 from mavcompass.service.work import procedures
 from mavcompass.service.work.history import History
+from mavcompass.service.work.interrupted import note_interrupted_write
 from mavcompass.service.work.learning import Learning
 from mavcompass.service.work.recorder import Recorder
 from mavcompass.service.work.results import Results, sigma_deg
@@ -78,6 +79,7 @@ class Jobs:
             return
         view.key = met.key
         view.set_parameters(met.parameters)
+        note_interrupted_write(self._history, view, self._config.folder / "undo")
 
     def judge_calibrations(self, view: VehicleView) -> tuple[Finding, ...]:
         """Compare what is in force with the history, and say how good it is."""

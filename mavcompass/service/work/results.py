@@ -131,7 +131,9 @@ class Results:
         """Record that a request came to nothing."""
         task.fail(error)
         document = {"error": task.error, "remedy": task.remedy, "lines": task.lines[-20:]}
-        task.entry = self._record(task, view, False, task.error, document)
+        left = getattr(error, "undo_file", None)
+        undo_file = None if left is None else str(left)
+        task.entry = self._record(task, view, False, task.error, document, undo_file=undo_file)
 
     def undo_path(self, request: UndoRequest) -> Path:
         """Find the undo file that a request names. Raises UsageError for any other file."""
