@@ -15,7 +15,7 @@ from mavcompass import messages as mav
 from mavcompass.enums import MavCmd, MavFrame, MavParamType
 from mavcompass.errors import NoReply, Refused
 from mavcompass.messages.bits import single_from_bits
-from mavcompass.procedure.commands import command
+from mavcompass.procedure.commands import DISABLED_US, command
 from mavcompass.procedure.flying.profile import Profile
 from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper, mode_command
 from mavcompass.procedure.motion import Permissions, Readiness
@@ -59,9 +59,12 @@ class FlightRates:
         return cls(rates)
 
     def of(self, autopilot: str) -> dict[int, float]:
-        """Return the rates without the message of the compass that this autopilot does not fill."""
-        empty = 26 if autopilot == "ardupilot" else 27
-        return {number: hertz for number, hertz in self.by_message.items() if number != empty}
+        """Return the rates of what this autopilot fills; 0 for what it shall not send.
+
+        PX4's HIGHRES_IMU is less what its estimator takes for the compass's bias, which is not told.
+        """
+        empty, unwanted = (26, {}) if autopilot == "ardupilot" else (27, {105: 0.0})
+        return unwanted | {number: hertz for number, hertz in self.by_message.items() if number != empty}
 
 
 @dataclass(slots=True)
@@ -112,8 +115,9 @@ def fly_profile(
     context.watches.append(clock.stands)
     yield from _set(context, parameters)
     for number, hertz in rates.of(identity.autopilot).items():
+        every_us = 1e6 / hertz if hertz else float(DISABLED_US)
         yield from command(
-            context, MavCmd.SET_MESSAGE_INTERVAL, float(number), 1e6 / hertz, what="a message rate"
+            context, MavCmd.SET_MESSAGE_INTERVAL, float(number), every_us, what="a message rate"
         )
     yield from _until_it_knows_its_place(context, identity, state, clock)
     yield from _ready(context, identity, state, profile)

@@ -18,8 +18,8 @@ from mavcompass.vehicle.transport.udp import UdpTransport
 _STARTUP = "etc/init.d-posix/rcS"
 _FIRST_PORT, _INSTANCES = 14540, 10
 _QUADROTOR = {"PX4_SIM_MODEL": "sihsim_quadx", "PX4_SYS_AUTOSTART": "10040"}
-# What is wrong with the compass shall stay: on the ground PX4 would cure it by itself.
-_FLIGHT: dict[str, float] = {"SENS_MAG_AUTOCAL": 0}
+# What is wrong with the compass shall stay: on the ground PX4 learns its bias in seconds and takes it off.
+_FLIGHT: dict[str, float] = {"MBE_LEARN_GAIN": 0.1, "SENS_MAG_AUTOCAL": 0}
 # Of the vehicle's own calibration. Whole numbers (device, rotation) are the simulator's own.
 _CALIBRATION = re.compile(r"CAL_MAG0_[XYZ](OFF|SCALE|ODIAG|COMP)")
 
