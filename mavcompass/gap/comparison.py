@@ -17,10 +17,10 @@ from typing import Literal
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.diagnose import diagnose_gap
+from mavcompass.gap.diagnose import Replayed, diagnose_gap
 from mavcompass.gap.left import DISCREPANCY_MGAUSS
 from mavcompass.gap.result import Cause, Closing, Diagnosis
-from mavcompass.simulation.effects import get
+from mavcompass.simulation.effects import catalogue, get
 from mavcompass.track import Track
 
 SCHEMA = "mavcompass.gap-compare/1"
@@ -117,9 +117,12 @@ def compare(
     Trajectory, place and rates may differ. Raises BadRecording where there is too little to compare.
     """
     progress("the vehicle beside the simulator")
-    forth = diagnose_gap(vehicle, simulator, instance=instance, progress=progress)
+    replayed: Replayed = {}
+    forth = diagnose_gap(vehicle, simulator, instance=instance, progress=progress, replayed=replayed)
     progress("the simulator beside the vehicle")
-    back = diagnose_gap(simulator, vehicle, instance=instance, progress=progress)
+    back = diagnose_gap(
+        simulator, vehicle, instance=instance, progress=progress, among=_backwards(forth), replayed=replayed
+    )
     comparison = Comparison(forth, back, _differences(forth, back))
     return flown_again(comparison, vehicle, again, progress)
 
@@ -140,6 +143,18 @@ def flown_again(
         closer = diagnose_gap(vehicle, track, instance=comparison.vehicle.compass, progress=progress)
         achieved.append(_reached(track.source, comparison.vehicle, closer))
     return replace(comparison, achieved=tuple(achieved))
+
+
+def _backwards(forth: Diagnosis) -> frozenset[str] | None:
+    """Name what is to be weighed the other way round; None for everything, where nothing was explained.
+
+    What was found shows there too, with the other sign; besides it only amounts tell anything new.
+    """
+    if forth.verdict not in ("named", "ambiguous"):
+        return None
+    sets = {effect for effects, _ in forth.ambiguity_set for effect in effects}
+    amounts = {e.id for e in catalogue().values() if all(p.low >= 0.0 for p in e.parameters)}
+    return forth.effects | sets | amounts | {a for e in forth.effects for a in get(e).aliases}
 
 
 def _differences(forth: Diagnosis, back: Diagnosis) -> tuple[Difference, ...]:

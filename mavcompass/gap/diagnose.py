@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 
 from mavcompass.errors import UsageError
@@ -39,6 +39,8 @@ from mavcompass.gap.traces import Traces, find_traces, searched
 from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.track import Track
 
+Replayed = dict[tuple[int, int, float], tuple[Track, Replay]]
+
 _WITHOUT_WITNESS = 1.5
 _THOROUGH = 3.0
 
@@ -51,18 +53,23 @@ def diagnose_gap(
     reference: Choice = "auto",
     thorough: bool = False,
     progress: Callable[[str], None] = lambda doing: None,
+    *,
+    among: Collection[str] | None = None,
+    replayed: Replayed | None = None,
 ) -> Diagnosis:
     """Explain the gap between the simulation and a recording.
 
     `baseline` is a recording of the same vehicle in a state that is accepted as good: it gives the
     noise floor and tunes the simulator. `withhold` names effects that must not be used, together with
     their aliases. `thorough` compares up to three times the rows of a long recording. `progress` is told what
-    is being done. Raises BadRecording where there is too little to compare, UsageError for an unknown effect.
+    is being done. `among` names the effects to weigh, None for all; `replayed` keeps replays for diagnoses of
+    the same recordings. Raises BadRecording where there is too little to compare, UsageError for an unknown
+    effect.
     """
     started = time.perf_counter()
     withheld = withheld_effects(withhold)
     with single_thread():
-        how = _How(instance, reference, thorough, progress)
+        how = _How(instance, reference, thorough, progress, among, {} if replayed is None else replayed)
         result = _diagnose(track, baseline, withheld, how)
     return replace(result, seconds=time.perf_counter() - started)
 
@@ -89,6 +96,8 @@ class _How:
     reference: Choice
     thorough: bool
     progress: Callable[[str], None]
+    among: Collection[str] | None
+    replayed: Replayed
 
 
 def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], how: _How) -> Diagnosis:
@@ -111,7 +120,8 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     replayed, before = doubting(replayed, before, every)
     untestable = untestable_effects(replayed, every, before is not None and before.telemetry)
     half = half_testable(replayed, every)
-    testable = [e for e in every if e.id not in withheld and (e.id in half or e.id not in untestable)]
+    weighed = every if how.among is None else [e for e in every if e.id in how.among]
+    testable = [e for e in weighed if e.id not in withheld and (e.id in half or e.id not in untestable)]
 
     # 4. Floor
     how.progress("measuring the floor")
@@ -146,11 +156,19 @@ def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, R
     """Replay the recording and its baseline, with rows that follow each other alike."""
     tracks = [track] if baseline is None else [track, baseline]
     period_s = shared_period_s(tracks, how.compass) / (_THOROUGH if how.thorough else 1.0)
-    replayed = replay(track, how.compass, how.reference, period_s)
+    replayed = _replayed(track, how.compass, period_s, how)
     if baseline is None:
         return replayed, None
     compass = how.compass if how.compass in baseline.compasses else 1
-    return replayed, replay(baseline, compass, how.reference, period_s)
+    return replayed, _replayed(baseline, compass, period_s, how)
+
+
+def _replayed(track: Track, compass: int, period_s: float, how: _How) -> Replay:
+    """Replay a recording, once for all who keep the replays."""
+    key = (id(track), compass, period_s)
+    if key not in how.replayed:
+        how.replayed[key] = (track, replay(track, compass, how.reference, period_s))
+    return how.replayed[key][1]
 
 
 def _explained(
@@ -168,6 +186,9 @@ def _explained(
         floor = widened
     remainder = what_is_left(identified, floor, names, traces)
     if remainder.scatter is None and (start is floor or not floor.measured or traces.step_mgauss > 0.0):
+        return identified, remainder, floor
+    if excess > 0.0 and remainder.scatter is not None and remainder.scatter.effect == "noise_excess":
+        # The search knew that scatter before it began.
         return identified, remainder, floor
     if remainder.scatter is None:
         # What looked like scatter belongs to what was found: choose again under the floor itself.
