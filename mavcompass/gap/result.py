@@ -83,9 +83,10 @@ class Cured:
     Attributes:
         calibrated: False where no calibration is in force.
         hard_iron_mgauss, matrix, motor_mgauss: b (3,), A (3, 3) and the field per unit of motor load (3,)
-        that the
-            calibration in force cures.
+            that the calibration in force cures.
         tuned_hard_iron_mgauss, tuned_matrix, tuned_motor_mgauss: the same with what the recordings add to it.
+        taught_hard_iron_mgauss, taught_matrix, taught_motor_mgauss: how much of that the baseline alone
+            showed beside its calibration; of the matrix the change, relative to A.
         motor_source: the load that the motor term goes with.
         sigma_heading_deg: how far the calibration may be off, in heading.
     """
@@ -97,6 +98,9 @@ class Cured:
     tuned_hard_iron_mgauss: FloatArray
     tuned_matrix: FloatArray
     tuned_motor_mgauss: FloatArray
+    taught_hard_iron_mgauss: FloatArray
+    taught_matrix: FloatArray
+    taught_motor_mgauss: FloatArray
     motor_source: MotorSource
     sigma_heading_deg: float
 

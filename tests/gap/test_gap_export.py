@@ -165,15 +165,35 @@ def test_the_script_makes_the_field_that_our_own_effect_makes(effect_id: str, ti
     np.testing.assert_allclose(firmware.raw(field[1]), truth, atol=0.02)
 
 
-def test_what_the_calibration_cures_of_the_motors_is_added_to_what_was_found() -> None:
+def test_what_the_calibration_cures_is_added_to_what_was_found() -> None:
     from mavcompass.gap.export.vehicle import vehicle_settings
     from mavcompass.gap.result import Cured
 
     iron = Cured(
-        True, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.eye(3), np.array([1.0, 2.0, -3.0]),
+        True, np.zeros(3), np.eye(3), np.zeros(3), np.array([4.0, 0.0, 9.0]), np.eye(3),
+        np.array([1.0, 2.0, -3.0]), np.array([1.0, 0.0, 7.0]), np.zeros((3, 3)), np.array([0.5, 0.0, 0.0]),
         "current", 1.0,
     )  # fmt: skip
     cause = Cause("motor_current", {"x": 0.5, "y": -1.0, "z": 0.25}, {}, 1.0, ())
-    whole = vehicle_settings(SimpleNamespace(causes=(cause,), in_force=iron))  # type: ignore[arg-type]
-    (motors,) = whole
+    diagnosis = SimpleNamespace(causes=(cause,), in_force=iron)
+    offset, motors = vehicle_settings(diagnosis)  # type: ignore[arg-type]
+    np.testing.assert_allclose(offset.theta, [4.0, 0.0, 9.0])
     np.testing.assert_allclose(motors.theta, [1.5, 1.0, -2.75])
+    # What the simulator itself showed beside its calibration is no iron that it could be given.
+    offset, motors = vehicle_settings(diagnosis, beside_simulator=True)  # type: ignore[arg-type]
+    np.testing.assert_allclose(offset.theta, [3.0, 0.0, 2.0])
+    np.testing.assert_allclose(motors.theta, [1.0, 1.0, -2.75])
+
+
+def test_of_what_was_promised_an_export_tells_what_it_holds() -> None:
+    found = Found(
+        [typical("hard_iron"), typical("temperature_bias")], shrink=0.97,
+        shares={"hard_iron": 0.7, "temperature_bias": 0.27},
+    )  # fmt: skip
+    for target, held in {
+        "ardupilot-sitl": 0.7,
+        "px4-sitl": 0.7,
+        "gazebo": 0.7,
+        "ardupilot-lua": 0.97,
+    }.items():
+        assert found.promised(TARGETS[target](found)) == pytest.approx(held), target

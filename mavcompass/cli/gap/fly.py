@@ -113,9 +113,9 @@ def fly(
         source = comparison.vehicle
         if baseline is not None:
             source = diagnosed(log, 1, baseline, (), "auto")
-        found = found_in(source, log.name)
+        found = found_in(source, log.name, beside_simulator=baseline is None)
         exported = export(found)
-        if exported.parameters:
+        if source.causes and exported.parameters:
             (folder / EXPORT).write_text(exported.text, encoding="utf-8")
             parameters = cure | dict(exported.parameters)
             again = _flown(simulator, profile, parameters, folder / AGAIN, "with what was found", progress)
@@ -164,12 +164,12 @@ def _flown(
 
 def _say(comparison: Comparison, exported: Exported, keep: Path | None, output: Output) -> None:
     say_comparison(comparison, output)
-    if not exported.parameters:
-        output.say("  nothing was found to put into the simulator; it was not flown again")
+    if not comparison.achieved:
+        output.say("  nothing was found that can be put into the simulator; it was not flown again")
     for sentence in exported.lacking:
         output.say(f"  not in the simulator: {sentence}")
     if keep is not None:
-        output.say(f"  kept: {keep / EXPORT}, {keep / PLAIN}, {keep / AGAIN}")
+        output.say(f"  kept in {keep}: {', '.join(sorted(path.name for path in keep.iterdir()))}")
 
 
 def _document(

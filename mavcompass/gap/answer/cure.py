@@ -21,6 +21,8 @@ def cured_iron(problem: Problem, fit: Fit, floor: Floor) -> Cured:
     change = values.get(IRON_MATRIX, np.zeros(9)).reshape(3, 3)
     offset = values.get(IRON_OFFSET, np.zeros(3))
     motor = offset[3:] if offset.size > 3 else np.zeros(3)
+    taught = {n.effect.id: n.mean for n in problem.nuisances}
+    there = taught.get(IRON_OFFSET, np.zeros(3))
     level = max(float(np.hypot(*problem.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
     total = float(np.linalg.norm(problem.replay.signals.stimulus.field_ned_mgauss[0]))
     trust = floor.trust
@@ -36,6 +38,9 @@ def cured_iron(problem: Problem, fit: Fit, floor: Floor) -> Cured:
         tuned_hard_iron_mgauss=iron.offset_mgauss + offset[:3] if known else np.zeros(3),
         tuned_matrix=iron.matrix @ (np.eye(3) + change) if known else np.eye(3),
         tuned_motor_mgauss=iron.motor_mgauss + motor if known else np.zeros(3),
+        taught_hard_iron_mgauss=there[:3],
+        taught_matrix=taught.get(IRON_MATRIX, np.zeros(9)).reshape(3, 3),
+        taught_motor_mgauss=there[3:] if there.size > 3 else np.zeros(3),
         motor_source=iron.source,
         sigma_heading_deg=math.degrees(sigma),
     )

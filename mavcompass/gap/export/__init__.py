@@ -25,15 +25,18 @@ TARGETS: MappingProxyType[str, Callable[[Found], Exported]] = MappingProxyType(
 )
 
 
-def found_in(diagnosis: Diagnosis, source: str) -> Found:
-    """Collect the whole vehicle of a diagnosis, what each of its causes costs in heading, and its share."""
+def found_in(diagnosis: Diagnosis, source: str, beside_simulator: bool = False) -> Found:
+    """Collect the whole vehicle of a diagnosis, what each of its causes costs in heading, and its share.
+
+    `beside_simulator` says that the baseline was the simulator that is to have it.
+    """
     costs = {cause.effect: cause.removes_deg for cause in diagnosis.causes}
     gap = diagnosis.field.nominal**2 - diagnosis.field.floor**2
     # What scatters has no bar in the waterfall: it removes its own variance.
     parts = {cause.effect: cause.removes_mgauss**2 for cause in diagnosis.causes}
     parts |= {bar.effect: bar.part_mgauss2 for bar in diagnosis.waterfall}
     shares = {effect: part / gap for effect, part in parts.items()} if gap > 0.0 else {}
-    return Found(vehicle_settings(diagnosis), source, costs, diagnosis.field.shrink, shares)
+    return Found(vehicle_settings(diagnosis, beside_simulator), source, costs, diagnosis.field.shrink, shares)
 
 
 __all__ = ["TARGETS", "Exported", "Found", "found_in", "nominal_settings", "settings_of", "vehicle_settings"]

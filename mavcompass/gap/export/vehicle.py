@@ -31,14 +31,23 @@ def settings_of(causes: Iterable[Cause]) -> list[Setting]:
     return out
 
 
-def vehicle_settings(diagnosis: Diagnosis) -> list[Setting]:
-    """Return what makes a simulator of the whole vehicle: the iron that its calibration cures, the causes."""
+def vehicle_settings(diagnosis: Diagnosis, beside_simulator: bool = False) -> list[Setting]:
+    """Return what makes a simulator of the whole vehicle: the iron that its calibration cures, the causes.
+
+    Where the baseline was the simulator itself, what it showed beside its calibration is an error of the
+    attitude or of the world field, not iron: the simulator has none, and gets none of it.
+    """
     causes = settings_of(diagnosis.causes)
     iron = diagnosis.in_force
     if iron is None:
         return causes
-    motor = iron.tuned_motor_mgauss if iron.motor_source == "current" else np.zeros(3)
-    return _summed([*_iron(iron.tuned_matrix, iron.tuned_hard_iron_mgauss, motor), *causes])
+    own = 1.0 if beside_simulator else 0.0
+    matrix = iron.tuned_matrix - own * iron.matrix @ iron.taught_matrix
+    offset = iron.tuned_hard_iron_mgauss - own * iron.taught_hard_iron_mgauss
+    motor = iron.tuned_motor_mgauss - own * iron.taught_motor_mgauss
+    if iron.motor_source != "current":
+        motor = np.zeros(3)
+    return _summed([*_iron(matrix, offset, motor), *causes])
 
 
 def nominal_settings(track: Track, instance: int = 1) -> list[Setting]:
