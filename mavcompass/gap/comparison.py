@@ -152,9 +152,7 @@ def _backwards(forth: Diagnosis) -> frozenset[str] | None:
     """
     if forth.verdict not in ("named", "ambiguous"):
         return None
-    sets = {effect for effects, _ in forth.ambiguity_set for effect in effects}
-    amounts = {e.id for e in catalogue().values() if all(p.low >= 0.0 for p in e.parameters)}
-    return forth.effects | sets | amounts | {a for e in forth.effects for a in get(e).aliases}
+    return forth.effects | {e.id for e in catalogue().values() if all(p.low >= 0.0 for p in e.parameters)}
 
 
 def _differences(forth: Diagnosis, back: Diagnosis) -> tuple[Difference, ...]:

@@ -187,7 +187,11 @@ def _explained(
     remainder = what_is_left(identified, floor, names, traces)
     if remainder.scatter is None and (start is floor or not floor.measured or traces.step_mgauss > 0.0):
         return identified, remainder, floor
-    if excess > 0.0 and remainder.scatter is not None and remainder.scatter.effect == "noise_excess":
+    if (
+        traces.excess_mgauss2 > 0.0
+        and remainder.scatter is not None
+        and remainder.scatter.effect == "noise_excess"
+    ):
         # The search knew that scatter before it began.
         return identified, remainder, floor
     if remainder.scatter is None:
