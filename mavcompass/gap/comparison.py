@@ -18,14 +18,19 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import Replayed, diagnose_gap
-from mavcompass.gap.left import DISCREPANCY_MGAUSS
+from mavcompass.gap.export import settings_of
+from mavcompass.gap.left import DISCREPANCY_MGAUSS, heading_error_rad, rms, rms_deg
+from mavcompass.gap.replay import replay, shared_period_s
 from mavcompass.gap.result import Cause, Closing, Diagnosis
 from mavcompass.simulation.effects import catalogue, get
+from mavcompass.simulation.effects.effect import Chain
 from mavcompass.track import Track
 
 SCHEMA = "mavcompass.gap-compare/1"
 Lacks = Literal["simulator", "vehicle"]
 _EXPLAINED = ("named", "ambiguous", "named_with_remainder")
+# What such effects do, a baseline does not teach.
+_OF_PLACES = frozenset({"position", "height"})
 _FLOOR_KNOWN = 0.9**2
 _BLOCK_S, _FEWEST_BLOCKS, _RESAMPLES, _SEED = 2.0, 6, 2000, 11
 
@@ -124,11 +129,12 @@ def compare(
         simulator, vehicle, instance=instance, progress=progress, among=_backwards(forth), replayed=replayed
     )
     comparison = Comparison(forth, back, _differences(forth, back))
-    return flown_again(comparison, vehicle, again, progress)
+    return flown_again(comparison, simulator, vehicle, again, progress)
 
 
 def flown_again(
     comparison: Comparison,
+    simulator: Track,
     vehicle: Track,
     again: Sequence[Track],
     progress: Callable[[str], None] = lambda doing: None,
@@ -140,9 +146,48 @@ def flown_again(
     achieved = list(comparison.achieved)
     for track in again:
         progress("the simulator flown again")
-        closer = diagnose_gap(vehicle, track, instance=comparison.vehicle.compass, progress=progress)
+        if any(_OF_PLACES & get(effect).needs for effect in comparison.vehicle.effects):
+            closer = _by_what_it_has(comparison.vehicle, simulator, vehicle, track, progress)
+        else:
+            closer = diagnose_gap(vehicle, track, instance=comparison.vehicle.compass, progress=progress)
         achieved.append(_reached(track.source, comparison.vehicle, closer))
     return replace(comparison, achieved=tuple(achieved))
+
+
+def _by_what_it_has(
+    forth: Diagnosis,
+    simulator: Track,
+    vehicle: Track,
+    track: Track,
+    progress: Callable[[str], None],
+) -> Diagnosis:
+    """Judge a flight by the effects that are found in it, as they would act on the vehicle's motion.
+
+    As a baseline it would be a bad one: what follows from places a baseline keeps for itself, as its floor.
+    What is left is what the vehicle's causes leave, and by how much the simulator's act otherwise.
+    """
+    mean = frozenset(effect for effect in forth.effects if get(effect).kind == "mean")
+    has = diagnose_gap(track, simulator, instance=forth.compass, progress=progress, among=mean)
+    period_s = shared_period_s([vehicle, simulator], forth.compass)
+    replayed, drawn = replay(vehicle, forth.compass, period_s=period_s), forth.picture
+    assert drawn is not None
+
+    def made(causes: Iterable[Cause]) -> FloatArray:
+        chain = Chain(settings_of(cause for cause in causes if cause.effect in mean))
+        return chain.run(replayed.signals, None).reading.mag_mgauss
+
+    left = drawn.after_mgauss + made(forth.causes) - made(has.causes)
+    # A named scatter is in what is measured, and no part of what is left.
+    scatter2 = max(rms(drawn.after_mgauss[drawn.test]) ** 2 - forth.field.after**2, 0.0)
+    field = math.sqrt(max(rms(left[drawn.test]) ** 2 - scatter2, 0.0))
+    turned = heading_error_rad(replayed, replayed.nominal_mgauss + left, replayed.nominal_mgauss)
+    return replace(
+        forth,
+        field=replace(forth.field, nominal=field),
+        heading=replace(forth.heading, nominal=rms_deg(turned[drawn.test])),
+        picture=replace(drawn, before_mgauss=left),
+        seconds=has.seconds,
+    )
 
 
 def _backwards(forth: Diagnosis) -> frozenset[str] | None:

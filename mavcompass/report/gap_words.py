@@ -38,6 +38,7 @@ _REMEDIES = {
     "orientation": _MOUNTING,
     "spatial_dipole": _OF_THE_PLACE,
     "field_gradient": _OF_THE_PLACE,
+    "height_anomaly": _OF_THE_PLACE,
     "field_intensity": _OF_THE_PLACE,
     "inclination": _OF_THE_PLACE,
     "declination": "Let the autopilot take the declination from its model (COMPASS_AUTODEC 1)",

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from mavcompass.cli.gap import command
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, quaternion_to_matrix
 from mavcompass.gap.comparison import SCHEMA, compare
 from mavcompass.gap.trial.vehicles.cases import make_case
 from mavcompass.report.compare_words import compare_summary
@@ -88,3 +88,29 @@ def test_the_recordings_that_the_reader_cannot_use_are_refused(tmp_path: Path) -
     empty.write_bytes(b"")
     run = CliRunner().invoke(command, ["compare", str(empty), str(empty)])
     assert run.exit_code != 0 and "Traceback" not in run.output
+
+
+def over_iron_in_the_ground(track: Track, ned_mgauss: FloatArray, depth_m: float = 10.0) -> Track:
+    """Let the ground's field, which falls with height, act on a copter of the other generator."""
+    compass = track.compasses[1]
+    time_s = compass.time_s
+    assert track.truth_q is not None and track.position_ned_m is not None
+    height = -track.position_ned_m.at(time_s)[:, 2]
+    turn = quaternion_to_matrix(track.truth_q.at(time_s))
+    field = (depth_m / (depth_m + height))[:, None] ** 3 * ned_mgauss
+    seen = np.einsum("nji,nj->ni", turn, field)
+    mag = replace(compass.reported, values=compass.reported.values + seen)
+    return replace(track, compasses={**track.compasses, 1: replace(compass, reported=mag)})
+
+
+def test_what_goes_with_height_is_judged_by_what_the_simulator_has_of_it() -> None:
+    case = make_case(8, "none", True)
+    assert case.baseline is not None
+    anomaly = np.array([300.0, -150.0, 500.0])
+    vehicle = over_iron_in_the_ground(case.track, anomaly)
+    again = [over_iron_in_the_ground(case.baseline, share * anomaly) for share in (0.95, 0.0)]
+    comparison = compare(case.baseline, vehicle, again)
+    assert [d.cause.effect for d in comparison.differences] == ["height_anomaly"]
+    nearly, not_at_all = comparison.achieved
+    assert nearly.shrink == pytest.approx(comparison.told.field.shrink, abs=0.05)
+    assert not_at_all.shrink < 0.1

@@ -20,7 +20,9 @@ from mavcompass.simulation.physics.signals import Reading, Stimulus
 
 AFFINE = {"hard_iron", "soft_iron", "axis_scale"}
 IMU = {"accel_bias", "accel_scale", "gyro_bias", "gyro_scale"}
-PARAMETERS = {*AFFINE, *IMU, "orientation", "motor_current", "noise_excess", "transport_lag"}
+PARAMETERS = {
+    *AFFINE, *IMU, "orientation", "motor_current", "noise_excess", "transport_lag", "height_anomaly"
+}  # fmt: skip
 SCRIPTED = {
     "hard_iron_step",
     "temperature_bias",

@@ -109,7 +109,8 @@ def fly(
         simulator = replace(simulator, known=cure | dict(iron))
         if plain is None:
             plain = _flown(simulator, profile, {}, folder / PLAIN, "as it is", progress)
-        comparison = compare(read_track(plain), vehicle, progress=progress)
+        before = read_track(plain)
+        comparison = compare(before, vehicle, progress=progress)
         source = comparison.vehicle
         if baseline is not None:
             source = diagnosed(log, 1, baseline, (), "auto")
@@ -120,7 +121,7 @@ def fly(
             parameters = cure | dict(exported.parameters)
             again = _flown(simulator, profile, parameters, folder / AGAIN, "with what was found", progress)
             comparison = replace(comparison, held=found.promised(exported))
-            comparison = flown_again(comparison, vehicle, [read_track(again)], progress)
+            comparison = flown_again(comparison, before, vehicle, [read_track(again)], progress)
     _say(comparison, exported, keep, output)
     output.write_json(_document(simulator, profile, comparison, exported, keep))
     write_report(comparison, report, output)

@@ -19,8 +19,8 @@ from mavcompass.simulation.effects.effect import MOMENTS
 # What happens around a vehicle or at one moment is not its own, however often it comes.
 _OF_A_FLIGHT = frozenset(
     {
-        "hard_iron_step", "spatial_dipole", "field_gradient", "field_intensity", "inclination", "declination",
-        "attitude_reference_error", "platform_tilt", "yaw_step_error",
+        "hard_iron_step", "spatial_dipole", "field_gradient", "field_intensity", "height_anomaly",
+        "inclination", "declination", "attitude_reference_error", "platform_tilt", "yaw_step_error",
     }
 )  # fmt: skip
 # Models are not exact: values agree within four sigmas, or a fifth of their size.

@@ -22,8 +22,8 @@ _FEW_NAMES = 2
 # Effects that follow one moment, one place or one load, and so fit much that they did not make.
 _PLIANT = frozenset(
     {
-        "hard_iron_step", "relay_field", "spatial_dipole", "field_gradient", "hysteresis", "eddy_current",
-        "temperature_bias", "temperature_sensitivity", "ac_interference", "per_motor",
+        "hard_iron_step", "relay_field", "spatial_dipole", "field_gradient", "height_anomaly", "hysteresis",
+        "eddy_current", "temperature_bias", "temperature_sensitivity", "ac_interference", "per_motor",
     }
 )  # fmt: skip
 _TURNS = frozenset({"misalignment", "orientation", "declination"})

@@ -29,7 +29,7 @@ from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
-_CATALOGUE_SIZE = 39
+_CATALOGUE_SIZE = 40
 _SHORT = 3
 _HOPEFUL = 0.7
 # Twice the gain that a useless parameter has on average.

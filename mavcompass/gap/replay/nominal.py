@@ -42,7 +42,7 @@ _TILT_RAD = math.radians(4.0)
 # What a load must at least vary by to be told from everything else that happens meanwhile.
 _LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
 # Standard deviations of a path beside which the errors of a position are small.
-_LEAST_PATH_M, _LEAST_RECEIVED_PATH_M = 0.05, 1.5
+_LEAST_PATH_M, _LEAST_RECEIVED_PATH_M, _LEAST_CLIMB_M = 0.05, 1.5, 4.0
 # Motors that turn both ways stand still at half of their output.
 _NEUTRAL_IN_THE_MIDDLE = frozenset({"rover", "ackermann-rover", "boat", "sub"})
 _NO_TURN = (
@@ -335,6 +335,8 @@ def _present(
         present.add("motors")
     if _goes_about(stimulus.position_ned_m, reference):
         present.add("position")
+    if float(np.ptp(stimulus.position_ned_m[:, 2])) > _LEAST_CLIMB_M:
+        present.add("height")
     rotation = stimulus.rotation[valid]
     if len(rotation):
         ahead = rotation[:, :2, 0] / np.maximum(np.linalg.norm(rotation[:, :2, 0], axis=1), 1e-9)[:, None]

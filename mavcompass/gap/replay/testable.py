@@ -23,6 +23,7 @@ _NEED_WORDS = {
     "motors": "no varying motor outputs were recorded",
     "temperature": "no varying temperature was recorded",
     "position": "no precise position was recorded, or the vehicle did not move",
+    "height": "no height was recorded, or the vehicle kept it",
     "reference": "the attitude reference was made from the vehicle's own sensors",
     "throttle|current|motors": "neither throttle nor current nor motor outputs were recorded",
 }

@@ -147,7 +147,7 @@ class Effect:
         enough: sensors of which one, beside the compass, can tell it, where others see it too.
         kind: "mean" shifts the readings; "discrete" has integer parameters; "random" changes their
             scatter; "integrity" leaves an exact trace (repeats, steps).
-        needs: what a recording must contain: current, throttle, temperature, position, motors, tilt,
+        needs: what a recording must contain: current, throttle, temperature, position, height, motors, tilt,
             turning, reference (an attitude that the vehicle's own sensors did not make).
         aliases: effects that can look the same; separated_by: the motion that tells them apart.
         source: where the model or its size comes from.

@@ -18,7 +18,7 @@ from mavcompass.simulation.physics.signals import Reading, Stimulus
 CONTRACT_IDS = """hard_iron hard_iron_step soft_iron axis_scale non_orthogonality misalignment orientation
 motor_current per_motor ac_interference relay_field temperature_bias temperature_sensitivity
 bias_random_walk clipping quantisation noise_excess transport_lag low_pass timestamp_jitter stale_samples
-spatial_dipole field_gradient field_intensity inclination declination accel_bias accel_scale
+spatial_dipole field_gradient height_anomaly field_intensity inclination declination accel_bias accel_scale
 linear_acceleration vibration_rectification gyro_bias gyro_scale yaw_step_error platform_tilt hysteresis
 cross_axis set_reset_offset eddy_current attitude_reference_error""".split()
 FIELD = np.array([230.0, 50.0, -530.0])

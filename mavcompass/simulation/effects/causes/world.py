@@ -23,6 +23,7 @@ from mavcompass.simulation.effects.effect import (
 _NEAREST_M = 0.05
 _NEAR_PEAK_M = 0.4
 _FAR_PATHS = 3.0
+_DEPTHS_M, _STRONGEST = (2.0, 5.0, 10.0, 20.0, 50.0), 1000.0
 _MOMENT = ("moment_north", "moment_east", "moment_down")
 
 
@@ -69,6 +70,29 @@ def _gradient(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> 
         memory["origin"] = gradient_origin(position)
     away = np.nan_to_num(position - memory["origin"])
     return signals.in_field(signals.stimulus.field_ned_mgauss + away @ gradient_matrix(theta))
+
+
+def _height_anomaly(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
+    height = np.maximum(-np.nan_to_num(signals.stimulus.position_ned_m[:, 2]), 0.0)
+    share = (theta[3] / (height + theta[3])) ** 3
+    return signals.in_field(signals.stimulus.field_ned_mgauss + share[:, None] * theta[:3])
+
+
+def _height_starts(misfit: Misfit) -> list[FloatArray]:
+    """Scan the depth; the field is linear in each, beside a constant that belongs to the place."""
+    rows = np.flatnonzero(misfit.rows)
+    if rows.size < 40:
+        return []
+    height = np.maximum(-np.nan_to_num(misfit.signals.stimulus.position_ned_m[rows, 2]), 0.0)
+    residual = rotate(misfit.signals.stimulus.rotation[rows], misfit.residual.mag_mgauss[rows])
+    found = []
+    for depth in _DEPTHS_M:
+        share = (depth / (height + depth)) ** 3
+        design = np.column_stack([share, np.ones(rows.size)])
+        solved, left, _, _ = np.linalg.lstsq(design, residual, rcond=None)
+        if left.size:
+            found.append((float(left.sum()), np.array([*np.clip(solved[0], -_STRONGEST, _STRONGEST), depth])))
+    return [start for _, start in sorted(found, key=lambda one: one[0])[:2]]
 
 
 def dipole_field(position_m: FloatArray, source_m: FloatArray, moment_mgauss_m3: FloatArray) -> FloatArray:
@@ -250,9 +274,28 @@ EFFECTS = (
         ),
         forward=_gradient,
         needs=frozenset({"position"}),
-        aliases=("spatial_dipole",),
+        aliases=("height_anomaly", "spatial_dipole"),
         separated_by="a larger area",
         source="B + G (p - p_0), G symmetric without trace (no curl, no divergence), 5 to 50 mG/m indoors",
+    ),
+    Effect(
+        id="height_anomaly",
+        title="a field of the ground that falls with height",
+        stage=Stage.WORLD,
+        parameters=(
+            *axes(-_STRONGEST, _STRONGEST, (60.0, -30.0, 80.0), 20.0, "mG", ("north", "east", "down")),
+            Parameter("depth_m", "m", 0.5, 200.0, 10.0, 3.0),
+        ),
+        forward=_height_anomaly,
+        needs=frozenset({"height"}),
+        aliases=("field_gradient", "spatial_dipole"),
+        separated_by="the same heights at another place",
+        source="B (d / (h + d))^3, d the depth of what makes it; ArduPilot's SIM_MAG_ALY",
+        starts=_height_starts,
+        sitl=lambda v: {
+            **{f"SIM_MAG_ALY_{a}": v[name] for a, name in zip("XYZ", ("north", "east", "down"), strict=True)},
+            "SIM_MAG_ALY_HGT": v["depth_m"],
+        },
     ),
     Effect(
         id="spatial_dipole",
@@ -266,7 +309,7 @@ EFFECTS = (
         ),
         forward=_dipole,
         needs=frozenset({"position"}),
-        aliases=("field_gradient",),
+        aliases=("field_gradient", "height_anomaly"),
         separated_by="pass the place again on another heading",
         source="(3 u (u . m) - m) / r^3",
         starts=_dipole_starts,
