@@ -44,14 +44,14 @@ def closings(
     # A reading at the limit of a saturated sensor has no scatter of its own.
     free = _free_share(fit, measured[rows])
     field = _closing(
-        before_field[rows], after_field[rows], floor.field_rms_mgauss * math.sqrt(free), floor.measured,
+        before_field[rows], after_field[rows], floor.field_rms_mgauss * math.sqrt(free),
         added_mgauss2, unseen_mgauss2, floor.error_mgauss * math.sqrt(free), _blocks(problem, rows),
     )  # fmt: skip
     h0, h1 = _headings(problem, nominal), _headings(problem, after)
     level = max(float(np.hypot(*problem.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
     deg2 = math.degrees(1.0 / level) ** 2
     heading = _closing(
-        np.degrees(h0[rows])[:, None], np.degrees(h1[rows])[:, None], floor.heading_rms_deg, floor.measured,
+        np.degrees(h0[rows])[:, None], np.degrees(h1[rows])[:, None], floor.heading_rms_deg,
         deg2 * added_mgauss2, deg2 * unseen_mgauss2, np.zeros((0, 1)), _blocks(problem, rows),
     )  # fmt: skip
     return field, heading
@@ -78,7 +78,6 @@ def _closing(
     before: FloatArray,
     after: FloatArray,
     floor: float,
-    measured: bool,
     added: float,
     unseen: float,
     floor_error: FloatArray,
@@ -89,9 +88,7 @@ def _closing(
     shrink = _shrink(nominal2, after2, floor**2)
     interval = _interval(before, after, added, unseen, floor, floor_error, blocks)
     # What is left may lie below the floor by chance: no more than all of the gap closes.
-    shrink = min(shrink, 1.0)
-    if not measured:
-        interval = (min(interval[0], 1.0), min(interval[1], 1.0))
+    shrink, interval = min(shrink, 1.0), (min(interval[0], 1.0), min(interval[1], 1.0))
     return Closing(math.sqrt(nominal2), math.sqrt(after2), floor, shrink, interval)
 
 

@@ -206,9 +206,10 @@ class Search:
             if cost >= least_gain(size)
         }
         size = len(problem.nuisances) - len(known) + sum(n.mean.size for n in known)
-        if not bent and problem.strain(fit) >= least_gain(size):
-            bent = {n.effect.id for n in known}
         straight = problem.believing(bent).null() if bent else fit
+        if problem.strain(straight) >= least_gain(size):
+            # Each by itself may lie there, or gave way to another; together they may not.
+            straight = problem.believing({n.effect.id for n in known}).null()
         kept = tuple(
             _facing_as_known(n, x) if n.effect.id == REFERENCE_YAW else x
             for n, x in zip(problem.nuisances, straight.nuisance_thetas, strict=True)
