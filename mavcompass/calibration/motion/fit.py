@@ -125,7 +125,8 @@ def fit_motion(
         variance = section_variance(sections, x, model)
         x = _settle(sections, x, variance, sound, rules)
         residual, _ = field_residual(sections, x)
-        fresh = _soundness(residual, variance)
+        # How much a section counts beside others of its visit says nothing of how far out it is.
+        fresh = _soundness(residual, section_variance(sections, x, model, weighed=False))
         grown = _model_error(sections, x, residual, fresh, rules)
         settled = abs(grown - model) < 0.02 * model + 0.01 and float(np.abs(fresh - sound).max()) < 0.02
         model, sound = grown, fresh

@@ -43,8 +43,6 @@ def unquantise(
     average = np.asarray(mean, dtype=np.float64)
     if quantum <= 0.0:
         return average, np.zeros_like(average)
-    from scipy.special import erf
-
     m = average / quantum
     noise = _noise_before(float(np.mean((np.asarray(spread, dtype=np.float64) / quantum) ** 2)))
     hidden = math.sqrt(_hidden_variance(noise))
@@ -53,10 +51,15 @@ def unquantise(
     if truncated:
         width = math.sqrt(2.0) * max(noise, 0.5)
         for _ in range(8):
-            value = m + 0.5 * erf(value / width)
+            value = m + 0.5 * _erf(value / width)
         zero_cell = hidden * math.sqrt(12.0) * _ZERO_CELL_SD
         sigma = np.where(np.abs(m) < 0.5, zero_cell, sigma)
     return value * quantum, sigma * quantum
+
+
+def _erf(values: FloatArray) -> FloatArray:
+    # scipy has it for arrays, and takes half a second to load: while a vehicle stands still and waits.
+    return np.array([math.erf(v) for v in values.ravel().tolist()]).reshape(values.shape)
 
 
 def hidden_by_step(spread: ArrayLike, quantum: float) -> FloatArray:

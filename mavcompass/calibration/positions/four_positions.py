@@ -24,6 +24,7 @@ from mavcompass.calibration.model import (
 )
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions.budget import heading_budget
+from mavcompass.calibration.positions.chance import chance_of_more
 from mavcompass.calibration.positions.disturbance import weigh_disturbances
 from mavcompass.calibration.positions.fit import fit_positions, weigh_cross_terms
 from mavcompass.calibration.positions.problem import DEFAULT_PRIOR, IronPrior, PositionProblem
@@ -112,7 +113,7 @@ def solve_four_positions(
     problem = PositionProblem.of(data, in_force, earth, prior)
     fit = fit_positions(problem)
     undisturbed = weigh_disturbances(problem, fit)
-    consistency = _chance(undisturbed.chi_square, undisturbed.freedom)
+    consistency = chance_of_more(undisturbed.chi_square, undisturbed.freedom)
     # A worse agreement than chance gives, whichever dwell is blamed: the noise is not what it seemed.
     excess = (
         max(undisturbed.chi_square / max(undisturbed.freedom, 1), 1.0) if consistency < WIDENED_BELOW else 1.0
@@ -136,15 +137,6 @@ def solve_four_positions(
         mirrored=problem.mirrored,
         cross_probability=blend.cross_probability,
     )
-
-
-def _chance(chi_square: float, freedom: int) -> float:
-    """Return the probability that chance alone gives a larger chi-square."""
-    if freedom <= 0:
-        return 1.0
-    from scipy.special import gammaincc
-
-    return float(gammaincc(freedom / 2.0, chi_square / 2.0))
 
 
 def _correction(state: FloatArray, in_force: FieldCorrection, world_model: bool) -> FieldCorrection:

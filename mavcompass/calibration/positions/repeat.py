@@ -16,6 +16,7 @@ import numpy as np
 
 from mavcompass.calibration.model import HORIZONTAL
 from mavcompass.calibration.observation import FourPositionData
+from mavcompass.calibration.positions.chance import chance_of_more
 from mavcompass.calibration.positions.four_positions import solve_four_positions
 from mavcompass.calibration.positions.problem import DEFAULT_PRIOR, IronPrior
 from mavcompass.correction import IDENTITY, FieldCorrection
@@ -127,9 +128,7 @@ def _judge(
     worst: int,
     worst_rad: float,
 ) -> tuple[RepeatCause, int, str]:
-    from scipy.special import gammaincc
-
-    chance = float(gammaincc(max(freedom, 1) / 2.0, chi_square / 2.0))
+    chance = chance_of_more(chi_square, max(freedom, 1))
     if chance < _UNLIKELY:
         words = (
             f"Position {worst + 1} of the turn back is off by {math.degrees(worst_rad):+.1f} degrees: "
