@@ -69,7 +69,7 @@ def learn(recorded: Recorded) -> Learnt:
     motion, change = _since_it_changed(observe_motion(recorded))
     result = calibrate_motion(motion)
     reasons = result.reasons
-    if math.isnan(motion.halves_ratio()):
+    if motion.halves() is None:
         unproven = (
             "The vehicle did not go round often enough to hold one half of its way against the other. "
             "Drive or fly on, through all headings."

@@ -77,19 +77,27 @@ class Motion:
             undone = -np.linalg.solve(correction.matrix, np.asarray(correction.motor_mgauss))
         return motors_left_rad(self.sections, self.fit, self.fit.state[MOTOR] - undone)
 
+    def halves(self) -> tuple[Sections, Sections] | None:
+        """Return both halves of the motion; None where one of them does not turn far enough by itself."""
+        middle = len(self.sections) // 2
+        first, second = self.sections.rows(0, middle), self.sections.rows(middle, len(self.sections))
+        for half in (first, second):
+            if len(half) < _FEWEST_OF_HALF or circle_seen_rad(half.turned_rad) < LEAST_CIRCLE_RAD:
+                return None
+        return first, second
+
     def halves_ratio(self) -> float:
         """Return by how much more two halves of the motion differ, calibrated by themselves, than they claim.
 
-        In sigmas of the heading, rms over the sections; nan where a half does not turn far enough.
+        In sigmas of the heading, rms over the sections; 0 where a half does not turn far enough.
         """
-        middle = len(self.sections) // 2
         headings, variance = [], 0.0
-        for half in (self.sections.rows(0, middle), self.sections.rows(middle, len(self.sections))):
-            if len(half) < _FEWEST_OF_HALF or circle_seen_rad(half.turned_rad) < LEAST_CIRCLE_RAD:
-                return math.nan
+        for half in self.halves() or ():
             fit = _fitted(self.recorded, half, self.load_source)
             headings.append(level_headings(self.sections, fit, half.load_mean - self.sections.load_mean))
             variance += sigma_of(fit) ** 2
+        if not headings:
+            return 0.0
         apart = wrap_pi(headings[0] - headings[1])
         return float(np.std(wrap_pi(apart - np.angle(np.exp(1j * apart).mean())))) / math.sqrt(variance)
 
