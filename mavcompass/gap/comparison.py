@@ -31,6 +31,8 @@ Lacks = Literal["simulator", "vehicle"]
 _EXPLAINED = ("named", "ambiguous", "named_with_remainder")
 # What such effects do, a baseline does not teach.
 _OF_PLACES = frozenset({"position", "height"})
+_BELIEVED_DEG = 5.0
+_SCATTER = frozenset({"noise_excess", "timestamp_jitter"})
 _FLOOR_KNOWN = 0.9**2
 _BLOCK_S, _FEWEST_BLOCKS, _RESAMPLES, _SEED = 2.0, 6, 2000, 11
 
@@ -146,12 +148,22 @@ def flown_again(
     achieved = list(comparison.achieved)
     for track in again:
         progress("the simulator flown again")
-        if any(_OF_PLACES & get(effect).needs for effect in comparison.vehicle.effects):
-            closer = _by_what_it_has(comparison.vehicle, simulator, vehicle, track, progress)
-        else:
-            closer = diagnose_gap(vehicle, track, instance=comparison.vehicle.compass, progress=progress)
+        forth = comparison.vehicle
+        closer = diagnose_gap(vehicle, track, instance=forth.compass, progress=progress)
+        if forth.effects and not _teaches(closer, forth):
+            closer = _by_what_it_has(forth, simulator, vehicle, track, progress)
         achieved.append(_reached(track.source, comparison.vehicle, closer))
     return replace(comparison, achieved=tuple(achieved))
+
+
+def _teaches(beside: Diagnosis, forth: Diagnosis) -> bool:
+    """Tell whether a flight is a baseline that can be asked how far the gap closed.
+
+    What follows from places a baseline keeps for itself, as its floor; and where its calibration is far from
+    its iron, it teaches too little of that to contradict anything.
+    """
+    believed = beside.in_force is None or beside.in_force.sigma_heading_deg < _BELIEVED_DEG
+    return believed and not any(_OF_PLACES & get(effect).needs for effect in forth.effects)
 
 
 def _by_what_it_has(
@@ -163,31 +175,37 @@ def _by_what_it_has(
 ) -> Diagnosis:
     """Judge a flight by the effects that are found in it, as they would act on the vehicle's motion.
 
-    As a baseline it would be a bad one: what follows from places a baseline keeps for itself, as its floor.
     What is left is what the vehicle's causes leave, and by how much the simulator's act otherwise.
     """
-    mean = frozenset(effect for effect in forth.effects if get(effect).kind == "mean")
-    has = diagnose_gap(track, simulator, instance=forth.compass, progress=progress, among=mean)
+    among = forth.effects | _SCATTER
+    has = diagnose_gap(track, simulator, instance=forth.compass, progress=progress, among=among)
     period_s = shared_period_s([vehicle, simulator], forth.compass)
     replayed, drawn = replay(vehicle, forth.compass, period_s=period_s), forth.picture
     assert drawn is not None
 
     def made(causes: Iterable[Cause]) -> FloatArray:
-        chain = Chain(settings_of(cause for cause in causes if cause.effect in mean))
+        chain = Chain(settings_of(cause for cause in causes if cause.effect not in _SCATTER))
         return chain.run(replayed.signals, None).reading.mag_mgauss
 
     left = drawn.after_mgauss + made(forth.causes) - made(has.causes)
-    # A named scatter is in what is measured, and no part of what is left.
+    # A named scatter is in what is measured; of it only counts how much more or less the simulator has.
+    whole = rms(left[drawn.test])
     scatter2 = max(rms(drawn.after_mgauss[drawn.test]) ** 2 - forth.field.after**2, 0.0)
-    field = math.sqrt(max(rms(left[drawn.test]) ** 2 - scatter2, 0.0))
+    other2 = abs(_scatter2(has) - _scatter2(forth))
+    field = math.sqrt(max(whole**2 - scatter2, 0.0) + other2)
     turned = heading_error_rad(replayed, replayed.nominal_mgauss + left, replayed.nominal_mgauss)
     return replace(
         forth,
         field=replace(forth.field, nominal=field),
         heading=replace(forth.heading, nominal=rms_deg(turned[drawn.test])),
-        picture=replace(drawn, before_mgauss=left),
+        picture=replace(drawn, before_mgauss=left * (field / max(whole, 1e-9))),
         seconds=has.seconds,
     )
+
+
+def _scatter2(diagnosis: Diagnosis) -> float:
+    """Return the variance of the scatter that is named, mG^2."""
+    return sum(cause.removes_mgauss**2 for cause in diagnosis.causes if cause.effect in _SCATTER)
 
 
 def _backwards(forth: Diagnosis) -> frozenset[str] | None:

@@ -47,6 +47,13 @@ SCHEMA = "mavcompass.gap-fly/1"
 )
 @baseline_option
 @click.option(
+    "--export",
+    "given",
+    type=_file,
+    metavar="FILE",
+    help="Put in what `gap export` wrote for this simulator, instead of what is found.",
+)
+@click.option(
     "--defaults",
     multiple=True,
     type=_file,
@@ -75,6 +82,7 @@ def fly(
     program: Path,
     plain: Path | None,
     baseline: Path | None,
+    given: Path | None,
     defaults: tuple[Path, ...],
     model: str,
     seconds: float,
@@ -87,16 +95,17 @@ def fly(
 
     The simulator is started on this computer alone, flown by itself, recorded and stopped. It is flown with
     the iron that LOG's calibration cures, and again with what it then lacks beside LOG (with --baseline: with
-    what LOG has beside that).
+    what LOG has beside that, with --export: with the parameters of FILE).
 
     \b
     Example: mavcompass gap fly flight.tlog --sitl build/sitl/bin/arducopter --keep flown --report closed.html
     """
     require_for(log, plain, baseline, report=report)
     from mavcompass.gap.comparison import compare, flown_again
-    from mavcompass.gap.export import TARGETS, Found, found_in, nominal_settings
+    from mavcompass.gap.export import TARGETS, Exported, Found, found_in, nominal_settings
     from mavcompass.logs import read_track
     from mavcompass.procedure.flying import profile_of
+    from mavcompass.vehicle.parameters.files import read_parameter_file
     from mavcompass.vehicle.simulators import simulator_of
 
     simulator = simulator_of(program, model, defaults, speed)
@@ -111,16 +120,19 @@ def fly(
             plain = _flown(simulator, profile, {}, folder / PLAIN, "as it is", progress)
         before = read_track(plain)
         comparison = compare(before, vehicle, progress=progress)
-        source = comparison.vehicle
-        if baseline is not None:
-            source = diagnosed(log, 1, baseline, (), "auto")
-        found = found_in(source, log.name, beside_simulator=baseline is None)
-        exported = export(found)
-        if source.causes and exported.parameters:
+        if given is not None:
+            exported = Exported(given.read_text(encoding="utf-8"), "", read_parameter_file(given))
+        else:
+            source = comparison.vehicle
+            if baseline is not None:
+                source = diagnosed(log, 1, baseline, (), "auto")
+            found = found_in(source, log.name, beside_simulator=baseline is None)
+            exported = export(found)
+            comparison = replace(comparison, held=found.promised(exported) if source.causes else None)
+        if exported.parameters and (given is not None or comparison.held is not None):
             (folder / EXPORT).write_text(exported.text, encoding="utf-8")
             parameters = cure | dict(exported.parameters)
             again = _flown(simulator, profile, parameters, folder / AGAIN, "with what was found", progress)
-            comparison = replace(comparison, held=found.promised(exported))
             comparison = flown_again(comparison, before, vehicle, [read_track(again)], progress)
     _say(comparison, exported, keep, output)
     output.write_json(_document(simulator, profile, comparison, exported, keep))

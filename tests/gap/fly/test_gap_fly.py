@@ -86,6 +86,12 @@ def test_the_simulator_is_made_like_the_vehicle_and_shows_it(sitl: Path, tmp_pat
     assert plain["COMPASS_OFS_X"] == -5.0, "the simulator is flown with the calibration of the vehicle"
     assert page.stat().st_size > 10_000
 
+    wrong = tmp_path / "wrong.parm"
+    wrong.write_text("SIM_MAG1_OFS_X 60\nSIM_MAG1_OFS_Y 35\nSIM_MAG1_OFS_Z -20\n")
+    again = [*words[:-1], str(tmp_path / "again"), "--simulator", str(kept / "simulator.tlog")]
+    run = CliRunner().invoke(command, [*again, "--export", str(wrong)])
+    assert run.exit_code == 0 and "less than promised" in run.output, run.output
+
 
 def test_what_ends_or_is_of_another_kind_is_said_and_nothing_is_left(sitl: Path, tmp_path: Path) -> None:
     rover = ArduPilotSitl(sitl, "rover", speed=SPEED)
