@@ -108,6 +108,9 @@ class WireLink(Link):
             present = {*self._transport.peers(), peer}
             self._channels = {p: channel for p, channel in self._channels.items() if p in present}
             self._channels[peer] = _Channel(self, self._signing)
+            for homes in self._homes.values():
+                for gone in homes.keys() - present:
+                    del homes[gone]
         return self._channels[peer]
 
     def _take(self, peer: Peer, data: bytes) -> None:

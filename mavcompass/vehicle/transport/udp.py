@@ -12,6 +12,8 @@ from mavcompass.vehicle.transport.transport import READ_BYTES, Peer
 
 # A peer that has not spoken for so long is no longer sent to; it is learnt again when it speaks.
 _FORGET_PEER_S = 60.0
+# Anybody may send from any number of addresses; a vehicle and its stations are a handful.
+_MOST_PEERS = 1024
 
 
 class UdpTransport:
@@ -73,6 +75,8 @@ class UdpTransport:
                 data, peer = self._socket.recvfrom(READ_BYTES)
             except OSError:
                 break  # nothing more, or an earlier datagram was refused: nobody listens there yet
+            if peer not in self._last_heard_s and len(self._last_heard_s) >= _MOST_PEERS:
+                del self._last_heard_s[min(self._last_heard_s, key=self._last_heard_s.__getitem__)]
             self._last_heard_s[peer] = time.monotonic()
             pieces.append((peer, data))
         return pieces

@@ -265,3 +265,17 @@ def test_a_link_that_was_closed_says_so() -> None:
     link.close()
     with pytest.raises(LinkLost, match="closed"):
         link.receive(0.0)
+
+
+def test_a_flood_of_senders_is_forgotten_but_for_the_latest(
+    port: UdpTransport, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mavcompass.vehicle.transport.udp._MOST_PEERS", 4)
+    link = WireLink(port)
+    for _ in range(9):
+        with closing(vehicle_at(port).transport) as transport:
+            (peer,) = transport.peers()
+            transport.write(FrameWriter().write(HEARTBEAT, 1, 1), peer)
+            assert link.receive(1.0) is not None
+    assert len(port.peers()) == 4
+    assert len(link._channels) <= 5 and len(link._homes[1]) <= 5

@@ -8,6 +8,7 @@ import os
 import random
 import re
 import shlex
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -454,3 +455,37 @@ def test_an_armed_vehicle_is_not_asked_for_arming_checks_in_vain(tmp_path: Path)
     outcome = write(radio, plan_for(vehicle), tmp_path)
     assert outcome.verified and not outcome.remarks
     assert radio.now_s < 1.5
+
+
+class ContradictingVehicle(ParameterVehicle):
+    """Says much unasked, and answers everything twice: with an odd value first, then with the right one."""
+
+    def __init__(self, odd: float | None, unasked: int = 0) -> None:
+        super().__init__()
+        self.odd, self.unasked = odd, unasked
+
+    def handle(self, message: Message) -> list[Message]:
+        right = super().handle(message)
+        values = [m for m in right if isinstance(m, ParamValue)]
+        odd = [] if self.odd is None else [replace(m, param_value=self.odd) for m in values]
+        return [*odd, *(ParamValue(f"X{k}", math.nan, 9, 10_000, k) for k in range(self.unasked)), *right]
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf, 1e30, 0.0])
+def test_contradictory_echoes_are_written_through_or_undone(odd: float, tmp_path: Path) -> None:
+    vehicle = ContradictingVehicle(odd)
+    plan, before = plan_for(vehicle), dict(vehicle.values)
+    try:
+        outcome = write(Radio(vehicle), plan, tmp_path)
+    except WriteFailed as error:
+        assert vehicle.values == before or error.restore_command
+    else:
+        assert outcome.verified
+        assert all(vehicle.values[change.name] == pytest.approx(change.new) for change in plan.changes)
+
+
+def test_ten_thousand_parameters_that_nobody_asked_for_do_no_harm(tmp_path: Path) -> None:
+    vehicle = ContradictingVehicle(None, unasked=400)
+    radio = Radio(vehicle)
+    assert write(radio, plan_for(vehicle), tmp_path).verified
+    assert len(radio.sent) * 400 > 10_000
