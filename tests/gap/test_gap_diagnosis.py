@@ -256,7 +256,9 @@ def test_person_diagnoses_and_exports_a_csv(tmp_path: Path, capsys: object) -> N
     html = report.read_text()
     assert "hard_iron" in html and "<svg" in html and "http" not in html.replace("http-equiv", "")
     export = ["gap", "export", str(log), "--baseline", str(good), "--to", "ardupilot-sitl", str(parm)]
-    assert main(export) == 0
+    assert main([*export, "--json", str(answer)]) == 0
+    promised = json.loads(answer.read_text())["promised"]
+    assert promised["by_what_the_simulator_holds"] == promised["shrink"] > 0.95
     values = dict(line.split(",") for line in parm.read_text().splitlines() if not line.startswith("#"))
     assert math.isclose(float(values["SIM_MAG1_OFS_X"]), -50.0, abs_tol=1.0)
 

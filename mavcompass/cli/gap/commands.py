@@ -165,7 +165,9 @@ def export(
 
     require_for(log, baseline)
     diagnosis = diagnosed(log, instance, baseline, (), reference)
-    exported = TARGETS[target](found_in(diagnosis, log.name))
+    vehicle = found_in(diagnosis, log.name)
+    exported = TARGETS[target](vehicle)
+    promised = vehicle.promised(exported)
     try:
         file.write_text(exported.text, encoding="utf-8")
     except OSError as error:
@@ -177,6 +179,9 @@ def export(
     output.say(f"{file}: the vehicle's known iron and {found} ({VERDICTS[diagnosis.verdict]}).")
     for sentence in exported.lacking:
         output.say(f"Not in the simulator: {sentence}")
+    if exported.left_out and vehicle.shrink > promised:
+        share, whole = f"{100.0 * promised:.0f} %", f"{100.0 * vehicle.shrink:.0f} %"
+        output.say(f"With what it holds {share} of the gap in the field closes, with all of it {whole}.")
     use = exported.use.replace("FILE", shlex.quote(str(file)))
     output.say(f"Use it: {use.replace('mavcompass calibrate', f'{program()} calibrate')}")
     output.write_json(
@@ -187,6 +192,7 @@ def export(
             "effects": sorted(diagnosis.effects),
             "parameters": dict(exported.parameters),
             "lacking": list(exported.lacking),
+            "promised": {"shrink": vehicle.shrink, "by_what_the_simulator_holds": promised},
         }
     )
 
