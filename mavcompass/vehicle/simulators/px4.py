@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ from mavcompass.vehicle.transport import Transport
 from mavcompass.vehicle.transport.udp import UdpTransport
 
 _STARTUP = "etc/init.d-posix/rcS"
-_FIRST_PORT, _INSTANCES = 14540, 10
+_FIRST_PORT, _INSTANCES, _LOCK = 14540, 10, "/tmp/px4_lock-{}"
 _QUADROTOR = {"PX4_SIM_MODEL": "sihsim_quadx", "PX4_SYS_AUTOSTART": "10040"}
 # What is wrong with the compass shall stay: on the ground PX4 learns its bias in seconds and takes it off.
 _FLIGHT: dict[str, float] = {"MBE_LEARN_GAIN": 0.1, "SENS_MAG_AUTOCAL": 0}
@@ -55,8 +56,10 @@ class Px4Sih:
             read_parameter_file(file)
 
     def listen(self) -> Transport:
-        """Open the port to which an instance will send, the first that is free."""
+        """Open the port to which an instance will send, the first one that does not run yet."""
         for instance in range(_INSTANCES):
+            if _runs(instance):
+                continue
             try:
                 return UdpTransport.listening("127.0.0.1", _FIRST_PORT + instance)
             except UsageError:
@@ -106,3 +109,15 @@ class Px4Sih:
     def calibration_in(parameters: Mapping[str, float]) -> dict[str, float]:
         """Pick a vehicle's calibration of compass 1: a simulator that has its iron needs its cure as well."""
         return {name: value for name, value in parameters.items() if _CALIBRATION.fullmatch(name)}
+
+
+def _runs(instance: int) -> bool:
+    """Tell whether an instance of PX4 runs on this computer: it holds a lock as long as it does."""
+    try:
+        with Path(_LOCK.format(instance)).open("r+b") as lock:
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # it has never run here
+        return False
+    return False

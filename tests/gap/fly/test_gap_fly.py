@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from mavcompass.logs import TlogWriter, read_track
 from mavcompass.procedure.flying import Profile, profile_of
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.vehicle.flying import fly_in_simulator
-from mavcompass.vehicle.simulators import ArduPilotSitl, Flight
+from mavcompass.vehicle.simulators import ArduPilotSitl, Flight, px4, simulator_of
 
 FAKE = Path(__file__).with_name("sitl_of_ours.py")
 HIDDEN = {"SIM_MAG1_OFS_X": -60.0, "SIM_MAG1_OFS_Y": 35.0, "SIM_MAG1_OFS_Z": -20.0, "COMPASS_OFS_X": -5.0}
@@ -172,3 +174,43 @@ def test_a_model_that_pivots_is_chosen_for_a_motion_that_does(tmp_path: Path) ->
     )
     assert (values["COMPASS_USE"], values["SIM_MAG_RND"], values["SIM_MAG1_OFS_X"]) == (1.0, 3.0, 9.0)
     assert values["SERVO1_FUNCTION"] == 73.0 and values["ARMING_CHECK"] == 0.0
+
+
+def test_px4_is_started_as_a_copter_whose_instance_and_files_are_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "bin" / "px4"
+    program.parent.mkdir()
+    help_or_note = "[ $1 = --help ] && echo '[-s <startup_file>]' || echo $PX4_HOME_LAT $* > told"
+    program.write_text(f"#!/bin/sh\n{help_or_note}\n")
+    program.chmod(0o755)
+    with pytest.raises(UsageError, match="are not in the build"):
+        simulator_of(program, "", (), None)
+    startup = tmp_path / "etc" / "init.d-posix" / "rcS"
+    startup.parent.mkdir(parents=True)
+    startup.touch()
+    sitl = simulator_of(program, "", (), 3.0)
+    assert sitl.live({"SIM_MAG_OFFSET_X": 0.05}) == {
+        "MBE_LEARN_GAIN": 0.1, "SENS_MAG_AUTOCAL": 0, "SIM_MAG_OFFSET_X": 0.05,
+    }  # fmt: skip
+    monkeypatch.setattr(px4, "_LOCK", str(tmp_path / "lock-{}"))
+    (tmp_path / "lock-0").touch()
+    held = (
+        "import fcntl, sys; f = open(sys.argv[1], 'r+b'); fcntl.lockf(f, fcntl.LOCK_EX); print(1, flush=True)"
+    )
+    words = [sys.executable, "-c", f"{held}; input()", str(tmp_path / "lock-0")]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None and other.stdout.readline()
+        port = sitl.listen()
+        other.communicate(b"\n")
+    try:
+        assert int(port.name.rpartition(":")[2]) > 14540, "instance 0 runs already"
+        with pytest.raises(UsageError, match="as a copter"):
+            sitl.start(tmp_path, Flight("rover", False, None, 0.0), {}, port)
+        running = sitl.start(tmp_path, Flight("copter", False, (47.4, 8.5, 500.0), 0.0), {}, port)
+        while not running.has_ended:
+            time.sleep(0.01)
+    finally:
+        port.close()
+    told = (tmp_path / "told").read_text().strip()
+    assert told.startswith("47.4") and f"-w {tmp_path}" in told and told.endswith(str(tmp_path / "etc"))
