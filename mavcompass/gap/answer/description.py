@@ -138,7 +138,10 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     where_left = evidence.adequacy.tests[0].coordinate if evidence.adequacy.tests else "time"
     turns = bool(problem.replay.present & {"turning", "tilt"}) or floor.measured
     said = consistent(answer, field, heading, where_left, floor, none, evidence.beside, turns, problem.replay)
-    if said.named is not answer.named:
+    if said.verdict == "no_gap" and answer.named.terms:
+        # Beside the best explanation of the rest (place, calibration, attitude) nothing lies above the floor.
+        field, heading = (replace(c, after=c.nominal, shrink=0.0) for c in (field, heading))
+    elif said.named is not answer.named:
         # Without its names an answer has other figures, which it must not contradict either.
         field, heading = closings(problem, said.named, test, floor, added, evidence.unseen_mgauss2)
         said = consistent(

@@ -6,8 +6,7 @@ the likelihood, up to a constant.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,16 +86,6 @@ class Problem:
             for n, theta in zip(self.nuisances, fit.nuisance_thetas, strict=True)
         ]
         return Problem(self.replay, self.noise, self.rows, Prior.of(held))
-
-    def believing(self, known: Collection[str]) -> Problem:
-        """Return the same problem with some nuisances, by their effect's id, held where they were known."""
-        parts = [
-            _HELD / np.square(n.effect.scale) if n.effect.id in known else np.zeros(n.mean.size)
-            for n in self.nuisances
-        ]
-        held = np.diag(np.concatenate([*parts, np.zeros(0)]))
-        prior = replace(self.prior, precision=self.prior.precision + held)
-        return Problem(self.replay, self.noise, self.rows, prior)
 
     def predict(self, fit: Fit, effects: bool = True) -> Reading:
         """Return what the simulation says under a hypothesis, or under its nuisances alone."""

@@ -42,5 +42,6 @@ def solve(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArra
 
 def invert(normal: FloatArray) -> FloatArray:
     """Return the covariance, without the directions that the data do not tell."""
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    told = np.diag(normal) > 0.0
+    size = np.where(told, np.sqrt(np.maximum(np.diag(normal), 1e-300)), 1.0)
     return np.asarray(np.linalg.pinv(normal / np.outer(size, size), rcond=1e-10) / np.outer(size, size))

@@ -192,27 +192,17 @@ class Search:
         return np.floor((time - time[0]) / length).astype(np.int64)
 
     def _unbent(self, fit: Fit) -> Fit:
-        """Return nuisances to their prior where a gap has bent them far, and fit the others beside them.
-
-        What is wrong must show to be found.
-        """
+        """Return nuisances to their prior where a gap has bent them far: what is wrong must show to be
+        found."""
         if fit.terms or not self.problem.nuisances:
             return fit
-        problem = self.problem
-        known = [n for n in problem.nuisances if n.effect.id != REFERENCE_YAW]
-        bent = {
-            n.effect.id
-            for n, (cost, size) in zip(known, problem.strains(fit), strict=True)
-            if cost >= least_gain(size)
-        }
-        size = len(problem.nuisances) - len(known) + sum(n.mean.size for n in known)
-        straight = problem.believing(bent).null() if bent else fit
-        if problem.strain(straight) >= least_gain(size):
-            # Each by itself may lie there, or gave way to another; together they may not.
-            straight = problem.believing({n.effect.id for n in known}).null()
+        nuisances = self.problem.nuisances
+        known = sum(1 if n.effect.id == REFERENCE_YAW else n.mean.size for n in nuisances)
+        together = self.problem.strain(fit) < least_gain(known)
+        straight = together and all(cost < least_gain(size) for cost, size in self.problem.strains(fit))
         kept = tuple(
-            _facing_as_known(n, x) if n.effect.id == REFERENCE_YAW else x
-            for n, x in zip(problem.nuisances, straight.nuisance_thetas, strict=True)
+            _facing_as_known(n, x) if n.effect.id == REFERENCE_YAW else x if straight else n.mean.copy()
+            for n, x in zip(nuisances, fit.nuisance_thetas, strict=True)
         )
         same = all(x is y for x, y in zip(kept, fit.nuisance_thetas, strict=True))
         return fit if same else replace(fit, nuisance_thetas=kept)

@@ -204,9 +204,7 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     replay, split = problem.replay, candidate.split
     measured = replay.measured.mag_mgauss
     rest = fit.without(place)
-    # Without its last effect the answer's figures are those of the nominal simulation.
-    null = candidate.found.null
-    without = problem.fit(rest.terms, rest.thetas, fit.nuisance_thetas, 4) if rest.terms else null
+    without = problem.fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=4)
     strained = problem.strain(without) > problem.strain(fit) + _STRAINED
     if strained or replay.reference.kind == "columns":
         # Bent by force, what is known of the vehicle would imitate the effect: it stays.

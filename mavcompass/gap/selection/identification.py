@@ -72,7 +72,7 @@ def _searched(
 
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
     candidate = _allowed(_moments_in_training(candidate), floor)
-    if candidate.dropped and not floor.representative:
+    if candidate.dropped and not candidate.search.exact:
         # What was needed beside a refused effect need not be what does best without it.
         fewer = candidate.search.run(max(len(candidate.fit.terms), 1)).best
         score = candidate.search.score

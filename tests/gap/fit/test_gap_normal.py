@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.fit.newton import invert
 from mavcompass.gap.fit.normal import BlockNormal
 from mavcompass.gap.replay.noise import SensorNoise, estimate_noise
 
@@ -158,3 +159,8 @@ def test_each_channel_gets_its_own_noise() -> None:
     z = noise.whiten(error)[4:]
     np.testing.assert_allclose(z.std(axis=0), 1.0, atol=0.05)
     assert np.abs(np.mean(z[1:] * z[:-1], axis=0)).max() < 0.06
+
+
+def test_covariance_of_what_nothing_tells_is_none() -> None:
+    normal = np.diag([4.0, 0.0, 1e-12])
+    assert invert(normal) == pytest.approx(np.diag([0.25, 0.0, 1e12]))
