@@ -20,7 +20,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import Replayed, diagnose_gap
 from mavcompass.gap.export import settings_of
 from mavcompass.gap.left import DISCREPANCY_MGAUSS, heading_error_rad, rms, rms_deg
-from mavcompass.gap.replay import replay, shared_period_s
+from mavcompass.gap.replay import Replay, replay, shared_period_s
 from mavcompass.gap.result import Cause, Closing, Diagnosis
 from mavcompass.simulation.effects import catalogue, get
 from mavcompass.simulation.effects.effect import Chain
@@ -127,6 +127,7 @@ def compare(
     replayed: Replayed = {}
     forth = diagnose_gap(vehicle, simulator, instance=instance, progress=progress, replayed=replayed)
     progress("the simulator beside the vehicle")
+    _give(forth, simulator, replayed)
     back = diagnose_gap(
         simulator, vehicle, instance=instance, progress=progress, among=_backwards(forth), replayed=replayed
     )
@@ -183,11 +184,7 @@ def _by_what_it_has(
     replayed, drawn = replay(vehicle, forth.compass, period_s=period_s), forth.picture
     assert drawn is not None
 
-    def made(causes: Iterable[Cause]) -> FloatArray:
-        chain = Chain(settings_of(cause for cause in causes if cause.effect not in _SCATTER))
-        return chain.run(replayed.signals, None).reading.mag_mgauss
-
-    left = drawn.after_mgauss + made(forth.causes) - made(has.causes)
+    left = drawn.after_mgauss + _made(forth, replayed) - _made(has, replayed)
     # A named scatter is in what is measured; of it only counts how much more or less the simulator has.
     whole = rms(left[drawn.test])
     scatter2 = max(rms(drawn.after_mgauss[drawn.test]) ** 2 - forth.field.after**2, 0.0)
@@ -203,6 +200,23 @@ def _by_what_it_has(
     )
 
 
+def _made(diagnosis: Diagnosis, replayed: Replay) -> FloatArray:
+    """Return what the causes make of the field on a recording's motion, (N, 3)."""
+    causes = (cause for cause in diagnosis.causes if get(cause.effect).kind == "mean")
+    return Chain(settings_of(causes)).run(replayed.signals, None).reading.mag_mgauss
+
+
+def _give(forth: Diagnosis, simulator: Track, replayed: Replayed) -> None:
+    """Give the simulator's replay what it was found to lack, so that only what the vehicle lacks is left."""
+    if forth.verdict not in ("named", "ambiguous"):
+        return
+    for key, (track, plain) in replayed.items():
+        if track is simulator:
+            more = _made(forth, plain) - plain.signals.reading.mag_mgauss
+            measured = replace(plain.measured, mag_mgauss=plain.measured.mag_mgauss + more)
+            replayed[key] = (track, replace(plain, measured=measured))
+
+
 def _scatter2(diagnosis: Diagnosis) -> float:
     """Return the variance of the scatter that is named, mG^2."""
     return sum(cause.removes_mgauss**2 for cause in diagnosis.causes if cause.effect in _SCATTER)
@@ -211,7 +225,7 @@ def _scatter2(diagnosis: Diagnosis) -> float:
 def _backwards(forth: Diagnosis) -> frozenset[str] | None:
     """Name what is to be weighed the other way round; None for everything, where nothing was explained.
 
-    What was found shows there too, with the other sign; besides it only amounts tell anything new.
+    Amounts alone tell anything new; what was found is there for what is not quite the same.
     """
     if forth.verdict not in ("named", "ambiguous"):
         return None
