@@ -23,7 +23,7 @@ from mavcompass.fleet.examine import Job, Row, rows_of
 from mavcompass.fleet.population import Distribution, learn
 from mavcompass.gap.trial.vehicles.draw import Vehicle, draw_vehicle
 from mavcompass.gap.trial.vehicles.effects.fields import FIELDS
-from mavcompass.gap.trial.vehicles.effects.kind import sized
+from mavcompass.gap.trial.vehicles.effects.kind import changed_rms, sized
 from mavcompass.gap.trial.vehicles.loads import loads_of
 from mavcompass.gap.trial.vehicles.motion import MOTIONS, move
 from mavcompass.gap.trial.vehicles.record import record
@@ -86,9 +86,8 @@ def _recording(vehicle: Vehicle, way: str, rng: np.random.Generator) -> Track:
     effects: tuple[Effect, ...] = ()
     if way == "loose magnet":
         step = next(kind for kind in FIELDS if kind.id == "hard_iron_step")
-        loose = sized(step, scene, 25.0, rng)
-        assert loose is not None
-        effects = (loose,)
+        drawn = (sized(step, scene, 25.0, rng) for _ in range(100))
+        effects = (next(one for one in drawn if one is not None and changed_rms(scene, (one,)) > 15.0),)
     return record(scene, vehicle.site, effects, 0.0, rng).track
 
 

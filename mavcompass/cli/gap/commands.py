@@ -202,10 +202,11 @@ def export(
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the cases.")
 @click.option(
     "--generator",
-    type=click.Choice(("bench", "vehicles")),
+    type=click.Choice(("bench", "vehicles", "another")),
     default="bench",
     show_default=True,
-    help="Who makes the cases: our simulator with an exact attitude, or vehicles of another make in use.",
+    help="Who makes the cases: our simulator with an exact attitude, vehicles of another make in use, or"
+    " another simulator in closed form.",
 )
 @click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
 @common_options

@@ -25,7 +25,8 @@ SIZES = {
     "field_gap_mgauss": ("difference to the simulation", 0.2),
 }
 
-_CALIBRATED_SHARE, _LEAST_MGAUSS_PER_A, _UNTOLD_MGAUSS_PER_A = 0.1, 0.05, 10.0
+# A field of the motors that is known no better was not recorded.
+_UNTOLD_MGAUSS_PER_A = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,11 +69,10 @@ def _vehicle(name: str, compass: int, rows: Sequence[Row]) -> Vehicle:
     value = np.median([iron["values"] for iron in irons], axis=0)
     covariance = np.mean([iron["covariance"] for iron in irons], axis=0)
     known = {key: Known(value[part], covariance[part, part]) for key, (part, _) in IRON.items()}
-    motor = known.pop("motor_current")
-    if (trusted := _trusted(motor)) is not None:
-        known["motor_current"] = trusted
+    if float(np.diag(known["motor_current"].covariance).max()) > _UNTOLD_MGAUSS_PER_A**2:
+        del known["motor_current"]
     for key, (_, share) in SIZES.items():
-        sizes = [math.log(max(row[key], 1e-3)) for row in rows if row.get(key) is not None]
+        sizes = [math.log(max(_size(row, key), 1e-3)) for row in rows if row.get(key) is not None]
         if sizes:
             known[key] = Known(np.array([np.median(sizes)]), np.array([[share**2]]))
     found: dict[str, list[Mapping[str, tuple[float, float]]]] = defaultdict(list)
@@ -83,18 +83,10 @@ def _vehicle(name: str, compass: int, rows: Sequence[Row]) -> Vehicle:
     return Vehicle(name, compass, known, usual, len(rows))
 
 
-def _trusted(motor: Known) -> Known | None:
-    """Trust a calibrated field of the motors within a share; None where the recordings tell nothing of it.
-
-    A diagnosis leaves open what its recording cannot exclude: far more than calibrations are wrong by.
-    """
-    worst, size = float(np.diag(motor.covariance).max()), float(np.linalg.norm(motor.value))
-    if size == 0.0 and worst > _UNTOLD_MGAUSS_PER_A**2:
-        return None
-    share = (
-        min(1.0, (_CALIBRATED_SHARE * size) ** 2 / max(worst, 1e-12)) if size > _LEAST_MGAUSS_PER_A else 1.0
-    )
-    return Known(motor.value, motor.covariance * share)
+def _size(row: Row, key: str) -> float:
+    """Return a size; what a named effect explains counts where the held-out parts did not see it."""
+    named = [value for name, value in row.items() if name.startswith("effect_") and value is not None]
+    return max([row[key], *named]) if key == "field_gap_mgauss" else float(row[key])
 
 
 def _parameters(cause: Mapping[str, object]) -> dict[str, tuple[float, float]]:

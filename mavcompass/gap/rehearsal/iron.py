@@ -18,6 +18,8 @@ IRON_NAMES = (
 _GAINS = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
 _STEP = 1e-4
 _UNTOLD_MGAUSS_PER_A = 1e3
+# How far the motors' field of a calibration may be off, as a share.
+_CALIBRATED = 0.1
 
 
 def iron_settings(
@@ -75,4 +77,16 @@ def whole_iron(diagnosis: Diagnosis) -> tuple[FloatArray, FloatArray] | None:
     covariance = jacobian @ belief.covariance @ jacobian.T
     if not covariance[9:, 9:].any():
         covariance[9:, 9:] = _UNTOLD_MGAUSS_PER_A**2 * np.eye(3)
-    return here, covariance
+    size = float(np.linalg.norm(cured.motor_mgauss)) * by_current
+    return _trusting(here, covariance, cured.motor_mgauss, _CALIBRATED * size) if size else (here, covariance)
+
+
+def _trusting(
+    values: FloatArray, covariance: FloatArray, motor_mgauss: FloatArray, sigma: float
+) -> tuple[FloatArray, FloatArray]:
+    """Take the motors' field of a calibration for a measurement.
+
+    A diagnosis leaves open what its recording cannot exclude: far more than calibrations are wrong by.
+    """
+    gain = covariance[:, 9:] @ np.linalg.inv(covariance[9:, 9:] + sigma**2 * np.eye(3))
+    return values + gain @ (motor_mgauss - values[9:]), covariance - gain @ covariance[9:, :]

@@ -1,4 +1,4 @@
-"""Cases of the second generator, vehicles of another make, as the blind trial seals and scores them."""
+"""Cases of others, vehicles of another make and another simulator, as the trial seals and scores them."""
 
 from __future__ import annotations
 
@@ -19,15 +19,18 @@ from mavcompass.gap.replay import (
     shared_period_s,
     untestable_effects,
 )
-from mavcompass.gap.trial.label import SHARES, Label, Tier
+from mavcompass.gap.trial import another
+from mavcompass.gap.trial.label import SHARES, Generator, Label, Tier
 from mavcompass.gap.trial.vehicles import VehicleCase, make_case
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Effect, Signals
 from mavcompass.track import Track
 
 
-def case_of(tier: Tier, seed: int) -> VehicleCase:
+def case_of(generator: Generator, tier: Tier, seed: int) -> VehicleCase:
     """Make the case of a label: one whose cause is withheld is a single one."""
+    if generator == "another":
+        return another.make_case(seed, tier)
     return make_case(seed, "single" if tier == "withheld" else tier)
 
 
@@ -37,14 +40,14 @@ def shifts(names: Iterable[str]) -> bool:
     return all(name not in every or every[name].kind in ("mean", "discrete") for name in names)
 
 
-def draw_case(seed: int, index: int, tier: Tier | None) -> tuple[Label, Track, Track]:
+def draw_case(generator: Generator, seed: int, index: int, tier: Tier | None) -> tuple[Label, Track, Track]:
     """Draw one case: its label, the recording and the baseline."""
     rng = np.random.default_rng([seed, index, 78])
-    shares = SHARES["vehicles"]
+    shares = SHARES[generator]
     chosen: Tier = tier or rng.choice(list(shares), p=list(shares.values()))
     while True:
         own = int(rng.integers(2**31))
-        case = case_of(chosen, own)
+        case = case_of(generator, chosen, own)
         # Without the cause that leaves only a trace, there is nothing left to be flagged.
         if chosen != "withheld" or shifts(name for name, _ in case.effects):
             break
@@ -53,7 +56,7 @@ def draw_case(seed: int, index: int, tier: Tier | None) -> tuple[Label, Track, T
         f"{name}:" + ",".join(f"{key}={value:.9g}" for key, value in values.items())
         for name, values in case.effects
     )
-    label = Label(chosen, f"{told['vehicle']} {told['motion']}", own, effects, generator="vehicles")
+    label = Label(chosen, f"{told['vehicle']} {told['motion']}", own, effects, generator=generator)
     assert case.baseline is not None
     return label, case.track, case.baseline
 
@@ -64,7 +67,7 @@ def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
     The vehicle is as what is known of it has it, its attitude the true one, and the readings are changed by
     what the effects make; noise and priors (yaw, field, iron in force, age) are the diagnosis's own.
     """
-    case = case_of(label.tier, label.seed)
+    case = case_of(label.generator, label.tier, label.seed)
     track, baseline = case.track, case.baseline
     assert baseline is not None and track.truth_q is not None
     period_s = shared_period_s([track, baseline], 1)

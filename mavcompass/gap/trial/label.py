@@ -6,13 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-Generator = Literal["bench", "vehicles"]
+Generator = Literal["bench", "vehicles", "another"]
 Tier = Literal["none", "single", "pair", "withheld", "outside"]
 GENERATORS: tuple[Generator, ...] = get_args(Generator)
 TIERS: tuple[Tier, ...] = get_args(Tier)
 SHARES: dict[Generator, dict[Tier, float]] = {
     "bench": {"none": 0.35, "single": 0.35, "pair": 0.15, "withheld": 0.15},
     "vehicles": {"none": 0.3, "single": 0.3, "pair": 0.15, "withheld": 0.1, "outside": 0.15},
+    "another": {"none": 0.3, "single": 0.5, "pair": 0.2},
 }
 
 

@@ -103,7 +103,7 @@ def score(label: Label, answer: Answer, withheld: Answer | None) -> Case:
     separation = own = oracle = true_shrink = truth_distance = math.nan
     if label.effects:
         with single_thread():
-            of_vehicles = label.generator == "vehicles"
+            of_vehicles = label.generator != "bench"
             problem, others = (foreign if of_vehicles else bench).noiseless(label)
             if of_vehicles:
                 label = replace(label, size_sigma=_size(problem))

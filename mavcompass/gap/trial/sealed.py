@@ -11,6 +11,7 @@ import hashlib
 import json
 import secrets
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 from mavcompass.gap.trial import bench, foreign
@@ -22,7 +23,7 @@ def seal(
     folder: Path, cases: int, seed: int, tier: Tier | None = None, generator: Generator = "bench"
 ) -> str:
     """Write the cases and the sealed labels; return the seal."""
-    draw = foreign.draw_case if generator == "vehicles" else bench.draw_case
+    draw = bench.draw_case if generator == "bench" else partial(foreign.draw_case, generator)
     labels = []
     for index in range(cases):
         label, track, baseline = draw(seed, index, tier)
