@@ -94,7 +94,7 @@ def test_the_diagnosis_finds_in_it_what_was_put_in() -> None:
 
 def test_it_is_sealed_and_scored_by_the_same_table() -> None:
     assert set(SHARES["another"]) == {"none", "single", "pair"}
-    trial = run_trial(1, 1, "none", generator="another")
+    trial = run_trial(1, 2, "none", generator="another")
     (case,) = trial.cases
     assert case.label.generator == "another" and trial.to_json()["generator"] == "another"
     assert trial.figures()["no effect: named or unknown"] == (0, 1)
