@@ -69,11 +69,7 @@ def command(
 
     def say_ready() -> None:
         print(f"mavcompass serves {config.vehicle.source}")
-        in_journal = "JOURNAL_STREAM" in os.environ and not sys.stdout.isatty()
-        if in_journal:  # systemd's, which more people may read than the token's file
-            print(f"  page       {service.url} (token in {config.token_file})")
-        else:
-            print(f"  page       {service.url}#token={service.token}")
+        print(f"  page       {_page(service.url, service.token, config.token_file)}")
         print(f"  data       {config.folder}")
         if config.is_open_to_the_network:
             print("  The page can be reached from the network; whoever has the token can move the vehicle.")
@@ -81,3 +77,9 @@ def command(
 
     service.run(say_ready)
     return 0
+
+
+def _page(url: str, token: str, token_file: Path) -> str:
+    """Spell the page's address; systemd's journal, which more people read than the file, gets no token."""
+    in_journal = "JOURNAL_STREAM" in os.environ and not sys.stdout.isatty()
+    return f"{url} (token in {token_file})" if in_journal else f"{url}#token={token}"

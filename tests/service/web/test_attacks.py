@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import socket
 import time
 from collections.abc import Iterator
@@ -14,8 +15,9 @@ from running_service import RunningService, StartService, wait_for
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from mavcompass.cli.serve import _page
 from mavcompass.enums import MavCmd
-from mavcompass.messages import CommandAck, CommandLong, Heartbeat, Message, ParamValue, Statustext
+from mavcompass.messages import CommandAck, CommandLong, Heartbeat, Incoming, Message, ParamValue, Statustext
 from mavcompass.service.web import connections, stream
 
 PAGE = Path(stream.__file__).with_name("page")
@@ -189,6 +191,13 @@ def test_the_token_is_in_no_answer_and_in_no_argument(quiet: RunningService) -> 
     assert quiet.service.token not in Path("/proc/self/cmdline").read_text()
 
 
+def test_the_token_is_not_in_systemds_journal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("JOURNAL_STREAM", raising=False)
+    assert _page("http://127.0.0.1:8808/", "secret", Path("t")) == "http://127.0.0.1:8808/#token=secret"
+    monkeypatch.setenv("JOURNAL_STREAM", "8:1234")
+    assert _page("http://127.0.0.1:8808/", "secret", Path("t")) == "http://127.0.0.1:8808/ (token in t)"
+
+
 # --- what a vehicle says ----------------------------------------------------------------------------
 
 
@@ -207,18 +216,20 @@ def test_the_page_never_takes_text_for_markup() -> None:
     assert "unsafe" not in (PAGE / "index.html").read_text()
 
 
-def test_a_vehicle_s_words_stay_words(start_service: StartService) -> None:
+def test_a_vehicle_s_words_stay_words(start_service: StartService, monkeypatch: pytest.MonkeyPatch) -> None:
     running = start_service()
-    vehicle = running.link.autopilot  # type: ignore[union-attr]
-    board = vehicle.board  # type: ignore[attr-defined]
-    evil = "PreArm: compass \x1b[2J\r\n<img src=x onerror=a()>"
-    first = running.client.post("/api/check", json={}).json()
-    for _ in range(20):
-        board.send(Statustext(2, evil))
-        time.sleep(0.05)
-    document = running.finish(first)["document"]
+    link = running.link
+    assert link is not None
+    hear, calls = link.receive, itertools.count()
+    evil = Statustext(2, "PreArm: compass \x1b[2J\r\n<img src=x onerror=a()>")
+
+    def talkative(timeout_s: float) -> Incoming | None:
+        return Incoming(link.now(), 1, 1, evil) if next(calls) % 10 == 0 else hear(timeout_s)
+
+    monkeypatch.setattr(link, "receive", talkative)
+    document = running.finish(running.client.post("/api/check", json={}).json())["document"]
     texts = [item["text"] for item in document["items"] if item["name"] == "prearm"]
-    assert texts == ['The autopilot says "PreArm: compass ?[2J??<img src=x onerror=a()>".']
+    assert set(texts) == {'The autopilot says "PreArm: compass ?[2J??<img src=x onerror=a()>".'}
     answer = running.client.get("/api/task")
     assert answer.headers["content-type"] == "application/json"
     assert answer.headers["x-content-type-options"] == "nosniff"
