@@ -82,7 +82,7 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
     if candidate.fit.terms and floor.measured and not floor.representative:
         candidate = _simplest(candidate, floor)
     candidate = replace(candidate, fit=candidate.search.pruned(candidate.fit))
-    return replace(candidate, as_good=(*candidate.as_good, *_smoothed(candidate)))
+    return replace(candidate, as_good=(*candidate.as_good, *_alike(candidate)))
 
 
 def _allowed(candidate: Identified, floor: Floor) -> Identified:
@@ -94,15 +94,19 @@ def _allowed(candidate: Identified, floor: Floor) -> Identified:
     return candidate
 
 
-def _smoothed(candidate: Identified) -> tuple[frozenset[str], ...]:
-    """Return the set with a low pass in the place of a lag, where the recording could not tell one.
+def _alike(candidate: Identified) -> tuple[frozenset[str], ...]:
+    """Return the sets that the recording cannot tell from the chosen one, whatever the search found.
 
-    A compass that is read slowly, averaged and repeated smooths by nature.
+    A compass that is read slowly, averaged and repeated smooths by nature: a lag may be a low pass. A field
+    that falls with the height comes from below: of everywhere below, or of one thing there.
     """
     ids, tried = candidate.fit.ids, {term.effect.id for term in candidate.search.terms}
-    if "transport_lag" not in ids or "low_pass" in tried:
-        return ()
-    return (ids - {"transport_lag"} | {"low_pass"},)
+    out = []
+    if "transport_lag" in ids and "low_pass" not in tried:
+        out.append(ids - {"transport_lag"} | {"low_pass"})
+    if "height_anomaly" in ids and "spatial_dipole" in tried:
+        out.append(ids - {"height_anomaly"} | {"spatial_dipole"})
+    return tuple(out)
 
 
 def _simplest(candidate: Identified, floor: Floor) -> Identified:
