@@ -30,7 +30,7 @@ def note_interrupted_write(history: History, view: VehicleView, undo_folder: Pat
         return  # killed before it was whole, and before anything was written
     if record.autopilot != view.identity.autopilot or not _was_written(record, view):
         return
-    command = restore_command(record.source, newest)
+    command = restore_command(record.source, newest, view.identity.system)
     what = "A write was cut short: the vehicle may hold some new and some old values."
     document = {"error": what, "remedy": f"Undo it, here or with: {command}", "lines": []}
     _log.warning("%s %s", what, document["remedy"])

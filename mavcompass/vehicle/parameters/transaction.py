@@ -148,19 +148,18 @@ def counted(parameters: int) -> str:
     return "1 parameter" if parameters == 1 else f"{parameters} parameters"
 
 
-def restore_command(source: str, undo_file: Path, system: int = 1) -> str:
+def restore_command(source: str, undo_file: Path, system: int) -> str:
     """Spell the command that puts back what an undo file holds."""
     return _spelt("restore", source, undo_file, system)
 
 
-def again_command(source: str, undo_file: Path, system: int = 1) -> str:
+def again_command(source: str, undo_file: Path, system: int) -> str:
     """Spell the command that writes the new values once more."""
     return _spelt("write", source, written_file(undo_file), system)
 
 
 def _spelt(verb: str, source: str, file: Path, system: int) -> str:
-    which = f" --system {system}" if system > 1 else ""
-    return f"{program()} params {verb} {shlex.quote(source)} {shlex.quote(str(file))}{which}"
+    return f"{program()} params {verb} {shlex.quote(source)} {shlex.quote(str(file))} --system {system}"
 
 
 def _sentence(error: Exception) -> str:
