@@ -19,19 +19,19 @@ SPREAD = np.array([15.0, 15.0, 15.0, 0.02, 0.02, 0.02, 0.005, 0.005, 0.005, 0.1,
 KNOWN = np.array([2.0, 2.0, 3.0, 0.003, 0.003, 0.003, 0.002, 0.002, 0.002, 0.03, 0.03, 0.03])
 
 
-def row(name: str, rng: np.random.Generator, **changed: object) -> Row:
+def row(name: str, rng: np.random.Generator, alike: float = 1.0, **changed: object) -> Row:
     """Make the row of a vehicle of the fleet, known with an error."""
     iron = np.concatenate([OFFSET, GAIN, np.array([0.5, -0.3, 0.1])])
-    iron = iron + SPREAD * rng.standard_normal(12) + KNOWN * rng.standard_normal(12)
+    iron = iron + alike * (SPREAD * rng.standard_normal(12) + KNOWN * rng.standard_normal(12))
     iron = iron + np.asarray(changed.get("iron", np.zeros(12)))
-    causes = changed.get("causes", [])
+    causes, known = changed.get("causes", []), np.diag((alike * KNOWN) ** 2)
     return {
         "recording": f"{name}.BIN",
         "status": "ok",
         "vehicle": name,
         "compass": 1,
         "verdict": "named" if causes else "no_gap",
-        "iron_json": json.dumps({"values": iron.tolist(), "covariance": np.diag(KNOWN**2).tolist()}),
+        "iron_json": json.dumps({"values": iron.tolist(), "covariance": known.tolist()}),
         "causes_json": json.dumps(causes),
         "scatter_mgauss": changed.get("scatter", 2.5 * np.exp(0.1 * rng.standard_normal())),
         "field_gap_mgauss": changed.get("gap", 3.0 * np.exp(0.3 * rng.standard_normal())),
@@ -90,6 +90,16 @@ def test_the_odd_ones_are_named_for_what_is_odd_about_them() -> None:
     whys = {vehicle.name: " ".join(vehicle.why) for vehicle in summary.look_first}
     assert "not like the others: hard iron of (" in whys["iron"] and "usually (1" in whys["iron"]
     assert "scatter of the readings of 11.0 mG" in whys["noise"]
+
+
+def test_a_sure_difference_that_moves_no_heading_is_not_odd() -> None:
+    rng = np.random.default_rng(10)
+    rows = [row(f"v{number}", rng, alike=0.1) for number in range(60)]
+    for name, per_ampere in (("hardly", 0.2), ("much", 0.5)):
+        motor = np.zeros(12)
+        motor[9] = per_ampere
+        rows.append(row(name, rng, iron=motor, alike=0.1))
+    assert [one.vehicle for one in learn(rows).odd] == ["much"]
 
 
 def test_a_fleet_without_odd_ones_seldom_has_one_named() -> None:

@@ -15,6 +15,15 @@ FALSE_NAMES = 0.05
 # Fleets have longer tails than a normal distribution: those of Student's t.
 _TAILS = 20.0
 _FEWEST = 12
+# What differs by less moves no heading by a degree, however surely it differs: mG, shares, mG/A (at some ten
+# amperes), and logarithms of sizes.
+_MATERIAL = {
+    "hard_iron": 5.0,
+    "soft_iron": 0.02,
+    "motor_current": 0.3,
+    "scatter_mgauss": 0.4,
+    "field_gap_mgauss": 0.4,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +44,7 @@ class Odd:
 
 
 def odd_ones(vehicles: Sequence[Vehicle], pooled: Mapping[str, Pooled]) -> tuple[Odd, ...]:
-    """Name the vehicles that lie further out than chance puts one of them, the furthest first."""
+    """Name the vehicles that lie materially further out than chance puts one of them, the furthest first."""
     if len(vehicles) < _FEWEST:
         return ()
     found = [odd for quantity in pooled for odd in _of(quantity, vehicles, pooled)]
@@ -51,6 +60,8 @@ def _of(quantity: str, vehicles: Sequence[Vehicle], pooled: Mapping[str, Pooled]
     for vehicle, distance2 in zip(with_it, fleet.distance2.tolist(), strict=True):
         value = vehicle.quantities[quantity].value
         if quantity in SIZES and value[0] <= fleet.location[0]:
+            continue
+        if float(np.linalg.norm(value - fleet.location)) < _MATERIAL[quantity]:
             continue
         p = float(fdtrc(k, _TAILS, distance2 / k)) * tests
         if p < FALSE_NAMES:
