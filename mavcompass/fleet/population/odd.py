@@ -15,14 +15,14 @@ FALSE_NAMES = 0.05
 # Fleets have longer tails than a normal distribution: those of Student's t.
 _TAILS = 20.0
 _FEWEST = 12
-# What differs by less moves no heading by a degree, however surely it differs: mG, shares, mG/A (at some ten
-# amperes), and logarithms of sizes.
+# What differs by less moves no heading by a degree, however surely it differs: mG, shares, mG/A at some ten
+# amperes; of scatter and gap what is more, in mG.
 _MATERIAL = {
     "hard_iron": 5.0,
     "soft_iron": 0.02,
     "motor_current": 0.3,
-    "scatter_mgauss": 0.4,
-    "field_gap_mgauss": 0.4,
+    "scatter_mgauss": 4.0,
+    "field_gap_mgauss": 4.0,
 }
 
 
@@ -61,12 +61,19 @@ def _of(quantity: str, vehicles: Sequence[Vehicle], pooled: Mapping[str, Pooled]
         value = vehicle.quantities[quantity].value
         if quantity in SIZES and value[0] <= fleet.location[0]:
             continue
-        if float(np.linalg.norm(value - fleet.location)) < _MATERIAL[quantity]:
+        if _apart(quantity, value, fleet.location) < _MATERIAL[quantity]:
             continue
         p = float(fdtrc(k, _TAILS, distance2 / k)) * tests
         if p < FALSE_NAMES:
             words = _words(quantity, value, fleet.location)
             yield Odd(vehicle.name, vehicle.compass, quantity, words, float(np.sqrt(distance2)), p)
+
+
+def _apart(quantity: str, value: np.ndarray, usual: np.ndarray) -> float:
+    if quantity in SIZES:
+        more, like = np.exp(2.0 * value[0]), np.exp(2.0 * usual[0])
+        return float(np.sqrt(more - like))
+    return float(np.linalg.norm(value - usual))
 
 
 def _words(quantity: str, value: np.ndarray, usual: np.ndarray) -> str:
