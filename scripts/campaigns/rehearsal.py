@@ -31,6 +31,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.blas import single_thread
+from mavcompass.gap.left import rms_deg
 from mavcompass.gap.rehearsal import Expected
 from mavcompass.gap.rehearsal.draws import MOTORS, Draws
 from mavcompass.gap.rehearsal.kind import kind_of
@@ -38,7 +39,7 @@ from mavcompass.gap.rehearsal.runs import calibrations
 from mavcompass.logs import read_track
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.simulation.heading_error import heading_errors_rad
+from mavcompass.simulation.heading_error import heading_error_rms_deg, heading_errors_rad
 from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.track import Track
@@ -122,8 +123,7 @@ def judged(vehicle: SimulatedAutopilot, report: CalibrationReport) -> Reached:
         heading_errors_rad(vehicle, 1, correction, lean * math.cos(toward), lean * math.sin(toward))
         for toward in np.arange(8) * math.pi / 4.0
     ]
-    level = heading_errors_rad(vehicle, 1, correction)
-    return tuple(math.degrees(math.sqrt(float(np.mean(np.square(e))))) for e in (level, errors))  # type: ignore
+    return heading_error_rms_deg(vehicle, 1, correction), rms_deg(np.array(errors))
 
 
 def main() -> None:

@@ -9,9 +9,8 @@ from mavcompass.simulation.effects import Effect
 
 _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
 # Ten readings a second, averaged, are a low pass by nature: how much of one depends on the turns.
-_LATE = frozenset({"transport_lag", "stale_samples"})
+_LATE = frozenset({"transport_lag", "stale_samples", "low_pass"})
 _REPEATED = 0.1
-_FAST = frozenset({"timestamp_jitter"})
 _NO_SENSOR = (
     "the sensors that would show it were not recorded, or feel motion that the recording does not tell"
 )
@@ -68,10 +67,10 @@ def untestable_effects(
             # What is not known of the motion looks like any fault of the sensor that feels it.
             out[effect.id] = _NO_SENSOR
         smooths = effect.id == "low_pass" and replayed.trace.stale_share > _REPEATED
-        taught = age_known and (effect.id in _LATE or effect.id == "low_pass") and not smooths
+        taught = age_known and effect.id in _LATE and not smooths
         if replayed.telemetry and effect.id in _TIMING and not taught:
             out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"
-        if replayed.averaged > 1 and effect.id in _FAST:
+        if replayed.averaged > 1 and effect.id == "timestamp_jitter":
             out[effect.id] = (
                 f"{replayed.averaged} neighbours each were averaged, so long is the recording: cut a part out"
             )

@@ -52,16 +52,16 @@ def find_traces(
     """
     stale = stale_share(replay, baseline) if names_stale(replay, baseline) else 0.0
     step = replay.trace.step_mgauss if names_step(replay, baseline, noise_mgauss) else 0.0
-    scattered, before = replay, None if baseline is None else baseline.readings
+    readings, before = replay.readings, None if baseline is None else baseline.readings
     rapid: tuple[Rapid, ...] = ()
     if step == 0.0 and not (exact and replay.averaged == 1):
         for _ in range(_MOST_RAPID):
-            found = find_rapid(scattered.readings, before, _MATERIAL * floor_mgauss)
+            found = find_rapid(readings, before, _MATERIAL * floor_mgauss)
             if found is None:
                 break
-            rapid, scattered = (*rapid, found), scattered.without(found.change_mgauss)
+            rapid, readings = (*rapid, found), readings.without(found.change_mgauss)
     # What may not be named stays in the readings, but it is no noise either.
-    excess = 0.0 if before is None else excess_variance(scattered.readings, before)
+    excess = 0.0 if before is None else excess_variance(readings, before)
     rapid = tuple(one for one in rapid if one.effect in names)
     for one in rapid:
         replay = replay.without(one.change_mgauss)

@@ -135,16 +135,24 @@ def fly_profile(
 def _set(context: Context, parameters: Mapping[str, float]) -> Script[None]:
     """Set parameters; a whole number is sent as PX4 takes one, by its bits."""
     for name, value in parameters.items():
-        whole = isinstance(value, int)
-        kind = MavParamType.INT32 if whole else MavParamType.REAL32
-        sent = single_from_bits(int(value) & 0xFFFFFFFF) if whole else value
-        yield from request(
-            context,
-            mav.ParamSet(context.system, context.component, name, sent, kind),
-            mav.ParamValue,
-            lambda answer, name=name: answer.param_id == name,  # type: ignore[misc]
-            f"the parameter {name}",
-        )
+        yield from _set_one(context, name, value)
+
+
+def _set_one(context: Context, name: str, value: float) -> Script[None]:
+    whole = isinstance(value, int)
+    yield from request(
+        context,
+        mav.ParamSet(
+            context.system,
+            context.component,
+            name,
+            single_from_bits(int(value) & 0xFFFFFFFF) if whole else value,
+            MavParamType.INT32 if whole else MavParamType.REAL32,
+        ),
+        mav.ParamValue,
+        lambda answer: answer.param_id == name,
+        f"the parameter {name}",
+    )
 
 
 def _until_it_knows_its_place(

@@ -110,13 +110,18 @@ def test_what_dawdles_is_closed(quiet: RunningService, monkeypatch: pytest.Monke
         assert time.monotonic() - began_s < 3.0
 
 
+def send_until_cut(client: socket.socket, piece: bytes, times: int) -> None:
+    """Send a piece again and again, until the other side has enough of it."""
+    try:
+        for _ in range(times):
+            client.sendall(piece)
+    except OSError:
+        pass
+
+
 def test_a_head_without_end_is_cut_off(quiet: RunningService) -> None:
     with raw(quiet, b"GET / HTTP/1.1\r\nhost: localhost\r\n") as client:
-        try:
-            for _ in range(200):
-                client.sendall(b"x-much: " + b"y" * 1000 + b"\r\n")
-        except OSError:
-            pass
+        send_until_cut(client, b"x-much: " + b"y" * 1000 + b"\r\n", 200)
         assert b" 200 " not in answered(client)
 
 
@@ -126,11 +131,7 @@ def test_chunks_without_end_are_cut_off(quiet: RunningService) -> None:
         b"transfer-encoding: chunked\r\nauthorization: Bearer " + quiet.service.token.encode() + b"\r\n\r\n"
     )
     with raw(quiet, head) as client:
-        try:
-            for _ in range(400):
-                client.sendall(b"400\r\n" + b" " * 1024 + b"\r\n")
-        except OSError:
-            pass
+        send_until_cut(client, b"400\r\n" + b" " * 1024 + b"\r\n", 400)
         assert b" 202 " not in answered(client)
     assert quiet.service.station.desk.current is None
 
