@@ -149,16 +149,11 @@ class Machine(Generic[T]):
             self._started = True
             self._resume(lambda: next(self._script))
         if isinstance(event, Stop):
-            self._stop(event.reason)
+            self._stop(Refused(event.reason))
         elif not self.done:
-            if (message := context.heard_from_vehicle(event)) is not None:
-                for listener in context.listeners:
-                    listener(message)
-            reason = None
-            if self._stopping_since is None:
-                reason = next((r for w in list(context.watches) if (r := w(context.now))), None)
-            if reason is not None:
-                self._stop(reason)
+            error = self._look(event)
+            if error is not None and self._stopping_since is None:
+                self._stop(error)
             else:
                 self._resume(lambda: self._script.send(event))
         if self._stopping_since is not None and context.now - self._stopping_since > CLEAN_UP_S:
@@ -166,10 +161,24 @@ class Machine(Generic[T]):
         actions, context.outbox = context.outbox, []
         return actions
 
-    def _stop(self, reason: str) -> None:
+    def _look(self, event: Event) -> Exception | None:
+        """Let all listen and watch; return why to stop. A fault of theirs must not leave a vehicle moving."""
+        context = self.context
+        try:
+            if (message := context.heard_from_vehicle(event)) is not None:
+                for listener in context.listeners:
+                    listener(message)
+            if self._stopping_since is None:
+                reason = next((r for w in list(context.watches) if (r := w(context.now))), None)
+                return None if reason is None else Refused(reason)
+        except Exception as fault:
+            return fault
+        return None
+
+    def _stop(self, error: Exception) -> None:
         if self._stopping_since is None and not self.done:
             self._stopping_since = self.context.now
-            self._resume(lambda: self._script.throw(Refused(reason)))
+            self._resume(lambda: self._script.throw(error))
 
     def _abandon(self) -> None:
         """End a script that could not clean up in time; it may say what it leaves behind."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -112,11 +113,11 @@ class VehicleState:
         match message:
             case mav.Heartbeat():
                 self.heartbeat, self.heartbeat_s = message, heard.time_s
-            case mav.Attitude():
+            case mav.Attitude(roll=roll, pitch=pitch) if math.isfinite(roll) and math.isfinite(pitch):
                 self.attitude = message
             case mav.GlobalPositionInt():
                 self.place = message
-            case mav.LocalPositionNed():
+            case mav.LocalPositionNed(x=x, y=y, z=z) if all(map(math.isfinite, (x, y, z))):
                 self.local = message
             case mav.EkfStatusReport():
                 self.ekf = message

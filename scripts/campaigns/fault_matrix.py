@@ -10,7 +10,7 @@ and kinds of steps. Afterwards the vehicle must hold the old set or the new one,
 and the sentence that restores it, which is then followed; it stands within a second; nothing went on for too
 long; nothing but the product's own errors was raised or logged. Half of the procedures that were killed, or
 whose link was closed, are started again first and must come to an end of their own. `--processes` has real
-programs killed by the system. Exit code 1 if any cell fails.
+programs killed by the system. Exit code 1 if any cell fails, 130 if Ctrl-C or SIGTERM ended it early.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -40,10 +41,14 @@ from fault_cells.works import WORKS, Ending, Work
 
 from mavcompass.errors import MavCompassError
 from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle import driver
 from mavcompass.vehicle.parameters.values import same_value
 
 LONGEST_CPU_S = 60.0
 STARTED_AGAIN = ("killed", "link closed")
+# A real disk's fsync is most of the time of a cell that writes; what is judged is the same.
+IN_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
+STOPPED = 130
 
 
 @dataclass(frozen=True)
@@ -90,7 +95,7 @@ def new_scene(work: Work, folder: Path) -> Scene:
 
 def trace(work: Work) -> Trace:
     """Run a procedure undisturbed."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(dir=IN_MEMORY) as folder:
         scene = new_scene(work, Path(folder))
         start_s, scene.active = scene.vehicle.time_s, True
         with watched_files(scene):
@@ -104,7 +109,7 @@ def trace(work: Work) -> Trace:
 
 def run_cell(cell: Cell, traced: Trace) -> Outcome:
     """Run one cell and judge it."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(dir=IN_MEMORY) as folder:
         scene = new_scene(cell.work, Path(folder))
         known = frozenset(scene.undo_folder.glob("*.json"))
         scene.fault, scene.target, scene.chance = cell.fault, cell.number, random.Random(str(cell))
@@ -190,6 +195,15 @@ def time_limit() -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
+@contextmanager
+def stopped_at_once() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end the campaign: a procedure would take them for its own and end one cell."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+    with patch.object(driver, "stop_signals", lambda stop: nullcontext()):
+        yield
+
+
 def draw(traces: dict[Work, Trace], faults: Sequence[Fault], cells: int, seed: int) -> list[Cell]:
     """Draw cells, evenly over the kinds of steps of each procedure and the faults that apply to them."""
     chance = random.Random(seed)
@@ -264,11 +278,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     outcomes: list[Outcome] = []
     try:
-        for cell in cells:
-            outcomes.append(run_cell(cell, traces[cell.work]))
-            tell(outcomes[-1], len(outcomes))
+        with stopped_at_once():
+            for cell in cells:
+                outcomes.append(run_cell(cell, traces[cell.work]))
+                tell(outcomes[-1], len(outcomes))
     except KeyboardInterrupt:
         print("stopped")
+        table(outcomes)
+        return STOPPED
     table(outcomes)
     killed = [killed_process(number % 8 + 1) for number in range(options.processes)]
     print("\n".join(f"a killed program: {sentence}" for wrong in killed for sentence in wrong))

@@ -16,7 +16,7 @@ sys.path[:0] = [str(PROJECT), str(PROJECT / "tests" / "logs")]
 
 from mavcompass.errors import MavCompassError  # noqa: E402
 from mavcompass.logs import read_track  # noqa: E402
-from mavcompass.messages import Incoming, ParamValue, RawImu, Statustext  # noqa: E402
+from mavcompass.messages import Heartbeat, Incoming, ParamValue, RawImu, Statustext  # noqa: E402
 from mavcompass.procedure.motion import SafetyLimits  # noqa: E402
 from mavcompass.procedure.motion.safety import MotionGuard  # noqa: E402
 from mavcompass.procedure.positions import Rest  # noqa: E402
@@ -45,6 +45,7 @@ from mavcompass.vehicle.wire import FrameParser, decode, encode, message_id  # n
 Target = Callable[[bytes], object]
 _FOLDER = Path(tempfile.mkdtemp(prefix="fuzz", dir="/dev/shm" if os.path.isdir("/dev/shm") else None))
 # Frames of these are read by the listeners of a procedure.
+_ARMED = Heartbeat(type=2, autopilot=3, base_mode=128, system_status=4)
 _HEARD = (0, 1, 2, 22, 24, 26, 27, 29, 30, 32, 33, 36, 65, 74, 77, 105, 116, 129, 147, 193, 245, 253)
 
 
@@ -78,6 +79,7 @@ def listeners(data: bytes) -> None:
             decode_parameter(message, "bytewise" if data[at] & 1 else "cast")
         for listener in (state.hear, gyro.hear, rest.hear, guard.hear, builder.add):
             listener(heard)
+        state.hear(Incoming(at * 0.01, 1, 1, _ARMED))  # a guard looks no further at one that is not
         guard.check(at * 0.01)
     with suppress(MavCompassError):
         builder.build()

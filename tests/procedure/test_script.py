@@ -149,6 +149,28 @@ def test_a_watch_stops_the_script_once() -> None:
     assert str(machine.error) == "The pilot moved a stick."
 
 
+@pytest.mark.parametrize("who", ["listener", "watch"])
+def test_whoever_breaks_beside_a_script_still_has_the_vehicle_put_back(who: str) -> None:
+    def breaks(_: object) -> None:
+        raise ZeroDivisionError
+
+    def script(context: Context) -> Script[None]:
+        (context.listeners if who == "listener" else context.watches).append(breaks)
+        try:
+            yield from pause(context, 10.0)
+        finally:
+            context.send(CommandLong(command=1))
+            yield from expect(context, CommandAck)
+
+    machine = Machine(script)
+    sent = [*machine.step(Tick(0.0)), *machine.step(heard(0.1, Heartbeat()))]
+    assert sent == [Send(CommandLong(command=1))]
+    assert not machine.done
+    machine.step(heard(0.2, CommandAck(1)))
+    assert machine.done
+    assert isinstance(machine.error, ZeroDivisionError)
+
+
 def test_a_question_waits_for_its_answer() -> None:
     def script(context: Context) -> Script[bool]:
         return (yield from ask(context, "Write?"))

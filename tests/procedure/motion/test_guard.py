@@ -45,3 +45,13 @@ def test_what_a_vehicle_says_cannot_move_a_cursor_or_begin_a_line() -> None:
     state.hear(Incoming(0.2, 1, 1, mav.Statustext(2, "PreArm: \x1b[2J\r\nERROR: all is well\u202e\x9b")))
     assert list(state.texts) == ["PreArm: ?[2J??ERROR: all is well??"]
     assert printable("Höhe 3 m, 20 °C") == "Höhe 3 m, 20 °C"
+
+
+@pytest.mark.parametrize("odd", [float("inf"), float("-inf"), float("nan")])
+def test_an_attitude_or_a_place_that_is_no_number_is_none(odd: float) -> None:
+    state, guard = guarded(470_000_000, 80_000_000)
+    told = (mav.Attitude(roll=0.1), mav.LocalPositionNed(x=3.0))
+    for message in (*told, mav.Attitude(pitch=odd), mav.LocalPositionNed(z=odd)):
+        state.hear(Incoming(0.1, 1, 1, message))
+    assert (state.attitude, state.local) == told
+    assert guard.check(0.1) is None
