@@ -150,7 +150,7 @@ def _refitted(problem: PositionProblem, fit: PositionFit) -> tuple[_Hypotheses, 
     for j in range(k):
         for size in REFIT_SIZES_MGAUSS:
             loosened = problem.loosened(j, size)
-            trial = fit_positions(loosened)
+            trial = fit_positions(loosened, fit)
             owners.append(j)
             weights.append(odds + _evidence(loosened, trial))
             fits.append(trial)

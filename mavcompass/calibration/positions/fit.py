@@ -86,9 +86,12 @@ def _evaluate(problem: PositionProblem, x: FloatArray, weights: FloatArray) -> E
     return residual, jacobian, field
 
 
-def fit_positions(problem: PositionProblem) -> PositionFit:
-    """Minimise by Gauss-Newton with step halving; dwells far out weigh less where there are many."""
-    x, weights = problem.start, np.ones(len(problem.mean))
+def fit_positions(problem: PositionProblem, near: PositionFit | None = None) -> PositionFit:
+    """Minimise by Gauss-Newton with step halving; dwells far out weigh less where there are many.
+
+    The fit of a problem that is nearly the same may be given to begin with.
+    """
+    x, weights = (problem.start, np.ones(len(problem.mean))) if near is None else (near.state, near.weights)
     here = _evaluate(problem, x, weights)
     for _ in range(_ITERATIONS):
         x, here, settled = _step(problem, x, weights, here)
