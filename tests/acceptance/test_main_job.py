@@ -29,7 +29,7 @@ def undo_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MAVCOMPASS_UNDO_DIR", str(tmp_path / "undo"))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(10))
 def test_a_badly_calibrated_rover_ends_within_half_a_degree(seed: int) -> None:
     with SimulatedLink.of("rover", seed=seed) as link:
         before = heading_error_rms_deg(link.autopilot)
@@ -49,9 +49,8 @@ def test_a_second_calibration_moves_the_offsets_by_less_than_two_milligauss() ->
 
 
 @pytest.mark.parametrize("vehicle", ["copter", "boat", "sub"])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_other_vehicles_that_turn_on_the_spot_do_as_well(vehicle: str, seed: int) -> None:
-    with SimulatedLink.of(vehicle, seed=seed) as link:
+def test_other_vehicles_that_turn_on_the_spot_do_as_well(vehicle: str) -> None:
+    with SimulatedLink.of(vehicle, seed=0) as link:
         report = calibrate_on(link, f"sim:{vehicle}", WRITE)
         assert report.written
         assert heading_error_rms_deg(link.autopilot) <= 0.5

@@ -31,10 +31,10 @@ def untouched(vehicle: SimulatedAutopilot) -> tuple[object, ...]:
     )
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
+# Many seeds of each: scripts/campaigns/vehicles.py.
 @pytest.mark.parametrize("kind", KINDS)
-def test_one_command_brings_the_heading_within_half_a_degree(kind: str, seed: int, tmp_path: Path) -> None:
-    vehicle = bent_vehicle(kind, seed)
+def test_one_command_brings_the_heading_within_half_a_degree(kind: str, tmp_path: Path) -> None:
+    vehicle = bent_vehicle(kind, seed=11)
     before = untouched(vehicle)
     assert heading_error_rms_deg(vehicle) > 30.0
     report = calibrated(vehicle, tmp_path)
@@ -52,8 +52,7 @@ def test_four_dwells_and_the_proof_turn_take_22_seconds(kind: str, tmp_path: Pat
     assert float(time_s[-1]) - report.windows[0].start_s <= 22.0
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("kind", ["rover", "copter"])
+@pytest.mark.parametrize(("kind", "seed"), [("rover", 1), ("copter", 2)])
 def test_a_bad_link_gives_the_same_result_within_its_sigma(kind: str, seed: int, tmp_path: Path) -> None:
     clean = calibrated(bent_vehicle(kind, seed, 0.6), tmp_path).results[0]
     vehicle = bent_vehicle(kind, seed, 0.6)

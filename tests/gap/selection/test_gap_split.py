@@ -44,12 +44,11 @@ def test_narrow_window_brings_a_change_between_training_rows() -> None:
     assert narrowed.test.sum() > 0.8 * split.test.sum()
 
 
-@pytest.mark.parametrize("lasts_s", [0.0, 1.2])
-def test_step_by_hand_keeps_its_size(lasts_s: float) -> None:
+def test_step_by_hand_keeps_its_size() -> None:
     """While a hand brings a magnet near, the field swings: what it does then is no part of the step."""
     fault = [effects.parse("hard_iron_step:x=60,y=-40,z=90,on_s=31.3")]
     track = make_track(Recipe("rich", duration_s=60.0, rate_hz=10.0, seed=31), fault)
-    series = track.compasses[1].reported
+    series, lasts_s = track.compasses[1].reported, 1.2
     since = series.time_s - 31.3
     swing = np.where((since > 0.0) & (since < lasts_s), 150.0 * np.sin(4.0 * since), 0.0)
     moved = Series.of(series.time_s, series.values + swing[:, None] * np.array([1.0, 0.5, -0.7]))

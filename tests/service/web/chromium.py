@@ -38,7 +38,7 @@ def find_chromium() -> str | None:
 class Page:
     """One page in a browser of its own; `errors` are what the page's own programs complain about."""
 
-    def __init__(self, program: str, width: int, height: int, dark: bool = False) -> None:
+    def __init__(self, program: str, width: int, height: int) -> None:
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         self._browser = subprocess.Popen(
             [program, *_OPTIONS, f"--user-data-dir={self._folder.name}", "about:blank"],
@@ -56,6 +56,10 @@ class Page:
         self._session: str | None = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log"):
             self._call(f"{domain}.enable", {})
+        self.show_on(width, height)
+
+    def show_on(self, width: int, height: int, dark: bool = False) -> None:
+        """Show the page on a screen of another size, or to somebody who likes it dark."""
         self._call(
             "Emulation.setDeviceMetricsOverride",
             {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600},
@@ -123,18 +127,27 @@ class Page:
         )
 
     def click(self, selector: str) -> None:
-        """Press the mouse in the middle of an element, as a person would: what covers it gets the click."""
-        self.run(f"document.querySelector({selector!r}).scrollIntoView({{block: 'center'}})")
-        box = self.run(
-            f"(() => {{ const r = document.querySelector({selector!r}).getBoundingClientRect();"
-            " return [r.x + r.width / 2, r.y + r.height / 2, r.width]; })()"
-        )
-        assert box[2] > 0, f"{selector} is not shown"
-        for kind in ("mousePressed", "mouseReleased"):
-            self._call(
-                "Input.dispatchMouseEvent",
-                {"type": kind, "x": box[0], "y": box[1], "button": "left", "clickCount": 1},
+        """Press the mouse in the middle of an element, as a person would: what covers it gets the click.
+
+        Where the page moved on under the mouse, a person tries again.
+        """
+        element = f"document.querySelector({selector!r})"
+        self.run(f"window.heard = 0, {element}.addEventListener('click', () => window.heard = 1)")
+        for _ in range(3):
+            self.run(f"{element}.scrollIntoView({{block: 'center'}})")
+            box = self.run(
+                f"(() => {{ const r = {element}.getBoundingClientRect();"
+                " return [r.x + r.width / 2, r.y + r.height / 2, r.width]; })()"
             )
+            assert box[2] > 0, f"{selector} is not shown"
+            for kind in ("mousePressed", "mouseReleased"):
+                self._call(
+                    "Input.dispatchMouseEvent",
+                    {"type": kind, "x": box[0], "y": box[1], "button": "left", "clickCount": 1},
+                )
+            if self.run("window.heard"):
+                return
+        raise AssertionError(f"{selector} does not get the click")
 
     def text(self, selector: str) -> str:
         """Return what an element says."""

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.errors import Unsatisfiable
 
 BOUNDS = settings(
-    max_examples=25,
+    max_examples=14,
     deadline=None,
     derandomize=True,
     phases=(Phase.generate,),

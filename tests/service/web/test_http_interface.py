@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from running_service import RunningService, StartService, wait_for
@@ -95,15 +96,33 @@ def test_the_person_is_asked_before_anything_is_written(running: RunningService)
         assert (now["COMPASS_OFS_X"] != before["COMPASS_OFS_X"]) is yes
 
 
-def test_a_check_fails_before_a_calibration_and_passes_after(running: RunningService) -> None:
+def test_a_calibration_makes_the_check_pass_and_the_heading_surer(running: RunningService) -> None:
     def check() -> dict[str, object]:
         task = running.client.post("/api/check", json={"turn": "vehicle"}).json()
         return dict(running.finish(task)["document"])
 
+    def sigma_deg() -> float:
+        return float(running.client.get("/api/heading").json()["headings"][0]["sigma_deg"])
+
+    def state() -> dict[str, Any]:
+        return dict(running.client.get("/api/state").json())
+
+    before = sigma_deg()
     first = check()
     assert first["verdict"] == "fail" and first["calibration_advised"] and first["turned"]
     assert running.calibrate(writing="yes")["ok"]
     assert check()["verdict"] == "pass"
+    wait_for(lambda: state()["vehicle"]["compasses"][0]["calibration_sigma_deg"] < 1)
+    wait_for(lambda: sigma_deg() < 1.5)
+    assert before > 4.0
+    assert not [f for f in state()["findings"] if f["compass"] == 1]
+
+    assert running.link is not None
+    store = running.link.autopilot.firmware.store  # type: ignore[attr-defined]
+    store.set("COMPASS_OFS_X", 77.0)
+    running.client.post("/api/check", json={})  # after it the parameters are read again
+    finding = wait_for(lambda: [f for f in state()["findings"] if f["id"] == "parameters"])[0]
+    assert "COMPASS_OFS_X" in finding["text"]
 
 
 def test_the_state_tells_vehicle_headings_and_world(quiet: RunningService) -> None:
@@ -120,37 +139,6 @@ def test_the_state_tells_vehicle_headings_and_world(quiet: RunningService) -> No
     assert 0.0 <= wait_for(true_deg) < 360.0
     assert quiet.stranger.get("/readyz").json() == {"ready": True}
     assert quiet.stranger.get("/healthz").json() == {"alive": True}
-
-
-def test_a_good_calibration_makes_the_heading_surer(running: RunningService) -> None:
-    def sigma_deg() -> float:
-        return float(running.client.get("/api/heading").json()["headings"][0]["sigma_deg"])
-
-    before = sigma_deg()
-    running.calibrate(writing="yes")
-    wait_for(
-        lambda: (
-            running.client.get("/api/state").json()["vehicle"]["compasses"][0]["calibration_sigma_deg"] < 1
-        )
-    )
-    wait_for(lambda: sigma_deg() < 1.5)
-    assert before > 4.0
-    assert not [f for f in running.client.get("/api/state").json()["findings"] if f["compass"] == 1]
-
-
-def test_changed_parameters_are_found_to_differ_from_the_calibration(start_service: StartService) -> None:
-    running = start_service()
-    running.calibrate(writing="yes", compasses=[1])
-    assert running.link is not None
-    store = running.link.autopilot.firmware.store  # type: ignore[attr-defined]
-    store.set("COMPASS_OFS_X", 77.0)
-    running.client.post("/api/check", json={})  # after it the parameters are read again
-
-    def finding() -> dict[str, object] | None:
-        findings = running.client.get("/api/state").json()["findings"]
-        return next((f for f in findings if f["id"] == "parameters"), None)
-
-    assert "COMPASS_OFS_X" in str(wait_for(finding)["text"])
 
 
 def test_the_stream_sends_headings_and_progress(running: RunningService) -> None:

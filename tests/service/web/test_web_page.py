@@ -31,10 +31,8 @@ def open_page() -> Iterator[OpenPage]:
         pytest.skip("no Chromium here (Debian: apt install chromium)")
     pages: list[Page] = []
 
-    def open_it(
-        running: RunningService, size: tuple[int, int] = PHONE, token: bool = True, **options: bool
-    ) -> Page:
-        page = Page(program, *size, **options)
+    def open_it(running: RunningService, token: bool = True) -> Page:
+        page = Page(program, *PHONE)
         pages.append(page)
         page.open(running.service.url + (f"#token={running.service.token}" if token else ""))
         page.wait("document.querySelector('#heading').innerText !== '–'")
@@ -45,38 +43,37 @@ def open_page() -> Iterator[OpenPage]:
         page.close()
 
 
-def fits(page: Page) -> bool:
-    """Tell whether nothing sticks out sideways."""
-    return bool(page.run("document.documentElement.scrollWidth <= window.innerWidth"))
+def look(page: Page, step: str, whole: bool = False) -> None:
+    """Take pictures of a dark desk's screen and of a phone's; nothing sticks out sideways."""
+    for size, dark in ((DESK, True), (PHONE, False)):
+        page.show_on(*size, dark=dark)
+        assert page.run("document.documentElement.scrollWidth <= window.innerWidth")
+        page.screenshot(SCREENSHOTS / f"{size[0]}x{size[1]}-{step}.png", whole)
 
 
 def lit(page: Page) -> int:
     return int(page.run("document.querySelectorAll('.c-spot.lit').length"))
 
 
-@pytest.mark.parametrize(("size", "dark"), [(PHONE, False), (DESK, True)], ids=["phone", "desk"])
 def test_a_calibration_from_the_page_to_written_parameters(
-    start_service: StartService, open_page: OpenPage, size: tuple[int, int], dark: bool
+    start_service: StartService, open_page: OpenPage
 ) -> None:
     running = start_service(speed=8.0)
     assert running.link is not None
-    page = open_page(running, size, dark=dark)
-    name = f"{size[0]}x{size[1]}"
+    page = open_page(running)
     assert page.run("location.hash") == "", "the token stays out of the address bar"
     assert page.run("document.querySelector('#token-box').hidden")
-    assert fits(page)
-    page.screenshot(SCREENSHOTS / f"{name}-1-heading.png")
+    look(page, "1-heading")
 
     page.click("#calibrate")
     page.wait("!document.querySelector('#running').hidden")
     page.wait("document.querySelectorAll('.c-spot.lit').length >= 2", 40.0)
-    assert fits(page)
-    page.screenshot(SCREENSHOTS / f"{name}-2-turning.png")
+    look(page, "2-turning")
     page.wait("!document.querySelector('#question').hidden", 60.0)
     # Four, and further ones where four left doubt: whatever was visited is lit.
     assert lit(page) == page.run("document.querySelectorAll('.c-spot').length") >= 4
     assert "COMPASS_OFS_X" in page.text("#question-text")
-    page.screenshot(SCREENSHOTS / f"{name}-3-question.png")
+    look(page, "3-question")
     before_deg = heading_error_rms_deg(running.link.autopilot)  # type: ignore[arg-type]
 
     page.click("#yes")
@@ -86,14 +83,12 @@ def test_a_calibration_from_the_page_to_written_parameters(
     page.wait("document.querySelectorAll('#history li[data-kind=calibration]').length === 1")
     for part in ("Old and new", "Error budget", "Deviation card"):
         assert part in page.text("#result")
-    assert fits(page)
-    page.screenshot(SCREENSHOTS / f"{name}-4-result.png", whole=True)
+    look(page, "4-result", whole=True)
     assert page.errors == []
 
     page.open(f"{running.service.url}api/history/1/report")
     assert "Compass calibration" in page.text("h1")
-    assert fits(page)
-    page.screenshot(SCREENSHOTS / f"{name}-5-report.png", whole=True)
+    look(page, "5-report", whole=True)
     assert page.errors == []
 
 
