@@ -56,8 +56,8 @@ def test_interval_of_a_share_holds_it() -> None:
 
 
 def test_sealed_trial_scores_its_own_cases() -> None:
-    trial = run_trial(3, 88, "single")
-    assert len(trial.seal) == 64 and len(trial.cases) == 3
+    trial = run_trial(2, 88, "single")
+    assert len(trial.seal) == 64 and len(trial.cases) == 2
     for case in trial.cases:
         assert case.answer.after <= case.answer.nominal * (1.0 + 1e-9)
         assert not case.separation < 0.0
@@ -65,13 +65,13 @@ def test_sealed_trial_scores_its_own_cases() -> None:
 
 
 def test_vehicles_are_sealed_and_scored_by_the_same_table() -> None:
-    trial = run_trial(2, 3, "withheld", generator="vehicles")
+    trial = run_trial(1, 13, "withheld", generator="vehicles")  # a short recording
     assert trial.to_json()["generator"] == "vehicles"
-    for case in trial.cases:
-        assert case.withheld is not None and case.label.ids[0] not in case.withheld.effects
-        assert 0.0 < case.separation <= case.label.size_sigma
-        assert case.answer.cpu_seconds > 0.0
-    assert trial.figures()["confident wrong names"][1] == 2
+    (case,) = trial.cases
+    assert case.withheld is not None and case.label.ids[0] not in case.withheld.effects
+    assert 0.0 < case.separation <= case.label.size_sigma
+    assert case.answer.cpu_seconds > 0.0
+    assert trial.figures()["confident wrong names"][1] == 1
 
 
 def test_a_name_is_wrong_if_it_is_neither_the_truth_nor_like_it() -> None:
