@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mavcompass.calibration.observation.detector import UNREST, StillnessDetector
 from mavcompass.calibration.observation.dwells import (
     Dwell,
     FourPositionData,
@@ -13,14 +14,7 @@ from mavcompass.calibration.observation.dwells import (
     step_between,
     uncorrected_field,
 )
-from mavcompass.calibration.observation.stillness import (
-    UNREST,
-    StillnessDetector,
-    assemble,
-    find_dwells,
-    observe,
-    turns_between,
-)
+from mavcompass.calibration.observation.stillness import assemble, find_dwells, observe, turns_between
 from mavcompass.calibration.observation.turning import turn_record
 
 __all__ = [

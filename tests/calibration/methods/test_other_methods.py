@@ -21,7 +21,7 @@ from mavcompass.calibration.fits.textbook import (
     sensitivity_bias,
     set_reset_offset,
 )
-from mavcompass.calibration.observation.stillness import Stillness
+from mavcompass.calibration.observation.detector import Stillness
 from mavcompass.calibration.observation.wire import effective_count, unquantise
 from mavcompass.calibration.orientation import search_orientation
 from mavcompass.calibration.positions import next_pose, repeat_test

@@ -1,0 +1,206 @@
+"""Tell live, reading by reading, whether a vehicle stands still, and how noisy its sensors are."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+STILL_RATE_RADPS = math.radians(3.0)
+STILL_TILT_RATE_RADPS = math.radians(6.0)
+# Hunting inside these limits can be averaged over; more of it makes a new position.
+LONGEST_SWING_RAD = math.radians(14.0)
+RATE_SMOOTHING_S = 0.5
+# White noise of the tilt rate has a mean of its own: the length of two noisy components.
+TILT_FLOOR = 1.3
+# Two readings of a noisy compass lie so many sigmas of one component apart once in a hundred thousand.
+_FIELD_CHANCE = 7.5
+
+# What `Stillness.why_not` means, for a person.
+UNREST = {
+    "rotating": "it still turns",
+    "hunting": "its nose still swings",
+    "tilting": "it still rocks",
+    "field changing": "the magnetic field changes; is iron or a current moving near it?",
+    "starting": "the first readings",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Stillness:
+    """Say whether a vehicle stands still.
+
+    Attributes:
+        still: True once it has been quiet for the detector's hold time.
+        since_s: the time since when it has been quiet (nan while it is not).
+        why_not: "rotating", "hunting", "tilting", "field changing", "starting", or "" when still.
+        rate_radps: mean rate about the vertical over the last half second, clockwise positive.
+        turned_rad: the angle turned since the detector was made.
+    """
+
+    still: bool
+    since_s: float
+    why_not: str
+    rate_radps: float
+    turned_rad: float
+
+
+class WhiteNoise:
+    """Follow the white noise of a vector, per component, by the second differences of its latest samples.
+
+    Smooth motion hardly shows in these, and the median is not moved by a few that are no noise. Samples that
+    are repeated show none.
+    """
+
+    def __init__(self, samples: int = 40) -> None:
+        self._before: deque[tuple[float, ...]] = deque(maxlen=2)
+        self._bends: deque[tuple[float, ...]] = deque(maxlen=samples)
+
+    def hear(self, values: tuple[float, ...]) -> None:
+        """Take the next sample."""
+        if len(self._before) == 2:
+            first, second = self._before
+            self._bends.append(
+                tuple(abs(a - 2.0 * b + c) for a, b, c in zip(first, second, values, strict=True))
+            )
+        self._before.append(values)
+
+    @property
+    def sigma(self) -> float:
+        """Return the root of the mean square of the components' sigmas; 0 while too little was heard."""
+        if len(self._bends) < 8:
+            return 0.0
+        medians = [sorted(column)[len(column) // 2] for column in zip(*self._bends, strict=True)]
+        return math.hypot(*medians) / math.sqrt(len(medians)) / (0.6745 * math.sqrt(6.0))
+
+
+class StillnessDetector:
+    """Tell, reading by reading, whether the vehicle stands still enough to average the compass.
+
+    It has no clock: the time comes with the readings. `hold_s` is how long quiet must last before the
+    vehicle counts as still; `swing_rad` how far it may creep meanwhile.
+    """
+
+    def __init__(
+        self,
+        hold_s: float = 1.0,
+        rate_radps: float = STILL_RATE_RADPS,
+        swing_rad: float = LONGEST_SWING_RAD,
+        field_step_mgauss: float = 60.0,
+    ) -> None:
+        self._hold_s = hold_s
+        self._limit = rate_radps
+        self._swing = swing_rad
+        self._field_step = field_step_mgauss
+        self._window: deque[tuple[float, float, float]] = deque()
+        self._tilt_noise, self._force_noise, self._field_noise = WhiteNoise(), WhiteNoise(), WhiteNoise()
+        self._turned = self._rate = 0.0
+        self._last: tuple[float, float] | None = None
+        self._quiet_since = math.nan
+        self._quiet_from = (0.0, (0.0, 0.0, 0.0))
+        self._down = (0.0, 0.0, 1.0)
+        self._reason = "starting"
+
+    def update(
+        self, time_s: float, gyro_radps: ArrayLike, acc_mps2: ArrayLike, mag_mgauss: ArrayLike
+    ) -> Stillness:
+        """Take one reading of each sensor, body FRD, and judge.
+
+        A reading older than the one before (a late or repeated packet) changes nothing.
+        """
+        gx, gy, gz = np.asarray(gyro_radps, dtype=np.float64).tolist()
+        ax, ay, az = np.asarray(acc_mps2, dtype=np.float64).tolist()
+        mx, my, mz = np.asarray(mag_mgauss, dtype=np.float64).tolist()
+        if self._last is not None and time_s <= self._last[0]:
+            return self._state(self._last[0])
+        self._follow_gravity(time_s, (ax, ay, az))
+        dx, dy, dz = self._down
+        rate = gx * dx + gy * dy + gz * dz
+        tilt_rate = math.hypot(gx - rate * dx, gy - rate * dy, gz - rate * dz)
+        if self._last is not None:
+            self._turned += 0.5 * (rate + self._last[1]) * (time_s - self._last[0])
+        self._last = (time_s, rate)
+        self._tilt_noise.hear((gx - rate * dx, gy - rate * dy, gz - rate * dz))
+        self._force_noise.hear((ax, ay, az))
+        self._field_noise.hear((mx, my, mz))
+        self._window.append((time_s, rate, tilt_rate))
+        while self._window[0][0] < time_s - RATE_SMOOTHING_S:
+            self._window.popleft()
+        self._rate = self._mean(1)
+        self._judge(time_s, (mx, my, mz))
+        return self._state(time_s)
+
+    def averaging_s(self, tilt_rad: float, field_mgauss: float) -> float:
+        """Return how long to average until white noise leaves so little of the tilt and of the field.
+
+        Both are sigmas of the mean, of one component.
+        """
+        if len(self._window) < 2:
+            return 0.0
+        interval_s = (self._window[-1][0] - self._window[0][0]) / (len(self._window) - 1)
+        tilt = self._force_noise.sigma / (STANDARD_GRAVITY_MPS2 * tilt_rad)
+        field = self._field_noise.sigma / field_mgauss
+        return max(tilt, field) ** 2 * interval_s
+
+    def _follow_gravity(self, time_s: float, acc: tuple[float, float, float]) -> None:
+        length = math.hypot(*acc)
+        if not math.isfinite(length) or length < 1.0:
+            return
+        down = tuple(-a / length for a in acc)
+        if self._last is None:
+            self._down = (down[0], down[1], down[2])
+            return
+        gain = min((time_s - self._last[0]) / 0.5, 1.0)
+        mixed = [old + gain * (new - old) for old, new in zip(self._down, down, strict=True)]
+        size = math.hypot(*mixed) or 1.0
+        self._down = (mixed[0] / size, mixed[1] / size, mixed[2] / size)
+
+    def _judge(self, time_s: float, mag: tuple[float, float, float]) -> None:
+        tilt = self._mean(2)
+        if abs(self._rate) > 3.0 * self._limit:
+            self._stir("rotating")
+        elif abs(self._rate) > self._limit:
+            self._stir("hunting")
+        elif tilt > STILL_TILT_RATE_RADPS + TILT_FLOOR * self._tilt_noise.sigma:
+            self._stir("tilting")
+        elif math.isnan(self._quiet_since):
+            self._begin(time_s, mag)
+        else:
+            turned, field = self._quiet_from
+            if abs(self._turned - turned) > self._swing:
+                self._begin(time_s, mag)
+                self._reason = "hunting"
+            elif math.dist(mag, field) > self._field_limit(abs(self._turned - turned)):
+                self._begin(time_s, mag)
+                self._reason = "field changing"
+
+    def _field_limit(self, turned_rad: float) -> float:
+        """Return how far one reading may lie from another at rest, by chance and by so small a turn, mG."""
+        chance = _FIELD_CHANCE * self._field_noise.sigma
+        return math.hypot(self._field_step, chance) + 300.0 * turned_rad
+
+    def _mean(self, column: int) -> float:
+        return sum([row[column] for row in self._window]) / len(self._window)
+
+    def _stir(self, reason: str) -> None:
+        self._quiet_since = math.nan
+        self._reason = reason
+
+    def _begin(self, time_s: float, mag: tuple[float, float, float]) -> None:
+        self._quiet_since = time_s
+        self._quiet_from = (self._turned, mag)
+
+    def _state(self, time_s: float) -> Stillness:
+        still = not math.isnan(self._quiet_since) and time_s - self._quiet_since >= self._hold_s
+        return Stillness(
+            still=still,
+            since_s=self._quiet_since,
+            why_not="" if still else self._reason,
+            rate_radps=self._rate,
+            turned_rad=self._turned,
+        )
