@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,6 +148,26 @@ class Belief:
     mean: FloatArray
     covariance: FloatArray
 
+    def to_json(self) -> dict[str, object]:
+        """Return the belief for machines; of the covariance the lower triangle, row by row."""
+        return {
+            "weight": self.weight,
+            "effects": list(self.effects),
+            "places": list(self.places),
+            "mean": self.mean.tolist(),
+            "covariance": self.covariance[np.tril_indices(self.mean.size)].tolist(),
+        }
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Belief:
+        """Read what `to_json` wrote. Raises KeyError, TypeError or ValueError for anything else."""
+        mean = np.array(document["mean"], dtype=np.float64)
+        covariance = np.zeros((mean.size, mean.size))
+        covariance[np.tril_indices(mean.size)] = document["covariance"]
+        covariance += np.tril(covariance, -1).T
+        effects, places = tuple(document["effects"]), tuple(document["places"])
+        return cls(document["weight"], effects, places, mean, covariance)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
@@ -265,6 +285,7 @@ class Diagnosis:
             "withheld": list(self.withheld),
             "notes": list(self.notes),
             "seconds": self.seconds,
+            "beliefs": [belief.to_json() for belief in self.beliefs],
         }
 
 

@@ -15,6 +15,7 @@ from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.source import reference_option
 from mavcompass.cli.terminal.colour import styled
 from mavcompass.cli.terminal.show import is_live
+from mavcompass.errors import UsageError
 
 
 @click.command()
@@ -40,25 +41,38 @@ def rehearse(
 ) -> None:
     """Calibrate LOG's vehicle a thousand times in the simulation: the heading error to expect, and why.
 
-    LOG is diagnosed; vehicles of its kind are drawn from what the diagnosis leaves open, and each goes
+    LOG is a recording, which is diagnosed, or a diagnosis that `gap diagnose --json` wrote, with its
+    recording at hand. Vehicles of its kind are drawn from what the diagnosis leaves open, and each goes
     through the four positions as this vehicle stands. Each effect and each source of error is taken out in
     turn, and what could be done otherwise is tried.
 
     \b
     Example: mavcompass gap rehearse flight.tlog --baseline good.tlog --report rehearsal.html
     """
-    require_for(log, baseline, report=report)
     with showing_progress(log.name) as progress:
         from mavcompass.gap import diagnose_gap
+        from mavcompass.gap.rehearsal import Stored, read_stored
         from mavcompass.gap.rehearsal import rehearse as rehearsed
+        from mavcompass.gap.result import Diagnosis
         from mavcompass.logs import read_track
 
-        track = read_track(log)
-        before = read_track(baseline) if baseline is not None else None
-        diagnosis = diagnose_gap(
-            track, before, (), instance, reference,  # type: ignore[arg-type]
-            progress=progress,
-        )  # fmt: skip
+        diagnosis: Diagnosis | Stored
+        if log.suffix == ".json":
+            if baseline is not None:
+                raise UsageError(
+                    "The baseline belongs to the diagnosis.", "Give --baseline to `mavcompass gap diagnose`."
+                )
+            diagnosis = read_stored(log)
+            require_for(diagnosis.recording, report=report)
+            track = read_track(diagnosis.recording)
+        else:
+            require_for(log, baseline, report=report)
+            track = read_track(log)
+            before = read_track(baseline) if baseline is not None else None
+            diagnosis = diagnose_gap(
+                track, before, (), instance, reference,  # type: ignore[arg-type]
+                progress=progress,
+            )  # fmt: skip
     with _counting() as count:
         result = rehearsed(track, diagnosis, draws, seed, reference, count)  # type: ignore[arg-type]
     from mavcompass.report.rehearsal import rehearsal_summary, write_rehearsal_report

@@ -3,5 +3,17 @@
 from mavcompass.gap.rehearsal.iron import IRON_NAMES, whole_iron
 from mavcompass.gap.rehearsal.rehearse import rehearse
 from mavcompass.gap.rehearsal.result import Errors, Expected, Part, Rehearsal, Remedy
+from mavcompass.gap.rehearsal.stored import Stored, read_stored
 
-__all__ = ["IRON_NAMES", "Errors", "Expected", "Part", "Rehearsal", "Remedy", "rehearse", "whole_iron"]
+__all__ = [
+    "IRON_NAMES",
+    "Errors",
+    "Expected",
+    "Part",
+    "Rehearsal",
+    "Remedy",
+    "Stored",
+    "read_stored",
+    "rehearse",
+    "whole_iron",
+]

@@ -15,6 +15,7 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude import Choice
 from mavcompass.gap.rehearsal.stances import stances_of
+from mavcompass.gap.rehearsal.stored import Stored
 from mavcompass.gap.replay import Replay, replay
 from mavcompass.gap.result import Belief, Cause, Diagnosis
 from mavcompass.simulation.effects import get
@@ -65,7 +66,7 @@ class Kind:
         return tuple(dict.fromkeys([*ids, *(fault.effect for fault in self.faults)]))
 
 
-def kind_of(track: Track, diagnosis: Diagnosis, reference: Choice = "auto") -> Kind:
+def kind_of(track: Track, diagnosis: Diagnosis | Stored, reference: Choice = "auto") -> Kind:
     """Collect what a recording and its diagnosis tell of a vehicle.
 
     Raises BadRecording without a gyro, or where compass and gyro are never recorded together.

@@ -20,6 +20,7 @@ from mavcompass.gap.rehearsal.kind import Kind, kind_of
 from mavcompass.gap.rehearsal.procedure import FIELD, GYRO, NOISE, QUANTISATION, TILT, Protocol
 from mavcompass.gap.rehearsal.result import Part, Rehearsal, Remedy
 from mavcompass.gap.rehearsal.runs import Run, calibrations
+from mavcompass.gap.rehearsal.stored import Stored
 from mavcompass.gap.result import Diagnosis
 from mavcompass.track import Track
 
@@ -34,7 +35,7 @@ _FEW_STANCES = 6
 
 def rehearse(
     track: Track,
-    diagnosis: Diagnosis,
+    diagnosis: Diagnosis | Stored,
     draws: int = 1000,
     seed: int = 1,
     reference: Choice = "auto",
@@ -134,7 +135,7 @@ def _motor_mean(kind: Kind) -> np.ndarray:
     return kind.motor_mgauss + best.mean[15:18] + best.mean[at : at + 3]
 
 
-def _notes(kind: Kind, diagnosis: Diagnosis) -> Iterator[str]:
+def _notes(kind: Kind, diagnosis: Diagnosis | Stored) -> Iterator[str]:
     if diagnosis.verdict in ("unknown", "named_with_remainder"):
         yield "Something is left that the diagnosis does not explain; it is not in this."
     if diagnosis.verdict == "not_testable":

@@ -11,7 +11,7 @@ SCHEMA = "mavcompass.gap-rehearsal/1"
 class Expected:
     """Hold the rms heading error over the circle to expect, degrees.
 
-    `rms_deg` is over all vehicles drawn; 95 of 100 of them lie in `interval95_deg`.
+    `rms_deg` is over all vehicles drawn; `interval95_deg` is the shortest that holds 95 of 100 of them.
     """
 
     rms_deg: float

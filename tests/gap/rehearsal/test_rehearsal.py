@@ -11,16 +11,18 @@ import pytest
 from click.testing import CliRunner
 
 from mavcompass.cli.gap import command
+from mavcompass.errors import UsageError
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.rehearsal import Rehearsal, rehearse
+from mavcompass.gap.rehearsal import Rehearsal, read_stored, rehearse
 from mavcompass.gap.rehearsal.draws import Draws
 from mavcompass.gap.rehearsal.judging import heading_errors_deg
 from mavcompass.gap.rehearsal.kind import Kind, kind_of
 from mavcompass.gap.rehearsal.procedure import calibrate
 from mavcompass.gap.rehearsal.rehearse import SOURCES
+from mavcompass.gap.rehearsal.runs import Run
 from mavcompass.gap.result import Diagnosis
 from mavcompass.gap.trial.cases import Recipe, make_track
-from mavcompass.logs import write_track_csv
+from mavcompass.logs import read_track, write_track_csv
 from mavcompass.report.rehearsal import is_worth_it, rehearsal_summary, write_rehearsal_report
 from mavcompass.track import Series, Track
 
@@ -127,6 +129,39 @@ def test_the_command_writes_its_document(tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     document = json.loads(out.read_text())
     assert document["schema"] == "mavcompass.gap-rehearsal/1" and document["draws"] == 20
+
+
+def test_a_stored_diagnosis_is_rehearsed_like_the_one_just_made(loaded: Track, tmp_path: Path) -> None:
+    log, stored = tmp_path / "log.csv", tmp_path / "gap.json"
+    write_track_csv(loaded, log)
+    track = read_track(log)
+    fresh = diagnose_gap(track)
+    stored.write_text(json.dumps(fresh.to_json()))
+    read = read_stored(stored)
+    assert read.recording == log
+    assert rehearse(track, read, draws=4).errors == rehearse(track, fresh, draws=4).errors
+    run = CliRunner().invoke(command, ["rehearse", str(stored), "--draws", "20"])
+    assert run.exit_code == 0 and "motor_current" in run.output
+
+    log.write_text(log.read_text() + "\n")
+    with pytest.raises(UsageError, match="not the recording"):
+        read_stored(stored)
+    log.unlink()
+    with pytest.raises(UsageError, match="not there"):
+        read_stored(stored)
+    stored.write_text(json.dumps({"schema": "mavcompass.gap/1", "log": {}}))
+    with pytest.raises(UsageError, match="no diagnosis"):
+        read_stored(stored)
+
+
+def test_the_interval_is_the_shortest_that_holds_its_share() -> None:
+    errors = np.random.default_rng(2).gamma(2.0, 0.05, size=(4000, 2))
+    run = Run(errors, errors[:, 0], np.full(4000, 4.0))
+    low, high = run.errors.level.interval95_deg
+    inside = ((errors[:, 0] >= low) & (errors[:, 0] <= high)).mean()
+    cut_evenly = np.quantile(errors[:, 0], [0.025, 0.975])
+    assert inside == pytest.approx(0.95, abs=0.001)
+    assert high - low < float(np.diff(cut_evenly)[0]) and low < cut_evenly[0]
 
 
 def test_without_a_gyro_it_says_what_to_record(loaded: Track, tmp_path: Path) -> None:
