@@ -85,6 +85,8 @@ class MagSeries:
         device_id: the autopilot's id of the sensor, None where unknown.
         not_applied: the correction that the autopilot has in force but keeps out of `reported` (PX4's
             SCALED_IMU); None where what it has in force is inside.
+        less_learnt: True where `reported` is less a bias that an estimator learns in flight and does not tell
+            (PX4's HIGHRES_IMU): iron that no correction in force cures is hidden by it.
     """
 
     instance: int
@@ -95,6 +97,7 @@ class MagSeries:
     truncated: bool = False
     device_id: int | None = None
     not_applied: FieldCorrection | None = None
+    less_learnt: bool = False
 
     @property
     def time_s(self) -> FloatArray:

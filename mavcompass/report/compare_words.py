@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mavcompass.gap.comparison import Comparison, Difference
 from mavcompass.gap.result import Closing
-from mavcompass.report.gap_words import VERDICTS, cause_values, shrink_words
+from mavcompass.report.gap_words import VERDICTS, cause_values, shrink_words, unseen_iron
 from mavcompass.simulation.effects import get
 
 _GOOD, _NEARLY = 0.95, 0.05
@@ -51,6 +51,7 @@ def compare_summary(comparison: Comparison) -> list[str]:
     lines += [_gap("heading", told.heading, "deg"), _gap("field", told.field, "mG")]
     if told.unknown and told.unknown_coordinate:
         lines.append(f"  what no effect explains goes with: {told.unknown_coordinate}")
+    lines += dict.fromkeys([*unseen_iron(comparison.vehicle), *unseen_iron(comparison.simulator)])
     held = "" if comparison.held is None else f", {_percent(comparison.held)} by what the simulator holds"
     for one in comparison.achieved:
         low, high = (_percent(end) for end in one.ci95)

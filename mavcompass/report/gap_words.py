@@ -122,8 +122,15 @@ def summary(diagnosis: Diagnosis, everything: bool = False) -> list[str]:
     if everything:
         lines += _background(diagnosis)
     elif diagnosis.not_testable:
+        lines += unseen_iron(diagnosis)
         lines.append(f"  {len(diagnosis.not_testable)} effects could not show in this recording (-v: which)")
     return lines
+
+
+def unseen_iron(diagnosis: Diagnosis) -> list[str]:
+    """Say why the commonest of all faults could not show, where it could not."""
+    why = dict(diagnosis.not_testable).get("hard_iron")
+    return [] if why is None else [f"  hard_iron could not show: {why}"]
 
 
 def cause_values(cause: Cause) -> str:

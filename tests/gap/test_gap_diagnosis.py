@@ -37,7 +37,10 @@ def diagnose(text: str, baseline: Track | None, withhold: tuple[str, ...] = ()) 
 
 
 def test_nothing_wrong_is_called_no_gap(baseline: Track) -> None:
-    diagnosis = diagnose("", baseline)
+    track = make_track(RICH)
+    hiding = replace(track, compasses={1: replace(track.compasses[1], less_learnt=True)})
+    diagnosis = diagnose_gap(hiding, baseline)
+    assert "estimator" in dict(diagnosis.not_testable)["hard_iron"]
     assert diagnosis.verdict == "no_gap" and not diagnosis.causes and not diagnosis.unknown
     assert diagnosis.field.nominal == pytest.approx(3.0, rel=0.15)
 

@@ -67,5 +67,7 @@ def test_what_could_not_show_is_counted_and_listed_only_when_asked_for(magnet: D
     effect, why = magnet.not_testable[0]
     assert f"{len(magnet.not_testable)} effects could not show" in summary(magnet)[-1]
     assert why not in "\n".join(summary(magnet))
+    hidden = replace(magnet, not_testable=(("hard_iron", "its estimator learns it"),))
+    assert "  hard_iron could not show: its estimator learns it" in summary(hidden)
     listed = next(line for line in summary(magnet, everything=True) if why in line)
     assert effect in listed

@@ -97,7 +97,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         unknown=answer.flagged,
         unknown_coordinate=answer.coordinate,
         tests=tuple((t.name, t.p) for t in evidence.adequacy.tests[:12]),
-        not_testable=tuple(sorted(evidence.untestable.items())),
+        not_testable=tuple(sorted((_hidden(evidence, named) | evidence.untestable).items())),
         next_flight=next_flights(rivals, replayed.signals.stimulus.field_ned_mgauss[0], floor.noise),
         folded=floor.folded,
         withheld=tuple(sorted(evidence.withheld)),
@@ -112,6 +112,12 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         beliefs=beliefs(identified, named, answer.verdict == "ambiguous"),
         picture=picture(problem, named, test),
     )
+
+
+def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:
+    """Say of iron that is not seen why it may be there all the same."""
+    learnt = evidence.track.compasses[evidence.compass].less_learnt and "hard_iron" not in named.ids
+    return {"hard_iron": "PX4's HIGHRES_IMU is less what its estimator learns of it"} if learnt else {}
 
 
 def _ambiguity_set(identified: Identified) -> tuple[tuple[tuple[str, ...], float], ...]:

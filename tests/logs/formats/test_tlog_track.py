@@ -269,6 +269,28 @@ def test_px4_without_its_parameters_is_said_to_be_taken_as_not_rotated(tmp_path:
     assert any("CAL_MAG0_ROT is not recorded" in note for note in track.notes)
 
 
+@pytest.mark.parametrize("rotation_known", [True, False])
+def test_px4_speaks_by_scaled_imu_since_its_estimator_bends_the_other(
+    tmp_path: Path, rotation_known: bool
+) -> None:
+    recording = Recording()
+    if rotation_known:
+        recording.add(0.0, parameter("CAL_MAG0_ROT", as_integer_bytes(0), index=0, kind=6))
+    recording.add(0.0, heartbeat("px4 copter"))
+    for n in range(100):
+        imu = dialect.MAVLink_highres_imu_message(
+            5_000_000 + n * 20_000, 0, 0, -9.8, 0, 0, 0, 0.09, 0.02, -0.4, 0, 0, 0, 20, 0
+        )
+        recording.add(n * 0.02, imu)
+        if n % 5 == 0:
+            recording.add(n * 0.02, scaled_imu(5.0 + n * 0.02, (100, 20, -400)))
+    track = read_track(recording.write(tmp_path / "a.tlog"))
+    compass = track.compasses[1]
+    assert len(compass.reported) == (20 if rotation_known else 100)
+    assert compass.less_learnt is not rotation_known
+    assert any("estimator learns" in note for note in track.notes) is not rotation_known
+
+
 def test_px4_with_a_rotation_that_nobody_knows_is_said(tmp_path: Path) -> None:
     track = px4(tmp_path, ("CAL_MAG0_ROT", as_integer_bytes(77), 6))
     assert any("no known rotation" in note for note in track.notes)

@@ -19,20 +19,27 @@ HIGHRES = "HIGHRES_IMU"
 # ArduPilot sent HIGHRES_IMU's field a million times too large until 2026; Earth's is below one gauss.
 _NO_FIELD_GAUSS = 1000.0
 _ARDUPILOT_HIGHRES_PER_MGAUSS = 1000.0
+_DENSER, _DENSER_PX4 = 2, 10
+_LESS_LEARNT = (
+    "PX4's HIGHRES_IMU is less the bias that its estimator learns in flight, which it does not tell: iron may"
+    " be hidden by it. Record SCALED_IMU too, with the parameters, or give the autopilot's own log (.ulg)."
+)
 
 
 def spokesmen(count: Callable[[str], int], autopilot: str, rotation_known: bool) -> dict[int, str]:
     """Choose the message for each compass, by instance; `count` tells how many messages of a name there are.
 
     Compass 1 speaks in up to three messages. Of RAW_IMU and SCALED_IMU the denser is taken. HIGHRES_IMU
-    steps in where it is more than twice as dense, and on PX4 where SCALED_IMU's axes are not known.
+    steps in where it is more than twice as dense. On PX4 it holds what the estimator leaves of the iron:
+    there it steps in only where SCALED_IMU is too seldom to follow a turn, or its axes are not known.
     """
     chosen: dict[int, str] = {}
     for name, instance in telemetry.MAG_MESSAGES.items():
         if count(name) > (count(chosen[instance]) if instance in chosen else 0):
             chosen[instance] = name
     blind = autopilot == "px4" and not rotation_known
-    if count(HIGHRES) and (1 not in chosen or blind or count(HIGHRES) > 2 * count(chosen[1])):
+    times = _DENSER_PX4 if autopilot == "px4" else _DENSER
+    if count(HIGHRES) and (1 not in chosen or blind or count(HIGHRES) > times * count(chosen[1])):
         chosen[1] = HIGHRES
     return dict(sorted(chosen.items()))
 
@@ -63,6 +70,7 @@ def compass_of(
         in_force, in_force_known = px4_steps(history, instance)
         if highres:
             steps, known = in_force, in_force_known
+            notes.append(_LESS_LEARNT)
         else:
             not_applied = in_force[-1].correction if in_force_known else None
             reported, more = _px4_body_axes(reported, parameters, instance)
@@ -81,6 +89,7 @@ def compass_of(
         truncated=not highres,
         device_id=None if device_id is None else int(device_id),
         not_applied=not_applied,
+        less_learnt=highres and autopilot == "px4",
     )
     return compass, tuple(notes)
 
