@@ -211,8 +211,8 @@ def _dipoles(
     """Return how much of the sum of squares a dipole at each place (M, 3) takes away, and its moment."""
     if len(sources) > _PLACES_AT_ONCE:
         pieces = np.array_split(sources, -(-len(sources) // _PLACES_AT_ONCE))
-        gains, moments = zip(*(_dipoles(position, residual, piece) for piece in pieces), strict=True)
-        return np.concatenate(gains), np.concatenate(moments)
+        found = [_dipoles(position, residual, piece) for piece in pieces]
+        return np.concatenate([g for g, _ in found]), np.concatenate([m for _, m in found])
     offset = position - sources[:, None]
     square = np.einsum("mij,mij->mi", offset, offset) + _NEAREST_M**2
     # A_i = (3 u u^T - I) / r^3 with u = offset / r is symmetric: A^T A = (3 u u^T + I) / r^6.
