@@ -136,10 +136,11 @@ def test_too_little_turning_is_refused_by_name(shared_data: Path, name: str) -> 
 
 def test_an_optical_reference_gives_the_world_field_calibration(shared_data: Path) -> None:
     track = read_track(shared_data / "real/broad/01_undisturbed_slow_rotation_A.csv")
-    # Where the room's own gradient is strong it is kept out; what it does elsewhere, a degree, is claimed.
+    # The room leaves a scatter of 2.3 degrees, which is claimed: 40 % of the time were spent where
+    # its own field is strongest.
     result = calibrate_track(track, "world-field", limits=Limits(heading_deg=3.0))
     assert result.accepted
-    assert result.heading_sigma_deg > 0.8
+    assert result.heading_sigma_deg > 2.0
     assert np.abs(np.asarray(result.correction.offsets_mgauss)).max() < 8.0
     assert np.abs(np.asarray(result.correction.diagonals) - 1.0).max() < 0.03
 

@@ -36,7 +36,7 @@ _USUAL_MOTOR = 0.05
 _ROUNDS, _STEPS = 8, 10
 # Before the data: one section in twenty stands beside something magnetic, of this size on each axis.
 _DISTURBED_BEFORE, _DISTURBED_MGAUSS = 0.05, 40.0
-# More disturbed sections than this are no exceptions.
+# More disturbed sections than this, or more of the time, are no exceptions.
 _MOST_DISTURBED = 0.3
 _FEWEST = 4
 # With a larger error of the model there is nothing to refine.
@@ -126,7 +126,7 @@ def fit_motion(
         x = _settle(sections, x, variance, sound, rules)
         residual, _ = field_residual(sections, x)
         # How much a section counts beside others of its visit says nothing of how far out it is.
-        fresh = _soundness(residual, section_variance(sections, x, model, weighed=False))
+        fresh = _soundness(sections, residual, section_variance(sections, x, model, weighed=False))
         grown = _model_error(sections, x, residual, fresh, rules)
         settled = abs(grown - model) < 0.02 * model + 0.01 and float(np.abs(fresh - sound).max()) < 0.02
         model, sound = grown, fresh
@@ -204,14 +204,15 @@ def _settle(
     return x
 
 
-def _soundness(residual: FloatArray, variance: FloatArray) -> FloatArray:
+def _soundness(sections: Sections, residual: FloatArray, variance: FloatArray) -> FloatArray:
     """Return each section's probability of not being disturbed, (K,); all sound where too many are not."""
     loose = variance + _DISTURBED_MGAUSS**2 * np.eye(3)
     before = math.log(_DISTURBED_BEFORE / (1.0 - _DISTURBED_BEFORE))
     odds = before + 0.5 * (_square(residual, variance) - _square(residual, loose))
     odds = odds + 0.5 * (np.linalg.slogdet(variance)[1] - np.linalg.slogdet(loose)[1])
     sound = 1.0 / (1.0 + np.exp(np.clip(odds, -500.0, 500.0)))
-    return np.ones(len(residual)) if float((1.0 - sound).mean()) > _MOST_DISTURBED else sound
+    of_the_time = np.average(1.0 - sound, weights=sections.end_s - sections.start_s + 1e-9)
+    return np.ones(len(residual)) if max((1.0 - sound).mean(), of_the_time) > _MOST_DISTURBED else sound
 
 
 def _square(residual: FloatArray, variance: FloatArray) -> FloatArray:

@@ -58,5 +58,6 @@ def _record(time: FloatArray, yaw: FloatArray) -> TurnRecord:
         bias_radps=0.0,
         bias_sigma_radps=1e-9,
         noise_radps=0.0,
+        walk_rad=0.0,
         interval_s=float(np.median(np.diff(time))),
     )

@@ -28,6 +28,8 @@ _DRIFT_RADPS2 = math.radians(0.0007)
 # Windows share their errors (a creep below the compass's resolution): no more than two count as independent.
 _INDEPENDENT_WINDOWS = 2.0
 _GAP_S = 0.5
+# The angle is held against roll and pitch after this time; both share what the gyro itself walks in a second.
+_WALK_S, _FEWEST_WALKS, _UNSEEN_WALK_RAD = 2.0, 10, math.radians(0.02)
 # A gyro that turns faster than so many sigmas of what its bias may be is turning.
 _TURNING_SIGMAS = 5.0
 _STEADY_RADPS = math.radians(1.0)
@@ -44,7 +46,8 @@ class TurnRecord:
         time_s, angle_rad, rate_radps: bias removed.
         tilt_rate_radps: length of the horizontal part of the angular rate.
         bias_radps, bias_sigma_radps: the vertical bias taken out (its mean) and what is not known of it.
-        noise_radps: white noise of one rate sample.
+        noise_radps: noise of one rate sample.
+        walk_rad: what noise adds to the angle in one second.
         interval_s: usual time between samples.
     """
 
@@ -55,6 +58,7 @@ class TurnRecord:
     bias_radps: float
     bias_sigma_radps: float
     noise_radps: float
+    walk_rad: float
     interval_s: float
 
     def angle_at(self, time_s: FloatArray) -> FloatArray:
@@ -76,7 +80,7 @@ class TurnRecord:
         if time.size < 3:
             return math.inf
         steps = np.diff(time)
-        white = self.noise_radps * math.sqrt(max(end_s - start_s, 0.0) * self.interval_s)
+        white = self.walk_rad * math.sqrt(max(end_s - start_s, 0.0))
         # The trapezoid's error shows in the second difference of the rate: h^2/12 rate'' per step.
         bend = np.diff(rate, 2) * 0.5 * (steps[1:] + steps[:-1]) / 12.0
         sampling = math.sqrt(float(np.sum(bend**2)))
@@ -118,8 +122,31 @@ def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
         bias_radps=float(np.mean(bias)),
         bias_sigma_radps=sigma,
         noise_radps=noise,
+        walk_rad=min(noise * math.sqrt(float(np.median(steps))), _witnessed_walk_rad(track, time, rates)),
         interval_s=float(np.median(steps)),
     )
+
+
+def _witnessed_walk_rad(track: Track, time: FloatArray, rates: FloatArray) -> float:
+    """Return how far the rates' sum walks from the autopilot's roll and pitch, as in one second.
+
+    Vibration is not white: single rates show it, their sum hardly does. The estimator sums every reading of
+    the gyro, of which a recording has some. Infinity where there is no attitude to tell.
+    """
+    if track.attitude_rad is None or time[-1] - time[0] < _FEWEST_WALKS * _WALK_S:
+        return math.inf
+    tilt = np.asarray(track.attitude_rad.at(time))[:, :2]
+    roll, pitch = tilt.T
+    upright = np.maximum(np.cos(pitch), 0.2)
+    p, q, r = rates.T
+    leaning = q * np.sin(roll) + r * np.cos(roll)
+    turned = np.stack([p + leaning * np.sin(pitch) / upright, q * np.cos(roll) - r * np.sin(roll)], axis=1)
+    steps = 0.5 * (turned[1:] + turned[:-1]) * np.diff(time)[:, np.newaxis]
+    off = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]) - np.unwrap(tilt, axis=0)
+    edges = np.searchsorted(time, np.arange(time[0], time[-1], _WALK_S))
+    walked = np.diff(off[edges], axis=0)
+    walked = np.abs(walked - np.median(walked, axis=0))
+    return math.hypot(float(np.median(walked)) / (0.6745 * math.sqrt(_WALK_S)), _UNSEEN_WALK_RAD)
 
 
 def _vertical_bias(

@@ -19,7 +19,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.logs import read_track
-from mavcompass.track import MagSeries, Series, Track
+from mavcompass.track import MagSeries, Series, Track, joined
 
 STRONG = FieldCorrection((60.0, -40.0, 25.0), (1.08, 0.93, 1.0), (0.02, 0.0, 0.0))
 ROUND = tuple(70.0 if k % 2 else 50.0 for k in range(9))
@@ -109,19 +109,33 @@ def test_the_motors_field_is_found_where_the_current_swings() -> None:
     assert rms(heading_errors(result.correction, iron)) < 0.5
 
 
-def test_no_result_claims_less_than_the_scatter_it_leaves() -> None:
-    """A field that no rigid compass has, and nothing recorded explains: it stays in the claim."""
+def wandering(track: Track, size_mgauss: float) -> Track:
+    """Add a field that no rigid compass has, and nothing recorded explains."""
     rng = np.random.default_rng(3)
-    track = driven(iron_of(STRONG))
     time = track.compasses[1].time_s
     knots = np.arange(0.0, time[-1] + 3.0, 3.0)
-    wandering = np.stack(
-        [np.interp(time, knots, rng.normal(0.0, 25.0, knots.size)) for _ in range(3)], axis=1
-    )
-    result = calibrate_track(with_field(track, wandering), "world-field", earth=FIELD)
+    added = [np.interp(time, knots, rng.normal(0.0, size_mgauss, knots.size)) for _ in range(3)]
+    return with_field(track, np.stack(added, axis=1))
+
+
+def test_no_result_claims_less_than_the_scatter_it_leaves() -> None:
+    result = calibrate_track(wandering(driven(iron_of(STRONG)), 25.0), "world-field", earth=FIELD)
     assert not result.accepted
     assert result.heading_sigma_deg > 3.0
     assert any("scatters by" in reason for reason in result.reasons)
+
+
+@pytest.mark.parametrize(("stood_s", "kept_out"), [(4.0, True), (25.0, False)])
+def test_what_stands_beside_steel_for_long_is_no_exception(stood_s: float, kept_out: bool) -> None:
+    """One visit of many it is, but more than a third of the time: then it is in the claim."""
+    iron = iron_of(STRONG)
+    parked = turning_track(iron, dwell_s=stood_s, turns_deg=())
+    time = parked.compasses[1].time_s
+    beside = with_field(parked, np.tile([30.0, -30.0, 10.0], (time.size, 1)))
+    track = joined([beside.shifted(-float(time[-1]) - 0.02), driven(iron)])
+    result = calibrate_track(track, "world-field", earth=FIELD)
+    assert (result.heading_sigma_deg < 0.3) == kept_out
+    assert kept_out or result.heading_sigma_deg > 1.0
 
 
 def test_few_headings_do_not_make_a_small_sigma() -> None:
