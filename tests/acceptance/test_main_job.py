@@ -9,15 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavcompass.api import read_track
-from mavcompass.calibration import calibrate_track
-from mavcompass.calibration.observation import find_dwells
 from mavcompass.cli.main import main
-from mavcompass.frames import matrix_to_euler, quaternion_to_matrix, wrap_pi
-from mavcompass.heading import heading_of_track
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
-from mavcompass.track import Track
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
@@ -94,63 +88,7 @@ def test_the_json_is_the_whole_of_standard_output(capsys: pytest.CaptureFixture[
     assert names <= set(compass["heading_error_budget_deg"])
 
 
-# --- recordings of the firmware ------------------------------------------------------------------
-
-DISTORTED = ("rover_dist_use2", "copter_dist_use2", "rover_dist")
-
-
-def true_yaw(track: Track, time_s: np.ndarray) -> np.ndarray:
-    assert track.truth_q is not None
-    _, _, yaw = matrix_to_euler(quaternion_to_matrix(track.truth_q.values))
-    return np.interp(time_s, track.truth_q.time_s, np.unwrap(yaw))
-
-
-@pytest.mark.parametrize("form", ["tlog", "BIN"])
-@pytest.mark.parametrize("name", DISTORTED)
-def test_recordings_of_a_distorted_compass_give_its_exact_cure(
-    shared_data: Path, name: str, form: str
-) -> None:
-    track = read_track(shared_data / "ardupilot-4.6.3" / f"{name}.{form}")
-    result = calibrate_track(track)
-    tolerance = 3.0 if name == "rover_dist" else 2.0
-    assert result.accepted
-    assert result.correction.offsets_mgauss[0] == pytest.approx(120.0, abs=tolerance)
-    assert result.correction.offsets_mgauss[1] == pytest.approx(-80.0, abs=tolerance)
-    ratio = result.correction.diagonals[0] / result.correction.diagonals[1]
-    assert ratio == pytest.approx(1.1 / 0.9, rel=0.005)
-
-
-@pytest.mark.parametrize("form", ["tlog", "BIN"])
-def test_headings_are_right_although_the_estimator_was_bent(shared_data: Path, form: str) -> None:
-    track = read_track(shared_data / "ardupilot-4.6.3" / f"rover_dist.{form}")
-    found = heading_of_track(track, calibrate_track(track).correction)
-    assert found.true_rad is not None
-    errors = []
-    for dwell in find_dwells(track):
-        rows = (found.time_s >= dwell.start_s) & (found.time_s <= dwell.end_s)
-        # The compass is 0.05 s old on the average; the rover creeps while it dwells.
-        error = wrap_pi(found.true_rad[rows] - true_yaw(track, found.time_s[rows] - 0.05))
-        errors.append(float(np.degrees(error.mean())))
-    assert len(errors) >= 4
-    # The world model's declination and the firmware's own coarser table differ by a constant.
-    table_less_model_deg = float(np.degrees(math.atan2(52.7, 232.0) - found.declination_rad))
-    errors_of_compass = np.array(errors) + table_less_model_deg
-    assert math.sqrt(float(np.mean(errors_of_compass**2))) <= 0.5
-    assert math.sqrt(float(np.mean(np.array(errors) ** 2))) <= 0.5
-
-
-@pytest.mark.parametrize("form", ["tlog", "BIN"])
-def test_a_good_calibration_is_found_as_it_is(shared_data: Path, form: str) -> None:
-    track = read_track(shared_data / "ardupilot-4.6.3" / f"rover_plain.{form}")
-    result = calibrate_track(track)
-    assert result.correction.offsets_mgauss[:2] == pytest.approx((5.0, 13.0), abs=2.0)
-    ratio = result.correction.diagonals[0] / result.correction.diagonals[1]
-    assert ratio == pytest.approx(1.0, abs=0.005)
-
-
-# --- recordings of other people's hardware -------------------------------------------------------
-
-
+# What it makes of the firmware's recordings: tests/calibration/test_calibrate_recordings.py.
 def test_a_recording_that_hardly_turns_is_refused_with_the_reason(
     shared_data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

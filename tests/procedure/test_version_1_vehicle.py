@@ -80,7 +80,7 @@ class VirtualWireLink(WireLink):
         return self._wire.vehicle.time_s
 
 
-@pytest.mark.parametrize("kind", ["rover", "copter", "px4-copter"])
+@pytest.mark.parametrize("kind", ["rover", "px4-copter"])
 def test_a_vehicle_of_version_1_is_calibrated(kind: str, tmp_path: Path) -> None:
     vehicle = bent_vehicle(kind, 2)
     wire = OldVehicle(vehicle)
