@@ -57,9 +57,9 @@ def ardupilot_correction_names(instance: int, naming: ArduPilotNaming = "COMPASS
 
 
 def _ardupilot_vector(
-    parameters: Mapping[str, float], stem: str, instance: int, naming: ArduPilotNaming
+    parameters: Mapping[str, float], stem: str, instance: int, naming: ArduPilotNaming, absent: float = 0.0
 ) -> Vector:
-    x, y, z = (parameters.get(ardupilot_name(f"{stem}_{a}", instance, naming), 0.0) for a in _AXES)
+    x, y, z = (parameters.get(ardupilot_name(f"{stem}_{a}", instance, naming), absent) for a in _AXES)
     return (float(x), float(y), float(z))
 
 
@@ -69,7 +69,7 @@ def ardupilot_correction(parameters: Mapping[str, float], instance: int) -> Fiel
     Parameters that are absent count as their default. `instance` counts from 1.
     """
     naming = ardupilot_naming(parameters)
-    diagonals = _ardupilot_vector(parameters, "DIA", instance, naming)
+    diagonals = _ardupilot_vector(parameters, "DIA", instance, naming, absent=1.0)
     no_matrix = not any(diagonals)
     scale = float(parameters.get(ardupilot_name("SCALE", instance, naming), 0.0))
     low, high = ARDUPILOT_SCALE_LIMITS

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 
 Vector = tuple[float, float, float]
@@ -55,6 +56,17 @@ class FieldCorrection:
         xy, xz, yz = self.off_diagonals
         return self.scale * np.array([[dx, xy, xz], [xy, dy, yz], [xz, yz, dz]])
 
+    @property
+    def inverse(self) -> FloatArray:
+        """Return the inverse of `matrix`. Raises PoorCalibration where a vehicle's own has none."""
+        try:
+            return np.asarray(np.linalg.inv(self.matrix))
+        except np.linalg.LinAlgError as error:
+            raise PoorCalibration(
+                "The correction in force cannot be taken out of the readings: its matrix has no inverse.",
+                "Set its scales to 1 (ArduPilot: COMPASS_DIA to 1, COMPASS_ODI to 0), then calibrate.",
+            ) from error
+
     @classmethod
     def from_matrix(
         cls,
@@ -89,12 +101,12 @@ class FieldCorrection:
     def undo(self, field_mgauss: ArrayLike, load: ArrayLike | None = None) -> FloatArray:
         """Rebuild raw readings (..., 3) from corrected ones; the inverse of `apply`.
 
-        Raises numpy.linalg.LinAlgError where the matrix is singular (a zero on its diagonal).
+        Raises PoorCalibration where the matrix is singular (a zero on its diagonal).
         """
         field = np.asarray(field_mgauss, dtype=np.float64)
         if load is not None:
             field = field - self.motor_field(load)
-        return field @ np.linalg.inv(self.matrix).T - np.asarray(self.offsets_mgauss)
+        return field @ self.inverse.T - np.asarray(self.offsets_mgauss)
 
     def motor_field(self, load: ArrayLike) -> FloatArray:
         """Return the compensation (..., 3) for a motor load (...); an unknown load (nan) gives none."""

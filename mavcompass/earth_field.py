@@ -24,6 +24,7 @@ _SIGMA_MGAUSS = (1.37, 0.89, 1.41)
 # Outside the model's five years its secular variation is extrapolated; the acceleration it leaves
 # out is of the order of 10 nT per year squared.
 _SIGMA_OUTSIDE_MGAUSS_PER_YEAR2 = 0.1
+_LAST_UTC_S = 4_102_444_800.0  # 2100
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +70,8 @@ class EarthField:
 
 
 def decimal_year(utc_s: float) -> float:
-    """Turn a Unix time into a decimal year."""
-    moment = datetime.fromtimestamp(utc_s, UTC)
+    """Turn a Unix time into a decimal year; what no clock can mean becomes 1970 or 2100."""
+    moment = datetime.fromtimestamp(min(max(0.0, utc_s), _LAST_UTC_S), UTC)
     start = datetime(moment.year, 1, 1, tzinfo=UTC)
     end = datetime(moment.year + 1, 1, 1, tzinfo=UTC)
     return moment.year + (moment - start) / (end - start)

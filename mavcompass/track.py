@@ -105,6 +105,9 @@ class MagSeries:
         return self.reported.time_s
 
 
+_FARTHEST = (90.0, 360.0, 1e6)  # latitude, longitude, altitude
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """Hold one recording as columns. A quantity that was not recorded is None.
@@ -120,7 +123,7 @@ class Track:
         reference_q: an independent attitude reference (optical, turntable), NED <- FRD, (N, 4).
         truth_q: a simulator's true attitude: for judging results, never an input of a method.
         gps_yaw_rad, gps_velocity_mps (north, east, down), position_ned_m: (N,), (N, 3), (N, 3).
-        place: latitude deg, longitude deg, altitude m, (N, 3).
+        place: latitude deg, longitude deg, altitude m, (N, 3); what is not on the globe is NaN.
         current_a, throttle (0..1), temperature_degc: (N,); motors: outputs 0..1, (N, k).
         utc_offset_s: Unix time of time_s = 0; None where unknown.
         parameters: the vehicle's parameters as last seen in the recording.
@@ -149,6 +152,12 @@ class Track:
     utc_offset_s: float | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Take out places that no vehicle can be at."""
+        if self.place is not None and (np.abs(self.place.values) > _FARTHEST).any():
+            on_globe = np.where(np.abs(self.place.values) > _FARTHEST, np.nan, self.place.values)
+            object.__setattr__(self, "place", Series(self.place.time_s, on_globe))
 
     def motor_load(self, time_s: FloatArray, source: str) -> FloatArray | None:
         """Return the load that a motor correction goes with, at other times; None where not recorded."""

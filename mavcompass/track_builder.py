@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -23,6 +24,8 @@ _IMU_MESSAGES: dict[type[mav.Message], str] = {
 
 _FIX_3D, _UNKNOWN_U16 = 3, 65535
 _OTHER_CLOCK_S = 30.0
+# No quantity of a vehicle is as large in its unit.
+_INCREDIBLE = 1e7
 
 
 @dataclass(slots=True)
@@ -33,8 +36,9 @@ class _Rows:
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
     def add(self, time_s: float, *values: float) -> None:
-        self.times.append(time_s)
-        self.rows.append(values)
+        if all(abs(value) < _INCREDIBLE for value in values):  # False for nan
+            self.times.append(time_s)
+            self.rows.append(values)
 
     def series(self) -> Series | None:
         if not self.times:
@@ -68,6 +72,7 @@ class TrackBuilder:
     def _start_anew(self) -> None:
         self._clear()
         self._offset_s: float | None = None
+        self._utc_offset_s: float | None = None
         self.latest_s = -np.inf
         # Times of the clock before mean nothing on the new one.
         self._in_force = {i: [InForce(-np.inf, steps[-1].correction)] for i, steps in self._in_force.items()}
@@ -114,8 +119,7 @@ class TrackBuilder:
                 self._column("gps_velocity_mps").add(time_s, *velocity.tolist())
         elif isinstance(message, mav.SystemTime):
             if message.time_unix_usec and message.time_boot_ms:
-                offset = message.time_unix_usec * 1e-6 - message.time_boot_ms * 1e-3
-                self._column("utc_offset_s").add(message.time_boot_ms * 1e-3, offset)
+                self._utc_offset_s = message.time_unix_usec * 1e-6 - message.time_boot_ms * 1e-3
         else:
             self._add_without_clock(heard)
 
@@ -137,8 +141,9 @@ class TrackBuilder:
         elif isinstance(message, mav.VfrHud):
             self._column("throttle").add(time_s, message.throttle * 0.01)
         elif isinstance(message, mav.Simstate):
-            q = euler_to_quaternion(message.roll, message.pitch, message.yaw)
-            self._column("truth_q").add(time_s, *q.tolist())
+            angles = (message.roll, message.pitch, message.yaw)
+            if all(map(math.isfinite, angles)):
+                self._column("truth_q").add(time_s, *euler_to_quaternion(*angles).tolist())
         elif isinstance(message, mav.ParamValue):
             self.parameters[message.param_id] = message.param_value
 
@@ -188,7 +193,6 @@ class TrackBuilder:
                 if instance == 1:
                     body = columns
         columns_by_name: Mapping[str, Series | None] = {n: r.series() for n, r in self._columns.items()}
-        utc = columns_by_name.get("utc_offset_s")
         return Track(
             source=self.source,
             autopilot=self.autopilot,
@@ -205,7 +209,7 @@ class TrackBuilder:
             place=columns_by_name.get("place"),
             current_a=columns_by_name.get("current_a"),
             throttle=columns_by_name.get("throttle"),
-            utc_offset_s=float(utc.values[-1]) if utc is not None else None,
+            utc_offset_s=self._utc_offset_s,
             parameters=dict(self.parameters),
         )
 

@@ -115,7 +115,7 @@ class VehicleState:
                 self.heartbeat, self.heartbeat_s = message, heard.time_s
             case mav.Attitude(roll=roll, pitch=pitch) if math.isfinite(roll) and math.isfinite(pitch):
                 self.attitude = message
-            case mav.GlobalPositionInt():
+            case mav.GlobalPositionInt(lat=lat, lon=lon) if abs(lat) <= 900_000_000 >= abs(lon) // 2:
                 self.place = message
             case mav.LocalPositionNed(x=x, y=y, z=z) if all(map(math.isfinite, (x, y, z))):
                 self.local = message

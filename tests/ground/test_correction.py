@@ -17,6 +17,7 @@ from mavcompass.compass_parameters import (
     px4_values,
 )
 from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.errors import PoorCalibration
 
 offsets = st.tuples(*[st.floats(-1000, 1000)] * 3)
 diagonals = st.tuples(*[st.floats(0.7, 1.4)] * 3)
@@ -112,3 +113,15 @@ def test_px4_subtracts_gauss_before_the_rotation() -> None:
     parameters = {"CAL_MAG0_ROT": 2.0, "CAL_MAG0_XOFF": 0.1}  # yaw 90: sensor x is body y
     field = px4_correction(parameters, 1).apply(px4_rotation(parameters, 1) @ np.array([300.0, 0.0, 0.0]))
     assert field == pytest.approx([0.0, 200.0, 0.0], abs=1e-9)
+
+
+def test_a_matrix_without_inverse_says_what_to_set() -> None:
+    with pytest.raises(PoorCalibration, match="no inverse") as caught:
+        FieldCorrection(diagonals=(1.0, 0.0, 1.0)).undo([1.0, 2.0, 3.0])
+    assert "COMPASS_DIA" in caught.value.remedy
+
+
+def test_a_scale_that_was_not_heard_counts_as_one() -> None:
+    heard = {"COMPASS_DIA_X": 1.1, "COMPASS_DIA_Z": 0.9, "COMPASS_ODI_X": 0.02}
+    found = ardupilot_correction(heard, 1)
+    assert (found.diagonals, found.off_diagonals) == ((1.1, 1.0, 0.9), (0.02, 0.0, 0.0))

@@ -44,3 +44,10 @@ def test_a_place_off_the_globe_is_refused() -> None:
 def test_a_unix_time_becomes_a_decimal_year() -> None:
     assert decimal_year(0.0) == 1970.0
     assert decimal_year(1_782_864_000.0) == pytest.approx(2026.4959, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("utc_s", "year"), [(1.8e13, 2100.0), (-1e12, 1970.0), (math.inf, 2100.0), (math.nan, 1970.0)]
+)
+def test_a_clock_that_says_the_impossible_is_answered(utc_s: float, year: float) -> None:
+    assert decimal_year(utc_s) == year

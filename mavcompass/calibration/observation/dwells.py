@@ -220,7 +220,7 @@ def _dwell(
     residual = counted - _trend(angles[keep], counted)
     spread = np.sqrt((residual**2).sum(axis=0) / max(len(counted) - 1, 1))
     value, hidden = unquantise(counted.mean(axis=0), spread, compass.quantum_mgauss, compass.truncated)
-    inverse = np.linalg.inv(in_force.matrix)
+    inverse = in_force.inverse
     memory = _memory(residual[fresh[keep]])
     # Whole numbers that never change show no noise; their step's share is in `hidden`.
     covariance = inverse @ np.diag(np.maximum(spread**2, 1e-6) * memory / samples) @ inverse.T

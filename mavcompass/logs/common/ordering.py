@@ -10,17 +10,21 @@ from numpy.typing import NDArray
 from mavcompass.frames import FloatArray
 from mavcompass.track import Series
 
+# No quantity of a vehicle is as large in its unit.
+_INCREDIBLE = 1e7
+
 
 def finite_series(time_s: FloatArray, values: FloatArray) -> Series | None:
     """Build a series of the samples that are numbers, in order of time; None where there is none.
 
-    `values` is (N,) or (N, k). An estimator that has not started, or a damaged byte, gives nan or inf.
+    `values` is (N,) or (N, k). An estimator that has not started, or a damaged byte, gives nan, inf or 1e30.
     """
-    finite = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
-    if not bool(finite.any()):
+    size = np.abs(values)
+    credible = (size if size.ndim == 1 else size.max(axis=1, initial=0.0)) < _INCREDIBLE  # False for nan
+    if not bool(credible.any()):
         return None
-    if not bool(finite.all()):
-        time_s, values = time_s[finite], values[finite]
+    if not bool(credible.all()):
+        time_s, values = time_s[credible], values[credible]
     if bool((time_s[1:] < time_s[:-1]).any()):
         order = np.argsort(time_s, kind="stable")
         time_s, values = time_s[order], values[order]

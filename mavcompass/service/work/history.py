@@ -44,6 +44,16 @@ _MIGRATIONS = (
 )
 
 
+# A year of a calibration an hour. What each compass was last calibrated with is kept for good.
+MOST_ENTRIES = 10_000
+_FORGET = """
+    DELETE FROM entry WHERE id <= :oldest AND id NOT IN (
+        SELECT MAX(entry.id) FROM entry JOIN entry_compass ON entry_compass.entry = entry.id
+        WHERE kind = 'calibration' AND ok = 1 GROUP BY vehicle, device
+    )
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Entry:
     """Hold one line of the history.
@@ -148,6 +158,8 @@ class History:
                 "INSERT INTO entry_compass (entry, instance, device) VALUES (?, ?, ?)",
                 [(number, instance, device) for instance, device in compasses],
             )
+            if number > MOST_ENTRIES:
+                database.execute(_FORGET, {"oldest": number - MOST_ENTRIES})
         return number
 
     def attach_report(self, number: int, report: str) -> None:

@@ -28,7 +28,7 @@ from mavcompass.service.work.worker import Worker, write_calibration_report
 
 _log = logging.getLogger(__name__)
 
-_KEPT_RECORDINGS = 50
+_KEPT_RECORDINGS, _KEPT_REPORTS = 50, 200
 _CARD_STEP = 3  # of the 72 headings: every 15 degrees
 
 
@@ -89,9 +89,7 @@ class Results:
         folder = self._config.folder / "recordings"
         try:
             recorder.save(recording_path(self._config.folder, number))
-            kept = sorted(folder.glob("*.tlog"), key=lambda path: path.stat().st_mtime)
-            for old in kept[:-_KEPT_RECORDINGS]:
-                old.unlink()
+            _keep_latest(folder, _KEPT_RECORDINGS)
         except OSError as error:
             _log.warning("the recording of calibration %d could not be kept: %s", number, error)
 
@@ -100,6 +98,7 @@ class Results:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._worker.call(write_calibration_report, report, path)
+            _keep_latest(path.parent, _KEPT_REPORTS)
             self._history.attach_report(number, str(path))
         except (OSError, MavCompassError, ImportError) as error:
             _log.warning("the report of calibration %d could not be written: %s", number, error)
@@ -144,6 +143,13 @@ class Results:
                 f"There is no undo file {Path(request.undo_file).name}.", "Choose one from the history."
             )
         return path
+
+
+def _keep_latest(folder: Path, most: int) -> None:
+    """Delete files named by their entry but the last ones; the computer's clock may have been set back."""
+    numbered = {path.stem.rpartition("-")[2]: path for path in folder.glob("calibration-*")}
+    for number in sorted((int(number) for number in numbered if number.isdecimal()), reverse=True)[most:]:
+        numbered[str(number)].unlink()
 
 
 def recording_path(folder: Path, entry: int) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import random
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -12,7 +13,9 @@ from unittest.mock import patch
 
 from fault_cells.scene import Carried, Fault, Scene, Step
 from mavcompass.enums import MavResult
+from mavcompass.mavlink.dialect import describe
 from mavcompass.messages import CommandAck, CommandLong, Message, ParamSet, ParamValue
+from mavcompass.vehicle.wire import message_id
 
 _ELSEWHERE, _ANOTHER = 42, 99
 _GROUND_STATION = (255, 190)
@@ -88,8 +91,19 @@ def _changed(message: Message, chance: random.Random) -> Message:
         return replace(message, **{chosen.name: value[:-1] + "Q"})
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return message
-    odd = chance.choice(_ODD) if isinstance(value, float) else chance.choice((0, 1, 3, 127, value ^ 1))
-    return replace(message, **{chosen.name: odd})
+    if isinstance(value, float):
+        return replace(message, **{chosen.name: chance.choice(_ODD)})
+    least, most = _extremes(message, chosen.name)
+    return replace(message, **{chosen.name: chance.choice((0, 1, 3, 127, value ^ 1, least, most))})
+
+
+def _extremes(message: Message, name: str) -> tuple[int, int]:
+    """Return the least and the most that a field can say."""
+    description = describe(message_id(type(message)))
+    assert description is not None
+    (code,) = (f.code for f in description.fields if f.name == name)
+    bits = 8 * struct.calcsize(f"<{code}")
+    return (0, 2**bits - 1) if code.isupper() else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
 
 
 # --- at any step ------------------------------------------------------------------------------------

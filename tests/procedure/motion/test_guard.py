@@ -55,3 +55,14 @@ def test_an_attitude_or_a_place_that_is_no_number_is_none(odd: float) -> None:
         state.hear(Incoming(0.1, 1, 1, message))
     assert (state.attitude, state.local) == told
     assert guard.check(0.1) is None
+
+
+def test_a_place_off_the_globe_is_none() -> None:
+    state, _ = guarded(470_000_000, 80_000_000)
+    here = state.place
+    for lat, lon in ((900_000_001, 0), (-2_147_483_648, 0), (0, 1_800_000_002), (0, -2_147_483_648)):
+        state.hear(Incoming(0.1, 1, 1, mav.GlobalPositionInt(lat=lat, lon=lon)))
+        assert state.place is here
+    pole = mav.GlobalPositionInt(lat=-900_000_000, lon=1_800_000_000)
+    state.hear(Incoming(0.1, 1, 1, pole))
+    assert state.place is pole

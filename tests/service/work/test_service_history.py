@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import threading
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 from mavcompass.errors import MavCompassError
 from mavcompass.service.work.history import History
+from mavcompass.service.work.results import _keep_latest
 
 
 def add(history: History, day: int = 1, ok: bool = True, device: int = 7, vehicle: str = "boat") -> int:
@@ -103,3 +105,28 @@ def test_a_full_disk_is_told_and_the_history_goes_on_afterwards(tmp_path: Path) 
     assert add(history) == 2
     assert [entry.id for entry in history.entries()] == [2, 1]
     history.close()
+
+
+def test_the_oldest_entries_go_but_not_what_a_compass_was_last_calibrated_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mavcompass.service.work.history.MOST_ENTRIES", 3)
+    history = History(tmp_path / "history.db")
+    old, last, failed = add(history), add(history), add(history, ok=False)
+    others = [add(history, device=8, vehicle="rover") for _ in range(4)]
+    assert [entry.id for entry in history.entries()] == [*reversed(others[1:]), last]
+    latest = history.latest_calibration("boat", 7)
+    assert latest is not None and latest.id == last
+    assert history.entry(old) is None and history.entry(failed) is None
+    history.close()
+
+
+def test_the_latest_recordings_are_kept_though_the_clock_was_set_back(tmp_path: Path) -> None:
+    for number in range(1, 12):
+        path = tmp_path / f"calibration-{number}.tlog"
+        path.write_bytes(b"")
+        os.utime(path, (2e9 - number, 2e9 - number))
+    (tmp_path / "calibration-of-a-person.tlog").write_bytes(b"")
+    _keep_latest(tmp_path, 2)
+    kept = {path.name for path in tmp_path.iterdir()}
+    assert kept == {"calibration-10.tlog", "calibration-11.tlog", "calibration-of-a-person.tlog"}

@@ -13,6 +13,7 @@ import numpy as np
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
+from mavcompass.logs.common import finite_series
 from mavcompass.logs.formats.csv.columns import KNOWN, MOTORS, SCALARS, TIME, VECTORS
 from mavcompass.logs.formats.csv.steps import format_steps
 from mavcompass.track import InForce, MagSeries, Series, Track
@@ -113,12 +114,9 @@ def _add(
 ) -> None:
     if values is None or not values.shape[1]:
         return
-    present = np.isfinite(values).all(axis=1)
-    if not bool(present.any()):
-        return
-    if not bool(present.all()):
-        time_s, values = time_s[present], values[present]
-    found[quantity] = Series.of(time_s, values[:, 0] if scalar else values)
+    series = finite_series(time_s, values[:, 0] if scalar else values)
+    if series is not None:
+        found[quantity] = series
 
 
 def _read_table(path: Path) -> _Table:
