@@ -19,6 +19,7 @@ from mavcompass.cli.source import (
     open_source,
     refuse_contradiction,
     refuse_unasked_write,
+    sign_key_option,
     systems_option,
     this_year,
 )
@@ -96,6 +97,7 @@ from mavcompass.vehicle.transport import Recording, parse_address
 @click.option(
     "--report", "report_file", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report."
 )
+@sign_key_option
 @common_options
 def command(
     source: str,

@@ -11,7 +11,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
-from mavcompass.cli.source import effects_option, open_source, system_option, this_year
+from mavcompass.cli.source import effects_option, open_source, sign_key_option, system_option, this_year
 from mavcompass.cli.terminal.colour import mark
 from mavcompass.installation.invocation import program
 
@@ -39,6 +39,7 @@ _RANK = {"fail": 0, "warn": 1, "pass": 2}
 @click.option("--all", "everything", is_flag=True, help="List what passed, too.")
 @system_option
 @effects_option
+@sign_key_option
 @common_options
 def command(
     source: str,

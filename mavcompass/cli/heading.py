@@ -13,6 +13,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options, to_json
+from mavcompass.cli.source import sign_key_option
 from mavcompass.cli.terminal.dial import dial
 from mavcompass.errors import UsageError
 
@@ -60,6 +61,7 @@ class Row:
     "--rate", "rate_hz", type=click.FloatRange(0.01, 400.0), help="Rows a second (live: 5, recording: all)."
 )
 @click.option("--duration", "duration_s", type=click.FloatRange(0.0), help="End after this many seconds.")
+@sign_key_option
 @common_options
 def command(
     source: str,

@@ -13,6 +13,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import verbose_option
+from mavcompass.cli.source import sign_key_option
 from mavcompass.errors import UsageError
 
 
@@ -28,6 +29,7 @@ from mavcompass.errors import UsageError
 )
 @click.option("--storage", metavar="FOLDER", help="Where history, undo files and reports are kept.")
 @click.option("--speed", type=click.FloatRange(0.01, 1000.0), help="Of a simulated vehicle's time [1].")
+@sign_key_option
 @verbose_option
 def command(
     source: str | None, listen: str | None, config_file: Path | None, storage: str | None, speed: float | None

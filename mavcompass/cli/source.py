@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -49,6 +51,22 @@ systems_option = click.option(
     callback=_systems,
     metavar="N|all",
     help="System id, where several vehicles are heard; all turns one after the other.",
+)
+
+
+def _sign_key(context: click.Context, parameter: click.Parameter, value: Path | None) -> None:
+    if value is not None:
+        from mavcompass.vehicle.opening import SIGN_KEY_VARIABLE
+
+        os.environ[SIGN_KEY_VARIABLE] = str(value.absolute())
+
+
+sign_key_option = click.option(
+    "--sign-key",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    callback=_sign_key,
+    expose_value=False,
+    help="Sign what is sent with the key in this file, and drop what is not signed with it.",
 )
 effects_option = click.option(
     "--effect",

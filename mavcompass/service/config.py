@@ -72,6 +72,7 @@ class VehicleConfig:
         source: its address. system: its MAVLink id where several share the link, 0 for the first heard.
         compasses: those to calibrate, counted from 1; empty means all that it has.
         rate_hz: at which IMU messages are asked for. speed: of a simulated vehicle's time.
+        sign_key_file: holds the key that frames are signed and checked with ("": they are not).
     """
 
     source: Annotated[Text, checked(_source)] = "udpin:127.0.0.1:14571"
@@ -79,6 +80,7 @@ class VehicleConfig:
     compasses: tuple[Compass, ...] = ()
     rate_hz: Annotated[float, Meta(ge=1.0, le=1000.0)] = 40.0
     speed: Annotated[float, Meta(ge=0.01, le=1000.0)] = 1.0
+    sign_key_file: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ import logging
 import signal
 import socket
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import uvicorn
 
@@ -23,6 +24,7 @@ from mavcompass.service.work.gaps import Gaps
 from mavcompass.service.work.history import History
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.transport import Reconnect, Simulated, parse_address
+from mavcompass.vehicle.wire import Signing
 
 _log = logging.getLogger(__name__)
 
@@ -149,11 +151,13 @@ def link_opener(config: ServiceConfig) -> OpenLink:
         return lambda: simulated  # opening it again must not make another vehicle
     # The station opens a lost link again itself; the link need not be patient.
     patience = Reconnect(first_s=0.0)
+    key_file = config.vehicle.sign_key_file
+    signing = Signing.of_file(Path(key_file)) if key_file else None
 
     def open_it() -> Link:
         from mavcompass.vehicle import open_link
 
-        return open_link(address, reconnect=patience)
+        return open_link(address, signing=signing, reconnect=patience)
 
     return open_it
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mavcompass.vehicle.transport import (
@@ -19,12 +21,21 @@ from mavcompass.vehicle.transport import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from mavcompass.track import Track
     from mavcompass.vehicle.link import Identity, Link
     from mavcompass.vehicle.transport import Reconnect
     from mavcompass.vehicle.wire import Signing
+
+# Names the file with the key that frames on a wire are signed and checked with.
+SIGN_KEY_VARIABLE = "MAVCOMPASS_SIGN_KEY"
+
+
+def _key_of_environment() -> Signing | None:
+    from mavcompass.vehicle.wire import Signing
+
+    path = os.environ.get(SIGN_KEY_VARIABLE)
+    return Signing.of_file(Path(path)) if path else None
 
 
 def open_link(
@@ -37,7 +48,8 @@ def open_link(
     """Open the link that a SOURCE names; the caller closes it (it is a context manager).
 
     `identity` is who we are, by default the vehicle's onboard computer. `signing` and `reconnect` are for
-    links on a wire; `read_track` (`mavcompass.logs.read_track`) for playing recordings that are not .tlog.
+    links on a wire; without `signing` the key is taken from the file that $MAVCOMPASS_SIGN_KEY names, if it
+    does. `read_track` (`mavcompass.logs.read_track`) is for playing recordings that are not .tlog.
 
     Raises UsageError for a wrong address, NoVehicle where nothing listens, BadRecording for a bad file.
     """
@@ -58,9 +70,10 @@ def open_link(
             from mavcompass.vehicle.links.wire import WireLink
             from mavcompass.vehicle.transport.mavsdk import MavsdkTransport
 
-            return WireLink(MavsdkTransport(url), identity, signing)
+            return WireLink(MavsdkTransport(url), identity, signing or _key_of_environment())
         case UdpIn() | UdpOut() | Tcp() | TcpIn() | Serial():
             from mavcompass.vehicle.links.wire import WireLink
             from mavcompass.vehicle.transport import open_transport
 
+            signing = signing or _key_of_environment()
             return WireLink(open_transport(address, reconnect), identity, signing)

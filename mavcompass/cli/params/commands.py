@@ -10,7 +10,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Function, Output, common_options
-from mavcompass.cli.source import refuse_unasked_write, system_option
+from mavcompass.cli.source import refuse_unasked_write, sign_key_option, system_option
 from mavcompass.errors import MavCompassError, UsageError, WriteFailed
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 def _write_options(function: Function) -> Function:
     yes = click.option("--yes", is_flag=True, help="Write without asking.")
     dry_run = click.option("--dry-run", is_flag=True, help="Show what would be written, and write nothing.")
-    return system_option(yes(dry_run(function)))
+    return system_option(sign_key_option(yes(dry_run(function))))
 
 
 @click.group()
@@ -45,6 +45,7 @@ def command() -> None:
 @command.command()
 @click.argument("source")
 @system_option
+@sign_key_option
 @common_options
 def show(source: str, system: int | None, output: Output) -> None:
     """Show the compass parameters of a vehicle or a recording.
@@ -64,6 +65,7 @@ def show(source: str, system: int | None, output: Output) -> None:
 @click.argument("source")
 @click.argument("file", type=_FILE)
 @system_option
+@sign_key_option
 @common_options
 def diff(source: str, file: Path, system: int | None, output: Output) -> None:
     """Compare a vehicle's or a recording's compass parameters with a file.
@@ -132,6 +134,7 @@ def restore(
 @click.argument("file", type=_FILE, required=False)
 @click.option("--yes", is_flag=True, help="Replace FILE where it exists.")
 @system_option
+@sign_key_option
 @common_options
 def backup(source: str, file: Path | None, yes: bool, system: int | None, output: Output) -> None:
     """Save a vehicle's or a recording's compass parameters in FILE (default: standard output).

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
+from mavcompass.errors import UsageError
 from mavcompass.mavlink.frame import SIGNATURE_BYTES
 
 _EPOCH_2015_S = 1_420_070_400
+_HEXADECIMAL = re.compile("[0-9a-fA-F]{64}")
+_WHAT_A_KEY_IS = (
+    "Give a file with one line: 64 hexadecimal digits, or the passphrase behind the vehicle's key."
+)
 
 
 def unix_time_s() -> float:
@@ -38,6 +45,17 @@ class Signing:
     def from_passphrase(cls, passphrase: str, link_id: int = 0) -> Signing:
         """Make the key as the common ground stations do: SHA-256 of the passphrase."""
         return cls(hashlib.sha256(passphrase.encode()).digest(), link_id)
+
+    @classmethod
+    def of_file(cls, path: Path) -> Signing:
+        """Read the key from a file: 64 hexadecimal digits, or the passphrase. Raises UsageError."""
+        try:
+            text = path.read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise UsageError(f"The signing key {path} cannot be read ({error}).", _WHAT_A_KEY_IS) from error
+        if not text or "\n" in text:
+            raise UsageError(f"{path} holds no signing key.", _WHAT_A_KEY_IS)
+        return cls(bytes.fromhex(text)) if _HEXADECIMAL.fullmatch(text) else cls.from_passphrase(text)
 
     def sign(self, frame: bytes) -> bytes:
         """Return the 13 bytes to append; each is later than the last."""

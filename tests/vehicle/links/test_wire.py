@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import sys
 import threading
 import time
@@ -279,3 +280,28 @@ def test_a_flood_of_senders_is_forgotten_but_for_the_latest(
             assert link.receive(1.0) is not None
     assert len(port.peers()) == 4
     assert len(link._channels) <= 5 and len(link._homes[1]) <= 5
+
+
+@pytest.mark.parametrize("written", ["seven of nine\n", Signing.from_passphrase("seven of nine").key.hex()])
+def test_a_key_in_a_file_signs_every_frame(
+    written: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    key_file = tmp_path / "key"
+    key_file.write_text(written)
+    monkeypatch.setenv("MAVCOMPASS_SIGN_KEY", str(key_file))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as far_end:
+        far_end.bind(("127.0.0.1", 0))
+        far_end.settimeout(5.0)
+        with open_link(f"udpout:127.0.0.1:{far_end.getsockname()[1]}") as link:
+            link.send(Heartbeat())
+            frame = far_end.recv(300)
+    assert frame[0] == 0xFD and Signing.from_passphrase("seven of nine").accepts(frame, 1, 191)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"two\nlines\n", b"\xff\xfe"])
+def test_a_file_that_holds_no_key_says_what_one_is(content: bytes | None, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / "key").write_bytes(content)
+    with pytest.raises(UsageError, match="key") as caught:
+        Signing.of_file(tmp_path / "key")
+    assert "64 hexadecimal digits" in caught.value.remedy
