@@ -10,7 +10,6 @@ import numpy as np
 
 from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.methods.running import Learnt, learn
-from mavcompass.calibration.positions import DEFAULT_PRIOR, IronPrior
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits
@@ -40,7 +39,6 @@ def calibrate_track(
     limits: Limits = DEFAULT_LIMITS,
     earth: EarthField | None = None,
     use_world_model: bool = True,
-    prior: IronPrior = DEFAULT_PRIOR,
     windows: Sequence[tuple[float, float]] | None = None,
 ) -> CalibrationResult:
     """Calibrate one compass of a recording.
@@ -52,7 +50,6 @@ def calibrate_track(
         limits: what is accepted.
         earth: the Earth's field; None takes it from the recording's place and date.
         use_world_model: False leaves scale and Z alone even where the place is known.
-        prior: what is known of compasses in general.
         windows: the still stretches (start, end) for four-positions; None finds them.
 
     Raises BadRecording where the compass is missing, PoorCalibration where the recording cannot give a
@@ -62,7 +59,7 @@ def calibrate_track(
     solve = find_method(method)
     _check_compass(track, instance)
     world = (earth if earth is not None else earth_field_of(track)) if use_world_model else None
-    recorded = Recorded(track, instance, world, limits, prior, windows)
+    recorded = Recorded(track, instance, world, limits, windows=windows)
     result = solve(recorded)
     if not result.accepted and windows is None and method != "auto":
         result = replace(result, warnings=(*result.warnings, *_would_do(recorded, result.method)))
@@ -105,7 +102,6 @@ def calibrate_compasses(
     *,
     limits: Limits = DEFAULT_LIMITS,
     earth: EarthField | None = None,
-    use_world_model: bool = True,
 ) -> dict[int, CalibrationResult]:
     """Calibrate several compasses of one recording (None: all) and hold their headings against each other.
 
@@ -118,9 +114,7 @@ def calibrate_compasses(
     refusals: list[PoorCalibration] = []
     for i in chosen:
         try:
-            results[i] = calibrate_track(
-                track, method, i, limits=limits, earth=earth, use_world_model=use_world_model
-            )
+            results[i] = calibrate_track(track, method, i, limits=limits, earth=earth)
         except PoorCalibration as refusal:
             refusals.append(refusal)
             results[i] = _refused(track, method, i, refusal)

@@ -64,7 +64,7 @@ class OrientationSearch:
 
 
 def search_orientation(
-    raw_mgauss: ArrayLike, expected_mgauss: ArrayLike, allow_mirrored: bool = True, in_force: int = 0
+    raw_mgauss: ArrayLike, expected_mgauss: ArrayLike, in_force: int = 0
 ) -> OrientationSearch:
     """Find the sensor-to-body rotation that makes raw readings (N, 3) the Earth's field in the body (N, 3).
 
@@ -72,7 +72,6 @@ def search_orientation(
         raw_mgauss: in the sensor's axes (or in body axes by the rotation in force: then `in_force` 0
             and the answer is relative to it).
         expected_mgauss: by an attitude that does not come from this compass.
-        allow_mirrored: also try each axis mirrored.
         in_force: the autopilot's present orientation number, named in the finding.
 
     Raises PoorCalibration where the expected field hardly changes: any rotation would do.
@@ -91,7 +90,7 @@ def search_orientation(
     size = float((away**2).sum())
     count = centred.size
     candidates = []
-    for (number, name), matrix in _mountings(allow_mirrored).items():
+    for (number, name), matrix in _mountings().items():
         # min over g of |centred - g R away|^2 = power - (tr R^T C)^2 / |away|^2, for g > 0.
         agreement = float((correlation * matrix).sum())
         gain = agreement / size
@@ -104,10 +103,10 @@ def search_orientation(
     return _finding(tuple(candidates), ratio, in_force)
 
 
-def _mountings(allow_mirrored: bool) -> dict[tuple[int, str], FloatArray]:
+def _mountings() -> dict[tuple[int, str], FloatArray]:
     """Return each different mounting once, under its lowest number and first flip: (number, flip)."""
     different: dict[tuple[int, str], FloatArray] = {}
-    for name, flip in _FLIPS.items() if allow_mirrored else [("", _FLIPS[""])]:
+    for name, flip in _FLIPS.items():
         for number in sorted(SENSOR_ORIENTATIONS_DEG):
             matrix = sensor_orientation_matrix(number) @ flip
             if not any(np.abs(matrix - known).max() < _ALIKE for known in different.values()):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mavcompass.correction import FieldCorrection
-from mavcompass.frames import FloatArray, wrap_pi, wrap_two_pi
+from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.compute import level_heading
 
 LETTERS = "ABCDE"
@@ -39,10 +39,6 @@ class DeviationCard:
     residual_deg: float
     sigma_deg: FloatArray
 
-    def magnetic_heading_deg(self, compass_deg: float) -> float:
-        """Correct a compass heading by the coefficients; degrees in [0, 360)."""
-        return float((compass_deg + _series(self.coefficients_deg, math.radians(compass_deg))) % 360.0)
-
 
 def _terms(heading_rad: ArrayLike) -> FloatArray:
     heading_rad = np.asarray(heading_rad, dtype=np.float64)
@@ -59,13 +55,7 @@ def _terms(heading_rad: ArrayLike) -> FloatArray:
     )
 
 
-def _series(coefficients: dict[str, float], heading_rad: float) -> float:
-    return float(_terms(heading_rad) @ np.array([coefficients[letter] for letter in LETTERS]))
-
-
-def fit_deviation(
-    compass_rad: ArrayLike, magnetic_rad: ArrayLike, headings: int = 8, sigma_rad: ArrayLike | None = None
-) -> DeviationCard:
+def fit_deviation(compass_rad: ArrayLike, magnetic_rad: ArrayLike, headings: int = 8) -> DeviationCard:
     """Fit the five coefficients to compass headings and what they should have been, (N,) each.
 
     The card is drawn for `headings` (8 or 16) evenly spaced compass headings.
@@ -79,15 +69,12 @@ def fit_deviation(
     answer, *_ = np.linalg.lstsq(design, deviation, rcond=None)
     residual = deviation - design @ answer
     card = np.arange(headings, dtype=np.float64) * (2.0 * math.pi / headings)
-    sigma = np.full(headings, math.nan)
-    if sigma_rad is not None:
-        sigma = np.degrees(np.interp(card, compass, np.asarray(sigma_rad), period=2.0 * math.pi))
     return DeviationCard(
         compass_deg=np.degrees(card),
         deviation_deg=_terms(card) @ answer,
         coefficients_deg=dict(zip(LETTERS, (float(a) for a in answer), strict=True)),
         residual_deg=math.sqrt(float((residual**2).mean())),
-        sigma_deg=sigma,
+        sigma_deg=np.full(headings, math.nan),
     )
 
 
@@ -119,15 +106,7 @@ def deviation_card(
     card = np.radians(fitted.compass_deg)
     order = np.argsort(shown)
     exact = np.interp(card, shown[order], np.degrees(wrap_pi(psi - shown))[order], period=2.0 * math.pi)
-    sigma = np.full(headings, math.nan)
+    sigma = fitted.sigma_deg
     if sigma_rad is not None:
         sigma = np.degrees(np.interp(card, shown[order], np.asarray(sigma_rad)[order], period=2.0 * math.pi))
     return DeviationCard(fitted.compass_deg, exact, fitted.coefficients_deg, fitted.residual_deg, sigma)
-
-
-def compass_heading_for(card: DeviationCard, magnetic_rad: float) -> float:
-    """Return the compass heading to steer for a magnetic heading, [0, 2 pi): the card read backwards."""
-    compass = magnetic_rad
-    for _ in range(20):
-        compass = magnetic_rad - math.radians(_series(card.coefficients_deg, compass))
-    return float(wrap_two_pi(compass))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mavcompass.earth_field import EarthField
-from mavcompass.frames import wrap_pi, wrap_two_pi
+from mavcompass.frames import wrap_two_pi
 
 
 def true_heading(magnetic_rad: ArrayLike, earth: EarthField) -> Any:
@@ -30,8 +30,3 @@ def grid_convergence_rad(lat_deg: float, lon_deg: float) -> float:
 def grid_heading(true_rad: ArrayLike, lat_deg: float, lon_deg: float) -> Any:
     """Return headings from UTM grid north, [0, 2 pi)."""
     return wrap_two_pi(np.asarray(true_rad) - grid_convergence_rad(lat_deg, lon_deg))
-
-
-def heading_difference(first_rad: ArrayLike, second_rad: ArrayLike) -> Any:
-    """Return first less second, in [-pi, pi)."""
-    return wrap_pi(np.asarray(first_rad) - np.asarray(second_rad))

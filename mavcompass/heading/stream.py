@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 
@@ -24,14 +23,6 @@ _UNKNOWN_YEAR = 2027.5
 TILT_SIGMA_RAD = math.radians(0.3)
 
 
-class CalibrationUncertainty(Protocol):
-    """Tell a calibration's share of the heading's sigma."""
-
-    def sigma_rad(self, heading_rad: Any, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> FloatArray:
-        """Return the standard deviation at magnetic headings (N,), radians."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class HeadingResult:
     """Hold headings over time, (N,) each, radians in [0, 2 pi).
@@ -41,9 +32,8 @@ class HeadingResult:
         magnetic_rad: from magnetic north. true_rad, grid_rad: from true and UTM grid north; None where
             the recording does not tell its place.
         magnetic_sigma_rad, sigma_rad: standard deviation of the magnetic heading, and of the true one
-            (the declination's included; of the magnetic one again where the place is unknown).
-        sigma_from: "calibration" where the calibration's own covariance was given, "field" where it was
-            judged by how far the corrected field is from the Earth's.
+            (the declination's included; of the magnetic one again where the place is unknown). The
+            calibration's share is judged by how far the corrected field is from the Earth's.
     """
 
     time_s: FloatArray
@@ -53,7 +43,6 @@ class HeadingResult:
     true_rad: FloatArray | None = None
     grid_rad: FloatArray | None = None
     declination_rad: float = math.nan
-    sigma_from: str = "field"
 
 
 def earth_field_of(track: Track) -> EarthField | None:
@@ -77,8 +66,6 @@ def heading_of_track(
     instance: int = 1,
     *,
     two_axis: bool = False,
-    uncertainty: CalibrationUncertainty | None = None,
-    earth: EarthField | None = None,
 ) -> HeadingResult:
     """Compute a recording's tilt-compensated heading.
 
@@ -87,8 +74,6 @@ def heading_of_track(
         correction: applied to the raw field; None leaves the autopilot's own correction in force.
         instance: the compass, counting from 1.
         two_axis: use X and Y only and estimate Z from the world model's field length.
-        uncertainty: the calibration's, where it is known.
-        earth: the Earth's field; None takes it from the recording's place and date.
 
     Raises BadRecording where the compass is missing, or two_axis is wanted and the place is unknown.
     """
@@ -99,7 +84,7 @@ def heading_of_track(
             f"{track.source or 'The recording'} has no readings of compass {instance} (it has: {known}).",
             "Choose one of its compasses with --compass.",
         )
-    world = earth if earth is not None else earth_field_of(track)
+    world = earth_field_of(track)
     field = _field(track, correction, instance)
     down = down_in_body(track, compass.time_s)
     roll, pitch = tilt_from_acceleration(-down)
@@ -114,8 +99,8 @@ def heading_of_track(
         )
     else:
         magnetic = np.asarray(tilt_compensated_heading(field, -down))
-    sigma = _magnetic_sigma(field, down, magnetic, world, uncertainty, two_axis)
-    return _result(track, compass.time_s, magnetic, sigma, world, uncertainty is not None)
+    sigma = _magnetic_sigma(field, down, world, two_axis)
+    return _result(track, compass.time_s, magnetic, sigma, world)
 
 
 def _field(track: Track, correction: FieldCorrection | None, instance: int) -> FloatArray:
@@ -127,25 +112,16 @@ def _field(track: Track, correction: FieldCorrection | None, instance: int) -> F
 
 
 def _magnetic_sigma(
-    field: FloatArray,
-    down: FloatArray,
-    magnetic: FloatArray,
-    world: EarthField | None,
-    uncertainty: CalibrationUncertainty | None,
-    two_axis: bool,
+    field: FloatArray, down: FloatArray, world: EarthField | None, two_axis: bool
 ) -> FloatArray:
     """Add up calibration, tilt times the tangent of the dip, and (two-axis) the estimated Z."""
     vertical = np.einsum("ij,ij->i", field, down)
     horizontal = np.sqrt(np.maximum((field**2).sum(axis=1) - vertical**2, 1.0))
     usual = world.horizontal_mgauss if world is not None else float(np.median(horizontal))
-    if uncertainty is not None:
-        calibration = uncertainty.sigma_rad(magnetic)
-    else:
-        # An error across the field is as likely as one along it, and the latter shows in the length.
-        along = horizontal - usual
-        calibration = np.full(magnetic.size, math.sqrt(float(np.mean(along**2))) / usual)
+    # An error across the field is as likely as one along it, and the latter shows in the length.
+    calibration = math.sqrt(float(np.mean((horizontal - usual) ** 2))) / usual
     steepness = abs(world.ned_mgauss[2]) / usual if world is not None else np.abs(vertical) / usual
-    variance = calibration**2 + (TILT_SIGMA_RAD * steepness) ** 2
+    variance = np.full(len(field), calibration**2) + (TILT_SIGMA_RAD * steepness) ** 2
     if two_axis and world is not None:
         tilt = np.hypot(down[:, 0], down[:, 1])
         root = np.maximum(np.abs(field[:, 2]), 0.05 * world.total_mgauss)
@@ -156,16 +132,10 @@ def _magnetic_sigma(
 
 
 def _result(
-    track: Track,
-    time_s: FloatArray,
-    magnetic: FloatArray,
-    sigma: FloatArray,
-    world: EarthField | None,
-    calibrated: bool,
+    track: Track, time_s: FloatArray, magnetic: FloatArray, sigma: FloatArray, world: EarthField | None
 ) -> HeadingResult:
-    origin = "calibration" if calibrated else "field"
     if world is None:
-        return HeadingResult(time_s, magnetic, sigma, sigma, sigma_from=origin)
+        return HeadingResult(time_s, magnetic, sigma, sigma)
     true = np.asarray(true_heading(magnetic, world))
     grid = None
     if track.place is not None and len(track.place):
@@ -179,5 +149,4 @@ def _result(
         true_rad=true,
         grid_rad=grid,
         declination_rad=world.declination_rad,
-        sigma_from=origin,
     )

@@ -22,6 +22,9 @@ from numpy.typing import ArrayLike
 from mavcompass.frames import FloatArray, wrap_two_pi
 from mavcompass.heading.compute import level_heading, tilt_compensated_heading
 
+_LEVEL_RAD = math.radians(2.0)
+_GAIN = 0.02
+
 
 def paper_azimuth(x: ArrayLike, y: ArrayLike) -> Any:
     """Return the level two-axis azimuth (eq. 1 and 6), [0, 2 pi); atan2 in place of arctan(Y / X)."""
@@ -108,29 +111,21 @@ def two_axis_heading(
 class TwoAxisCompass:
     """Follow the field's length with a two-axis compass: the paper's step 5, "H_earth is updated".
 
-    At each reading taken level (both angles below `level_rad`) the horizontal length is measured
+    At each reading taken level (both angles below 2 degrees) the horizontal length is measured
     directly, and the total length is moved toward sqrt(horizontal^2 + vertical^2), the vertical part
     being the world model's. The paper does not say how it updates; this is the form used here.
     """
 
-    def __init__(
-        self,
-        total_mgauss: float,
-        inclination_rad: float,
-        level_rad: float = math.radians(2.0),
-        gain: float = 0.02,
-    ) -> None:
+    def __init__(self, total_mgauss: float, inclination_rad: float) -> None:
         self.total_mgauss = total_mgauss
         self._inclination_rad = inclination_rad
         self._vertical = total_mgauss * math.sin(inclination_rad)
-        self._level_rad = level_rad
-        self._gain = gain
 
     def update(self, x_mgauss: float, y_mgauss: float, roll_rad: float, pitch_rad: float) -> float:
         """Take one reading and return the magnetic heading, [0, 2 pi)."""
-        if max(abs(roll_rad), abs(pitch_rad)) < self._level_rad:
+        if max(abs(roll_rad), abs(pitch_rad)) < _LEVEL_RAD:
             measured = math.sqrt(x_mgauss**2 + y_mgauss**2 + self._vertical**2)
-            self.total_mgauss += self._gain * (measured - self.total_mgauss)
+            self.total_mgauss += _GAIN * (measured - self.total_mgauss)
             return (
                 float(level_heading((x_mgauss, y_mgauss)))
                 if roll_rad == pitch_rad == 0.0

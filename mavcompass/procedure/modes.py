@@ -14,6 +14,7 @@ _CUSTOM_MODE = 1.0
 PX4_OFFBOARD = 6 << 16
 # A vehicle that says nothing for so long is not asked any more.
 _SILENCE_S = 3.0
+_CHANGE_WITHIN_S = 5.0
 _GUIDED: dict[str, int] = {
     "rover": RoverMode.GUIDED,
     "boat": RoverMode.GUIDED,
@@ -90,15 +91,15 @@ class ModeKeeper:
             self.accept_present()
         return self.state.mode not in self.ours
 
-    def change(self, context: Context, mode: int, timeout_s: float = 5.0) -> Script[bool]:
+    def change(self, context: Context, mode: int) -> Script[bool]:
         """Change to a mode and wait until the vehicle says that it is in it; False where it refuses.
 
         `restore` leads back from it.
         """
         self.before.append(self.state.mode)
-        return (yield from self.go_to(context, mode, timeout_s))
+        return (yield from self.go_to(context, mode))
 
-    def restore(self, context: Context, timeout_s: float = 5.0) -> Script[bool]:
+    def restore(self, context: Context) -> Script[bool]:
         """Put the mode before the last change back; False where that is not what it came to.
 
         Nothing is done where somebody else has chosen another mode.
@@ -108,18 +109,18 @@ class ModeKeeper:
         mode = self.before.pop()
         if self.is_foreign():
             return False
-        return (yield from self.go_to(context, mode, timeout_s))
+        return (yield from self.go_to(context, mode))
 
-    def go_to(self, context: Context, mode: int, timeout_s: float = 5.0) -> Script[bool]:
+    def go_to(self, context: Context, mode: int) -> Script[bool]:
         """Change to a mode for good; False where the vehicle refuses."""
         self.ours, self._coming = {self.state.mode, mode}, mode
-        if (yield from self._command_until_heard(context, mode, timeout_s)):
+        if (yield from self._command_until_heard(context, mode)):
             self.accept_present()
             return True
         return False
 
-    def _command_until_heard(self, context: Context, mode: int, timeout_s: float) -> Script[bool]:
-        end_s, ask_s, refusals = context.now + timeout_s, context.now, 0
+    def _command_until_heard(self, context: Context, mode: int) -> Script[bool]:
+        end_s, ask_s, refusals = context.now + _CHANGE_WITHIN_S, context.now, 0
         if self.state.mode == mode:
             return True
         while context.now < end_s and context.now - self.state.heard_s < _SILENCE_S:

@@ -25,6 +25,8 @@ M = TypeVar("M", bound=Message)
 
 # After a stop a script has this long to put back what it changed.
 CLEAN_UP_S = 20.0
+# A request is waited for so long at first.
+_PATIENCE_S = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,7 +248,6 @@ def request(
     kind: type[M],
     matches: Callable[[M], bool] = lambda _: True,
     what: str = "a request",
-    timeout_s: float = 0.7,
     tries: int = 6,
 ) -> Script[M]:
     """Ask until answered, a little more patient each time.
@@ -255,7 +256,7 @@ def request(
     """
     for attempt in range(tries):
         context.send(ask)
-        patience = timeout_s * (1.0 + 0.5 * attempt)
+        patience = _PATIENCE_S * (1.0 + 0.5 * attempt)
         answer = yield from expect(context, kind, matches, patience)
         if answer is not None:
             return answer

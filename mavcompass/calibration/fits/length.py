@@ -46,25 +46,23 @@ class LengthFit:
     coverage: float
 
 
-def fit_sphere(raw_mgauss: ArrayLike, length_mgauss: float | None = None) -> LengthFit:
-    """Fit centre and radius to raw readings (N, 3); with `length_mgauss` the radius is held.
+def fit_sphere(raw_mgauss: ArrayLike) -> LengthFit:
+    """Fit centre and radius to raw readings (N, 3).
 
     Raises PoorCalibration where the readings do not span three dimensions.
     """
     raw = _usable(raw_mgauss, 4)
     centre, radius = _algebraic_sphere(raw)
-    held = length_mgauss is not None
-    radius = float(length_mgauss) if length_mgauss is not None else radius
     covariance = np.full((3, 3), np.nan)
     for _ in range(_ROUNDS):
         away = raw - centre
         distance = np.linalg.norm(away, axis=1)
         residual = distance - radius
         weights = _huber(residual)
-        jacobian = np.column_stack([-away / distance[:, np.newaxis], *([] if held else [-np.ones(len(raw))])])
+        jacobian = np.column_stack([-away / distance[:, np.newaxis], -np.ones(len(raw))])
         step, covariance = _solve(jacobian, residual, weights)
         centre = centre - step[:3]
-        radius = radius if held else radius - float(step[3])
+        radius -= float(step[3])
         if np.abs(step).max() < 1e-9 * radius:
             break
     residual = np.linalg.norm(raw - centre, axis=1) - radius
@@ -212,56 +210,3 @@ def sphere_coverage(field_mgauss: FloatArray) -> float:
     step = max(len(field_mgauss) // 20000, 1)
     nearest = (field_mgauss[::step] @ patches).argmax(axis=1)
     return float(np.unique(nearest).size) / _COVERAGE_BINS
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameFit:
-    """Hold how the magnetometer's axes lie in the accelerometer's.
-
-    Attributes:
-        rotation: (3, 3), to be applied to the corrected field.
-        inclination_rad: the dip after it. spread_before_rad, spread_after_rad: its standard deviation
-            over the readings, before and after.
-    """
-
-    rotation: FloatArray
-    inclination_rad: float
-    spread_before_rad: float
-    spread_after_rad: float
-
-
-def align_to_gravity(field_mgauss: ArrayLike, down: ArrayLike) -> FrameFit:
-    """Turn corrected fields (N, 3) into the accelerometer's frame: the dip must be the same everywhere.
-
-    The length of the field cannot show a rotation between the sensors; the angle between field and
-    gravity can. `down` (N, 3) are unit vectors. Readings taken while shaking should be left out.
-    """
-    field = np.asarray(field_mgauss, dtype=np.float64)
-    unit = field / np.linalg.norm(field, axis=1, keepdims=True)
-    g = np.asarray(down, dtype=np.float64)
-    before = np.arcsin(np.clip((unit * g).sum(axis=1), -1.0, 1.0))
-    rotation, level = np.eye(3), float(np.sin(before).mean())
-    for _ in range(20):
-        turned = unit @ rotation.T
-        residual = (turned * g).sum(axis=1) - level
-        # d(R u . g) for a small turn w is w . (u x g).
-        jacobian = np.column_stack([np.cross(turned, g), -np.ones(len(g))])
-        step, _ = _solve(jacobian, residual, _huber(residual))
-        rotation = _small_rotation(-step[:3]) @ rotation
-        level -= float(step[3])
-        if np.abs(step).max() < 1e-10:
-            break
-    after = np.arcsin(np.clip(((unit @ rotation.T) * g).sum(axis=1), -1.0, 1.0))
-    return FrameFit(
-        rotation, float(np.arcsin(np.clip(level, -1, 1))), float(before.std()), float(after.std())
-    )
-
-
-def _small_rotation(vector: FloatArray) -> FloatArray:
-    """Return the rotation matrix of a rotation vector (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-15:
-        return np.eye(3)
-    x, y, z = vector / angle
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k))

@@ -11,7 +11,6 @@ from mavcompass.calibration.observation.dwells import (
     correction_at,
     dwell_between,
     field_lag_s,
-    step_between,
     uncorrected_field,
 )
 from mavcompass.calibration.observation.stillness import assemble, find_dwells, observe, turns_between
@@ -30,7 +29,6 @@ __all__ = [
     "field_lag_s",
     "find_dwells",
     "observe",
-    "step_between",
     "turn_record",
     "turns_between",
     "uncorrected_field",

@@ -20,6 +20,9 @@ RATE_SMOOTHING_S = 0.5
 TILT_FLOOR = 1.3
 # Two readings of a noisy compass lie so many sigmas of one component apart once in a hundred thousand.
 _FIELD_CHANCE = 7.5
+# Steadier than that no field is between two readings at rest.
+_FIELD_STEP_MGAUSS = 60.0
+_NOISE_SAMPLES = 40
 
 # What `Stillness.why_not` means, for a person.
 UNREST = {
@@ -57,9 +60,9 @@ class WhiteNoise:
     are repeated show none.
     """
 
-    def __init__(self, samples: int = 40) -> None:
+    def __init__(self) -> None:
         self._before: deque[tuple[float, ...]] = deque(maxlen=2)
-        self._bends: deque[tuple[float, ...]] = deque(maxlen=samples)
+        self._bends: deque[tuple[float, ...]] = deque(maxlen=_NOISE_SAMPLES)
 
     def hear(self, values: tuple[float, ...]) -> None:
         """Take the next sample."""
@@ -83,20 +86,11 @@ class StillnessDetector:
     """Tell, reading by reading, whether the vehicle stands still enough to average the compass.
 
     It has no clock: the time comes with the readings. `hold_s` is how long quiet must last before the
-    vehicle counts as still; `swing_rad` how far it may creep meanwhile.
+    vehicle counts as still.
     """
 
-    def __init__(
-        self,
-        hold_s: float = 1.0,
-        rate_radps: float = STILL_RATE_RADPS,
-        swing_rad: float = LONGEST_SWING_RAD,
-        field_step_mgauss: float = 60.0,
-    ) -> None:
+    def __init__(self, hold_s: float = 1.0) -> None:
         self._hold_s = hold_s
-        self._limit = rate_radps
-        self._swing = swing_rad
-        self._field_step = field_step_mgauss
         self._window: deque[tuple[float, float, float]] = deque()
         self._tilt_noise, self._force_noise, self._field_noise = WhiteNoise(), WhiteNoise(), WhiteNoise()
         self._turned = self._rate = 0.0
@@ -162,9 +156,9 @@ class StillnessDetector:
 
     def _judge(self, time_s: float, mag: tuple[float, float, float]) -> None:
         tilt = self._mean(2)
-        if abs(self._rate) > 3.0 * self._limit:
+        if abs(self._rate) > 3.0 * STILL_RATE_RADPS:
             self._stir("rotating")
-        elif abs(self._rate) > self._limit:
+        elif abs(self._rate) > STILL_RATE_RADPS:
             self._stir("hunting")
         elif tilt > STILL_TILT_RATE_RADPS + TILT_FLOOR * self._tilt_noise.sigma:
             self._stir("tilting")
@@ -172,7 +166,7 @@ class StillnessDetector:
             self._begin(time_s, mag)
         else:
             turned, field = self._quiet_from
-            if abs(self._turned - turned) > self._swing:
+            if abs(self._turned - turned) > LONGEST_SWING_RAD:
                 self._begin(time_s, mag)
                 self._reason = "hunting"
             elif math.dist(mag, field) > self._field_limit(abs(self._turned - turned)):
@@ -182,7 +176,7 @@ class StillnessDetector:
     def _field_limit(self, turned_rad: float) -> float:
         """Return how far one reading may lie from another at rest, by chance and by so small a turn, mG."""
         chance = _FIELD_CHANCE * self._field_noise.sigma
-        return math.hypot(self._field_step, chance) + 300.0 * turned_rad
+        return math.hypot(_FIELD_STEP_MGAUSS, chance) + 300.0 * turned_rad
 
     def _mean(self, column: int) -> float:
         return sum([row[column] for row in self._window]) / len(self._window)

@@ -321,21 +321,3 @@ def _wander(
     apart -= length * leaning
     chance = 4.0 * noise * math.sqrt(4.0 / max(len(residual), 2)) + quantum
     return apart if apart > chance else 0.0
-
-
-def step_between(
-    track: Track, end_s: float, start_s: float, instance: int = 1, turn: TurnRecord | None = None
-) -> Step:
-    """Measure the turn from one dwell's end to the next one's start with the gyro.
-
-    Raises PoorCalibration where the recording has no gyro.
-    """
-    record = turn if turn is not None else turn_record(track, instance)
-    if record is None:
-        raise PoorCalibration(
-            "The recording has no gyro, so the turned angles are not known.",
-            "Record RAW_IMU or IMU messages with the angular rate.",
-        )
-    first, last = record.angle_at(np.array([end_s, start_s]))
-    sigma = record.independent_sigma_rad(end_s, start_s)
-    return Step(float(last - first), sigma, start_s - end_s)

@@ -31,12 +31,13 @@ from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.track import Track
 
-SHORTEST_DWELL_S = 1.0
+_SHORTEST_DWELL_S = 1.0
 # After the vehicle has come to rest the compass still averages the turn.
 _SETTLE_S = 0.25
 # Half the arc of a position cut from a continuous turn: wide averages a hand's wobble, and the
 # coherence accounts for the width exactly.
 _CUT_HALF_WIDTH_RAD = math.radians(20.0)
+_CUT_PER_TURN = 4
 _MOST_DWELLS = 48
 _CURRENT_STEP_A = 4.0
 
@@ -45,13 +46,11 @@ def find_dwells(
     track: Track,
     instance: int = 1,
     turn: TurnRecord | None = None,
-    shortest_s: float = SHORTEST_DWELL_S,
-    positions_per_turn: int = 4,
 ) -> list[Dwell]:
     """Find the still positions of a recording, in time order.
 
     Where a recording turns all the way round without ever standing still, short positions are cut out
-    of the turn, `positions_per_turn` to a turn, evenly by the gyro.
+    of the turn, four to a turn, evenly by the gyro.
     Raises PoorCalibration where the recording has no gyro, KeyError for an unknown compass.
     """
     compass = track.compasses[instance]
@@ -61,23 +60,19 @@ def find_dwells(
             "The recording has no gyro, so neither stillness nor the turned angles are known.",
             "Record the angular rate too (RAW_IMU, SCALED_IMU or IMU messages).",
         )
-    windows = [
-        part
-        for window in _still_windows(record, shortest_s)
-        for part in _steady_current(track, window, shortest_s)
-    ]
+    windows = [part for window in _still_windows(record) for part in _steady_current(track, window)]
     if len(compass.time_s):
         windows = [
             w for w in windows if np.ptp(np.searchsorted(compass.time_s, w)) >= 4 and w[1] > compass.time_s[0]
         ]
     if _spread(record, windows) < math.radians(150.0):
-        cut = _cut_from_turn(record, compass.time_s, positions_per_turn)
+        cut = _cut_from_turn(record, compass.time_s)
         windows = cut if len(cut) >= 3 else windows
     windows = sorted(sorted(windows, key=lambda w: w[0] - w[1])[:_MOST_DWELLS])
     return [dwell_between(track, instance, start, end, record) for start, end in windows]
 
 
-def _still_windows(record: TurnRecord, shortest_s: float) -> list[tuple[float, float]]:
+def _still_windows(record: TurnRecord) -> list[tuple[float, float]]:
     """List (start, end) of the stretches with little rotation, split where their swing grows too long."""
     time = record.time_s
     rate = _centred_mean(time, record.rate_radps)
@@ -96,15 +91,13 @@ def _still_windows(record: TurnRecord, shortest_s: float) -> list[tuple[float, f
             stop = max(stop, int(start) + 1)
             begins = float(time[start]) + (_SETTLE_S if start > 0 else 0.0)
             ends = float(time[min(stop, time.size - 1)])
-            if ends - begins >= shortest_s:
+            if ends - begins >= _SHORTEST_DWELL_S:
                 windows.append((begins, ends))
             start = stop
     return windows
 
 
-def _steady_current(
-    track: Track, window: tuple[float, float], shortest_s: float
-) -> list[tuple[float, float]]:
+def _steady_current(track: Track, window: tuple[float, float]) -> list[tuple[float, float]]:
     """Split a still stretch where the battery current jumps (a take-off): the motors' field jumps with it."""
     current = track.current_a
     if current is None:
@@ -121,7 +114,7 @@ def _steady_current(
             insort(ordered, float(load[k]))
             continue
         end = float(time[k]) if k < time.size else window[1]
-        if end - start >= shortest_s:
+        if end - start >= _SHORTEST_DWELL_S:
             parts.append((start, end))
         start, ordered = end, load[k : k + 1].tolist()
     return parts
@@ -144,7 +137,7 @@ def _spread(record: TurnRecord, windows: list[tuple[float, float]]) -> float:
     return 2.0 * math.pi - float(gaps.max())
 
 
-def _cut_from_turn(record: TurnRecord, compass_time: FloatArray, per_turn: int) -> list[tuple[float, float]]:
+def _cut_from_turn(record: TurnRecord, compass_time: FloatArray) -> list[tuple[float, float]]:
     """Cut short positions out of a continuous turn, evenly spaced by the gyro's angle."""
     if compass_time.size < 2:
         return []
@@ -154,7 +147,7 @@ def _cut_from_turn(record: TurnRecord, compass_time: FloatArray, per_turn: int) 
         return []
     sense = math.copysign(1.0, float(angle[-1] - angle[0]))
     progress = np.maximum.accumulate(sense * (angle - angle[0]))
-    spacing = 2.0 * math.pi / per_turn
+    spacing = 2.0 * math.pi / _CUT_PER_TURN
     middles = np.arange(_CUT_HALF_WIDTH_RAD, progress[-1] - _CUT_HALF_WIDTH_RAD + 1e-9, spacing)
     windows = []
     for middle in middles:

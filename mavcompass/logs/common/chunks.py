@@ -23,14 +23,12 @@ class Chunk:
         data: the bytes, followed by `padding` zeros, so that windows at the end stay inside.
         size: how many of them belong to the file.
         offset: where in the file the first one stands.
-        fresh: records that start before this index were complete in the chunk before.
         limit: records that start at or after this index are left to the next chunk; `size` in the last.
     """
 
     data: ByteArray
     size: int
     offset: int
-    fresh: int
     limit: int
 
 
@@ -38,7 +36,6 @@ def read_chunks(
     path: Path,
     *,
     longest_record: int,
-    look_back: int = 0,
     padding: int = 0,
     chunk_bytes: int = CHUNK_BYTES,
     start: int = 0,
@@ -46,17 +43,16 @@ def read_chunks(
 ) -> Iterator[Chunk]:
     """Cut a file into chunks such that each record of at most `longest_record` bytes lies whole in one.
 
-    A record belongs to the chunk where its start is at least `fresh` and below `limit`; `look_back` bytes
-    before `fresh` are there too (except at the file's start). One buffer is reused: a chunk is valid
-    until the next one is asked for. `start` and `end` restrict it to a part of the file.
+    A record belongs to the chunk where its start is below `limit`. One buffer is
+    reused: a chunk is valid until the next one is asked for. `start` and `end` restrict it to a part of
+    the file.
     """
-    keep = longest_record + look_back
-    size = max(chunk_bytes, 4 * keep)
+    size = max(chunk_bytes, 4 * longest_record)
     buffer = np.zeros(size + padding, dtype=np.uint8)
     end = path.stat().st_size if end is None else end
     with path.open("rb", buffering=0) as file:
         file.seek(start)
-        kept, fresh, offset = 0, 0, start
+        kept, offset = 0, start
         while True:
             wanted = min(size - kept, end - offset - kept)
             got = _fill(file, buffer[kept : kept + wanted])
@@ -64,13 +60,12 @@ def read_chunks(
             buffer[filled : filled + padding] = 0
             last = got < wanted or offset + filled >= end
             limit = filled if last else filled - longest_record
-            yield Chunk(buffer[: filled + padding], filled, offset, fresh, limit)
+            yield Chunk(buffer[: filled + padding], filled, offset, limit)
             if last:
                 return
-            cut = max(limit - look_back, 0)
-            kept, fresh = filled - cut, limit - cut
-            buffer[:kept] = buffer[cut:filled].copy()
-            offset += cut
+            kept = filled - limit
+            buffer[:kept] = buffer[limit:filled].copy()
+            offset += limit
 
 
 def _fill(file: FileIO, into: ByteArray) -> int:

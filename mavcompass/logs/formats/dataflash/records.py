@@ -127,7 +127,7 @@ def read_records(
 def _log_starts(path: Path) -> Iterator[int]:
     for chunk in read_chunks(path, longest_record=len(_FIRST)):
         content = chunk.data[: chunk.size].tobytes()
-        at = content.find(_FIRST, chunk.fresh)
+        at = content.find(_FIRST)
         while 0 <= at < chunk.limit:
             yield chunk.offset + at
             at = content.find(_FIRST, at + 1)
@@ -175,7 +175,7 @@ class _LogReader:
 
     def _find(self, chunk: Chunk, covered: int) -> _Found:
         data = chunk.data
-        first = max(covered, chunk.fresh, 0)
+        first = max(covered, 0)
         start = np.flatnonzero(data[first : chunk.size] == HEADER[0]) + first
         start = start[data[start + 1] == HEADER[1]]
         kind = data[start + 2]

@@ -94,7 +94,7 @@ def crc_extras() -> NDArray[np.int16]:
 
 def _candidates(chunk: Chunk, covered: int) -> Frames:
     data = chunk.data
-    first = max(covered, chunk.fresh) + TIMESTAMP_BYTES
+    first = max(covered, 0) + TIMESTAMP_BYTES
     last = min(chunk.limit + TIMESTAMP_BYTES, chunk.size)
     # 0xFD and 0xFE are the two values that 0xFD can be subtracted from, leaving less than 2.
     start = np.flatnonzero((data[first:last] - np.uint8(V2)) < 2) + first
