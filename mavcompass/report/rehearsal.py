@@ -87,7 +87,7 @@ def write_rehearsal_report(rehearsal: Rehearsal, path: Path) -> None:
             "What the vehicle may have": ", ".join(rehearsal.effects) or "nothing beside its known iron",
             "Vehicles": f"{rehearsal.draws}, seed {rehearsal.seed}; parts and remedies on the first"
             f" {rehearsal.compared} of them",
-            "How it stands": f"as in its {rehearsal.stances} calmest stretches",
+            "How it stands": f"as in {rehearsal.stances} calm stretches, after a turn where there are such",
         },
     }
     write_page(path, "gap_rehearsal.html", shown)

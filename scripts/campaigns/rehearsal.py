@@ -7,8 +7,7 @@ A recording is a folder with `flight.BIN` or `flight.ulg`, and `truth.json`, whi
 that the live calibration of that flight was judged to have: `live_result` with `level_rms_deg` and
 `tilt15_rms_deg`, or `heading_rms_deg` with `level` and `tilt15`. Folders of one vehicle share the part of
 their name after the first `-`, up to `-reboot` or `-disarmed`; one flight of each is rehearsed, and what is
-told is held against all its calibrations. That truth knows no load: what the recording leaves open of the
-motors' field (`motors` of the budget) is taken out of what is told.
+told is held against all its calibrations but those that were refused.
 
 Embedded, a vehicle of each kind is calibrated once; that recording is diagnosed and rehearsed. Then the whole
 dialogue with the simulated firmware runs on the same compasses again, with other seeds: other noise, sway,
@@ -18,6 +17,7 @@ ground and start. Judged by the simulator's truth, whose field is the world mode
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import tempfile
@@ -28,12 +28,12 @@ from pathlib import Path
 import numpy as np
 
 from mavcompass.correction import FieldCorrection
-from mavcompass.errors import BadRecording
+from mavcompass.errors import BadRecording, PoorCalibration
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.left import rms_deg
 from mavcompass.gap.rehearsal import Expected
-from mavcompass.gap.rehearsal.draws import MOTORS, Draws
+from mavcompass.gap.rehearsal.draws import Draws
 from mavcompass.gap.rehearsal.kind import kind_of
 from mavcompass.gap.rehearsal.runs import calibrations
 from mavcompass.logs import read_track
@@ -51,14 +51,14 @@ EFFECTS = ((), ("motor_current:x=1.5,y=-0.8",), ("noise_excess:sigma_mgauss=12",
 Reached = tuple[float, float]  # level and tilted, rms in degrees
 
 
-def told(tracks: Iterable[Track], draws: int, without: frozenset[str]) -> tuple[str, Expected, Expected]:
+def told(tracks: Iterable[Track], draws: int) -> tuple[str, Expected, Expected]:
     """Rehearse the first recording that can be diagnosed; return the verdict and the errors told."""
     for track in tracks:
         try:
             with single_thread():
                 diagnosis = diagnose_gap(track)
                 kind = kind_of(track, diagnosis)
-                errors = calibrations(kind, Draws(kind, 1), draws, without=without).errors
+                errors = calibrations(kind, Draws(kind, 1), draws).errors
         except BadRecording:  # the log of a flight with a restart in it may end before it began
             continue
         return f"{diagnosis.verdict} {','.join(sorted(diagnosis.effects))}", errors.level, errors.tilted
@@ -76,7 +76,7 @@ def recorded(folders: Sequence[Path]) -> Iterator[tuple[str, Iterable[Track], li
             judged.get("level", result.get("level_rms_deg")),
             judged.get("tilt15", result.get("tilt15_rms_deg")),
         )
-        if level is None:
+        if level is None or truth.get("exit_code") == PoorCalibration.exit_code:
             continue
         vehicle = folder.name.partition("-")[2] or folder.name
         for option in ("-reboot", "-disarmed"):
@@ -136,25 +136,22 @@ def main() -> None:
     parser.add_argument("--again", type=int, default=3, help="whole procedures on each of them")
     parser.add_argument("--draws", type=int, default=1000)
     arguments = parser.parse_args()
-    cases = [(frozenset({MOTORS}), recorded(arguments.recordings))]
-    if arguments.embedded:
-        cases.append((frozenset(), embedded(arguments.embedded, arguments.again)))
+    groups = [recorded(arguments.recordings), embedded(arguments.embedded, arguments.again)]
     covered, above = np.zeros(2, dtype=int), np.zeros(2, dtype=int)
     runs, vehicles = 0, 0
-    for without, group in cases:
-        for vehicle, tracks, reached in group:
-            verdict, *expected = told(tracks, arguments.draws, without)
-            vehicles, runs = vehicles + 1, runs + len(reached)
-            line = f"{vehicle:28} {verdict:24}"
-            for place, one in enumerate(expected):
-                values = [run[place] for run in reached]
-                low, high = one.interval95_deg
-                inside = sum(low <= value <= high for value in values)
-                covered[place] += inside
-                above[place] += sum(value > high for value in values)
-                line += f" | {one.rms_deg:.2f} ({low:.2f} to {high:.2f}), reached "
-                line += f"{min(values):.2f} to {max(values):.2f}: {inside}/{len(values)}"
-            print(line, flush=True)
+    for vehicle, tracks, reached in itertools.chain(*groups):
+        verdict, *expected = told(tracks, arguments.draws)
+        vehicles, runs = vehicles + 1, runs + len(reached)
+        line = f"{vehicle:28} {verdict:24}"
+        for place, one in enumerate(expected):
+            values = [run[place] for run in reached]
+            low, high = one.interval95_deg
+            inside = sum(low <= value <= high for value in values)
+            covered[place] += inside
+            above[place] += sum(value > high for value in values)
+            line += f" | {one.rms_deg:.2f} ({low:.2f} to {high:.2f}), reached "
+            line += f"{min(values):.2f} to {max(values):.2f}: {inside}/{len(values)}"
+        print(line, flush=True)
     print(f"{vehicles} vehicles, {runs} calibrations")
     for place, where in enumerate(("level", "leaning")):
         print(f"  {where}: {covered[place]} covered, {above[place]} above, the others below")

@@ -21,6 +21,9 @@ from mavcompass.simulation.effects.effect import Chain
 MOST_POSITIONS = 10
 # What the recording leaves open of the motors' field, beside what the calibration in force says of it.
 MOTORS = "motors"
+_MOTOR = slice(15, 18)
+# Half of the vehicles whose recording shows no field of the motors have one that it does not exclude.
+_MOTORS_BEFORE = 0.5
 # The horizontal cross term of the iron, and the vertical ones.
 _CROSS = (((0, 1),), ((0, 2), (1, 2)))
 # What scatters single readings or their times is in the vehicle's stances.
@@ -80,6 +83,7 @@ class Draws:
         self._roots = [_root(belief.covariance) for belief in kind.beliefs]
         self._weights = np.array([belief.weight for belief in kind.beliefs])
         self._crossed = [_crossed(kind, belief) for belief in kind.beliefs]
+        self._loaded = [_loaded(kind, belief) for belief in kind.beliefs]
 
     def __getitem__(self, number: int) -> Individual:
         """Return one vehicle."""
@@ -87,6 +91,10 @@ class Draws:
         which = int(rng.choice(self._weights.size, p=self._weights / self._weights.sum()))
         belief = kind.beliefs[which]
         values = belief.mean + self._roots[which] @ rng.standard_normal(belief.mean.size)
+        if rng.random() >= self._loaded[which]:
+            # What is known of all the rest once the motors are known to make no field.
+            shared = belief.covariance[:, _MOTOR] @ np.linalg.inv(belief.covariance[_MOTOR, _MOTOR])
+            values = values - shared @ values[_MOTOR]
         matrix = kind.matrix @ (np.eye(3) + values[3:12].reshape(3, 3))
         # A turn of the compass in the vehicle shows in no turn of both: it is the mounting's, see (M1).
         matrix = 0.5 * (matrix + matrix.T)
@@ -98,7 +106,7 @@ class Draws:
             field_ned_mgauss=kind.field_ned_mgauss + values[:3],
             matrix=matrix,
             offset_mgauss=kind.offset_mgauss + values[12:15],
-            motor_mgauss=kind.motor_mgauss + values[15:18],
+            motor_mgauss=kind.motor_mgauss + values[_MOTOR],
             known_motor_mgauss=kind.motor_mgauss,
             settings=tuple(s for s in effects_in(belief, values) if s.effect.kind in _ACTING)
             + tuple(self._faults(rng)),
@@ -144,6 +152,20 @@ def _crossed(kind: Kind, belief: Belief) -> list[float]:
             log_odds += 0.5 * value**2 * (1.0 / known**2 - 1.0 / wide**2) + math.log(known / wide)
         out.append(1.0 / (1.0 + math.exp(min(-log_odds, 700.0))))
     return out
+
+
+def _loaded(kind: Kind, belief: Belief) -> float:
+    """Return how probable a field of the motors is that is neither found nor known to the calibration.
+
+    What a recording leaves open of it is more than vehicles have: a doubt of every one, it would be told as
+    the error of all.
+    """
+    covariance, mean = belief.covariance[_MOTOR, _MOTOR], belief.mean[_MOTOR]
+    if "motor_current" in belief.effects or kind.motor_mgauss.any() or np.linalg.matrix_rank(covariance) < 3:
+        return 1.0
+    log_odds = math.log(_MOTORS_BEFORE / (1.0 - _MOTORS_BEFORE))
+    log_odds += 0.5 * float(mean @ np.linalg.solve(covariance, mean))
+    return 1.0 / (1.0 + math.exp(-log_odds))
 
 
 def _root(covariance: FloatArray) -> FloatArray:

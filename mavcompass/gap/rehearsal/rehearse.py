@@ -30,7 +30,7 @@ _COMPARED_SHARE, _FEWEST_COMPARED = 0.06, 40
 _AWAY_M = 10.0
 _LOADED = frozenset({"motor_current", "per_motor", "relay_field"})
 _LOCAL = frozenset({"spatial_dipole", "field_gradient", "height_anomaly"})
-_FEW_STANCES = 6
+_FEW_STANCES = 5
 
 
 def rehearse(

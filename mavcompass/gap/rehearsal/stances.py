@@ -1,4 +1,4 @@
-"""How a vehicle stands: its calmest stretches, observed as the calibration observes its positions."""
+"""How a vehicle stands after a turn, observed as the calibration observes its positions."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from mavcompass.track import Track
 _SHORT_S, _LONG_S, _ENOUGH_RAD = 0.92, 1.7, math.radians(0.15)
 # A recording with fewer readings a second than a compass gives needs longer for as many.
 _READINGS_HZ = 10.0
-_MOST, _FEWEST = 24, 6
+_MOST, _FEWEST = 24, 5
 _CALM_RADPS = math.radians(2.0)
+# A calibration stands right after a turn: chassis and estimator have settled less than they ever will.
+_TURNING_RADPS, _AFTERWARDS_S = math.radians(10.0), 3.0
 _MOTORS_ON = 0.1
 
 
 def stances_of(
     track: Track, instance: int, record: TurnRecord, horizontal_mgauss: float, vertical_mgauss: float
 ) -> tuple[Dwell, ...]:
-    """Find the (up to 24) stretches in which the vehicle stood or hovered calmest.
+    """Find up to 24 stretches in which the vehicle stood or hovered, such as follow a turn before all others.
 
     Raises BadRecording where there is none.
     """
@@ -54,11 +56,11 @@ def _dwell(track: Track, instance: int, record: TurnRecord, middle: float, lengt
 
 
 def _calm(track: Track, record: TurnRecord, length_s: float, times: FloatArray) -> list[float]:
-    """Return the middles of the calmest stretches that do not overlap, the calmest first.
+    """Return the middles of calm stretches that do not overlap: after turns, the calmest, then others.
 
     What flies is looked at while it flies: on the ground it stands as it never will in the air.
     """
-    middles = np.arange(times[0] + 0.5 * length_s, times[-1] - 0.5 * length_s, 0.5 * length_s)
+    middles = np.arange(times[0] + 0.5 * length_s, times[-1] - 0.5 * length_s, 0.25 * length_s)
     rates = np.hypot(record.rate_radps, record.tilt_rate_radps)
     moved = np.concatenate([[0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(record.time_s))])
     ends = np.interp([middles - 0.5 * length_s, middles + 0.5 * length_s], record.time_s, moved)
@@ -67,9 +69,13 @@ def _calm(track: Track, record: TurnRecord, length_s: float, times: FloatArray) 
         flying = np.nan_to_num(track.throttle.at(middles)) > _MOTORS_ON
         if flying.any():
             middles, unrest = middles[flying], unrest[flying]
+    turning = np.append(-np.inf, record.time_s[np.abs(record.rate_radps) > _TURNING_RADPS])
+    starts = middles - 0.5 * length_s
+    since_s = starts - turning[np.searchsorted(turning, starts) - 1]
+    settling = (since_s < _AFTERWARDS_S) & (unrest <= _CALM_RADPS)
     chosen: list[float] = []
-    for i in np.argsort(unrest, kind="stable"):
-        if len(chosen) == _MOST or (len(chosen) >= _FEWEST and unrest[i] > _CALM_RADPS):
+    for i in np.lexsort((unrest, ~settling)):
+        if len(chosen) == _MOST or (len(chosen) >= _FEWEST and not settling[i]):
             break
         if all(abs(middles[i] - other) >= length_s for other in chosen):
             chosen.append(float(middles[i]))
