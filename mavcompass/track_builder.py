@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -26,19 +27,22 @@ _FIX_3D, _UNKNOWN_U16 = 3, 65535
 _OTHER_CLOCK_S = 30.0
 # No quantity of a vehicle is as large in its unit.
 _INCREDIBLE = 1e7
+# Five hours at 50 Hz, or 80 MB of a message with ten numbers.
+_MOST_ROWS = 1_000_000
 
 
 @dataclass(slots=True)
 class _Rows:
     """Collect the rows of one series; put in order of time when it is built."""
 
-    times: list[float] = field(default_factory=list)
-    rows: list[tuple[float, ...]] = field(default_factory=list)
+    times: array[float] = field(default_factory=lambda: array("d"))
+    values: array[float] = field(default_factory=lambda: array("d"))
 
     def add(self, time_s: float, *values: float) -> None:
-        if all(abs(value) < _INCREDIBLE for value in values):  # False for nan
+        # The first comparison is False for nan; who floods the link does not fill the memory.
+        if all(abs(value) < _INCREDIBLE for value in values) and len(self.times) < _MOST_ROWS:
             self.times.append(time_s)
-            self.rows.append(values)
+            self.values.extend(values)
 
     def series(self) -> Series | None:
         if not self.times:
@@ -46,7 +50,7 @@ class _Rows:
         times = np.array(self.times)
         # A radio link may deliver late or twice: sort by the vehicle's clock, keep the first of each.
         times, first = np.unique(times, return_index=True)
-        values = np.array(self.rows)[first]
+        values = np.array(self.values).reshape(len(self.times), -1)[first]
         return Series.of(times, values[:, 0] if values.shape[1] == 1 else values)
 
 

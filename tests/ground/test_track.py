@@ -154,3 +154,14 @@ def test_what_is_no_number_is_not_taken_into_a_live_track(odd: float) -> None:
     assert track.attitude_rad is not None and len(track.attitude_rad) == 1
     assert track.position_ned_m is None
     assert track.truth_q is None or odd == -1e30
+
+
+def test_a_flood_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mavcompass.track_builder._MOST_ROWS", 5)
+    builder = TrackBuilder("ardupilot", "rover")
+    for k in range(50):
+        builder.add(heard(0.1 * k, RawImu(time_usec=100_000 * k, xmag=k)))
+    assert builder.build().compasses[1].reported.values[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    builder.take()
+    builder.add(heard(5.1, RawImu(time_usec=5_100_000, xmag=51)))
+    assert builder.take().compasses[1].reported.values[:, 0].tolist() == [51.0]

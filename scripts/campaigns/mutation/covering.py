@@ -1,0 +1,46 @@
+"""Which tests run a line, and how long each takes: what `scripts/coverage` has found."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from pathlib import Path
+
+from coverage import CoverageData
+
+from mutation.sites import Site
+from mutation.test_contexts import SECONDS
+
+
+class Covering:
+    """Look up tests by the lines that they run."""
+
+    def __init__(self, project: Path) -> None:
+        """Read what was found. Raises FileNotFoundError before `scripts/coverage` has run."""
+        self.project = project
+        self.seconds: dict[str, float] = json.loads((project / SECONDS).read_text())
+        self._data = CoverageData(str(project / ".coverage"))
+        self._data.read()
+        self._of_file: dict[str, set[str]] = defaultdict(set)
+        for name in self.seconds:
+            self._of_file[name.partition("::")[0]].add(name)
+
+    def tests(self, site: Site, longest_s: float) -> list[str]:
+        """Return the tests that run a place, the quickest first, as many as fit into so many seconds."""
+        lines = self._data.contexts_by_lineno(str(self.project / site.path))
+        # What a file does when it is loaded matters to whoever runs anything of it.
+        wanted = [site.line] if site.in_function else list(lines)
+        found: set[str] = set()
+        for context in {context for line in wanted for context in lines.get(line, ())}:
+            phase, _, name = context.partition(" ")
+            if phase == "test" and name in self.seconds:
+                found.add(name)
+            elif phase == "file":  # a fixture of all its tests
+                found |= self._of_file[name]
+        chosen, sum_s = [], 0.0
+        for name in sorted(found, key=lambda name: self.seconds[name]):
+            sum_s += self.seconds[name]
+            if chosen and sum_s > longest_s:
+                break
+            chosen.append(name)
+        return chosen

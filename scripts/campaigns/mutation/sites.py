@@ -1,0 +1,150 @@
+"""Where a file can be changed by a little, and how: an operator, a condition, a number, what is returned."""
+
+from __future__ import annotations
+
+import ast
+import copy
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+_COMPARED: dict[type[ast.cmpop], type[ast.cmpop]] = {
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.In: ast.NotIn,
+    ast.NotIn: ast.In,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+}
+_COMPUTED: dict[type[ast.operator], type[ast.operator]] = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.MatMult: ast.Mult,
+    ast.BitAnd: ast.BitOr,
+    ast.BitOr: ast.BitAnd,
+}
+# Assertions and hints in keyword arguments: without them a right program does the same.
+_HINTS = frozenset({"strict", "repr", "slots", "frozen", "kw_only", "maxlen"})
+
+
+@dataclass(frozen=True)
+class Site:
+    """Name a place that can be changed: the file, which of its places, the line, what is done there.
+
+    Attributes:
+        in_function: it runs when a test runs, not when the file is loaded.
+    """
+
+    path: str
+    number: int
+    line: int
+    kind: str
+    in_function: bool
+
+    def __str__(self) -> str:
+        return f"{self.path}#{self.number}"
+
+
+def sites(root: Path, path: str) -> list[Site]:
+    """Return all places of a file, in the order of its text."""
+    tree = ast.parse((root / path).read_text())
+    inside = {
+        id(node)
+        for function in ast.walk(tree)
+        if isinstance(function, (ast.FunctionDef, ast.Lambda))
+        for statement in (function.body if isinstance(function.body, list) else [function.body])
+        for node in ast.walk(statement)
+    }
+    return [
+        Site(path, number, getattr(node, "lineno", 0), kind, id(node) in inside)
+        for number, (node, kind, _) in enumerate(_places(tree))
+    ]
+
+
+def mutated(root: Path, site: Site) -> tuple[str, str]:
+    """Return the file's text with the place changed, and a line that says what was done."""
+    tree = ast.parse((root / site.path).read_text())
+    node, kind, which = list(_places(tree))[site.number]
+    before = ast.unparse(node)
+    _change(node, kind, which)
+    ast.fix_missing_locations(tree)
+    return ast.unparse(tree), f"{_short(before)}  ->  {_short(ast.unparse(node))}"
+
+
+def _short(text: str) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= 80 else line[:77] + "..."
+
+
+def _places(tree: ast.Module) -> Iterator[tuple[ast.AST, str, int]]:
+    left_out = {id(node) for part in _left_out(tree) for node in ast.walk(part)}
+    for node in ast.walk(tree):
+        if id(node) in left_out:
+            continue
+        match node:
+            case ast.Compare():
+                for which, operator in enumerate(node.ops):
+                    if type(operator) in _COMPARED:
+                        yield node, "compared", which
+            case ast.BinOp() if type(node.op) in _COMPUTED:
+                yield node, "computed", 0
+            case ast.UnaryOp(op=ast.USub() | ast.Not()):
+                yield node, "sign", 0
+            case ast.BoolOp():
+                yield node, "and/or", 0
+            case ast.Constant(value=bool()):
+                yield node, "truth", 0
+            case ast.Constant(value=int() | float()):
+                yield node, "number", 0
+            case ast.Return(value=ast.expr()):
+                yield node, "returned", 0
+            case ast.If() | ast.IfExp():
+                yield node, "condition", 0
+
+
+def _left_out(tree: ast.Module) -> Iterator[ast.AST]:
+    """Find what is only said about the code: annotations, decorators, hints."""
+    for node in ast.walk(tree):
+        for name in ("annotation", "returns"):
+            if isinstance(part := getattr(node, name, None), ast.AST):
+                yield part
+        yield from getattr(node, "decorator_list", [])
+        if isinstance(node, ast.keyword) and node.arg in _HINTS:
+            yield node
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            yield node
+
+
+def _change(node: ast.AST, kind: str, which: int) -> None:
+    match node:
+        case ast.Compare():
+            node.ops[which] = _COMPARED[type(node.ops[which])]()
+        case ast.BinOp():
+            node.op = _COMPUTED[type(node.op)]()
+        case ast.UnaryOp(op=ast.Not()):
+            node.operand = ast.UnaryOp(ast.Not(), node.operand)
+        case ast.UnaryOp():
+            node.op = ast.UAdd()
+        case ast.BoolOp():
+            node.op = ast.And() if isinstance(node.op, ast.Or) else ast.Or()
+        case ast.Constant(value=bool() as value):
+            node.value = not value
+        case ast.Constant(value=int() as value):
+            node.value = value + 1
+        case ast.Constant(value=float() as value):
+            node.value = 1.5 * value + (0.1 if abs(value) < 1e-3 else 0.0)
+        case ast.Return():
+            node.value = ast.Constant(None)
+        case ast.If() | ast.IfExp():
+            node.test = ast.UnaryOp(ast.Not(), copy.deepcopy(node.test))
+        case _:
+            raise AssertionError(kind)
