@@ -22,6 +22,7 @@ from mavcompass.procedure.motion import Permissions, Readiness
 from mavcompass.procedure.script import Context, Script, expect, pause, request
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
 
+_ATTITUDE = 30
 # EKF_STATUS_REPORT.flags: attitude, horizontal velocity, absolute horizontal position.
 _KNOWS_ITS_PLACE = 1 | 2 | 16
 _PLACE_PATIENCE_S = 120.0
@@ -51,10 +52,10 @@ class FlightRates:
         """Ask for the compass, the attitude and the rest as often as telemetry of such a rate does."""
         imu_hz = min(max(rate_hz, 5.0), 50.0)
         slow_hz = min(imu_hz, 10.0)
-        raw_imu, scaled_imu, attitude, battery = 27, 26, 30, 147
+        raw_imu, scaled_imu, battery = 27, 26, 147
         local, place, hud, servo, receiver, status, ekf, pressure = 32, 33, 74, 36, 24, 1, 193, 29
         rates = {message: slow_hz for message in (local, place, hud, servo, battery)}
-        rates |= {raw_imu: imu_hz, scaled_imu: imu_hz, attitude: max(imu_hz, 10.0)}
+        rates |= {raw_imu: imu_hz, scaled_imu: imu_hz, _ATTITUDE: max(imu_hz, 10.0)}
         rates |= {receiver: 5.0, status: 4.0, ekf: 4.0, pressure: 2.0}
         return cls(rates)
 
@@ -114,11 +115,9 @@ def fly_profile(
     context.listeners += [state.hear, clock.hear]
     context.watches.append(clock.stands)
     yield from _set(context, parameters)
-    for number, hertz in rates.of(identity.autopilot).items():
-        every_us = 1e6 / hertz if hertz else float(DISABLED_US)
-        yield from command(
-            context, MavCmd.SET_MESSAGE_INTERVAL, float(number), every_us, what="a message rate"
-        )
+    wanted = rates.of(identity.autopilot)
+    for number, hertz in wanted.items():
+        yield from _set_rate(context, number, hertz)
     yield from _until_it_knows_its_place(context, identity, state, clock)
     yield from _ready(context, identity, state, profile)
     if identity.autopilot == "px4":
@@ -126,10 +125,18 @@ def fly_profile(
     if profile.kind == "copter":
         yield from _to_the_begin(context, profile, state, clock)
     yield from _read_parameters(context)
+    # What a vehicle that is faster than this computer told before is heard once this is answered.
+    _target(context, profile, 0, clock, still=True)
+    yield from _set_rate(context, _ATTITUDE, wanted[_ATTITUDE])
     recording(True)
     yield from _follow(context, profile, clock)
     recording(False)
     return identity
+
+
+def _set_rate(context: Context, number: int, hertz: float) -> Script[None]:
+    every_us = 1e6 / hertz if hertz else float(DISABLED_US)
+    yield from command(context, MavCmd.SET_MESSAGE_INTERVAL, float(number), every_us, what="a message rate")
 
 
 def _set(context: Context, parameters: Mapping[str, float]) -> Script[None]:

@@ -14,7 +14,7 @@ from typing import Self
 from mavcompass.errors import UsageError
 
 _END_S = 5.0
-_SAYS_S = 10.0
+_SAYS_S = 30.0
 _LAST_LINES = 3
 _OUTPUT_FILE = "simulator.txt"
 
@@ -105,8 +105,11 @@ def help_of(program: Path) -> str:
             timeout=_SAYS_S,
             check=False,
         )
-    except subprocess.TimeoutExpired:
-        return ""
+    except subprocess.TimeoutExpired as error:
+        raise UsageError(
+            f"{program} --help did not end within {_SAYS_S:.0f} s.",
+            "Name the simulator's own program; on a busy computer, run again.",
+        ) from error
     except OSError as error:
         raise UsageError(*_cannot_start(program, error)) from error
     return (asked.stdout + asked.stderr).decode("utf-8", "replace")
