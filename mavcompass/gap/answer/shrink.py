@@ -85,8 +85,10 @@ def _closing(
 ) -> Closing:
     nominal2, after2 = float(np.mean(before**2)) + unseen, float(np.mean(after**2))
     after2 = max(after2 - added, min(after2, floor**2)) if added else after2
-    shrink = _shrink(nominal2, after2, floor**2)
-    interval = _interval(before, after, added, unseen, floor, floor_error, blocks)
+    # Where less is left than the floor allows, the floor of this recording lies no higher.
+    least = min(floor, math.sqrt(after2))
+    shrink = _shrink(nominal2, after2, least**2)
+    interval = _interval(before, after, added, unseen, least, floor_error * (least / floor), blocks)
     # What is left may lie below the floor by chance: no more than all of the gap closes.
     shrink, interval = min(shrink, 1.0), (min(interval[0], 1.0), min(interval[1], 1.0))
     return Closing(math.sqrt(nominal2), math.sqrt(after2), floor, shrink, interval)

@@ -212,7 +212,7 @@ def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> R
     return Reference(
         "fused" if choice == "auto" else choice,
         carried(clock, smoothed.rotation, smoothed.rate_radps, time_s + age),
-        at_times(clock, smoothed.rate_radps, time_s),
+        at_times(clock, smoothed.rate_radps, time_s + age),
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
         yaw_sigma_rad=constant,
         curves_rad=curves,

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, Replay, turned
-from mavcompass.simulation.effects.effect import Effect, Signals
-from mavcompass.simulation.effects.sampling import at_times
+from mavcompass.simulation.effects.effect import Effect, Signals, Stage
+from mavcompass.simulation.effects.sampling import at_times, central_differences
 from mavcompass.simulation.physics.signals import Reading
 
 _STEP = 1e-3
 _NUDGE_RAD = 1e-5
+# Stages whose changes turn with the vehicle, and of them those that differ from place to place.
+_TURNING = ({Stage.ATTITUDE, Stage.WORLD}, {Stage.WORLD})
 
 
 def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
@@ -107,6 +109,7 @@ class Composition:
         end = len(order) - 1 if late else len(order)
         changes: list[Reading] = []
         early: list[int] = []
+        stages: list[Stage] = []
         for place in wanted:
             at = places[place]
             effect = order[at][0]
@@ -123,20 +126,38 @@ class Composition:
                 moved[place] = theta
                 if stop < len(order):
                     early.append(len(changes))
+                    stages.append(effect.stage)
                 changes.append(difference(self._run_from(order[:stop], at, states[at], moved), base, step))
             if effect.id == REFERENCE_YAW:
-                early += range(len(changes), len(changes) + free.size - 1) if stop < len(order) else []
+                if stop < len(order):
+                    early += range(len(changes), len(changes) + free.size - 1)
+                    stages += [Stage.ATTITUDE] * (free.size - 1)
                 after = (self._run_from(order[:stop], at + 1, s, everything) for s in _nudged(states[at + 1]))
                 by_axis = [difference(reading, base, _NUDGE_RAD) for reading in after]
                 yaw = float(everything[place][0])
                 changes += _along(by_axis, self.replay.reference.curves_rad, yaw)
         if early and late:
-            self._delay(changes, early, float(everything[order[-1][1]][0]))
+            self._delay(changes, early, stages, float(everything[order[-1][1]][0]))
         return changes
 
-    def _delay(self, changes: list[Reading], which: Sequence[int], delay_s: float) -> None:
-        time = self.replay.time_s
-        stacked = np.concatenate([changes[i].mag_mgauss for i in which], axis=1)
-        late = at_times(time, stacked, time - delay_s)
+    def _delay(
+        self, changes: list[Reading], which: Sequence[int], stages: Sequence[Stage], delay_s: float
+    ) -> None:
+        """Delay changes; those of the attitude and of the world's field turn with the vehicle."""
+        s = self.replay.signals.stimulus
+        stacked = np.stack([changes[i].mag_mgauss for i in which], axis=1)
+
+        def slopes_of(values: FloatArray) -> FloatArray:
+            flat = values.reshape(s.time_s.size, -1)
+            return central_differences(s.time_s, flat).reshape(values.shape)
+
+        slopes = slopes_of(stacked)
+        turns, of_world = (np.array([stage in few for stage in stages], dtype=np.bool_) for few in _TURNING)
+        slopes[:, turns] = np.cross(stacked[:, turns], s.rate_radps[:, None])
+        if of_world.any():
+            there = np.einsum("nij,nkj->nki", s.rotation, stacked[:, of_world])
+            slopes[:, of_world] += np.einsum("nji,nkj->nki", s.rotation, slopes_of(there))
+        flat, wanted = stacked.reshape(s.time_s.size, -1), s.time_s - delay_s
+        late = at_times(s.time_s, flat, wanted, slopes.reshape(flat.shape)).reshape(stacked.shape)
         for n, i in enumerate(which):
-            changes[i] = Reading(late[:, 3 * n : 3 * n + 3], changes[i].acc_mps2, changes[i].gyro_radps)
+            changes[i] = Reading(late[:, n], changes[i].acc_mps2, changes[i].gyro_radps)

@@ -136,7 +136,9 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto", period_s: f
     )
     correction = calibration_in_force(compass)
     picked = _middles(rows.time_s.size, rows.width)
-    time_s, reference, usable = rows.time_s[picked], whole.at(picked), rows.usable
+    time_s, usable = rows.time_s[picked], rows.usable
+    # Readings that are averaged were turned by the mean of the rates meanwhile.
+    reference = replace(whole.at(picked), rate_radps=averaged(whole.rate_radps, rows.width)[picked])
     stimulus = _stimulus(track, time_s, reference, field)
     load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
     iron = known_iron(correction, load, source)

@@ -13,9 +13,8 @@ import numpy as np
 
 from mavcompass.frames import FloatArray, rotate_back
 from mavcompass.gap.attitude import UNKNOWN_YAW_RAD, exponentials, turned_about_down
-from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
+from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S, late_field
 from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Signals, Stage
-from mavcompass.simulation.effects.sampling import at_times
 
 _Rng = np.random.Generator | None
 _TURNS = 6
@@ -128,8 +127,7 @@ def yaw_starts(nuisances: Sequence[Nuisance]) -> list[tuple[FloatArray, ...]]:
 
 
 def _telemetry_age(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
-    time = signals.stimulus.time_s
-    return signals.with_mag(at_times(time, signals.reading.mag_mgauss, time - theta[0]))
+    return signals.with_mag(late_field(signals, signals.stimulus.time_s - theta[0]))
 
 
 AGE = Effect(

@@ -23,8 +23,12 @@ _LEAST_OF_FLOOR = 0.5
 # No model is exact: what holds less than this share of a gap (4 % of its square) may be the error of the
 # rest.
 _MATERIAL_SHARE, _MATERIAL_BESIDE_UNKNOWN, _EXPLAINED = 0.2, 0.4, 1.25
-# A gap that is no larger than this many floors without an effect needs no such effect.
-_ABOVE_FLOOR, _ABOVE_STATED, _LEAST_OF_STATED = 1.25, 0.5, 0.1
+# A set that leaves no more than this many floors explains enough.
+_AT_FLOOR = 1.25
+# A gap that is no larger than this many floors without an effect needs no such effect: a floor that was
+# measured, and one that was stated. A baseline's floor holds what another flight may add to it.
+_NEEDED_ABOVE = {True: 0.9, False: 1.25}
+_ABOVE_STATED, _LEAST_OF_STATED = 0.5, 0.1
 _AT_THE_END = 1e-3
 # A block shows an effect where it changes this share of what it does where it changes most.
 _TOUCHED = 0.05
@@ -44,17 +48,17 @@ def needs_none(candidate: Identified, floor: Floor) -> bool:
     if floor.representative or stated:
         # An exact floor is asked for more than its size, and that of an independent attitude is generous.
         return False
-    return at_floor(candidate, candidate.found.null, floor)
+    return at_floor(candidate, candidate.found.null, floor, _NEEDED_ABOVE[floor.measured])
 
 
-def at_floor(candidate: Identified, fit: Fit, floor: Floor) -> bool:
-    """Tell whether field and heading lie at the floor with a fit, on rows that were not fitted."""
+def at_floor(candidate: Identified, fit: Fit, floor: Floor, within: float = _AT_FLOOR) -> bool:
+    """Tell whether field and heading lie within so many floors with a fit, on rows that were not fitted."""
     problem, rows = candidate.problem, candidate.split.test
     if not rows.any():
         return False
     replay = problem.replay
     field, heading = apart(replay, replay.measured.mag_mgauss, problem.predict(fit).mag_mgauss, rows)
-    return field < _ABOVE_FLOOR * floor.field_rms_mgauss and heading < _ABOVE_FLOOR * floor.heading_rms_deg
+    return field < within * floor.field_rms_mgauss and heading < within * floor.heading_rms_deg
 
 
 def refused(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
@@ -156,7 +160,9 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     gap = _gap(candidate, floor)
     # A floor that was only stated for an independent attitude is generous.
     stated = not floor.measured and problem.replay.reference.kind == "columns"
-    needed, share = (_ABOVE_STATED, _LEAST_OF_STATED) if stated else (_ABOVE_FLOOR, _LEAST_OF_FLOOR)
+    needed, share = _NEEDED_ABOVE[floor.measured], _LEAST_OF_FLOOR
+    if stated:
+        needed, share = _ABOVE_STATED, _LEAST_OF_STATED
     # Beside something that is not known, only what holds a good part of the gap can be told from it.
     left = rms((problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss)[problem.index])
     explained = stated or left < _EXPLAINED * floor.field_rms_mgauss
@@ -188,7 +194,7 @@ def _gap(candidate: Identified, floor: Floor) -> tuple[tuple[float, float], tupl
 
 @dataclass(frozen=True, slots=True)
 class Removed:
-    """Hold what an effect takes off a held-out mean square, and the rms that stays without it.
+    """Hold what an effect takes off a held-out mean square, and the rms that stays without it anywhere.
 
     `sure` is a bound of it that blocks of the whole recording leave above zero where they agree.
     """
@@ -228,7 +234,9 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     low = mean - 1.7 * spread / math.sqrt(len(blocks) - 1) if len(blocks) > 2 else mean
     if not held.any():
         held = np.ones(rows.size, dtype=np.bool_)
-    taken, left = gained[held].mean(axis=0), squares[0][held].mean(axis=0)
+    # What is left without it may lie in rows that were fitted: there it is no less a gap.
+    taken = gained[held].mean(axis=0)
+    left = np.maximum(squares[0][held].mean(axis=0), squares[0].mean(axis=0))
     of_field, of_heading = (
         Removed(max(float(taken[k]), 0.0), float(low[k]), math.sqrt(float(left[k]))) for k in (0, 1)
     )

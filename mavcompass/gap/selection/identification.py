@@ -6,18 +6,27 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from mavcompass.gap.fit import Problem, Search
+import numpy as np
+
+from mavcompass.gap.fit import Fit, Problem, Search
 from mavcompass.gap.left import Floor, widened
-from mavcompass.gap.replay import Replay
+from mavcompass.gap.replay import IRON_OFFSET, Replay
 from mavcompass.gap.selection.guards import at_floor, needs_none, refused, worthwhile
 from mavcompass.gap.selection.identified import Identified
-from mavcompass.gap.selection.split import Split, probe, with_windows
+from mavcompass.gap.selection.split import Split, probe, with_parts, with_windows
 from mavcompass.gap.selection.transient import moments, told, transients, with_moments
-from mavcompass.simulation.effects.effect import Effect
+from mavcompass.simulation.effects.effect import Effect, Stage
 
 _PASSES = 2
 _CLOSINGS_IN = 6
 _RIVALS = 4
+# Times the floor from which a single row stands out.
+_LOUD = 3.0
+# The share of rows that a passing disturbance takes at most.
+_PASSING = 0.25
+_OF_THE_SENSOR = (Stage.MATRIX, Stage.MOUNTING)
+# How near a named hard iron comes to what another effect makes of the iron in force, to be just that.
+_IRON_SHARE = 0.35
 
 
 def identify(
@@ -35,7 +44,7 @@ def identify(
         return result, own
     notes = (*replay.notes, *told(replay, aside))
     fewer = replace(replay, valid=replay.valid & ~aside, notes=notes)
-    calm = replace(split, train=split.train & ~aside)
+    calm = replace(split, train=split.train & ~aside, test=split.test & ~aside)
     start = floor
     if not floor.measured:
         kept = Problem(fewer, result.problem.noise, calm.train, result.problem.prior)
@@ -52,6 +61,7 @@ def _searched(
     # An independent attitude has no errors that last for seconds.
     exact = floor.representative or replay.reference.kind == "columns"
     previous: frozenset[str] | None = None
+    split = _apart(replay, floor, split)
     for turn in range(passes):
         problem = Problem(replay, floor.noise, split.train, floor.prior)
         search = Search(problem, effects, partial(worthwhile, problem, floor), exact)
@@ -68,6 +78,19 @@ def _searched(
         if floor is before:
             break
     return result, floor
+
+
+def _apart(replay: Replay, floor: Floor, split: Split) -> Split:
+    """Let what disturbs for a short while, and nothing that is known explains, be fitted and judged alike.
+
+    A gap that is there all the time may swing with the vehicle's turns: its blocks are long enough.
+    """
+    problem = Problem(replay, floor.noise, split.train | split.test, floor.prior)
+    left = replay.measured.mag_mgauss - problem.predict(problem.null()).mag_mgauss
+    loud = np.sqrt(np.mean(left**2, axis=1)) > _LOUD * floor.field_rms_mgauss
+    loud &= split.train | split.test
+    passing = 0 < loud.sum() < _PASSING * (split.train | split.test).sum()
+    return with_parts(split, replay.time_s, loud) if passing else split
 
 
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
@@ -98,7 +121,8 @@ def _alike(candidate: Identified) -> tuple[frozenset[str], ...]:
     """Return the sets that the recording cannot tell from the chosen one, whatever the search found.
 
     A compass that is read slowly, averaged and repeated smooths by nature: a lag may be a low pass. A field
-    that falls with the height comes from below: of everywhere below, or of one thing there.
+    that falls with the height comes from below: of everywhere below, or of one thing there. A gain, or a
+    turn, of the whole sensor changes the iron that it reads, too.
     """
     ids, tried = candidate.fit.ids, {term.effect.id for term in candidate.search.terms}
     out = []
@@ -106,7 +130,25 @@ def _alike(candidate: Identified) -> tuple[frozenset[str], ...]:
         out.append(ids - {"transport_lag"} | {"low_pass"})
     if "height_anomaly" in ids and "spatial_dipole" in tried:
         out.append(ids - {"height_anomaly"} | {"spatial_dipole"})
+    if "hard_iron" in ids and _iron_changed(candidate):
+        out.append(ids - {"hard_iron"})
     return tuple(out)
+
+
+def _iron_changed(candidate: Identified) -> bool:
+    """Tell whether the named hard iron is what the other named effects make of the iron in force."""
+    fit, replay = candidate.fit, candidate.problem.replay
+    iron = replay.iron.offset_mgauss.copy()
+    for nuisance, theta in zip(candidate.problem.nuisances, fit.nuisance_thetas, strict=True):
+        if nuisance.effect.id == IRON_OFFSET:
+            iron += theta[:3]
+    signals = replay.signals.with_mag(np.tile(iron, (replay.time_s.size, 1)))
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        if term.effect.stage in _OF_THE_SENSOR:
+            signals = term.effect.forward(signals, theta, {}, None)
+    made = signals.reading.mag_mgauss[0] - iron
+    size = float(np.linalg.norm(made))
+    return float(np.linalg.norm(fit.theta("hard_iron") - made)) < _IRON_SHARE * size
 
 
 def _simplest(candidate: Identified, floor: Floor) -> Identified:
@@ -114,20 +156,36 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
 
     What fits closer than the floor fits the errors of the model.
     """
-    chosen = candidate.fit
-    rivals = [
-        f
-        for f in candidate.search.explored.values()
-        if f.terms and len(f.terms) <= len(chosen.terms) and f.ids != chosen.ids
-    ]
-    rivals = sorted(rivals, key=lambda f: f.sse)[:_RIVALS]
+    chosen, explored = candidate.fit, candidate.search.explored.values()
+    known = [f for f in explored if f.terms and len(f.terms) <= len(chosen.terms) and f.ids != chosen.ids]
+    known = sorted(known, key=lambda f: f.sse)[:_RIVALS]
+    rivals = {f.ids: candidate.problem.refit(f) for f in known}
+    rivals |= {f.ids: f for f in _substitutes(candidate) if f.ids not in rivals}
+    good = [f for f in rivals.values() if at_floor(candidate, f, floor)]
     if not at_floor(candidate, chosen, floor):
-        return candidate
-    good = [f for f in (candidate.problem.refit(r) for r in rivals) if at_floor(candidate, f, floor)]
+        allowed = [f for f in good if refused(replace(candidate, fit=f), floor) is None]
+        if not allowed:
+            return candidate
+        chosen = min(allowed, key=candidate.search.score)
+        good = [f for f in good if f is not chosen]
     simpler = [f for f in good if f.dimension < chosen.dimension]
     best = min(simpler, key=lambda f: (f.dimension, f.sse), default=chosen)
     others = tuple(f.ids for f in [chosen, *good] if f.ids != best.ids)
     return replace(candidate, fit=best, as_good=others)
+
+
+def _substitutes(candidate: Identified) -> list[Fit]:
+    """Fit the chosen set with an alias in the place of one of its effects: no search need have tried it."""
+    chosen, problem = candidate.fit, candidate.problem
+    terms = {term.effect.id: term for term in candidate.search.terms if term.effect.affine}
+    out = []
+    for place, term in enumerate(chosen.terms):
+        for alias in term.effect.aliases:
+            if alias in terms and alias not in chosen.ids:
+                rest, other = chosen.without(place), terms[alias]
+                guess = (*rest.thetas, other.effect.neutral())
+                out.append(problem.refit(problem.fit((*rest.terms, other), guess, chosen.nuisance_thetas)))
+    return out
 
 
 def _moments_in_training(candidate: Identified) -> Identified:

@@ -14,6 +14,7 @@ GUARD_S = 0.5
 WINDOW_S = 0.3
 _HELD_OUT_OF = 4
 _FEWEST_BLOCKS = 12
+_PARTS = 8
 _SEED = 20260101
 
 Mask = NDArray[np.bool_]
@@ -44,8 +45,7 @@ def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
     A regular pattern would fall into step with a procedure that turns and dwells in a fixed rhythm.
     Short recordings get shorter blocks.
     """
-    span = float(time_s[-1] - time_s[0])
-    length = max(min(BLOCK_S, span / _FEWEST_BLOCKS), 1e-3)
+    length = _block_s(time_s)
     block = np.floor((time_s - time_s[0]) / length).astype(np.int64)
     count = int(block[-1]) + 1
     held = np.zeros(count, dtype=np.bool_)
@@ -55,6 +55,29 @@ def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
         if place < count:
             held[place] = True
     return _masks(time_s, valid, block, held, min(GUARD_S, length / 5.0))
+
+
+def with_parts(split: Split, time_s: FloatArray, loud: Mask) -> Split:
+    """Cut each short stretch of loud rows (N,) in parts, and hold one of every four out.
+
+    What is over before four blocks have passed may lie in held-out blocks alone, where nothing could explain
+    it, or in the others alone, where nothing would judge it.
+    """
+    length = _block_s(time_s)
+    at = np.flatnonzero(loud)
+    block, held = split.block.copy(), list(split.held)
+    train, test = split.train.copy(), split.test.copy()
+    for run in np.split(at, np.flatnonzero(np.diff(time_s[at]) > length / _PARTS) + 1):
+        if not run.size or time_s[run[-1]] - time_s[run[0]] > _HELD_OUT_OF * length:
+            continue
+        rows = np.arange(run[0], run[-1] + 1)
+        part = np.arange(rows.size) * min(_PARTS, rows.size) // rows.size
+        out = part % _HELD_OUT_OF == _HELD_OUT_OF // 2
+        block[rows] = len(held) + part
+        held += [bool(out[part == p][0]) for p in range(part[-1] + 1)]
+        used = (split.train | split.test)[rows]
+        train[rows], test[rows] = used & ~out, used & out
+    return Split(block, np.array(held), train, test)
 
 
 def with_windows(split: Split, time_s: FloatArray, valid: Mask, moments_s: list[float]) -> Split:
@@ -83,6 +106,10 @@ def probe(split: Split, time_s: FloatArray, moment_s: float) -> float | None:
         if rows[gap] - WINDOW_S < moment_s < rows[gap + 1] + WINDOW_S:
             return float(0.5 * (rows[gap] + rows[gap + 1]))
     return None
+
+
+def _block_s(time_s: FloatArray) -> float:
+    return max(min(BLOCK_S, float(time_s[-1] - time_s[0]) / _FEWEST_BLOCKS), 1e-3)
 
 
 def _masks(time_s: FloatArray, valid: Mask, block: NDArray[np.int64], held: Mask, guard_s: float) -> Split:

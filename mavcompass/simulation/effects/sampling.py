@@ -7,10 +7,13 @@ import numpy as np
 from mavcompass.frames import FloatArray
 
 
-def at_times(time_s: FloatArray, values: FloatArray, wanted_s: FloatArray) -> FloatArray:
+def at_times(
+    time_s: FloatArray, values: FloatArray, wanted_s: FloatArray, slopes: FloatArray | None = None
+) -> FloatArray:
     """Interpolate columns (N, k) by cubic Hermite pieces; outside the ends are held.
 
-    Slopes are central differences (Catmull and Rom), which reproduces parabolas exactly.
+    Without `slopes` (N, k) these are central differences (Catmull and Rom), which reproduces parabolas
+    exactly.
     """
     n = time_s.size
     if n < 2:
@@ -21,6 +24,13 @@ def at_times(time_s: FloatArray, values: FloatArray, wanted_s: FloatArray) -> Fl
     begin, end = time_s[left], time_s[right]
     width = end - begin
     u = (wanted - begin) / width
+    if slopes is not None:
+        rising = u * u * (3.0 - 2.0 * u)
+        out = values.take(left, axis=0) * (1.0 - rising)[:, None]
+        out += values.take(right, axis=0) * rising[:, None]
+        out += slopes.take(left, axis=0) * (width * u * (1.0 - u) ** 2)[:, None]
+        out -= slopes.take(right, axis=0) * (width * u * u * (1.0 - u))[:, None]
+        return np.asarray(out)
     # How much each of the four neighbours counts: slopes are differences of neighbours too.
     rise = u * u * (3.0 - 2.0 * u)
     before = width * u * (1.0 - u) ** 2 / (end - time_s[first])
@@ -30,6 +40,15 @@ def at_times(time_s: FloatArray, values: FloatArray, wanted_s: FloatArray) -> Fl
     out += values.take(right, axis=0) * (rise + before)[:, None]
     out += values.take(last, axis=0) * after[:, None]
     return np.asarray(out)
+
+
+def central_differences(time_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the slopes of columns (N, k) over their neighbours, at the ends over one."""
+    n = time_s.size
+    if n < 2:
+        return np.zeros_like(values)
+    before, after = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
+    return np.asarray((values[after] - values[before]) / (time_s[after] - time_s[before])[:, None])
 
 
 State = tuple[float, FloatArray, FloatArray]

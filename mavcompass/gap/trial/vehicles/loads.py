@@ -21,6 +21,12 @@ class Loads:
     motors: Array
     current_a: Array
     temperature_degc: Array
+    neutral: float = 0.0
+
+    @property
+    def efforts(self) -> Array:
+        """Return how hard each motor works, 0 to 1, (N, k); one that turns both ways rests in the middle."""
+        return np.abs(self.motors - self.neutral) / (1.0 - self.neutral)
 
 
 def loads_of(kind: str, motion: Motion, ambient_degc: float, rng: np.random.Generator) -> Loads:
@@ -29,7 +35,7 @@ def loads_of(kind: str, motion: Motion, ambient_degc: float, rng: np.random.Gene
     if motion.name == "hand":
         still = np.zeros_like(motion.time_s)
         count = 2 if kind == "rover" else 4
-        throttle, outputs = still, np.full((still.size, count), 0.5 if kind == "rover" else 0.0)
+        throttle, outputs = still, np.full((still.size, count), 0.0 if kind == "copter" else 0.5)
         drawn = np.full_like(still, idle)
     elif kind == "copter":
         throttle, outputs, drawn = _lifting(motion, rng)
@@ -37,7 +43,8 @@ def loads_of(kind: str, motion: Motion, ambient_degc: float, rng: np.random.Gene
         throttle, outputs, drawn = _driving(kind, motion, rng)
     gusts = 1.0 + 0.06 * _drift(motion.time_s, 1.5, rng)
     current = smooth(np.asarray(idle + drawn * gusts), 0.15)
-    return Loads(throttle, outputs, current, _warmth(motion, drawn, ambient_degc, rng))
+    neutral = 0.0 if kind == "copter" else 0.5
+    return Loads(throttle, outputs, current, _warmth(motion, drawn, ambient_degc, rng), neutral)
 
 
 def _driving(kind: str, motion: Motion, rng: np.random.Generator) -> tuple[Array, Array, Array]:

@@ -6,21 +6,34 @@ import math
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, rotate_back, sensor_orientation_matrix
 from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage
 
+_FACING = 24
+
+
+@cache
+def _matrix(number: int) -> FloatArray:
+    return sensor_orientation_matrix(number) if number in SENSOR_ORIENTATIONS_DEG else np.eye(3)
+
 
 @cache
 def _matrices() -> dict[int, FloatArray]:
-    return {number: sensor_orientation_matrix(number) for number in SENSOR_ORIENTATIONS_DEG}
+    """Return the turn of each number; of several that mean the same turn the first."""
+    out: dict[int, FloatArray] = {}
+    for number in sorted(SENSOR_ORIENTATIONS_DEG):
+        matrix = _matrix(number)
+        if not any(np.allclose(matrix, other, atol=1e-9) for other in out.values()):
+            out[number] = matrix
+    return out
 
 
 def _forward(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     # The sensor is turned by R, the autopilot believes it is not: it reports R^T m, the vehicle's iron
     # included.
-    matrix = _matrices().get(round(float(theta[0])), np.eye(3))
-    return signals.with_mag(signals.reading.mag_mgauss @ matrix)
+    return signals.with_mag(signals.reading.mag_mgauss @ _matrix(round(float(theta[0]))))
 
 
 def _starts(misfit: Misfit) -> list[FloatArray]:
@@ -28,29 +41,29 @@ def _starts(misfit: Misfit) -> list[FloatArray]:
     rows = misfit.rows
     predicted = misfit.signals.reading.mag_mgauss[rows]
     measured = predicted + misfit.residual.mag_mgauss[rows]
+    facing = _all_around(misfit.signals, rows) if misfit.yaw_unknown else [predicted]
     # |measured - predicted R|^2 depends on R only through trace(R^T predicted^T measured).
-    if misfit.yaw_unknown:
-        parts = [part[rows].T @ measured for part in _by_yaw(misfit.signals)]
-        gains = {
-            number: float(np.sum(matrix * parts[0]))
-            + math.hypot(float(np.sum(matrix * parts[1])), float(np.sum(matrix * parts[2])))
-            for number, matrix in _matrices().items()
-        }
-    else:
-        moment = predicted.T @ measured
-        gains = {number: float(np.sum(matrix * moment)) for number, matrix in _matrices().items()}
+    moments = [(one.T @ measured, 0.5 * float(np.sum(one**2))) for one in facing]
+    gains = {
+        number: max(float(np.sum(matrix * moment)) - own for moment, own in moments)
+        for number, matrix in _matrices().items()
+    }
     best = sorted(gains, key=gains.__getitem__, reverse=True)
     return [np.array([float(number)]) for number in best[:3] if number != 0]
 
 
-def _by_yaw(signals: Signals) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the field in the body's axes as parts a + b cos(yaw) + c sin(yaw) of a turn of the attitude."""
+def _all_around(signals: Signals, rows: NDArray[np.bool_]) -> list[FloatArray]:
+    """Return the reading on some rows as the attitude is turned all around; the vehicle's iron stays."""
     s = signals.stimulus
-    north, east, down = s.field_ned_mgauss.T
-    zero = np.zeros_like(north)
-    fields = ((zero, zero, down), (north, east, zero), (east, -north, zero))
-    a, b, c = (rotate_back(s.rotation, np.stack(field, axis=1)) for field in fields)
-    return a, b, c
+    north, east, down = s.field_ned_mgauss[rows].T
+    rotation, reading = s.rotation[rows], signals.reading.mag_mgauss[rows]
+    iron = reading - rotate_back(rotation, s.field_ned_mgauss[rows])
+    out = []
+    for yaw in np.arange(_FACING) * 2.0 * np.pi / _FACING:
+        cosine, sine = math.cos(yaw), math.sin(yaw)
+        turned = np.stack([cosine * north + sine * east, cosine * east - sine * north, down], axis=1)
+        out.append(rotate_back(rotation, turned) + iron)
+    return out
 
 
 EFFECTS = (

@@ -4,28 +4,39 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, rotate_back
 from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage
-from mavcompass.simulation.effects.sampling import at_times, first_order_lag
+from mavcompass.simulation.effects.sampling import at_times, central_differences, first_order_lag
 
 LONGEST_LAG_S = 0.5
+# Times, readings, the world's field in the body's axes and its slopes, as far as they are remembered.
+_Past = tuple[FloatArray, ...]
 
 
-def _with_past(signals: Signals, memory: Memory) -> tuple[FloatArray, FloatArray, int]:
-    """Put what is remembered before the block; return times, field and the length of the past."""
-    time, field = signals.stimulus.time_s, signals.reading.mag_mgauss
-    past = memory.get("past")
-    if past is not None:
-        time, field = np.concatenate([past[0], time]), np.concatenate([past[1], field])
-    keep = np.searchsorted(time, time[-1] - LONGEST_LAG_S - 0.1)
-    first = min(int(keep), max(time.size - 4, 0))
-    memory["past"] = (time[first:], field[first:])
-    return time, field, time.size - signals.stimulus.time_s.size
+def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = None) -> FloatArray:
+    """Return the reading at other times, (M, 3), mG.
+
+    The world's field turns with the vehicle, which may turn faster than the readings follow each other: its
+    slopes come from the body's rate, those of the rest from its neighbours.
+    """
+    s = signals.stimulus
+    world = rotate_back(s.rotation, s.field_ned_mgauss)
+    changing = rotate_back(s.rotation, central_differences(s.time_s, s.field_ned_mgauss))
+    turning = np.cross(world, s.rate_radps) + changing
+    parts: _Past = (s.time_s, signals.reading.mag_mgauss, world, turning)
+    if memory is not None:
+        past: _Past | None = memory.get("past")
+        if past is not None:
+            parts = tuple(np.concatenate([a, b]) for a, b in zip(past, parts, strict=True))
+        keep = int(np.searchsorted(parts[0], parts[0][-1] - LONGEST_LAG_S - 0.1))
+        first = min(keep, max(parts[0].size - 4, 0))
+        memory["past"] = tuple(part[first:] for part in parts)
+    time, field, world, turning = parts
+    return at_times(time, field, wanted_s, turning + central_differences(time, field - world))
 
 
 def _lag(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    time, field, past = _with_past(signals, memory)
-    return signals.with_mag(at_times(time, field, time[past:] - theta[0]))
+    return signals.with_mag(late_field(signals, signals.stimulus.time_s - theta[0], memory))
 
 
 def _low_pass(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
@@ -37,11 +48,11 @@ def _low_pass(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> 
 def _jitter(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     if rng is None:
         return signals
-    time, field, past = _with_past(signals, memory)
+    time = signals.stimulus.time_s
     # A reading can only be older than its stamp says: the scatter is folded to one side of its mean.
-    error = theta[0] * rng.standard_normal(time.size - past) + 2.0 * theta[0]
+    error = theta[0] * rng.standard_normal(time.size) + 2.0 * theta[0]
     late = np.clip(error, 0.0, LONGEST_LAG_S) - 2.0 * theta[0]
-    return signals.with_mag(at_times(time, field, np.minimum(time[past:] - late, time[-1])))
+    return signals.with_mag(late_field(signals, np.minimum(time - late, time[-1]), memory))
 
 
 def _stale(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:

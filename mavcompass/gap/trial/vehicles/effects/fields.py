@@ -50,8 +50,8 @@ def _draw_per_motor(rng: Rng, scene: Scene) -> Grow:
 
 def _act_per_motor(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     out = values.copy()
-    for motor, output in enumerate(scene.loads.motors.T):
-        out += np.outer(output, [p[f"motor{motor + 1}_{axis}"] for axis in AXES])
+    for motor, effort in enumerate(scene.loads.efforts.T):
+        out += np.outer(effort, [p[f"motor{motor + 1}_{axis}"] for axis in AXES])
     return out
 
 
