@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from mavcompass.gap.fit import Fit, Problem, Search
-from mavcompass.gap.left import Floor, widened
+from mavcompass.gap.left import Floor, apart, widened
 from mavcompass.gap.replay import IRON_OFFSET, Replay
 from mavcompass.gap.selection.guards import at_floor, needs_none, refused, worthwhile
 from mavcompass.gap.selection.identified import Identified
@@ -24,6 +24,8 @@ _RIVALS = 4
 _LOUD = 3.0
 # The share of rows that a passing disturbance takes at most.
 _PASSING = 0.25
+# What leaves no more than this many times as much is no worse.
+_NO_WORSE = 1.05
 _OF_THE_SENSOR = (Stage.MATRIX, Stage.MOUNTING)
 # How near a named hard iron comes to what another effect makes of the iron in force, to be just that.
 _IRON_SHARE = 0.35
@@ -95,15 +97,16 @@ def _apart(replay: Replay, floor: Floor, split: Split) -> Split:
 
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
     candidate = _allowed(_moments_in_training(candidate), floor)
-    if candidate.dropped and not candidate.search.exact:
+    fewest = max(len(candidate.fit.terms), 1)
+    if candidate.dropped and not candidate.search.exact and fewest < len(candidate.found.best.terms):
         # What was needed beside a refused effect need not be what does best without it.
-        fewer = candidate.search.run(max(len(candidate.fit.terms), 1)).best
+        fewer = candidate.search.run(fewest).best
         score = candidate.search.score
         if fewer.ids != candidate.fit.ids and score(fewer) < score(candidate.fit):
             rival = _allowed(_moments_in_training(replace(candidate, fit=fewer)), floor)
             candidate = rival if len(rival.fit.terms) >= len(candidate.fit.terms) else candidate
-    if candidate.fit.terms and floor.measured and not floor.representative:
-        candidate = _simplest(candidate, floor)
+    if candidate.fit.terms and not floor.representative:
+        candidate = _simplest(candidate, floor) if floor.measured else _plainer(candidate)
     candidate = replace(candidate, fit=candidate.search.pruned(candidate.fit))
     return replace(candidate, as_good=(*candidate.as_good, *_alike(candidate)))
 
@@ -168,16 +171,34 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
             return candidate
         chosen = min(allowed, key=candidate.search.score)
         good = [f for f in good if f is not chosen]
-    simpler = [f for f in good if f.dimension < chosen.dimension]
+    # An alias that the search passed over is a rival, but no reason to change the name.
+    simpler = [f for f in good if f.dimension < chosen.dimension and f.ids in candidate.search.explored]
     best = min(simpler, key=lambda f: (f.dimension, f.sse), default=chosen)
     others = tuple(f.ids for f in [chosen, *good] if f.ids != best.ids)
     return replace(candidate, fit=best, as_good=others)
 
 
+def _plainer(candidate: Identified) -> Identified:
+    """Take an alias with fewer parameters that leaves no more of field and heading on rows that were not
+    fitted."""
+    replay, rows = candidate.problem.replay, candidate.split.test
+
+    def left(fit: Fit) -> tuple[float, float]:
+        predicted = candidate.problem.predict(fit).mag_mgauss
+        return apart(replay, replay.measured.mag_mgauss, predicted, rows)
+
+    if not rows.any():
+        return candidate
+    most = [_NO_WORSE * value for value in left(candidate.fit)]
+    plainer = [f for f in _substitutes(candidate) if f.dimension < candidate.fit.dimension]
+    good = [f for f in plainer if all(value <= limit for value, limit in zip(left(f), most, strict=True))]
+    return replace(candidate, fit=min(good, key=lambda f: f.sse)) if good else candidate
+
+
 def _substitutes(candidate: Identified) -> list[Fit]:
     """Fit the chosen set with an alias in the place of one of its effects: no search need have tried it."""
     chosen, problem = candidate.fit, candidate.problem
-    terms = {term.effect.id: term for term in candidate.search.terms if term.effect.affine}
+    terms = {term.effect.id: term for term in candidate.search.terms if term.effect.starts is None}
     out = []
     for place, term in enumerate(chosen.terms):
         for alias in term.effect.aliases:

@@ -71,7 +71,7 @@ CHECKS: dict[str, Check] = {
     "misalignment": turns_keep_length,
     "orientation": turns_keep_length,
     "motor_current": lambda at, e, c: straightness(c, latest(at, at.loads.current_a)) < 1e-9,
-    "per_motor": lambda at, e, c: straightness(c, latest(at, at.loads.motors)) < 1e-9,
+    "per_motor": lambda at, e, c: straightness(c, latest(at, at.loads.efforts)) < 1e-9,
     "relay_field": lambda at, e, c: len(np.unique(c.round(6), axis=0)) == 2,
     "temperature_bias": lambda at, e, c: (
         straightness(c, latest(at, at.loads.temperature_degc - e.parameters["reference_degc"])) < 1e-9

@@ -21,8 +21,9 @@ def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = N
     """
     s = signals.stimulus
     world = rotate_back(s.rotation, s.field_ned_mgauss)
-    changing = rotate_back(s.rotation, central_differences(s.time_s, s.field_ned_mgauss))
-    turning = np.cross(world, s.rate_radps) + changing
+    turning = np.cross(world, s.rate_radps)
+    if (s.field_ned_mgauss != s.field_ned_mgauss[0]).any():
+        turning += rotate_back(s.rotation, central_differences(s.time_s, s.field_ned_mgauss))
     parts: _Past = (s.time_s, signals.reading.mag_mgauss, world, turning)
     if memory is not None:
         past: _Past | None = memory.get("past")
