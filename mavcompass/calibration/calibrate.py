@@ -27,6 +27,8 @@ from mavcompass.track import Track
 
 _DEAD_SWING_MGAUSS = 3.0
 _TURNED_RAD = math.radians(30.0)
+# A slower rate may be the gyro's bias, which in minutes of standing adds up to a turn.
+_BIAS_RADPS = math.radians(3.0)
 # Tried where another method refused.
 _OTHERS = ("four-positions", "world-field", "ellipsoid")
 
@@ -204,5 +206,6 @@ def _turned(track: Track) -> bool:
     if gyro is None or len(gyro) < 3:
         return False
     rate = np.nan_to_num(np.asarray(gyro.values))
+    rate[np.abs(rate) < _BIAS_RADPS] = 0.0
     turned = np.abs(np.cumsum(rate[:-1] * np.diff(gyro.time_s)[:, np.newaxis], axis=0)).max()
     return bool(turned > math.radians(45.0))

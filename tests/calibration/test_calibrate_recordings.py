@@ -20,7 +20,7 @@ from mavcompass.frames import matrix_to_euler, quaternion_to_matrix, wrap_pi
 from mavcompass.heading import earth_field_of, heading_of_track
 from mavcompass.heading.gravity import down_in_body
 from mavcompass.logs import read_track
-from mavcompass.track import InForce, Series, Track
+from mavcompass.track import InForce, MagSeries, Series, Track
 
 STRONG = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0))
 # The tlogs begin after the parameters were listed; their own notes give what was in force.
@@ -205,6 +205,19 @@ def test_a_dead_compass_is_refused() -> None:
     )
     with pytest.raises(PoorCalibration, match="frozen"):
         calibrate_track(replace(track, compasses={1: frozen}))
+
+
+def test_a_gyros_bias_is_no_turn_of_a_vehicle_that_stands() -> None:
+    """Ten minutes on the bench at 0.2 deg/s of bias look like 120 degrees; nothing is frozen there."""
+    time = np.arange(0.0, 600.0, 0.1)
+    track = Track(
+        gyro_radps=Series.of(time, np.tile([0.0, 0.0, math.radians(0.2)], (time.size, 1))),
+        acc_mps2=Series.of(time, np.tile([0.0, 0.0, -9.80665], (time.size, 1))),
+        compasses={1: MagSeries(1, Series.of(time, np.tile([225.0, -69.0, 530.0], (time.size, 1))))},
+    )
+    result = calibrate_track(track)
+    assert not result.accepted
+    assert any("Turn it all the way round" in reason for reason in result.reasons)
 
 
 def test_a_field_that_is_not_the_earths_is_refused() -> None:

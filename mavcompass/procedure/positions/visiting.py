@@ -265,7 +265,7 @@ def dwell(
                 break
             length_s = rest.time_s - start_s
             if sureness is not None and resting and length_s >= asks_s:
-                asks_s = length_s + _ASK_EVERY_S
+                asks_s = _asked_next(length_s, settings.shortest_s)
                 known[length_s] = sureness(start_s, rest.time_s)
                 # Noise, unlike swaying, is averaged out by standing longer.
                 noisy = rest.needed_s(settings) > _NOISY * settings.dwell_s
@@ -277,6 +277,14 @@ def dwell(
                 _learn_bias(gyro, angle, rest.time_s - start_s)
             return Window(start_s, rest.time_s, gyro.angle_rad)
     return Window(start_s, rest.time_s, gyro.angle_rad)
+
+
+def _asked_next(length_s: float, shortest_s: float) -> float:
+    """Return at which length to ask again: as soon as a dwell may end, and not before."""
+    if length_s < shortest_s:
+        return shortest_s
+    later_s = length_s + _ASK_EVERY_S
+    return min(later_s, _SWAYS_S) if length_s < _SWAYS_S else later_s
 
 
 def _is_enough(
