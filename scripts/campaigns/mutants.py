@@ -66,10 +66,13 @@ def main() -> int:
     options = _parsed()
     if not options.copied:
         return _in_a_copy(sys.argv[1:])
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)  # also where a shell has its background ignore them
     root = Path.cwd()
     drawn = _drawn(root, options)
     import_what_does_not_change()
     trial, verdicts = Trial(root, options.copied, options.longest), list[Verdict]()
+    random.Random(options.seed).shuffle(drawn)  # who stops it early has a fair sample
     try:
         for number, (room, site) in enumerate(drawn, 1):
             verdicts.append(trial.verdict(room, site, number))

@@ -61,6 +61,27 @@ def test_other_columns_are_in_the_units_used_inside(tmp_path: Path) -> None:
     assert track.motors.values[0].tolist() == [0.5, 0.25, 0.0]
 
 
+def test_the_place_date_and_thrust_of_an_older_firmware(tmp_path: Path) -> None:
+    log = ULogFile()
+    log.topic("vehicle_magnetometer", "uint32_t device_id", "float[3] magnetometer_ga")
+    log.topic(
+        "vehicle_gps_position",
+        *("uint64_t time_utc_usec", "int32_t lat", "int32_t lon", "int32_t alt", "uint8_t fix_type"),
+    )
+    log.topic("vehicle_thrust_setpoint", "float[3] xyz")
+    for n in range(4):
+        now = 2_000_000 + n * 20_000
+        log.add("vehicle_magnetometer", now, 55, 0.2, 0.0, -0.4)
+        fix, utc_us = (3, 1_700_000_000_000_000 + now) if n else (0, 0)
+        log.add("vehicle_gps_position", now, utc_us, 473_000_000, -1_790_000_000, 500_000, fix)
+        log.add("vehicle_thrust_setpoint", now, 0.3, 0.0, -0.4)
+    track = read_track(log.write(tmp_path / "a.ulg"))
+    assert track.place is not None and track.throttle is not None and track.utc_offset_s is not None
+    np.testing.assert_allclose(track.place.values, [[47.3, -179.0, 500.0]] * 3)
+    np.testing.assert_allclose(track.throttle.values, [0.5] * 4)
+    assert track.utc_offset_s == pytest.approx(1_700_000_000.0)
+
+
 def test_a_rotation_that_nobody_knows_falls_back_to_the_corrected_field(tmp_path: Path) -> None:
     track = read_track(modern(tmp_path / "a.ulg", rotation=88))
     assert any("no known rotation" in note for note in track.notes)

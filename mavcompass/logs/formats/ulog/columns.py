@@ -126,10 +126,7 @@ def _place(topics: Topics) -> Series | None:
     degrees = _gps(topics, "latitude_deg", "longitude_deg", "altitude_msl_m")
     if degrees is not None:
         return degrees
-    whole = _gps(topics, "lat", "lon", "alt")
-    if whole is None:
-        return None
-    return Series.of(whole.time_s, whole.values * np.array([_DEG_PER_E7, _DEG_PER_E7, _MILLI]))
+    return _gps(topics, "lat", "lon", "alt", convert=lambda whole: whole * (_DEG_PER_E7, _DEG_PER_E7, _MILLI))
 
 
 def _current(topics: Topics) -> Series | None:
