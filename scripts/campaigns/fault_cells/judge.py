@@ -115,7 +115,7 @@ def _way_back(scene: Scene, path: Path, record: UndoRecord) -> list[str]:
     said = list(scene.told)
     try:
         write_file(scene, path, checked=False)
-    except BaseException as error:
+    except (Exception, Killed, Hung) as error:
         return [f"the way back does not work: {type(error).__name__}: {error}"]
     finally:
         scene.told = said
