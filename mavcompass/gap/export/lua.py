@@ -110,7 +110,7 @@ def _dipole(v: Mapping[str, float]) -> str:
     return f"""local p = ahrs:get_relative_position_NED_origin()
     if p and {_during(v, "on_s", "off_s")} then
       local x, y, z = p:x() - {v["north_m"]:.4f}, p:y() - {v["east_m"]:.4f}, p:z() - {v["down_m"]:.4f}
-      local r = math.sqrt(x * x + y * y + z * z + 0.0025)
+      local r = math.sqrt(math.max(x * x + y * y + z * z, 0.0025))
       x, y, z = x / r, y / r, z / r
       local mn, me, md = {v["moment_north"]:.6g}, {v["moment_east"]:.6g}, {v["moment_down"]:.6g}
       local along, cube = 3 * (x * mn + y * me + z * md), r * r * r

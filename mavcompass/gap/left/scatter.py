@@ -25,6 +25,9 @@ _DRIFT_MODES = 80
 _SCATTER_TRIALS = 50
 # Without a baseline, times may scatter by this much and be healthy.
 _DOUBTFUL_JITTER_S = 0.02
+# What late readings scatter must be this share of the noise: where the field changes fast at one place only,
+# the model's own error there looks late.
+_LEAST_LATE = 0.1
 _DRIFT_SIZES = (0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 13.0)
 
 
@@ -75,7 +78,8 @@ def find_scatter(
         size = math.sqrt(even_size * width * float(np.mean(noise.rms**2)))
         candidates.append(Scatter("noise_excess", size, even / inflation))
     trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
-    if "timestamp_jitter" in allowed and late_size > 0.0 and trusted:
+    shows = late_size * float(np.mean(x)) > _LEAST_LATE**2
+    if "timestamp_jitter" in allowed and trusted and shows:
         gain = late if representative else _beyond_even(y, x)
         candidates.append(Scatter("timestamp_jitter", math.sqrt(late_size), gain / inflation))
     if not floor.measured and "noise_excess" in allowed:
@@ -83,7 +87,9 @@ def find_scatter(
         if sigma > WORST_SCATTER_MGAUSS:
             size = math.sqrt(sigma**2 - USUAL_SCATTER_MGAUSS**2)
             candidates.append(Scatter("noise_excess", size, float(error.size)))
-    if floor.measured and not representative and "noise_excess" in allowed and excess_mgauss2 > 0.0:
+    # Less than the floor itself is no gap, however surely neighbours scatter.
+    shows = excess_mgauss2 > floor.field_rms_mgauss**2
+    if floor.measured and not representative and "noise_excess" in allowed and shows:
         found = Scatter("noise_excess", math.sqrt(excess_mgauss2), float(error.size))
         left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
         beyond = float(np.mean(left[rows] ** 2)) - floor.field_rms_mgauss**2

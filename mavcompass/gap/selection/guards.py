@@ -30,6 +30,8 @@ _AT_FLOOR = 1.25
 _NEEDED_ABOVE = {True: 0.9, False: 1.25}
 _ABOVE_STATED, _LEAST_OF_STATED = 0.5, 0.1
 _AT_THE_END = 1e-3
+# What is less than these shares of the floor, and of another effect, may be the error of that one.
+_LOST_OF_FLOOR, _LOST_SHARE = 0.35, 0.06
 # A block shows an effect where it changes this share of what it does where it changes most.
 _TOUCHED = 0.05
 # Squared sigmas by which what is known of the vehicle may give way to a missing effect.
@@ -153,10 +155,9 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     fit, problem = candidate.fit, candidate.problem
     doubtful = problem.replay.doubtful.keys()
     asked = [not floor.representative or bool(doubtful & set(t.effect.groups)) for t in fit.terms]
-    if not any(asked):
-        return None
     if floor.representative:
-        return _small(candidate, floor, asked)
+        small = _small(candidate, floor, asked) if any(asked) else None
+        return _lost_beside(candidate, floor) if small is None else small
     gap = _gap(candidate, floor)
     # A floor that was only stated for an independent attitude is generous.
     stated = not floor.measured and problem.replay.reference.kind == "columns"
@@ -261,6 +262,30 @@ def _small(candidate: Identified, floor: Floor, asked: Sequence[bool]) -> str | 
         )
     smallest = min(ratios, key=ratios.__getitem__)
     return smallest if ratios[smallest] < 1.0 else None
+
+
+def _lost_beside(candidate: Identified, floor: Floor) -> str | None:
+    """Name the effect that removes least beside others, where the errors of these may be as large.
+
+    No model is exact: the order of two matrices, the place of a magnet leave some hundredths of what they
+    explain. A turn of the mounting by right angles is.
+    """
+    fit, problem = candidate.fit, candidate.problem
+    if len(fit.terms) < 2:
+        return None
+    after, steady = _left(problem, fit, effects=True)["mag"], problem.steady(fit)
+    removed, inexact = {}, {}
+    for place, term in enumerate(fit.terms):
+        if "mag" in term.effect.groups:
+            left = _left(problem, steady.refit(fit.without(place)), effects=True)["mag"]
+            removed[term.effect.id] = math.sqrt(max(left**2 - after**2, 0.0))
+            inexact[term.effect.id] = 0.0 if term.effect.kind == "discrete" else removed[term.effect.id]
+    smallest = min(removed, key=removed.__getitem__, default=None)
+    if smallest is None:
+        return None
+    most = max((size for name, size in inexact.items() if name != smallest), default=0.0)
+    least = min(_LOST_OF_FLOOR * floor.field_rms_mgauss, _LOST_SHARE * most)
+    return smallest if removed[smallest] < least else None
 
 
 def _least(problem: Problem, fit: Fit, after: dict[Group, float]) -> dict[Group, float]:

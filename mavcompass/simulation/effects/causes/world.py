@@ -99,7 +99,7 @@ def _height_starts(misfit: Misfit) -> list[FloatArray]:
 def dipole_field(position_m: FloatArray, source_m: FloatArray, moment_mgauss_m3: FloatArray) -> FloatArray:
     """Return the field (N, 3) of a dipole: (3 u (u . m) - m) / r^3."""
     offset = position_m - source_m
-    distance = np.sqrt(np.einsum("ij,ij->i", offset, offset) + _NEAREST_M**2)[:, None]
+    distance = np.sqrt(np.maximum(np.einsum("ij,ij->i", offset, offset), _NEAREST_M**2))[:, None]
     unit = offset / distance
     return np.asarray((3.0 * unit * (unit @ moment_mgauss_m3)[:, None] - moment_mgauss_m3) / distance**3)
 
@@ -214,7 +214,7 @@ def _dipoles(
         found = [_dipoles(position, residual, piece) for piece in pieces]
         return np.concatenate([g for g, _ in found]), np.concatenate([m for _, m in found])
     offset = position - sources[:, None]
-    square = np.einsum("mij,mij->mi", offset, offset) + _NEAREST_M**2
+    square = np.maximum(np.einsum("mij,mij->mi", offset, offset), _NEAREST_M**2)
     # A_i = (3 u u^T - I) / r^3 with u = offset / r is symmetric: A^T A = (3 u u^T + I) / r^6.
     w3 = square**-1.5
     w5 = w3 / square
