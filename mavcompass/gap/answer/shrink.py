@@ -17,6 +17,7 @@ from mavcompass.simulation.physics.signals import Reading
 
 _RESAMPLES = 1000
 _BLOCK_S = 1.0
+_SURE_SIGMAS = 2.0
 # A shrink that may lie anywhere is not told farther than this beyond nothing and everything.
 _FARTHEST = 1.0
 _AT_THE_LIMIT = 1.0 - 1e-4
@@ -84,7 +85,9 @@ def _closing(
     blocks: NDArray[np.int64],
 ) -> Closing:
     nominal2, after2 = float(np.mean(before**2)) + unseen, float(np.mean(after**2))
-    after2 = max(after2 - added, min(after2, floor**2)) if added else after2
+    # What is left beside named scatter is known no better than the scatter of so many readings allows.
+    chance = _SURE_SIGMAS * math.sqrt(2.0 / max(after.size, 1)) * added
+    after2 = max(after2 - added - chance, min(after2, floor**2)) if added else after2
     # Where less is left than the floor allows, the floor of this recording lies no higher.
     least = min(floor, math.sqrt(after2))
     shrink = _shrink(nominal2, after2, least**2)

@@ -104,6 +104,10 @@ def consistent(
             else (replace(answer, verdict="no_gap", flagged=False, coordinate=None))
         )
     left = _above(field.after, field.floor) or _above(heading.after, heading.floor)
+    gap = _above(field.nominal, field.floor) or _above(heading.nominal, heading.floor)
+    if answer.named.terms and not gap and not any(c.shrink_ci95[0] > 0.0 for c in (field, heading)):
+        # Below the floor only what surely shrinks is a cause.
+        return replace(answer, verdict="no_gap", named=none) if not traces else replace(answer, named=none)
     if not answer.named.terms:
         if not left:
             return answer

@@ -32,6 +32,8 @@ _ABOVE_STATED, _LEAST_OF_STATED = 0.5, 0.1
 _AT_THE_END = 1e-3
 # What is less than these shares of the floor, and of another effect, may be the error of that one.
 _LOST_OF_FLOOR, _LOST_SHARE = 0.35, 0.06
+# The least beside coarse numbers, as a share of what rounding leaves.
+_LEAST_OF_ROUNDING = 0.5
 # A block shows an effect where it changes this share of what it does where it changes most.
 _TOUCHED = 0.05
 # Squared sigmas by which what is known of the vehicle may give way to a missing effect.
@@ -75,6 +77,8 @@ def refused(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
             return term.effect.id, "its best value lies at the end of the physical range"
     if (touching := _touched(candidate)) is not None:
         return touching, "its place lies on the path itself, where it could explain any reading"
+    if _ends_on_a_step(candidate):
+        return "clipping", "numbers as coarse as these end at one of their own steps"
     if (worse := _vetoed(candidate)) is not None:
         return worse, "one half of the training data does not confirm what the other half says"
     if (small := _immaterial(candidate, floor)) is not None:
@@ -113,6 +117,16 @@ def _touched(candidate: Identified) -> str | None:
     place = candidate.fit.theta("spatial_dipole")[:3]
     nearest = float(np.nanmin(np.linalg.norm(position - place, axis=1)))
     return "spatial_dipole" if nearest < _NEAREST_MAGNET_M else None
+
+
+def _ends_on_a_step(candidate: Identified) -> bool:
+    """Tell a limit that the field would pass by less than a step of coarse numbers: rounding ends there."""
+    step, fit, problem = candidate.problem.replay.trace.step_mgauss, candidate.fit, candidate.problem
+    if step == 0.0 or "clipping" not in fit.ids:
+        return False
+    place = [term.effect.id for term in fit.terms].index("clipping")
+    free = np.abs(problem.predict(fit.without(place)).mag_mgauss)[problem.usable]
+    return float(free.max()) < float(fit.theta("clipping")[0]) + step
 
 
 def _vetoed(candidate: Identified) -> str | None:
@@ -168,6 +182,10 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     left = rms((problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss)[problem.index])
     explained = stated or left < _EXPLAINED * floor.field_rms_mgauss
     part = _MATERIAL_SHARE if explained else _MATERIAL_BESIDE_UNKNOWN
+    # Errors of rounding go with the field, as effects do.
+    rounding = _LEAST_OF_ROUNDING * problem.replay.trace.step_mgauss / math.sqrt(12.0)
+    world = problem.replay.signals.stimulus.field_ned_mgauss[0]
+    rounded = (rounding, math.degrees(rounding / max(math.hypot(world[0], world[1]), 1.0)))
     ratios = {}
     for place, term in enumerate(fit.terms):
         if "mag" not in term.effect.groups:
@@ -175,7 +193,7 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
         ratio = 0.0
         for k, removed in enumerate(removed_by(candidate, place)):
             change, level = gap[k]
-            least = max(_LEAST_HERE[floor.measured][k], share * level, part * change)
+            least = max(_LEAST_HERE[floor.measured][k], share * level, part * change, rounded[k])
             if removed.sure > 0.0 and removed.without > needed * level:
                 ratio = max(ratio, math.sqrt(removed.square) / least)
         ratios[term.effect.id] = ratio
