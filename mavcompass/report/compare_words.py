@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mavcompass.gap.comparison import Comparison, Difference
+from mavcompass.gap.comparison import Achieved, Comparison, Difference
 from mavcompass.gap.result import Closing
 from mavcompass.report.gap_words import VERDICTS, cause_values, shrink_words, unseen_iron
 from mavcompass.simulation.effects import get
@@ -54,13 +54,17 @@ def compare_summary(comparison: Comparison) -> list[str]:
     lines += dict.fromkeys([*unseen_iron(comparison.vehicle), *unseen_iron(comparison.simulator)])
     held = "" if comparison.held is None else f", {_percent(comparison.held)} by what the simulator holds"
     for one in comparison.achieved:
-        low, high = (_percent(end) for end in one.ci95)
         lines.append(
             f"  flown again ({one.path or 'unnamed'}): promised {shrink_words(told.field)}{held}, achieved"
-            f" {_percent(one.shrink)} ({low} to {high}) of the field's gap,"
-            f" {_percent(one.heading_shrink)} of the heading's"
+            f" {_achieved(one)} of the field's gap, {_percent(one.heading_shrink)} of the heading's"
         )
     return lines
+
+
+def _achieved(one: Achieved) -> str:
+    """Say what share closed, with its interval where that says more."""
+    share, low, high = (_percent(value) for value in (one.shrink, *one.ci95))
+    return share if low == share == high else f"{share} ({low} to {high})"
 
 
 def _difference(difference: Difference) -> str:

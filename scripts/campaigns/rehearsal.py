@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 
 from mavcompass.correction import FieldCorrection
-from mavcompass.errors import BadRecording, PoorCalibration
+from mavcompass.errors import BadRecording, PoorCalibration, Refused
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.left import rms_deg
@@ -48,6 +48,7 @@ from mavcompass.vehicle.links.simulated import SimulatedLink
 
 KINDS = ("rover", "copter", "boat", "px4-copter")
 EFFECTS = ((), ("motor_current:x=1.5,y=-0.8",), ("noise_excess:sigma_mgauss=12",))
+_NOTHING_WRITTEN = (PoorCalibration.exit_code, Refused.exit_code)
 Reached = tuple[float, float]  # level and tilted, rms in degrees
 
 
@@ -76,7 +77,7 @@ def recorded(folders: Sequence[Path]) -> Iterator[tuple[str, Iterable[Track], li
             judged.get("level", result.get("level_rms_deg")),
             judged.get("tilt15", result.get("tilt15_rms_deg")),
         )
-        if level is None or truth.get("exit_code") == PoorCalibration.exit_code:
+        if level is None or tilted is None or truth.get("exit_code") in _NOTHING_WRITTEN:
             continue
         vehicle = folder.name.partition("-")[2] or folder.name
         for option in ("-reboot", "-disarmed"):
