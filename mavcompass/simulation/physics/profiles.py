@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from mavcompass.enums import CopterMode, MavType, RoverMode, SubMode
@@ -96,32 +96,49 @@ _ROVER = VehicleProfile(
     vibration_mps2=0.15,
 )
 
+_COPTER = VehicleProfile(
+    name="copter",
+    firmware="copter",
+    chassis="copter",
+    mav_type=MavType.QUADROTOR,
+    place=CANBERRA,
+    guided_mode=CopterMode.GUIDED,
+    initial_mode=CopterMode.STABILIZE,
+    loop_hz=400,
+    tick_us=10_000,
+    yaw_rate_max_radps=120.0 * _DEG,
+    yaw_acceleration_radps2=110.0 * _DEG,
+    yaw_lag_s=0.1,
+    yaw_gain_per_s=1.8,
+    coast_radps2=60.0 * _DEG,
+    hover_m=8.0,
+    currents_a=(0.5, 28.0, 1.5),
+    jitter_rad=0.35 * _DEG,
+    jitter_period_s=1.6,
+    vibration_mps2=0.5,
+    slope_rad=0.5 * _DEG,
+    yaw_unrest_radps=0.15 * _DEG,
+)
+
 PROFILES: dict[str, VehicleProfile] = {
     p.name: p
     for p in (
         _ROVER,
-        VehicleProfile(
+        replace(
+            _ROVER,
             name="ackermann-rover",
-            firmware="rover",
             chassis="ackermann",
-            mav_type=MavType.GROUND_ROVER,
-            place=CANBERRA,
-            guided_mode=RoverMode.GUIDED,
-            initial_mode=RoverMode.MANUAL,
             yaw_lag_s=0.15,
             turn_radius_m=1.2,
-            slope_rad=1.5 * _DEG,
             vibration_mps2=0.25,
             currents_a=(0.6, 4.0, 0.5),
         ),
-        VehicleProfile(
+        replace(
+            _ROVER,
             name="boat",
-            firmware="rover",
             chassis="boat",
             mav_type=MavType.SURFACE_BOAT,
-            place=CANBERRA,
-            guided_mode=RoverMode.GUIDED,
-            initial_mode=RoverMode.MANUAL,
+            slope_rad=0.0,
             yaw_rate_max_radps=60.0 * _DEG,
             yaw_acceleration_radps2=40.0 * _DEG,
             yaw_lag_s=0.35,
@@ -132,29 +149,7 @@ PROFILES: dict[str, VehicleProfile] = {
             wave_rad=1.5 * _DEG,
             yaw_unrest_radps=0.6 * _DEG,
         ),
-        VehicleProfile(
-            name="copter",
-            firmware="copter",
-            chassis="copter",
-            mav_type=MavType.QUADROTOR,
-            place=CANBERRA,
-            guided_mode=CopterMode.GUIDED,
-            initial_mode=CopterMode.STABILIZE,
-            loop_hz=400,
-            tick_us=10_000,
-            yaw_rate_max_radps=120.0 * _DEG,
-            yaw_acceleration_radps2=110.0 * _DEG,
-            yaw_lag_s=0.1,
-            yaw_gain_per_s=1.8,
-            coast_radps2=60.0 * _DEG,
-            hover_m=8.0,
-            currents_a=(0.5, 28.0, 1.5),
-            jitter_rad=0.35 * _DEG,
-            jitter_period_s=1.6,
-            vibration_mps2=0.5,
-            slope_rad=0.5 * _DEG,
-            yaw_unrest_radps=0.15 * _DEG,
-        ),
+        _COPTER,
         VehicleProfile(
             name="sub",
             firmware="sub",
@@ -178,29 +173,22 @@ PROFILES: dict[str, VehicleProfile] = {
             slope_rad=0.5 * _DEG,
             yaw_unrest_radps=0.3 * _DEG,
         ),
-        VehicleProfile(
+        replace(
+            _COPTER,
             name="px4-copter",
             firmware="px4",
-            chassis="copter",
-            mav_type=MavType.QUADROTOR,
             place=ZURICH,
             guided_mode=6 << 16,
             initial_mode=3 << 16,
             loop_hz=250,
             rate_share=1.0,
-            tick_us=10_000,
             yaw_rate_max_radps=200.0 * _DEG,
             yaw_acceleration_radps2=90.0 * _DEG,
             yaw_lag_s=0.12,
             yaw_gain_per_s=2.2,
-            coast_radps2=60.0 * _DEG,
-            hover_m=8.0,
             currents_a=(0.6, 18.0, 1.2),
-            jitter_rad=0.35 * _DEG,
             jitter_period_s=1.4,
             vibration_mps2=0.6,
-            slope_rad=0.5 * _DEG,
-            yaw_unrest_radps=0.15 * _DEG,
         ),
     )
 }
