@@ -1,0 +1,105 @@
+"""Readings that are late, or turned, beside the truth in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mavcompass.frames import rotate_back
+from mavcompass.simulation.effects import catalogue
+from mavcompass.simulation.effects.causes.timing import late_field
+from mavcompass.simulation.effects.effect import Misfit, Signals
+from mavcompass.simulation.effects.sampling import at_times
+from mavcompass.simulation.physics.signals import Reading, Stimulus
+
+FIELD = np.array([220.0, 15.0, 430.0])
+
+
+def about_down(yaw: np.ndarray) -> np.ndarray:
+    c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros(yaw.size)
+    rows = np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1.0], axis=1)
+    return rows.reshape(-1, 3, 3)
+
+
+def swinging(time_s: np.ndarray, iron_mgauss: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Signals:
+    """Swing by 0.3 rad at 1.2 Hz, three readings a swing, while turning on."""
+    speed = 2.0 * np.pi * 1.2
+    yaw = 0.2 * time_s + 0.3 * np.sin(speed * time_s)
+    rate = np.stack([0 * yaw, 0 * yaw, 0.2 + 0.3 * speed * np.cos(speed * time_s)], axis=1)
+    rotation, n = about_down(yaw), time_s.size
+    field, none = np.tile(FIELD, (n, 1)), np.zeros((n, 3))
+    stimulus = Stimulus(
+        time_s,
+        rotation,
+        field,
+        rate,
+        none,
+        none,
+        none,
+        np.ones(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.empty((n, 0)),
+    )
+    return Signals(stimulus, Reading(rotate_back(rotation, field) + np.array(iron_mgauss), none, none))
+
+
+def test_late_readings_follow_the_bodys_rate_and_not_their_neighbours() -> None:
+    time, late_s = np.arange(0.0, 30.0, 0.27), 0.04
+    iron = (90.0, -40.0, 10.0)
+    signals = swinging(time, iron)
+    true = swinging(time - late_s, iron).reading.mag_mgauss
+    by_rate = late_field(signals, time - late_s)
+    by_neighbours = at_times(time, signals.reading.mag_mgauss, time - late_s)
+    off, usual = (np.sqrt(np.mean((a - true)[2:-2] ** 2)) for a in (by_rate, by_neighbours))
+    assert off < 1.5 and usual > 5.0 * off
+
+
+def test_late_readings_are_the_same_however_time_is_cut() -> None:
+    time = np.arange(0.0, 20.0, 0.05)
+    lag = catalogue()["transport_lag"]
+    theta = np.array([0.11])
+    whole = lag.forward(swinging(time), theta, {}, None).reading.mag_mgauss
+    memory: dict[str, object] = {}
+    pieces = [
+        lag.forward(swinging(piece), theta, memory, None).reading.mag_mgauss
+        for piece in np.array_split(time, 7)
+    ]
+    np.testing.assert_allclose(np.concatenate(pieces), whole, atol=1e-9)
+
+
+@pytest.mark.parametrize("number", [4, 12, 16, 25])
+@pytest.mark.parametrize("yaw_off_rad", [0.0, 2.2])
+def test_orientation_is_guessed_beside_strong_iron_and_an_unknown_yaw(
+    number: int, yaw_off_rad: float
+) -> None:
+    """Where only turns about the vertical are seen, turns about it are told apart by the iron alone."""
+    signals = swinging(np.arange(0.0, 60.0, 0.2), (-240.0, 130.0, 20.0))
+    orientation = catalogue()["orientation"]
+    measured = orientation.forward(signals, np.array([float(number)]), {}, None).reading.mag_mgauss
+    turned = about_down(np.full(signals.stimulus.time_s.size, yaw_off_rad)) @ signals.stimulus.rotation
+    iron = signals.reading.mag_mgauss - rotate_back(
+        signals.stimulus.rotation, signals.stimulus.field_ned_mgauss
+    )
+    believed = Signals(
+        replace(signals.stimulus, rotation=turned),
+        replace(signals.reading, mag_mgauss=rotate_back(turned, signals.stimulus.field_ned_mgauss) + iron),
+    )
+    left = replace(signals.reading, mag_mgauss=measured - believed.reading.mag_mgauss)
+    rows = np.ones(signals.stimulus.time_s.size, dtype=bool)
+    assert orientation.starts is not None
+    first = orientation.starts(Misfit(believed, left, rows, np.ones(3), yaw_unknown=yaw_off_rad != 0.0))[0]
+    assert float(first[0]) == number
+
+
+def test_numbers_that_mean_the_same_turn_are_guessed_once() -> None:
+    """MAV_SENSOR_ORIENTATION 10 (roll 180, yaw 90) and 27 (pitch 180, yaw 270) are one turn."""
+    signals = swinging(np.arange(0.0, 60.0, 0.2), (50.0, 0.0, 0.0))
+    orientation = catalogue()["orientation"]
+    measured = orientation.forward(signals, np.array([27.0]), {}, None).reading.mag_mgauss
+    left = replace(signals.reading, mag_mgauss=measured - signals.reading.mag_mgauss)
+    assert orientation.starts is not None
+    rows = np.ones(signals.stimulus.time_s.size, dtype=bool)
+    assert float(orientation.starts(Misfit(signals, left, rows, np.ones(3)))[0][0]) == 10.0
