@@ -14,7 +14,7 @@ from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_quaternion
 from mavcompass.messages import telemetry
 from mavcompass.track import InForce, MagSeries, Series, Track
-from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
+from mavcompass.units import INCREDIBLE, MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
 _IMU_MESSAGES: dict[type[mav.Message], str] = {
     mav.RawImu: "RAW_IMU",
@@ -25,8 +25,6 @@ _IMU_MESSAGES: dict[type[mav.Message], str] = {
 
 _FIX_3D, _UNKNOWN_U16 = 3, 65535
 _OTHER_CLOCK_S = 30.0
-# No quantity of a vehicle is as large in its unit.
-_INCREDIBLE = 1e7
 # Five hours at 50 Hz, or 80 MB of a message with ten numbers.
 _MOST_ROWS = 1_000_000
 
@@ -40,7 +38,7 @@ class _Rows:
 
     def add(self, time_s: float, *values: float) -> None:
         # The first comparison is False for nan; who floods the link does not fill the memory.
-        if all(abs(value) < _INCREDIBLE for value in values) and len(self.times) < _MOST_ROWS:
+        if all(abs(value) < INCREDIBLE for value in values) and len(self.times) < _MOST_ROWS:
             self.times.append(time_s)
             self.values.extend(values)
 

@@ -10,14 +10,14 @@ from mavcompass.gap.fit import Fit, Problem, least_gain
 from mavcompass.gap.left import Adequacy, Floor, drift_gain, rms
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.result import Closing, Verdict
-from mavcompass.gap.selection import Identified, Remainder
+from mavcompass.gap.selection import NEEDED_ABOVE, Identified, Remainder
 
 _SURE = 0.90
 _REMAINDER = 0.05
 # Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
 _REMAINDER_UNTRUSTED = 0.4
 # What lies above the floor by less may be the floor's own uncertainty.
-_ABOVE, _QUIET = 1.3, 0.9
+_ABOVE = 1.3
 _FEW_NAMES = 2
 # Effects that follow one moment, one place or one load, and so fit much that they did not make.
 _PLIANT = frozenset(
@@ -94,7 +94,7 @@ def consistent(
         return Answer("not_testable", none, False, None)
     if floor.representative:
         return answer
-    quiet = field.nominal < _QUIET * field.floor and heading.nominal < _QUIET * heading.floor
+    quiet = all(c.nominal < NEEDED_ABOVE[floor.measured] * c.floor for c in (field, heading))
     if floor.measured and quiet and not traces:
         return Answer("no_gap", none, False, None)
     if answer.verdict == "unknown":

@@ -4,6 +4,7 @@ from mavcompass.gap.fit.chance import least_gain
 from mavcompass.gap.fit.composition import difference
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, make_term
 from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.fit.pruning import pruned
 from mavcompass.gap.fit.search import Found, Search
 
 __all__ = [
@@ -16,4 +17,5 @@ __all__ = [
     "difference",
     "least_gain",
     "make_term",
+    "pruned",
 ]

@@ -7,7 +7,7 @@ stage on. What an attitude may be off by, and a common delay, are reckoned once 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,8 +108,7 @@ class Composition:
         late = order[-1][0].id == TELEMETRY_AGE if order else False
         end = len(order) - 1 if late else len(order)
         changes: list[Reading] = []
-        early: list[int] = []
-        stages: list[Stage] = []
+        early: dict[int, Stage] = {}
         for place in wanted:
             at = places[place]
             effect = order[at][0]
@@ -125,39 +124,37 @@ class Composition:
                 moved = everything.copy()
                 moved[place] = theta
                 if stop < len(order):
-                    early.append(len(changes))
-                    stages.append(effect.stage)
+                    early[len(changes)] = effect.stage
                 changes.append(difference(self._run_from(order[:stop], at, states[at], moved), base, step))
             if effect.id == REFERENCE_YAW:
                 if stop < len(order):
-                    early += range(len(changes), len(changes) + free.size - 1)
-                    stages += [Stage.ATTITUDE] * (free.size - 1)
+                    curves = range(len(changes), len(changes) + free.size - 1)
+                    early |= dict.fromkeys(curves, effect.stage)
                 after = (self._run_from(order[:stop], at + 1, s, everything) for s in _nudged(states[at + 1]))
                 by_axis = [difference(reading, base, _NUDGE_RAD) for reading in after]
                 yaw = float(everything[place][0])
                 changes += _along(by_axis, self.replay.reference.curves_rad, yaw)
         if early and late:
-            self._delay(changes, early, stages, float(everything[order[-1][1]][0]))
+            self._delay(changes, early, float(everything[order[-1][1]][0]))
         return changes
 
-    def _delay(
-        self, changes: list[Reading], which: Sequence[int], stages: Sequence[Stage], delay_s: float
-    ) -> None:
-        """Delay changes; those of the attitude and of the world's field turn with the vehicle."""
+    def _delay(self, changes: list[Reading], early: Mapping[int, Stage], delay_s: float) -> None:
+        """Delay changes, by their places and stages: of attitude and world's field they turn with the
+        vehicle."""
         s = self.replay.signals.stimulus
-        stacked = np.stack([changes[i].mag_mgauss for i in which], axis=1)
+        stacked = np.stack([changes[i].mag_mgauss for i in early], axis=1)
 
         def slopes_of(values: FloatArray) -> FloatArray:
             flat = values.reshape(s.time_s.size, -1)
             return central_differences(s.time_s, flat).reshape(values.shape)
 
         slopes = slopes_of(stacked)
-        turns, of_world = (np.array([stage in few for stage in stages], dtype=np.bool_) for few in _TURNING)
+        turns, of_world = (np.array([stage in few for stage in early.values()]) for few in _TURNING)
         slopes[:, turns] = np.cross(stacked[:, turns], s.rate_radps[:, None])
         if of_world.any():
             there = np.einsum("nij,nkj->nki", s.rotation, stacked[:, of_world])
             slopes[:, of_world] += np.einsum("nji,nkj->nki", s.rotation, slopes_of(there))
         flat, wanted = stacked.reshape(s.time_s.size, -1), s.time_s - delay_s
         late = at_times(s.time_s, flat, wanted, slopes.reshape(flat.shape)).reshape(stacked.shape)
-        for n, i in enumerate(which):
+        for n, i in enumerate(early):
             changes[i] = Reading(late[:, n], changes[i].acc_mps2, changes[i].gyro_radps)

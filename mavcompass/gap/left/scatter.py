@@ -78,8 +78,8 @@ def find_scatter(
         size = math.sqrt(even_size * width * float(np.mean(noise.rms**2)))
         candidates.append(Scatter("noise_excess", size, even / inflation))
     trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
-    shows = late_size * float(np.mean(x)) > _LEAST_LATE**2
-    if "timestamp_jitter" in allowed and trusted and shows:
+    late_shows = late_size * float(np.mean(x)) > _LEAST_LATE**2
+    if "timestamp_jitter" in allowed and trusted and late_shows:
         gain = late if representative else _beyond_even(y, x)
         candidates.append(Scatter("timestamp_jitter", math.sqrt(late_size), gain / inflation))
     if not floor.measured and "noise_excess" in allowed:
@@ -88,8 +88,8 @@ def find_scatter(
             size = math.sqrt(sigma**2 - USUAL_SCATTER_MGAUSS**2)
             candidates.append(Scatter("noise_excess", size, float(error.size)))
     # Less than the floor itself is no gap, however surely neighbours scatter.
-    shows = excess_mgauss2 > floor.field_rms_mgauss**2
-    if floor.measured and not representative and "noise_excess" in allowed and shows:
+    excess_shows = excess_mgauss2 > floor.field_rms_mgauss**2
+    if floor.measured and not representative and "noise_excess" in allowed and excess_shows:
         found = Scatter("noise_excess", math.sqrt(excess_mgauss2), float(error.size))
         left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
         beyond = float(np.mean(left[rows] ** 2)) - floor.field_rms_mgauss**2

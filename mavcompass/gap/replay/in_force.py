@@ -129,7 +129,7 @@ def calibration_in_force(compass: MagSeries) -> FieldCorrection:
 
 def known_iron(correction: FieldCorrection, load: FloatArray, source: MotorSource) -> KnownIron:
     """Read a calibration backwards; `load` (N,) is the motor load that its motor term goes with."""
-    matrix = np.asarray(np.linalg.inv(correction.matrix), dtype=np.float64)
+    matrix = correction.inverse
     motor = np.asarray(-matrix @ np.asarray(correction.motor_mgauss), dtype=np.float64)
     return KnownIron(correction, matrix, -np.asarray(correction.offsets_mgauss), motor, load, source)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,7 @@ _MATERIAL_SHARE, _MATERIAL_BESIDE_UNKNOWN, _EXPLAINED = 0.2, 0.4, 1.25
 _AT_FLOOR = 1.25
 # A gap that is no larger than this many floors without an effect needs no such effect: a floor that was
 # measured, and one that was stated. A baseline's floor holds what another flight may add to it.
-_NEEDED_ABOVE = {True: 0.9, False: 1.25}
+NEEDED_ABOVE = {True: 0.9, False: 1.25}
 _ABOVE_STATED, _LEAST_OF_STATED = 0.5, 0.1
 _AT_THE_END = 1e-3
 # What is less than these shares of the floor, and of another effect, may be the error of that one.
@@ -52,7 +52,7 @@ def needs_none(candidate: Identified, floor: Floor) -> bool:
     if floor.representative or stated:
         # An exact floor is asked for more than its size, and that of an independent attitude is generous.
         return False
-    return at_floor(candidate, candidate.found.null, floor, _NEEDED_ABOVE[floor.measured])
+    return at_floor(candidate, candidate.found.null, floor, NEEDED_ABOVE[floor.measured])
 
 
 def at_floor(candidate: Identified, fit: Fit, floor: Floor, within: float = _AT_FLOOR) -> bool:
@@ -170,12 +170,11 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     doubtful = problem.replay.doubtful.keys()
     asked = [not floor.representative or bool(doubtful & set(t.effect.groups)) for t in fit.terms]
     if floor.representative:
-        small = _small(candidate, floor, asked) if any(asked) else None
-        return _lost_beside(candidate, floor) if small is None else small
+        return _too_small(candidate, floor, asked)
     gap = _gap(candidate, floor)
     # A floor that was only stated for an independent attitude is generous.
     stated = not floor.measured and problem.replay.reference.kind == "columns"
-    needed, share = _NEEDED_ABOVE[floor.measured], _LEAST_OF_FLOOR
+    needed, share = NEEDED_ABOVE[floor.measured], _LEAST_OF_FLOOR
     if stated:
         needed, share = _ABOVE_STATED, _LEAST_OF_STATED
     # Beside something that is not known, only what holds a good part of the gap can be told from it.
@@ -262,47 +261,52 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     return of_field, of_heading
 
 
-def _small(candidate: Identified, floor: Floor, asked: Sequence[bool]) -> str | None:
-    """Name the effect that removes least beside an exact floor, where that is within a sensor's tolerance."""
+def _too_small(candidate: Identified, floor: Floor, asked: Sequence[bool]) -> str | None:
+    """Name an effect that removes too little beside an exact floor: of those `asked`, or beside others."""
     fit, problem = candidate.fit, candidate.problem
-    after = _left(problem, fit, effects=True)
-    least = _least(problem, fit, after)
-    steady = problem.steady(fit)
-    ratios = {}
-    for place, term in enumerate(fit.terms):
-        if not asked[place]:
-            continue
+    named = [place for place, wanted in enumerate(asked) if wanted]
+    beside = [p for p, term in enumerate(fit.terms) if len(fit.terms) > 1 and "mag" in term.effect.groups]
+    if not named and not beside:
+        return None
+    after, steady = _left(problem, fit, effects=True), problem.steady(fit)
+    removed: dict[int, dict[Group, float]] = {}
+    for place in sorted({*named, *beside}):
         left = _left(problem, steady.refit(fit.without(place)), effects=True)
-        ratios[term.effect.id] = max(
-            math.sqrt(max(left[g] ** 2 - after[g] ** 2, 0.0)) / least[g]
-            for g in problem.groups
-            if g in term.effect.groups
-        )
+        removed[place] = {g: math.sqrt(max(left[g] ** 2 - after[g] ** 2, 0.0)) for g in problem.groups}
+    small = _within_tolerance(candidate, after, {p: removed[p] for p in named})
+    if small is None:
+        small = _lost_beside(candidate, floor, {p: removed[p]["mag"] for p in beside})
+    return None if small is None else fit.terms[small].effect.id
+
+
+def _within_tolerance(
+    candidate: Identified, after: dict[Group, float], removed: Mapping[int, dict[Group, float]]
+) -> int | None:
+    """Return the effect that removes least, where that is within a sensor's tolerance."""
+    if not removed:
+        return None
+    fit, problem = candidate.fit, candidate.problem
+    least = _least(problem, fit, after)
+    ratios = {
+        place: max(size / least[g] for g, size in sizes.items() if g in fit.terms[place].effect.groups)
+        for place, sizes in removed.items()
+    }
     smallest = min(ratios, key=ratios.__getitem__)
     return smallest if ratios[smallest] < 1.0 else None
 
 
-def _lost_beside(candidate: Identified, floor: Floor) -> str | None:
-    """Name the effect that removes least beside others, where the errors of these may be as large.
+def _lost_beside(candidate: Identified, floor: Floor, removed: Mapping[int, float]) -> int | None:
+    """Return the effect that removes least beside others, where the errors of these may be as large.
 
     No model is exact: the order of two matrices, the place of a magnet leave some hundredths of what they
     explain. A turn of the mounting by right angles is.
     """
-    fit, problem = candidate.fit, candidate.problem
-    if len(fit.terms) < 2:
+    if not removed:
         return None
-    after, steady = _left(problem, fit, effects=True)["mag"], problem.steady(fit)
-    removed, inexact = {}, {}
-    for place, term in enumerate(fit.terms):
-        if "mag" in term.effect.groups:
-            left = _left(problem, steady.refit(fit.without(place)), effects=True)["mag"]
-            removed[term.effect.id] = math.sqrt(max(left**2 - after**2, 0.0))
-            inexact[term.effect.id] = 0.0 if term.effect.kind == "discrete" else removed[term.effect.id]
-    smallest = min(removed, key=removed.__getitem__, default=None)
-    if smallest is None:
-        return None
-    most = max((size for name, size in inexact.items() if name != smallest), default=0.0)
-    least = min(_LOST_OF_FLOOR * floor.field_rms_mgauss, _LOST_SHARE * most)
+    smallest = min(removed, key=removed.__getitem__)
+    terms = candidate.fit.terms
+    inexact = [size for p, size in removed.items() if p != smallest and terms[p].effect.kind != "discrete"]
+    least = min(_LOST_OF_FLOOR * floor.field_rms_mgauss, _LOST_SHARE * max(inexact, default=0.0))
     return smallest if removed[smallest] < least else None
 
 

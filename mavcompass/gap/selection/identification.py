@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from mavcompass.gap.fit import Fit, Problem, Search
+from mavcompass.gap.fit import Fit, Problem, Search, pruned
 from mavcompass.gap.left import Floor, apart, widened
 from mavcompass.gap.replay import IRON_OFFSET, Replay
 from mavcompass.gap.selection.guards import at_floor, needs_none, refused, worthwhile
@@ -63,7 +63,7 @@ def _searched(
     # An independent attitude has no errors that last for seconds.
     exact = floor.representative or replay.reference.kind == "columns"
     previous: frozenset[str] | None = None
-    split = _apart(replay, floor, split)
+    split = _parted(replay, floor, split)
     for turn in range(passes):
         problem = Problem(replay, floor.noise, split.train, floor.prior)
         search = Search(problem, effects, partial(worthwhile, problem, floor), exact)
@@ -82,7 +82,7 @@ def _searched(
     return result, floor
 
 
-def _apart(replay: Replay, floor: Floor, split: Split) -> Split:
+def _parted(replay: Replay, floor: Floor, split: Split) -> Split:
     """Let what disturbs for a short while, and nothing that is known explains, be fitted and judged alike.
 
     A gap that is there all the time may swing with the vehicle's turns: its blocks are long enough.
@@ -107,7 +107,7 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
             candidate = rival if len(rival.fit.terms) >= len(candidate.fit.terms) else candidate
     if candidate.fit.terms and not floor.representative:
         candidate = _simplest(candidate, floor) if floor.measured else _plainer(candidate)
-    candidate = replace(candidate, fit=candidate.search.pruned(candidate.fit))
+    candidate = replace(candidate, fit=pruned(candidate.search.problem, candidate.fit))
     return replace(candidate, as_good=(*candidate.as_good, *_alike(candidate)))
 
 

@@ -71,10 +71,11 @@ def with_parts(split: Split, time_s: FloatArray, loud: Mask) -> Split:
         if not run.size or time_s[run[-1]] - time_s[run[0]] > _HELD_OUT_OF * length:
             continue
         rows = np.arange(run[0], run[-1] + 1)
-        part = np.arange(rows.size) * min(_PARTS, rows.size) // rows.size
+        parts = min(_PARTS, rows.size)
+        part = np.arange(rows.size) * parts // rows.size
         out = part % _HELD_OUT_OF == _HELD_OUT_OF // 2
         block[rows] = len(held) + part
-        held += [bool(out[part == p][0]) for p in range(part[-1] + 1)]
+        held += [p % _HELD_OUT_OF == _HELD_OUT_OF // 2 for p in range(parts)]
         used = (split.train | split.test)[rows]
         train[rows], test[rows] = used & ~out, used & out
     return Split(block, np.array(held), train, test)

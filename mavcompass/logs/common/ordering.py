@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.track import Series
-
-# No quantity of a vehicle is as large in its unit.
-_INCREDIBLE = 1e7
+from mavcompass.units import INCREDIBLE
 
 
 def finite_series(time_s: FloatArray, values: FloatArray) -> Series | None:
@@ -20,7 +18,7 @@ def finite_series(time_s: FloatArray, values: FloatArray) -> Series | None:
     `values` is (N,) or (N, k). An estimator that has not started, or a damaged byte, gives nan, inf or 1e30.
     """
     size = np.abs(values)
-    credible = (size if size.ndim == 1 else size.max(axis=1, initial=0.0)) < _INCREDIBLE  # False for nan
+    credible = (size if size.ndim == 1 else size.max(axis=1, initial=0.0)) < INCREDIBLE  # False for nan
     if not bool(credible.any()):
         return None
     if not bool(credible.all()):

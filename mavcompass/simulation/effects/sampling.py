@@ -18,27 +18,17 @@ def at_times(
     n = time_s.size
     if n < 2:
         return np.repeat(values[:1], wanted_s.size, axis=0)
+    slopes = central_differences(time_s, values) if slopes is None else slopes
     wanted = np.minimum(np.maximum(wanted_s, time_s[0]), time_s[-1])
     left = np.minimum(np.maximum(time_s.searchsorted(wanted, side="right") - 1, 0), n - 2)
-    right, first, last = left + 1, np.maximum(left - 1, 0), np.minimum(left + 2, n - 1)
-    begin, end = time_s[left], time_s[right]
-    width = end - begin
-    u = (wanted - begin) / width
-    if slopes is not None:
-        rising = u * u * (3.0 - 2.0 * u)
-        out = values.take(left, axis=0) * (1.0 - rising)[:, None]
-        out += values.take(right, axis=0) * rising[:, None]
-        out += slopes.take(left, axis=0) * (width * u * (1.0 - u) ** 2)[:, None]
-        out -= slopes.take(right, axis=0) * (width * u * u * (1.0 - u))[:, None]
-        return np.asarray(out)
-    # How much each of the four neighbours counts: slopes are differences of neighbours too.
+    right = left + 1
+    width = time_s[right] - time_s[left]
+    u = (wanted - time_s[left]) / width
     rise = u * u * (3.0 - 2.0 * u)
-    before = width * u * (1.0 - u) ** 2 / (end - time_s[first])
-    after = -width * u * u * (1.0 - u) / (time_s[last] - begin)
-    out = values.take(first, axis=0) * -before[:, None]
-    out += values.take(left, axis=0) * (1.0 - rise - after)[:, None]
-    out += values.take(right, axis=0) * (rise + before)[:, None]
-    out += values.take(last, axis=0) * after[:, None]
+    out = values.take(left, axis=0) * (1.0 - rise)[:, None]
+    out += values.take(right, axis=0) * rise[:, None]
+    out += slopes.take(left, axis=0) * (width * u * (1.0 - u) ** 2)[:, None]
+    out -= slopes.take(right, axis=0) * (width * u * u * (1.0 - u))[:, None]
     return np.asarray(out)
 
 

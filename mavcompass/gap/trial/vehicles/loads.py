@@ -32,10 +32,11 @@ class Loads:
 def loads_of(kind: str, motion: Motion, ambient_degc: float, rng: np.random.Generator) -> Loads:
     """Work out the loads of a kind of vehicle in a motion."""
     idle = rng.uniform(0.25, 0.6)
+    neutral = 0.0 if kind == "copter" else 0.5
     if motion.name == "hand":
         still = np.zeros_like(motion.time_s)
         count = 2 if kind == "rover" else 4
-        throttle, outputs = still, np.full((still.size, count), 0.0 if kind == "copter" else 0.5)
+        throttle, outputs = still, np.full((still.size, count), neutral)
         drawn = np.full_like(still, idle)
     elif kind == "copter":
         throttle, outputs, drawn = _lifting(motion, rng)
@@ -43,7 +44,6 @@ def loads_of(kind: str, motion: Motion, ambient_degc: float, rng: np.random.Gene
         throttle, outputs, drawn = _driving(kind, motion, rng)
     gusts = 1.0 + 0.06 * _drift(motion.time_s, 1.5, rng)
     current = smooth(np.asarray(idle + drawn * gusts), 0.15)
-    neutral = 0.0 if kind == "copter" else 0.5
     return Loads(throttle, outputs, current, _warmth(motion, drawn, ambient_degc, rng), neutral)
 
 
