@@ -162,6 +162,8 @@ class Belief:
     def from_json(cls, document: Mapping[str, Any]) -> Belief:
         """Read what `to_json` wrote. Raises KeyError, TypeError or ValueError for anything else."""
         mean = np.array(document["mean"], dtype=np.float64)
+        if len(document["covariance"]) != mean.size * (mean.size + 1) // 2:
+            raise ValueError("a covariance of another size than its mean")
         covariance = np.zeros((mean.size, mean.size))
         covariance[np.tril_indices(mean.size)] = document["covariance"]
         covariance += np.tril(covariance, -1).T

@@ -218,6 +218,10 @@ def parse_config(text: str, name: str = "configuration") -> ServiceConfig:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{name}: {error}.", "Mend this line; TOML's form is at https://toml.io.") from error
+    except RecursionError as error:
+        raise UsageError(
+            f"{name}: its brackets stand too deep.", "No key here needs a list of lists."
+        ) from error
     mistakes: list[tuple[int, str]] = []
     tables: dict[str, Any] = {}
     for table, values in document.items():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import json
 import os
 import sys
 import tempfile
@@ -15,6 +17,8 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(PROJECT), str(PROJECT / "tests" / "logs")]
 
 from mavcompass.errors import MavCompassError  # noqa: E402
+from mavcompass.gap.rehearsal import read_stored  # noqa: E402
+from mavcompass.gap.result import SCHEMA as DIAGNOSIS_SCHEMA  # noqa: E402
 from mavcompass.logs import read_track  # noqa: E402
 from mavcompass.messages import Heartbeat, Incoming, ParamValue, RawImu, Statustext  # noqa: E402
 from mavcompass.procedure.motion import SafetyLimits  # noqa: E402
@@ -34,6 +38,7 @@ from mavcompass.service.web.bodies import (  # noqa: E402
 from mavcompass.service.web.security import Guard  # noqa: E402
 from mavcompass.service.work.tasks import CalibrationRequest  # noqa: E402
 from mavcompass.simulation.effects import registry  # noqa: E402
+from mavcompass.simulation.effects.registry import PRESET_SCHEMA, read_preset  # noqa: E402
 from mavcompass.track_builder import TrackBuilder  # noqa: E402
 from mavcompass.vehicle.link import LinkStatistics  # noqa: E402
 from mavcompass.vehicle.parameters.files import read_parameter_file  # noqa: E402
@@ -157,12 +162,26 @@ TARGETS: dict[str, Target] = {
     "param": _file(".param", read_parameter_file),
     "params": _file(".params", read_parameter_file),
     "undo": _file(".json", load_record),
+    "diagnosis": _file(".gap.json", read_stored),
+    "preset": _file(".preset.json", read_preset),
     "toml": _text(parse_config),
     "address": _text(parse_source),
     "effect": effect,
     "body": body,
     "guard": guard,
 }
+
+
+def _diagnosis() -> bytes:
+    recording = _FOLDER / "diagnosed.csv"
+    recording.touch()
+    cause = {"effect": "hard_iron", "parameters": {"x": 90.0}, "ci95": {"x": [80.0, 100.0]}}
+    cause |= {"probability": 0.99, "ambiguous_with": []}
+    belief = {"weight": 1.0, "effects": ["hard_iron"], "places": [["hard_iron", "x"]]}
+    belief |= {"mean": [90.0], "covariance": [4.0]}
+    diagnosis = {"schema": DIAGNOSIS_SCHEMA, "compass": 1, "verdict": "explained"}
+    diagnosis |= {"log": {"path": str(recording), "sha256": hashlib.sha256(b"").hexdigest()}}
+    return json.dumps(diagnosis | {"causes": [cause], "beliefs": [belief]}).encode()
 
 
 def seeds(target: str) -> list[bytes]:
@@ -179,11 +198,15 @@ def seeds(target: str) -> list[bytes]:
 
         contents = originals(_FOLDER / "originals")
         return [contents[recordings.get(target, ".tlog")][:6000]]
+    if target == "diagnosis":
+        return [_diagnosis()]
+    preset = {"schema": PRESET_SCHEMA, "effects": ["hard_iron:x=100,y=-50", "motor_current:x=1"]}
     undo = b'{"schema":"mavcompass.undo/1","made_at":"","autopilot":"px4","source":"sim:rover",'
     texts: dict[str, list[bytes]] = {
         "param": [b"# saved\nCOMPASS_OFS_X,5\nCOMPASS_OFS_Y 1e-3\n"],
         "params": [b"# Vehicle-Id\tComponent\n1\t1\tCAL_MAG0_ID\t396809\t6\n1\t1\tCAL_MAG0_XOFF\t0.1\t9\n"],
         "undo": [undo + b'"before":{"A":1},"planned":{"A":2.5},"parameters":{}}'],
+        "preset": [json.dumps(preset).encode()],
         "toml": [(PROJECT / "scripts" / "deploy" / "mavcompass.toml").read_bytes()[:3000]],
         "address": [
             b"udpin:0.0.0.0:14550",

@@ -15,7 +15,7 @@ import pytest
 CAMPAIGNS = Path(__file__).parents[2] / "scripts" / "campaigns"
 NAMES = (
     "framing codec listeners tlog dataflash dataflash-text ulog csv"
-    " param params undo toml address effect body guard"
+    " param params undo diagnosis preset toml address effect body guard"
 ).split()
 
 

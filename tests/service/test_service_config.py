@@ -87,6 +87,7 @@ def test_a_mistake_is_told_with_its_line(text: str, line: int, words: str) -> No
 
 def test_text_that_is_no_toml_is_told_with_its_line() -> None:
     assert "line 2" in mistakes('[vehicle]\nsource "x"\n')
+    assert "too deep" in mistakes("a = " + "[" * 2000)
 
 
 def test_a_missing_file_is_told(tmp_path: Path) -> None:

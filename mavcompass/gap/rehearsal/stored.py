@@ -40,7 +40,15 @@ def read_stored(path: Path) -> Stored:
             causes=tuple(map(_cause, document["causes"])),
             beliefs=tuple(map(Belief.from_json, document["beliefs"])),
         )
-    except (ValueError, KeyError, TypeError) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         raise UsageError(
             f"{path} is no diagnosis that can be rehearsed.",
             "Name the recording itself, or what `mavcompass gap diagnose LOG --json FILE` writes for one"
@@ -67,8 +75,8 @@ def _recording(path: Path, named: str, sha256: str) -> Path:
 def _cause(document: dict[str, Any]) -> Cause:
     return Cause(
         effect=document["effect"],
-        parameters=document["parameters"],
-        ci95={name: (low, high) for name, (low, high) in document["ci95"].items()},
-        probability=document["probability"],
+        parameters={name: float(value) for name, value in document["parameters"].items()},
+        ci95={name: (float(low), float(high)) for name, (low, high) in document["ci95"].items()},
+        probability=float(document["probability"]),
         ambiguous_with=tuple(document["ambiguous_with"]),
     )

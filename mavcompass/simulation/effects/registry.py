@@ -80,7 +80,7 @@ def read_preset(path: Path) -> list[Setting]:
         texts = document["effects"]
         if document["schema"] != PRESET_SCHEMA or not all(isinstance(text, str) for text in texts):
             raise KeyError("schema")
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise UsageError(
             f"{path} is not a simulation preset ({error}).",
             "Make one with `mavcompass gap export LOG --to mavcompass FILE`.",

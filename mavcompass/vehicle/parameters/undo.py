@@ -129,7 +129,7 @@ def load_record(path: Path) -> UndoRecord:
         )
     except OSError as error:
         raise UsageError(f"{path} cannot be read ({error.strerror}).", "Check the path.") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise UsageError(
             f"{path} is not an undo file of mavcompass ({error}).",
             "Give the .json that a write left behind, or a parameter file (.param, .parm, .params).",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import sys
 from pathlib import Path
 
@@ -224,3 +225,27 @@ def test_a_damaged_log_is_refused_or_read_but_never_breaks(tmp_path: Path) -> No
         except BadRecording:
             outcomes.add("BadRecording")
     assert outcomes == {"Track", "BadRecording"}
+
+
+def message(kind: bytes, body: bytes) -> bytes:
+    return struct.pack("<H", len(body)) + kind + body
+
+
+HEAD = b"ULog\x01\x12\x35\x01" + bytes(8) + message(b"B", bytes(40))
+SUBSCRIBED = message(b"A", b"\0\1\0" + b"sensor_mag")
+NESTED = message(b"F", b"sensor_mag:b[65535] x;") + message(b"F", b"b:c[65535] y;")
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        (b"\x30\x00\x00", "ends inside a message"),  # 48 bytes of a type that is not known should follow
+        (message(b"F", b"sensor_mag:uint8_t[65535] x;") + 5 * SUBSCRIBED, "more than 262144 fields"),
+        (NESTED + message(b"F", b"c:float x;") + SUBSCRIBED, "more than 262144 fields"),
+    ],
+)
+def test_a_small_file_is_not_read_for_ever(tmp_path: Path, body: bytes, said: str) -> None:
+    path = tmp_path / "a.ulg"
+    path.write_bytes(HEAD + body)
+    with pytest.raises(BadRecording, match=said):
+        read_track(path)

@@ -92,8 +92,20 @@ def test_what_is_no_parameter_file_is_told(tmp_path: Path) -> None:
         write_parameter_file(tmp_path / "absent" / "a.param", {"A": 1.0})
 
 
+UNDO = '{"schema":"mavcompass.undo/1","made_at":"","autopilot":"px4","source":"","before":{"A":%s}'
+
+
 @pytest.mark.parametrize(
-    "text", ["{}", "[1]", "not json", '{"schema": "other/1"}', '{"schema":"mavcompass.undo/1"}']
+    "text",
+    [
+        "{}",
+        "[1]",
+        "not json",
+        '{"schema": "other/1"}',
+        '{"schema":"mavcompass.undo/1"}',
+        UNDO % ("9" * 400) + ',"planned":{},"parameters":{}}',
+        "[" * 5000,
+    ],
 )
 def test_what_is_no_undo_file_is_told(tmp_path: Path, text: str) -> None:
     path = tmp_path / "undo.json"

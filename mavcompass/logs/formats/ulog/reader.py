@@ -12,6 +12,7 @@ import numpy as np
 from mavcompass.errors import BadRecording
 from mavcompass.installation.parts import require
 from mavcompass.logs.common import Seen, changes
+from mavcompass.logs.formats.ulog.bounded import bounded_ulog, open_forward
 from mavcompass.logs.formats.ulog.columns import TOPICS, columns, utc_offset_s, vehicle
 from mavcompass.logs.formats.ulog.compasses import MAG_TOPICS, compasses
 from mavcompass.track import Track
@@ -53,12 +54,10 @@ def read_ulog(path: Path) -> Track:
 
 def _parse(path: Path) -> Any:
     require("A PX4 recording (.ulg)")
-    from pyulog import ULog
-
     try:
         # pyulog prints what it stumbles over; what matters is told in the notes.
-        with contextlib.redirect_stdout(io.StringIO()), path.open("rb") as file:
-            return ULog(file, [*MAG_TOPICS, *TOPICS])
+        with contextlib.redirect_stdout(io.StringIO()), open_forward(path) as file:
+            return bounded_ulog()(file, [*MAG_TOPICS, *TOPICS])
     except Exception as error:
         # On a damaged file pyulog raises whatever its parsing runs into.
         raise BadRecording(
