@@ -1,7 +1,12 @@
 """The attitude that a recording tells, and how far it goes: never from the compass under test."""
 
 from mavcompass.gap.attitude.inertial import accelerometer_fault, gyro_fault, without_fault
-from mavcompass.gap.attitude.kinematics import exponentials, second_derivative, turned_about_down
+from mavcompass.gap.attitude.kinematics import (
+    cross_matrices,
+    exponentials,
+    second_derivative,
+    turned_about_down,
+)
 from mavcompass.gap.attitude.receiver import local_position, north_east_m
 from mavcompass.gap.attitude.reference import (
     UNKNOWN_YAW_RAD,
@@ -17,6 +22,7 @@ __all__ = [
     "Reference",
     "accelerometer_fault",
     "body_rate",
+    "cross_matrices",
     "exponentials",
     "gyro_fault",
     "local_position",

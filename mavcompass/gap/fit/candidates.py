@@ -15,7 +15,7 @@ from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.normal import BlockNormal
 from mavcompass.gap.replay import REFERENCE_YAW, WORLD_FIELD, group_values, yaw_starts
-from mavcompass.simulation.effects.effect import Misfit
+from mavcompass.simulation.effects.effect import Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading
 
 # A shift that the derivatives make themselves to this share is no column of its own.
@@ -53,9 +53,8 @@ class Candidate:
         return np.clip(theta, self.term.lower, self.term.upper)
 
 
-def misfit_of(problem: Problem, fit: Fit) -> Misfit:
-    """Return what a fit leaves, for effects that look for their own first guesses."""
-    signals = problem.signals(fit)
+def misfit_of(problem: Problem, signals: Signals) -> Misfit:
+    """Return what simulated signals leave, for effects that look for their own first guesses."""
     residual = Reading(
         *(
             group_values(problem.replay.measured, g) - group_values(signals.reading, g)
@@ -85,7 +84,7 @@ class Candidates:
         n = len(problem.nuisances)
         states = problem.composition.states(base.terms, base.thetas, base.nuisance_thetas)
         known = problem.columns(base.terms, base.thetas, base.nuisance_thetas, states, range(n))
-        self._parts = [known]
+        parts = [known]
         residual = problem.residual(states[-1].reading)
         kept = {term.effect.id for term in held}
         for place, term in enumerate(base.terms):
@@ -95,12 +94,12 @@ class Candidates:
                     [difference(states[-1].reading, problem.predict(base.without(place)))]
                 )
                 residual = residual + shift[:, 0]
-                self._add(term, base.thetas[place], own, shift)
+                parts += self._add(term, base.thetas[place], own, shift)
         for term in terms:
             if term.effect.id not in kept and term.effect.kind != "discrete":
-                self._begin(term)
+                parts += self._begin(term, states)
         offset = problem.prior.mean - np.concatenate(base.nuisance_thetas) if n else np.zeros(0)
-        columns = np.hstack(self._parts)
+        columns = np.hstack(parts)
         usual = np.concatenate([c.usual for c in self.list]) if self.list else np.zeros(0)
         labels = np.tile(np.repeat(block[problem.index], 3), len(problem.groups))
         order = np.argsort(labels, kind="stable") if len(problem.groups) > 1 else slice(None)
@@ -116,29 +115,37 @@ class Candidates:
         parts = [np.full(n.mean.size, n.effect.id in own) for n in self.problem.nuisances]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.bool_)
 
-    def _begin(self, term: Term) -> None:
-        """Linearise an effect at each of its first guesses, beside the base without it."""
-        fit, problem = self.base, self.problem
+    def _begin(self, term: Term, before: list[Signals]) -> list[FloatArray]:
+        """Linearise an effect at each of its first guesses, beside the base without it; return its columns.
+
+        `before` are the states of the base.
+        """
+        fit, problem, parts = self.base, self.problem, list[FloatArray]()
         for place, member in enumerate(self.base.terms):
             if member.effect.id == term.effect.id:
                 fit = self.base.without(place)
+                before = problem.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
         misfit: Misfit | None = None
         guesses = [term.effect.neutral()] if fit is self.base else []
         if term.effect.starts is not None:
-            misfit = misfit_of(problem, fit)
+            misfit = misfit_of(problem, before[-1])
             guesses = term.effect.starts(misfit)
         for guess in guesses:
             terms, thetas = (*fit.terms, term), (*fit.thetas, guess)
-            states = problem.composition.states(terms, thetas, fit.nuisance_thetas)
+            states = problem.composition.states(terms, thetas, fit.nuisance_thetas, before)
             place = len(problem.nuisances) + len(fit.terms)
             own = problem.columns(terms, thetas, fit.nuisance_thetas, states, [place])
             shift: FloatArray | None = None
             if misfit is not None:
                 shift = problem.whitened([difference(states[-1].reading, misfit.signals.reading)])
             if np.isfinite(own).all() and (shift is None or np.isfinite(shift).all()):
-                self._add(term, guess, own, shift)
+                parts += self._add(term, guess, own, shift)
+        return parts
 
-    def _add(self, term: Term, theta: FloatArray, own: FloatArray, shift: FloatArray | None) -> None:
+    def _add(
+        self, term: Term, theta: FloatArray, own: FloatArray, shift: FloatArray | None
+    ) -> list[FloatArray]:
+        """Add a candidate; return its columns, none where it changes nothing."""
         shifted = False
         if shift is not None and shift.any():
             left, solved = shift[:, 0], np.zeros(own.shape[1])
@@ -154,11 +161,12 @@ class Candidates:
                 theta = theta.copy()
                 theta[term.free] -= solved
         columns = np.hstack([own, shift]) if shifted and shift is not None else own
-        if columns.shape[1]:
-            end = self._columns + columns.shape[1]
-            self._parts.append(columns)
-            self.list.append(Candidate(term, theta, np.arange(self._columns, end), shifted))
-            self._columns = end
+        if not columns.shape[1]:
+            return []
+        end = self._columns + columns.shape[1]
+        self.list.append(Candidate(term, theta, np.arange(self._columns, end), shifted))
+        self._columns = end
+        return [columns]
 
     def expected(self, chosen: Sequence[Candidate]) -> float:
         """Return the sum of squares, priors included, to expect after fitting a set."""

@@ -12,17 +12,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, rotate, rotate_back
+from mavcompass.gap.attitude import cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, Replay, turned
-from mavcompass.simulation.effects.effect import Effect, Signals, Stage
-from mavcompass.simulation.effects.sampling import at_times, central_differences
+from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, Effect, Signals, Stage
+from mavcompass.simulation.effects.sampling import Between, at_times, central_differences
 from mavcompass.simulation.physics.signals import Reading
 
 _STEP = 1e-3
 _NUDGE_RAD = 1e-5
-# Stages whose changes turn with the vehicle, and of them those that differ from place to place.
-_TURNING = ({Stage.ATTITUDE, Stage.WORLD}, {Stage.WORLD})
+_NUDGE_MGAUSS = 1.0
+# Stages whose changes turn with the vehicle.
+_TURNING = frozenset({Stage.ATTITUDE, Stage.WORLD})
 
 
 def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
@@ -80,21 +82,21 @@ class Composition:
         return sorted(members, key=lambda member: member[0].stage)
 
     def states(
-        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray]
-    ) -> list[Signals]:
-        """Return the signals after each member of the composition, the replay's own first."""
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
+        without_last: Sequence[Signals] = (),
+    ) -> list[Signals]:  # fmt: skip
+        """Return the signals after each member of the composition, the replay's own first.
+
+        `without_last` are those without the last of the terms, where they are known.
+        """
         everything = [*nuisance_thetas, *thetas]
+        order = self._ordered(terms)
         states = [self.replay.signals]
-        for effect, place in self._ordered(terms):
+        if without_last:
+            states = list(without_last[: 1 + [place for _, place in order].index(len(everything) - 1)])
+        for effect, place in order[len(states) - 1 :]:
             states.append(effect.forward(states[-1], everything[place], {}, None))
         return states
-
-    def _run_from(
-        self, order: list[tuple[Effect, int]], at: int, state: Signals, thetas: list[FloatArray]
-    ) -> Reading:
-        for effect, place in order[at:]:
-            state = effect.forward(state, thetas[place], {}, None)
-        return state.reading
 
     def changes(
         self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
@@ -107,34 +109,37 @@ class Composition:
         # A common delay comes last and is the same for all that comes before it: once for all columns.
         late = order[-1][0].id == TELEMETRY_AGE if order else False
         end = len(order) - 1 if late else len(order)
+        after = _After(order[:end], everything, states[: end + 1])
         changes: list[Reading] = []
         early: dict[int, Stage] = {}
         for place in wanted:
             at = places[place]
             effect = order[at][0]
             stop = end if at < end else len(order)
-            base = states[stop].reading
+            first = len(changes)
             free = self.free(terms, place)
+            moved, steps = [], []
             for j in free[:1] if effect.id == REFERENCE_YAW else free:
                 theta = everything[place].copy()
                 step = _STEP * max(effect.parameters[j].scale, 1e-12)
                 if theta[j] + step > effect.parameters[j].high:
                     step = -step
                 theta[j] += step
-                moved = everything.copy()
-                moved[place] = theta
-                if stop < len(order):
-                    early[len(changes)] = effect.stage
-                changes.append(difference(self._run_from(order[:stop], at, states[at], moved), base, step))
+                moved.append(effect.forward(states[at], theta, {}, None))
+                steps.append(step)
+            if stop == end:
+                changes += after.changes(at + 1, moved, steps)
+            else:
+                changes += [
+                    difference(m.reading, states[stop].reading, s) for m, s in zip(moved, steps, strict=True)
+                ]
             if effect.id == REFERENCE_YAW:
-                if stop < len(order):
-                    curves = range(len(changes), len(changes) + free.size - 1)
-                    early |= dict.fromkeys(curves, effect.stage)
-                after = (self._run_from(order[:stop], at + 1, s, everything) for s in _nudged(states[at + 1]))
-                by_axis = [difference(reading, base, _NUDGE_RAD) for reading in after]
+                by_axis = after.changes(at + 1, _nudged(states[at + 1]), [_NUDGE_RAD] * 3)
                 yaw = float(everything[place][0])
                 changes += _along(by_axis, self.replay.reference.curves_rad, yaw)
-        if early and late:
+            if late and stop == end:
+                early |= dict.fromkeys(range(first, len(changes)), effect.stage)
+        if early:
             self._delay(changes, early, float(everything[order[-1][1]][0]))
         return changes
 
@@ -142,19 +147,71 @@ class Composition:
         """Delay changes, by their places and stages: of attitude and world's field they turn with the
         vehicle."""
         s = self.replay.signals.stimulus
-        stacked = np.stack([changes[i].mag_mgauss for i in early], axis=1)
+        between = Between.find(s.time_s, s.time_s - delay_s)
+        turning = [i for i, stage in early.items() if stage in _TURNING]
+        late: dict[int, FloatArray] = {}
+        if turning:
+            # What turns with the body has the slope v x w: being late is a matrix of each neighbour.
+            stacked = np.stack([changes[i].mag_mgauss for i in turning], axis=2)
+            crossed = cross_matrices(-s.rate_radps)
+            turned = np.zeros_like(stacked)
+            for side in (0, 1):
+                there = between.left + side
+                matrix = between.slope_s[:, side, None, None] * crossed[there]
+                matrix[:, (0, 1, 2), (0, 1, 2)] += between.share[:, side, None]
+                turned += matrix @ stacked[there]
+            late = {i: turned[:, :, n] for n, i in enumerate(turning)}
+        for i in turning:
+            if early[i] is Stage.WORLD:
+                # What differs from place to place changes as the vehicle moves, besides.
+                slopes = central_differences(s.time_s, rotate(s.rotation, changes[i].mag_mgauss))
+                late[i] = late[i] + between.of(rotate_back(s.rotation, slopes), between.slope_s)
+        rest = [i for i in early if i not in late]
+        if rest:
+            flat = np.hstack([changes[i].mag_mgauss for i in rest])
+            flat = at_times(s.time_s, flat, s.time_s - delay_s)
+            late |= {i: flat[:, 3 * n : 3 * n + 3] for n, i in enumerate(rest)}
+        for i, mag in late.items():
+            changes[i] = Reading(mag, changes[i].acc_mps2, changes[i].gyro_radps)
 
-        def slopes_of(values: FloatArray) -> FloatArray:
-            flat = values.reshape(s.time_s.size, -1)
-            return central_differences(s.time_s, flat).reshape(values.shape)
 
-        slopes = slopes_of(stacked)
-        turns, of_world = (np.array([stage in few for stage in early.values()]) for few in _TURNING)
-        slopes[:, turns] = np.cross(stacked[:, turns], s.rate_radps[:, None])
-        if of_world.any():
-            there = np.einsum("nij,nkj->nki", s.rotation, stacked[:, of_world])
-            slopes[:, of_world] += np.einsum("nji,nkj->nki", s.rotation, slopes_of(there))
-        flat, wanted = stacked.reshape(s.time_s.size, -1), s.time_s - delay_s
-        late = at_times(s.time_s, flat, wanted, slopes.reshape(flat.shape)).reshape(stacked.shape)
-        for n, i in enumerate(early):
-            changes[i] = Reading(late[:, n], changes[i].acc_mps2, changes[i].gyro_radps)
+class _After:
+    """Carry changes through the members of a composition that come after them."""
+
+    def __init__(
+        self, order: list[tuple[Effect, int]], thetas: list[FloatArray], states: list[Signals]
+    ) -> None:
+        self._order, self._thetas, self._states = order, thetas, states
+        # Where every reading is changed by itself, the rest is a matrix of each row, (N, 3, 3).
+        self._matrices: dict[int, FloatArray] = {}
+
+    def changes(self, at: int, moved: Sequence[Signals], steps: Sequence[float]) -> list[Reading]:
+        """Return the changes of the prediction when the signals before member `at` are moved by steps."""
+        before, rest = self._states[at], self._order[at:]
+        in_body = all(one.stimulus is before.stimulus for one in moved)
+        if in_body and all(effect.stage in EACH_BY_ITSELF for effect, _ in rest):
+            own = [difference(m.reading, before.reading, s) for m, s in zip(moved, steps, strict=True)]
+            if not rest or not own:
+                return own
+            mag = self._matrix(at) @ np.stack([one.mag_mgauss for one in own], axis=2)
+            return [Reading(mag[:, :, k], one.acc_mps2, one.gyro_radps) for k, one in enumerate(own)]
+        end, out = self._states[-1].reading, []
+        for one, step in zip(moved, steps, strict=True):
+            for effect, place in rest:
+                one = effect.forward(one, self._thetas[place], {}, None)
+            out.append(difference(one.reading, end, step))
+        return out
+
+    def _matrix(self, at: int) -> FloatArray:
+        """Return the derivative of the prediction by the compass's reading before member `at`, (N, 3, 3)."""
+        if at not in self._matrices:
+            effect, place = self._order[at]
+            state, end = self._states[at], self._states[at + 1].reading.mag_mgauss
+            nudged = (
+                effect.forward(state.with_mag(state.reading.mag_mgauss + axis), self._thetas[place], {}, None)
+                for axis in _NUDGE_MGAUSS * np.eye(3)
+            )
+            own = np.stack([(one.reading.mag_mgauss - end) / _NUDGE_MGAUSS for one in nudged], axis=2)
+            last = at + 1 == len(self._order)
+            self._matrices[at] = own if last else self._matrix(at + 1) @ own
+        return self._matrices[at]

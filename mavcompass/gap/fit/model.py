@@ -18,7 +18,6 @@ from mavcompass.gap.fit.newton import bridge, invert, moved, solve
 from mavcompass.gap.replay import (
     REFERENCE_YAW,
     Noise,
-    Nuisance,
     Prior,
     Replay,
     group_values,
@@ -31,18 +30,20 @@ _CONVERGED = 0.02
 # The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, and
 # serves to come nearer so far, in natural sizes.
 _NEAR, _FAR = 0.3, 5.0
-# The precision, in natural sizes, of what is not to move.
-_HELD = 1e14
 
 
 class Problem:
     """Fit hypotheses to the rows of a replay under a noise floor."""
 
-    def __init__(self, replay: Replay, noise: Noise, rows: Mask, prior: Prior) -> None:
+    def __init__(
+        self, replay: Replay, noise: Noise, rows: Mask, prior: Prior, *, steady: bool = False
+    ) -> None:
+        """Fit `rows` (N,); `steady` holds the nuisances at their means."""
         self.replay = replay
         self.noise = noise
         self.rows = rows
         self.prior = prior
+        self._steady = steady
         self.nuisances = prior.nuisances
         self.groups = replay.groups
         self.composition = Composition(replay, prior.nuisances)
@@ -81,11 +82,8 @@ class Problem:
 
     def steady(self, fit: Fit) -> Problem:
         """Return the same problem with the nuisances held where a fit has them."""
-        held = [
-            Nuisance(n.effect, theta, np.eye(theta.size) * _HELD / np.square(n.effect.scale))
-            for n, theta in zip(self.nuisances, fit.nuisance_thetas, strict=True)
-        ]
-        return Problem(self.replay, self.noise, self.rows, Prior.of(held))
+        prior = self.prior.moved(np.concatenate([*fit.nuisance_thetas, np.zeros(0)]))
+        return Problem(self.replay, self.noise, self.rows, prior, steady=True)
 
     def predict(self, fit: Fit, effects: bool = True) -> Reading:
         """Return what the simulation says under a hypothesis, or under its nuisances alone."""
@@ -176,10 +174,11 @@ class Problem:
                 out.append((float(off @ np.linalg.pinv(covariance[own, own]) @ off), theta.size))
         return out
 
-    def null(self) -> Fit:
-        """Fit the nuisances alone."""
+    def null(self, near: Fit | None = None) -> Fit:
+        """Fit the nuisances alone, from their means or from where another problem has them."""
         if self._null is None:
-            self._null = self.fit((), (), tuple(n.mean.copy() for n in self.nuisances))
+            start = tuple(n.mean.copy() for n in self.nuisances) if near is None else near.nuisance_thetas
+            self._null = self.fit((), (), start)
         return self._null
 
     def refit(self, fit: Fit) -> Fit:
@@ -198,6 +197,8 @@ class Problem:
         x = [np.array(t, dtype=np.float64) for t in (*nuisance_thetas, *thetas)]
         n = len(self.nuisances)
         free = [self.composition.free(terms, i) for i in range(len(x))]
+        if self._steady:
+            free[:n] = [np.arange(0)] * n
         weak = weak_precision(terms)
         states = self.composition.states(terms, x[n:], x[:n])
         r = self.residual(states[-1].reading)
@@ -208,7 +209,8 @@ class Problem:
         borrowed = first is not None
         for _ in range(iterations):
             if first is None or self._moved(x[:n], made_at, _FAR):
-                first, made_at, borrowed = self.columns(terms, x[n:], x[:n], states, range(n)), x[:n], False
+                fitted = range(0 if self._steady else n)
+                first, made_at, borrowed = self.columns(terms, x[n:], x[:n], states, fitted), x[:n], False
                 self._lend(terms, first, made_at)
             own = self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))
             normal, gradient = self._equations(np.hstack([first, own]), r, x, free, weak)
@@ -263,7 +265,7 @@ class Problem:
         weak: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
         """Return the normal matrix and the gradient, priors included."""
-        n, n_dim = len(self.nuisances), self._prior.size
+        n, n_dim = len(self.nuisances), 0 if self._steady else self._prior.size
         normal, gradient = J.T @ J, J.T @ r
         if n_dim:
             normal[:n_dim, :n_dim] += self._precision

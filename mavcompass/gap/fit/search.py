@@ -31,6 +31,9 @@ MOST_EFFECTS = 4
 _ROUNDS = 4
 _CATALOGUE_SIZE = 40
 _SHORT = 3
+_LIKELY_YAWS = 2
+# Fits of one set that differ by less in their sum of squares are as good.
+_AS_GOOD = 1.0
 _HOPEFUL = 0.7
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
 
@@ -85,7 +88,8 @@ class Search:
         self._log_n = math.log(max(problem.count, 2))
         self._log_c = math.log(_CATALOGUE_SIZE)
         self.explored: dict[frozenset[str], Fit] = {}
-        self._candidates: Candidates | None = None
+        # By the set that they stand beside, and how much of it is held.
+        self._candidates: dict[tuple[frozenset[str], int], Candidates] = {}
         # By how much errors that last for seconds make sums of squares larger than they should be.
         self._temper = 1.0
 
@@ -151,10 +155,18 @@ class Search:
             if term.effect.kind != "discrete" or term.effect.starts is None:
                 continue
             means = tuple(n.mean for n in self.problem.nuisances)
-            for guess in term.effect.starts(misfit_of(self.problem, Fit((), (), means, np.inf))):
+            for guess in term.effect.starts(
+                misfit_of(self.problem, self.problem.signals(Fit((), (), means, np.inf)))
+            ):
                 starts = yaw_starts(self.problem.nuisances)
-                fits = [self.problem.fit((term,), (guess,), start, _SHORT) for start in starts]
-                fit = self.problem.refit(min(fits, key=lambda f: f.sse))
+                fits = sorted(
+                    (self.problem.fit((term,), (guess,), s, 1) for s in starts), key=lambda f: f.sse
+                )
+                # One step is enough to see that a compass is not mounted so.
+                likely = [fit for fit in fits[:_LIKELY_YAWS] if fit.sse < null.sse]
+                if not likely:
+                    continue
+                fit = min(map(self.problem.refit, likely), key=lambda f: f.sse)
                 if null.sse - fit.sse > 0.5 * (null.sse - best.sse) and self.grows(null, fit):
                     out.append(fit)
         self._remember(out)
@@ -174,15 +186,20 @@ class Search:
                 likeliest = min(fits, key=lambda f: f.sse)
                 self._temper = max(1.0, self.contradiction(smallest, likeliest))
             better = self._largest_needed(smallest, [best, *fits])
-            same = better.ids == best.ids and better.sse > best.sse - 1.0
+            same = better.ids == best.ids and better.sse > best.sse - _AS_GOOD
             best = min(better, best, key=lambda f: f.sse) if same else better
             if same or not self.worthwhile(best):
                 break
         return best
 
     def _linearised(self, base: Fit, held: Sequence[Term]) -> Candidates:
-        self._candidates = Candidates(self.problem, self.terms, base, self._blocks(), held)
-        return self._candidates
+        """Linearise the catalogue beside a fit, once for fits of the same set that are as good."""
+        key = (base.ids, len(held))
+        known = self._candidates.get(key)
+        if known is None or abs(known.base.sse - base.sse) > _AS_GOOD:
+            known = Candidates(self.problem, self.terms, base, self._blocks(), held)
+            self._candidates[key] = known
+        return known
 
     def _blocks(self) -> NDArray[np.int64]:
         time = self.problem.replay.time_s
@@ -259,9 +276,9 @@ class Search:
 
     def _rivals(self, best: Fit) -> list[Fit]:
         """Fit what else could explain as much with as many effects, for the weights."""
-        if self._candidates is None or any(t.effect.kind == "discrete" for t in best.terms):
+        if any(t.effect.kind == "discrete" for t in best.terms):
             return []
-        candidates = self._linearised(self._unbent(best), ()) if best.terms else self._candidates
+        candidates = self._linearised(self._unbent(best), ())
         size = max(len(best.terms), 1)
         sets = likeliest_sets(candidates, self._temper, self.cost, size).get(size, [])
         empty = Fit((), (), (), np.inf)
@@ -330,7 +347,7 @@ class Search:
             if term.effect.starts is None or term.effect.kind == "discrete":
                 continue
             rest = best.without(i)
-            for start in term.effect.starts(misfit_of(self.problem, rest)):
+            for start in term.effect.starts(misfit_of(self.problem, self.problem.signals(rest))):
                 terms = (*rest.terms, term)
                 trial = self.problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas, _SHORT)
                 if self.score(trial) < self.score(best) - 1e-6:

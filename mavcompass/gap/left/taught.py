@@ -117,13 +117,14 @@ def _tuned(baseline: Replay) -> tuple[Trust | None, Problem, Fit]:
     what it leaves must not be made iron.
     """
     widest = Problem(baseline, first_noise(baseline), baseline.valid, prior_of(baseline, ANOTHER_IRON))
-    noise = _without_slow_causes(widest, widest.null())
+    first = widest.null()
+    noise = _without_slow_causes(widest, first)
     problem = Problem(baseline, noise, baseline.valid, widest.prior)
-    fit = problem.null()
+    fit = problem.null(first)
     least = _rms_left(problem, fit)
     trust = STATED if baseline.iron.calibrated else None
     trusting = Problem(baseline, noise, baseline.valid, prior_of(baseline, trust))
-    believed = trusting.null()
+    believed = trusting.null(None if trust is None else fit)
     # Where the noise is tighter than what is left, a prior is strained by as much.
     strain = trusting.strain(believed) / max(believed.sse / max(3 * trusting.count, 1), 1.0)
     worse = math.sqrt(max(_rms_left(trusting, believed) ** 2 - least**2, 0.0))

@@ -63,9 +63,12 @@ def _searched(
     # An independent attitude has no errors that last for seconds.
     exact = floor.representative or replay.reference.kind == "columns"
     previous: frozenset[str] | None = None
-    split = _parted(replay, floor, split)
+    whole = Problem(replay, floor.noise, split.train | split.test, floor.prior)
+    nothing = whole.null()
+    split = _parted(whole, nothing, floor, split)
     for turn in range(passes):
         problem = Problem(replay, floor.noise, split.train, floor.prior)
+        problem.null(nothing)
         search = Search(problem, effects, partial(worthwhile, problem, floor), exact)
         none = search.nothing()
         result = Identified(problem, split, none, none.best, (), search, problem)
@@ -82,13 +85,13 @@ def _searched(
     return result, floor
 
 
-def _parted(replay: Replay, floor: Floor, split: Split) -> Split:
+def _parted(problem: Problem, nothing: Fit, floor: Floor, split: Split) -> Split:
     """Let what disturbs for a short while, and nothing that is known explains, be fitted and judged alike.
 
     A gap that is there all the time may swing with the vehicle's turns: its blocks are long enough.
     """
-    problem = Problem(replay, floor.noise, split.train | split.test, floor.prior)
-    left = replay.measured.mag_mgauss - problem.predict(problem.null()).mag_mgauss
+    replay = problem.replay
+    left = replay.measured.mag_mgauss - problem.predict(nothing).mag_mgauss
     loud = np.sqrt(np.mean(left**2, axis=1)) > _LOUD * floor.field_rms_mgauss
     loud &= split.train | split.test
     passing = 0 < loud.sum() < _PASSING * (split.train | split.test).sum()

@@ -44,6 +44,10 @@ class Stage(IntEnum):
     IMU = 8
 
 
+# Stages whose effects change each reading of the compass by itself, without its neighbours.
+EACH_BY_ITSELF = frozenset({Stage.MATRIX, Stage.FIELD, Stage.MOUNTING})
+
+
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """Describe one parameter: unit, physical range, a typical simulated value, and its natural size."""

@@ -2,9 +2,46 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Between:
+    """Hold where wanted times lie between samples, and what cubic Hermite pieces take of both neighbours.
+
+    A value is `share` (M, 2) of the neighbours at `left` (M,) and `left` + 1, and `slope_s` (M, 2) of their
+    slopes.
+    """
+
+    left: NDArray[np.int64]
+    share: FloatArray
+    slope_s: FloatArray
+
+    @classmethod
+    def find(cls, time_s: FloatArray, wanted_s: FloatArray) -> Between:
+        """Find the neighbours of wanted times (M,) among samples (N,), two at least; outside the ends are
+        held."""
+        wanted = np.minimum(np.maximum(wanted_s, time_s[0]), time_s[-1])
+        left = np.minimum(np.maximum(time_s.searchsorted(wanted, side="right") - 1, 0), time_s.size - 2)
+        width = time_s[left + 1] - time_s[left]
+        u = (wanted - time_s[left]) / width
+        rise = u * u * (3.0 - 2.0 * u)
+        slope = width * u * (1.0 - u)
+        return cls(
+            left, np.stack([1.0 - rise, rise], axis=1), np.stack([slope * (1.0 - u), -slope * u], axis=1)
+        )
+
+    def of(self, columns: FloatArray, weights: FloatArray) -> FloatArray:
+        """Add up both neighbours of columns (N, ...) with weights (M, 2), (M, ...)."""
+        each = weights.reshape(*weights.shape, *(1 for _ in columns.shape[1:]))
+        return np.asarray(
+            columns.take(self.left, axis=0) * each[:, 0] + columns.take(self.left + 1, axis=0) * each[:, 1]
+        )
 
 
 def at_times(
@@ -15,30 +52,21 @@ def at_times(
     Without `slopes` (N, k) these are central differences (Catmull and Rom), which reproduces parabolas
     exactly.
     """
-    n = time_s.size
-    if n < 2:
+    if time_s.size < 2:
         return np.repeat(values[:1], wanted_s.size, axis=0)
     slopes = central_differences(time_s, values) if slopes is None else slopes
-    wanted = np.minimum(np.maximum(wanted_s, time_s[0]), time_s[-1])
-    left = np.minimum(np.maximum(time_s.searchsorted(wanted, side="right") - 1, 0), n - 2)
-    right = left + 1
-    width = time_s[right] - time_s[left]
-    u = (wanted - time_s[left]) / width
-    rise = u * u * (3.0 - 2.0 * u)
-    out = values.take(left, axis=0) * (1.0 - rise)[:, None]
-    out += values.take(right, axis=0) * rise[:, None]
-    out += slopes.take(left, axis=0) * (width * u * (1.0 - u) ** 2)[:, None]
-    out -= slopes.take(right, axis=0) * (width * u * u * (1.0 - u))[:, None]
-    return np.asarray(out)
+    between = Between.find(time_s, wanted_s)
+    return between.of(values, between.share) + between.of(slopes, between.slope_s)
 
 
 def central_differences(time_s: FloatArray, values: FloatArray) -> FloatArray:
     """Return the slopes of columns (N, k) over their neighbours, at the ends over one."""
-    n = time_s.size
-    if n < 2:
-        return np.zeros_like(values)
-    before, after = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
-    return np.asarray((values[after] - values[before]) / (time_s[after] - time_s[before])[:, None])
+    out = np.zeros(values.shape)
+    if time_s.size > 1:
+        out[1:-1] = (values[2:] - values[:-2]) / (time_s[2:] - time_s[:-2])[:, None]
+        out[0] = (values[1] - values[0]) / (time_s[1] - time_s[0])
+        out[-1] = (values[-1] - values[-2]) / (time_s[-1] - time_s[-2])
+    return out
 
 
 State = tuple[float, FloatArray, FloatArray]

@@ -189,10 +189,11 @@ def _placed(misfit: Misfit, everywhere: NDArray[np.int64], on_s: float) -> list[
 
 
 def _polished(position: FloatArray, residual: FloatArray, sources: FloatArray, step_m: float) -> FloatArray:
-    """Walk from places (M, 3) to better ones by pattern search, all of them abreast."""
+    """Walk from places (M, 3) to better ones by pattern search, all of them abreast, as near as a fit needs
+    to begin."""
     gains, _ = _dipoles(position, residual, sources)
     steps = np.full(len(sources), step_m)
-    while (walking := steps > 0.01).any():
+    while (walking := steps > max(0.01, step_m / 32.0)).any():
         before = sources
         for axis in np.eye(3):
             trials = np.stack([sources - steps[:, None] * axis, sources + steps[:, None] * axis])
