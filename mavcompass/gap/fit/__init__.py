@@ -2,7 +2,7 @@
 
 from mavcompass.gap.fit.chance import least_gain
 from mavcompass.gap.fit.composition import difference
-from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, make_term
+from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, make_term, placements
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.pruning import pruned
 from mavcompass.gap.fit.search import Found, Search
@@ -17,5 +17,6 @@ __all__ = [
     "difference",
     "least_gain",
     "make_term",
+    "placements",
     "pruned",
 ]

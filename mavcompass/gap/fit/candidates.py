@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.composition import difference
-from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension
+from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, placements
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.normal import BlockNormal
 from mavcompass.gap.replay import REFERENCE_YAW, WORLD_FIELD, group_values, yaw_starts
-from mavcompass.simulation.effects.effect import Misfit, Signals
+from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading
 
 # A shift that the derivatives make themselves to this share is no column of its own.
@@ -64,6 +64,10 @@ def misfit_of(problem: Problem, signals: Signals) -> Misfit:
     rows = np.zeros(problem.rows.size, dtype=np.bool_)
     rows[problem.index] = True
     return Misfit(signals, residual, rows, problem.sigma_mgauss, len(yaw_starts(problem.nuisances)) > 1)
+
+
+def _elsewhere(effect: Effect, guess: FloatArray, known: FloatArray) -> bool:
+    return effect.stage_at(guess) is not effect.stage_at(known)
 
 
 class Candidates:
@@ -121,16 +125,20 @@ class Candidates:
         `before` are the states of the base.
         """
         fit, problem, parts = self.base, self.problem, list[FloatArray]()
+        known: FloatArray | None = None
         for place, member in enumerate(self.base.terms):
             if member.effect.id == term.effect.id:
-                fit = self.base.without(place)
+                fit, known = self.base.without(place), self.base.thetas[place]
                 before = problem.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
         misfit: Misfit | None = None
-        guesses = [term.effect.neutral()] if fit is self.base else []
+        guesses = [term.effect.neutral()]
         if term.effect.starts is not None:
             misfit = misfit_of(problem, before[-1])
             guesses = term.effect.starts(misfit)
-        for guess in guesses:
+        iron = problem.replay.iron.offset_mgauss
+        for guess in [placed for g in guesses for placed in placements(term.effect, g, iron)]:
+            if misfit is None and known is not None and not _elsewhere(term.effect, guess, known):
+                continue
             terms, thetas = (*fit.terms, term), (*fit.thetas, guess)
             states = problem.composition.states(terms, thetas, fit.nuisance_thetas, before)
             place = len(problem.nuisances) + len(fit.terms)

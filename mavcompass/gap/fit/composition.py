@@ -74,12 +74,12 @@ class Composition:
             return np.arange(len(self.nuisances[place].effect.parameters))
         return np.flatnonzero(terms[place - n].free)
 
-    def _ordered(self, terms: Sequence[Term]) -> list[tuple[Effect, int]]:
+    def _ordered(self, terms: Sequence[Term], everything: Sequence[FloatArray]) -> list[tuple[Effect, int]]:
         """List the effects of the composition in order, with their places in the list of parameters."""
         members = [(n.effect, i) for i, n in enumerate(self.nuisances)]
         members += [(t.effect, len(self.nuisances) + i) for i, t in enumerate(terms)]
         # Sorting is stable: a nuisance acts before the effects of its stage.
-        return sorted(members, key=lambda member: member[0].stage)
+        return sorted(members, key=lambda member: member[0].stage_at(everything[member[1]]))
 
     def states(
         self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
@@ -90,7 +90,7 @@ class Composition:
         `without_last` are those without the last of the terms, where they are known.
         """
         everything = [*nuisance_thetas, *thetas]
-        order = self._ordered(terms)
+        order = self._ordered(terms, everything)
         states = [self.replay.signals]
         if without_last:
             states = list(without_last[: 1 + [place for _, place in order].index(len(everything) - 1)])
@@ -103,8 +103,8 @@ class Composition:
         states: list[Signals], wanted: Sequence[int],
     ) -> list[Reading]:  # fmt: skip
         """Return the derivatives of the prediction by the free parameters of some members, in their order."""
-        order = self._ordered(terms)
         everything = [*nuisance_thetas, *thetas]
+        order = self._ordered(terms, everything)
         places = {place: at for at, (_, place) in enumerate(order)}
         # A common delay comes last and is the same for all that comes before it: once for all columns.
         late = order[-1][0].id == TELEMETRY_AGE if order else False

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import MOMENTS, Effect, Parameter, Signals
+from mavcompass.simulation.effects.effect import MOMENTS, ON_IRON, Effect, Parameter, Signals
 
 Mask = NDArray[np.bool_]
 # A direction that the data do not tell stays near zero: amplitudes have priors of twenty natural sizes.
 _PRIOR_SIZES = 20.0
+# With less iron beside it, it does not matter whether an error of the sensor acts on that too.
+_IRON_TO_TELL_MGAUSS = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +102,17 @@ def make_term(effect: Effect, signals: Signals) -> Term:
         low, high = effect.limits(signals)
         lower, upper = np.maximum(lower, low), np.minimum(upper, high)
     return Term(effect, free, lower, upper)
+
+
+def placements(effect: Effect, theta: FloatArray, iron_mgauss: FloatArray) -> list[FloatArray]:
+    """Let an error of the sensor act on the vehicle's iron (3,) too, or on the field alone, where that
+    differs."""
+    if ON_IRON not in effect.names:
+        return [theta]
+    place = effect.names.index(ON_IRON)
+    differs = float(np.abs(iron_mgauss).max()) > _IRON_TO_TELL_MGAUSS
+    both = (0.0, 1.0) if differs else (float(effect.default[place]),)
+    return [np.concatenate([theta[:place], [on], theta[place + 1 :]]) for on in both]
 
 
 def weak_precision(terms: Sequence[Term]) -> FloatArray:

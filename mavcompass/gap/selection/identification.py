@@ -8,14 +8,14 @@ from functools import partial
 
 import numpy as np
 
-from mavcompass.gap.fit import Fit, Problem, Search, pruned
+from mavcompass.gap.fit import Fit, Problem, Search, placements, pruned
 from mavcompass.gap.left import Floor, apart, widened
-from mavcompass.gap.replay import IRON_OFFSET, Replay
+from mavcompass.gap.replay import Replay
 from mavcompass.gap.selection.guards import at_floor, needs_none, refused, worthwhile
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.split import Split, probe, with_parts, with_windows
 from mavcompass.gap.selection.transient import moments, told, transients, with_moments
-from mavcompass.simulation.effects.effect import Effect, Stage
+from mavcompass.simulation.effects.effect import Effect
 
 _PASSES = 2
 _CLOSINGS_IN = 6
@@ -26,9 +26,6 @@ _LOUD = 3.0
 _PASSING = 0.25
 # What leaves no more than this many times as much is no worse.
 _NO_WORSE = 1.05
-_OF_THE_SENSOR = (Stage.MATRIX, Stage.MOUNTING)
-# How near a named hard iron comes to what another effect makes of the iron in force, to be just that.
-_IRON_SHARE = 0.35
 
 
 def identify(
@@ -127,8 +124,7 @@ def _alike(candidate: Identified) -> tuple[frozenset[str], ...]:
     """Return the sets that the recording cannot tell from the chosen one, whatever the search found.
 
     A compass that is read slowly, averaged and repeated smooths by nature: a lag may be a low pass. A field
-    that falls with the height comes from below: of everywhere below, or of one thing there. A gain, or a
-    turn, of the whole sensor changes the iron that it reads, too.
+    that falls with the height comes from below: of everywhere below, or of one thing there.
     """
     ids, tried = candidate.fit.ids, {term.effect.id for term in candidate.search.terms}
     out = []
@@ -136,25 +132,7 @@ def _alike(candidate: Identified) -> tuple[frozenset[str], ...]:
         out.append(ids - {"transport_lag"} | {"low_pass"})
     if "height_anomaly" in ids and "spatial_dipole" in tried:
         out.append(ids - {"height_anomaly"} | {"spatial_dipole"})
-    if "hard_iron" in ids and _iron_changed(candidate):
-        out.append(ids - {"hard_iron"})
     return tuple(out)
-
-
-def _iron_changed(candidate: Identified) -> bool:
-    """Tell whether the named hard iron is what the other named effects make of the iron in force."""
-    fit, replay = candidate.fit, candidate.problem.replay
-    iron = replay.iron.offset_mgauss.copy()
-    for nuisance, theta in zip(candidate.problem.nuisances, fit.nuisance_thetas, strict=True):
-        if nuisance.effect.id == IRON_OFFSET:
-            iron += theta[:3]
-    signals = replay.signals.with_mag(np.tile(iron, (replay.time_s.size, 1)))
-    for term, theta in zip(fit.terms, fit.thetas, strict=True):
-        if term.effect.stage in _OF_THE_SENSOR:
-            signals = term.effect.forward(signals, theta, {}, None)
-    made = signals.reading.mag_mgauss[0] - iron
-    size = float(np.linalg.norm(made))
-    return float(np.linalg.norm(fit.theta("hard_iron") - made)) < _IRON_SHARE * size
 
 
 def _simplest(candidate: Identified, floor: Floor) -> Identified:
@@ -202,13 +180,18 @@ def _substitutes(candidate: Identified) -> list[Fit]:
     """Fit the chosen set with an alias in the place of one of its effects: no search need have tried it."""
     chosen, problem = candidate.fit, candidate.problem
     terms = {term.effect.id: term for term in candidate.search.terms if term.effect.starts is None}
-    out = []
+    out, iron = [], problem.replay.iron.offset_mgauss
     for place, term in enumerate(chosen.terms):
         for alias in term.effect.aliases:
             if alias in terms and alias not in chosen.ids:
                 rest, other = chosen.without(place), terms[alias]
-                guess = (*rest.thetas, other.effect.neutral())
-                out.append(problem.refit(problem.fit((*rest.terms, other), guess, chosen.nuisance_thetas)))
+                fits = [
+                    problem.refit(
+                        problem.fit((*rest.terms, other), (*rest.thetas, guess), chosen.nuisance_thetas)
+                    )
+                    for guess in placements(other.effect, other.effect.neutral(), iron)
+                ]
+                out.append(min(fits, key=lambda f: f.sse))
     return out
 
 

@@ -25,6 +25,8 @@ Kind = Literal["mean", "discrete", "random", "integrity"]
 Group = Literal["mag", "acc", "gyro"]
 # Moments of change that lie outside every recording.
 NEVER_S = 1.0e7
+# 1 where an error of the sensor acts on the vehicle's iron too, 0 where it acts on the field alone.
+ON_IRON = "on_iron"
 # Parameters that are moments of change, whatever effect they belong to.
 MOMENTS = frozenset({"on_s", "off_s"})
 GROUPS: tuple[Group, ...] = ("mag", "acc", "gyro")
@@ -144,7 +146,8 @@ class Effect:
 
     Attributes:
         id: its name in commands and results; title: a few words.
-        stage: its place in the order of composition.
+        stage: its place in the order of composition; one with a parameter `on_iron` is before the iron, or
+            behind it, as that says.
         parameters: what can be set and is fitted.
         forward: the model; `memory` is carried between the blocks of a live run, empty at the start.
         groups: the sensors that see it.
@@ -182,6 +185,12 @@ class Effect:
     optional: frozenset[str] = frozenset()
     limits: Limits | None = None
     enough: tuple[Group, ...] = ()
+
+    def stage_at(self, theta: FloatArray) -> Stage:
+        """Return the place in the order of composition that the effect has with these parameters."""
+        if ON_IRON not in self.names:
+            return self.stage
+        return Stage.MOUNTING if theta[self.names.index(ON_IRON)] > 0.5 else Stage.MATRIX
 
     @property
     def lower(self) -> FloatArray:
@@ -265,7 +274,7 @@ class Chain:
     _memories: list[Memory] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.settings = sorted(self.settings, key=lambda s: s.effect.stage)
+        self.settings = sorted(self.settings, key=lambda s: s.effect.stage_at(s.theta))
         self._memories = [{} for _ in self.settings]
 
     def run(self, signals: Signals, rng: Rng) -> Signals:
@@ -273,6 +282,11 @@ class Chain:
         for setting, memory in zip(self.settings, self._memories, strict=True):
             signals = setting.effect.forward(signals, setting.theta, memory, rng)
         return signals
+
+
+def on_iron(usually: bool) -> Parameter:
+    """Describe the parameter that tells whether an error of the sensor acts on the vehicle's iron too."""
+    return Parameter(ON_IRON, "1", 0.0, 1.0, float(usually), 0.0, integer=True)
 
 
 def axes(

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Rng, Signals, Stage, axes
+from mavcompass.simulation.effects.effect import (
+    ON_IRON,
+    Effect,
+    Memory,
+    Rng,
+    Signals,
+    Stage,
+    axes,
+    on_iron,
+)
 from mavcompass.simulation.effects.rotations import rotation_vector_matrix
 
 
@@ -20,17 +29,17 @@ def _soft_iron(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) ->
 
 
 def _axis_scale(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    return signals.with_mag(signals.reading.mag_mgauss * (1.0 + theta))
+    return signals.with_mag(signals.reading.mag_mgauss * (1.0 + theta[:3]))
 
 
 def _non_orthogonality(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    yx, zx, zy = theta
+    yx, zx, zy = theta[:3]
     matrix = np.array([[1.0, 0.0, 0.0], [yx, 1.0, 0.0], [zx, zy, 1.0]])
     return signals.with_mag(signals.reading.mag_mgauss @ matrix.T)
 
 
 def _misalignment(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    return signals.with_mag(signals.reading.mag_mgauss @ rotation_vector_matrix(theta).T)
+    return signals.with_mag(signals.reading.mag_mgauss @ rotation_vector_matrix(theta[:3]).T)
 
 
 EFFECTS = (
@@ -65,35 +74,41 @@ EFFECTS = (
         id="axis_scale",
         title="gain error of each sensor axis",
         stage=Stage.MATRIX,
-        parameters=axes(-0.5, 0.5, (0.05, -0.04, 0.02), 0.03, "1"),
+        parameters=(*axes(-0.5, 0.5, (0.05, -0.04, 0.02), 0.03, "1"), on_iron(False)),
         forward=_axis_scale,
         needs=frozenset({"turning"}),
         aliases=("field_intensity", "inclination", "soft_iron"),
         separated_by="tumble, and visit a second site for the common part",
         source="raw_i = (1 + s_i) m_i, 0.5 to 5 %",
+        optional=frozenset({ON_IRON}),
         affine=True,
     ),
     Effect(
         id="non_orthogonality",
         title="sensor axes not at right angles",
         stage=Stage.MATRIX,
-        parameters=axes(-0.15, 0.15, (0.02, -0.015, 0.01), 0.015, "rad", ("yx", "zx", "zy")),
+        parameters=(
+            *axes(-0.15, 0.15, (0.02, -0.015, 0.01), 0.015, "rad", ("yx", "zx", "zy")),
+            on_iron(False),
+        ),
         forward=_non_orthogonality,
         needs=frozenset({"turning", "tilt"}),
         aliases=("soft_iron", "misalignment"),
         separated_by="tumble through all attitudes",
         source="lower triangular I + L; data sheets state 90 +/- 1 degree",
+        optional=frozenset({ON_IRON}),
         affine=True,
     ),
     Effect(
         id="misalignment",
         title="the compass is turned against the body",
         stage=Stage.MOUNTING,
-        parameters=axes(-0.5, 0.5, (0.02, -0.03, 0.06), 0.03, "rad"),
+        parameters=(*axes(-0.5, 0.5, (0.02, -0.03, 0.06), 0.03, "rad"), on_iron(True)),
         forward=_misalignment,
         aliases=("declination", "attitude_reference_error", "non_orthogonality"),
         separated_by="tilt: about the vertical it is the declination exactly",
         source="raw = exp[w] m, 0.5 to 10 degrees",
+        optional=frozenset({ON_IRON}),
         affine=True,
     ),
 )

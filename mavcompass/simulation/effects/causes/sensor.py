@@ -7,7 +7,18 @@ import math
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage, axes
+from mavcompass.simulation.effects.effect import (
+    ON_IRON,
+    Effect,
+    Memory,
+    Misfit,
+    Parameter,
+    Rng,
+    Signals,
+    Stage,
+    axes,
+    on_iron,
+)
 
 _FULL_SCALE_MGAUSS = 1000.0
 _NEXT = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
@@ -83,7 +94,7 @@ def _hysteresis_starts(misfit: Misfit) -> list[FloatArray]:
 def _cross_axis(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     field = signals.reading.mag_mgauss
     out = field.copy()
-    for value, (axis, other) in zip(theta, _NEXT, strict=True):
+    for value, (axis, other) in zip(theta[:6], _NEXT, strict=True):
         if value != 0.0:
             out[:, axis] += value / _FULL_SCALE_MGAUSS * field[:, axis] * field[:, other]
     return signals.with_mag(out)
@@ -163,15 +174,19 @@ EFFECTS = (
         id="cross_axis",
         title="the gain of an axis depends on the field across it",
         stage=Stage.MATRIX,
-        parameters=axes(
-            -0.2,
-            0.2,
-            (0.03, -0.02, 0.02, 0.025, -0.03, 0.015),
-            0.01,
-            "1 at 1 G",
-            ["xyz"[i] + "xyz"[j] for i, j in _NEXT],
+        parameters=(
+            *axes(
+                -0.2,
+                0.2,
+                (0.03, -0.02, 0.02, 0.025, -0.03, 0.015),
+                0.01,
+                "1 at 1 G",
+                ["xyz"[i] + "xyz"[j] for i, j in _NEXT],
+            ),
+            on_iron(False),
         ),
         forward=_cross_axis,
+        optional=frozenset({ON_IRON}),
         needs=frozenset({"turning", "tilt"}),
         aliases=("soft_iron",),
         separated_by="tumble, better in a stronger field",

@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage, axes
+from mavcompass.simulation.effects.effect import (
+    ON_IRON,
+    Effect,
+    Memory,
+    Misfit,
+    Parameter,
+    Rng,
+    Signals,
+    Stage,
+    axes,
+    on_iron,
+)
 
 _REFERENCE = Parameter("reference_degc", "degC", -40.0, 85.0, 25.0, 2.0)
 _ROOM_DEGC = 25.0
@@ -37,19 +48,28 @@ def _starts(misfit: Misfit, carrier: FloatArray, limit: float) -> list[FloatArra
     return [np.array([*np.clip(slope, -limit, limit), reference]) for reference in references]
 
 
+def _sensitivity_starts(misfit: Misfit) -> list[FloatArray]:
+    return [np.append(start, 0.0) for start in _starts(misfit, misfit.signals.reading.mag_mgauss, 0.01)]
+
+
 def _limits(signals: Signals) -> tuple[FloatArray, FloatArray]:
     """Keep the reference near the recorded temperatures or at room temperature.
 
     Far from both, what follows the temperature is hardly more than a constant, which has its own name.
     """
+    low, high = np.full(4, -np.inf), np.full(4, np.inf)
     temperature = signals.stimulus.temperature_degc
     finite = temperature[np.isfinite(temperature)]
-    if not finite.size:
-        return np.full(4, -np.inf), np.full(4, np.inf)
-    span = float(np.ptp(finite))
-    low = min(float(finite.min()) - span, _ROOM_DEGC)
-    high = max(float(finite.max()) + span, _ROOM_DEGC)
-    return np.array([-np.inf, -np.inf, -np.inf, low]), np.array([np.inf, np.inf, np.inf, high])
+    if finite.size:
+        span = float(np.ptp(finite))
+        low[3] = min(float(finite.min()) - span, _ROOM_DEGC)
+        high[3] = max(float(finite.max()) + span, _ROOM_DEGC)
+    return low, high
+
+
+def _sensitivity_limits(signals: Signals) -> tuple[FloatArray, FloatArray]:
+    low, high = _limits(signals)
+    return np.append(low, 0.0), np.append(high, 1.0)
 
 
 EFFECTS = (
@@ -70,13 +90,18 @@ EFFECTS = (
         id="temperature_sensitivity",
         title="a gain that follows the temperature",
         stage=Stage.MATRIX,
-        parameters=(*axes(-0.02, 0.02, (-0.0027, -0.0027, -0.0027), 0.001, "1/degC"), _REFERENCE),
+        parameters=(
+            *axes(-0.02, 0.02, (-0.0027, -0.0027, -0.0027), 0.001, "1/degC"),
+            _REFERENCE,
+            on_iron(False),
+        ),
         forward=_sensitivity,
         needs=frozenset({"temperature"}),
         aliases=("field_intensity", "axis_scale"),
         separated_by="warm up and cool down while tumbling",
         source="raw = (1 + a (T - T0)) field; HMC1053: -2700 ppm/degC",
-        starts=lambda misfit: _starts(misfit, misfit.signals.reading.mag_mgauss, 0.01),
-        limits=_limits,
+        starts=_sensitivity_starts,
+        limits=_sensitivity_limits,
+        optional=frozenset({ON_IRON}),
     ),
 )
