@@ -1,13 +1,13 @@
 """Change the code by a little, many times: do the tests notice?
 
-    scripts/coverage                                                          # once: which test runs what
     python scripts/campaigns/mutants.py [--mutants 150] [--seed 1] [--room heading].. [--longest 30]
     python scripts/campaigns/mutants.py --mutant mavcompass/frames.py#17      # one again
 
 Places are drawn evenly over the code of the rooms: an operator, a comparison, a condition, a number, what is
-returned. For each the tests that run its line are run, the quickest first, up to `--longest` seconds of them;
-the mutant is caught when one fails or hangs. Slower tests might notice more: the share is a lower bound.
-Works in a copy; nothing here is changed. Exit code 1 below `--least` percent.
+returned. For each the tests of its own room are run for `--longest` seconds, and where these are content as long
+those that run its line, the quickest first, if `scripts/coverage` has found which they are; the nearest other
+tests otherwise. The mutant is caught when one fails or hangs. Slower tests might notice more: the share is a
+lower bound. Works in a copy; nothing here is changed. Exit code 1 below `--least` percent.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from pathlib import Path
 PROJECT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from mutation.covering import Covering  # noqa: E402
+from mutation.covering import Covering, is_measured  # noqa: E402
 from mutation.sites import Site, mutated, sites  # noqa: E402
 
 ROOMS: dict[str, tuple[str, ...]] = {
@@ -48,12 +48,12 @@ ROOMS: dict[str, tuple[str, ...]] = {
 # These try the project's folder itself, which a copy is not.
 _UNFIT = ("tests/test_", "tests/acceptance/")
 _NOTICED, _UNNOTICED = 1, 0
-_WAITS_S = 90.0
+_WAITS_S = 60.0
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Say what became of a mutant: "caught", "survived", or "run by no test"."""
+    """Say what became of a mutant: "caught", or "survived"."""
 
     room: str
     site: Site
@@ -149,27 +149,37 @@ class Trial:
 
     def __init__(self, root: Path, project: Path, longest_s: float) -> None:
         self.root, self.longest_s = root, longest_s
-        self._covering = Covering(project)
+        self._covering = Covering(project) if is_measured(project) else None
         self._failed = root.parent / "failed"
         self._sound: dict[str, bool] = {}
 
     def verdict(self, room: str, site: Site, number: int) -> Verdict:
         """Try one."""
         text, what = mutated(self.root, site)
-        tests = [t for t in self._covering.tests(site, self.longest_s) if not t.startswith(_UNFIT)]
-        while True:
-            if not tests:
-                return Verdict(room, site, what, "run by no test")
+        for tests in self._stages(site):
+            if self._is_noticed_by(tests, site, text, number):
+                return Verdict(room, site, what, "caught")
+        print(f"  {site} line {site.line}: {what}", flush=True)
+        return Verdict(room, site, what, "survived")
+
+    def _stages(self, site: Site) -> Iterator[list[str]]:
+        """Give the tests of the place's own room, then others."""
+        near, others = nearest(self.root, site.path)
+        yield near
+        if self._covering is not None:
+            others = [t for t in self._covering.tests(site, self.longest_s) if not t.startswith(_UNFIT)]
+        yield others
+
+    def _is_noticed_by(self, tests: list[str], site: Site, text: str, number: int) -> bool:
+        unsound: list[str] = []
+        while tests:
             with _changed(self.root / site.path, text, number):
-                noticed = self._status(tests)
+                noticed = self._status([*tests, *(f"--deselect={test}" for test in unsound)])
             blamed = self._failed.read_text() if self._failed.exists() else ""
             if not noticed or not blamed or self._is_sound(blamed):
-                break
-            tests = [test for test in tests if test != blamed]
-        told = "caught" if noticed else "survived"
-        if told == "survived":
-            print(f"  {site} line {site.line}, {len(tests)} tests: {what}", flush=True)
-        return Verdict(room, site, what, told)
+                return noticed
+            unsound.append(blamed)
+        return False
 
     def _is_sound(self, test: str) -> bool:
         """Tell whether a test passes as it is."""
@@ -179,11 +189,32 @@ class Trial:
                 print(f"  left out, fails as it is: {test}", flush=True)
         return self._sound[test]
 
-    def _status(self, tests: list[str]) -> bool:
+    def _status(self, arguments: list[str]) -> bool:
         """Run tests in a forked process; True where one fails, or the process has to be ended."""
         self._failed.unlink(missing_ok=True)
-        expected_s = sum(self._covering.seconds[name] for name in tests)
-        return _forked(partial(_run, tests, self._failed), expected_s) != _UNNOTICED
+        run = partial(_run, arguments, self._failed, self.longest_s)
+        return _forked(run, self.longest_s) != _UNNOTICED
+
+
+def nearest(root: Path, path: str) -> tuple[list[str], list[str]]:
+    """Return the tests in the folder that mirrors a file's, and the others of the room above.
+
+    Those with the file's name come first, then those that speak of it, then those that speak of its folder.
+    """
+    module = path.removesuffix(".py").replace("/", ".")
+    package, _, name = module.rpartition(".")
+    folders = Path(path).parts[1:-1] or ("ground",)
+    depth = max(n for n in range(1, len(folders) + 1) if (root / "tests" / Path(*folders[:n])).is_dir())
+    folder = root / "tests" / Path(*folders[:depth])
+
+    def distance(test: Path) -> tuple[bool, bool, bool]:
+        text = test.read_text()
+        return name not in test.name, module not in text, package not in text
+
+    tests = sorted(sorted((root / "tests" / folders[0]).rglob("test_*.py")), key=distance)
+    near = [str(test.relative_to(root)) for test in tests if folder in test.parents]
+    others = [str(test.relative_to(root)) for test in tests if folder not in test.parents]
+    return near, others
 
 
 @contextmanager
@@ -198,19 +229,30 @@ def _changed(path: Path, text: str, number: int) -> Iterator[None]:
         path.write_bytes(original)
 
 
-def _run(tests: list[str], failed: Path) -> int:
+def _run(arguments: list[str], failed: Path, longest_s: float) -> int:
     import pytest
 
-    class Blame:
+    class Watch:
+        """Note what fails first; end between two tests when the time is up."""
+
+        session: pytest.Session
+        began_s = time.monotonic()
+
+        def pytest_sessionstart(self, session: pytest.Session) -> None:
+            self.session = session
+
         def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
             if report.failed:
                 failed.write_text(report.nodeid)
+            elif time.monotonic() - self.began_s > longest_s:
+                self.session.shouldstop = "the time is up"
 
-    done = pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-n", "0", *tests], plugins=[Blame()])
-    return _UNNOTICED if done == pytest.ExitCode.OK else _NOTICED
+    done = pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-n", "0", *arguments], plugins=[Watch()])
+    ended = done == pytest.ExitCode.INTERRUPTED and time.monotonic() - Watch.began_s > longest_s
+    return _UNNOTICED if not failed.exists() and (done == pytest.ExitCode.OK or ended) else _NOTICED
 
 
-def _forked(work: Callable[[], int], expected_s: float) -> int:
+def _forked(work: Callable[[], int], longest_s: float) -> int:
     """Do work in a forked process, silently; a process that hangs ends by the system."""
     sys.stdout.flush()
     child = os.fork()
@@ -218,7 +260,7 @@ def _forked(work: Callable[[], int], expected_s: float) -> int:
         status = _NOTICED
         try:
             os.setsid()
-            limit_s = int(5.0 * expected_s + 20.0)
+            limit_s = int(3.0 * longest_s + 20.0)
             resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
             nothing = os.open(os.devnull, os.O_RDWR)
             for descriptor in (0, 1):
@@ -228,7 +270,7 @@ def _forked(work: Callable[[], int], expected_s: float) -> int:
             traceback.print_exc()
         finally:
             os._exit(status)
-    end_s = time.monotonic() + 20.0 * expected_s + _WAITS_S
+    end_s = time.monotonic() + 10.0 * longest_s + _WAITS_S
     while time.monotonic() < end_s:
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
@@ -248,7 +290,7 @@ def _forked(work: Callable[[], int], expected_s: float) -> int:
 def _table(verdicts: Sequence[Verdict]) -> float:
     """Print what was caught by room; return the share in percent."""
     count = Counter((v.room, v.told) for v in verdicts)
-    tolds = ("caught", "survived", "run by no test")
+    tolds = ("caught", "survived")
     print(f"{'room':20}" + "".join(f"{told:>16}" for told in tolds))
     for room in dict.fromkeys(v.room for v in verdicts):
         print(f"{room:20}" + "".join(f"{count[room, told]:>16}" for told in tolds))

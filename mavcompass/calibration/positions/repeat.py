@@ -128,8 +128,7 @@ def _judge(
     worst: int,
     worst_rad: float,
 ) -> tuple[RepeatCause, int, str]:
-    chance = chance_of_more(chi_square, max(freedom, 1))
-    if chance < _UNLIKELY:
+    if chance_of_more(chi_square, freedom) < _UNLIKELY:
         words = (
             f"Position {worst + 1} of the turn back is off by {math.degrees(worst_rad):+.1f} degrees: "
             "something magnetic came or went there. Repeat it."

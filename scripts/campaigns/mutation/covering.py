@@ -12,6 +12,11 @@ from mutation.sites import Site
 from mutation.test_contexts import SECONDS
 
 
+def is_measured(project: Path) -> bool:
+    """Tell whether `scripts/coverage` has run."""
+    return (project / SECONDS).exists() and (project / ".coverage").exists()
+
+
 class Covering:
     """Look up tests by the lines that they run."""
 

@@ -1,0 +1,265 @@
+"""What may be said of a gap: every line of the rules, at its limits."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.gap.answer import verdict
+from mavcompass.gap.answer.verdict import Answer, consistent, decide
+from mavcompass.gap.fit import Fit, Term
+from mavcompass.gap.left import Adequacy
+from mavcompass.gap.result import Closing, Verdict
+from mavcompass.simulation.effects import registry
+
+CLOSED, OPEN = Closing(4.0, 1.2, 1.0, 0.9, (0.8, 0.95)), Closing(4.0, 2.0, 1.0, 0.5, (0.4, 0.6))
+SILENT = Closing(1.0, 1.0, 1.0, 0.0, (-0.1, 0.1))
+
+
+def fit_of(*effects: str, **first: float) -> Fit:
+    """Make a fit with these effects, the named parameters of the first set."""
+    terms, thetas = [], []
+    for name in effects:
+        effect = registry.get(name)
+        free = np.ones(len(effect.parameters), dtype=np.bool_)
+        low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
+        terms.append(Term(effect, free, low, high))
+        thetas.append(np.array([first.get(p.name, 0.0) for p in effect.parameters]))
+    return Fit(tuple(terms), tuple(thetas), (), 0.0)
+
+
+def floor(measured: bool = True, representative: bool = False) -> Any:
+    return SimpleNamespace(measured=measured, representative=representative, field_rms_mgauss=1.0)
+
+
+def replay(kind: str = "estimator", yaw_unknown: bool = False, step_s: float = 0.1) -> Any:
+    reference = SimpleNamespace(kind=kind, yaw_unknown=yaw_unknown)
+    return SimpleNamespace(reference=reference, time_s=np.arange(50) * step_s)
+
+
+NONE = fit_of()
+
+
+def said(
+    answer: Answer, field: Closing = CLOSED, heading: Closing = SILENT, *, over: Any = None, **given: Any
+) -> Answer:
+    values = {"traces": False, "turns": True, "floor": over or floor(), "replay": replay(), **given}
+    return consistent(answer, field, heading, "speed", none=NONE, **values)
+
+
+def answer(told: Verdict, *effects: str, flagged: bool = False) -> Answer:
+    return Answer(told, fit_of(*effects), flagged, "yaw" if flagged else None)
+
+
+# --- first what is found -------------------------------------------------------------------------------
+
+
+def identified(*effects: str, weight: float = 1.0, as_good: tuple[frozenset[str], ...] = ()) -> Any:
+    fit = fit_of(*effects)
+    found = SimpleNamespace(null=NONE, weights=((fit.ids, weight),))
+    return SimpleNamespace(fit=fit, found=found, as_good=as_good)
+
+
+@pytest.fixture(autouse=True)
+def steady(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An offset that wanders is another test's."""
+    monkeypatch.setattr(verdict, "wanders", lambda identified: False)
+
+
+def decided(
+    found: Any, over: Any = None, *, flagged: bool = False, traces: bool = False, **rest: Any
+) -> Answer:
+    tests: Any = (SimpleNamespace(coordinate="yaw", p=1e-9),)
+    adequacy = Adequacy(tests, flagged)
+    half = rest.get("half", frozenset())
+    return decide(found, over or floor(), rest.get("remainder"), adequacy, traces, half)
+
+
+def test_nothing_found_is_no_gap_or_unknown() -> None:
+    assert decided(identified()) == Answer("no_gap", NONE, False, None)
+    # A floor that does not hold in detail flags nothing.
+    assert decided(identified(), flagged=True).verdict == "no_gap"
+    there = floor(representative=True)
+    assert decided(identified(), there, flagged=True) == Answer("unknown", NONE, True, "yaw")
+    assert decided(identified(), there).verdict == "no_gap"
+    # Scatter, repeats or steps alone are an answer.
+    assert decided(identified(), traces=True).verdict == "named"
+    assert decided(identified(), there, traces=True, flagged=True).verdict == "named_with_remainder"
+
+
+@pytest.mark.parametrize(
+    ("found", "half", "told"),
+    [
+        (identified("hard_iron"), (), "named"),
+        (identified("hard_iron", weight=0.90), (), "named"),
+        (identified("hard_iron", weight=0.899), (), "ambiguous"),
+        (identified("hard_iron"), ("hard_iron",), "ambiguous"),
+        (identified("hard_iron"), ("soft_iron",), "named"),
+        (identified("hard_iron", as_good=(frozenset({"soft_iron"}),)), (), "ambiguous"),
+    ],
+)
+def test_a_name_is_sure_where_nothing_else_is_as_good(found: Any, half: tuple[str, ...], told: str) -> None:
+    assert decided(found, half=frozenset(half)).verdict == told
+
+
+def test_an_offset_that_wanders_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verdict, "wanders", lambda identified: True)
+    there = floor(representative=True)
+    assert decided(identified("hard_iron"), there) == Answer("unknown", NONE, True, "time")
+    assert decided(identified("hard_iron"), there, flagged=True).coordinate == "yaw"
+    assert decided(identified("hard_iron")).verdict == "named"
+
+
+@pytest.mark.parametrize(
+    ("representative", "left_mgauss", "told"),
+    [
+        # The floor: 1 mG rms; the gap: 10 mG rms, so 99 mG^2 above it. 5 and 40 % of that may be left.
+        (False, (1.0 + 0.39 * 99.0) ** 0.5, True),
+        (False, (1.0 + 0.41 * 99.0) ** 0.5, False),
+        (True, (1.0 + 0.049 * 99.0) ** 0.5, True),
+        (True, (1.0 + 0.051 * 99.0) ** 0.5, False),
+    ],
+)
+def test_a_name_stands_beside_a_remainder_that_is_small(
+    representative: bool, left_mgauss: float, told: bool
+) -> None:
+    rows = np.arange(40) < 30
+    signs = np.where(np.arange(40) % 2 == 0, 1.0, -1.0)[:, np.newaxis] * np.ones(3)
+    measured = np.where(rows[:, np.newaxis], 400.0 + 0.0 * signs, np.nan)
+
+    def predict(fit: Fit, effects: bool = True) -> Any:
+        return SimpleNamespace(mag_mgauss=400.0 + signs * (left_mgauss if effects else 10.0))
+
+    problem: Any = SimpleNamespace(
+        predict=predict,
+        replay=SimpleNamespace(measured=SimpleNamespace(mag_mgauss=measured)),
+        usable=rows,
+        residual=lambda predicted: (measured - predicted.mag_mgauss)[rows].ravel(),  # sigma 1 mG
+    )
+    assert verdict._confirmed(problem, fit_of("hard_iron"), floor(representative=representative)) is told
+    if representative:
+        remainder = SimpleNamespace(problem=problem, fit=fit_of("hard_iron"))
+        found = identified("hard_iron")
+        seen = decided(found, floor(representative=True), flagged=True, remainder=remainder)
+        named = Answer("named_with_remainder", found.fit, True, "yaw")
+        assert seen == (named if told else Answer("unknown", NONE, True, "yaw"))
+
+
+# --- then what its figures allow -------------------------------------------------------------------------
+
+
+def test_silence_of_a_vehicle_that_neither_turns_nor_tilts_says_nothing() -> None:
+    assert said(answer("no_gap"), SILENT, turns=False) == Answer("not_testable", NONE, False, None)
+    assert said(answer("no_gap"), SILENT).verdict == "no_gap"
+    assert said(answer("named", "hard_iron"), turns=False).verdict == "named"
+
+
+def test_a_floor_that_holds_in_detail_has_judged_already() -> None:
+    first = answer("named", "hard_iron")
+    assert said(first, SILENT, over=floor(representative=True)) is first
+
+
+@pytest.mark.parametrize(
+    ("nominal", "measured", "told"),
+    [(0.89, True, "no_gap"), (0.91, True, "named"), (0.89, False, "named")],
+)
+def test_below_a_measured_floor_there_is_no_gap(nominal: float, measured: bool, told: Verdict) -> None:
+    there = Closing(nominal, 0.5, 1.0, 0.5, (0.4, 0.6))
+    over = floor(measured)
+    seen = said(answer("named", "hard_iron"), there, there, over=over)
+    assert seen.verdict == told and bool(seen.named.terms) is (told == "named")
+    assert said(answer("named", "hard_iron"), there, OPEN, over=over).verdict != "no_gap"
+    assert said(answer("named", "hard_iron"), there, there, over=over, traces=True).verdict != "no_gap"
+
+
+@pytest.mark.parametrize(("nominal", "told"), [(1.31, "unknown"), (1.29, "no_gap")])
+def test_what_nobody_knows_must_lie_above_the_floor(nominal: float, told: Verdict) -> None:
+    there = Closing(nominal, nominal, 1.0, 0.0, (0.0, 0.0))
+    for field, heading in ((there, SILENT), (SILENT, there)):
+        seen = said(answer("unknown", flagged=True), field, heading)
+        assert (seen.verdict, seen.flagged, seen.coordinate) == (
+            ("unknown", True, "yaw") if told == "unknown" else ("no_gap", False, None)
+        )
+
+
+def test_below_the_floor_only_what_surely_shrinks_is_a_cause() -> None:
+    # Between 0.9 and 1.3 floors: neither quiet nor a gap.
+    hardly, surely = (Closing(1.2, 1.0, 1.0, 0.3, (low, 0.5)) for low in (0.0, 0.01))
+    seen = said(answer("named", "hard_iron"), hardly)
+    assert seen.verdict == "no_gap" and not seen.named.terms
+    seen = said(answer("named", "hard_iron"), hardly, traces=True)
+    assert seen.verdict == "named" and not seen.named.terms
+    for field, heading in ((surely, SILENT), (SILENT, surely)):
+        seen = said(answer("named", "hard_iron"), field, heading)
+        assert seen.verdict == "named" and seen.named.terms
+
+
+def test_without_a_name_what_is_left_is_unknown() -> None:
+    empty = answer("no_gap")
+    assert said(empty, CLOSED) is empty
+    for field, heading in ((OPEN, SILENT), (SILENT, OPEN)):
+        assert said(empty, field, heading) == Answer("unknown", NONE, True, "speed")
+    seen = said(answer("named"), OPEN, traces=True)
+    assert seen.verdict == "named_with_remainder" and seen.flagged and seen.coordinate == "speed"
+
+
+@pytest.mark.parametrize(
+    ("effects", "after", "told"),
+    [
+        # 15 mG^2 above the floor: 60 % of it, 9, must be explained.
+        (("hard_iron",), (16.0 - 9.1) ** 0.5, "named_with_remainder"),
+        (("hard_iron",), (16.0 - 8.9) ** 0.5, "unknown"),
+        (("hard_iron", "soft_iron"), (16.0 - 9.1) ** 0.5, "named_with_remainder"),
+        (("hard_iron", "soft_iron", "declination"), (16.0 - 9.1) ** 0.5, "unknown"),
+    ],
+)
+def test_beside_a_remainder_few_names_must_explain_most(
+    effects: tuple[str, ...], after: float, told: Verdict
+) -> None:
+    left = Closing(4.0, after, 1.0, 0.5, (0.4, 0.6))
+    for field, heading in ((left, SILENT), (SILENT, left), (left, CLOSED)):
+        seen = said(answer("named", *effects), field, heading)
+        assert (seen.verdict, seen.flagged, seen.coordinate) == (told, True, "speed")
+        assert bool(seen.named.terms) is (told != "unknown")
+    # The worse of the two counts.
+    assert said(answer("named", *effects), left, Closing(4.0, 3.5, 1.0, 0.1, (0.0, 0.2))).verdict == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("effects", "given", "told"),
+    [
+        (("hard_iron",), {}, "named"),
+        (("hard_iron", "soft_iron"), {}, "named"),
+        (("hard_iron", "soft_iron", "declination"), {}, "ambiguous"),  # many
+        (("spatial_dipole",), {}, "named"),
+        (("spatial_dipole", "hard_iron"), {}, "ambiguous"),  # bends to anything, beside another
+        (("spatial_dipole",), {"over": floor(measured=False)}, "ambiguous"),  # or without a baseline
+        (("spatial_dipole",), {"over": floor(False), "replay": replay("columns")}, "named"),
+        (("hard_iron",), {"over": floor(measured=False)}, "named"),
+        (("hard_iron",), {"over": floor(measured=False), "traces": True}, "ambiguous"),
+        (("hard_iron",), {"traces": True}, "named"),
+        # A turn of the mounting where nothing fixes the yaw.
+        (("misalignment",), {"over": floor(False), "replay": replay(yaw_unknown=True)}, "ambiguous"),
+        (("misalignment",), {"over": floor(False)}, "named"),
+        (("misalignment",), {"replay": replay(yaw_unknown=True)}, "named"),
+        (("hard_iron",), {"over": floor(False), "replay": replay(yaw_unknown=True)}, "named"),
+    ],
+)
+def test_names_that_reach_the_floor_may_be_one_explanation_of_several(
+    effects: tuple[str, ...], given: dict[str, Any], told: Verdict
+) -> None:
+    seen = said(answer("named", *effects), **given)
+    assert seen.verdict == told and len(seen.named.terms) == len(effects)
+    assert said(answer("ambiguous", *effects), **given).verdict == "ambiguous"
+
+
+@pytest.mark.parametrize(("hz", "told"), [(4.2, "named"), (4.3, "ambiguous")])
+def test_a_line_at_half_the_sampling_rate_may_be_a_sensor_that_alternates(hz: float, told: Verdict) -> None:
+    # Ten readings a second: 0.85 of 5 Hz is 4.25 Hz.
+    line = fit_of("ac_interference")
+    line.thetas[0][6] = hz
+    assert registry.get("ac_interference").parameters[6].unit == "Hz"
+    assert said(Answer("named", line, False, None)).verdict == told
