@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar, cast
 
-from mavcompass.errors import LinkLost, Refused
+from mavcompass.errors import LinkLost, NoReply, Refused
 from mavcompass.messages import Incoming
 from mavcompass.procedure.script import CLEAN_UP_S, Answer, Ask, Event, Machine, Send, Show, Stop, Tick
 from mavcompass.vehicle.link import Link
@@ -24,6 +24,8 @@ TICK_S = 0.05
 # Heartbeats alone come once a second; on a link that loses a third, five in a row are one case in 250.
 SILENCE_S = 5.0
 _LONGEST_TURN_S = 4.0 * TICK_S
+# A procedure that computes for a while catches up with what came meanwhile sooner.
+_BEHIND_S = 3.0
 
 
 def run(
@@ -59,6 +61,12 @@ def run(
     if drive.lost is not None and type(machine.error) is Refused:
         raise drive.lost from machine.error
     if machine.error is not None:
+        if isinstance(machine.error, NoReply) and (behind_s := link.behind_s()) > _BEHIND_S:
+            machine.error.remedy = (
+                f"For {behind_s:.0f} s more has come on {link.name} than this computer could read, so that"
+                " answers were lost. Lower the rates of the vehicle's messages (SRn_*, MAV_n_RATE), or end"
+                " what else keeps this computer busy, and run again."
+            )
         raise machine.error
     return cast(T, machine.result)
 

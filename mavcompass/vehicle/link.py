@@ -130,6 +130,10 @@ class Link(ABC):
     def now(self) -> float:
         """Return the time on this link's clock, seconds; it never goes back."""
 
+    def behind_s(self) -> float:
+        """Return for how long already more has come than was read; answers get lost meanwhile."""
+        return 0.0
+
     @abstractmethod
     def send(self, message: Message) -> None:
         """Send a message, without waiting; what cannot be sent is counted as dropped."""

@@ -4,10 +4,10 @@
     python scripts/campaigns/mutants.py --mutant mavcompass/frames.py#17      # one again
 
 Places are drawn evenly over the code of the rooms: an operator, a comparison, a condition, a number, what is
-returned. For each the tests of its own room are run for `--longest` seconds, and where these are content as long
-those that run its line, the quickest first, if `scripts/coverage` has found which they are; the nearest other
-tests otherwise. The mutant is caught when one fails or hangs. Slower tests might notice more: the share is a
-lower bound. Works in a copy; nothing here is changed. Exit code 1 below `--least` percent.
+returned. For each the tests of its own room are run, and where these are content, those that run its line,
+the quickest first, if `scripts/coverage` has found which they are, the nearest other tests otherwise;
+`--longest` seconds of both. The mutant is caught when one fails or hangs. Slower tests might notice more: the
+share is a lower bound. Works in a copy; nothing here is changed. Exit code 1 below `--least` percent.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import threading
 import pytest
 from dialogue import HEARTBEAT, Expect, MemoryVehicle, Reply, Silence, vehicle_script
 
-from mavcompass.errors import LinkLost, Refused, WriteFailed
+from mavcompass.errors import LinkLost, NoReply, Refused, WriteFailed
 from mavcompass.messages import CommandAck, CommandLong, Heartbeat, ParamSet, ParamValue, Statustext
 from mavcompass.procedure.script import Context, Machine, Script, Show, ask, pause, request
 from mavcompass.vehicle.driver import run
@@ -232,3 +232,15 @@ def test_a_lossy_slow_link_only_takes_longer() -> None:
             times.append(link.now())
     assert times[0] == times[1] != times[2], "the same seed gives the same faults"
     assert times[0] > 30 * 0.6
+
+
+def test_an_answer_that_a_flood_drowns_is_not_put_down_to_a_weak_radio() -> None:
+    class Flooded(SimulatedLink):
+        def behind_s(self) -> float:
+            return 4.0
+
+    with pytest.raises(NoReply) as caught:
+        run(Machine(write), Flooded(MemoryVehicle(), "udpin:flooded"))
+    assert "more has come on udpin:flooded than this computer could read" in caught.value.remedy
+    with pytest.raises(NoReply, match="radios"):
+        run(Machine(write), SimulatedLink(MemoryVehicle(), "sim:mute"))

@@ -60,11 +60,16 @@ class WireLink(Link):
         self._channels: dict[Peer, _Channel] = {}
         self._homes: dict[int, dict[Peer, float]] = {}
         self._heard: deque[Incoming] = deque()
+        self._read_all_s = self.now()
         self.on_frame: Callable[[Frame], None] | None = None
 
     def now(self) -> float:
         """Return the monotonic clock."""
         return time.monotonic()
+
+    def behind_s(self) -> float:
+        """Return the time since all was read that had come."""
+        return self.now() - self._read_all_s
 
     def send(self, message: Message) -> None:
         """Send to the vehicle's peer, or to all."""
@@ -89,7 +94,10 @@ class WireLink(Link):
         """Return the next message; see Link."""
         deadline_s = self.now() + timeout_s
         while not self._heard:
-            for peer, data in self._transport.read():
+            pieces = self._transport.read()
+            if not pieces:
+                self._read_all_s = self.now()
+            for peer, data in pieces:
                 self._take(peer, data)
             remaining_s = deadline_s - self.now()
             if not self._heard:

@@ -70,7 +70,8 @@ class UdpTransport:
         if self._closed:
             raise LinkLost(f"{self.name} is closed.")
         pieces: list[tuple[Peer, bytes]] = []
-        while len(pieces) < 256:  # a flood must not keep us from sending
+        read_bytes = 0
+        while read_bytes < READ_BYTES and len(pieces) < 256:  # a flood must not keep us from sending
             try:
                 data, peer = self._socket.recvfrom(READ_BYTES)
             except OSError:
@@ -79,6 +80,7 @@ class UdpTransport:
                 del self._last_heard_s[min(self._last_heard_s, key=self._last_heard_s.__getitem__)]
             self._last_heard_s[peer] = time.monotonic()
             pieces.append((peer, data))
+            read_bytes += len(data)
         return pieces
 
     def write(self, data: bytes, peer: Peer) -> bool:

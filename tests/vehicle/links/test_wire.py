@@ -17,12 +17,12 @@ from dialogue import HEARTBEAT
 from far_ends import QUICK, WireEnd
 
 from mavcompass.errors import LinkLost, NoVehicle, UsageError
-from mavcompass.messages import Heartbeat, NamedValueFloat, ParamRequestRead, ParamSet, RawImu
+from mavcompass.messages import Heartbeat, NamedValueFloat, ParamRequestRead, ParamSet, RawImu, Statustext
 from mavcompass.vehicle.link import LinkStatistics, SourceStatistics
 from mavcompass.vehicle.links.wire import WireLink
 from mavcompass.vehicle.opening import open_link
 from mavcompass.vehicle.transport import Serial, Tcp, TcpIn, UdpIn, UdpOut, open_transport
-from mavcompass.vehicle.transport.transport import SEND_BUFFER_BYTES, Reconnect
+from mavcompass.vehicle.transport.transport import READ_BYTES, SEND_BUFFER_BYTES, Reconnect
 from mavcompass.vehicle.transport.udp import UdpTransport
 from mavcompass.vehicle.wire import FrameParser, FrameWriter, Signing
 
@@ -266,6 +266,23 @@ def test_a_link_that_was_closed_says_so() -> None:
     link.close()
     with pytest.raises(LinkLost, match="closed"):
         link.receive(0.0)
+
+
+def test_a_flood_of_messages_neither_fills_the_memory_nor_keeps_us_from_sending(port: UdpTransport) -> None:
+    """50 000 a second and more: what is read in one turn is bounded, the rest is the socket's to drop."""
+    link = WireLink(port)
+    frame = FrameWriter().write(Statustext(6, "x" * 50), 1, 1)
+    datagram = frame * 480  # 30 kB
+    with closing(vehicle_at(port).transport) as far_end:
+        (peer,) = far_end.peers()
+        for _ in range(20):
+            far_end.write(datagram, peer)
+        assert link.receive(0.0) is not None
+        assert 480 < len(link._heard) < 2 * READ_BYTES / len(frame)
+        assert link.behind_s() > 0.0
+        while link.receive(0.0) is not None:
+            pass
+        assert link.behind_s() < 0.1
 
 
 def test_a_flood_of_senders_is_forgotten_but_for_the_latest(
