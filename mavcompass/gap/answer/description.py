@@ -136,10 +136,13 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     """Measure the closing; take a name back that makes held-out readings worse."""
     identified, floor, scatter = evidence.identified, evidence.floor, evidence.remainder.scatter
     problem, test = identified.problem, identified.split.test
-    added = evidence.traces.step_mgauss**2 / 12.0
+    added, unrounded = 0.0, None
     if scatter is not None and answer.verdict != "unknown":
-        added += _added_variance(scatter, problem, answer.named, test)
-    field, heading = closings(problem, answer.named, test, floor, added, evidence.unseen_mgauss2)
+        added = _added_variance(scatter, problem, answer.named, test)
+    if evidence.traces.step_mgauss > 0.0:
+        unrounded = evidence.remainder.problem.replay.measured.mag_mgauss
+    explained = (added, evidence.unseen_mgauss2, unrounded)
+    field, heading = closings(problem, answer.named, test, floor, *explained)
     none = identified.found.null
     where_left = evidence.adequacy.tests[0].coordinate if evidence.adequacy.tests else "time"
     turns = bool(problem.replay.present & {"turning", "tilt"}) or floor.measured
@@ -149,7 +152,7 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
         field, heading = (replace(c, after=c.nominal, shrink=0.0) for c in (field, heading))
     elif said.named is not answer.named:
         # Without its names an answer has other figures, which it must not contradict either.
-        field, heading = closings(problem, said.named, test, floor, added, evidence.unseen_mgauss2)
+        field, heading = closings(problem, said.named, test, floor, *explained)
         said = consistent(
             said, field, heading, where_left, floor, none, evidence.beside, turns, problem.replay
         )

@@ -13,7 +13,6 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import Floor, heading_error_rad, rms
 from mavcompass.gap.result import Bar, Closing
-from mavcompass.simulation.physics.signals import Reading
 
 _RESAMPLES = 1000
 _BLOCK_S = 1.0
@@ -31,16 +30,19 @@ def closings(
     floor: Floor,
     added_mgauss2: float = 0.0,
     unseen_mgauss2: float = 0.0,
+    unrounded_mgauss: FloatArray | None = None,
 ) -> tuple[Closing, Closing]:
     """Measure field and heading on held-out rows: nominal, after, floor, shrink with its interval.
 
     `added_mgauss2` is the variance that a named scatter effect adds to what the simulator makes of the rows,
     `unseen_mgauss2` what named effects add to single readings, and rows do not have: it is all explained.
+    `unrounded_mgauss` (N, 3) is what readings may have been before a simulator that rounds them, too.
     """
     measured = problem.replay.measured.mag_mgauss
     nominal, after = problem.predict(fit, effects=False), problem.predict(fit)
     before_field = measured - nominal.mag_mgauss
-    after_field = measured - after.mag_mgauss if fit.terms else before_field
+    told = measured if unrounded_mgauss is None else unrounded_mgauss
+    after_field = told - after.mag_mgauss
     rows = np.flatnonzero(test)
     # A reading at the limit of a saturated sensor has no scatter of its own.
     free = _free_share(fit, measured[rows])
@@ -48,7 +50,10 @@ def closings(
         before_field[rows], after_field[rows], floor.field_rms_mgauss * math.sqrt(free),
         added_mgauss2, unseen_mgauss2, floor.error_mgauss * math.sqrt(free), _blocks(problem, rows),
     )  # fmt: skip
-    h0, h1 = _headings(problem, nominal), _headings(problem, after)
+    h0, h1 = (
+        heading_error_rad(problem.replay, *pair)
+        for pair in ((measured, nominal.mag_mgauss), (told, after.mag_mgauss))
+    )
     level = max(float(np.hypot(*problem.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
     deg2 = math.degrees(1.0 / level) ** 2
     heading = _closing(
@@ -63,10 +68,6 @@ def _free_share(fit: Fit, measured: FloatArray) -> float:
     if "clipping" not in fit.ids or not measured.size:
         return 1.0
     return float(np.mean(np.abs(measured) < _AT_THE_LIMIT * float(fit.theta("clipping")[0])))
-
-
-def _headings(problem: Problem, predicted: Reading) -> FloatArray:
-    return heading_error_rad(problem.replay, problem.replay.measured.mag_mgauss, predicted.mag_mgauss)
 
 
 def _blocks(problem: Problem, rows: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -235,7 +235,8 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
             daily = np.zeros(daily.size)
         elif trust is ANOTHER_IRON:
             # An iron that nobody measured but this baseline takes all its errors with it.
-            daily = daily * _UNMEASURED
+            of_age = np.concatenate([np.full(n.mean.size, n.effect.id == TELEMETRY_AGE) for n in taught])
+            daily = np.where(of_age, daily, daily * _UNMEASURED)
         covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
         told = np.maximum(np.diag(covariance) * np.diag(prior.precision)[place], 1.0)
         # What a baseline hardly shows (motors that idle) stays within what is stated for this recording.

@@ -12,6 +12,7 @@ from mavcompass.gap.traces.steps_and_repeats import names_stale, names_step, sta
 from mavcompass.simulation.effects import Effect
 
 # An effect of less than this share of the floor lifts nothing above it.
+_OF_RAPID = 0.5
 _MATERIAL = 0.75
 _MOST_RAPID = 2
 
@@ -62,6 +63,9 @@ def find_traces(
             rapid, readings = (*rapid, found), readings.without(found.change_mgauss)
     # What may not be named stays in the readings, but it is no noise either.
     excess = 0.0 if before is None else excess_variance(readings, before)
+    # Where nobody says when a reading was taken, what a line leaves may be the times.
+    if replay.telemetry and excess < _OF_RAPID * sum(one.variance_mgauss2 for one in rapid):
+        excess = 0.0
     rapid = tuple(one for one in rapid if one.effect in names)
     for one in rapid:
         replay = replay.without(one.change_mgauss)
