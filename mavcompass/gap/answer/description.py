@@ -121,12 +121,16 @@ def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:
 
 
 def _ambiguity_set(identified: Identified) -> tuple[tuple[tuple[str, ...], float], ...]:
-    """Return the sets that explain the gap, with their weights; those that reach the floor as well share
-    one."""
+    """Return the sets that explain the gap, with their weights.
+
+    Those that reach the floor as well share one, and what was found for sets with an effect that a guard
+    refused.
+    """
     weights = dict(identified.found.weights)
     alike = [ids for ids in (identified.fit.ids, *identified.as_good) if ids] if identified.as_good else []
     if alike:
-        kept = {ids: w for ids, w in weights.items() if ids not in alike}
+        refused = dict(identified.dropped).keys() - identified.fit.ids
+        kept = {ids: w for ids, w in weights.items() if ids not in alike and not ids & refused}
         each = max(1.0 - sum(kept.values()), 0.0) / len(alike)
         weights = {**dict.fromkeys(alike, each), **kept}
     return tuple((tuple(sorted(ids)), w) for ids, w in weights.items() if ids)

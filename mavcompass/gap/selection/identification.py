@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
 from mavcompass.gap.fit import Fit, Problem, Search, placements, pruned
 from mavcompass.gap.left import Floor, apart, widened
 from mavcompass.gap.replay import Replay
-from mavcompass.gap.selection.guards import at_floor, needs_none, refused, worthwhile
+from mavcompass.gap.selection.guards import TOO_SMALL, at_floor, evident, needs_none, refused, worthwhile
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.split import Split, probe, with_parts, with_windows
 from mavcompass.gap.selection.transient import moments, told, transients, with_moments
@@ -108,7 +109,7 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
     if candidate.fit.terms and not floor.representative:
         candidate = _simplest(candidate, floor) if floor.measured else _plainer(candidate)
     candidate = replace(candidate, fit=pruned(candidate.search.problem, candidate.fit))
-    return replace(candidate, as_good=(*candidate.as_good, *_alike(candidate)))
+    return replace(candidate, as_good=(*candidate.as_good, *_alike(candidate), *_with_evident(candidate)))
 
 
 def _allowed(candidate: Identified, floor: Floor) -> Identified:
@@ -116,7 +117,10 @@ def _allowed(candidate: Identified, floor: Floor) -> Identified:
     while candidate.fit.terms and (reason := refused(candidate, floor)) is not None:
         rest = candidate.search.without(candidate.fit, reason[0])
         dropped = tuple({**dict(candidate.dropped), reason[0]: reason[1]}.items())
-        candidate = replace(candidate, fit=rest, dropped=dropped)
+        beside = candidate.evident
+        if reason[1] is TOO_SMALL and not floor.representative and evident(candidate, rest):
+            beside |= {reason[0]}
+        candidate = replace(candidate, fit=rest, dropped=dropped, evident=beside)
     return candidate
 
 
@@ -133,6 +137,14 @@ def _alike(candidate: Identified) -> tuple[frozenset[str], ...]:
     if "height_anomaly" in ids and "spatial_dipole" in tried:
         out.append(ids - {"height_anomaly"} | {"spatial_dipole"})
     return tuple(out)
+
+
+def _with_evident(candidate: Identified) -> list[frozenset[str]]:
+    """Return the chosen set with what is certain, and too small to be named, beside it."""
+    ids, more = candidate.fit.ids, sorted(candidate.evident - candidate.fit.ids)
+    if not ids:
+        return []
+    return [ids.union(some) for size in (1, 2) for some in combinations(more, size)]
 
 
 def _simplest(candidate: Identified, floor: Floor) -> Identified:

@@ -14,7 +14,7 @@ class Identified:
 
     `dropped` tells which effects the guards took out, and why; `first` is the problem that `found` was
     found on (a change inside a held-out block moves rows afterwards). `as_good` are other sets that reach the
-    floor too.
+    floor too; `evident` are effects that are certain, and too small to be named.
     """
 
     problem: Problem
@@ -25,3 +25,4 @@ class Identified:
     search: Search
     first: Problem
     as_good: tuple[frozenset[str], ...] = ()
+    evident: frozenset[str] = frozenset()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from mavcompass.errors import UsageError
 from mavcompass.frames import FloatArray
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.diagnose import withheld_effects
-from mavcompass.gap.fit import Problem, Search, Term
+from mavcompass.gap.fit import Problem, Search, Term, placements
 from mavcompass.gap.replay import replay
 from mavcompass.gap.trial import bench, foreign
 from mavcompass.gap.trial.bench import recipe_of, tracks_of
@@ -160,12 +161,11 @@ def _truth_distance(label: Label, search: Search) -> float:
     except UsageError:
         # Another make's effect may be larger than the catalogue calls physical.
         return math.nan
-    fit = search.problem.fit(
-        [terms[s.effect.id] for s in settings],
-        [s.theta for s in settings],
-        [n.mean for n in search.problem.nuisances],
-    )
-    return math.sqrt(max(fit.sse, 0.0))
+    problem = search.problem
+    known = [n.mean for n in problem.nuisances]
+    placed = product(*(placements(s.effect, s.theta, problem.replay.iron.offset_mgauss) for s in settings))
+    fits = (problem.fit([terms[s.effect.id] for s in settings], thetas, known) for thetas in placed)
+    return math.sqrt(max(min(fit.sse for fit in fits), 0.0))
 
 
 def _size(problem: Problem) -> float:
