@@ -32,8 +32,8 @@ _ROUNDS = 4
 _CATALOGUE_SIZE = 40
 _SHORT = 3
 _LIKELY_YAWS = 2
-# Fits of one set that differ by less in their sum of squares are as good.
-_AS_GOOD = 1.0
+# Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
+_AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
 _HOPEFUL = 0.7
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
 
@@ -130,6 +130,12 @@ class Search:
         self._remember(self._rivals(best))
         return Found(self._unbent(null), best, self.explored, self._weights(best))
 
+    def likeliest(self, size: int) -> frozenset[str]:
+        """Return the set of a size that the catalogue, linearised beside nothing, makes likeliest."""
+        candidates = self._linearised(self._unbent(self._null()), ())
+        sets = likeliest_sets(candidates, self._temper, self.cost, size).get(size)
+        return frozenset(c.term.effect.id for c in sets[0]) if sets else frozenset()
+
     def nearest(self, most: int) -> Fit:
         """Return the fit that comes nearest with up to `most` effects, needed or not.
 
@@ -196,7 +202,7 @@ class Search:
         """Linearise the catalogue beside a fit, once for fits of the same set that are as good."""
         key = (base.ids, len(held))
         known = self._candidates.get(key)
-        if known is None or abs(known.base.sse - base.sse) > _AS_GOOD:
+        if known is None or abs(known.base.sse - base.sse) > max(_AS_GOOD, _AS_GOOD_SHARE * base.sse):
             known = Candidates(self.problem, self.terms, base, self._blocks(), held)
             self._candidates[key] = known
         return known

@@ -98,12 +98,12 @@ def _parted(problem: Problem, nothing: Fit, floor: Floor, split: Split) -> Split
 
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
     candidate = _allowed(_moments_in_training(candidate), floor)
-    fewest = max(len(candidate.fit.terms), 1)
-    if candidate.dropped and not candidate.search.exact and fewest < len(candidate.found.best.terms):
+    search, fewest = candidate.search, max(len(candidate.fit.terms), 1)
+    fell = candidate.dropped and not search.exact and fewest < len(candidate.found.best.terms)
+    if fell and search.likeliest(fewest) != candidate.fit.ids:
         # What was needed beside a refused effect need not be what does best without it.
-        fewer = candidate.search.run(fewest).best
-        score = candidate.search.score
-        if fewer.ids != candidate.fit.ids and score(fewer) < score(candidate.fit):
+        fewer = search.run(fewest).best
+        if fewer.ids != candidate.fit.ids and search.score(fewer) < search.score(candidate.fit):
             rival = _allowed(_moments_in_training(replace(candidate, fit=fewer)), floor)
             candidate = rival if len(rival.fit.terms) >= len(candidate.fit.terms) else candidate
     if candidate.fit.terms and not floor.representative:
