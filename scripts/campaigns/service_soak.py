@@ -1,12 +1,15 @@
 """Hours of service in minutes: link cuts, reboots and calibrations, with memory and every reconnect watched.
 
     python scripts/campaigns/service_soak.py [--hours 2] [--cuts 200] [--reboots 20] [--calibrations 12]
+                                             [--full-disks 3] [--clock-steps 20]
 
 The service's station runs on an embedded rover in virtual time, as fast as the machine can. Cuts lose
 everything both ways. A reconnect is counted from the moment the link works (or the rebooted vehicle speaks)
 to the first heading published after it; cuts during which the vehicle was silent anyway are counted from
 the end of the silence. Each calibration asked for must end, in the history and in a MAG_CAL_REPORT that
-left while the link worked. Memory is the whole process's, the simulated vehicle's included.
+left while the link worked. On a full disk (the system refuses every byte that is written) it must end,
+too, and only then may it be missing in the history. The computer's clock steps, as a receiver's time sets it.
+Memory is the whole process's, the simulated vehicle's included.
 """
 
 from __future__ import annotations
@@ -35,6 +38,9 @@ from mavcompass.vehicle.link import Link  # noqa: E402
 from mavcompass.vehicle.links.simulated import SimulatedLink  # noqa: E402
 
 _READY_AFTER_REBOOT_S = 10.0
+_MOST_GROWTH_PERCENT = 2.0
+_MOST_RECORDINGS = 50
+_LARGEST_STEP_S = 3e8  # ten years
 
 
 @dataclass(slots=True)
@@ -50,6 +56,9 @@ class Figures:
     calibrations: int = 0
     written: int = 0
     interrupted: int = 0
+    on_full_disk: int = 0
+    clock_steps: int = 0
+    recordings: int = 0
     warm_mb: float = 0.0
     end_mb: float = 0.0
     growth_percent: float = 0.0
@@ -88,7 +97,16 @@ class UnreliableLink(SimulatedLink):
 class Soak:
     """Run one soak."""
 
-    def __init__(self, hours: float, cuts: int, reboots: int, calibrations: int, seed: int = 1) -> None:
+    def __init__(
+        self,
+        hours: float,
+        cuts: int,
+        reboots: int,
+        calibrations: int,
+        full_disks: int = 0,
+        clock_steps: int = 0,
+        seed: int = 1,
+    ) -> None:
         self.length_s = hours * 3600.0
         chance = random.Random(seed)
         # The first calibration is let alone: memory is compared with what a service weighs that has done one.
@@ -102,10 +120,14 @@ class Soak:
         self.reboots_at = sorted(chance.uniform(begin, end - 60.0) for _ in range(reboots))
         spacing_s = (end - begin) / max(calibrations, 1)
         self.calibrations_at = [5.0, *(begin + (k + 0.3) * spacing_s for k in range(1, calibrations))]
+        self.steps_at = sorted(chance.uniform(begin, end) for _ in range(clock_steps))
+        self.full_disks = set(chance.sample(range(1, calibrations), min(full_disks, calibrations - 1)))
+        self._chance = chance
         self.vehicle = SimulatedAutopilot("rover", seed=seed)
         self.link = UnreliableLink(self.vehicle, list(windows))
         self.figures = Figures(cuts=cuts, reboots=reboots)
         self._tasks: list[Task] = []
+        self._on_full_disk: list[Task] = []
         self._rearm_at: float | None = None
         self._waiting_since: float | None = None
         self._seen_boots = 0
@@ -130,11 +152,17 @@ class Soak:
                     self._heading_published(heard.time_s)
 
             station._hear = watching_hear  # type: ignore[method-assign]
-            station.start()
-            self._watch(station)
-            station.stop()
+            clock = time.time
+            try:
+                station.start()
+                self._watch(station)
+                station.stop()
+            finally:
+                time.time = clock
+                fill_disk(False)
             self.figures.wall_s = time.monotonic() - began
             self.figures.virtual_s = self.link.now()
+            self.figures.recordings = len(list((Path(folder) / "recordings").glob("*")))
             self._judge(history)
             history.close()
         return self.figures
@@ -157,10 +185,22 @@ class Soak:
             self._rearm_at = None
             self.vehicle.firmware.modes.enter("GUIDED")  # type: ignore[attr-defined]
             self.vehicle.firmware.arming.arm(forced=True)  # type: ignore[attr-defined]
+        if self.steps_at and now_s >= self.steps_at[0]:
+            self.steps_at.pop(0)
+            self.figures.clock_steps += 1
+            step_s = self._chance.uniform(-_LARGEST_STEP_S, _LARGEST_STEP_S)
+            began, reference_s = time.monotonic(), time.time()
+            time.time = lambda: reference_s + step_s + (time.monotonic() - began)
+        if self._on_full_disk and self._on_full_disk[-1].finished:
+            fill_disk(False)
         if self.calibrations_at and now_s >= self.calibrations_at[0] and not station.desk.busy:
             self.calibrations_at.pop(0)
             request = CalibrationRequest(motion="vehicle", writing="yes")
-            self._tasks.append(station.desk.submit(request, "http", "2026-05-01T00:00:00+00:00"))
+            fill_disk(len(self._tasks) in self.full_disks)
+            task = station.desk.submit(request, "http", "2026-05-01T00:00:00+00:00")
+            if len(self._tasks) in self.full_disks:
+                self._on_full_disk.append(task)
+            self._tasks.append(task)
 
     def _heading_published(self, now_s: float) -> None:
         if self._waiting_since is not None:
@@ -194,8 +234,13 @@ class Soak:
         figures.endings = [task.error or ("written" if task.ok else "not accepted") for task in self._tasks]
         if figures.warm_mb:
             figures.growth_percent = 100.0 * (figures.end_mb / figures.warm_mb - 1.0)
-        if len(entries) != len(self._tasks):
-            figures.faults.append(f"{len(self._tasks)} calibrations, {len(entries)} in the history")
+        figures.on_full_disk = len(self._on_full_disk)
+        kept = {entry.id for entry in entries}
+        lost = [t.number for t in self._tasks if t.entry not in kept and t not in self._on_full_disk]
+        if lost:
+            figures.faults.append(f"calibrations {lost} are missing in the history")
+        if figures.recordings > _MOST_RECORDINGS:
+            figures.faults.append(f"{figures.recordings} recordings were kept")
         unfinished = [task.number for task in self._tasks if not task.finished]
         if unfinished:
             figures.faults.append(f"calibrations {unfinished} never ended")
@@ -203,8 +248,14 @@ class Soak:
             figures.faults.append(f"{len(self._tasks)} calibrations, {len(self.link.reports)} reports sent")
         if figures.slowest_reconnect_s >= 2.0:
             figures.faults.append(f"a reconnect took {figures.slowest_reconnect_s:.1f} s")
-        if figures.growth_percent >= 5.0:
+        if figures.growth_percent > _MOST_GROWTH_PERCENT:
             figures.faults.append(f"memory grew by {figures.growth_percent:.1f} %")
+
+
+def fill_disk(full: bool) -> None:
+    """Have the system refuse this process every byte that it writes to a file, or no more."""
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0 if full else most, most))
 
 
 def resident_mb() -> float:
@@ -219,10 +270,22 @@ def main() -> int:
     parser.add_argument("--cuts", type=int, default=200)
     parser.add_argument("--reboots", type=int, default=20)
     parser.add_argument("--calibrations", type=int, default=12)
+    parser.add_argument(
+        "--full-disks", type=int, default=3, help="calibrations during which the disk is full"
+    )
+    parser.add_argument("--clock-steps", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", type=Path, help="write the figures there")
     options = parser.parse_args()
-    soak = Soak(options.hours, options.cuts, options.reboots, options.calibrations, options.seed)
+    soak = Soak(
+        options.hours,
+        options.cuts,
+        options.reboots,
+        options.calibrations,
+        options.full_disks,
+        options.clock_steps,
+        options.seed,
+    )
     figures = asdict(soak.run())
     for name, value in figures.items():
         print(f"{name:22} {value:.2f}" if isinstance(value, float) else f"{name:22} {value}")

@@ -105,7 +105,7 @@ def _places(tree: ast.Module) -> Iterator[tuple[ast.AST, str, int]]:
                 yield node, "truth", 0
             case ast.Constant(value=int() | float()):
                 yield node, "number", 0
-            case ast.Return(value=ast.expr()):
+            case ast.Return(value=ast.expr()) if ast.unparse(node) != "return None":
                 yield node, "returned", 0
             case ast.If() | ast.IfExp():
                 yield node, "condition", 0

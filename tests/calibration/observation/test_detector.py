@@ -1,0 +1,138 @@
+"""Whether a vehicle stands still, reading by reading, against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mavcompass.calibration.observation import StillnessDetector
+from mavcompass.calibration.observation.detector import Stillness, WhiteNoise
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+G = STANDARD_GRAVITY_MPS2
+UP, FIELD = (0.0, 0.0, -G), (200.0, 0.0, 400.0)
+STEP_S = 0.02
+Vector = tuple[float, float, float]
+
+
+def fed(
+    detector: StillnessDetector,
+    seconds: float,
+    start_s: float,
+    gyro: Vector = (0.0, 0.0, 0.0),
+    acc: Vector = UP,
+    mag: Vector = FIELD,
+) -> Stillness:
+    said = None
+    for k in range(1, round(seconds / STEP_S) + 1):
+        said = detector.update(start_s + k * STEP_S, gyro, acc, mag)
+    assert said is not None
+    return said
+
+
+def standing(hold_s: float = 1.0) -> StillnessDetector:
+    detector = StillnessDetector(hold_s)
+    assert detector.update(0.0, (0.0, 0.0, 0.0), UP, FIELD).why_not == "starting"
+    assert fed(detector, 2.0, 0.0).still
+    return detector
+
+
+def test_it_is_still_after_the_hold_time() -> None:
+    detector = StillnessDetector(hold_s=0.5)
+    times = [k * 0.125 for k in range(9)]
+    seen = [detector.update(t, (0.0, 0.0, 0.0), UP, FIELD).still for t in times]
+    assert seen == [t >= 0.5 for t in times]
+
+
+@pytest.mark.parametrize(
+    ("deg_s", "said"), [(2.9, ""), (-2.9, ""), (3.1, "hunting"), (-8.9, "hunting"), (9.1, "rotating")]
+)
+def test_a_rate_is_hunting_then_turning(deg_s: float, said: str) -> None:
+    state = fed(standing(), 0.6, 2.0, gyro=(0.0, 0.0, math.radians(deg_s)))
+    assert state.why_not == said and state.still is (not said)
+    assert math.degrees(state.rate_radps) == pytest.approx(deg_s)
+    # The first step is a trapezoid: from no rate to this one.
+    assert math.degrees(state.turned_rad) == pytest.approx(deg_s * (0.6 - 0.5 * STEP_S))
+    assert math.isnan(state.since_s) is bool(said)
+
+
+@pytest.mark.parametrize(("deg_s", "said"), [(5.9, ""), (6.1, "tilting")])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_tilt_rate_has_its_limit(axis: int, deg_s: float, said: str) -> None:
+    gyro = [0.0, 0.0, 0.0]
+    gyro[axis] = math.radians(deg_s)
+    assert fed(standing(), 0.6, 2.0, gyro=(gyro[0], gyro[1], gyro[2])).why_not == said
+
+
+def test_the_turn_is_about_the_vertical_of_a_vehicle_that_leans() -> None:
+    roll, pitch = math.radians(30.0), math.radians(-20.0)
+    down = (-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll))
+    acc = (-G * down[0], -G * down[1], -G * down[2])
+    detector = StillnessDetector()
+    detector.update(0.0, (0.0, 0.0, 0.0), acc, FIELD)
+    rate = math.radians(20.0)
+    state = fed(detector, 1.0, 0.0, (rate * down[0], rate * down[1], rate * down[2]), acc)
+    assert state.rate_radps == pytest.approx(rate) and state.why_not == "rotating"
+    # About an axis across it, it does not turn, but tilt.
+    state = fed(detector, 1.0, 1.0, (0.0, rate * math.cos(roll), -rate * math.sin(roll)), acc)
+    assert state.rate_radps == pytest.approx(0.0, abs=1e-9) and state.why_not == "tilting"
+
+
+def test_down_follows_the_accelerometer_within_half_a_second() -> None:
+    detector = standing()
+    lean = math.radians(10.0)
+    fed(detector, 0.5, 2.0, acc=(G * math.sin(lean), 0.0, -G * math.cos(lean)))
+    x, _, z = detector._down
+    # Each step takes 4 % of what is left: 0.96^25 = 0.36.
+    assert math.degrees(math.atan2(-x, z)) == pytest.approx(10.0 * (1.0 - 0.96**25), rel=0.02)
+    assert math.hypot(*detector._down) == pytest.approx(1.0)
+    before = detector._down
+    fed(detector, 0.1, 2.5, acc=(0.5, 0.0, 0.0))  # falling: no direction
+    assert detector._down == before
+
+
+@pytest.mark.parametrize(("mgauss", "said"), [(59.0, True), (61.0, False)])
+def test_a_field_that_jumps_begins_anew(mgauss: float, said: bool) -> None:
+    detector = standing()
+    state = detector.update(2.02, (0.0, 0.0, 0.0), UP, (200.0, -mgauss, 400.0))
+    assert state.still is said and (state.why_not == "") is said
+    assert said or (state.since_s == 2.02 and state.why_not == "field changing")
+
+
+def test_a_swing_of_fourteen_degrees_is_another_position() -> None:
+    rate = (0.0, 0.0, math.radians(2.9))
+    detector = standing()
+    assert fed(detector, 4.8, 2.0, rate).still  # 13.9 degrees
+    assert fed(detector, 0.1, 6.8, rate).why_not == "hunting"  # 14.2
+
+
+def test_a_late_reading_changes_nothing() -> None:
+    detector = standing()
+    before = detector.update(2.02, (0.0, 0.0, 0.0), UP, FIELD)
+    for time_s in (2.02, 1.0):
+        assert detector.update(time_s, (0.0, 0.0, 5.0), (9.0, 0.0, 0.0), (900.0, 0.0, 0.0)) == before
+
+
+def test_white_noise_is_found_beside_a_smooth_motion() -> None:
+    chance, noise = np.random.default_rng(2), WhiteNoise()
+    found = []
+    for k in range(400):
+        noise.hear((3.0 * k + chance.normal(), 0.01 * k * k + chance.normal(), 5.0 + chance.normal()))
+        found.append(noise.sigma)
+        assert (noise.sigma > 0.0) is (k >= 9)  # eight second differences of three samples each
+    assert np.mean(found[50:]) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("tilt_deg", "field_mgauss"), [(0.1, 100.0), (100.0, 0.5)])
+def test_the_mean_is_long_enough_for_tilt_and_field(tilt_deg: float, field_mgauss: float) -> None:
+    detector, chance = StillnessDetector(), np.random.default_rng(4)
+    assert detector.averaging_s(0.01, 1.0) == 0.0
+    for k in range(60):
+        acc, mag = np.array(UP) + 0.1 * chance.normal(size=3), np.array(FIELD) + 3.0 * chance.normal(size=3)
+        detector.update(k * STEP_S, np.zeros(3), acc, mag)
+    force, field = detector._force_noise.sigma, detector._field_noise.sigma
+    ratio = max(force / (G * math.radians(tilt_deg)), field / field_mgauss)
+    # n readings leave sigma / sqrt(n).
+    assert detector.averaging_s(math.radians(tilt_deg), field_mgauss) == pytest.approx(ratio**2 * STEP_S)

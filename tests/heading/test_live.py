@@ -1,0 +1,171 @@
+"""The heading message by message, against the formulas for whole columns."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.frames import euler_to_matrix
+from mavcompass.heading.live import UNKNOWN_CALIBRATION_SIGMA_RAD, Level, LiveCompass, Vector
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+G = STANDARD_GRAVITY_MPS2
+EARTH = EarthField((230.0, 40.0, 420.0))
+
+
+def in_body(roll: float, pitch: float, yaw: float, ned: Vector) -> Vector:
+    x, y, z = euler_to_matrix(roll, pitch, yaw).T @ np.array(ned)
+    return float(x), float(y), float(z)
+
+
+def leaning(roll: float, pitch: float) -> Level:
+    level = Level()
+    level.update(0.0, in_body(roll, pitch, 0.0, (0.0, 0.0, -G)), (0.0, 0.0, 0.0))
+    return level
+
+
+ATTITUDES = [(0.0, 0.0, 0.3), (0.5, -0.4, 2.0), (-1.2, 0.7, -1.0), (2.8, 0.2, 3.1), (0.3, 1.3, -2.5)]
+
+
+@pytest.mark.parametrize(("roll", "pitch", "yaw"), ATTITUDES)
+def test_the_heading_is_that_of_the_attitude(roll: float, pitch: float, yaw: float) -> None:
+    level, compass = leaning(roll, pitch), LiveCompass(2)
+    assert (level.roll_rad, level.pitch_rad) == pytest.approx((roll, pitch))
+    compass.set_world(EARTH)
+    heading = compass.update(7.0, 5.0, in_body(roll, pitch, yaw, EARTH.ned_mgauss), level)
+    assert heading is not None and heading is compass.latest
+    assert heading.true_rad == pytest.approx(yaw % (2.0 * math.pi))
+    assert heading.magnetic_rad == pytest.approx((yaw - EARTH.declination_rad) % (2.0 * math.pi))
+    assert 0.0 <= heading.magnetic_rad < 2.0 * math.pi
+    magnetic = yaw - EARTH.declination_rad
+    h = EARTH.horizontal_mgauss
+    assert heading.level_mgauss == pytest.approx((h * math.cos(magnetic), -h * math.sin(magnetic), 420.0))
+    assert heading.horizontal_mgauss == pytest.approx(h)
+    assert heading.total_mgauss == pytest.approx(math.hypot(h, 420.0))
+    assert heading.dip_rad == pytest.approx(math.atan2(420.0, h))
+    assert (heading.time_s, heading.boot_s, heading.instance) == (7.0, 5.0, 2)
+
+
+@pytest.mark.parametrize(("roll", "pitch", "yaw"), ATTITUDES)
+def test_raw_readings_in_sensor_axes_are_corrected_first(roll: float, pitch: float, yaw: float) -> None:
+    correction = FieldCorrection((12.0, -30.0, 7.0), (1.1, 0.9, 1.05), (0.02, -0.03, 0.04))
+    rotation = euler_to_matrix(0.0, 0.0, 0.5 * math.pi)
+    field = np.array(in_body(roll, pitch, yaw, EARTH.ned_mgauss))
+    raw = rotation.T @ (np.linalg.solve(correction.matrix, field) - correction.offsets_mgauss)
+    compass = LiveCompass(1)
+    compass.set_uncorrected(correction, rotation)
+    heading = compass.update(0.0, 0.0, (float(raw[0]), float(raw[1]), float(raw[2])), leaning(roll, pitch))
+    assert heading is not None and heading.true_rad is None
+    assert heading.magnetic_rad == pytest.approx((yaw - EARTH.declination_rad) % (2.0 * math.pi))
+
+
+def test_where_nothing_is_horizontal_there_is_no_heading() -> None:
+    compass = LiveCompass(1)
+    assert compass.update(0.0, 0.0, (0.9, 0.0, 400.0), leaning(0.0, 0.0)) is None
+    assert compass.update(0.0, 0.0, (1.1, 0.0, 400.0), leaning(0.0, 0.0)) is not None
+    assert compass.update(0.0, 0.0, (200.0, 0.0, 0.0), leaning(0.0, 0.5 * math.pi)) is None  # nose up
+
+
+def test_the_sigma_adds_calibration_noise_tilt_lag_and_what_the_world_cannot_explain() -> None:
+    level, compass = leaning(0.0, 0.0), LiveCompass(1)
+    level.tilt_sigma_rad = 0.01
+    reading = (200.0, 0.0, 400.0)
+
+    def sigma() -> float:
+        heading = compass.update(0.0, 0.0, reading, level)
+        assert heading is not None
+        return heading.sigma_rad
+
+    quantum2, tilt2 = 1.0 / 12.0 / 200.0**2, (2.0 * 0.01) ** 2
+    known2 = quantum2 + tilt2 + UNKNOWN_CALIBRATION_SIGMA_RAD**2
+    assert sigma() == pytest.approx(math.sqrt(known2))
+    compass.calibration_sigma_rad = 0.02
+    known2 = quantum2 + tilt2 + 0.02**2
+    assert sigma() == pytest.approx(math.sqrt(known2))
+    level.rate_radps = -0.5  # 0.1 s late
+    assert sigma() == pytest.approx(math.sqrt(known2 + 0.05**2))
+    level.rate_radps = 0.0
+    # 10 mG too strong, 20 mG too little down: half of the squares for the part that turns the heading.
+    compass.set_world(EarthField((190.0, 0.0, 420.0)))
+    assert sigma() == pytest.approx(math.sqrt(known2 + 250.0 / 200.0**2))
+    # Followed slowly: 2 % of a change with each reading.
+    compass.set_world(EarthField((200.0, 0.0, 400.0)))
+    assert sigma() == pytest.approx(math.sqrt(known2 + 245.0 / 200.0**2))
+    compass.restart()
+    assert sigma() == pytest.approx(math.sqrt(known2))
+
+
+def test_the_noise_is_that_of_readings_that_differ_while_nothing_turns() -> None:
+    level, chance, compass = leaning(0.0, 0.0), np.random.default_rng(5), LiveCompass(1)
+    compass.calibration_sigma_rad = 0.0
+    level.tilt_sigma_rad = 0.0
+    found = []
+    for k in range(1500):
+        x, y, _ = 4.0 * chance.normal(size=3)
+        level.rate_radps = 0.029 if k % 2 else -0.029
+        for _ in range(2):  # twice the same says nothing
+            heading = compass.update(0.0, 0.0, (200.0 + x, y, 400.0), level)
+        assert heading is not None
+        found.append(heading.sigma_rad**2 - (0.029 * 0.1) ** 2)
+    assert math.sqrt(np.mean(found[200:])) * 200.0 == pytest.approx(
+        math.hypot(4.0, math.sqrt(1 / 12)), rel=0.03
+    )
+    level.rate_radps = 0.031
+    before = compass._noise_mgauss2
+    compass.update(0.0, 0.0, (300.0, 0.0, 400.0), level)
+    assert compass._noise_mgauss2 == before
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_gyro_carries_down_along(axis: int, sign: float) -> None:
+    level = leaning(0.3, -0.2)
+    start, step_s, turned = np.array(level.down), 0.001, 0.2
+    rate = [0.0, 0.0, 0.0]
+    rate[axis] = sign
+    for k in range(1, round(turned / step_s) + 1):
+        level.update(k * step_s, (0.0, 0.0, 0.0), (rate[0], rate[1], rate[2]))  # falling: no accelerometer
+    # A direction that stands still in the world turns the other way in the body.
+    x, y, z = np.eye(3)[axis] * sign
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    expected = start - math.sin(turned) * cross @ start + (1.0 - math.cos(turned)) * cross @ cross @ start
+    assert level.down == pytest.approx(tuple(expected), abs=3e-4)
+    assert math.hypot(*level.down) == pytest.approx(1.0)
+
+
+def test_the_accelerometer_takes_half_a_second_near_one_gravity_and_five_else() -> None:
+    for strength, time_s in ((1.0, 0.5), (1.09, 0.5), (1.11, 5.0), (0.89, 5.0)):
+        level = leaning(0.0, 0.0)
+        lean = 0.05
+        force = (strength * G * math.sin(lean), 0.0, -strength * G * math.cos(lean))
+        for k in range(1, 21):
+            level.update(0.01 * k, force, (0.0, 0.0, 0.0))
+        left = (1.0 - 0.01 / time_s) ** 20
+        assert level.pitch_rad == pytest.approx(lean * (1.0 - left), rel=0.01)
+
+
+def test_the_angle_is_turned_about_the_vertical_less_the_bias_that_rest_shows() -> None:
+    level = leaning(0.5, 0.0)
+    force = in_body(0.5, 0.0, 0.0, (0.0, 0.0, -G))
+
+    def turn(rate: float, seconds: float, start_s: float) -> None:
+        gyro = in_body(0.5, 0.0, 0.0, (0.0, 0.0, rate))
+        for k in range(1, round(seconds / 0.01) + 1):
+            level.update(start_s + 0.01 * k, force, gyro)
+
+    turn(0.5, 2.0, 0.0)
+    assert level.turned_rad == pytest.approx(1.0) and level.rate_radps == pytest.approx(0.5)
+    assert level.bias_radps == 0.0
+    turn(0.01, 10.0, 2.0)
+    assert level.bias_radps == pytest.approx(0.01 * (1.0 - math.exp(-1.0)), rel=0.01)
+    turned = level.turned_rad
+    level.update(12.0, force, (0.0, 0.0, 9.0))  # not later: passed over
+    assert level.turned_rad == turned
+    # After a silence the direction is taken at once, and nothing was turned.
+    level.update(12.6, (0.0, 0.0, -G), (0.0, 0.0, 1.0))
+    assert level.down == (0.0, 0.0, 1.0) and level.turned_rad == turned
+    assert level.rate_radps == pytest.approx(1.0 - level.bias_radps)
