@@ -60,6 +60,7 @@ _REMEDIES = {
 _COARSE_DEG = 3.0
 _SHARP_PERCENT = 1.0
 _SHOWN_VALUES = 9
+_SHOWN_SETS = 4
 
 
 def advice(diagnosis: Diagnosis) -> str:
@@ -79,10 +80,15 @@ def advice(diagnosis: Diagnosis) -> str:
             return f"{_remedy(diagnosis)}."
         case "named_with_remainder":
             return f"{_remedy(diagnosis)}. Then record and diagnose again: something else is left."
+        case "ambiguous" if (remedy := _one_remedy(diagnosis)) is not None:
+            return f"{remedy}; which of these causes it is does not matter for that."
         case "ambiguous" if diagnosis.next_flight:
             return f"Change nothing yet; record this to decide: {diagnosis.next_flight[0].protocol}."
         case "ambiguous":
-            return "Change nothing yet: a recording of the vehicle in a good state (--baseline) would decide."
+            return (
+                "Change nothing yet: other causes would do the same here. A recording with other turns, tilts"
+                " and loads would decide, beside one of the vehicle in a good state (--baseline)."
+            )
         case "unknown":
             return (
                 "Look at what goes with it (below); a recording of the vehicle in a good state"
@@ -92,8 +98,24 @@ def advice(diagnosis: Diagnosis) -> str:
 
 
 def _remedy(diagnosis: Diagnosis) -> str:
-    largest = max(diagnosis.causes, key=lambda cause: cause.removes_mgauss)
-    return _REMEDIES.get(largest.effect, f"Put this right, or simulate it: {get(largest.effect).title}")
+    return _remedy_of(max(diagnosis.causes, key=lambda cause: cause.removes_mgauss).effect)
+
+
+def _remedy_of(effect: str) -> str:
+    return _REMEDIES.get(effect, f"Put this right, or simulate it: {get(effect).title}")
+
+
+def _one_remedy(diagnosis: Diagnosis) -> str | None:
+    """Return the remedy of all causes that could be meant, where it is the same."""
+    sets = _sets(diagnosis)
+    remedies = {_remedy_of(effect) for ids in sets for effect in ids}
+    return remedies.pop() if len(sets) > 1 and len(remedies) == 1 else None
+
+
+def _sets(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
+    """List the sets of effects that could be meant, the named one first."""
+    named = tuple(sorted(cause.effect for cause in diagnosis.causes))
+    return [named, *(ids for ids, _ in diagnosis.ambiguity_set if ids != named)]
 
 
 def summary(diagnosis: Diagnosis, everything: bool = False) -> list[str]:
@@ -105,7 +127,11 @@ def summary(diagnosis: Diagnosis, everything: bool = False) -> list[str]:
     lines = [advice(diagnosis)]
     lines.append(f"  verdict: {VERDICTS[diagnosis.verdict]} (compass {diagnosis.compass})")
     for cause in diagnosis.causes:
-        lines += _cause(cause)
+        lines += _cause(cause, rivals=diagnosis.verdict != "ambiguous")
+    if diagnosis.verdict == "ambiguous" and (others := _sets(diagnosis)[1:]):
+        lines.append(
+            f"  instead it may be: {', or '.join(' with '.join(ids) for ids in others[:_SHOWN_SETS])}"
+        )
     for cause in diagnosis.look_alikes:
         lines.append(f"  looks most like {cause.effect}, which does not explain it")
     lines.append(_closing("heading", diagnosis.heading, "deg"))
@@ -141,10 +167,10 @@ def cause_values(cause: Cause) -> str:
     return values + ", ..." if len(shown) < len(cause.parameters) else values
 
 
-def _cause(cause: Cause) -> list[str]:
+def _cause(cause: Cause, rivals: bool) -> list[str]:
     percent, title = f"{100.0 * cause.probability:.0f} %", get(cause.effect).title
     lines = [f"  {cause.effect} ({percent}), {title}: {cause_values(cause)}"]
-    if cause.ambiguous_with:
+    if rivals and cause.ambiguous_with:
         lines.append(f"    may also be {', '.join(cause.ambiguous_with)}")
     return lines
 

@@ -35,6 +35,16 @@ def test_firmware_recording_gives_back_the_simulators_parameters(shared_data: Pa
         assert exported[f"SIM_MAG1_DIA_{axis}"] == pytest.approx(diagonal, rel=0.02)
 
 
+def test_gain_of_firmware_acts_on_the_field_and_bends_nothing_else(shared_data: Path) -> None:
+    """SIM_MAG1_DIA acts before the offsets; an intensity or an inclination would strain what is known."""
+    folder = shared_data / "gap-firmware" / "r_axis"
+    found = diagnose_gap(read_track(folder / "flight.tlog"), read_track(folder / "baseline.tlog"))
+    (cause,) = found.causes
+    assert cause.effect == "axis_scale" and cause.parameters["on_iron"] == 0.0
+    assert [cause.parameters[axis] for axis in "xy"] == pytest.approx([-0.1236, 0.0745], abs=0.01)
+    assert {ids for ids, _ in found.ambiguity_set} == {("axis_scale",), ("soft_iron",)}
+
+
 def test_iron_that_the_calibration_cures_is_known_and_exported(shared_data: Path) -> None:
     """The firmware's simulator comes with offsets (5, 13, -18) that its calibration undoes."""
     diagnosis = diagnose_gap(read_track(shared_data / "ardupilot-4.6.3" / "rover_plain.tlog"))

@@ -41,6 +41,25 @@ def test_every_verdict_has_its_advice(magnet: Diagnosis, verdict: Verdict, words
     assert words in advice(replace(magnet, verdict=verdict, next_flight=(spins,)))
 
 
+@pytest.mark.parametrize(
+    ("sets", "words"),
+    [
+        (
+            [("hard_iron",), ("soft_iron",)],
+            "Calibrate: the vehicle's iron is not what its parameters say; which",
+        ),
+        ([("hard_iron",), ("motor_current",)], "Change nothing yet: other causes"),
+    ],
+)
+def test_causes_with_one_remedy_need_not_be_told_apart(
+    magnet: Diagnosis, sets: list[tuple[str, ...]], words: str
+) -> None:
+    alike = tuple((ids, 0.5) for ids in sets)
+    torn = replace(magnet, verdict="ambiguous", ambiguity_set=alike, next_flight=())
+    assert words in advice(torn)
+    assert f"  instead it may be: {sets[1][0]}" in summary(torn)
+
+
 def test_a_coarse_recording_does_not_vouch_for_the_heading(magnet: Diagnosis) -> None:
     coarse = replace(magnet, verdict="no_gap", heading=Closing(4.8, 4.8, 12.8, 0.0, (0.0, 0.0)))
     assert "heading errors below 13 deg do not show" in advice(coarse)

@@ -67,7 +67,8 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     problem, test = identified.problem, identified.split.test
     answer, field, heading = _closed(evidence, answer)
     named = answer.named
-    causes = named_causes(identified, named)
+    sets = _ambiguity_set(identified)
+    causes = named_causes(identified, named, dict(sets))
     if answer.verdict != "unknown":
         level = max(float(np.hypot(*evidence.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
         causes += trace_causes(scatter, evidence.traces, level)
@@ -88,8 +89,8 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         reference=replayed.reference.kind,
         verdict=answer.verdict,
         causes=causes,
-        look_alikes=() if named.terms else named_causes(identified, identified.fit),
-        ambiguity_set=_ambiguity_set(identified),
+        look_alikes=() if named.terms else named_causes(identified, identified.fit, dict(sets)),
+        ambiguity_set=tuple((tuple(sorted(ids)), weight) for ids, weight in sets),
         where=where(problem.with_rows(replayed.valid), named),
         field=field,
         heading=heading,
@@ -120,7 +121,7 @@ def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:
     return {"hard_iron": "PX4's HIGHRES_IMU is less what its estimator learns of it"} if learnt else {}
 
 
-def _ambiguity_set(identified: Identified) -> tuple[tuple[tuple[str, ...], float], ...]:
+def _ambiguity_set(identified: Identified) -> list[tuple[frozenset[str], float]]:
     """Return the sets that explain the gap, with their weights.
 
     Those that reach the floor as well share one, and what was found for sets with an effect that a guard
@@ -133,7 +134,7 @@ def _ambiguity_set(identified: Identified) -> tuple[tuple[tuple[str, ...], float
         kept = {ids: w for ids, w in weights.items() if ids not in alike and not ids & refused}
         each = max(1.0 - sum(kept.values()), 0.0) / len(alike)
         weights = {**dict.fromkeys(alike, each), **kept}
-    return tuple((tuple(sorted(ids)), w) for ids, w in weights.items() if ids)
+    return [(ids, weight) for ids, weight in weights.items() if ids]
 
 
 def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closing]:

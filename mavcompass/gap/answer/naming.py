@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -14,9 +15,13 @@ from mavcompass.gap.traces import Traces
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
 
 
-def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
-    """Describe the effects of a fit: values, intervals, probability, rivals; the largest first."""
-    weights = dict(identified.found.weights)
+def named_causes(
+    identified: Identified, fit: Fit, weights: Mapping[frozenset[str], float]
+) -> tuple[Cause, ...]:
+    """Describe the effects of a fit: values, intervals, probability, rivals; the largest first.
+
+    `weights` are those of the sets of effects that could explain the gap.
+    """
     own = weights.get(fit.ids, 1.0)
     problem = identified.problem
     replay, rows = problem.replay, problem.index
@@ -33,9 +38,7 @@ def named_causes(identified: Identified, fit: Fit) -> tuple[Cause, ...]:
         at += index.size
         left = apart(replay, measured, problem.predict(fit.without(i)).mag_mgauss, rows)
         field, heading = (math.sqrt(max(a**2 - b**2, 0.0)) for a, b in zip(left, after, strict=True))
-        others = sorted(
-            {e for ids, _ in identified.found.weights if term.effect.id not in ids for e in ids - fit.ids}
-        )
+        others = sorted({effect for ids in weights if term.effect.id not in ids for effect in ids - fit.ids})
         free = make_term(term.effect, problem.replay.signals).free
         shown = [
             (p, float(v), float(s))

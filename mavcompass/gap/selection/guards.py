@@ -40,7 +40,7 @@ _LEAST_OF_ROUNDING = 0.5
 # A block shows an effect where it changes this share of what it does where it changes most.
 _TOUCHED = 0.05
 # Squared sigmas by which what is known of the vehicle may give way to a missing effect.
-_STRAINED = 30.0
+STRAINED = 30.0
 _NEEDED = 10.0
 # Readings that an effect changes by less than this (squared sigmas, in all) cannot judge it.
 SILENT = 9.0
@@ -246,7 +246,7 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     measured = replay.measured.mag_mgauss
     rest = fit.without(place)
     without = problem.fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=4)
-    strained = problem.strain(without) > problem.strain(fit) + _STRAINED
+    strained = problem.strain(without) > problem.strain(fit) + STRAINED
     if strained or replay.reference.kind == "columns":
         # Bent by force, what is known of the vehicle would imitate the effect: it stays.
         without = problem.steady(fit).fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=3)

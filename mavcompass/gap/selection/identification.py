@@ -12,7 +12,15 @@ import numpy as np
 from mavcompass.gap.fit import Fit, Problem, Search, placements, pruned
 from mavcompass.gap.left import Floor, apart, widened
 from mavcompass.gap.replay import Replay
-from mavcompass.gap.selection.guards import TOO_SMALL, at_floor, evident, needs_none, refused, worthwhile
+from mavcompass.gap.selection.guards import (
+    STRAINED,
+    TOO_SMALL,
+    at_floor,
+    evident,
+    needs_none,
+    refused,
+    worthwhile,
+)
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.split import Split, probe, with_parts, with_windows
 from mavcompass.gap.selection.transient import moments, told, transients, with_moments
@@ -157,7 +165,11 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
     known = sorted(known, key=lambda f: f.sse)[:_RIVALS]
     rivals = {f.ids: candidate.problem.refit(f) for f in known}
     rivals |= {f.ids: f for f in _substitutes(candidate) if f.ids not in rivals}
-    good = [f for f in rivals.values() if at_floor(candidate, f, floor)]
+    # Bent by force, what is known of the vehicle would imitate nearly anything.
+    most = candidate.problem.strain(chosen) + STRAINED
+    good = [
+        f for f in rivals.values() if at_floor(candidate, f, floor) and candidate.problem.strain(f) < most
+    ]
     if not at_floor(candidate, chosen, floor):
         allowed = [f for f in good if refused(replace(candidate, fit=f), floor) is None]
         if not allowed:
