@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.model import GAIN, HORIZONTAL, MOTOR
-from mavcompass.calibration.motion.findings import circle_seen_rad, findings, gain_words, sparse_words
+from mavcompass.calibration.motion.findings import (
+    _kept_out_words,
+    circle_seen_rad,
+    findings,
+    gain_words,
+    sparse_words,
+)
 from mavcompass.units import RAD_PER_DEG
 
 EARTH: Any = object()  # only whether there is one matters
@@ -193,3 +199,15 @@ def test_stretches_that_were_kept_out_are_counted() -> None:
     sound[4] = 0.7
     _, (words,) = told(fitted=fit(sound=sound, residual_mgauss=residual))
     assert f"1 of {SECTIONS} stretches" in words and "the most at 6 s, 5 mG" in words
+
+
+@pytest.mark.parametrize(("lost", "told_of"), [(0.97, False), (1.03, True)])
+def test_one_in_fifty_stretches_kept_out_is_not_mentioned(lost: float, told_of: bool) -> None:
+    many = 50
+    seen = type("Sections", (SimpleNamespace,), {"__len__": lambda self: many})(
+        middle_s=np.arange(float(many))
+    )
+    sound = np.ones(many)
+    sound[7:9] = 1.0 - 0.5 * lost
+    left = SimpleNamespace(sound=sound, residual_mgauss=np.zeros((many, 3)))
+    assert bool(_kept_out_words(seen, left)) is told_of  # type: ignore[arg-type]

@@ -1,0 +1,99 @@
+"""How a motion is cut, and what its sections leave unknown."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.calibration.motion import sections
+from mavcompass.track import Series, Track
+
+TIME = np.arange(0.0, 20.0, 0.1)
+STILL, LEVEL = np.zeros(TIME.size), np.tile([0.0, 0.0, 1.0], (TIME.size, 1))
+
+
+def cut(**changed: np.ndarray) -> tuple[list[float], list[int]]:
+    """Return when sections begin, and which visit of a heading each belongs to."""
+    values = {"time": TIME, "angle": STILL, "down": LEVEL, "load": STILL, **changed}
+    edges, visit = sections._edges(values["time"], values["angle"], values["down"], values["load"])
+    assert edges[-1] == values["time"].size
+    return [round(float(values["time"][k]), 1) for k in edges[:-1]], visit.tolist()
+
+
+def test_what_stands_is_one_visit_in_sections_of_five_seconds() -> None:
+    begins, visits = cut()
+    assert begins == pytest.approx([0.0, 5.1, 10.2, 15.3], abs=0.15) and visits == [0, 0, 0, 0]
+
+
+@pytest.mark.parametrize(("deg", "is_cut"), [(19.9, False), (20.1, True), (-20.1, True)])
+def test_a_turn_of_twenty_degrees_begins_another(deg: float, is_cut: bool) -> None:
+    begins, visits = cut(angle=np.where(TIME < 3.0, 0.0, math.radians(deg)))
+    assert (begins[1] == 3.0) is is_cut and visits[-1] == is_cut
+
+
+@pytest.mark.parametrize(("deg", "is_cut"), [(6.9, False), (7.2, True)])
+def test_a_lean_of_seven_degrees_begins_another(deg: float, is_cut: bool) -> None:
+    lean = math.radians(deg)
+    leant = np.where(TIME[:, np.newaxis] < 3.0, LEVEL, [math.sin(lean), 0.0, math.cos(lean)])
+    begins, visits = cut(down=leant)
+    assert (begins[1] == 3.0) is is_cut and visits[-1] == is_cut
+
+
+@pytest.mark.parametrize(("amperes", "is_cut"), [(1.4, False), (1.6, True), (-1.6, True)])
+def test_a_load_of_a_seventh_of_its_range_begins_another(amperes: float, is_cut: bool) -> None:
+    load = np.where(TIME < 3.0, 0.0, amperes)
+    load[-5:] = 10.0 if amperes > 0.0 else 10.0 + amperes  # the whole range is 10
+    begins, _ = cut(load=load)
+    assert (begins[1] == 3.0) is is_cut
+
+
+@pytest.mark.parametrize(("gap_s", "is_cut"), [(0.9, False), (1.2, True)])
+def test_a_gap_begins_another(gap_s: float, is_cut: bool) -> None:
+    time = np.where(TIME < 2.95, TIME, TIME + gap_s - 0.1)
+    begins, visits = cut(time=time)
+    assert (begins[1] < 5.0) is is_cut and visits[-1] == is_cut
+
+
+def track(kind: str, force: bool = True) -> Track:
+    return Track(vehicle=kind, acc_mps2=Series.of(TIME, LEVEL) if force else None)
+
+
+def test_rocking_averages_out_of_what_stands_and_not_of_what_flies() -> None:
+    mean = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    square = mean**2 + [[0.0002, 0.0002, 0.0], [0.0, 0.0, 0.0]]  # swings by 0.0141 rms
+    lasted = np.array([4.0, 4.0])
+    least = math.radians(0.02)
+    found = sections._tilt_sigma(track("rover"), mean, square, lasted)
+    # One second of independent rocking: a quarter of the variance in four seconds.
+    assert found == pytest.approx([math.hypot(least, 0.5 * math.sqrt(0.0002)), least])
+    assert sections._tilt_sigma(track("rover"), mean, square, lasted / 8.0) == pytest.approx(
+        [math.hypot(least, math.sqrt(0.0002)), least]
+    )
+    for other in (track("copter"), track("rover", force=False)):
+        assert sections._tilt_sigma(other, mean, square, lasted) == pytest.approx([math.radians(0.3)] * 2)
+
+
+@pytest.mark.parametrize(("interval_s", "times"), [(0.02, 1.0), (0.1, 1.0), (0.3, 3.0), (5.0, 5.0)])
+def test_a_turn_heard_too_seldom_is_less_certain(interval_s: float, times: float) -> None:
+    record: Any = SimpleNamespace(interval_s=interval_s, independent_sigma_rad=lambda a, b: 0.01 * (b - a))
+    assert sections._step_sigma(record, 3.0, 5.0) == pytest.approx(0.02 * times)
+    record.independent_sigma_rad = lambda a, b: 0.0
+    assert sections._step_sigma(record, 3.0, 5.0) == pytest.approx(math.radians(0.02))
+    record.independent_sigma_rad = lambda a, b: 9.0
+    assert sections._step_sigma(record, 3.0, 5.0) == math.pi
+
+
+def test_the_noise_is_that_beside_a_smooth_turn() -> None:
+    chance = np.random.default_rng(6)
+    turn = 200.0 * np.stack([np.cos(TIME), np.sin(TIME), 2.0 + 0.0 * TIME], axis=1)
+    noisy = turn + 2.0 * chance.normal(size=turn.shape)
+    assert sections._white_noise(TIME, noisy, 0.0) == pytest.approx(2.0, rel=0.1)
+    still = np.zeros_like(turn)
+    assert sections._white_noise(TIME, still, 0.0) == pytest.approx(0.2)
+    assert sections._white_noise(TIME, still, 1.0) == pytest.approx(math.hypot(0.2, math.sqrt(1.0 / 12.0)))
+    assert sections._white_noise(TIME[:7], noisy[:7], 0.0) == 3.0  # too few to tell
+    assert sections._white_noise(2.1 * TIME, noisy, 0.0) == 3.0  # too far apart
