@@ -67,12 +67,14 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     problem, test = identified.problem, identified.split.test
     answer, field, heading = _closed(evidence, answer)
     named = answer.named
-    sets = _ambiguity_set(identified)
-    causes = named_causes(identified, named, dict(sets))
+    # What single readings told, and nothing besides, is all of the explanation.
+    by_traces = evidence.beside and not named.terms and answer.verdict.startswith("named")
+    sets = [(named.ids, 1.0)] if by_traces else _ambiguity_set(identified)
+    beside = evidence.faults
     if answer.verdict != "unknown":
         level = max(float(np.hypot(*evidence.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
-        causes += trace_causes(scatter, evidence.traces, level)
-    causes += evidence.faults
+        beside = trace_causes(scatter, evidence.traces, level) + beside
+    causes = named_causes(identified, named, dict(sets)) + beside
     bars: tuple[Bar, ...] = ()
     if 1 <= len(named.terms) <= _MOST_SHAPLEY:
         bars = waterfall(lambda ids: _subset(identified, ids), problem, named.ids, test)
@@ -90,7 +92,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         verdict=answer.verdict,
         causes=causes,
         look_alikes=() if named.terms else named_causes(identified, identified.fit, dict(sets)),
-        ambiguity_set=tuple((tuple(sorted(ids)), weight) for ids, weight in sets),
+        ambiguity_set=tuple((tuple(sorted(ids.union(c.effect for c in beside))), w) for ids, w in sets),
         where=where(problem.with_rows(replayed.valid), named),
         field=field,
         heading=heading,
