@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from mavcompass.errors import UsageError
 from mavcompass.gap.answer import Evidence, decide, describe
-from mavcompass.gap.attitude import Choice, accelerometer_fault, gyro_fault, without_fault
+from mavcompass.gap.attitude import Choice, accelerometer_fault, gyro_fault, steered_by, without_fault
 from mavcompass.gap.blas import single_thread
 from mavcompass.gap.left import (
     Floor,
@@ -141,6 +141,9 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     # 6. Split, 7. Search, 8. What is left
     how.progress(f"weighing {len(testable)} effects")
     identified, remainder, floor = _explained(replayed, before, floor, testable, traces)
+    if "orientation" in identified.fit.ids and steered_by(track, how.compass) != "other":
+        # An autopilot that steers by a compass in another orientation says nothing of the gyro.
+        faults = shifted
     how.progress("looking at what is left")
     adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
 

@@ -15,6 +15,7 @@ from mavcompass.gap.attitude.reference import (
     body_rate,
     reference_attitude,
 )
+from mavcompass.gap.attitude.steering import steered_by
 
 __all__ = [
     "UNKNOWN_YAW_RAD",
@@ -29,6 +30,7 @@ __all__ = [
     "north_east_m",
     "reference_attitude",
     "second_derivative",
+    "steered_by",
     "turned_about_down",
     "without_fault",
 ]
