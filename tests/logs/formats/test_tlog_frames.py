@@ -79,8 +79,8 @@ def test_every_value_equals_pymavlinks(shared_data: Path, name: str) -> None:
     assert ours.keys() == theirs.keys()
     assert contents.frames == sum(len(messages) for messages in theirs.values())
     for key, messages in theirs.items():
-        stamps = ours[key].log_time_s.tolist()
-        assert stamps == [pytest.approx(message._timestamp, abs=1e-5) for message in messages]
+        stamps = [message._timestamp for message in messages]
+        np.testing.assert_allclose(ours[key].log_time_s, stamps, rtol=0.0, atol=1e-5, strict=True)
         for field in messages[0].get_fieldnames():
             expected = [getattr(message, field) for message in messages]
             found = ours[key].rows[field]
