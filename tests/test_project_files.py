@@ -66,6 +66,15 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(built)
 
 
+@pytest.fixture(scope="module")
+def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Install the wheel, away from the checkout."""
+    folder = tmp_path_factory.mktemp("site")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(folder)
+    return folder
+
+
 def test_the_source_archive_gives_the_same_wheel_as_the_checkout(wheel: Path, tmp_path: Path) -> None:
     [ours] = WheelBuilder(str(PROJECT)).build(directory=str(tmp_path), versions=["standard"])
     with zipfile.ZipFile(ours) as one, zipfile.ZipFile(wheel) as other:
@@ -81,16 +90,12 @@ def test_the_source_archive_gives_the_same_wheel_as_the_checkout(wheel: Path, tm
         "doctor",
     ],
 )
-def test_the_wheel_works_from_an_empty_folder(wheel: Path, line: str, tmp_path: Path) -> None:
-    site, empty = tmp_path / "site", tmp_path / "empty"
-    empty.mkdir()
-    with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(site)
+def test_the_wheel_works_from_an_empty_folder(site: Path, line: str, tmp_path: Path) -> None:
     search = os.pathsep.join([str(site), sysconfig.get_path("purelib")])
     done = subprocess.run(
         # -S leaves out what points this environment to the checkout
         [sys.executable, "-S", "-m", "mavcompass", *line.split()],
-        cwd=empty,
+        cwd=tmp_path,
         env={"PYTHONPATH": search, "PATH": os.defpath, "HOME": str(tmp_path)},
         capture_output=True,
         text=True,

@@ -18,10 +18,6 @@ from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 MAG_MESSAGES = {"RAW_IMU": 1, "SCALED_IMU": 1, "SCALED_IMU2": 2, "SCALED_IMU3": 3}
 
 
-def _vector(message: Any, x: str, y: str, z: str, factor: float) -> FloatArray:
-    return _columns(*(getattr(message, name) for name in (x, y, z))) * factor
-
-
 def _columns(*columns: Any) -> FloatArray:
     # Turned, not joined along the last axis, so that each column stays contiguous, as a Series wants it.
     return np.array(columns).T
@@ -29,17 +25,17 @@ def _columns(*columns: Any) -> FloatArray:
 
 def field_mgauss(imu: Any) -> FloatArray:
     """Read the magnetic field off RAW_IMU or SCALED_IMU, milligauss."""
-    return _vector(imu, "xmag", "ymag", "zmag", 1.0)
+    return _columns(imu.xmag, imu.ymag, imu.zmag) * 1.0
 
 
 def acceleration_mps2(imu: Any) -> FloatArray:
     """Read the specific force off RAW_IMU or SCALED_IMU, metres per second squared."""
-    return _vector(imu, "xacc", "yacc", "zacc", MPS2_PER_MILLI_G)
+    return _columns(imu.xacc, imu.yacc, imu.zacc) * MPS2_PER_MILLI_G
 
 
 def angular_rate_radps(imu: Any) -> FloatArray:
     """Read the angular rate off RAW_IMU or SCALED_IMU, radians per second."""
-    return _vector(imu, "xgyro", "ygyro", "zgyro", RADPS_PER_MILLIRADPS)
+    return _columns(imu.xgyro, imu.ygyro, imu.zgyro) * RADPS_PER_MILLIRADPS
 
 
 def imu_time_s(imu: Any) -> Any:

@@ -42,14 +42,7 @@ def test_a_second_calibration_moves_the_offsets_by_less_than_two_milligauss() ->
     assert np.abs(moved[:2]).max() < 2.0
 
 
-@pytest.mark.parametrize("vehicle", ["copter", "boat", "sub"])
-def test_other_vehicles_that_turn_on_the_spot_do_as_well(vehicle: str) -> None:
-    with SimulatedLink.of(vehicle, seed=0) as link:
-        report = calibrate_on(link, f"sim:{vehicle}", WRITE)
-        assert report.written
-        assert heading_error_rms_deg(link.autopilot) <= 0.5
-
-
+# The other vehicles: tests/procedure/test_calibrate_vehicles.py.
 @pytest.mark.parametrize(("positions", "step_deg"), [(3, 120.0), (6, 60.0), (4, -90.0), (5, 72.0), (4, 80.0)])
 def test_other_numbers_of_positions_steps_and_directions_are_usable(positions: int, step_deg: float) -> None:
     settings = CalibrateSettings(writing="yes", positions=positions, step_rad=math.radians(step_deg))

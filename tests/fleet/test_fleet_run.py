@@ -25,7 +25,7 @@ from mavcompass.fleet.run import Progress, journal_of, run_fleet
 pq = pytest.importorskip("pyarrow.parquet", reason="pip install 'mavcompass[fleet]'")
 
 CALIBRATE = Job("calibrate")
-TWO = Engine(workers=2, timeout_s=120.0)
+ONE, TWO = (Engine(workers=n, timeout_s=120.0) for n in (1, 2))
 
 
 @pytest.fixture
@@ -147,16 +147,16 @@ def test_an_interrupt_leaves_a_state_to_go_on_from(own_twelve: list[Recording], 
 
 def test_only_what_changed_is_done_again(own_twelve: list[Recording], tmp_path: Path) -> None:
     out = tmp_path / "out.parquet"
-    run_fleet(CALIBRATE, own_twelve, out, TWO)
+    run_fleet(CALIBRATE, own_twelve, out, ONE)
     path = Path(own_twelve[3].path)
     content = path.read_bytes()
     path.unlink()
     path.write_bytes(content[: len(content) // 20])
-    result = run_fleet(CALIBRATE, find_recordings([str(tmp_path)]), out, TWO)
+    result = run_fleet(CALIBRATE, find_recordings([str(tmp_path)]), out, ONE)
     assert (result.kept, result.examined) == (11, 1)
     rows = pq.read_table(out).to_pylist()
     assert [row["status"] for row in rows].count("error") == 1 and len(rows) == 12
-    result = run_fleet(CALIBRATE, find_recordings([str(tmp_path)]), out, TWO, retry_errors=True)
+    result = run_fleet(CALIBRATE, find_recordings([str(tmp_path)]), out, ONE, retry_errors=True)
     assert result.examined == 1
 
 
@@ -164,11 +164,11 @@ def test_another_question_to_the_same_output_is_refused_unless_fresh(
     own_twelve: list[Recording], tmp_path: Path
 ) -> None:
     out = tmp_path / "out.parquet"
-    run_fleet(CALIBRATE, own_twelve[:1], out, TWO)
+    run_fleet(CALIBRATE, own_twelve[:1], out, ONE)
     other = Job("calibrate", method="sphere")
     with pytest.raises(UsageError, match="--fresh"):
-        run_fleet(other, own_twelve[:1], out, TWO)
-    assert run_fleet(other, own_twelve[:1], out, TWO, fresh=True).examined == 1
+        run_fleet(other, own_twelve[:1], out, ONE)
+    assert run_fleet(other, own_twelve[:1], out, ONE, fresh=True).examined == 1
 
 
 def test_missing_pyarrow_is_said_before_the_work(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap import diagnose_gap
+from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.export.ardupilot import ardupilot_sitl
 from mavcompass.gap.export.exported import Found
 from mavcompass.gap.export.ours import preset
@@ -23,9 +23,15 @@ from mavcompass.simulation.effects import Setting, read_preset
 from mavcompass.track import Track
 
 
-def test_firmware_recording_gives_back_the_simulators_parameters(shared_data: Path) -> None:
+@pytest.fixture(scope="module")
+def distorted(shared_data: Path) -> tuple[Track, Diagnosis]:
+    """A rover of the firmware with iron in it."""
     track = read_track(shared_data / "ardupilot-4.6.3" / "rover_dist_use2.tlog")
-    diagnosis = diagnose_gap(track)
+    return track, diagnose_gap(track)
+
+
+def test_firmware_recording_gives_back_the_simulators_parameters(distorted: tuple[Track, Diagnosis]) -> None:
+    _, diagnosis = distorted
     assert diagnosis.effects == {"hard_iron", "axis_scale"}
     assert diagnosis.reference == "fused"
     assert diagnosis.field.after < diagnosis.field.floor
@@ -57,11 +63,10 @@ def test_iron_that_the_calibration_cures_is_known_and_exported(shared_data: Path
 
 
 def test_preset_in_our_simulator_closes_the_recorded_gap_as_claimed(
-    shared_data: Path, tmp_path: Path
+    distorted: tuple[Track, Diagnosis], tmp_path: Path
 ) -> None:
     """The simulator runs the recorded motion with the exported preset; only its nuisances are solved for."""
-    track = read_track(shared_data / "ardupilot-4.6.3" / "rover_dist_use2.tlog")
-    diagnosis = diagnose_gap(track)
+    track, diagnosis = distorted
     path = tmp_path / "found.json"
     path.write_text(preset(Found(settings_of(diagnosis.causes), "rover")).text, encoding="utf-8")
     problem, fit = with_settings(track, read_preset(path))

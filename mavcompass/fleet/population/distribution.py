@@ -178,7 +178,7 @@ def _drawn(spread: Spread, rng: np.random.Generator) -> str:
     return spell(Setting.of(effect, inside))
 
 
-def write_distribution(distribution: Distribution, path: Path, presets: int = 0, seed: int = 1) -> list[Path]:
+def write_distribution(distribution: Distribution, path: Path, presets: int = 0) -> list[Path]:
     """Write the document, and presets of our simulator drawn from it beside it; return all that was written.
 
     Raises UsageError where a file cannot be written.
@@ -186,7 +186,7 @@ def write_distribution(distribution: Distribution, path: Path, presets: int = 0,
     from mavcompass.simulation.effects.registry import PRESET_SCHEMA
 
     documents: dict[Path, dict[str, object]] = {path: distribution.to_json()}
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     for number in range(presets):
         file = path.with_name(f"{path.stem}.{number + 1:03d}.preset.json")
         effects = distribution.preset(rng)

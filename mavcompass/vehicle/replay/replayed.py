@@ -61,26 +61,16 @@ class ReplayedAutopilot:
 class ReplayedLink(SimulatedLink):
     """Play a recording in this process; LinkLost at its end."""
 
-    def __init__(
-        self,
-        recorded: Recorded,
-        name: str,
-        identity: Identity = ONBOARD_COMPUTER,
-        speed: float | None = None,
-    ) -> None:
-        super().__init__(recorded, name, identity, speed)
+    def __init__(self, recorded: Recorded, name: str, identity: Identity = ONBOARD_COMPUTER) -> None:
+        super().__init__(recorded, name, identity)
         self._recorded = recorded
 
     @classmethod
     def playing(
-        cls,
-        path: Path,
-        read_track: ReadTrack | None = None,
-        identity: Identity = ONBOARD_COMPUTER,
-        speed: float | None = None,
+        cls, path: Path, read_track: ReadTrack | None = None, identity: Identity = ONBOARD_COMPUTER
     ) -> ReplayedLink:
         """Open a recording; see `replayed_autopilot`."""
-        return cls(replayed_autopilot(path, read_track), str(path), identity, speed)
+        return cls(replayed_autopilot(path, read_track), str(path), identity)
 
     def receive(self, timeout_s: float) -> Incoming | None:
         """Return the next message; see Link."""

@@ -42,9 +42,9 @@ class Signing:
             raise ValueError(f"a MAVLink signing key has 32 bytes, not {len(self.key)}")
 
     @classmethod
-    def from_passphrase(cls, passphrase: str, link_id: int = 0) -> Signing:
+    def from_passphrase(cls, passphrase: str) -> Signing:
         """Make the key as the common ground stations do: SHA-256 of the passphrase."""
-        return cls(hashlib.sha256(passphrase.encode()).digest(), link_id)
+        return cls(hashlib.sha256(passphrase.encode()).digest())
 
     @classmethod
     def of_file(cls, path: Path) -> Signing:

@@ -118,8 +118,9 @@ def test_it_is_told_in_words_as_json_and_as_a_page(rehearsal: Rehearsal, tmp_pat
     assert "motor_current" in page.read_text(encoding="utf-8")
 
 
-def test_it_is_deterministic(loaded: Track, diagnosis: Diagnosis, rehearsal: Rehearsal) -> None:
-    assert replace(rehearse(loaded, diagnosis, draws=24), seconds=rehearsal.seconds) == rehearsal
+def test_it_is_deterministic(loaded: Track, diagnosis: Diagnosis) -> None:
+    one, other = (rehearse(loaded, diagnosis, draws=6) for _ in range(2))
+    assert replace(other, seconds=one.seconds) == one
 
 
 def test_the_command_writes_its_document(tmp_path: Path) -> None:
