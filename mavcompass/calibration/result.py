@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mavcompass.calibration.model import HeadingError
+from mavcompass.calibration.positions.budget import ACCELEROMETER
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.compute import level_heading
@@ -76,6 +77,12 @@ class CalibrationResult:
     vertical_mgauss: float = math.nan
     positions: tuple[Position, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def repeatable_sigma_deg(self) -> float:
+        """Return the part of the heading's sigma that further positions would lower."""
+        shared_deg = self.heading_budget_deg.get(ACCELEROMETER, 0.0)
+        return math.sqrt(max(self.heading_sigma_deg**2 - shared_deg**2, 0.0))
 
     def to_json(self) -> dict[str, Any]:
         """Return the entry of `compasses` in the calibration JSON; nan becomes null."""

@@ -27,6 +27,7 @@ SOURCE_WORDS = {
     "noise": "noise of the compass (dwell longer)",
     "step_angle": "the angles turned (turn faster, or a better gyro)",
     "tilt": "tilt (stand on level, firm ground)",
+    "accelerometer": "the accelerometer, which tells the tilt (calibrate it)",
     "world_model": "the Earth's field at this place (move away from steel and buildings)",
     "quantisation": "the whole milligauss of the messages",
     "disturbance": "something magnetic that changed between the positions",

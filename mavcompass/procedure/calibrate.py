@@ -230,9 +230,9 @@ class _Calibration:
         """Tell whether further positions are worth their time: a person is not asked for them."""
         if isinstance(mover, HandMover) or len(report.windows) >= self.settings.most_positions:
             return False
-        worst_deg = max(result.heading_sigma_deg for result in report.results)
-        if worst_deg <= self.settings.enough_deg:
+        if max(result.repeatable_sigma_deg for result in report.results) <= self.settings.enough_deg:
             return False
+        worst_deg = max(result.heading_sigma_deg for result in report.results)
         self.desk.context.show("turn", f"Heading within {worst_deg:.1f} deg so far: one more position.")
         return True
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
+from mavcompass.calibration.observation import WHEELED
 from mavcompass.errors import Refused
 from mavcompass.procedure.dialect import Dialect, describe_compasses
 from mavcompass.procedure.motion import Mobility, Wishes
@@ -53,7 +54,8 @@ class Desk:
         builder = TrackBuilder(identity.autopilot, identity.kind)
         builder.parameters.update(parameters)
         describe_compasses(builder, dialect, parameters)
-        desk = cls(context, identity, dialect, parameters, state, builder, began_s)
+        rest = Rest(wheels=identity.kind in WHEELED)
+        desk = cls(context, identity, dialect, parameters, state, builder, began_s, rest=rest)
         context.listeners += [builder.add, desk.gyro.hear, desk.rest.hear]
         return desk
 

@@ -21,6 +21,7 @@ _BUDGET_NAMES = {
     "noise": "noise",
     "step_angle": "turn angles",
     "tilt": "tilt",
+    "accelerometer": "accelerometer",
     "world_model": "world model",
     "quantisation": "quantisation",
     "disturbance": "disturbance",

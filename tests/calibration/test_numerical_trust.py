@@ -29,7 +29,7 @@ from mavcompass.calibration.model import (
     heading_gradient,
     level_to_body,
 )
-from mavcompass.calibration.motion.equations import FIRST, field_residual, turn_residual
+from mavcompass.calibration.motion.equations import FIRST, by_tilt, field_residual, turn_residual
 from mavcompass.calibration.motion.sections import Sections
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, decimal_year, earth_field, middle_place
@@ -104,6 +104,21 @@ def test_sections_and_turns_have_their_derivatives(seed: int) -> None:
     assert is_derivative(-by, derivative(lambda y: field_residual(sections, y)[0], x))
     _, by = turn_residual(sections, x)
     assert is_derivative(by, derivative(lambda y: turn_residual(sections, y)[0], x))
+
+
+@FEW
+@given(SEEDS)
+def test_a_tilted_section_reads_what_its_derivative_says(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sections, h = drawn_sections(rng, 4), 1e-6
+    x = np.zeros(FIRST + 4)
+    x[GAIN], x[HORIZONTAL], x[VERTICAL] = (1.1, 0.9, 1.0, 0.02, -0.01, 0.03), 230.0, -520.0
+    x[FIRST:] = rng.uniform(-3.0, 3.0, 4)
+    by = by_tilt(sections, x)
+    for axis in range(2):
+        turned = replace(sections, mapping=level_to_body(*(h * np.eye(2)[axis])) @ sections.mapping)
+        moved = field_residual(sections, x)[0] - field_residual(turned, x)[0]
+        assert np.allclose(moved / h, by[:, :, axis], atol=0.01)
 
 
 def drawn_sections(rng: np.random.Generator, count: int) -> Sections:

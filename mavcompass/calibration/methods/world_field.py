@@ -12,6 +12,7 @@ from mavcompass.calibration.model import GAIN, HORIZONTAL, MOTOR, OFFSET, VERTIC
 from mavcompass.calibration.motion.findings import findings
 from mavcompass.calibration.motion.honesty import weigh_honestly
 from mavcompass.calibration.motion.observed import Motion, observe_motion
+from mavcompass.calibration.positions.budget import ACCELEROMETER
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
@@ -72,7 +73,10 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
             heading_sigma_deg=math.degrees(math.hypot(sigma, mounting)),
             heading_budget_deg={
                 "noise": math.degrees(min(honest.noise_rad, sigma)),
-                "disturbance": math.degrees(math.sqrt(max(sigma**2 - honest.noise_rad**2, 0.0))),
+                ACCELEROMETER: math.degrees(min(honest.accelerometer_rad, sigma)),
+                "disturbance": math.degrees(
+                    math.sqrt(max(sigma**2 - honest.noise_rad**2 - honest.accelerometer_rad**2, 0.0))
+                ),
                 "mounting": math.degrees(mounting),
             },
             heading_error=honest.error,

@@ -78,6 +78,17 @@ def turn_residual(sections: Sections, x: FloatArray) -> tuple[FloatArray, FloatA
     return (scale * turn + x[GYRO_BIAS] * lasted - step) / sigma, jacobian
 
 
+def by_tilt(sections: Sections, x: FloatArray) -> FloatArray:
+    """Return how each section's mean changes with roll and pitch, (K, 3, 2)."""
+    psi, gain = x[FIRST:], gain_matrix(x[GAIN])
+    h, z = x[HORIZONTAL], x[VERTICAL]
+    level = np.stack([h * np.cos(psi), -h * np.sin(psi), np.full(psi.size, z)], axis=1)
+    bx, by, bz = np.einsum("kij,kj->ik", sections.mapping, level)
+    roll = np.stack([np.zeros_like(bx), bz, -by], axis=1) @ gain.T
+    pitch = np.stack([-bz, np.zeros_like(bx), bx], axis=1) @ gain.T
+    return np.stack([roll, pitch], axis=2)
+
+
 def section_variance(
     sections: Sections, x: FloatArray, model_mgauss: float, weighed: bool = True
 ) -> FloatArray:
@@ -85,18 +96,13 @@ def section_variance(
 
     `weighed`: what the sections of one visit share is multiplied, so that together they count once.
     """
-    psi, gain = x[FIRST:], gain_matrix(x[GAIN])
-    h, z = x[HORIZONTAL], x[VERTICAL]
-    level = np.stack([h * np.cos(psi), -h * np.sin(psi), np.full(psi.size, z)], axis=1)
-    bx, by, bz = np.einsum("kij,kj->ik", sections.mapping, level)
-    roll = np.stack([np.zeros_like(bx), bz, -by], axis=1) @ gain.T
-    pitch = np.stack([-bz, np.zeros_like(bx), bx], axis=1) @ gain.T
-    tilt = np.einsum("ki,kj->kij", roll, roll) + np.einsum("ki,kj->kij", pitch, pitch)
+    leaning = by_tilt(sections, x)
+    tilt = leaning @ np.swapaxes(leaning, 1, 2)
     alike = (model_mgauss**2 + sections.hidden_mgauss**2)[:, np.newaxis, np.newaxis] * np.eye(3)
     shared = tilt * sections.tilt_sigma_rad[:, np.newaxis, np.newaxis] ** 2 + alike
     white = (sections.noise_mgauss**2 / sections.samples)[:, np.newaxis, np.newaxis] * np.eye(3)
     return np.asarray(
-        (sections.repeats if weighed else np.ones(psi.size))[:, np.newaxis, np.newaxis] * shared + white
+        (sections.repeats if weighed else np.ones(len(sections)))[:, np.newaxis, np.newaxis] * shared + white
     )
 
 

@@ -18,6 +18,7 @@ from mavcompass.calibration.model import GAIN, MOTOR, OFFSET, HeadingError, gain
 from mavcompass.calibration.motion.equations import (
     FIRST,
     PriorRows,
+    by_tilt,
     field_residual,
     first_state,
     section_variance,
@@ -135,6 +136,16 @@ def fit_motion(
     variance = section_variance(sections, x, model)
     x = _settle(sections, x, variance, sound, rules)
     return _summary(sections, x, variance, sound, rules, model)
+
+
+def leaning_error(sections: Sections, fit: MotionFit) -> FloatArray:
+    """Return what the accelerometer's own error, the same all along, adds to the state, (P, 2).
+
+    By roll and by pitch, one sigma each; see `positions.fit.leaning_error`.
+    """
+    leaning = _roots(fit.variance_mgauss2, fit.sound) @ by_tilt(sections, fit.state) * sections.tilt_bias_rad
+    rows = leaning.reshape(-1, 2)
+    return np.asarray(fit.covariance @ fit.jacobian[: len(rows)].T @ rows)
 
 
 def sigma_of(fit: MotionFit) -> float:

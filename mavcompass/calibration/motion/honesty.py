@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.calibration.model import HORIZONTAL, HeadingError, heading_gradient
-from mavcompass.calibration.motion.fit import MotionFit
+from mavcompass.calibration.motion.fit import MotionFit, leaning_error
 from mavcompass.calibration.motion.sections import Sections
 from mavcompass.calibration.positions import DEFAULT_PRIOR, IronPrior
 from mavcompass.calibration.positions.fit import weigh_cross_terms
@@ -35,6 +35,7 @@ class Honesty:
     Attributes:
         state: the fit's, its cross terms as far as they are believed.
         error: the heading's, all told. noise_rad: its rms by noise and prior alone.
+        accelerometer_rad: the part of the accelerometer's own error, rms, which no further motion lowers.
         scatter_rad: what is left between sections, seen as a heading; 0 where chance explains it.
         left_out_ratio: the larger of the ratios by time and by heading.
     """
@@ -42,6 +43,7 @@ class Honesty:
     state: FloatArray
     error: HeadingError
     noise_rad: float
+    accelerometer_rad: float
     scatter_rad: float
     left_out_ratio: float
 
@@ -56,16 +58,17 @@ class Honesty:
 
 def weigh_honestly(sections: Sections, fit: MotionFit, prior: IronPrior = DEFAULT_PRIOR) -> Honesty:
     """Judge a fit by blocks left out and by the scatter that it leaves."""
-    blend = weigh_cross_terms(fit.state, fit.covariance, prior)
-    state, covariance = blend.state, blend.covariance[:9, :9]
+    blend = weigh_cross_terms(fit.state, fit.covariance, prior, leaning_error(sections, fit))
+    leaning = (blend.shared @ blend.shared.T)[:9, :9]
+    state, covariance = blend.state, blend.covariance[:9, :9] - leaning
     ratio = max(_left_out(fit, _by_time(sections)), _left_out(fit, _by_heading(fit)))
     claimed = HeadingError(state[:11], covariance)
     noise = claimed.rms_rad()
     widened = noise * math.sqrt(ratio if ratio > _BY_CHANCE else 1.0)
     scatter = _scatter(sections, fit)
     final = max(widened, scatter)
-    error = HeadingError(state[:11], covariance * (final / noise) ** 2)
-    return Honesty(state, error, noise, scatter, ratio)
+    error = HeadingError(state[:11], covariance * (final / noise) ** 2 + leaning)
+    return Honesty(state, error, noise, HeadingError(state[:11], leaning).rms_rad(), scatter, ratio)
 
 
 def _by_time(sections: Sections) -> NDArray[np.intp]:

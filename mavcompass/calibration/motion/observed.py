@@ -18,7 +18,7 @@ from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection, MotorSource
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray, tilt_from_acceleration, wrap_pi
+from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.gravity import down_in_body
 from mavcompass.track import Track
 
@@ -115,7 +115,7 @@ def observe_motion(recorded: Recorded) -> Motion:
     track, instance = centred(recorded.track, recorded.instance), recorded.instance
     recorded = replace(recorded, track=track)
     reference = reference_turn(track)
-    record = reference.record if reference is not None else _turn_of_the_nose(track, instance)
+    record = reference.record if reference is not None else turn_record(track, instance)
     if record is None:
         raise PoorCalibration(
             "World-field calibration needs an attitude that does not come from the compass, "
@@ -137,19 +137,6 @@ def observe_motion(recorded: Recorded) -> Motion:
     # Both are weighed under the larger errors, those of the fit with hardly a motor field.
     strong = fit.cost_under(usual) < usual.cost_under(usual) - _MOTOR_GAIN
     return Motion(recorded, record, reference, loaded, fit if strong else usual, source)
-
-
-def _turn_of_the_nose(track: Track, instance: int) -> TurnRecord | None:
-    """Turn the gyro's angle about the vertical into the nose's: a roll of a pitched vehicle turns that, too.
-
-    psi' = w . down + roll' sin(pitch).
-    """
-    record = turn_record(track, instance)
-    if record is None:
-        return None
-    roll, pitch = tilt_from_acceleration(-down_in_body(track, record.time_s))
-    steps = wrap_pi(np.diff(roll)) * 0.5 * (np.sin(pitch[1:]) + np.sin(pitch[:-1]))
-    return replace(record, angle_rad=record.angle_rad + np.concatenate([[0.0], np.cumsum(steps)]))
 
 
 def _fitted(

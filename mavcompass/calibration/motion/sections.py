@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from mavcompass.calibration.model import level_to_body
 from mavcompass.calibration.motion.reference import ReferenceTurn
 from mavcompass.calibration.observation import field_lag_s
+from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD, estimator_error_rad
 from mavcompass.calibration.observation.turning import (
     GYRO_SCALE_SIGMA,
     TurnRecord,
@@ -60,6 +61,7 @@ class Sections:
         noise_mgauss: white noise of one reading. hidden_mgauss: by whole numbers, in each mean, (K,).
         mapping: A of equation S1, (K, 3, 3). by_lag: its change per second of the field's lag, (K, 3, 3).
         tilt_sigma_rad: what is not known of roll and pitch, (K,).
+        tilt_bias_rad: what its source is off by all along, 1 sigma.
         rocking: whether that is the rocking of what stands, which averages out.
         turned_rad: the gyro's angle at the middles, (K,), clockwise.
         step_sigma_rad: of the K - 1 differences of `turned_rad`, without the gyro's scale and bias.
@@ -78,6 +80,7 @@ class Sections:
     mapping: FloatArray
     by_lag: FloatArray
     tilt_sigma_rad: FloatArray
+    tilt_bias_rad: float
     rocking: bool
     turned_rad: FloatArray
     step_sigma_rad: FloatArray
@@ -186,7 +189,8 @@ def cut_sections(
         hidden_mgauss=hidden_by_step(spread, quantum),
         mapping=mean(mapping),
         by_lag=(mean(moved) - mean(mapping)) / later,
-        tilt_sigma_rad=_tilt_sigma(track, mean(down), mean(down**2), time[last - 1] - time[first]),
+        tilt_sigma_rad=_tilt_sigma(track, mean(down), mean(down**2), time[first], time[last - 1]),
+        tilt_bias_rad=TILT_BIAS_SIGMA_RAD if reference is None else 0.0,
         rocking=track.vehicle in UPHELD,
         turned_rad=turned,
         step_sigma_rad=sigma,
@@ -219,10 +223,13 @@ def turned_mapping(down: FloatArray, turned: FloatArray) -> FloatArray:
     return out
 
 
-def _tilt_sigma(track: Track, mean: FloatArray, square: FloatArray, lasted: FloatArray) -> FloatArray:
+def _tilt_sigma(
+    track: Track, mean: FloatArray, square: FloatArray, start_s: FloatArray, end_s: FloatArray
+) -> FloatArray:
     """Return what rocking leaves unknown of each section's tilt, (K,), beside what its source is good for."""
     if track.vehicle not in UPHELD or track.acc_mps2 is None:
-        return np.full(lasted.size, _FLYING_TILT_RAD)
+        return np.hypot(_FLYING_TILT_RAD, estimator_error_rad(track, start_s, end_s))
+    lasted = end_s - start_s
     swing = np.sqrt(np.maximum(square - mean**2, 0.0).sum(axis=1) / 2.0)
     share = np.sqrt(np.minimum(1.0, _ROCKING_S / np.maximum(lasted, 1e-3)))
     return np.asarray(np.hypot(_STANDING_TILT_RAD, swing * share))

@@ -13,11 +13,13 @@ from mavcompass.calibration.observation.dwells import (
     field_lag_s,
     uncorrected_field,
 )
+from mavcompass.calibration.observation.rolling import WHEELED, rolls
 from mavcompass.calibration.observation.stillness import assemble, find_dwells, observe, turns_between
 from mavcompass.calibration.observation.turning import turn_record
 
 __all__ = [
     "UNREST",
+    "WHEELED",
     "Dwell",
     "FourPositionData",
     "Step",
@@ -29,6 +31,7 @@ __all__ = [
     "field_lag_s",
     "find_dwells",
     "observe",
+    "rolls",
     "turn_record",
     "turns_between",
     "uncorrected_field",

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mavcompass.calibration.observation.rolling import RollingWitness
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 STILL_RATE_RADPS = math.radians(3.0)
@@ -29,6 +30,7 @@ UNREST = {
     "rotating": "it still turns",
     "hunting": "its nose still swings",
     "tilting": "it still rocks",
+    "rolling": "it still rolls",
     "field changing": "the magnetic field changes; is iron or a current moving near it?",
     "starting": "the first readings",
 }
@@ -41,7 +43,7 @@ class Stillness:
     Attributes:
         still: True once it has been quiet for the detector's hold time.
         since_s: the time since when it has been quiet (nan while it is not).
-        why_not: "rotating", "hunting", "tilting", "field changing", "starting", or "" when still.
+        why_not: "rotating", "hunting", "tilting", "rolling", "field changing", "starting", or "" when still.
         rate_radps: mean rate about the vertical over the last half second, clockwise positive.
         turned_rad: the angle turned since the detector was made.
     """
@@ -86,11 +88,12 @@ class StillnessDetector:
     """Tell, reading by reading, whether the vehicle stands still enough to average the compass.
 
     It has no clock: the time comes with the readings. `hold_s` is how long quiet must last before the
-    vehicle counts as still.
+    vehicle counts as still. What has `wheels` may roll although nothing turns.
     """
 
-    def __init__(self, hold_s: float = 1.0) -> None:
+    def __init__(self, hold_s: float = 1.0, wheels: bool = False) -> None:
         self._hold_s = hold_s
+        self._wheels = RollingWitness() if wheels else None
         self._window: deque[tuple[float, float, float]] = deque()
         self._tilt_noise, self._force_noise, self._field_noise = WhiteNoise(), WhiteNoise(), WhiteNoise()
         self._turned = self._rate = 0.0
@@ -122,6 +125,8 @@ class StillnessDetector:
         self._tilt_noise.hear((gx - rate * dx, gy - rate * dy, gz - rate * dz))
         self._force_noise.hear((ax, ay, az))
         self._field_noise.hear((mx, my, mz))
+        if self._wheels is not None:
+            self._wheels.hear(time_s, (gx, gy, gz), (ax, ay, az))
         self._window.append((time_s, rate, tilt_rate))
         while self._window[0][0] < time_s - RATE_SMOOTHING_S:
             self._window.popleft()
@@ -162,6 +167,8 @@ class StillnessDetector:
             self._stir("hunting")
         elif tilt > STILL_TILT_RATE_RADPS + TILT_FLOOR * self._tilt_noise.sigma:
             self._stir("tilting")
+        elif self._wheels is not None and self._wheels.rolls(self._force_noise.sigma):
+            self._stir("rolling")
         elif math.isnan(self._quiet_since):
             self._begin(time_s, mag)
         else:

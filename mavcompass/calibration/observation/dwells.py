@@ -86,6 +86,7 @@ class FourPositionData:
     Attributes:
         gyro_scale_sigma: relative, common to all steps.
         gyro_bias_sigma_radps: of the rate, common to all steps, in proportion to their duration.
+        tilt_bias_sigma_rad: of roll and pitch, common to all dwells: the accelerometer's.
         source: the recording's name, for messages.
     """
 
@@ -93,6 +94,7 @@ class FourPositionData:
     steps: tuple[Step, ...]
     gyro_scale_sigma: float = 0.01
     gyro_bias_sigma_radps: float = 0.0
+    tilt_bias_sigma_rad: float = 0.0
     source: str = ""
 
     def __post_init__(self) -> None:
@@ -119,9 +121,7 @@ class FourPositionData:
             steps[index - 1 : index + 1] = [joined]
         else:
             del steps[0 if index == 0 else -1]
-        return FourPositionData(
-            dwells, tuple(steps), self.gyro_scale_sigma, self.gyro_bias_sigma_radps, self.source
-        )
+        return replace(self, dwells=dwells, steps=tuple(steps))
 
 
 def field_lag_s(track: Track) -> float:

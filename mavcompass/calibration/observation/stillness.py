@@ -11,6 +11,7 @@ import math
 from bisect import insort
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.calibration.observation.detector import (
     LONGEST_SWING_RAD,
@@ -26,6 +27,8 @@ from mavcompass.calibration.observation.dwells import (
     dwell_between,
     field_lag_s,
 )
+from mavcompass.calibration.observation.rolling import rolls
+from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord, turn_record
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
@@ -61,6 +64,8 @@ def find_dwells(
             "Record the angular rate too (RAW_IMU, SCALED_IMU or IMU messages).",
         )
     windows = [part for window in _still_windows(record) for part in _steady_current(track, window)]
+    rolling = rolls(track, record.time_s)
+    windows = [part for window in windows for part in _standing(record.time_s, rolling, window)]
     if len(compass.time_s):
         windows = [
             w for w in windows if np.ptp(np.searchsorted(compass.time_s, w)) >= 4 and w[1] > compass.time_s[0]
@@ -95,6 +100,19 @@ def _still_windows(record: TurnRecord) -> list[tuple[float, float]]:
                 windows.append((begins, ends))
             start = stop
     return windows
+
+
+def _standing(
+    time: FloatArray, rolling: NDArray[np.bool_], window: tuple[float, float]
+) -> list[tuple[float, float]]:
+    """Cut out of a stretch where the vehicle rolls, which is known at some times, (N,)."""
+    rows = slice(*np.searchsorted(time, window))
+    if not rolling[rows].any():
+        return [window]
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], rolling[rows], [True]]).astype(np.int8)))
+    at = time[rows]
+    parts = [(float(at[a]), float(at[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(a, b) for a, b in parts if b - a >= _SHORTEST_DWELL_S]
 
 
 def _steady_current(track: Track, window: tuple[float, float]) -> list[tuple[float, float]]:
@@ -219,5 +237,6 @@ def assemble(
         steps=tuple(steps),
         gyro_scale_sigma=GYRO_SCALE_SIGMA,
         gyro_bias_sigma_radps=record.bias_sigma_radps if record is not None else 0.0,
+        tilt_bias_sigma_rad=TILT_BIAS_SIGMA_RAD,
         source=track.source,
     )

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, tilt_from_acceleration, wrap_pi
 from mavcompass.heading.gravity import down_in_body, moving_average
 from mavcompass.track import Track
 
@@ -40,10 +40,10 @@ _MOVING_SIGMAS = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TurnRecord:
-    """Hold the angle turned about the vertical over a recording, (N,), clockwise seen from above.
+    """Hold the angle that the nose turned over a recording, (N,), clockwise seen from above.
 
     Attributes:
-        time_s, angle_rad, rate_radps: bias removed.
+        time_s, angle_rad: bias removed. rate_radps: about the vertical, bias removed.
         tilt_rate_radps: length of the horizontal part of the angular rate.
         bias_radps, bias_sigma_radps: the vertical bias taken out (its mean) and what is not known of it.
         noise_radps: noise of one rate sample.
@@ -111,7 +111,8 @@ def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
     bias, sigma = _vertical_bias(track, instance, time, vertical, prior)
     rate = vertical - bias
     steps = np.diff(time)
-    angle = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps)])
+    turns = 0.5 * (rate[1:] + rate[:-1]) * steps + _turned_by_rolling(down)
+    angle = np.concatenate([[0.0], np.cumsum(turns)])
     jumps = np.abs(np.diff(rate, 2))
     noise = float(np.percentile(jumps, 25)) / (0.3186 * math.sqrt(6.0)) if jumps.size else 0.0
     return TurnRecord(
@@ -125,6 +126,15 @@ def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
         walk_rad=min(noise * math.sqrt(float(np.median(steps))), _witnessed_walk_rad(track, time, rates)),
         interval_s=float(np.median(steps)),
     )
+
+
+def _turned_by_rolling(down: FloatArray) -> FloatArray:
+    """Return what the roll of a pitched vehicle turns its nose between samples, (N - 1,): roll' sin(pitch).
+
+    No rate about the vertical shows it: a copter that leans by 15 degrees, all round, turns by twelve.
+    """
+    roll, pitch = tilt_from_acceleration(-down)
+    return np.asarray(wrap_pi(np.diff(roll)) * 0.5 * (np.sin(pitch[1:]) + np.sin(pitch[:-1])))
 
 
 def _witnessed_walk_rad(track: Track, time: FloatArray, rates: FloatArray) -> float:

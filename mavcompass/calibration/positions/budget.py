@@ -11,7 +11,18 @@ from mavcompass.calibration.positions.fit import Blend, PositionFit
 from mavcompass.calibration.positions.problem import PositionProblem
 
 # As the report names them.
-SOURCES = ("noise", "step_angle", "tilt", "world_model", "quantisation", "disturbance", "prior")
+# What no further position averages out.
+ACCELEROMETER = "accelerometer"
+SOURCES = (
+    "noise",
+    "step_angle",
+    "tilt",
+    ACCELEROMETER,
+    "world_model",
+    "quantisation",
+    "disturbance",
+    "prior",
+)
 
 
 def heading_budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> dict[str, float]:
@@ -30,6 +41,7 @@ def heading_budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> 
     ):
         unit = problem.whiten @ part @ np.swapaxes(problem.whiten, 1, 2)
         variance[name] = float(np.einsum("nki,kij,nkj->n", field, unit, field).mean())
+    variance[ACCELEROMETER] = float(((gradient @ blend.shared) ** 2).sum(axis=1).mean())
     rest = (gains[:, 3 * k :] ** 2).mean(axis=0)
     variance["step_angle"] = float(rest[: k - 1].sum())
     held = np.flatnonzero(np.isfinite(problem.sigma))

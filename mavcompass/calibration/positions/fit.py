@@ -143,6 +143,17 @@ def _summary(x: FloatArray, weights: FloatArray, here: Evaluation) -> PositionFi
     )
 
 
+def leaning_error(problem: PositionProblem, fit: PositionFit) -> FloatArray:
+    """Return what the accelerometer's own error, the same in every dwell, adds to the state, (P, 2).
+
+    By roll and by pitch, one sigma each. No agreement between the dwells shows it, and no further dwell
+    averages it out: on the level it looks like an offset.
+    """
+    leaning = problem.whiten @ problem.leaning * np.sqrt(fit.weights)[:, np.newaxis, np.newaxis]
+    rows = leaning.reshape(-1, 2)
+    return np.asarray(fit.covariance @ fit.jacobian[: len(rows)].T @ rows)
+
+
 def _weights(problem: PositionProblem, field: FloatArray) -> FloatArray:
     distance = (np.einsum("kij,kj->ki", problem.whiten, field) ** 2).sum(axis=1)
     return np.asarray(np.minimum(1.0, _MANY_SIGMAS_3D / np.maximum(distance, 1e-12)))
@@ -152,24 +163,32 @@ def _weights(problem: PositionProblem, field: FloatArray) -> FloatArray:
 class Blend:
     state: FloatArray
     covariance: FloatArray
+    shared: FloatArray
     cross_probability: tuple[float, float]
 
 
-def weigh_cross_terms(state: FloatArray, covariance: FloatArray, prior: IronPrior) -> Blend:
+def weigh_cross_terms(
+    state: FloatArray, covariance: FloatArray, prior: IronPrior, shared: FloatArray | None = None
+) -> Blend:
     """Weigh 'there are cross terms' against 'there are none' and blend the two.
 
     Both are one Gaussian: without cross terms is the fit conditioned on their being 0. The odds are the
     density of 0 after over that before the data (Savage and Dickey), times the prior odds. Where the
     data cannot tell, the blend costs less than either: a cross term that is not there is not paid for.
+
+    `shared` (P, M) are errors of the state, one sigma each, that are no cross terms and tell nothing of them.
     """
-    horizontal, (state, covariance) = _spike_and_slab(state, covariance, [6], prior.cross_sigma)
-    vertical, (state, covariance) = _spike_and_slab(state, covariance, [7, 8], prior.cross_sigma)
-    return Blend(state, covariance, (horizontal, vertical))
+    shared = np.zeros((state.size, 0)) if shared is None else shared
+    horizontal, state, covariance, shared = _spike_and_slab(state, covariance, shared, [6], prior.cross_sigma)
+    vertical, state, covariance, shared = _spike_and_slab(
+        state, covariance, shared, [7, 8], prior.cross_sigma
+    )
+    return Blend(state, covariance + shared @ shared.T, shared, (horizontal, vertical))
 
 
 def _spike_and_slab(
-    state: FloatArray, covariance: FloatArray, index: list[int], sigma: float
-) -> tuple[float, tuple[FloatArray, FloatArray]]:
+    state: FloatArray, covariance: FloatArray, shared: FloatArray, index: list[int], sigma: float
+) -> tuple[float, FloatArray, FloatArray, FloatArray]:
     """Blend a Gaussian with itself conditioned on `state[index]` = 0; returns P(not 0) and the blend."""
     block = covariance[np.ix_(index, index)]
     value = state[index]
@@ -183,4 +202,4 @@ def _spike_and_slab(
     blended = state + spike * shift
     reduced = covariance - spike * gain @ covariance[index, :]
     spread = spike * (1.0 - spike) * np.outer(shift, shift)
-    return 1.0 - spike, (blended, reduced + spread)
+    return 1.0 - spike, blended, reduced + spread, shared - spike * gain @ shared[index]

@@ -26,7 +26,7 @@ from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions.budget import heading_budget
 from mavcompass.calibration.positions.chance import chance_of_more
 from mavcompass.calibration.positions.disturbance import weigh_disturbances
-from mavcompass.calibration.positions.fit import fit_positions, weigh_cross_terms
+from mavcompass.calibration.positions.fit import fit_positions, leaning_error, weigh_cross_terms
 from mavcompass.calibration.positions.problem import DEFAULT_PRIOR, IronPrior, PositionProblem
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
@@ -118,7 +118,8 @@ def solve_four_positions(
     excess = (
         max(undisturbed.chi_square / max(undisturbed.freedom, 1), 1.0) if consistency < WIDENED_BELOW else 1.0
     )
-    blend = weigh_cross_terms(undisturbed.state, excess * undisturbed.covariance, prior)
+    covariance = excess * undisturbed.covariance
+    blend = weigh_cross_terms(undisturbed.state, covariance, prior, leaning_error(problem, fit))
     residual = fit.residual
     ranked = np.argsort(-undisturbed.probability)
     return FourPositionsResult(

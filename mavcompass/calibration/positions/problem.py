@@ -63,6 +63,7 @@ class PositionProblem:
     noise: FloatArray  # (K, 3, 3) and so on: the parts of the residuals' covariance
     quantisation: FloatArray
     tilt: FloatArray
+    leaning: FloatArray  # (K, 3, 2): one sigma of the accelerometer's error, common to all, in the field
     level_to_body: FloatArray  # (K, 3, 3)
     coherence: FloatArray  # (K,)
     current: FloatArray  # (K,), less its mean; zeros where unknown
@@ -95,7 +96,9 @@ class PositionProblem:
         centre, sigma = _prior_vectors(start, len(dwells), data, in_force, earth, prior)
         noise = np.array([d.covariance_mgauss2 for d in dwells]) + _FLOOR_MGAUSS**2 * np.eye(3)
         quantisation = np.array([d.quantisation_mgauss2 for d in dwells])
-        tilt = _tilt_covariance(start, tilts, np.array([d.tilt_sigma_rad for d in dwells]))
+        by_tilt = _by_tilt(start, tilts)
+        sigma2 = np.array([d.tilt_sigma_rad for d in dwells])[:, np.newaxis, np.newaxis] ** 2
+        tilt = by_tilt @ np.swapaxes(by_tilt, 1, 2) * sigma2
         factor = np.linalg.cholesky(noise + quantisation + tilt)
         return cls(
             mean=mean,
@@ -103,6 +106,7 @@ class PositionProblem:
             noise=noise,
             quantisation=quantisation,
             tilt=tilt,
+            leaning=by_tilt * data.tilt_bias_sigma_rad,
             level_to_body=tilts,
             coherence=coherence,
             current=current,
@@ -155,6 +159,7 @@ class PositionProblem:
             noise=grown(self.noise, self.noise[best]),
             quantisation=grown(self.quantisation, self.quantisation[best]),
             tilt=grown(self.tilt, self.tilt[best]),
+            leaning=grown(self.leaning, self.leaning[best]),
         )
 
 
@@ -235,8 +240,8 @@ def _prior_vectors(
     return centre, sigma
 
 
-def _tilt_covariance(state: FloatArray, tilts: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Return what errors of roll and pitch do to each dwell's field, (K, 3, 3)."""
+def _by_tilt(state: FloatArray, tilts: FloatArray) -> FloatArray:
+    """Return how each dwell's field changes with roll and pitch, (K, 3, 2)."""
     gain = gain_matrix(state[GAIN])
     psi = state[HEADINGS:]
     horizontal, vertical = state[HORIZONTAL], state[VERTICAL]
@@ -246,5 +251,4 @@ def _tilt_covariance(state: FloatArray, tilts: FloatArray, sigma: FloatArray) ->
     x, y, z = np.einsum("kij,kj->ik", tilts, level)
     by_roll = np.stack([np.zeros_like(x), z, -y], axis=1) @ gain.T
     by_pitch = np.stack([-z, np.zeros_like(x), x], axis=1) @ gain.T
-    outer = np.einsum("ki,kj->kij", by_roll, by_roll) + np.einsum("ki,kj->kij", by_pitch, by_pitch)
-    return np.asarray(outer * sigma[:, np.newaxis, np.newaxis] ** 2)
+    return np.stack([by_roll, by_pitch], axis=2)

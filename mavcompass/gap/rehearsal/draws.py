@@ -44,7 +44,7 @@ class Individual:
         heading_rad: where it begins; turned_off_rad: how far each position is from where it should be, (K,).
         stance: which stance each position is, (K,); used: which of the recording's readings it is used in.
         noise, quantisation, tilt, step: unit normals for each position, (K, 3), (K, 3), (K, 2), (K,).
-        gyro_scale, gyro_bias: unit normals.
+        gyro_scale, gyro_bias: unit normals. leaning: of the accelerometer's own error, roll and pitch, (2,).
     """
 
     field_ned_mgauss: FloatArray
@@ -63,6 +63,7 @@ class Individual:
     step: FloatArray
     gyro_scale: float
     gyro_bias: float
+    leaning: FloatArray
 
     def chain(self, without: Collection[str], load: FloatArray) -> Chain:
         """Return what its sensors make of the field: iron, motors and effects but those named.
@@ -120,6 +121,7 @@ class Draws:
             step=rng.standard_normal(k),
             gyro_scale=float(rng.standard_normal()),
             gyro_bias=float(rng.standard_normal()),
+            leaning=rng.standard_normal(2),
         )
 
     def _faults(self, rng: np.random.Generator) -> list[Setting]:

@@ -15,7 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
+from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions
+from mavcompass.calibration.positions.budget import ACCELEROMETER
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap.rehearsal.draws import Individual
@@ -62,15 +64,20 @@ def calibrate(
     in_force = corrected_in_force(kind, protocol)
     data = observed(kind, individual, protocol, in_force, without)
     fit = solve_four_positions(data, in_force, kind.earth)
-    if fit.heading_sigma_rad <= _ENOUGH_RAD or protocol.leaning_rad:
+    if _is_sure(fit) or protocol.leaning_rad:
         return fit
     most = observed(kind, individual, replace(protocol, positions=_MOST_POSITIONS), in_force, without)
     for count in range(protocol.positions + 1, _MOST_POSITIONS + 1):
         data = replace(most, dwells=most.dwells[:count], steps=most.steps[: count - 1])
         fit = solve_four_positions(data, in_force, kind.earth)
-        if fit.heading_sigma_rad <= _ENOUGH_RAD:
+        if _is_sure(fit):
             break
     return fit
+
+
+def _is_sure(fit: FourPositionsResult) -> bool:
+    """Tell whether the live procedure would ask for no further position."""
+    return fit.heading_sigma_rad**2 - fit.budget_rad[ACCELEROMETER] ** 2 <= _ENOUGH_RAD**2
 
 
 def corrected_in_force(kind: Kind, protocol: Protocol) -> FieldCorrection:
@@ -122,7 +129,9 @@ def observed(
         sigma = math.hypot(kind.step_sigma_rad, dwells[k].turned_sigma_rad, dwells[k + 1].turned_sigma_rad)
         error = sigma * float(individual.step[k]) * (GYRO not in without)
         steps.append(Step(scale * turn + bias * STEP_S + error, sigma, STEP_S))
-    return FourPositionData(tuple(dwells), tuple(steps), kind.gyro_scale_sigma, kind.gyro_bias_sigma_radps)
+    return FourPositionData(
+        tuple(dwells), tuple(steps), kind.gyro_scale_sigma, kind.gyro_bias_sigma_radps, TILT_BIAS_SIGMA_RAD
+    )
 
 
 def _dwell(
@@ -138,7 +147,8 @@ def _dwell(
     stance = kind.stances[individual.stance[k]]
     noise = np.linalg.cholesky(stance.covariance_mgauss2 + 1e-9 * np.eye(3)) @ individual.noise[k]
     whole = np.linalg.cholesky(stance.quantisation_mgauss2 + 1e-9 * np.eye(3)) @ individual.quantisation[k]
-    tilt = stance.tilt_sigma_rad * individual.tilt[k] * (TILT not in without)
+    tilt = stance.tilt_sigma_rad * individual.tilt[k] + TILT_BIAS_SIGMA_RAD * individual.leaning
+    tilt = tilt * (TILT not in without)
     x, y, z = force_mps2.tolist()
     return replace(
         stance,

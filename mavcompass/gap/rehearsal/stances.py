@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mavcompass.calibration.observation import Dwell, dwell_between
+from mavcompass.calibration.observation import Dwell, dwell_between, rolls
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.errors import BadRecording, PoorCalibration
 from mavcompass.frames import FloatArray
@@ -20,6 +20,7 @@ _MOST, _FEWEST = 24, 5
 _CALM_RADPS = math.radians(2.0)
 # A calibration stands right after a turn: chassis and estimator have settled less than they ever will.
 _TURNING_RADPS, _AFTERWARDS_S = math.radians(10.0), 3.0
+_ROLLING_RADPS = math.radians(30.0)
 _MOTORS_ON = 0.1
 
 
@@ -63,8 +64,11 @@ def _calm(track: Track, record: TurnRecord, length_s: float, times: FloatArray) 
     middles = np.arange(times[0] + 0.5 * length_s, times[-1] - 0.5 * length_s, 0.25 * length_s)
     rates = np.hypot(record.rate_radps, record.tilt_rate_radps)
     moved = np.concatenate([[0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(record.time_s))])
-    ends = np.interp([middles - 0.5 * length_s, middles + 0.5 * length_s], record.time_s, moved)
-    unrest = np.diff(ends, axis=0)[0] / length_s
+    around = [middles - 0.5 * length_s, middles + 0.5 * length_s]
+    unrest = np.diff(np.interp(around, record.time_s, moved), axis=0)[0] / length_s
+    rolled = np.concatenate([[0], np.cumsum(rolls(track, record.time_s))])
+    # A calibration waits until the wheels have stopped.
+    unrest[np.diff(rolled[np.searchsorted(record.time_s, around)], axis=0)[0] > 0] += _ROLLING_RADPS
     if track.vehicle == "copter" and track.throttle is not None and len(track.throttle):
         flying = np.nan_to_num(track.throttle.at(middles)) > _MOTORS_ON
         if flying.any():

@@ -76,13 +76,21 @@ class DwellSettings:
 
 @dataclass(slots=True)
 class Rest:
-    """Tell live whether the vehicle stands still; `hear` is a listener."""
+    """Tell live whether the vehicle stands still, on `wheels` or otherwise; `hear` is a listener."""
 
-    detector: StillnessDetector = field(default_factory=lambda: StillnessDetector(hold_s=0.0))
+    wheels: bool = False
+    detector: StillnessDetector = field(init=False)
     time_s: float = -math.inf
     heard_s: float = -math.inf
     still_since_s: float | None = None
     why_not: str = "nothing was heard yet"
+
+    def __post_init__(self) -> None:
+        """Begin to watch."""
+        self._begin()
+
+    def _begin(self) -> None:
+        self.detector = StillnessDetector(hold_s=0.0, wheels=self.wheels)
 
     def hear(self, heard: mav.Incoming) -> None:
         """Take one message; RAW_IMU or SCALED_IMU count."""
@@ -91,7 +99,7 @@ class Rest:
             return
         time_s = float(imu_time_s(message))
         if time_s < self.time_s - _RESTARTED_S:
-            self.detector = StillnessDetector(hold_s=0.0)
+            self._begin()
         elif time_s <= self.time_s:
             return
         self.time_s, self.heard_s = time_s, heard.time_s

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 
 from mavcompass.calibration import solve_four_positions
 from mavcompass.calibration.model import heading_gradient
+from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.observation.wire import unquantise
 from mavcompass.calibration.positions import DEFAULT_PRIOR, PositionProblem
 from mavcompass.calibration.positions.chance import chance_of_more
@@ -242,3 +244,32 @@ def test_a_vehicle_that_waits_for_its_solution_does_not_wait_for_a_library(
         monkeypatch.setitem(sys.modules, name, None)
     assert solve_four_positions(four_positions(Iron((30.0, -20.0, 5.0)), noise=1.0)).heading_sigma_rad < 0.02
     unquantise([120.0, -3.0, 0.2], [0.7, 0.7, 0.7], 1.0, True)
+
+
+def leaning(data: FourPositionData, roll_rad: float, pitch_rad: float) -> FourPositionData:
+    """Let the accelerometer be wrong by the same tilt at every position."""
+    wrong = [
+        replace(d, roll_rad=d.roll_rad + roll_rad, pitch_rad=d.pitch_rad + pitch_rad) for d in data.dwells
+    ]
+    return replace(data, dwells=tuple(wrong), tilt_bias_sigma_rad=0.001)
+
+
+def test_the_accelerometers_own_error_is_claimed_as_the_dip_makes_it() -> None:
+    data = four_positions(iron_of(STRONG), np.random.default_rng(7), noise=1.0)
+    without, fit = (solve_four_positions(d, earth=FIELD) for d in (data, leaning(data, 0.0, 0.0)))
+    # On the level an error of 1 mg is one of the offset by Z / 1000: sigma Z / H of heading, rms.
+    expected = 0.001 * abs(FIELD.ned_mgauss[2]) / FIELD.horizontal_mgauss
+    assert fit.budget_rad["accelerometer"] == pytest.approx(expected, rel=0.05)
+    assert fit.heading_sigma_rad == pytest.approx(math.hypot(without.heading_sigma_rad, expected), rel=0.05)
+    assert np.allclose(fit.state, without.state, atol=1e-3)
+
+
+@pytest.mark.parametrize("roll, pitch", [(0.003, 0.0), (0.0, 0.003), (-0.002, 0.002)])
+def test_what_an_accelerometers_error_does_is_what_is_claimed_of_it(roll: float, pitch: float) -> None:
+    data = four_positions(iron_of(STRONG), np.random.default_rng(7), noise=1.0)
+    right, wrong = (solve_four_positions(d, earth=FIELD) for d in (data, leaning(data, roll, pitch)))
+    circle = np.radians(np.arange(0.0, 360.0, 30.0))
+    moved = heading_gradient(right.state, circle) @ (wrong.state - right.state)[:9]
+    assert rms(moved) == pytest.approx(
+        math.hypot(roll, pitch) / 0.001 * wrong.budget_rad["accelerometer"] / math.sqrt(2.0), rel=0.1
+    )

@@ -1,0 +1,94 @@
+"""Wheels that still roll: braking leans the accelerometer, and no gyro sees it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mavcompass.calibration.observation import StillnessDetector, find_dwells, rolls
+from mavcompass.calibration.observation.rolling import force_step
+from mavcompass.calibration.observation.tilt import tilt_during
+from mavcompass.frames import FloatArray
+from mavcompass.simulation.physics.motion import rotation_matrix
+from mavcompass.track import MagSeries, Series, Track
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+TIME = np.arange(0.0, 12.0, 0.02)
+BRAKES_S, STANDS_S = 5.0, 6.2
+REST = slice(*np.searchsorted(TIME, [STANDS_S + 0.3, 12.0]))
+
+
+def stopping(vehicle: str = "rover", braking_mps2: float = 1.0, nod_rad: float = 0.0) -> Track:
+    """Make a vehicle that drives on, brakes to a halt and stands; `nod_rad` is how it leans from then on."""
+    rng = np.random.default_rng(5)
+    brakes = (TIME >= BRAKES_S) & (TIME < STANDS_S)
+    pitch = nod_rad * np.clip(np.interp(TIME, [BRAKES_S, BRAKES_S + 0.3], [0.0, 1.0]), 0.0, 1.0)
+    along = STANDARD_GRAVITY_MPS2 * np.sin(pitch) - braking_mps2 * brakes
+    force = np.column_stack([along, np.zeros(TIME.size), -STANDARD_GRAVITY_MPS2 * np.cos(pitch)])
+    rate = np.column_stack([np.zeros(TIME.size), np.gradient(pitch, 0.02), np.zeros(TIME.size)])
+    field = np.column_stack([np.full(TIME.size, 200.0), np.zeros(TIME.size), np.full(TIME.size, -500.0)])
+    return Track(
+        autopilot="ardupilot",
+        vehicle=vehicle,
+        compasses={1: MagSeries(1, Series.of(TIME[::5], field[::5] + rng.normal(0.0, 1.0, (120, 3))))},
+        acc_mps2=Series.of(TIME, force + rng.normal(0.0, 0.02, force.shape)),
+        gyro_radps=Series.of(TIME, rate + rng.normal(0.0, 0.001, rate.shape)),
+    )
+
+
+def test_a_turn_of_gravity_is_no_step_of_the_force() -> None:
+    down = np.array([0.0, 0.0, -STANDARD_GRAVITY_MPS2])
+    before, after = (
+        np.reshape(rotation_matrix(r, p, 0.7), (3, 3)).T @ down for r, p in ((0.0, 0.0), (0.03, 0.02))
+    )
+    assert np.linalg.norm(after - before) > 0.3
+    assert force_step(before, after, np.array([0.03, 0.02, 0.0])) < 0.01
+    pushed = after + np.array([0.2, 0.0, 0.0])
+    assert force_step(before, pushed, np.array([0.03, 0.02, 0.0])) == pytest.approx(0.2, abs=0.01)
+
+
+def test_rolling_is_seen_where_braking_begins_and_ends() -> None:
+    rolling = rolls(stopping(), TIME)
+    assert rolling[np.abs(TIME - BRAKES_S) < 0.15].all() and rolling[np.abs(TIME - STANDS_S) < 0.15].all()
+    assert not rolling[REST].any() and not rolling[TIME < BRAKES_S - 0.3].any()
+
+
+@pytest.mark.parametrize("track", [stopping(braking_mps2=0.0), stopping(braking_mps2=0.0, nod_rad=0.03)])
+def test_what_stands_or_tilts_does_not_roll(track: Track) -> None:
+    assert not rolls(track, TIME).any()
+
+
+def test_what_has_no_wheels_does_not_roll() -> None:
+    assert not rolls(stopping("boat"), TIME).any()
+
+
+def test_the_position_begins_when_the_wheels_have_stopped() -> None:
+    dwells = find_dwells(stopping())
+    assert dwells[-1].start_s > STANDS_S and dwells[-1].end_s > 11.0
+    assert abs(dwells[-1].pitch_rad) < math.radians(0.1)
+    assert all(dwell.end_s < BRAKES_S or dwell.start_s > STANDS_S for dwell in dwells)
+
+
+def test_a_tilt_taken_while_braking_knows_how_unsure_it_is() -> None:
+    track = stopping()
+    _, pitch, sigma, _ = tilt_during(track, TIME[(TIME > 5.6) & (TIME < 7.3)])
+    assert abs(pitch) > math.radians(1.0) and abs(pitch) < 3.0 * sigma
+
+
+def still_from(track: Track, wheels: bool) -> FloatArray:
+    detector = StillnessDetector(hold_s=0.0, wheels=wheels)
+    assert track.acc_mps2 is not None and track.gyro_radps is not None
+    said = [
+        detector.update(float(t), gyro, acc, (200.0, 0.0, -500.0)).still
+        for t, gyro, acc in zip(TIME, track.gyro_radps.values, track.acc_mps2.values, strict=True)
+    ]
+    return np.array(said)
+
+
+def test_live_a_dwell_does_not_begin_while_it_brakes() -> None:
+    still = still_from(stopping(), wheels=True)
+    assert not still[(TIME > STANDS_S + 0.05) & (TIME < STANDS_S + 0.4)].any()
+    assert still[TIME > STANDS_S + 0.55].all() and still[(TIME > 2.0) & (TIME < BRAKES_S)].all()
+    assert still_from(stopping(), wheels=False)[TIME > 2.0].all()
