@@ -65,16 +65,18 @@ def track(kind: str, force: bool = True) -> Track:
 def test_rocking_averages_out_of_what_stands_and_not_of_what_flies() -> None:
     mean = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
     square = mean**2 + [[0.0002, 0.0002, 0.0], [0.0, 0.0, 0.0]]  # swings by 0.0141 rms
-    lasted = np.array([4.0, 4.0])
+    begun, lasted = np.zeros(2), np.array([4.0, 4.0])
     least = math.radians(0.02)
-    found = sections._tilt_sigma(track("rover"), mean, square, lasted)
+    found = sections._tilt_sigma(track("rover"), mean, square, begun, lasted)
     # One second of independent rocking: a quarter of the variance in four seconds.
     assert found == pytest.approx([math.hypot(least, 0.5 * math.sqrt(0.0002)), least])
-    assert sections._tilt_sigma(track("rover"), mean, square, lasted / 8.0) == pytest.approx(
+    assert sections._tilt_sigma(track("rover"), mean, square, begun, lasted / 8.0) == pytest.approx(
         [math.hypot(least, math.sqrt(0.0002)), least]
     )
     for other in (track("copter"), track("rover", force=False)):
-        assert sections._tilt_sigma(other, mean, square, lasted) == pytest.approx([math.radians(0.3)] * 2)
+        assert sections._tilt_sigma(other, mean, square, begun, lasted) == pytest.approx(
+            [math.radians(0.3)] * 2
+        )
 
 
 @pytest.mark.parametrize(("interval_s", "times"), [(0.02, 1.0), (0.1, 1.0), (0.3, 3.0), (5.0, 5.0)])
