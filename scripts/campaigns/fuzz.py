@@ -70,6 +70,7 @@ def ran(command: list[str], longest_s: float) -> tuple[list[str], int]:
             ).returncode
         except subprocess.TimeoutExpired:
             status = 1
+            said.write(f"\nkilled: not over after {longest_s:.0f} s; it hangs, or the machine is too busy\n")
         said.seek(0)
         return said.read().splitlines(), status
 
