@@ -1,0 +1,77 @@
+"""Derivatives of a composed simulation against differences of the whole simulation."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mavcompass.gap.fit import make_term
+from mavcompass.gap.fit.composition import Composition
+from mavcompass.gap.left.floor import prior_of
+from mavcompass.gap.left.stated import STATED
+from mavcompass.gap.replay import Replay, replay
+from mavcompass.gap.trial.vehicles import make_case
+from mavcompass.simulation.effects import catalogue
+
+_WITH = {
+    "axis_scale": {"x": 0.08, "y": -0.05, "on_iron": 1.0},
+    "soft_iron": {"xx": 0.05, "xy": -0.03},
+    "misalignment": {"x": 0.04, "z": -0.06},
+    "hard_iron": {"x": 30.0, "z": -20.0},
+    "low_pass": {"time_constant_s": 0.1},
+    "clipping": {"limit_mgauss": 520.0},
+    "inclination": {"angle_rad": 0.05},
+}
+
+
+@cache
+def flight() -> Replay:
+    return replay(make_case(4, "none", baseline=False).track)
+
+
+@pytest.mark.parametrize(
+    ("names", "share"),
+    [
+        ((), 0.003),
+        (("axis_scale", "hard_iron"), 0.003),
+        (("soft_iron", "misalignment", "inclination"), 0.003),
+        # Behind a delay the attitude's curves count where they are read, not where they were.
+        (("hard_iron", "low_pass"), 0.15),
+        (("axis_scale", "clipping"), 0.06),
+    ],
+)
+def test_each_derivative_is_the_difference_that_a_small_step_makes(
+    names: tuple[str, ...], share: float
+) -> None:
+    at = flight()
+    prior = prior_of(at, STATED)
+    composition = Composition(at, prior.nuisances)
+    terms = [make_term(catalogue()[name], at.signals) for name in names]
+    thetas = []
+    for term, name in zip(terms, names, strict=True):
+        theta = term.effect.neutral()
+        for key, value in _WITH[name].items():
+            theta[term.effect.names.index(key)] = value
+        thetas.append(theta)
+    known = [n.mean.copy() for n in prior.nuisances]
+    everything = [*known, *thetas]
+    states = composition.states(terms, thetas, known)
+    told = composition.changes(terms, thetas, known, states, range(len(everything)))
+    column = 0
+    for place in range(len(everything)):
+        effect = (prior.nuisances[place] if place < len(known) else terms[place - len(known)]).effect
+        for j in composition.free(terms, place):
+            step = 1e-4 * effect.parameters[j].scale
+            ends = []
+            for side in (-step, step):
+                moved = [x.copy() for x in everything]
+                moved[place][j] += side
+                ends.append(composition.states(terms, moved[len(known) :], moved[: len(known)])[-1])
+            change = (ends[1].reading.mag_mgauss - ends[0].reading.mag_mgauss) / (2.0 * step)
+            error = np.sqrt(np.mean((told[column].mag_mgauss - change) ** 2))
+            size = np.sqrt(np.mean(change**2))
+            assert error < share * size + 1e-6, (effect.id, effect.parameters[j].name, error, size)
+            column += 1
+    assert column == len(told)
