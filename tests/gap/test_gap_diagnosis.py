@@ -24,12 +24,12 @@ from mavcompass.logs import write_track_csv
 from mavcompass.simulation import effects
 from mavcompass.track import Series, Track
 
-RICH = Recipe("rich", duration_s=60.0, rate_hz=20.0, seed=21)
+RICH = Recipe("rich", duration_s=60.0, rate_hz=10.0, seed=21)
 
 
 @pytest.fixture(scope="module")
 def baseline() -> Track:
-    return make_track(Recipe("rich", duration_s=60.0, seed=22))
+    return make_track(replace(RICH, seed=22))
 
 
 def diagnose(text: str, baseline: Track | None, withhold: tuple[str, ...] = ()) -> Diagnosis:
@@ -74,8 +74,8 @@ def check_document(document: dict[str, Any]) -> None:
 def test_axis_that_is_saturated_most_of_the_time_leaves_nothing_unexplained() -> None:
     """A vehicle that hardly tilts has its vertical axis at the limit nearly always."""
     fault = [effects.parse("clipping:limit_mgauss=372")]
-    recipe = Recipe("figure-8", seed=23)
-    diagnosis = diagnose_gap(make_track(recipe, fault), make_track(Recipe("figure-8", seed=24)))
+    recipe = Recipe("figure-8", rate_hz=10.0, seed=23)
+    diagnosis = diagnose_gap(make_track(recipe, fault), make_track(replace(recipe, seed=24)))
     assert diagnosis.verdict == "named" and diagnosis.effects == {"clipping"}
     assert diagnosis.causes[0].parameters["limit_mgauss"] == pytest.approx(372.0, abs=0.5)
 
@@ -123,8 +123,10 @@ def test_effects_that_only_scatter_or_repeat_are_named(
     assert diagnosis.causes[0].parameters[parameter] == pytest.approx(true, rel=0.3)
 
 
-def test_wandering_offset_is_unknown_and_never_a_cause(baseline: Track) -> None:
-    diagnosis = diagnose("bias_random_walk:sigma_mgauss_per_sqrt_s=1.5", baseline)
+def test_wandering_offset_is_unknown_and_never_a_cause() -> None:
+    finer = replace(RICH, rate_hz=20.0)
+    wanders = [effects.parse("bias_random_walk:sigma_mgauss_per_sqrt_s=1.5")]
+    diagnosis = diagnose_gap(make_track(finer, wanders), make_track(replace(finer, seed=22)))
     assert diagnosis.verdict == "unknown" and diagnosis.unknown and not diagnosis.causes
 
 
@@ -183,8 +185,8 @@ def test_person_is_told_what_is_missing(baseline: Track) -> None:
 
 
 def test_level_turns_cannot_test_what_needs_tilt_or_loads() -> None:
-    track = make_track(Recipe("yaw-steps", duration_s=60.0, seed=5))
-    diagnosis = diagnose_gap(track, make_track(Recipe("yaw-steps", duration_s=60.0, seed=6)))
+    recipe = Recipe("yaw-steps", duration_s=60.0, rate_hz=10.0, seed=5)
+    diagnosis = diagnose_gap(make_track(recipe), make_track(replace(recipe, seed=6)))
     missing = dict(diagnosis.not_testable)
     assert {"soft_iron", "motor_current", "temperature_bias", "spatial_dipole"} <= set(missing)
     assert "current" in missing["motor_current"]
@@ -204,7 +206,7 @@ def test_position_far_from_its_datum_makes_no_gradient() -> None:
 def test_orientation_is_found_although_the_yaw_is_unknown(orientation: int) -> None:
     """Without a reference the first guess of the yaw comes from the compass that points elsewhere."""
     fault = [effects.parse(f"orientation:orientation={orientation}")]
-    track = make_track(replace(RICH, duration_s=30.0, rate_hz=10.0), fault)
+    track = make_track(replace(RICH, duration_s=30.0), fault)
     diagnosis = diagnose_gap(replace(track, reference_q=None))
     assert diagnosis.reference == "fused"
     assert diagnosis.effects == {"orientation"}
@@ -246,9 +248,9 @@ def test_magnet_that_one_half_of_the_recording_hardly_shows_is_named() -> None:
 
 def test_person_diagnoses_and_exports_a_csv(tmp_path: Path, capsys: object) -> None:
     log, good = tmp_path / "log.csv", tmp_path / "good.csv"
-    recipe = Recipe("figure-8", duration_s=40.0, seed=31)
+    recipe = Recipe("figure-8", duration_s=40.0, rate_hz=10.0, seed=31)
     write_track_csv(make_track(recipe, [effects.parse("hard_iron:x=50,y=-30,z=5")]), log)
-    write_track_csv(make_track(Recipe("figure-8", duration_s=40.0, seed=32)), good)
+    write_track_csv(make_track(replace(recipe, seed=32)), good)
     answer, report, parm = tmp_path / "gap.json", tmp_path / "gap.html", tmp_path / "found.parm"
     arguments = ["gap", "diagnose", str(log), "--baseline", str(good), "--json", str(answer)]
     assert main([*arguments, "--report", str(report)]) == 0

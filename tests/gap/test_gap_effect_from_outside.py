@@ -42,12 +42,12 @@ BREATHING_WHALE = '''
 def test_a_file_in_the_folder_is_named_by_the_diagnosis(
     add_file: Callable[[ModuleType, str, str], None],
 ) -> None:
-    good = make_track(Recipe("rich", duration_s=60.0, seed=4))
+    good = make_track(Recipe("rich", duration_s=60.0, rate_hz=10.0, seed=4))
     add_file(causes, "breathing_whale", BREATHING_WHALE)
     effects.catalogue.cache_clear()
     try:
         whale = [effects.parse("breathing_whale:x=40,y=-15,z=25")]
-        found = diagnose_gap(make_track(Recipe("rich", duration_s=60.0, seed=5), whale), good)
+        found = diagnose_gap(make_track(Recipe("rich", duration_s=60.0, rate_hz=10.0, seed=5), whale), good)
     finally:
         effects.catalogue.cache_clear()
     (cause,) = found.causes

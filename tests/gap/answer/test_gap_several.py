@@ -51,7 +51,7 @@ def test_iron_that_differs_from_flight_to_flight_is_not_the_vehicles() -> None:
 def test_person_diagnoses_two_recordings_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     logs = [tmp_path / "a.csv", tmp_path / "b.csv"]
     for i, log in enumerate(logs):
-        write_track_csv(make_track(Recipe("rich", duration_s=40.0, seed=90 + i), [_IRON]), log)
+        write_track_csv(make_track(Recipe("rich", duration_s=40.0, rate_hz=10.0, seed=90 + i), [_IRON]), log)
     answer = tmp_path / "vehicle.json"
     assert main(["gap", "diagnose", *map(str, logs), "--json", str(answer)]) == 0
     document = json.loads(answer.read_text())
