@@ -57,7 +57,7 @@ _REPRESENTATIVE_P = 1e-5
 _FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.02, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
 _SAME_PLACE_M = 1000.0
 DISCREPANCY_MGAUSS = 1.2
-_UNMEASURED, _LEVEL_MORE = 3.0, 1.25
+_UNMEASURED, _UNMEASURED_AGE, _LEVEL_MORE = 3.0, 2.0, 1.25
 # What another iron must explain beyond the calibration in force, and how far that may be strained (squared
 # sigmas).
 _MATERIAL_MGAUSS, _MATERIAL_SHARE, _MOST_STRAIN = 1.5, 0.5, 60.0
@@ -236,7 +236,7 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
         elif trust is ANOTHER_IRON:
             # An iron that nobody measured but this baseline takes all its errors with it.
             of_age = np.concatenate([np.full(n.mean.size, n.effect.id == TELEMETRY_AGE) for n in taught])
-            daily = np.where(of_age, daily, daily * _UNMEASURED)
+            daily = daily * np.where(of_age, _UNMEASURED_AGE, _UNMEASURED)
         covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
         told = np.maximum(np.diag(covariance) * np.diag(prior.precision)[place], 1.0)
         # What a baseline hardly shows (motors that idle) stays within what is stated for this recording.
