@@ -10,7 +10,7 @@ from mavcompass.gap.fit import Fit, Problem, least_gain
 from mavcompass.gap.left import Adequacy, Floor, drift_gain, rms
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.result import Closing, Verdict
-from mavcompass.gap.selection import NEEDED_ABOVE, Identified, Remainder
+from mavcompass.gap.selection import EVIDENT, NEEDED_ABOVE, Identified, Remainder
 
 _SURE = 0.90
 _REMAINDER = 0.05
@@ -105,8 +105,9 @@ def consistent(
         )
     left = _above(field.after, field.floor) or _above(heading.after, heading.floor)
     gap = _above(field.nominal, field.floor) or _above(heading.nominal, heading.floor)
-    if answer.named.terms and not gap and not any(c.shrink_ci95[0] > 0.0 for c in (field, heading)):
-        # Below the floor only what surely shrinks is a cause.
+    shrinks = any(c.shrink_ci95[0] > 0.0 for c in (field, heading))
+    if answer.named.terms and not gap and not (shrinks and none.sse - answer.named.sse > EVIDENT):
+        # Below the floor only what surely shrinks, and is certain, is a cause.
         return replace(answer, verdict="no_gap", named=none) if not traces else replace(answer, named=none)
     if not answer.named.terms:
         if not left:

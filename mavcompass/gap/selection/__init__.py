@@ -1,6 +1,6 @@
 """Choose the effects: held-out blocks, search, guards, and the choice fitted again on all rows."""
 
-from mavcompass.gap.selection.guards import NEEDED_ABOVE, SILENT
+from mavcompass.gap.selection.guards import EVIDENT, NEEDED_ABOVE, SILENT
 from mavcompass.gap.selection.identification import identify
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.remainder import Remainder, floor_to_start, what_is_left
@@ -8,6 +8,7 @@ from mavcompass.gap.selection.split import split_blocks
 from mavcompass.gap.selection.transient import between_rows
 
 __all__ = [
+    "EVIDENT",
     "NEEDED_ABOVE",
     "SILENT",
     "Identified",

@@ -27,7 +27,7 @@ _MATERIAL_SHARE, _MATERIAL_BESIDE_UNKNOWN, _EXPLAINED = 0.2, 0.4, 1.25
 _AT_FLOOR = 1.25
 TOO_SMALL = "it removes no more than healthy sensors may be off, or less than a tenth of the gap"
 # Squared sigmas that an effect must be worth, once blocks agree, and on rows that were not fitted.
-_EVIDENT, _EVIDENT_HELD_OUT = 81.0, 25.0
+EVIDENT, _EVIDENT_HELD_OUT = 81.0, 25.0
 # A gap that is no larger than this many floors without an effect needs no such effect: a floor that was
 # measured, and one that was stated. A baseline's floor holds what another flight may add to it.
 NEEDED_ABOVE = {True: 0.9, False: 1.25}
@@ -94,13 +94,13 @@ def evident(candidate: Identified, rest: Fit) -> bool:
     be named: what is left without it is `rest`."""
     problem = candidate.problem
     gain = rest.sse - candidate.fit.sse
-    if gain < _EVIDENT or not candidate.split.test.any():
+    if gain < EVIDENT or not candidate.split.test.any():
         return False
     held = problem.with_rows(candidate.split.test)
     without, beside = (float(np.sum(held.residual(held.predict(f)) ** 2)) for f in (rest, candidate.fit))
     if without - beside < _EVIDENT_HELD_OUT:
         return False
-    return gain > _EVIDENT * candidate.search.contradiction(rest, candidate.fit)
+    return gain > EVIDENT * candidate.search.contradiction(rest, candidate.fit)
 
 
 def worthwhile(problem: Problem, floor: Floor, fit: Fit) -> bool:

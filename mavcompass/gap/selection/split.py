@@ -42,8 +42,8 @@ class Split:
 def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
     """Hold out one block of every four, at a place that a fixed generator draws.
 
-    A regular pattern would fall into step with a procedure that turns and dwells in a fixed rhythm.
-    Short recordings get shorter blocks.
+    A regular pattern would fall into step with a procedure that turns and dwells in a fixed rhythm. Two
+    neighbours would be too long to know the attitude between. Short recordings get shorter blocks.
     """
     length = _block_s(time_s)
     block = np.floor((time_s - time_s[0]) / length).astype(np.int64)
@@ -52,6 +52,8 @@ def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
     rng = np.random.default_rng(_SEED)
     for first in range(0, count, _HELD_OUT_OF):
         place = first + int(rng.integers(_HELD_OUT_OF))
+        if place and held[place - 1 : place].any():
+            place += 1
         if place < count:
             held[place] = True
     return _masks(time_s, valid, block, held, min(GUARD_S, length / 5.0))
