@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,7 +21,7 @@ SILENT = Closing(1.0, 1.0, 1.0, 0.0, (-0.1, 0.1))
 
 
 def fit_of(*effects: str, **first: float) -> Fit:
-    """Make a fit with these effects, the named parameters of the first set."""
+    """Make a fit with these effects, which take 100 squared sigmas off; the named parameters are set."""
     terms, thetas = [], []
     for name in effects:
         effect = registry.get(name)
@@ -28,7 +29,7 @@ def fit_of(*effects: str, **first: float) -> Fit:
         low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
         terms.append(Term(effect, free, low, high))
         thetas.append(np.array([first.get(p.name, 0.0) for p in effect.parameters]))
-    return Fit(tuple(terms), tuple(thetas), (), 0.0)
+    return Fit(tuple(terms), tuple(thetas), (), 0.0 if effects else 100.0)
 
 
 def floor(measured: bool = True, representative: bool = False) -> Any:
@@ -183,6 +184,14 @@ def test_what_nobody_knows_must_lie_above_the_floor(nominal: float, told: Verdic
         assert (seen.verdict, seen.flagged, seen.coordinate) == (
             ("unknown", True, "yaw") if told == "unknown" else ("no_gap", False, None)
         )
+
+
+@pytest.mark.parametrize(("taken_off", "told"), [(82.0, "named"), (80.0, "no_gap")])
+def test_below_the_floor_a_cause_must_be_certain(taken_off: float, told: Verdict) -> None:
+    below = Closing(1.2, 1.0, 1.0, 0.3, (0.1, 0.5))
+    named = answer("named", "hard_iron")
+    named = replace(named, named=replace(named.named, sse=NONE.sse - taken_off))
+    assert said(named, below).verdict == told
 
 
 def test_below_the_floor_only_what_surely_shrinks_is_a_cause() -> None:
