@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -60,7 +61,7 @@ class WireLink(Link):
         self._channels: dict[Peer, _Channel] = {}
         self._homes: dict[int, dict[Peer, float]] = {}
         self._heard: deque[Incoming] = deque()
-        self._read_all_s = self.now()
+        self._read_all_s = math.inf
         self.on_frame: Callable[[Frame], None] | None = None
 
     def now(self) -> float:
@@ -69,7 +70,7 @@ class WireLink(Link):
 
     def behind_s(self) -> float:
         """Return the time since all was read that had come."""
-        return self.now() - self._read_all_s
+        return max(self.now() - self._read_all_s, 0.0)
 
     def send(self, message: Message) -> None:
         """Send to the vehicle's peer, or to all."""
@@ -93,6 +94,7 @@ class WireLink(Link):
     def receive(self, timeout_s: float) -> Incoming | None:
         """Return the next message; see Link."""
         deadline_s = self.now() + timeout_s
+        self._read_all_s = min(self._read_all_s, self.now())
         while not self._heard:
             pieces = self._transport.read()
             if not pieces:
