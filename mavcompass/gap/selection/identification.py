@@ -11,7 +11,7 @@ import numpy as np
 
 from mavcompass.gap.fit import Fit, Problem, Search, placements, pruned
 from mavcompass.gap.left import Floor, apart, widened
-from mavcompass.gap.replay import Replay
+from mavcompass.gap.replay import IRON_OFFSET, Replay
 from mavcompass.gap.selection.guards import (
     STRAINED,
     TOO_SMALL,
@@ -35,6 +35,8 @@ _LOUD = 3.0
 _PASSING = 0.25
 # What leaves no more than this many times as much is no worse.
 _NO_WORSE = 1.05
+# How near to the iron in force a turned compass and a named hard iron must come together.
+_IRON_SHARE = 0.35
 
 
 def identify(
@@ -136,7 +138,8 @@ def _alike(candidate: Identified) -> tuple[frozenset[str], ...]:
     """Return the sets that the recording cannot tell from the chosen one, whatever the search found.
 
     A compass that is read slowly, averaged and repeated smooths by nature: a lag may be a low pass. A field
-    that falls with the height comes from below: of everywhere below, or of one thing there.
+    that falls with the height comes from below: of everywhere below, or of one thing there. A compass that is
+    turned alone leaves the vehicle's iron as it was, which looks like another iron beside one turned with it.
     """
     ids, tried = candidate.fit.ids, {term.effect.id for term in candidate.search.terms}
     out = []
@@ -144,7 +147,24 @@ def _alike(candidate: Identified) -> tuple[frozenset[str], ...]:
         out.append(ids - {"transport_lag"} | {"low_pass"})
     if "height_anomaly" in ids and "spatial_dipole" in tried:
         out.append(ids - {"height_anomaly"} | {"spatial_dipole"})
+    if {"orientation", "hard_iron"} <= ids and _iron_stayed(candidate):
+        out.append(ids - {"hard_iron"})
     return tuple(out)
+
+
+def _iron_stayed(candidate: Identified) -> bool:
+    """Tell whether the named hard iron is what a turned compass makes of the iron in force, taken back."""
+    fit, replay = candidate.fit, candidate.problem.replay
+    iron = replay.iron.offset_mgauss.copy()
+    for nuisance, theta in zip(candidate.problem.nuisances, fit.nuisance_thetas, strict=True):
+        if nuisance.effect.id == IRON_OFFSET:
+            iron += theta[:3]
+    turn = next(term.effect for term in fit.terms if term.effect.id == "orientation")
+    alone = replay.signals.with_mag(np.tile(iron, (replay.time_s.size, 1)))
+    named = alone.with_mag(alone.reading.mag_mgauss + fit.theta("hard_iron"))
+    turned, whole = (turn.forward(s, fit.theta("orientation"), {}, None) for s in (alone, named))
+    moved = np.linalg.norm(turned.reading.mag_mgauss[0] - iron)
+    return float(np.linalg.norm(whole.reading.mag_mgauss[0] - iron)) < _IRON_SHARE * float(moved)
 
 
 def _with_evident(candidate: Identified) -> list[frozenset[str]]:
