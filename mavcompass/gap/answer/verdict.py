@@ -97,14 +97,10 @@ def consistent(
     quiet = all(c.nominal < NEEDED_ABOVE[floor.measured] * c.floor for c in (field, heading))
     if floor.measured and quiet and not traces:
         return Answer("no_gap", none, False, None)
-    if answer.verdict == "unknown":
-        return (
-            answer
-            if _above(field.nominal, field.floor) or _above(heading.nominal, heading.floor)
-            else (replace(answer, verdict="no_gap", flagged=False, coordinate=None))
-        )
-    left = _above(field.after, field.floor) or _above(heading.after, heading.floor)
     gap = _above(field.nominal, field.floor) or _above(heading.nominal, heading.floor)
+    if answer.verdict == "unknown":
+        return answer if gap else replace(answer, verdict="no_gap", flagged=False, coordinate=None)
+    left = _above(field.after, field.floor) or _above(heading.after, heading.floor)
     shrinks = any(c.shrink_ci95[0] > 0.0 for c in (field, heading))
     if answer.named.terms and not gap and not (shrinks and none.sse - answer.named.sse > EVIDENT):
         # Below the floor only what surely shrinks, and is certain, is a cause.

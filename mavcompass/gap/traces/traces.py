@@ -12,8 +12,9 @@ from mavcompass.gap.traces.steps_and_repeats import names_stale, names_step, sta
 from mavcompass.simulation.effects import Effect
 
 # An effect of less than this share of the floor lifts nothing above it.
-_OF_RAPID = 0.5
 _MATERIAL = 0.75
+# Less than this share of what was taken out may be what the times of its readings make of it.
+_OF_RAPID = 0.5
 _MOST_RAPID = 2
 
 

@@ -188,9 +188,10 @@ class Effect:
 
     def stage_at(self, theta: FloatArray) -> Stage:
         """Return the place in the order of composition that the effect has with these parameters."""
-        if ON_IRON not in self.names:
-            return self.stage
-        return Stage.MOUNTING if theta[self.names.index(ON_IRON)] > 0.5 else Stage.MATRIX
+        for parameter, value in zip(self.parameters, theta, strict=True):
+            if parameter.name == ON_IRON:
+                return Stage.MOUNTING if value > 0.5 else Stage.MATRIX
+        return self.stage
 
     @property
     def lower(self) -> FloatArray:

@@ -93,8 +93,8 @@ class WireLink(Link):
 
     def receive(self, timeout_s: float) -> Incoming | None:
         """Return the next message; see Link."""
-        deadline_s = self.now() + timeout_s
-        self._read_all_s = min(self._read_all_s, self.now())
+        began_s = self.now()
+        deadline_s, self._read_all_s = began_s + timeout_s, min(self._read_all_s, began_s)
         while not self._heard:
             pieces = self._transport.read()
             if not pieces:
