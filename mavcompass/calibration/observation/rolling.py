@@ -13,6 +13,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.calibration.observation.sway import integral, white_noise
 from mavcompass.frames import FloatArray
 from mavcompass.heading.gravity import moving_average
 from mavcompass.track import Track
@@ -76,9 +77,7 @@ def rolls(track: Track, time_s: FloatArray) -> NDArray[np.bool_]:
         return none
     felt_at, felt = acc.time_s[usable], np.asarray(acc.values)[usable]
     rate = np.nan_to_num(np.asarray(gyro.at(felt_at)))
-    turned = np.vstack(
-        [np.zeros(3), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(felt_at)[:, np.newaxis], axis=0)]
-    )
+    turned = integral(felt_at, rate)
     force, angle = (moving_average(felt_at, values, HALF_S) for values in (felt, turned))
 
     def at(values: FloatArray, later_s: float) -> FloatArray:
@@ -86,7 +85,6 @@ def rolls(track: Track, time_s: FloatArray) -> NDArray[np.bool_]:
 
     earlier, later = -0.5 * HALF_S, 0.5 * HALF_S
     step = force_step(at(force, earlier), at(force, later), at(angle, later) - at(angle, earlier))
-    bends = np.abs(np.diff(felt, 2, axis=0))
-    noise = float(np.linalg.norm(np.median(bends, axis=0))) / (0.6745 * math.sqrt(18.0))
+    noise = float(np.linalg.norm(white_noise(felt))) / math.sqrt(3.0)
     readings = HALF_S / max(float(np.median(np.diff(felt_at))), 1e-3)
     return np.asarray(step > least_step_mps2(noise, readings))

@@ -71,14 +71,14 @@ def sway(track: Track, start_s: float, end_s: float) -> Sway | None:
     level = np.einsum("nij,nj->ni", rotation, force)
     phi, prior = _tilt_errors(time, rotation, rate, middle)
     up = -level[:, 2][:, np.newaxis, np.newaxis]
-    leaning = _integral(time, up * np.stack([-phi[:, 1], phi[:, 0]], axis=1))
-    pushing, push_sigma = _walks(time, rotation, _noise(force))
+    leaning = integral(time, up * np.stack([-phi[:, 1], phi[:, 0]], axis=1))
+    pushing, push_sigma = _walks(time, rotation, white_noise(force))
     mean, covariance = _solve(
         time,
         known,
         np.concatenate([leaning, pushing], axis=2),
         np.concatenate([prior, push_sigma]),
-        _integral(time, level[:, :2]),
+        integral(time, level[:, :2]),
     )
     inside = (time >= start_s) & (time <= end_s)
     tilts = phi[inside]
@@ -145,7 +145,7 @@ def _rotations(vector: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + (1.0 - square / 6.0) * cross + (0.5 - square / 24.0) * (cross @ cross))
 
 
-def _integral(time: FloatArray, values: FloatArray) -> FloatArray:
+def integral(time: FloatArray, values: FloatArray) -> FloatArray:
     """Integrate over time from the first sample on by the trapezoid's rule, along axis 0."""
     steps = np.diff(time).reshape(-1, *[1] * (values.ndim - 1))
     parts = 0.5 * (values[1:] + values[:-1]) * steps
@@ -159,8 +159,8 @@ def _tilt_errors(
 
     The gyro's noise makes phi a random walk: steps of it, knot by knot.
     """
-    drifting = _integral(time, rotation[:, :2, :])
-    walking, step_sigma = _walks(time, rotation, _noise(rate))
+    drifting = integral(time, rotation[:, :2, :])
+    walking, step_sigma = _walks(time, rotation, white_noise(rate))
     still = np.broadcast_to(np.eye(2), (time.size, 2, 2))
     phi = np.concatenate([still, drifting - drifting[middle], walking - walking[middle]], axis=2)
     return phi, np.concatenate([[_TILT_SIGMA_RAD] * 2, [_BIAS_SIGMA_RADPS] * 3, step_sigma])
@@ -175,12 +175,12 @@ def _walks(time: FloatArray, rotation: FloatArray, noise: FloatArray) -> tuple[F
     width_s = float(time[-1] - time[0]) / count
     knot = np.minimum(((time - time[0]) / width_s).astype(int), count - 1)
     inside = (knot[:, np.newaxis] == np.arange(count)) / width_s
-    walks = _integral(time, rotation[:, :2, :2, np.newaxis] * inside[:, np.newaxis, np.newaxis, :])
+    walks = integral(time, rotation[:, :2, :2, np.newaxis] * inside[:, np.newaxis, np.newaxis, :])
     step = noise[:2] * math.sqrt(float(np.median(np.diff(time))) * width_s)
     return walks.reshape(time.size, 2, -1), np.repeat(step, count)
 
 
-def _noise(values: FloatArray) -> FloatArray:
+def white_noise(values: FloatArray) -> FloatArray:
     """Return each axis's white noise of one sample, by second differences: smooth motion hardly shows."""
     bends = np.abs(np.diff(values, 2, axis=0))
     return np.asarray(np.median(bends, axis=0) / (0.6745 * math.sqrt(6.0)) + 1e-9)
