@@ -1,0 +1,236 @@
+"""What a still position holds: a mean of readings that are fresh, sound and free of what was done to them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.calibration.observation import (
+    Dwell,
+    FourPositionData,
+    Step,
+    centred,
+    correction_at,
+    dwell_between,
+    field_lag_s,
+    uncorrected_field,
+)
+from mavcompass.calibration.observation.dwells import _memory
+from mavcompass.correction import FieldCorrection
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray
+from mavcompass.track import InForce, MagSeries, Series, Track
+
+TIME = np.arange(300.0) * 0.1
+FIELD = np.array([200.0, -50.0, 400.0])
+# Of mean 0 and variance 1, whichever three follow each other.
+NOISE = np.tile(math.sqrt(1.5) * np.array([-1.0, 0.0, 1.0]), 100)[:, np.newaxis]
+SWING = FieldCorrection(offsets_mgauss=(30.0, -20.0, 10.0), diagonals=(1.1, 0.9, 1.0))
+
+
+def standing(
+    field: FloatArray, turned: FloatArray | None = None, autopilot: str = "unknown", **more: Any
+) -> Track:
+    """Make a level recording whose nose turns by an angle, (N,)."""
+    still = np.zeros((300, 3))
+    if turned is not None:
+        still[:, 2] = np.gradient(turned, TIME)
+    compass = MagSeries(1, Series.of(TIME, field), **more)
+    return Track(autopilot=autopilot, compasses={1: compass}, gyro_radps=Series.of(TIME, still))
+
+
+def dwell(
+    field: FloatArray, turned: FloatArray | None = None, autopilot: str = "unknown", **more: Any
+) -> Dwell:
+    return dwell_between(standing(field, turned, autopilot, **more), 1, 0.0, 6.0)
+
+
+def test_the_mean_is_as_sure_as_its_readings_are_many() -> None:
+    noise = 2.0 * NOISE * np.array([1.0, 2.0, 0.5])
+    found = dwell(FIELD + noise)
+    assert (found.start_s, found.end_s, found.samples) == pytest.approx((0.0, 5.9, 60))
+    assert found.mean_mgauss == pytest.approx(FIELD)
+    assert np.sqrt(np.diag(found.covariance_mgauss2)) == pytest.approx(
+        2.0 * np.array([1.0, 2.0, 0.5]) / math.sqrt(59.0)
+    )
+    assert not found.quantisation_mgauss2.any() and found.unsteady_mgauss == 0.0
+    assert found.coherence == pytest.approx(1.0) and found.turned_rad == pytest.approx(0.0)
+    assert math.isnan(found.current_a) and np.isnan(found.acc_mps2).all()
+
+
+def test_a_reading_that_is_repeated_counts_once() -> None:
+    slow = np.repeat(FIELD + 2.0 * NOISE[:100], 3, axis=0)
+    assert dwell(slow).samples == 20
+    assert dwell(slow).covariance_mgauss2[0, 0] == pytest.approx(4.0 / 20.0, rel=0.1)
+
+
+def test_noise_that_lasts_averages_less() -> None:
+    chance = np.random.default_rng(4)
+    white = chance.normal(size=(20000, 3))
+    slow = np.empty_like(white)
+    slow[0] = white[0]
+    for k in range(1, len(white)):
+        slow[k] = 0.6 * slow[k - 1] + 0.8 * white[k]
+    # The variance of a mean of an autoregression of 0.6: (1 + 0.6) / (1 - 0.6) times that of white noise.
+    assert _memory(slow) == pytest.approx(4.0, rel=0.06)
+    assert _memory(white) == 1.0 and _memory(slow[:7]) == 1.0 and _memory(0.0 * white) == 1.0
+    assert _memory(np.ones((50, 3))) == pytest.approx(19.0)  # no more than that
+    assert _memory(np.ones((8, 3))) > 1.0
+
+
+@pytest.mark.parametrize(("sigmas", "counted"), [(4.9, 60), (5.1, 59), (-5.1, 59), (60.0, 59)])
+def test_a_wild_reading_is_left_out(sigmas: float, counted: int) -> None:
+    noisy = FIELD + 2.0 * NOISE
+    noisy[31, 1] = FIELD[1] + sigmas * 1.4826 * 2.0 * math.sqrt(1.5)  # robust sigmas of the others
+    assert dwell(noisy).samples == counted
+    assert counted == 60 or dwell(noisy).mean_mgauss == pytest.approx(FIELD)
+
+
+def test_what_half_of_them_say_is_not_wild() -> None:
+    found = dwell(FIELD + 0.01 * NOISE + 60.0 * (np.arange(300) % 2)[:, np.newaxis])
+    assert found.mean_mgauss == pytest.approx(FIELD + 30.0) and found.samples == 60
+    few = FIELD + 0.01 * NOISE
+    few[3] += 60.0
+    assert dwell_between(standing(few), 1, 0.0, 0.35).samples == 4  # too few to judge
+    assert dwell_between(standing(few), 1, 0.0, 0.45).samples == 4
+
+
+def test_what_the_autopilot_had_done_is_undone() -> None:
+    noise = NOISE * np.array([1.0, 1.0, 1.0])
+    found = dwell(SWING.apply(FIELD + noise), in_force=(InForce(-np.inf, SWING),))
+    assert found.mean_mgauss == pytest.approx(FIELD)
+    assert np.sqrt(np.diag(found.covariance_mgauss2)) == pytest.approx([1.0 / math.sqrt(59.0)] * 3)
+
+
+def test_a_correction_that_changes_while_it_stands_changes_nothing() -> None:
+    changes = (InForce(-np.inf, FieldCorrection()), InForce(3.05, SWING))
+    raw = FIELD + NOISE
+    reported = np.where(TIME[:, np.newaxis] < 3.05, raw, SWING.apply(raw))
+    found = dwell(reported, in_force=changes)
+    assert found.mean_mgauss == pytest.approx(FIELD) and found.unsteady_mgauss == 0.0
+    compass = standing(reported, in_force=changes).compasses[1]
+    assert correction_at(compass, 3.05) is SWING and correction_at(compass, 3.04) is not SWING
+    assert uncorrected_field(standing(reported, in_force=changes), 1) == pytest.approx(raw)
+    # The first holds before its time, too.
+    late = (InForce(2.05, FieldCorrection()), InForce(3.05, SWING))
+    assert uncorrected_field(standing(reported, in_force=late), 1) == pytest.approx(raw)
+
+
+def test_whole_numbers_are_taken_back() -> None:
+    cut = np.tile(np.trunc([200.3, -50.3, 400.7]), (300, 1))
+    found = dwell(cut, quantum_mgauss=1.0, truncated=True)
+    # Anything within the step: its middle, and the step's sigma; an average hides no less of it.
+    assert found.mean_mgauss == pytest.approx([200.5, -50.5, 400.5])
+    assert np.sqrt(np.diag(found.quantisation_mgauss2)) == pytest.approx([1.0 / math.sqrt(12.0)] * 3)
+    rounded = dwell(cut, quantum_mgauss=1.0)
+    assert rounded.mean_mgauss == pytest.approx([200.0, -50.0, 400.0])
+    track = standing(cut, quantum_mgauss=1.0, truncated=True)
+    middle = centred(track, 1)
+    assert middle.compasses[1].reported.values[0] == pytest.approx([200.5, -50.5, 400.5])
+    assert not middle.compasses[1].truncated and centred(middle, 1) is middle
+
+
+@pytest.mark.parametrize(("degrees", "sigma_mgauss"), [(4.0, 0.1), (20.0, 2.0)])
+def test_a_swing_inside_a_position_is_reckoned_with(degrees: float, sigma_mgauss: float) -> None:
+    turned = math.radians(degrees) * np.sin(2.0 * math.pi * TIME / 6.0)
+    psi = 0.7 + turned
+    field = np.stack([200.0 * np.cos(psi), -200.0 * np.sin(psi), np.full(300, 400.0)], axis=1)
+    found = dwell(field, turned, "px4")
+    exact = np.exp(1j * turned[:60]).mean()
+    assert found.coherence == pytest.approx(abs(exact), rel=1e-3) and found.coherence < 0.9999
+    assert found.turned_rad == pytest.approx(float(np.angle(exact)), abs=0.002)
+    level = found.mean_mgauss[0] - 1j * found.mean_mgauss[1]
+    assert level == pytest.approx(200.0 * np.exp(0.7j) * exact, rel=3e-3)
+    # What follows the turn is neither noise nor unrest.
+    assert found.unsteady_mgauss == 0.0
+    assert math.sqrt(np.diag(found.covariance_mgauss2).max()) < sigma_mgauss
+
+
+def test_the_field_lags_behind_the_gyro() -> None:
+    turned = math.radians(2.0) * TIME
+    level = FIELD + NOISE
+    heard = dwell_between(standing(level, turned, autopilot="ardupilot"), 1, 1.0, 5.0)
+    plain = dwell_between(standing(level, turned, "px4"), 1, 1.0, 5.0)
+    assert heard.turned_rad == pytest.approx(plain.turned_rad - math.radians(2.0) * 0.09)
+    assert heard.turned_sigma_rad == pytest.approx(math.radians(2.0) * 0.03)
+    assert field_lag_s(Track(autopilot="px4")) == 0.0 and field_lag_s(Track(autopilot="ardupilot")) == 0.09
+
+
+@pytest.mark.parametrize(("mgauss", "unsteady"), [(0.1, 0.0), (6.0, 6.0), (20.0, 20.0)])
+def test_a_field_that_wanders_is_unsteady(mgauss: float, unsteady: float) -> None:
+    step = np.where(TIME < 15.0, 0.0, mgauss)[:, np.newaxis] * [0.6, 0.8, 0.0]
+    found = dwell_between(standing(FIELD + 0.3 * NOISE + step), 1, 0.0, 30.0)
+    assert found.unsteady_mgauss == pytest.approx(unsteady, rel=0.01)
+
+
+def test_tilting_is_no_unrest() -> None:
+    lean = np.where(TIME < 15.0, 0.0, 0.05)
+    field = np.stack([200.0 - 400.0 * np.sin(lean), 0.0 * lean, 400.0 * np.cos(lean)], axis=1) + 0.3 * NOISE
+    attitude = np.stack([0.0 * lean, lean, 0.0 * lean], axis=1)
+    track = standing(field)
+    assert dwell_between(track, 1, 0.0, 30.0).unsteady_mgauss == pytest.approx(20.0, rel=0.02)
+    leaning = Track(
+        compasses=track.compasses, gyro_radps=track.gyro_radps, attitude_rad=Series.of(TIME, attitude)
+    )
+    assert dwell_between(leaning, 1, 0.0, 30.0).unsteady_mgauss == 0.0
+
+
+def test_the_current_is_the_mean_of_what_was_recorded() -> None:
+    track = standing(FIELD + NOISE)
+    current = Series.of(TIME, np.where(TIME < 2.95, 4.0, np.where(TIME < 5.85, 6.0, np.nan)))
+    loaded = Track(compasses=track.compasses, gyro_radps=track.gyro_radps, current_a=current)
+    assert dwell_between(loaded, 1, 0.0, 6.0).current_a == pytest.approx((30 * 4.0 + 29 * 6.0) / 59)
+
+
+def test_a_position_needs_two_readings() -> None:
+    field = FIELD + NOISE
+    assert dwell_between(standing(field), 1, 0.95, 1.15).samples == 2
+    with pytest.raises(PoorCalibration, match=r"has 1 readings between 0\.9 s and 1\.1 s"):
+        dwell_between(standing(field), 1, 0.95, 1.05)
+    field[10:20] = np.nan
+    with pytest.raises(PoorCalibration):
+        dwell_between(standing(field), 1, 0.85, 1.85)
+    with pytest.raises(KeyError):
+        dwell_between(standing(field), 2, 0.0, 1.0)
+
+
+def test_without_a_gyro_the_angle_is_unknown() -> None:
+    track = Track(compasses=standing(FIELD + NOISE).compasses)
+    found = dwell_between(track, 1, 0.0, 6.0)
+    assert math.isnan(found.turned_rad) and found.turned_sigma_rad == 0.0 and found.coherence == 1.0
+
+
+def test_the_heading_of_a_position_is_unsure_by_noise_tilt_and_unrest() -> None:
+    plain: dict[str, Any] = {"start_s": 0.0, "end_s": 1.0, "mean_mgauss": FIELD}
+    noisy = Dwell(**plain, covariance_mgauss2=np.diag([1.0, 3.0, 99.0]), tilt_sigma_rad=0.0)
+    assert noisy.heading_sigma_rad(200.0, 400.0) == pytest.approx(math.sqrt(3.0) / 200.0)
+    whole = Dwell(
+        **plain,
+        covariance_mgauss2=np.eye(3),
+        quantisation_mgauss2=3.0 * np.eye(3),
+        tilt_sigma_rad=0.01,
+        unsteady_mgauss=1.0,
+    )
+    assert whole.heading_sigma_rad(200.0, 400.0) == pytest.approx(math.sqrt(4.0 + 16.0 + 1.0) / 200.0)
+
+
+def data_of(*degrees: float) -> FourPositionData:
+    at = Dwell(0.0, 1.0, FIELD, np.eye(3))
+    steps = tuple(Step(math.radians(d), 0.01 * (k + 1), 10.0 + k) for k, d in enumerate(degrees))
+    return FourPositionData((at,) * (len(degrees) + 1), steps)
+
+
+def test_turns_around_a_position_left_out_are_joined() -> None:
+    data = data_of(90.0, 80.0, -20.0)
+    assert np.degrees(data.turned_rad) == pytest.approx([0.0, 90.0, 170.0, 150.0])
+    for index, turned in ((0, [0.0, 80.0, 60.0]), (1, [0.0, 170.0, 150.0]), (2, [0.0, 90.0, 150.0])):
+        assert np.degrees(data.without(index).turned_rad) == pytest.approx(turned)
+    assert np.degrees(data.without(3).turned_rad) == pytest.approx([0.0, 90.0, 170.0])
+    joined = data.without(2).steps[1]
+    assert joined.sigma_rad == pytest.approx(math.hypot(0.02, 0.03)) and joined.duration_s == 23.0
+    assert data_of().turned_rad.tolist() == [0.0] and not FourPositionData((), ()).steps
+    with pytest.raises(ValueError, match="4 dwells need 3 steps"):
+        FourPositionData(data.dwells, data.steps[:2])

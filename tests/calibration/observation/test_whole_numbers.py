@@ -1,0 +1,75 @@
+"""What whole numbers hide of an average, held against readings that are made and converted."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mavcompass.calibration.observation.wire import effective_count, hidden_by_step, unquantise
+from mavcompass.frames import FloatArray
+
+CHANCE = np.random.default_rng(11)
+# Averages at every place in a step, and readings about them.
+PLACES = 20.0 + (np.arange(200) + 0.5) / 200.0
+READINGS = CHANCE.normal(size=(400, 200))
+
+
+def converted(noise: float, truncated: bool, quantum: float = 1.0) -> tuple[FloatArray, FloatArray]:
+    """Return how far averages come out from what they were, (200,), and what is said to be hidden."""
+    steps = PLACES + noise * READINGS
+    told = quantum * (np.trunc(steps) if truncated else np.round(steps))
+    spread = np.sqrt((told.std(axis=0) ** 2).mean()) * np.ones(200)
+    value, hidden = unquantise(told.mean(axis=0), spread, quantum, truncated)
+    return value / quantum - PLACES, hidden / quantum
+
+
+@pytest.mark.parametrize("truncated", [True, False])
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.2, 0.3, 0.6, 2.0])
+def test_what_is_hidden_is_how_far_averages_come_out(noise: float, truncated: bool) -> None:
+    off, hidden = converted(noise, truncated)
+    chance = (noise**2 + 1.0 / 12.0) / 400.0  # of the mean of 400 readings
+    assert np.mean(off**2) == pytest.approx(hidden[0] ** 2 + (chance if noise else 0.0), rel=0.15, abs=2e-4)
+    assert np.mean(off) == pytest.approx(0.0, abs=0.03)
+    assert converted(noise, truncated, 4.0)[1] == pytest.approx(hidden)
+
+
+def test_without_steps_nothing_is_hidden() -> None:
+    value, hidden = unquantise([1.5, -2.0], [0.1, 0.1], 0.0, True)
+    assert value.tolist() == [1.5, -2.0] and hidden.tolist() == [0.0, 0.0]
+    assert hidden_by_step([0.1, 3.0], 0.0).tolist() == [0.0, 0.0]
+
+
+def test_the_cell_about_zero_is_twice_as_wide() -> None:
+    value, hidden = unquantise([0.0, 1.0, -1.0, -7.0], np.zeros(4), 2.0, True)
+    assert value == pytest.approx(
+        [0.0, 1.0 + 0.5 * 2.0 * math.erf(0.85 * math.sqrt(2.0)), -1.9, -8.0], abs=0.1
+    )
+    # Half a step from zero it may be either.
+    assert hidden == pytest.approx(2.0 * np.array([2.0, 1.0, 1.0, 1.0]) / math.sqrt(12.0), rel=1e-6)
+    rounded, about = unquantise([0.0], [0.0], 2.0, False)
+    assert rounded[0] == 0.0 and about[0] == pytest.approx(2.0 / math.sqrt(12.0))
+
+
+def test_near_zero_noise_is_cut_both_ways() -> None:
+    for average in (0.1, 0.4, -0.7, 1.2):
+        told = np.trunc(average + 2.0 * READINGS)
+        value, _ = unquantise([told.mean()], [told.std()], 1.0, True)
+        assert value[0] == pytest.approx(average, abs=0.06)
+        assert abs(told.mean()) < abs(value[0])
+
+
+def test_each_spread_has_its_own_share_hidden() -> None:
+    hidden = hidden_by_step([0.0, 0.35, 1.5, 12.0], 1.0)
+    assert hidden[0] == pytest.approx(1.0 / math.sqrt(12.0)) and hidden[-1] == pytest.approx(0.0, abs=1e-6)
+    assert hidden[0] > hidden[1] > hidden[2]
+    assert hidden_by_step([0.7], 2.0) == pytest.approx(2.0 * hidden[1:2])
+
+
+def test_fresh_is_what_differs_from_the_reading_before() -> None:
+    readings = np.array([[1.0, 2.0], [1.0, 2.0], [1.0, 3.0], [0.0, 3.0], [0.0, 3.0]])
+    mask, count = effective_count(readings)
+    assert mask.tolist() == [True, False, True, True, False] and count == 3
+    assert effective_count(readings[:1])[1] == 1 and effective_count(readings[:2])[1] == 1
+    assert effective_count(readings[:0])[1] == 0
