@@ -122,7 +122,7 @@ def _algebraic_sphere(raw: FloatArray) -> tuple[FloatArray, float]:
     """Solve |r|^2 = 2 c.r + (R^2 - c^2) by linear least squares about the mean."""
     middle = raw.mean(axis=0)
     r = raw - middle
-    if np.linalg.svd(r, compute_uv=False)[-1] < 0.02 * np.linalg.norm(r):
+    if np.linalg.svd(r, compute_uv=False)[-1] <= 0.02 * np.linalg.norm(r):
         raise _flat()
     design = np.column_stack([2.0 * r, np.ones(len(r))])
     answer, *_ = np.linalg.lstsq(design, (r**2).sum(axis=1), rcond=None)

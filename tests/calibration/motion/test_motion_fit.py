@@ -1,0 +1,412 @@
+"""The fit of a motion on made-up sections: its parts against closed forms, and what it may claim."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.calibration.model import (
+    GAIN,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    HORIZONTAL,
+    MOTOR,
+    OFFSET,
+    VERTICAL,
+    HeadingError,
+    gain_matrix,
+)
+from mavcompass.calibration.motion import changes, fit, honesty, scatter
+from mavcompass.calibration.motion.equations import FIRST, LAG, first_state, section_variance
+from mavcompass.calibration.motion.fit import MotionFit, fit_motion
+from mavcompass.calibration.motion.sections import Sections
+from mavcompass.calibration.positions import IronPrior
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray, wrap_pi
+
+DEG = math.radians(1.0)
+EARTH = EarthField((200.0, 0.0, 450.0))
+OFFSETS = np.array([60.0, -40.0, 25.0])
+GAINS = np.array([1.08, 0.93, 1.0, 0.02, 0.0, 0.0])
+K = 24
+
+
+def sections_of(
+    psi: FloatArray | None = None,
+    noise: float = 0.0,
+    load: FloatArray | None = None,
+    motor: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    **changed: Any,
+) -> Sections:
+    """Make sections at headings (K,), each of 20 readings in two seconds, level and by a good gyro."""
+    psi = np.linspace(0.3, 0.3 + 2.0 * math.pi, K, endpoint=False) if psi is None else psi
+    k = psi.size
+    load = np.zeros(k) if load is None else load - load.mean()
+    level = np.stack([200.0 * np.cos(psi), -200.0 * np.sin(psi), np.full(k, 450.0)], axis=1)
+    mean = OFFSETS + level @ gain_matrix(GAINS) + load[:, np.newaxis] * motor
+    mean = mean + noise * np.random.default_rng(3).normal(size=mean.shape)
+    values: dict[str, Any] = {
+        "start_s": 3.0 * np.arange(k),
+        "end_s": 3.0 * np.arange(k) + 2.0,
+        "mean_mgauss": mean,
+        "samples": np.full(k, 20.0),
+        "noise_mgauss": 1.0,
+        "hidden_mgauss": np.zeros(k),
+        "mapping": np.tile(np.eye(3), (k, 1, 1)),
+        "by_lag": np.zeros((k, 3, 3)),
+        "tilt_sigma_rad": np.full(k, 1e-4),
+        "tilt_bias_rad": 0.001,
+        "rocking": True,
+        "turned_rad": psi - psi[0],
+        "step_sigma_rad": np.full(k - 1, 0.002),
+        "bias_sigma_radps": 1e-4,
+        "scale_sigma": 0.01,
+        "load": load,
+        "load_mean": 0.0,
+        "repeats": np.ones(k),
+        "gyro_rate_hz": 50.0,
+        **changed,
+    }
+    return Sections(**values)
+
+
+@pytest.fixture(scope="module")
+def found() -> MotionFit:
+    return fit_motion(sections_of(), EARTH)
+
+
+def disturbed(index: int = 5, mgauss: float = 30.0) -> Sections:
+    sections = sections_of(noise=0.2)
+    sections.mean_mgauss[index] += [0.0, mgauss, 0.0]
+    return sections
+
+
+def test_exact_sections_give_the_iron_the_headings_and_no_model_error(found: MotionFit) -> None:
+    # A level circle does not tell z's offset from its gain: the prior does.
+    assert found.offset_mgauss[:2] == pytest.approx(OFFSETS[:2], abs=0.05)
+    assert found.gain == pytest.approx(gain_matrix(GAINS), abs=5e-3)
+    assert found.headings_rad == pytest.approx(0.3 + sections_of().turned_rad, abs=1e-4)
+    assert found.model_mgauss == 0.0 and found.sound.min() > 0.999
+    assert np.abs(found.residual_mgauss).max() < 0.05
+    assert found.jacobian.shape == (4 * K - 1, FIRST + K) and found.whitened.shape == (4 * K - 1,)
+    assert found.information @ found.covariance == pytest.approx(np.eye(FIRST + K), abs=1e-3)
+    assert fit.residual_of(sections_of(), found) == pytest.approx(found.residual_mgauss, abs=0.05)
+    there = fit.level_headings(sections_of(), found)
+    assert wrap_pi(there - found.headings_rad) == pytest.approx(np.zeros(K), abs=1e-4)
+
+
+def test_fewer_than_four_sections_are_refused() -> None:
+    four = sections_of(np.array([0.3, 1.9, 3.5, 5.0]))
+    assert fit_motion(four, EARTH).offset_mgauss[:2] == pytest.approx(OFFSETS[:2], abs=0.5)
+    with pytest.raises(PoorCalibration, match="Only 3 stretches of the recording have compass and gyro"):
+        fit_motion(four.rows(0, 3), EARTH)
+
+
+def test_without_a_world_the_vertical_offset_is_the_one_in_force() -> None:
+    in_force = FieldCorrection(offsets_mgauss=(-60.0, 40.0, -25.0))
+    alone = fit_motion(sections_of(), in_force=in_force)
+    assert alone.offset_mgauss == pytest.approx(OFFSETS, abs=1.5)
+    assert fit_motion(sections_of()).offset_mgauss[2] == pytest.approx(0.0, abs=1.0)
+
+
+@pytest.mark.parametrize("source", ["current", "throttle"])
+def test_a_motor_field_is_found_beside_the_load(source: str) -> None:
+    load = np.resize([0.0, 7.0, 2.0, 10.0, 4.0], K)
+    motor = (1.5, -1.0, 0.5)
+    seen = fit_motion(sections_of(load=load, motor=motor), EARTH, load_source=source)
+    assert seen.state[MOTOR] == pytest.approx(motor, abs=0.02)
+    shifted = sections_of(load=load, motor=motor)
+    elsewhere = replace(shifted, load=shifted.load - 3.0)  # as a half with another mean has it
+    there = fit.level_headings(elsewhere, seen, -3.0)
+    assert wrap_pi(there - seen.headings_rad) == pytest.approx(np.zeros(K), abs=1e-3)
+    none = fit_motion(sections_of(load=load), EARTH)
+    assert np.abs(none.state[MOTOR]).max() < 1e-5
+    # Before the data: 10 mG/A, 100 mG at full throttle; of most vehicles a twentieth.
+    blind = sections_of(load=1e-9 * load)
+    sigma = [
+        math.sqrt(fit_motion(blind, EARTH, None, source, None, usual).covariance[13, 13])
+        for usual in (False, True)
+    ]
+    wide = {"current": 10.0, "throttle": 100.0}[source]
+    assert sigma == pytest.approx([wide, 0.05 * wide], rel=1e-3)
+
+
+def test_a_passing_magnet_is_kept_out() -> None:
+    seen = fit_motion(disturbed(), EARTH)
+    assert seen.sound[5] < 0.01 and np.delete(seen.sound, 5).min() > 0.95
+    assert seen.offset_mgauss[:2] == pytest.approx(OFFSETS[:2], abs=0.6)
+    assert seen.residual_mgauss[5] == pytest.approx([0.0, 30.0, 0.0], abs=1.5)
+    assert changes.calm_since_s(motion_of(disturbed(), seen)) == 17.0 + 1.0
+    assert changes.calm_since_s(motion_of(sections_of(), fit_motion(sections_of(), EARTH))) is None
+
+
+def test_what_is_wrong_everywhere_is_an_error_of_the_model() -> None:
+    seen = fit_motion(sections_of(noise=6.0), EARTH)
+    assert seen.model_mgauss == pytest.approx(6.0, rel=0.25) and seen.sound.min() > 0.5
+    calm = fit_motion(sections_of(noise=0.2), EARTH)  # as one reading's noise of 1 mG makes of twenty
+    assert calm.model_mgauss == 0.0
+    assert fit.sigma_of(seen) > 10.0 * fit.sigma_of(calm)
+    assert seen.cost_under(seen) == pytest.approx(
+        0.5 * (seen.residual_mgauss**2).sum() / (seen.model_mgauss**2 + 0.05), rel=0.05
+    )
+    assert calm.cost_under(seen) < seen.cost_under(seen) < seen.cost_under(calm)
+
+
+def test_the_sigma_is_the_scatter_of_fits() -> None:
+    clean = sections_of()
+    chance = np.random.default_rng(8)
+    off = []
+    for _ in range(16):
+        noisy = replace(
+            clean, mean_mgauss=clean.mean_mgauss + chance.normal(0.0, 1.0 / math.sqrt(20.0), (K, 3))
+        )
+        off.append(fit_motion(noisy, EARTH).offset_mgauss[:2])
+    claimed = np.sqrt(np.diag(fit_motion(clean, EARTH).covariance)[:2])
+    assert np.std(off, axis=0) == pytest.approx(claimed, rel=0.45)
+
+
+@pytest.mark.parametrize(("mgauss", "is_sound"), [(1.0, True), (8.0, True), (11.0, False)])
+def test_soundness_weighs_chance_against_a_magnet(mgauss: float, is_sound: bool) -> None:
+    sections, variance = sections_of(), np.tile(4.0 * np.eye(3), (K, 1, 1))
+    residual = np.zeros((K, 3))
+    residual[5, 0] = mgauss
+    sound = fit._soundness(sections, residual, variance)
+    # Bayes: one in twenty, of 40 mG on each axis, beside noise of 2 mG.
+    loose = 4.0 + 1600.0
+    odds = 0.05 / 0.95 * (4.0 / loose) ** 1.5 * math.exp(0.5 * mgauss**2 * (1.0 / 4.0 - 1.0 / loose))
+    assert sound[5] == pytest.approx(1.0 / (1.0 + odds)) and bool(sound[5] > 0.5) is is_sound
+    assert sound[0] == pytest.approx(1.0 / (1.0 + 0.05 / 0.95 * (4.0 / loose) ** 1.5))
+
+
+@pytest.mark.parametrize(
+    ("count", "long_s", "is_believed"), [(7, 2.0, True), (8, 2.0, False), (2, 8.0, True), (2, 30.0, False)]
+)
+def test_exceptions_are_at_most_three_tenths_of_sections_and_of_time(
+    count: int, long_s: float, is_believed: bool
+) -> None:
+    sections, variance = sections_of(), np.tile(np.eye(3), (K, 1, 1))
+    residual = np.zeros((K, 3))
+    residual[:count] = 100.0
+    ends = sections.end_s.copy()
+    ends[:count] = sections.start_s[:count] + long_s
+    sound = fit._soundness(replace(sections, end_s=ends), residual, variance)
+    assert bool(sound[0] < 0.01) is is_believed and sound[-1] > 0.99
+
+
+def test_a_chi_square_exceeds_its_limit_once_in_twenty() -> None:
+    for freedom, table in ((5.0, 11.07), (30.0, 43.77), (100.0, 124.34)):
+        assert fit._chance_limit(freedom) == pytest.approx(table, rel=0.003)
+
+
+def test_the_fit_absorbs_what_the_prior_does_not_hold(found: MotionFit) -> None:
+    sections = sections_of()
+    _, rules = first_state(sections, EARTH, IronPrior(), 1e-6, None)
+    absorbed = fit._absorbed(sections, found.state, np.ones(K), rules)
+    # Motors (3) and what a level circle does not show are held; offsets in x and y, gains and headings not.
+    assert K + 4.0 < absorbed < FIRST + K - 3.0
+    tight = replace(rules, rows=1e6 * rules.rows)
+    assert fit._absorbed(sections, found.state, np.ones(K), tight) < absorbed
+
+
+def test_a_disturbed_section_weighs_by_its_chance_to_be_sound() -> None:
+    variance = np.tile(4.0 * np.eye(3), (2, 1, 1))
+    roots = fit._roots(variance, np.array([1.0, 0.25]))
+    weights = np.swapaxes(roots, 1, 2) @ roots
+    assert weights[0] == pytest.approx(np.eye(3) / 4.0)
+    assert weights[1] == pytest.approx(np.eye(3) * (0.25 / 4.0 + 0.75 / 1604.0))
+
+
+def test_the_first_guess_of_the_model_error_is_the_inner_halfs(found: MotionFit) -> None:
+    noisy = replace(
+        sections_of(),
+        mean_mgauss=sections_of().mean_mgauss + np.where(np.arange(K) < 16, 2.0, 90.0)[:, np.newaxis],
+    )
+    assert fit._first_model_error(noisy, found.state) == pytest.approx(2.0 / 0.6745, rel=0.05)
+    wild = replace(noisy, mean_mgauss=noisy.mean_mgauss + 1e6)
+    assert fit._first_model_error(wild, found.state) == 500.0
+
+
+def test_an_accelerometers_error_is_an_offset_by_the_dip(found: MotionFit) -> None:
+    by_roll, by_pitch = fit.leaning_error(sections_of(), found).T
+    # On the level: roll turns Z into y, pitch into x; T is nearly one.
+    # What a cross term of z takes up, the offset has to give back.
+    assert abs(by_roll[1] + 450.0 * by_roll[8]) == pytest.approx(0.45 * 0.93, abs=0.01)
+    assert abs(by_pitch[0] + 450.0 * by_pitch[7]) == pytest.approx(0.45 * 1.08, abs=0.01)
+    assert np.abs([by_roll[0], by_pitch[1]]).max() < 0.02
+    still = replace(sections_of(), tilt_bias_rad=0.0)
+    assert not fit.leaning_error(still, found).any()
+
+
+def test_a_sections_variance_is_noise_steps_tilt_and_model(found: MotionFit) -> None:
+    sections = sections_of(
+        hidden_mgauss=np.full(K, 0.3), tilt_sigma_rad=np.full(K, 0.01), repeats=np.full(K, 2.0)
+    )
+    single = section_variance(sections, found.state, 2.0, weighed=False)
+    both = section_variance(sections, found.state, 2.0)
+    white = np.eye(3) / 20.0
+    assert both - white == pytest.approx(2.0 * (single - white))
+    # At heading 0.3: roll moves y by Z, and z by the field across; T on the outside.
+    body = np.array([200.0 * math.cos(0.3), -200.0 * math.sin(0.3), 450.0])
+    roll, pitch = np.array([0.0, body[2], -body[1]]), np.array([-body[2], 0.0, body[0]])
+    lean = np.stack([roll, pitch], axis=1) * 0.01
+    gain = gain_matrix(GAINS)
+    expected = gain @ lean @ lean.T @ gain.T + (4.0 + 0.09) * np.eye(3) + white
+    assert single[0] == pytest.approx(expected, abs=0.05)
+
+
+def test_before_the_data_everything_has_its_sigma() -> None:
+    prior = IronPrior()
+    sections = sections_of(bias_sigma_radps=0.02, scale_sigma=0.03)
+    _, rules = first_state(sections, EARTH, prior, 7.0, None)
+    sigma = 1.0 / np.abs(
+        rules.rows[:-1].max(axis=0), where=rules.rows[:-1].any(axis=0), out=np.full(FIRST + K, np.nan)
+    )
+    assert sigma[GAIN][[0, 1, 3, 4, 5]] == pytest.approx([prior.gain_sigma] * 2 + [prior.cross_sigma] * 3)
+    assert sigma[[GYRO_SCALE, GYRO_BIAS, LAG]] == pytest.approx([0.03, 0.02, 0.03])
+    assert sigma[MOTOR] == pytest.approx([7.0] * 3)
+    north, _, down = EARTH.sigma_mgauss
+    assert sigma[HORIZONTAL] == pytest.approx(math.hypot(north, prior.site_sigma_mgauss))
+    assert sigma[VERTICAL] == pytest.approx(math.hypot(down, prior.site_sigma_mgauss))
+    assert np.isnan(sigma[OFFSET]).all() and np.isnan(sigma[FIRST:]).all()
+    alike = np.zeros(FIRST + K)
+    alike[GAIN][:3], alike[HORIZONTAL], alike[VERTICAL] = (1.0, 1.0, 1.0), 200.0, 450.0
+    assert rules.of(alike) == pytest.approx(np.zeros(len(rules.rows)))
+    alike[GAIN][:3] = (1.1, 0.9, 1.0 + prior.vertical_gain_sigma)
+    assert rules.of(alike)[-1] == pytest.approx(1.0)
+    _, blind = first_state(sections, None, prior, 7.0, FieldCorrection(offsets_mgauss=(0.0, 0.0, -25.0)))
+    assert blind.rows[-2, 2] == pytest.approx(1.0 / prior.vertical_offset_sigma_mgauss)
+    assert blind.wanted[-2] * prior.vertical_offset_sigma_mgauss == pytest.approx(25.0)
+
+
+@pytest.mark.parametrize("first", [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+def test_the_first_state_is_near_wherever_the_vehicle_begins(first: float) -> None:
+    psi = first + np.linspace(0.0, 2.0 * math.pi, K, endpoint=False)
+    for earth in (EARTH, None):
+        x, _ = first_state(sections_of(psi), earth, IronPrior(), 1e-6, None)
+        assert np.abs(np.angle(np.exp(1j * (x[FIRST:] - psi)))).max() < 20.0 * DEG
+        assert x[OFFSET][:2] == pytest.approx(OFFSETS[:2], abs=30.0)
+
+
+def motion_of(sections: Sections, seen: Any) -> Any:
+    return SimpleNamespace(sections=sections, fit=seen)
+
+
+def test_where_the_iron_may_have_changed() -> None:
+    residual = np.zeros((K, 3))
+    residual[10:] += [0.0, 12.0, 0.0]
+    motion = motion_of(sections_of(), SimpleNamespace(residual_mgauss=residual))
+    jumps = changes._jumps(motion)
+    assert jumps.size == 4 and jumps[0] == 30.0 + 1.0  # section 10 begins at 30 s, and settles
+    even = [(3.0 * 23 + 2.0) * k / 8 for k in range(1, 8)]
+    assert changes._candidates(motion) == pytest.approx(sorted([*jumps, *even]))
+    few = motion_of(sections_of(), SimpleNamespace(residual_mgauss=residual[:5]))
+    assert changes._jumps(few).size == 0
+    six = motion_of(sections_of(), SimpleNamespace(residual_mgauss=residual[8:14]))
+    assert changes._jumps(six)[0] == 6.0 + 1.0
+
+
+def test_a_change_is_dated_by_what_agrees_since(found: MotionFit) -> None:
+    sections = sections_of()
+    sections.mean_mgauss[:7] += [0.0, 0.0, 40.0]
+    sections.mean_mgauss[3] -= [0.0, 0.0, 40.0]  # one of these agrees by chance
+    assert changes._dated(motion_of(sections, None), motion_of(sections, found), 40.0) == 21.0
+    assert changes._dated(motion_of(sections_of(), None), motion_of(sections_of(), found), 40.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("mgauss", "begins"),
+    [(15.1, "The iron changed by about 15 mG at 33 s"), (14.9, "What was recorded before 33 s")],
+)
+def test_a_change_of_fifteen_milligauss_is_iron(mgauss: float, begins: str) -> None:
+    assert changes.Change(33.0, mgauss).words().startswith(begins)
+
+
+def test_blocks_are_tenths_of_the_time_and_eighths_of_the_circle(found: MotionFit) -> None:
+    blocks = honesty._by_time(sections_of())
+    assert blocks[0] == 0 and blocks[-1] == 9 and np.bincount(blocks).min() >= 2
+    assert np.bincount(honesty._by_heading(found)).tolist() == [3] * 8
+    turned = SimpleNamespace(headings_rad=np.array([0.01, -0.01, 44.0 * DEG, 46.0 * DEG, 359.0 * DEG]))
+    assert honesty._by_heading(turned).tolist() == [0, 7, 0, 1, 7]  # type: ignore[arg-type]
+
+
+def test_left_out_blocks_differ_as_much_as_chance_lets_expect() -> None:
+    ratios = []
+    for seed in range(12):
+        sections = sections_of()
+        sections.mean_mgauss[:] += np.random.default_rng(seed).normal(0.0, 1.0 / math.sqrt(20.0), (K, 3))
+        seen = fit_motion(sections, EARTH)
+        ratios.append(honesty._left_out(seen, honesty._by_time(sections)))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.35)
+    shifted = sections_of()
+    shifted.mean_mgauss[12:] += [3.0, 0.0, 0.0]  # the iron moved a little: blocks contradict each other
+    seen = fit_motion(shifted, EARTH)
+    sure = replace(seen, whitened=seen.whitened * 5.0)
+    assert honesty._left_out(sure, honesty._by_time(shifted)) == pytest.approx(
+        25.0 * honesty._left_out(seen, honesty._by_time(shifted))
+    )
+
+
+def test_what_is_claimed_is_at_least_what_scatters() -> None:
+    calm = honesty.weigh_honestly(sections_of(noise=0.2), fit_motion(sections_of(noise=0.2), EARTH))
+    assert calm.scatter_rad == 0.0
+    # Noise and the accelerometer's own error; the ratio is chance.
+    assert calm.left_out_ratio < 3.0
+    assert calm.error.rms_rad() == pytest.approx(math.hypot(calm.noise_rad, calm.accelerometer_rad), rel=1e-6)
+    assert calm.accelerometer_rad == pytest.approx(0.001 * 450.0 / 200.0, rel=0.05)
+    rough = honesty.weigh_honestly(sections_of(noise=6.0), fit_motion(sections_of(noise=6.0), EARTH))
+    assert rough.scatter_rad == pytest.approx(6.0 / 200.0, rel=0.4)
+    assert rough.error.rms_rad() >= rough.scatter_rad > rough.noise_rad
+    wider = calm.at_least(0.05)
+    assert wider.scatter_rad == 0.05 and wider.error.rms_rad() == pytest.approx(0.05)
+    assert calm.at_least(-1.0) is calm
+    assert calm.at_least(1e-5).error.rms_rad() == pytest.approx(calm.error.rms_rad())  # never narrower
+
+
+def test_a_ratio_beyond_chance_widens_what_is_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    sections = sections_of(noise=0.2)
+    seen = fit_motion(sections, EARTH)
+    for ratio, factor in ((2.9, 1.0), (3.1, math.sqrt(3.1)), (16.0, 4.0)):
+        monkeypatch.setattr(honesty, "_left_out", lambda fit, block, r=ratio: r)
+        claimed = honesty.weigh_honestly(sections, seen)
+        assert claimed.left_out_ratio == ratio
+        assert claimed.error.rms_rad() == pytest.approx(
+            math.hypot(factor * claimed.noise_rad, claimed.accelerometer_rad), rel=1e-6
+        )
+
+
+def test_scatter_beyond_noise() -> None:
+    off, variance = np.array([0.1, -0.1, 0.1, -0.1]), np.full(4, 0.001)
+    chance = 0.001 * (1.0 + 4.0 * math.sqrt(2.0 / 4.0))
+    assert scatter._beyond_noise(off, variance, np.ones(4)) == pytest.approx(math.sqrt(0.01 - chance))
+    assert scatter._beyond_noise(off, 0.1 * np.ones(4), np.ones(4)) == 0.0
+    uneven = np.array([3.0, 1.0, 0.0, 0.0])
+    one = scatter._beyond_noise(np.array([0.1, 0.0, 9.0, 9.0]), np.zeros(4), uneven)
+    assert one == pytest.approx(math.sqrt(0.75 * 0.01))
+
+
+def test_motors_that_are_left_scatter_the_heading(found: MotionFit) -> None:
+    load = np.where(np.arange(K) % 2, 5.0, -5.0)
+    sections = replace(sections_of(), load=load)
+    left = scatter.motors_left_rad(sections, found, np.array([3.0, 4.0, 99.0]))
+    # 5 mG/A at 5 A, of which half the square lies across the nose, over the field as the compass reads it.
+    assert left == pytest.approx(math.sqrt(0.5) * 25.0 / (200.0 * 0.5 * (1.08 + 0.93)), rel=1e-3)
+    unsure = replace(found, covariance=9.0 * np.eye(FIRST + K))
+    assert (
+        scatter.motors_left_rad(sections, unsure, np.array([5.9, 5.9, 0.0])) == 0.0
+    )  # two sigmas are chance
+    assert scatter.motors_left_rad(sections, unsure, np.array([6.1, 0.0, 0.0])) > 0.0
+    often = replace(sections, repeats=np.where(load > 0.0, 4.0, 1.0), load=np.where(load > 0.0, 5.0, 0.0))
+    assert scatter.motors_left_rad(often, found, np.array([4.0, 0.0, 0.0])) == pytest.approx(
+        math.sqrt(0.5 * 0.2) * 20.0 / 201.0, rel=1e-3
+    )
+
+
+def test_the_heading_error_is_that_of_its_covariance(found: MotionFit) -> None:
+    assert fit.sigma_of(found) == HeadingError(found.state[:11], found.covariance[:9, :9]).rms_rad()
