@@ -150,21 +150,19 @@ def flown_again(
     for track in again:
         progress("the simulator flown again")
         forth = comparison.vehicle
-        closer = diagnose_gap(vehicle, track, instance=forth.compass, progress=progress)
-        if forth.effects and not _teaches(closer, forth):
+        closer = None
+        # What follows from places a baseline keeps for itself, as its floor.
+        if not any(_OF_PLACES & get(effect).needs for effect in forth.effects):
+            closer = diagnose_gap(vehicle, track, instance=forth.compass, progress=progress)
+        if closer is None or (forth.effects and not _believed(closer)):
             closer = _by_what_it_has(forth, simulator, vehicle, track, progress)
-        achieved.append(_reached(track.source, comparison.vehicle, closer))
+        achieved.append(_reached(track.source, forth, closer))
     return replace(comparison, achieved=tuple(achieved))
 
 
-def _teaches(beside: Diagnosis, forth: Diagnosis) -> bool:
-    """Tell whether a flight is a baseline that can be asked how far the gap closed.
-
-    What follows from places a baseline keeps for itself, as its floor; and where its calibration is far from
-    its iron, it teaches too little of that to contradict anything.
-    """
-    believed = beside.in_force is None or beside.in_force.sigma_heading_deg < _BELIEVED_DEG
-    return believed and not any(_OF_PLACES & get(effect).needs for effect in forth.effects)
+def _believed(beside: Diagnosis) -> bool:
+    """Tell whether a flight's calibration is near enough to its iron to teach what could contradict it."""
+    return beside.in_force is None or beside.in_force.sigma_heading_deg < _BELIEVED_DEG
 
 
 def _by_what_it_has(
