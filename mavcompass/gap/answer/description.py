@@ -17,7 +17,7 @@ from mavcompass.gap.answer.locate import where
 from mavcompass.gap.answer.naming import named_causes, trace_causes
 from mavcompass.gap.answer.picture import picture
 from mavcompass.gap.answer.shrink import closings, waterfall
-from mavcompass.gap.answer.verdict import Answer, consistent
+from mavcompass.gap.answer.verdict import Answer, consistent, owning_up
 from mavcompass.gap.fit import Fit, Problem, difference
 from mavcompass.gap.left import Adequacy, Floor, Scatter
 from mavcompass.gap.replay import Replay
@@ -164,6 +164,8 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
             said, field, heading, where_left, floor, none, evidence.beside, turns, problem.replay
         )
     answer = said
+    if floor.measured and not floor.representative and not evidence.beside:
+        answer = owning_up(said, identified, field, heading, evidence.adequacy)
     if answer.named.terms and _worse_on(problem, answer.named, test):
         # A name that makes held-out data worse is no explanation.
         answer = Answer("unknown", none, True, evidence.adequacy.tests[0].coordinate)

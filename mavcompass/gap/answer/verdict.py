@@ -28,6 +28,13 @@ _PLIANT = frozenset(
 )  # fmt: skip
 _TURNS = frozenset({"misalignment", "orientation", "declination"})
 _NEARLY_ALTERNATING = 0.85
+# More than healthy vehicles leave of a model that is never exact: squared sigmas by which what is known is
+# bent, structure along the motion over what is left in all, and the mean square of whitened readings, of
+# fitted ones and others.
+_BENT = 60.0
+_STRUCTURED = 12.0
+_LOUD = 1.5
+_ALONG = frozenset({"mag: heading harmonics", "mag: direction, cubic", "mag: rate"})
 _DRIFT_RIVALS = 6
 _DRIFT_MARGIN = 6.0
 
@@ -122,6 +129,35 @@ def consistent(
     if len(answer.named.terms) <= _FEW_NAMES and explained > 1.0 - _REMAINDER_UNTRUSTED:
         return Answer("named_with_remainder", answer.named, True, coordinate)
     return Answer("unknown", none, True, coordinate)
+
+
+def owning_up(
+    answer: Answer, identified: Identified, field: Closing, heading: Closing, adequacy: Adequacy
+) -> Answer:
+    """Return an answer that is neither silent nor sure beside what healthy vehicles do not leave.
+
+    For vehicles with a baseline, whose floor is known but not in detail. Names that bend what is known of
+    vehicle and place are an explanation, but not the only one.
+    """
+    problem = identified.problem
+    if answer.verdict == "named" and answer.named.terms and problem.strain(answer.named) > _BENT:
+        return replace(answer, verdict="ambiguous")
+    if answer.verdict not in ("no_gap", "named"):
+        return answer
+    fit = answer.named if answer.named.terms else problem.null()
+    held = problem.with_rows(identified.split.test)
+    rows = [p.residual(p.predict(fit)) for p in (problem, held)]
+    left = [float(np.mean(r**2)) for r in rows if r.size]
+    along = max((t for t in adequacy.tests if t.name in _ALONG), key=lambda t: t.excess, default=None)
+    if along is not None and along.excess > _STRUCTURED * max(*left, 1.0):
+        verdict: Verdict = "unknown" if answer.verdict == "no_gap" else "named_with_remainder"
+        return Answer(verdict, answer.named, True, along.coordinate)
+    above = any(c.nominal > c.floor for c in (field, heading))
+    bent = problem.strain(fit) > _BENT
+    if answer.verdict == "no_gap" and (bent or (above and min(left) > _LOUD)):
+        where = adequacy.tests[0].coordinate if adequacy.tests else "time"
+        return Answer("unknown", answer.named, True, where)
+    return answer
 
 
 def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:

@@ -25,6 +25,7 @@ _NUDGE_RAD = 1e-5
 _NUDGE_MGAUSS = 1.0
 # Stages whose changes turn with the vehicle.
 _TURNING = frozenset({Stage.ATTITUDE, Stage.WORLD})
+_DELAYS = frozenset({"transport_lag", TELEMETRY_AGE})
 
 
 def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
@@ -106,17 +107,17 @@ class Composition:
         everything = [*nuisance_thetas, *thetas]
         order = self._ordered(terms, everything)
         places = {place: at for at, (_, place) in enumerate(order)}
-        # A common delay comes last and is the same for all that comes before it: once for all columns.
-        late = order[-1][0].id == TELEMETRY_AGE if order else False
-        end = len(order) - 1 if late else len(order)
+        # Delays come last and are the same for all that comes before them: once for all columns.
+        end = len(order)
+        while end and order[end - 1][0].id in _DELAYS:
+            end -= 1
         after = _After(order[:end], everything, states[: end + 1])
         changes: list[Reading] = []
-        early: dict[int, Stage] = {}
+        # By the member whose derivative it is, and its stage.
+        made_by: list[tuple[int, Stage]] = []
         for place in wanted:
             at = places[place]
             effect = order[at][0]
-            stop = end if at < end else len(order)
-            first = len(changes)
             free = self.free(terms, place)
             moved, steps = [], []
             for j in free[:1] if effect.id == REFERENCE_YAW else free:
@@ -127,20 +128,20 @@ class Composition:
                 theta[j] += step
                 moved.append(effect.forward(states[at], theta, {}, None))
                 steps.append(step)
-            if stop == end:
+            if at < end:
                 changes += after.changes(at + 1, moved, steps)
             else:
-                changes += [
-                    difference(m.reading, states[stop].reading, s) for m, s in zip(moved, steps, strict=True)
-                ]
+                own = states[at + 1].reading
+                changes += [difference(m.reading, own, s) for m, s in zip(moved, steps, strict=True)]
             if effect.id == REFERENCE_YAW:
                 by_axis = after.changes(at + 1, _nudged(states[at + 1]), [_NUDGE_RAD] * 3)
                 yaw = float(everything[place][0])
                 changes += _along(by_axis, self.replay.reference.curves_rad, yaw)
-            if late and stop == end:
-                early |= dict.fromkeys(range(first, len(changes)), effect.stage)
-        if early:
-            self._delay(changes, early, float(everything[order[-1][1]][0]))
+            made_by += [(at, effect.stage)] * (len(changes) - len(made_by))
+        for at, (_, place) in enumerate(order[end:], end):
+            early = {i: stage for i, (by, stage) in enumerate(made_by) if by < at}
+            if early:
+                self._delay(changes, early, float(everything[place][0]))
         return changes
 
     def _delay(self, changes: list[Reading], early: Mapping[int, Stage], delay_s: float) -> None:

@@ -1,0 +1,36 @@
+"""What is said of vehicles beside something that the catalogue lacks, and that hardly shows."""
+
+from __future__ import annotations
+
+import pytest
+
+from mavcompass.gap import Diagnosis
+from mavcompass.gap.diagnose import diagnose_gap
+from mavcompass.gap.trial.vehicles import make_case
+from mavcompass.report.gap_words import advice
+
+
+def found_in(seed: int, tier: str, withheld: str | None = None) -> Diagnosis:
+    case = make_case(seed, tier)  # type: ignore[arg-type]
+    return diagnose_gap(case.track, case.baseline, [withheld] if withheld else [])
+
+
+def test_structure_that_follows_the_heading_is_told_below_the_floor() -> None:
+    # A sensor that saturates as a cube does changes a quarter of a degree.
+    found = found_in(92119, "outside")
+    assert found.field.nominal < found.field.floor and found.heading.nominal < found.heading.floor
+    assert (found.verdict, found.unknown_coordinate, found.causes) == ("unknown", "heading", ())
+    assert "not as in the baseline" in advice(found)
+
+
+@pytest.mark.parametrize(("seed", "withheld"), [(92204, "cross_axis"), (92219, "ac_interference")])
+def test_what_healthy_vehicles_do_not_leave_is_told_above_the_floor(seed: int, withheld: str) -> None:
+    found = found_in(seed, "single", withheld)
+    assert found.verdict == "unknown" and not found.causes
+    assert "baseline" in advice(found)
+
+
+def test_a_name_that_bends_what_is_known_is_not_sure() -> None:
+    # Iron that is withheld: a gain does the same, if the calibration in force was far off.
+    found = found_in(92214, "single", "hard_iron")
+    assert found.verdict == "ambiguous"
