@@ -117,16 +117,15 @@ def test_a_dwell_ends_as_soon_as_the_heading_is_sure_enough() -> None:
 
 
 def test_noisy_sensors_are_stood_still_for_longer() -> None:
-    chance = random.Random(7)
+    def noisy() -> Callable[[float], mav.Incoming]:
+        chance = random.Random(7)
+        return lambda time_s: imu(time_s, jitter=round(chance.gauss(0.0, 150.0)))
 
-    def noisy(time_s: float) -> mav.Incoming:
-        return imu(time_s, jitter=round(chance.gauss(0.0, 90.0)))
-
-    length_s, _, _ = dwelt(heard=noisy)
-    assert 2.0 < length_s <= 6.1
-    assert dwelt(DwellSettings(longest_s=2.5), heard=noisy)[0] == pytest.approx(2.5, abs=0.1)
+    length_s, _, _ = dwelt(heard=noisy())
+    assert 3.0 < length_s <= 6.1
+    assert dwelt(DwellSettings(longest_s=2.6), heard=noisy())[0] == pytest.approx(2.6, abs=0.1)
     # There halves are not compared: noise goes on averaging out.
-    assert dwelt(sureness=lambda a, b: 0.16, heard=noisy)[0] == pytest.approx(length_s, abs=0.1)
+    assert dwelt(sureness=lambda a, b: 0.16, heard=noisy())[0] == pytest.approx(length_s, abs=0.1)
 
 
 def test_a_dwell_that_is_disturbed_begins_anew_twice() -> None:
