@@ -263,6 +263,11 @@ def test_person_diagnoses_and_exports_a_csv(tmp_path: Path, capsys: object) -> N
     assert main([*export, "--json", str(answer)]) == 0
     promised = json.loads(answer.read_text())["promised"]
     assert promised["by_what_the_simulator_holds"] == promised["shrink"] > 0.95
+    (known,) = [line for line in parm.read_text().splitlines() if line.startswith("# hard_iron, 95 %: x ")]
+    low, high = (
+        float(word) for word in known.split(", ")[1].removeprefix("95 %: x ").split(" mG")[0].split(" to ")
+    )
+    assert 49.0 < low < high < 52.0
     values = dict(line.split(",") for line in parm.read_text().splitlines() if not line.startswith("#"))
     assert math.isclose(float(values["SIM_MAG1_OFS_X"]), -50.0, abs_tol=1.0)
 

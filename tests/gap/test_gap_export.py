@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray, euler_to_matrix
-from mavcompass.gap.export import TARGETS, Found
+from mavcompass.gap.export import TARGETS, Found, known_to
 from mavcompass.gap.result import Cause
 from mavcompass.simulation import effects
 from mavcompass.simulation.effects import catalogue
@@ -44,6 +44,15 @@ HOLDS = {
 def typical(effect_id: str) -> Setting:
     text = {"relay_field": "relay_field:x=25,y=-15,z=10,source=3,threshold=0.5"}.get(effect_id, effect_id)
     return effects.parse(text)
+
+
+@pytest.mark.parametrize("target", sorted(TARGETS.keys() - {"mavcompass"}))
+def test_a_file_says_how_well_is_known_what_it_holds(target: str) -> None:
+    cause = Cause(
+        "hard_iron", {"x": 9.0, "y": 1.0, "z": 3.0}, {"x": (8.96, 9.04), "z": (-12.0, 18.0)}, 1.0, ()
+    )
+    found = Found([typical("hard_iron")], known=(known_to(cause),))
+    assert "hard_iron, 95 %: x 8.96 to 9.04 mG, z -12 to 18 mG" in TARGETS[target](found).text
 
 
 @pytest.mark.parametrize("target", sorted(TARGETS))

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from types import MappingProxyType
 
 from mavcompass.gap.export.ardupilot import ardupilot_sitl
-from mavcompass.gap.export.exported import Exported, Found
+from mavcompass.gap.export.exported import Exported, Found, known_to
 from mavcompass.gap.export.gazebo import gazebo
 from mavcompass.gap.export.lua import ardupilot_lua
 from mavcompass.gap.export.ours import preset
@@ -36,7 +36,18 @@ def found_in(diagnosis: Diagnosis, source: str, beside_simulator: bool = False) 
     parts = {cause.effect: cause.removes_mgauss**2 for cause in diagnosis.causes}
     parts |= {bar.effect: bar.part_mgauss2 for bar in diagnosis.waterfall}
     shares = {effect: part / gap for effect, part in parts.items()} if gap > 0.0 else {}
-    return Found(vehicle_settings(diagnosis, beside_simulator), source, costs, diagnosis.field.shrink, shares)
+    settings = vehicle_settings(diagnosis, beside_simulator)
+    known = tuple(known_to(cause) for cause in diagnosis.causes if cause.ci95)
+    return Found(settings, source, costs, diagnosis.field.shrink, shares, known)
 
 
-__all__ = ["TARGETS", "Exported", "Found", "found_in", "nominal_settings", "settings_of", "vehicle_settings"]
+__all__ = [
+    "TARGETS",
+    "Exported",
+    "Found",
+    "found_in",
+    "known_to",
+    "nominal_settings",
+    "settings_of",
+    "vehicle_settings",
+]

@@ -77,7 +77,7 @@ def ardupilot_sitl(found: Found) -> Exported:
         elif not setting.effect.affine:
             lacking.append(found.without(setting, SIMULATOR))
             left_out.append(setting.effect.id)
-    lines = [f"# What was found in {found.source or 'a recording'}, for {SIMULATOR}"]
+    lines = commented("#", found.headed(SIMULATOR))
     lines += commented("# not in the simulator:", lacking)
     lines += [f"{name},{value:.6g}" for name, value in parameters.items()]
     use = "sim_vehicle.py --add-param-file=FILE"

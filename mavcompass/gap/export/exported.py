@@ -9,7 +9,8 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.export.vehicle import affine_map
-from mavcompass.simulation.effects import Setting
+from mavcompass.gap.result import Cause
+from mavcompass.simulation.effects import Setting, get
 
 _OWN_MATRIX = 1e-3
 
@@ -24,6 +25,7 @@ class Found:
         heading_deg: what each named effect costs in heading, rms.
         shrink: by how much the gap in the field closes with all of them.
         shares: the part of that which each named effect has.
+        known: in sentences, how well the parameters of each are known.
     """
 
     settings: Sequence[Setting]
@@ -31,6 +33,11 @@ class Found:
     heading_deg: Mapping[str, float] = field(default_factory=dict)
     shrink: float = 0.0
     shares: Mapping[str, float] = field(default_factory=dict)
+    known: tuple[str, ...] = ()
+
+    def headed(self, simulator: str) -> list[str]:
+        """Return the first sentences of a file: where this comes from, and how well it is known."""
+        return [f"What was found in {self.source or 'a recording'}, for {simulator}", *self.known]
 
     def without(self, setting: Setting, simulator: str) -> str:
         """Say that a simulator has no such thing, and what error of the heading stays for it."""
@@ -67,6 +74,13 @@ class Exported:
     parameters: Mapping[str, float] = field(default_factory=dict)
     lacking: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+
+
+def known_to(cause: Cause) -> str:
+    """Say how well the parameters of a cause are known: a vehicle that never tilts hardly tells z."""
+    units = {p.name: "" if p.unit == "1" else f" {p.unit}" for p in get(cause.effect).parameters}
+    parts = [f"{name} {low:.3g} to {high:.3g}{units[name]}" for name, (low, high) in cause.ci95.items()]
+    return f"{cause.effect}, 95 %: {', '.join(parts)}"
 
 
 def commented(mark: str, lines: Iterable[str]) -> list[str]:

@@ -32,8 +32,9 @@ def gazebo(found: Found) -> Exported:
     walk = values.get("bias_random_walk", {}).get("sigma_mgauss_per_sqrt_s", 0.0)
     kind = "gaussian_quantized" if step else "gaussian"
     lines = ['<?xml version="1.0"?>']
-    source = escape(found.source or "a recording").replace("--", "- -")
-    lines += [f"<!-- What was found in {source}, for {SIMULATOR}: tesla, x forward, y left, z up."]
+    head, *known = (escape(sentence).replace("--", "- -") for sentence in found.headed(SIMULATOR))
+    lines += [f"<!-- {head}: tesla, x forward, y left, z up."]
+    lines += [f"     In the vehicle's axes, x forward, y right, z down: {sentence}" for sentence in known]
     lines += [f"     Not in the simulator: {escape(sentence)}" for sentence in lacking]
     lines += ["-->", '<sensor name="magnetometer_sensor" type="magnetometer">', "  <always_on>1</always_on>"]
     lines += ["  <update_rate>100</update_rate>", "  <magnetometer>"]

@@ -162,8 +162,8 @@ def ardupilot_lua(found: Found) -> Exported:
         elif not setting.effect.affine:
             lacking.append(found.without(setting, SIMULATOR))
             left_out.append(setting.effect.id)
-    head = [f"What was found in {found.source or 'a recording'}, for {SIMULATOR}: put it into scripts/, with"]
-    head += ["SCR_ENABLE 1 in the parameters.", *(f"Not in the simulator: {s}" for s in lacking)]
+    head = [*found.headed(SIMULATOR), "Put it into scripts/, with SCR_ENABLE 1 in the parameters."]
+    head += [f"Not in the simulator: {s}" for s in lacking]
     text = _FRAME.substitute(
         head="\n".join(commented("--", head)),
         parameters="\n".join(f"  {n} = {v:.6g}," for n, v in parameters.items() if "_OFS_" not in n),

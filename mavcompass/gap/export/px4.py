@@ -17,7 +17,7 @@ def px4_sitl(found: Found) -> Exported:
     lost = [s for s in found.settings if not s.effect.affine]
     lacking += [found.without(s, SIMULATOR) for s in lost]
     left_out += [s.effect.id for s in lost]
-    lines = [f"# What was found in {found.source or 'a recording'}, for {SIMULATOR}"]
+    lines = commented("#", found.headed(SIMULATOR))
     lines += commented("# not in the simulator:", lacking)
     lines += [f"1\t1\t{name}\t{value:.9g}\t9" for name, value in parameters.items()]
     text = "\n".join(lines) + "\n"
