@@ -1,0 +1,375 @@
+"""The guards at their limits, on problems of a few numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit import Fit, Term
+from mavcompass.gap.selection import guards
+from mavcompass.gap.selection.split import Split
+from mavcompass.simulation.effects import registry
+
+ROWS = 80
+BOTH_WAYS = np.where(np.arange(ROWS) % 2 == 0, 1.0, -1.0)
+NORTH = np.tile([200.0, 0.0, 400.0], (ROWS, 1))
+
+
+def fit_of(**sizes: float) -> Fit:
+    """Make a fit with these effects; the first parameter of each is set."""
+    terms, thetas = [], []
+    for name, size in sizes.items():
+        effect = registry.get(name)
+        low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
+        terms.append(Term(effect, np.ones(low.size, dtype=np.bool_), low, high))
+        thetas.append(np.array([size, *[0.0] * (low.size - 1)]))
+    return Fit(tuple(terms), tuple(thetas), (), 0.0)
+
+
+@dataclass
+class Problem:
+    """Predict the first parameters of a fit's effects, mG, on the axis of each, in turn both ways."""
+
+    left: FloatArray  # what no effect explains, (N, 3)
+    rows: Any = field(default_factory=lambda: np.ones(ROWS, dtype=np.bool_))
+    gap: FloatArray = field(default_factory=lambda: np.zeros(3))  # what is to be explained, by axis
+    axes: tuple[str, ...] = ("hard_iron", "soft_iron", "spatial_dipole")
+    noise_mgauss: float = 0.5
+    step_mgauss: float = 0.0
+    bent: float = 0.0
+    kind: str = "estimator"
+
+    groups = ("mag",)
+
+    def __post_init__(self) -> None:
+        self.noise = {"mag": SimpleNamespace(rms=np.full(3, self.noise_mgauss))}
+        self.usable = np.ones(ROWS, dtype=np.bool_)
+        self.index = np.flatnonzero(self.rows)
+        stimulus = SimpleNamespace(field_ned_mgauss=NORTH, position_ned_m=np.zeros((ROWS, 3)))
+        self.replay = SimpleNamespace(
+            measured=SimpleNamespace(mag_mgauss=NORTH + BOTH_WAYS[:, None] * self.gap + self.left),
+            reference=SimpleNamespace(kind=self.kind),
+            trace=SimpleNamespace(step_mgauss=self.step_mgauss),
+            signals=SimpleNamespace(stimulus=stimulus),
+            doubtful={},
+        )
+
+    def predict(self, fit: Fit, effects: bool = True) -> Any:
+        out = NORTH.copy()
+        for term, theta in zip(fit.terms, fit.thetas, strict=True):
+            if effects and term.effect.id in self.axes:
+                out[:, self.axes.index(term.effect.id)] += BOTH_WAYS * theta[0]
+        return SimpleNamespace(mag_mgauss=out)
+
+    def residual(self, predicted: Any) -> FloatArray:
+        return (
+            (self.replay.measured.mag_mgauss - predicted.mag_mgauss)[self.rows] / self.noise_mgauss
+        ).ravel()
+
+    def with_rows(self, rows: Any) -> Problem:
+        return replace(self, rows=rows)
+
+    def fit(self, terms: Any, thetas: Any, nuisances: Any, iterations: int = 1) -> Fit:
+        found = Fit(tuple(terms), tuple(thetas), nuisances, 0.0)
+        return replace(found, sse=float(np.sum(self.residual(self.predict(found)) ** 2)))
+
+    def refit(self, fit: Fit) -> Fit:
+        return self.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+
+    def steady(self, fit: Fit) -> Problem:
+        return self
+
+    def null(self) -> Fit:
+        return fit_of()
+
+    def strain(self, fit: Fit) -> float:
+        return 0.0 if fit.terms else self.bent
+
+
+def split() -> Split:
+    """Eight blocks of ten rows; the third and the seventh are held out."""
+    block = np.arange(ROWS) // 10
+    held = np.array([False, False, True, False, False, False, True, False])
+    return Split(block, held, ~held[block], held[block])
+
+
+@pytest.fixture(autouse=True)
+def plain_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors of field and heading without an attitude: of x, y and z, and of y over 200 mG."""
+
+    def heading(replay: Any, measured: FloatArray, predicted: FloatArray) -> FloatArray:
+        return (measured - predicted)[:, 1] / 200.0
+
+    def apart(replay: Any, one: FloatArray, other: FloatArray, rows: Any) -> tuple[float, float]:
+        off = (one - other)[rows]
+        return math.sqrt((off**2).mean()), math.degrees(math.sqrt((off[:, 1] ** 2).mean()) / 200.0)
+
+    monkeypatch.setattr(guards, "heading_error_rad", heading)
+    monkeypatch.setattr(guards, "apart", apart)
+
+
+def candidate(problem: Problem, fit: Fit, **changed: Any) -> Any:
+    null = fit_of()
+    search = SimpleNamespace(contradiction=lambda rest, fit: changed.pop("contradiction", 0.0))
+    values = {
+        "problem": problem,
+        "fit": fit,
+        "split": split(),
+        "search": search,
+        "found": SimpleNamespace(null=null),
+    }
+    return SimpleNamespace(**{**values, **changed})
+
+
+def floor(
+    field_mgauss: float = 1.0, heading_deg: float = 0.3, measured: bool = True, representative: bool = False
+) -> Any:
+    return SimpleNamespace(
+        field_rms_mgauss=field_mgauss,
+        heading_rms_deg=heading_deg,
+        measured=measured,
+        representative=representative,
+    )
+
+
+def explained(gap: tuple[float, float, float], left_mgauss: float = 0.5, **changed: Any) -> Problem:
+    quiet = (
+        left_mgauss * np.roll(BOTH_WAYS, 1)[:, None] * np.where(np.arange(ROWS) % 4 < 2, 1.0, -1.0)[:, None]
+    )
+    return Problem(quiet * np.ones(3), gap=np.array(gap), **changed)
+
+
+# --- nothing is needed ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("left_mgauss", "measured", "silent"),
+    [(0.89, True, True), (0.91, True, False), (1.24, False, True), (1.26, False, False)],
+)
+def test_a_gap_at_the_floor_needs_no_effect(left_mgauss: float, measured: bool, silent: bool) -> None:
+    here = candidate(explained((0.0, 0.0, 0.0), left_mgauss), fit_of())
+    assert guards.needs_none(here, floor(heading_deg=9.0, measured=measured)) is silent
+    assert (
+        guards.needs_none(here, floor(9.0, math.degrees(1.0 / 200.0), measured)) is silent
+    )  # by the heading
+    assert not guards.needs_none(here, floor(9.0, 9.0, measured, representative=True))
+    stated = candidate(explained((0.0, 0.0, 0.0), left_mgauss, kind="columns"), fit_of())
+    assert guards.needs_none(stated, floor(9.0, 9.0, measured)) is measured
+
+
+def test_without_held_out_rows_nothing_lies_at_the_floor() -> None:
+    none = replace(split(), test=np.zeros(ROWS, dtype=np.bool_))
+    here = candidate(explained((0.0, 0.0, 0.0)), fit_of(), split=none)
+    assert not guards.at_floor(here, fit_of(), floor(9.0, 9.0))
+    assert guards.at_floor(candidate(explained((0.0, 0.0, 0.0), 1.2), fit_of()), fit_of(), floor(1.0, 9.0))
+    assert not guards.at_floor(
+        candidate(explained((0.0, 0.0, 0.0), 1.3), fit_of()), fit_of(), floor(1.0, 9.0)
+    )
+
+
+# --- what is refused ---------------------------------------------------------------------------------
+
+
+def test_a_sound_effect_passes_all_guards() -> None:
+    here = candidate(explained((10.0, 0.0, 0.0)), fit_of(hard_iron=10.0))
+    assert guards.refused(here, floor()) is None
+
+
+def test_a_value_at_the_end_of_its_range_is_refused_where_it_is_needed() -> None:
+    fit = fit_of(hard_iron=200.0)
+    term = fit.terms[0]
+    ends = replace(term, upper=np.array([200.0 + 1e-4, *term.upper[1:]]))
+    at_the_end = replace(fit, terms=(ends,))
+    refused = guards.refused(candidate(explained((200.0, 0.0, 0.0)), at_the_end), floor())
+    assert refused == ("hard_iron", "its best value lies at the end of the physical range")
+    held = replace(at_the_end, terms=(replace(ends, free=np.array([False, True, True])),))
+    assert guards.refused(candidate(explained((200.0, 0.0, 0.0)), held), floor()) is None
+    # Ten squared sigmas: 4 N gap^2 of what is predicted.
+    for size, is_needed in ((0.17, False), (0.185, True)):
+        small = fit_of(hard_iron=size)
+        problem = explained((size, 0.0, 0.0), 0.0)
+        assert guards._needed(candidate(problem, small), 0, 0) is is_needed
+
+
+def test_a_magnet_on_the_path_is_refused() -> None:
+    fit = fit_of(spatial_dipole=0.0)
+    for away_m, touches in ((0.029, True), (0.031, False)):
+        there = replace(fit, thetas=(np.array([0.0, away_m, 0.0, *fit.thetas[0][3:]]),))
+        here = candidate(explained((0.0, 0.0, 0.0)), there)
+        assert guards._touched(here) == ("spatial_dipole" if touches else None)
+    assert guards._touched(candidate(explained((0.0, 0.0, 0.0)), fit_of(hard_iron=0.0))) is None
+
+
+@pytest.mark.parametrize(("limit_mgauss", "ends"), [(395.0, True), (389.0, False)])
+def test_a_limit_within_a_step_of_the_numbers_is_rounding(limit_mgauss: float, ends: bool) -> None:
+    coarse = candidate(explained((0.0, 0.0, 0.0), step_mgauss=10.0), fit_of(clipping=limit_mgauss))
+    assert guards._ends_on_a_step(coarse) is ends
+    assert not guards._ends_on_a_step(candidate(explained((0.0, 0.0, 0.0)), fit_of(clipping=limit_mgauss)))
+    assert not guards._ends_on_a_step(
+        candidate(explained((0.0, 0.0, 0.0), step_mgauss=10.0), fit_of(hard_iron=1.0))
+    )
+
+
+def test_an_effect_of_one_half_that_the_other_contradicts_is_refused() -> None:
+    problem = explained((10.0, 0.0, 0.0))
+    sound = candidate(problem, fit_of(hard_iron=10.0))
+    assert guards._vetoed(sound) is None
+    torn = explained((0.0, 0.0, 0.0))
+    assert (
+        guards._vetoed(candidate(torn, fit_of(hard_iron=3.0))) is None
+    )  # it explains nothing: no half shows it
+    order = np.cumsum(~split().held)[split().block] % 2 == 0
+    only = np.stack([BOTH_WAYS * np.where(order, 12.0, 0.0), 0.0 * BOTH_WAYS, 0.0 * BOTH_WAYS], axis=1)
+    torn = replace(torn, left=torn.left + only)
+    assert guards._vetoed(candidate(torn, fit_of(hard_iron=12.0))) == "hard_iron"
+    # Where it hardly changes anything, a half says nothing against it.
+    kept, change = guards._gain(torn, fit_of(hard_iron=12.0), 0)
+    assert change == pytest.approx(ROWS * (12.0 / 0.5) ** 2) and kept < change
+
+
+@pytest.mark.parametrize(
+    ("size", "given", "floors", "refused"),
+    [
+        # With a baseline 0.5 mG, or half the floor; without one 1 mG.
+        (0.55 * math.sqrt(3.0), {}, floor(0.5, 9.0), False),
+        (0.45 * math.sqrt(3.0), {}, floor(0.5, 9.0), True),
+        (1.1 * math.sqrt(3.0), {}, floor(0.6, 9.0, measured=False), False),
+        (0.9 * math.sqrt(3.0), {}, floor(0.6, 9.0, measured=False), True),
+        (1.6 * math.sqrt(3.0), {}, floor(3.0, 9.0), True),  # less than the floor without it
+        (2.9 * math.sqrt(3.0), {}, floor(3.0, 9.0), False),
+        # Coarse numbers: half of what rounding leaves.
+        (1.4 * math.sqrt(3.0), {"step_mgauss": 8.0}, floor(0.8, 9.0), False),
+        (1.0 * math.sqrt(3.0), {"step_mgauss": 8.0}, floor(0.8, 9.0), True),
+    ],
+)  # fmt: skip
+def test_what_removes_too_little_is_not_named(
+    size: float, given: dict[str, Any], floors: Any, refused: bool
+) -> None:
+    here = candidate(explained((size, 0.0, 0.0), 0.3, **given), fit_of(hard_iron=size))
+    assert guards.refused(here, floors) == (("hard_iron", guards.TOO_SMALL) if refused else None)
+
+
+@pytest.mark.parametrize(
+    ("share", "left_mgauss", "refused"),
+    [(0.21, 0.5, False), (0.19, 0.5, True), (0.35, 2.0, True), (0.45, 2.0, False)],
+)
+def test_beside_another_a_material_share_is_asked_for(
+    share: float, left_mgauss: float, refused: bool
+) -> None:
+    """A fifth of what all effects change, or two fifths where something is left that nobody knows."""
+    other = 60.0
+    size = share * other / math.sqrt(1.0 - share**2)
+    here = candidate(explained((other, 0.0, size), left_mgauss), fit_of(hard_iron=other, spatial_dipole=size))
+    assert guards._immaterial(here, floor(1.0, 90.0)) == ("spatial_dipole" if refused else None)
+
+
+def test_the_heading_alone_makes_an_effect_matter() -> None:
+    size = 0.45 * math.sqrt(3.0)  # too little of the field; of the heading 0.22 degrees
+    here = candidate(explained((0.0, size, 0.0), 0.1), fit_of(soft_iron=size))
+    assert guards._immaterial(here, floor(0.8, 0.2)) is None
+    assert guards._immaterial(here, floor(0.8, 0.46)) == "soft_iron"
+
+
+def test_an_independent_attitudes_floor_is_generous() -> None:
+    size = 0.6 * math.sqrt(3.0)
+    for kind, refused in (("columns", False), ("estimator", True)):
+        here = candidate(explained((size, 0.0, 0.0), 0.3, kind=kind), fit_of(hard_iron=size))
+        assert (
+            guards._immaterial(here, floor(1.1, 9.0, measured=False)) is not None
+        ) is refused or kind == "columns"
+    large = candidate(explained((3.0, 0.0, 0.0), 0.3, kind="columns"), fit_of(hard_iron=3.0))
+    assert guards._immaterial(large, floor(3.0, 9.0, measured=False)) is None
+    assert guards._immaterial(large, floor(4.0, 9.0, measured=False)) == "hard_iron"  # below half of it
+
+
+def test_what_is_removed_is_told_on_rows_that_were_not_fitted() -> None:
+    problem = explained((0.0, 6.0, 0.0), 0.0)
+    problem.replay.measured.mag_mgauss[split().train, 1] += 1.0
+    field, heading = guards.removed_by(candidate(problem, fit_of(soft_iron=6.0)), 0)
+    assert field.square == pytest.approx(12.0) and field.without == pytest.approx(math.sqrt(12.0 + 0.25))
+    degree = math.degrees(1.0 / 200.0)
+    assert heading.square == pytest.approx(36.0 * degree**2)
+    assert field.sure == pytest.approx(12.0)  # all blocks agree
+    # A block in which it changes nothing says nothing; one that contradicts does.
+    problem.replay.measured.mag_mgauss[split().block == 0, 1] -= 6.0 * BOTH_WAYS[:10]
+    torn, _ = guards.removed_by(candidate(problem, fit_of(soft_iron=6.0)), 0)
+    blocks = np.array([-12.0] + [12.0] * 7)
+    assert torn.sure == pytest.approx(blocks.mean() - 1.7 * blocks.std() / math.sqrt(7.0))
+    none = replace(split(), test=np.zeros(ROWS, dtype=np.bool_))
+    whole, _ = guards.removed_by(candidate(problem, fit_of(soft_iron=6.0), split=none), 0)
+    assert whole.square == pytest.approx(0.75 * 12.0 - 0.25 * 12.0 + 2.0, abs=3.0) and whole.square > 0.0
+
+
+# --- certain, and too small ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("gain", "held_gain", "contradiction", "told"),
+    [(81.5, 26.0, 0.9, True), (80.5, 26.0, 0.9, False), (81.5, 24.0, 0.9, False), (170.0, 26.0, 2.2, False)],
+)
+def test_what_is_certain_is_so_on_both_kinds_of_rows(
+    gain: float, held_gain: float, contradiction: float, told: bool
+) -> None:
+    problem = explained((0.0, 0.0, 0.0), 0.0)
+    rest = replace(fit_of(), sse=100.0 + gain)
+    size = math.sqrt(held_gain / 20.0) * 0.5  # of twenty held-out rows
+    problem = explained((size, 0.0, 0.0), 0.0)
+    search = SimpleNamespace(contradiction=lambda without, fit: contradiction)
+    here = candidate(problem, replace(fit_of(hard_iron=size), sse=100.0), search=search)
+    assert guards.evident(here, rest) is told
+    nothing = replace(split(), test=np.zeros(ROWS, dtype=np.bool_))
+    assert not guards.evident(candidate(problem, here.fit, search=search, split=nothing), rest)
+
+
+@pytest.mark.parametrize(("left_mgauss", "worth"), [(1.10, False), (1.14, True)])
+def test_one_more_effect_is_worth_while_above_the_noise(left_mgauss: float, worth: bool) -> None:
+    problem = explained((0.0, 0.0, 0.0), left_mgauss)  # noise 0.5, least 1 mG: 1.118 in all
+    assert guards.worthwhile(problem, floor(), fit_of()) is worth  # type: ignore[arg-type]
+    assert guards.worthwhile(problem, floor(representative=True), fit_of())  # type: ignore[arg-type]
+
+
+def test_a_tenth_of_the_gap_is_the_least() -> None:
+    problem = explained((60.0, 0.0, 0.0), 0.3)
+    fit = fit_of(hard_iron=60.0)
+    after = guards._left(problem, fit, effects=True)  # type: ignore[arg-type]
+    assert after["mag"] == pytest.approx(0.3)
+    least = guards._least(problem, fit, after)  # type: ignore[arg-type]
+    assert (
+        least["mag"] == pytest.approx(0.1 * 60.0 / math.sqrt(3.0))
+        and least["acc"] == 0.1
+        and least["gyro"] == 0.004
+    )
+    small = explained((5.0, 0.0, 0.0), 0.3)
+    assert guards._least(small, fit_of(hard_iron=5.0), {"mag": 0.3})["mag"] == 1.0  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("beside", "size", "floor_mgauss", "lost"),
+    [(60.0, 3.5, 9.0, True), (60.0, 3.7, 9.0, False), (60.0, 3.5, 5.0, False), (60.0, 1.7, 5.0, True)],
+)
+def test_beside_an_exact_floor_small_errors_of_another_are_not_named(
+    beside: float, size: float, floor_mgauss: float, lost: bool
+) -> None:
+    """Six hundredths of another effect, and a third of the floor, whichever is less."""
+    fit = fit_of(hard_iron=beside, spatial_dipole=size)
+    here = candidate(explained((beside, 0.0, size), 0.3), fit)
+    over = floor(floor_mgauss, 9.0, representative=True)
+    assert guards._immaterial(here, over) == ("spatial_dipole" if lost else None)
+    assert guards._lost_beside(here, over, {}) is None
+
+
+def test_beside_an_exact_floor_a_doubtful_sensors_effects_have_its_tolerance() -> None:
+    fit = fit_of(hard_iron=1.5)
+    for size, refused in ((1.5, True), (1.9, False)):  # 1 mG of all axes: 1.73 of one
+        problem = explained((size, 0.0, 0.0), 0.1)
+        problem.replay.doubtful = {"mag": "x"}
+        here = candidate(problem, fit_of(hard_iron=size))
+        assert guards._immaterial(here, floor(representative=True)) == ("hard_iron" if refused else None)
+    sure = candidate(explained((1.5, 0.0, 0.0), 0.1), fit)
+    assert guards._immaterial(sure, floor(representative=True)) is None

@@ -1,0 +1,212 @@
+"""Rows that are set aside while something changes, and what a remainder's noise is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit import Fit, Term
+from mavcompass.gap.replay.noise import white
+from mavcompass.gap.selection import remainder, transient
+from mavcompass.gap.selection.split import Split, probe, split_blocks, with_parts, with_windows
+from mavcompass.simulation.effects import registry
+from mavcompass.simulation.effects.effect import NEVER_S
+
+TIME = np.arange(400.0) * 0.05  # 20 s
+
+
+def changing(on_s: float, off_s: float = NEVER_S) -> Fit:
+    effect = registry.get("hard_iron_step")
+    low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
+    values = {"x": 30.0, "on_s": on_s, "off_s": off_s}
+    theta = np.array([values.get(p.name, 0.0) for p in effect.parameters])
+    return Fit((Term(effect, np.ones(low.size, dtype=np.bool_), low, high),), (theta,), (), 0.0)
+
+
+@dataclass
+class Problem:
+    """Have innovations of size 1, and larger ones while something changes."""
+
+    during: tuple[float, float]
+    size: float
+    usable: Any = field(default_factory=lambda: np.ones(TIME.size, dtype=np.bool_))
+
+    replay = SimpleNamespace(time_s=TIME)
+
+    def predict(self, fit: Fit) -> Any:
+        return None
+
+    def innovations(self, reading: Any) -> dict[str, FloatArray]:
+        z = np.ones((TIME.size, 3))
+        z[(TIME >= self.during[0]) & (TIME < self.during[1])] *= self.size
+        return {"mag": z}
+
+
+def test_moments_are_the_times_at_which_something_changes() -> None:
+    assert transient.moments(changing(7.5)) == [7.5]
+    assert transient.moments(changing(7.5, 12.0)) == [7.5, 12.0]
+    assert transient.moments(Fit((), (), (), 0.0)) == []
+
+
+def aside(problem: Problem, *when_s: float) -> list[float]:
+    rows = transient.transients(problem, changing(10.0), when_s)  # type: ignore[arg-type]
+    return [round(float(t), 2) for t in TIME[rows][[0, -1]]] if rows.any() else []
+
+
+def test_what_changes_for_a_while_is_set_aside_with_a_little_on_both_sides() -> None:
+    assert aside(Problem((10.0, 11.0), 5.0), 9.99) == [9.75, 11.2]
+    assert aside(Problem((9.0, 10.0), 5.0), 9.99) == [8.75, 10.2]
+    assert aside(Problem((9.5, 10.5), 5.0), 9.99) == [9.25, 10.7]
+    assert aside(Problem((10.0, 11.0), 5.0)) == aside(Problem((10.0, 11.0), 5.0), 4.0) == []
+    # Three seconds at most, and only what is four times as large in the square.
+    assert aside(Problem((10.0, 16.0), 5.0), 9.99) == [9.75, 13.2]
+    # Their median would be that of noise whose mean square is 1.27.
+    assert aside(Problem((10.0, 11.0), 2.2), 10.0) == [] and aside(Problem((10.0, 11.0), 2.3), 10.0) != []
+
+
+def test_rows_that_are_not_used_change_nothing() -> None:
+    none = np.zeros(TIME.size, dtype=np.bool_)
+    assert aside(Problem((10.0, 11.0), 5.0, none), 10.0) == []
+    gap = (TIME < 10.0) | (TIME >= 10.3)
+    assert aside(Problem((10.0, 11.0), 5.0, gap), 10.0) == []
+
+
+def test_between_fitted_rows_any_moment_fits() -> None:
+    problem: Any = SimpleNamespace(replay=SimpleNamespace(time_s=TIME), index=np.array([20, 40, 60]))
+    assert transient.between_rows(problem, 1.7) == (1.0, 2.0)
+    assert transient.between_rows(problem, 2.0) == (2.0, 3.0)
+    assert transient.between_rows(problem, 0.5) == (0.5, 1.0) and transient.between_rows(problem, 9.0) == (
+        3.0,
+        9.0,
+    )
+    put = transient.with_moments(problem, changing(1.7), [1.2, 2.4])
+    assert transient.moments(put) == [1.2]
+    assert transient.moments(transient.with_moments(problem, changing(2.1), [1.2])) == [
+        2.1
+    ]  # a row lies between
+    assert transient.moments(transient.with_moments(problem, changing(1.7), [])) == [1.7]
+    assert put.thetas[0][0] == 30.0
+
+
+def test_what_was_set_aside_is_told_stretch_by_stretch() -> None:
+    replay: Any = SimpleNamespace(time_s=TIME)
+    rows = ((TIME > 1.99) & (TIME < 3.01)) | (TIME > 18.99)
+    first, second = transient.told(replay, rows)
+    assert first.startswith("From 2.0 to 3.0 s something changes faster") and second.startswith(
+        "From 19.0 to 20.0"
+    )
+    assert transient.told(replay, 0 * rows == 1) == ()
+
+
+# --- blocks ------------------------------------------------------------------------------------------
+
+
+def whole(seconds: float) -> tuple[FloatArray, Split]:
+    time = np.arange(0.0, seconds, 0.1)
+    return time, split_blocks(time, np.ones(time.size, dtype=np.bool_))
+
+
+def test_one_block_of_four_is_held_out_and_no_two_neighbours() -> None:
+    _, split = whole(400.0)
+    assert split.held.size == 80 and split.held.reshape(20, 4).sum(axis=1).min() >= 0
+    assert 17 <= split.held.sum() <= 20 and not (split.held[1:] & split.held[:-1]).any()
+    assert np.bincount(split.block).tolist() == [50] * 80
+    short = whole(24.0)[1]
+    assert short.held.size == 13  # twelve blocks of two seconds, and what is over
+    assert split_blocks(np.array([0.0, 0.0001]), np.ones(2, dtype=np.bool_)).train.size == 2
+
+
+def test_a_guard_lies_beside_held_out_blocks() -> None:
+    time, split = whole(400.0)
+    assert split.test.sum() == split.held.sum() * 50
+    inside = int(split.held[1:-1].sum()) * 2 + int(split.held[0]) + int(split.held[-1])
+    assert time.size - split.train.sum() - split.test.sum() == inside * 5  # half a second
+    some = np.arange(time.size) % 2 == 0
+    half = split_blocks(time, some)
+    assert not (half.train | half.test)[~some].any() and half.test.sum() == 0.5 * split.test.sum()
+
+
+def test_halves_alternate() -> None:
+    _, split = whole(100.0)
+    one, other = split.halves()
+    trained = [b for b in range(split.held.size) if not split.held[b]]
+    owner = [bool(one[split.block == b].any()) for b in trained]
+    assert owner == [k % 2 == 1 for k in range(len(trained))] or owner == [
+        k % 2 == 0 for k in range(len(trained))
+    ]
+    assert not (one & other).any() and ((one | other) == split.train).all()
+
+
+def test_a_loud_stretch_is_cut_in_eight_parts_of_which_two_are_held_out() -> None:
+    time, split = whole(400.0)
+    loud = (time > 101.95) & (time < 118.0)
+    parted = with_parts(split, time, loud)
+    rows = np.flatnonzero(loud)
+    assert parted.held.size == split.held.size + 8
+    assert np.bincount(parted.block[rows])[-8:].tolist() == [rows.size // 8] * 8
+    assert parted.held[-8:].tolist() == [False, False, True, False, False, False, True, False]
+    used = split.train | split.test
+    assert ((parted.train | parted.test) == used).all()
+    assert parted.test[rows].sum() == pytest.approx(0.25 * used[rows].sum(), abs=12)
+    # Twenty seconds at most; what pauses for more than a part's length is two stretches.
+    assert with_parts(split, time, (time > 101.95) & (time < 121.9)).held.size == split.held.size + 8
+    assert with_parts(split, time, (time > 101.95) & (time < 122.2)).held.size == split.held.size
+    twice = loud & ((time < 110.0) | (time > 110.7))
+    assert with_parts(split, time, twice).held.size == split.held.size + 16
+    once = loud & ((time < 110.0) | (time > 110.35))
+    assert with_parts(split, time, once).held.size == split.held.size + 8
+    few = np.zeros(time.size, dtype=np.bool_)
+    few[1500:1503] = True
+    assert with_parts(split, time, few).held.size == split.held.size + 3
+
+
+def test_a_window_brings_training_rows_and_keeps_its_distance() -> None:
+    time, split = whole(400.0)
+    valid = np.ones(time.size, dtype=np.bool_)
+    valid[::7] = False
+    middle = float(time[split.test][20])
+    narrowed = with_windows(split, time, valid, [middle])
+    distance = np.abs(time - middle)
+    assert (narrowed.train[distance < 0.29] == valid[distance < 0.29]).all()
+    assert not narrowed.test[distance < 0.44].any()
+    far = distance > 0.46
+    assert (narrowed.test == split.test)[far].all() and (narrowed.train == split.train)[far].all()
+
+
+def test_a_gap_of_training_rows_is_probed_in_its_middle() -> None:
+    time, split = whole(400.0)
+    gap = int(np.flatnonzero(split.held)[3])
+    first, last = 5.0 * gap - 0.5, 5.0 * gap + 5.4
+    for moment in (first - 0.1, first + 1.0, last + 0.1):
+        assert probe(split, time, moment) == pytest.approx(0.5 * (first + last), abs=0.11)
+    assert probe(split, time, first - 0.5) is None and probe(split, time, last + 0.5) is None
+
+
+# --- the remainder's noise ------------------------------------------------------------------------------
+
+
+def test_a_value_is_drawn_inside_the_step_that_it_was_rounded_to() -> None:
+    true = 100.0 + 3.0 * np.random.default_rng(3).normal(size=(4000, 3))
+    rounded = 10.0 * np.round(true / 10.0)
+    drawn = remainder._before_rounding(rounded, np.full_like(true, 100.0), np.full(3, 3.0), 10.0)
+    assert np.abs(drawn - rounded).max() <= 5.0
+    # If the model is true, what is drawn is what was there before.
+    assert drawn.mean() == pytest.approx(100.0, abs=0.1) and drawn.std() == pytest.approx(3.0, rel=0.03)
+    assert ((drawn - 100.0) ** 4).mean() == pytest.approx(3.0 * 81.0, rel=0.1)
+    far = remainder._before_rounding(np.full((1, 3), 200.0), np.full((1, 3), 100.0), np.full(3, 3.0), 10.0)
+    assert far.tolist() == [[195.0] * 3]
+
+
+def test_the_steps_own_noise_is_added_to_the_floors() -> None:
+    quiet = white(np.array([1.0, 2.0, 3.0]))
+    noisy = remainder.with_steps({"mag": quiet}, 6.0)["mag"]
+    assert noisy.rms == pytest.approx(np.sqrt(np.array([1.0, 4.0, 9.0]) + 3.0))
+    assert noisy.sigma == pytest.approx(np.sqrt(quiet.sigma**2 + 3.0)) and math.isfinite(
+        float(noisy.sigma[0])
+    )
