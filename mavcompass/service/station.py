@@ -40,6 +40,8 @@ _MEET_AGAIN_S = 10.0
 _JUDGE_EVERY_S = 60.0
 _REOPEN_S = 0.5
 _PATIENCE_S = 15.0
+# More than this computer reads has to come for so long to be told.
+_FLOODED_S = 5.0
 
 OpenLink = Callable[[], Link]
 
@@ -97,8 +99,8 @@ class Station:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Return what is wrong with the compasses, the bad first."""
-        all_of_them = (*self.watch.findings, *self.stale, *self.learning.findings)
+        """Return what is wrong with the compasses or their link, the bad first."""
+        all_of_them = (*self.watch.findings, *self.stale, *self.learning.findings, *_flooding(self.link))
         return tuple(sorted(all_of_them, key=lambda finding: finding.severity != "bad"))
 
     # --- the thread ---------------------------------------------------------------------------------
@@ -222,6 +224,23 @@ class Station:
             self.stale = self._jobs.judge_calibrations(view)
         else:
             self.learning.tend(view)
+
+
+def _flooding(link: Link | None) -> tuple[Finding, ...]:
+    """Say that more messages come than can be read, where they do."""
+    if link is None or link.behind_s() < _FLOODED_S:
+        return ()
+    return (
+        Finding(
+            "link",
+            0,
+            "warning",
+            "Compass: more messages than can be read",
+            f"More messages come on {link.name} than this computer can read: what they tell is late or lost.",
+            "Lower the rates of the vehicle's messages (SRn_*, MAV_n_RATE), or end what else keeps this"
+            " computer busy.",
+        ),
+    )
 
 
 def _wanted_rates(identity: VehicleIdentity, rate_hz: float) -> dict[type[mav.Message], float]:

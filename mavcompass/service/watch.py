@@ -33,7 +33,8 @@ class Finding:
     """Hold one thing that is wrong with a compass in service.
 
     Attributes:
-        id: what was compared: field, dip, agreement, gyro, course, current, age, device, parameters.
+        id: what was compared: field, dip, agreement, gyro, course, current, age, device, parameters; or link.
+        instance: the compass, 0 for none of them.
         short: at most 50 letters, for STATUSTEXT. text: a sentence. remedy: what to do.
         value, limit: what was measured and what is tolerated, in the unit that the text names.
     """
