@@ -1,0 +1,210 @@
+"""The questions of the pre-flight check, each at its limits, with the words that a person is told."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mavcompass import messages as mav
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.enums import EkfFlag
+from mavcompass.heading.witnesses import Witness
+from mavcompass.procedure.check import items
+from mavcompass.procedure.check.items import CheckItem, Reading, Verdict
+
+WORLD = EarthField((200.0, 0.0, 400.0))
+TOTAL, DIP = math.hypot(200.0, 400.0), math.degrees(math.atan2(400.0, 200.0))
+
+
+def with_remedy(item: CheckItem) -> bool:
+    """Whatever does not pass says what to do, and nothing else does."""
+    return bool(item.remedy) is (item.verdict != "pass")
+
+
+def reading(strength: float = 1.0, dip_deg: float = 0.0) -> Reading:
+    dip = math.radians(DIP + dip_deg)
+    return Reading(1, strength * TOTAL * math.cos(dip), strength * TOTAL * math.sin(dip), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("offsets", "verdict", "said"),
+    [
+        ((0.0, 0.0, 0.0), "fail", "Compass 2 has never been calibrated."),
+        ((1.0, 0.0, 0.0), "pass", "Compass 2: offsets 1 mG."),
+        ((-400.0, 300.0, 0.0), "pass", "Compass 2: offsets 500 mG."),
+        ((-401.0, 0.0, 0.0), "warn", "Compass 2: offsets 401 mG."),
+        ((0.0, 0.0, 1799.0), "warn", "Compass 2: offsets 1799 mG."),
+        ((0.0, 1500.0, 1000.0), "fail", "Compass 2: offsets 1803 mG."),
+    ],
+)
+def test_offsets(offsets: tuple[float, float, float], verdict: Verdict, said: str) -> None:
+    item = items.judge_offsets(2, FieldCorrection(offsets))
+    assert (item.name, item.verdict, item.text, item.instance) == ("offsets", verdict, said, 2)
+    assert with_remedy(item) and item.value == max(map(abs, offsets))
+    assert item.limit == 400.0 or verdict == "fail"
+
+
+@pytest.mark.parametrize(
+    ("stretch", "verdict"), [(1.0, "pass"), (1.34, "pass"), (1.36, "warn"), (2.49, "warn"), (2.51, "fail")]
+)
+def test_matrix(stretch: float, verdict: Verdict) -> None:
+    for matrix in ((stretch, 1.0, 1.0), (1.0, 1.0 / stretch, 1.0)):
+        item = items.judge_matrix(1, FieldCorrection(diagonals=matrix))
+        assert item.verdict == verdict and with_remedy(item) and item.limit == 1.35
+        assert item.value == pytest.approx(stretch) and f"axis {stretch:.2f} times the other" in item.text
+    flat = items.judge_matrix(1, FieldCorrection(diagonals=(1.0, 0.0, 1.0)))
+    assert flat.verdict == "fail" and flat.to_json()["value"] is None
+
+
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        ({"COMPASS_DEV_ID": 97539.0, "COMPASS_USE": 1.0}, []),
+        ({}, []),
+        ({"COMPASS_DEV_ID": 0.0, "COMPASS_USE": 1.0}, [("device", "fail", True)]),
+        ({"COMPASS_DEV_ID": 1.0, "COMPASS_USE": 0.0}, [("use", "warn", True)]),
+        ({"COMPASS_DEV_ID": 0.0, "COMPASS_USE": 0.0}, [("device", "fail", True), ("use", "warn", True)]),
+    ],
+)
+def test_device_and_use(parameters: dict[str, float], told: list[tuple[str, str, bool]]) -> None:
+    found = items.judge_device(1, "ardupilot", parameters)
+    assert [(i.name, i.verdict, bool(i.remedy)) for i in found] == told
+    as_px4 = {name.replace("COMPASS_DEV_ID", "CAL_MAG0_ID").replace("COMPASS_USE", "CAL_MAG0_PRIO"): v
+              for name, v in parameters.items()}  # fmt: skip
+    assert [(i.name, i.verdict, bool(i.remedy)) for i in items.judge_device(1, "px4", as_px4)] == told
+
+
+def test_a_second_compass_need_not_be_used() -> None:
+    (item,) = items.judge_device(2, "ardupilot", {"COMPASS_DEV_ID2": 5.0, "COMPASS_USE2": 0.0})
+    assert (
+        item.verdict == "pass"
+        and not item.remedy
+        and "Compass 2 is not used (COMPASS_USE2 is 0)" in item.text
+    )
+
+
+@pytest.mark.parametrize(
+    ("percent", "verdict"),
+    [
+        (0.0, "pass"),
+        (5.9, "pass"),
+        (6.1, "warn"),
+        (-6.1, "warn"),
+        (14.9, "warn"),
+        (15.1, "fail"),
+        (-15.1, "fail"),
+    ],
+)
+def test_strength(percent: float, verdict: Verdict) -> None:
+    strength, dip = items.judge_field(reading(1.0 + percent / 100.0), WORLD)
+    assert strength.verdict == verdict and with_remedy(strength) and dip.verdict == "pass"
+    assert strength.value == pytest.approx(percent, abs=1e-9) and strength.limit == 6.0
+    assert percent == 0.0 or ("stronger" if percent > 0.0 else "weaker") in strength.text
+    assert f"{abs(percent):.1f} %" in strength.text and "(447 mG)" in strength.text
+
+
+@pytest.mark.parametrize(
+    ("degrees", "verdict"),
+    [(2.9, "pass"), (3.1, "warn"), (-3.1, "warn"), (7.9, "warn"), (8.1, "fail"), (-8.1, "fail")],
+)
+def test_dip(degrees: float, verdict: Verdict) -> None:
+    strength, dip = items.judge_field(reading(1.0, degrees), WORLD)
+    assert dip.verdict == verdict and with_remedy(dip) and strength.verdict == "pass"
+    assert dip.value == pytest.approx(degrees) and f"{abs(degrees):.1f} deg" in dip.text and dip.limit == 3.0
+
+
+@pytest.mark.parametrize(
+    ("mgauss", "verdict"), [(184.0, "fail"), (186.0, "pass"), (719.0, "pass"), (721.0, "fail")]
+)
+def test_strength_where_the_place_is_unknown(mgauss: float, verdict: Verdict) -> None:
+    (item,) = items.judge_field(Reading(3, 0.6 * mgauss, -0.8 * mgauss, 0.0), None)
+    assert item.verdict == verdict and with_remedy(item) and item.value == pytest.approx(mgauss)
+    assert f"Compass 3: the field is {mgauss:.0f} mG" in item.text
+
+
+@pytest.mark.parametrize(
+    ("apart_deg", "verdict"), [(0.0, "pass"), (4.9, "pass"), (5.2, "warn"), (14.8, "warn"), (15.2, "fail")]
+)
+def test_agreement(apart_deg: float, verdict: Verdict) -> None:
+    found = items.judge_agreement([Witness(1, 10.0), Witness(2, 10.0 + apart_deg)])
+    assert [i.verdict for i in found] == [verdict] and found[0].name == "agreement"
+    assert items.judge_agreement([Witness(1, 10.0)]) == [] == items.judge_agreement([])
+    if verdict == "pass" and apart_deg == 0.0:
+        assert found[0].text == "The compasses 1, 2 agree with each other." and not found[0].remedy
+    if verdict != "pass":
+        assert found[0].remedy.startswith("Calibrate both") and found[0].limit == 5.0
+
+
+@pytest.mark.parametrize(
+    ("deg_s", "verdict"), [(0.69, "pass"), (0.71, "warn"), (1.99, "warn"), (2.01, "fail")]
+)
+def test_gyro(deg_s: float, verdict: Verdict) -> None:
+    rates = np.radians([[0.6 * deg_s + 0.3, -0.8 * deg_s, 0.0], [0.6 * deg_s - 0.3, -0.8 * deg_s, 0.0]])
+    item = items.judge_gyro(rates)
+    assert item.verdict == verdict and with_remedy(item) and item.value == pytest.approx(deg_s)
+    assert item.instance == 0 and item.limit == 0.7 and f"{deg_s:.2f} deg/s" in item.text
+
+
+def test_stillness() -> None:
+    assert items.judge_stillness(True, "rotating") is None
+    told = items.judge_stillness(False, "rotating")
+    assert told is not None and told.verdict == "warn" and "(it still turns)" in told.text and told.remedy
+    other = items.judge_stillness(False, "nothing was heard")
+    assert other is not None and "(nothing was heard)" in other.text
+
+
+@pytest.mark.parametrize(
+    ("flags", "variance", "verdict"),
+    [
+        (EkfFlag.ATTITUDE, 0.49, "pass"), (EkfFlag.ATTITUDE, 0.51, "warn"), (EkfFlag.ATTITUDE, 0.79, "warn"),
+        (EkfFlag.ATTITUDE, 0.81, "fail"), (0, 0.1, "fail"),
+        (EkfFlag.ATTITUDE | EkfFlag.UNINITIALIZED, 0.1, "fail"),
+        (EkfFlag.ATTITUDE | 64, 0.1, "pass"),
+    ],
+)  # fmt: skip
+def test_estimator(flags: int, variance: float, verdict: Verdict) -> None:
+    assert items.judge_estimator(None) is None
+    item = items.judge_estimator(mav.EkfStatusReport(flags=flags, compass_variance=variance))
+    assert item is not None and item.verdict == verdict and with_remedy(item)
+
+
+def test_prearm_texts_about_the_compass_are_passed_on_once() -> None:
+    texts = [
+        "PreArm: Compass not calibrated", "PreArm: Compass not calibrated", "Arm: Check mag field: 900",
+        "Preflight Fail: MAGNETOMETER 0", "PreArm: GPS 1: not healthy", "Compass 1 calibrated", "compass",
+    ]  # fmt: skip
+    found = items.judge_prearm(texts)
+    assert [i.text for i in found] == [
+        'The autopilot says "PreArm: Compass not calibrated".',
+        'The autopilot says "Arm: Check mag field: 900".',
+        'The autopilot says "Preflight Fail: MAGNETOMETER 0".',
+    ]
+    assert all(i.verdict == "fail" and i.remedy == "Calibrate." for i in found)
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "sigma_deg", "verdict"),
+    [
+        (2.9, 0.5, "pass"), (3.1, 0.5, "warn"), (-3.1, 0.5, "warn"), (7.9, 0.5, "warn"), (8.1, 0.5, "fail"),
+        (5.9, 2.0, "pass"), (6.1, 2.0, "warn"), (11.9, 2.0, "warn"), (12.1, 2.0, "fail"),
+        (362.9, 0.5, "pass"),
+    ],
+)  # fmt: skip
+def test_turn(off_deg: float, sigma_deg: float, verdict: Verdict) -> None:
+    item = items.judge_turn(1, 90.0 + off_deg, 90.0, sigma_deg)
+    assert item.verdict == verdict and with_remedy(item) and item.limit == max(3.0, 3.0 * sigma_deg)
+    assert "the gyro one of 90.0 deg" in item.text and f"a turn of {90.0 + off_deg:.1f} deg" in item.text
+
+
+def test_the_worst_counts_and_what_is_unknown_is_null() -> None:
+    assert items.worst([]) == "pass" and items.worst(["pass", "warn"]) == "warn"
+    assert items.worst(["fail", "warn", "pass"]) == "fail"
+    told = CheckItem("turn", "warn", "t", "r", 0, math.nan, 3.0).to_json()
+    assert told == {
+        "name": "turn", "compass": None, "verdict": "warn", "text": "t", "remedy": "r",
+        "value": None, "limit": 3.0,
+    }  # fmt: skip
+    assert CheckItem("turn", "warn", "t", "r", 2, 1.5).to_json()["compass"] == 2
