@@ -12,12 +12,11 @@ _ON_THE_GROUND = frozenset({"rover", "ackermann-rover", "boat"})
 
 
 def moving_average(time_s: FloatArray, values: FloatArray, width_s: float) -> FloatArray:
-    """Average over a centred window of a fixed length in time, column by column."""
-    total = np.vstack([np.zeros(values.shape[1:])[np.newaxis], np.cumsum(values, axis=0)])
+    """Average columns, (N, k), over a centred window of a fixed length in time."""
+    total = np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
     first = np.searchsorted(time_s, time_s - width_s / 2.0, side="left")
     last = np.searchsorted(time_s, time_s + width_s / 2.0, side="right")
-    count = (last - first).astype(np.float64)
-    return (total[last] - total[first]) / (count[:, np.newaxis] if values.ndim == 2 else count)
+    return np.asarray((total[last] - total[first]) / (last - first)[:, np.newaxis])
 
 
 def down_in_body(track: Track, time_s: FloatArray) -> FloatArray:

@@ -1,0 +1,181 @@
+"""What a recording is refused for before anything is fitted, and compasses held against each other."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from calibration_worlds import FIELD, Iron, turning_track
+
+from mavcompass.calibration import calibrate
+from mavcompass.calibration.calibrate import _check_compass, _held_against, _turned
+from mavcompass.calibration.methods.four_positions import _references, calibrate_still
+from mavcompass.calibration.recorded import Recorded
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.errors import BadRecording, PoorCalibration
+from mavcompass.frames import FloatArray
+from mavcompass.heading.stream import HeadingResult
+from mavcompass.track import InForce, MagSeries, Series, Track
+
+TIME = np.arange(200.0) * 0.1
+
+
+def recording(field: FloatArray, deg_s: float = 0.0, correction: FieldCorrection | None = None) -> Track:
+    gyro = np.zeros((200, 3))
+    gyro[:, 1] = math.radians(deg_s)
+    in_force = (InForce(-np.inf, correction or FieldCorrection()),)
+    return Track(
+        source="x.tlog",
+        compasses={1: MagSeries(1, Series.of(TIME, field), in_force)},
+        gyro_radps=Series.of(TIME, gyro),
+    )
+
+
+def swinging(mgauss: float, mean: tuple[float, float, float] = (200.0, 0.0, 400.0)) -> FloatArray:
+    """Swing by so much from end to end, 1 % of the readings beyond it on either side."""
+    field = np.tile(np.asarray(mean), (200, 1))
+    field[:, 1] += mgauss * (np.arange(200) % 2 - 0.5)
+    field[0, 1], field[1, 1] = 1e4, -1e4
+    return field
+
+
+def test_a_compass_that_is_not_there_is_named_with_those_that_are() -> None:
+    with pytest.raises(BadRecording, match=r"x.tlog has no readings of compass 2 \(it has: 1\)"):
+        _check_compass(recording(swinging(9.0)), 2)
+    with pytest.raises(BadRecording, match=r"The recording has no readings of compass 1 \(it has: none\)"):
+        _check_compass(Track(), 1)
+    with pytest.raises(BadRecording):
+        _check_compass(recording(np.empty((0, 3))) if False else Track(compasses={1: empty()}), 1)
+
+
+def empty() -> MagSeries:
+    return MagSeries(1, Series.of([], np.empty((0, 3))))
+
+
+@pytest.mark.parametrize(
+    ("swing", "deg_s", "refused"),
+    [
+        (2.9, 20.0, True),
+        (3.1, 20.0, False),
+        (2.9, 0.0, False),
+        (2.9, 2.9, False),
+        (2.9, 3.1, True),
+        (2.9, -3.1, True),
+    ],
+)
+def test_a_reading_that_does_not_change_while_the_vehicle_turns_is_frozen(
+    swing: float, deg_s: float, refused: bool
+) -> None:
+    track = recording(swinging(swing), deg_s)
+    if refused:
+        with pytest.raises(PoorCalibration, match="Compass 1 is frozen"):
+            _check_compass(track, 1)
+    else:
+        _check_compass(track, 1)
+
+
+@pytest.mark.parametrize(("raw_mgauss", "silent"), [(19.0, True), (21.0, False)])
+def test_a_compass_that_reads_its_offsets_alone_is_silent(raw_mgauss: float, silent: bool) -> None:
+    offsets = FieldCorrection((120.0, -80.0, 40.0))
+    track = recording(swinging(1.0, (120.0 + raw_mgauss, -80.0, 40.0)), 0.0, offsets)
+    if silent:
+        with pytest.raises(PoorCalibration, match="reads only its offsets"):
+            _check_compass(track, 1)
+    else:
+        _check_compass(track, 1)
+    with pytest.raises(PoorCalibration, match="reads only its offsets"):
+        _check_compass(recording(np.full((200, 3), np.nan)), 1)
+
+
+@pytest.mark.parametrize(("deg_s", "turned"), [(3.1, True), (2.9, False), (-20.0, True)])
+def test_a_turn_is_what_no_bias_makes(deg_s: float, turned: bool) -> None:
+    assert _turned(recording(swinging(1.0), deg_s)) is turned
+    assert not _turned(Track())
+
+
+def test_a_turn_of_45_degrees_is_one() -> None:
+    for degrees, turned in ((44.0, False), (46.0, True)):
+        track = recording(swinging(1.0))
+        assert track.gyro_radps is not None
+        track.gyro_radps.values[10:20, 2] = math.radians(degrees)
+        assert _turned(track) is turned
+
+
+def headings(degrees: float, count: int = 50) -> HeadingResult:
+    zero = np.zeros(count)
+    return HeadingResult(np.linspace(0.0, 10.0, count), zero + math.radians(degrees), zero, zero)
+
+
+@pytest.mark.parametrize(
+    ("others_deg", "refused"),
+    [
+        ((29.0,), False),
+        ((31.0,), True),
+        ((-31.0,), True),
+        ((31.0, 5.0), False),
+        ((31.0, 180.0), True),
+        ((), False),
+    ],
+)
+def test_a_compass_turned_against_all_others_is_refused(others_deg: tuple[float, ...], refused: bool) -> None:
+    known = {1: headings(0.0), **{k + 2: headings(d, 30 + k) for k, d in enumerate(others_deg)}}
+    result: Any = calibrate._refused(recording(swinging(9.0)), "four-positions", 1, PoorCalibration("none"))
+    result = replace(result, accepted=True, reasons=())
+    told = _held_against(result, 1, known)
+    assert told.accepted is not refused
+    if refused:
+        words = ", ".join(f"{-d:+.0f} degrees against compass {k + 2}" for k, d in enumerate(others_deg))
+        assert words.replace("-180", "+180") in told.reasons[0].replace("-180", "+180")
+    assert _held_against(result, 9, known) is result
+
+
+def test_what_has_no_solution_keeps_what_is_in_force() -> None:
+    kept = FieldCorrection((120.0, -80.0, 40.0))
+    refused = calibrate._refused(
+        recording(swinging(9.0), 0.0, kept), "sphere", 1, PoorCalibration("It is flat.", "Turn it.")
+    )
+    assert not refused.accepted and refused.correction == refused.in_force == kept
+    assert (
+        refused.raw_offset_mgauss == pytest.approx([-120.0, 80.0, -40.0])
+        and "It is flat." in refused.reasons[0]
+    )
+
+
+def test_three_still_positions_are_enough() -> None:
+    for turns, count in (((120.0, 120.0), 3), ((205.0,), 2)):
+        recorded = Recorded(turning_track(Iron((30.0, -20.0, 5.0)), turns_deg=turns), 1, FIELD)
+        if count == 3:
+            assert calibrate_still(recorded, None).raw_offset_mgauss[:2] == pytest.approx(
+                [30.0, -20.0], abs=3.0
+            )
+        else:
+            with pytest.raises(PoorCalibration, match="stood still at 2 places only"):
+                calibrate_still(recorded, None)
+
+
+def test_a_yaw_by_satellites_is_a_position_s_heading_where_it_was_told_lately() -> None:
+    place = Series.of([0.0], np.array([[47.4, 8.5, 400.0]]))
+    dwells: Any = type(
+        "Data", (), {"dwells": [type("D", (), {"start_s": s, "end_s": s + 2.0}) for s in (0.0, 10.0, 20.0)]}
+    )
+    yaw = Series.of([2.9, 11.2], np.array([0.5, 1.5]))
+    seen = _references(Recorded(Track(place=place, gps_yaw_rad=yaw, utc_offset_s=1.78e9), 1), dwells)
+    assert seen is not None and np.isnan(seen[2]) and seen[1] - seen[0] == pytest.approx(1.0)
+    assert 0.0 < 0.5 - seen[0] < 0.1  # less the declination of about three degrees
+    assert _references(Recorded(Track(gps_yaw_rad=yaw), 1), dwells) is None
+    assert _references(Recorded(Track(place=place), 1), dwells) is None
+    assert _references(Recorded(Track(place=place, gps_yaw_rad=Series.of([], [])), 1), dwells) is None
+
+
+def test_a_place_is_asked_for_only_where_the_world_is_wanted() -> None:
+    track = turning_track(Iron((30.0, -20.0, 5.0)))
+    with_world = calibrate.calibrate_track(track, "four-positions", earth=EarthField((232.0, 52.7, -528.9)))
+    without = calibrate.calibrate_track(
+        track, "four-positions", earth=EarthField((232.0, 52.7, -528.9)), use_world_model=False
+    )
+    assert with_world.vertical_mgauss == pytest.approx(-528.9, abs=20.0)
+    assert without.correction.offsets_mgauss[2] == 0.0 != with_world.correction.offsets_mgauss[2]

@@ -1,0 +1,147 @@
+"""How sure a recording's heading is, and which way is down in it: against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mavcompass.earth_field import EarthField
+from mavcompass.errors import BadRecording
+from mavcompass.heading import stream
+from mavcompass.heading.gravity import down_in_body, moving_average
+from mavcompass.heading.stream import earth_field_of, heading_of_track
+from mavcompass.track import MagSeries, Series, Track
+
+TIME = np.arange(50.0) * 0.1
+WORLD = EarthField((200.0, 0.0, 400.0))
+LEVEL = np.tile([0.0, 0.0, 1.0], (50, 1))
+TILT = math.radians(0.3)
+
+
+def test_a_good_compass_is_as_sure_as_its_tilt() -> None:
+    field = np.tile([200.0, 0.0, 400.0], (50, 1))
+    sigma = stream._magnetic_sigma(field, LEVEL, WORLD, False)
+    assert sigma == pytest.approx(np.full(50, TILT * 2.0))
+    assert stream._magnetic_sigma(field, LEVEL, None, False) == pytest.approx(sigma)
+
+
+def test_a_field_that_is_too_long_or_short_is_less_sure() -> None:
+    length = 200.0 + 10.0 * np.where(np.arange(50) % 2, 1.0, -1.0)
+    field = np.stack([length, 0.0 * length, 400.0 + 0.0 * length], axis=1)
+    expected = math.hypot(10.0 / 200.0, TILT * 2.0)
+    assert stream._magnetic_sigma(field, LEVEL, WORLD, False) == pytest.approx(np.full(50, expected))
+    weak = EarthField((100.0, 0.0, 400.0))
+    expected = math.hypot(math.sqrt(np.mean((length - 100.0) ** 2)) / 100.0, TILT * 4.0)
+    assert stream._magnetic_sigma(field, LEVEL, weak, False)[0] == pytest.approx(expected)
+    assert stream._magnetic_sigma(100.0 * field, LEVEL, weak, False).max() == math.pi
+
+
+def test_two_axes_are_less_sure_the_more_it_leans() -> None:
+    lean = 0.3
+    down = np.tile([math.sin(lean), 0.0, math.cos(lean)], (50, 1))
+    field = np.tile([200.0 * math.cos(lean) + 400.0 * math.sin(lean), 0.0,
+                     400.0 * math.cos(lean) - 200.0 * math.sin(lean)], (50, 1))  # fmt: skip
+    world = EarthField((200.0, 0.0, 400.0), sigma_mgauss=(3.0, 4.0, 12.0))
+    plain = stream._magnetic_sigma(field, down, world, False)[0]
+    z_sigma = 13.0 * world.total_mgauss / field[0, 2]
+    both = stream._magnetic_sigma(field, down, world, True)[0]
+    assert both == pytest.approx(math.hypot(plain, z_sigma * math.sin(lean) / 200.0))
+    assert stream._magnetic_sigma(field, LEVEL, world, True)[0] == pytest.approx(
+        stream._magnetic_sigma(field, LEVEL, world, False)[0]
+    )
+    flat = field.copy()
+    flat[:, 2] = 0.0  # where the root is not told, a twentieth of the field
+    assert stream._magnetic_sigma(flat, down, world, True)[0] ** 2 - stream._magnetic_sigma(
+        flat, down, world, False
+    )[0] ** 2 == pytest.approx((13.0 * 20.0 * math.sin(lean) / 200.0) ** 2)
+
+
+def placed(**more: object) -> Track:
+    place = Series.of(TIME, np.tile([47.4, 8.5, 400.0], (50, 1)))
+    field = np.tile([200.0, 0.0, 400.0], (50, 1))
+    values = {"place": place, "compasses": {1: MagSeries(1, Series.of(TIME, field))}, **more}
+    return Track(source="x", **values)  # type: ignore[arg-type]
+
+
+def test_the_true_heading_is_less_sure_by_the_declination() -> None:
+    result = heading_of_track(placed(utc_offset_s=1.78e9))
+    world = earth_field_of(placed(utc_offset_s=1.78e9))
+    assert world is not None and result.true_rad is not None and result.grid_rad is not None
+    assert result.sigma_rad == pytest.approx(np.hypot(result.magnetic_sigma_rad, world.declination_sigma_rad))
+    assert result.true_rad == pytest.approx(np.full(50, world.declination_rad))
+    assert result.declination_rad == world.declination_rad != 0.0
+    assert not np.allclose(result.grid_rad, result.true_rad)
+    nowhere = heading_of_track(placed(place=None))
+    assert nowhere.true_rad is None and nowhere.grid_rad is None and math.isnan(nowhere.declination_rad)
+    assert nowhere.sigma_rad is nowhere.magnetic_sigma_rad
+
+
+def test_a_place_counts_where_it_is_known() -> None:
+    zero = Series.of(TIME, np.zeros((50, 3)))
+    assert earth_field_of(placed(place=zero)) is None and earth_field_of(placed(place=None)) is None
+    assert earth_field_of(placed(place=Series.of([], np.empty((0, 3))))) is None
+    some = np.full((50, 3), np.nan)
+    some[7] = [47.4, 8.5, 400.0]
+    late = earth_field_of(placed(place=Series.of(TIME, some)))
+    assert late is not None and late.declination_rad == pytest.approx(math.radians(3.5), abs=0.02)
+    # The date matters by a tenth of a degree a year; without one it is the middle of the model's years.
+    dated, unknown = earth_field_of(placed(utc_offset_s=1.74e9)), earth_field_of(placed())
+    assert dated is not None and unknown is not None
+    assert 0.001 < unknown.declination_rad - dated.declination_rad < 0.01
+
+
+def test_what_is_asked_of_a_recording_has_to_be_there() -> None:
+    with pytest.raises(BadRecording, match=r"x has no readings of compass 2 \(it has: 1\)"):
+        heading_of_track(placed(), instance=2)
+    with pytest.raises(BadRecording, match=r"The recording has no readings of compass 1 \(it has: none\)"):
+        heading_of_track(Track())
+    with pytest.raises(BadRecording, match="does not tell its place"):
+        heading_of_track(placed(place=None), two_axis=True)
+
+
+def test_a_moving_average_is_of_what_is_near_in_time() -> None:
+    time = np.array([0.0, 0.1, 0.2, 5.0, 5.25, 5.5])
+    values = np.array([[1.0, 0.0], [2.0, 0.0], [6.0, 3.0], [0.0, 1.0], [3.0, 1.0], [9.0, 1.0]])
+    mean = moving_average(time, values, 0.5)
+    assert mean[:, 0].tolist() == [3.0, 3.0, 3.0, 1.5, 4.0, 6.0] and mean[:, 1].tolist() == [1.0] * 6
+
+
+FORCE = Series.of(TIME, np.tile([0.0, -4.9033, -8.4928], (50, 1)))  # rolled by 30 degrees
+NOTHING, UNKNOWN = Series.of([], np.empty((0, 3))), Series.of(TIME, np.full((50, 3), np.nan))
+ATTITUDE = Series.of(TIME, np.tile([math.radians(10.0), math.radians(-20.0), 1.0], (50, 1)))
+
+
+@pytest.mark.parametrize(
+    ("track", "roll_deg", "pitch_deg"),
+    [
+        (Track(), 0.0, 0.0),
+        (Track(acc_mps2=FORCE), 30.0, 0.0),
+        (Track(attitude_rad=ATTITUDE), 10.0, -20.0),
+        (Track(acc_mps2=FORCE, attitude_rad=ATTITUDE, vehicle="copter"), 10.0, -20.0),
+        (Track(acc_mps2=FORCE, attitude_rad=ATTITUDE, vehicle="rover"), 30.0, 0.0),
+        (Track(acc_mps2=FORCE, attitude_rad=ATTITUDE, vehicle="boat"), 30.0, 0.0),
+        (Track(acc_mps2=NOTHING, attitude_rad=ATTITUDE, vehicle="rover"), 10.0, -20.0),
+        (Track(acc_mps2=UNKNOWN, attitude_rad=ATTITUDE, vehicle="boat"), 10.0, -20.0),
+        (Track(acc_mps2=FORCE, attitude_rad=UNKNOWN), 30.0, 0.0),
+    ],
+)  # fmt: skip
+def test_down_is_the_accelerometers_on_the_ground_and_the_estimators_in_flight(
+    track: Track, roll_deg: float, pitch_deg: float
+) -> None:
+    x, y, z = down_in_body(track, np.array([2.0]))[0]
+    assert math.degrees(math.atan2(y, z)) == pytest.approx(roll_deg, abs=0.01)
+    assert math.degrees(math.asin(-x)) == pytest.approx(pitch_deg, abs=0.01)
+    assert math.hypot(x, y, z) == pytest.approx(1.0)
+
+
+def test_shaking_averages_out_of_down_over_six_tenths_of_a_second() -> None:
+    force = np.tile([0.0, 0.0, -9.8], (50, 1))
+    force[20, 0] = -7.0
+    down = down_in_body(Track(acc_mps2=Series.of(TIME, force)), TIME)
+    assert down[20, 0] == pytest.approx(7.0 / 9.8 / 6.5, rel=0.1)  # one of six or seven readings
+    assert (down[:, 0] > 0.0).sum() in (6, 7)
+    holed = force.copy()
+    holed[30] = np.nan
+    assert np.isfinite(down_in_body(Track(acc_mps2=Series.of(TIME, holed)), TIME)).all()

@@ -1,0 +1,217 @@
+"""The autopilot's own heading: how its error is judged, and when a helping hand helps."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass import messages as mav
+from mavcompass.procedure.autopilot_heading import OwnHeading
+from mavcompass.procedure.report import AutopilotHeading
+from mavcompass.procedure.script import Context, Machine, Show, Tick, nothing
+
+
+def own(
+    samples: list[tuple[float, float]] | None = None,
+    kind: str = "rover",
+    armed: bool = False,
+    variance: float | None = 0.1,
+    how: str = "a switch",
+    loads_disarmed: bool = False,
+    noisy_s: float = 0.0,
+) -> OwnHeading:
+    """Watch an autopilot whose error was seen at these times, degrees; `how` it takes a heading over."""
+    took: list[bool] = []
+
+    def take(context: Any, parameters: Any, flying: bool) -> Any:
+        took.append(flying)
+        return nothing(how)
+
+    desk: Any = SimpleNamespace(
+        context=Context(now=100.0),
+        identity=SimpleNamespace(kind=kind, autopilot="ardupilot"),
+        state=SimpleNamespace(
+            armed=armed, ekf=None if variance is None else mav.EkfStatusReport(compass_variance=variance)
+        ),
+        rest=SimpleNamespace(
+            time_s=50.0, for_s=lambda: 9.0, detector=SimpleNamespace(averaging_s=lambda tilt, field: noisy_s)
+        ),
+        dialect=SimpleNamespace(
+            loads_disarmed=loads_disarmed,
+            take_compass_yaw=take,
+            load_written=lambda context, values: nothing(how),
+        ),
+        parameters={},
+        took=took,
+    )
+    watched = OwnHeading(desk, 2026.5)
+    watched.samples = list(samples or [])
+    watched._latest_deg = watched.samples[-1][1] if watched.samples else math.nan
+    return watched
+
+
+def falling(from_deg: float, dps: float, seconds: float = 8.0) -> list[tuple[float, float]]:
+    return [(20.0 + t, from_deg + dps * t) for t in np.arange(0.0, seconds + 0.01, 0.4)]
+
+
+def test_a_slope_is_that_of_the_last_eight_seconds() -> None:
+    assert math.isnan(own().slope_dps) and math.isnan(own().worst_deg) and math.isnan(own().error_deg)
+    assert own(falling(5.0, -0.25)).slope_dps == pytest.approx(-0.25)
+    before = [(float(t), 90.0) for t in range(12)]
+    assert own(before + falling(5.0, -0.25)).slope_dps == pytest.approx(-0.25)
+    # 3.2 seconds tell it; of noisy sensors, whose samples are longer, more.
+    assert math.isnan(own(falling(5.0, -0.25, 2.9)).slope_dps)
+    assert own(falling(5.0, -0.25, 3.6)).slope_dps == pytest.approx(-0.25)
+    assert math.isnan(own(falling(5.0, -0.25, 6.0), noisy_s=2.4).slope_dps)
+    assert own(falling(5.0, -0.25, 6.8), noisy_s=2.4).slope_dps == pytest.approx(-0.25)
+    assert own(noisy_s=99.0)._sample_s == 5.0 and own(noisy_s=0.1)._sample_s == 1.2
+
+
+def test_the_worst_is_what_it_will_come_to() -> None:
+    grows = own(falling(1.0, 0.1))
+    assert grows.error_deg == pytest.approx(1.8) and grows.worst_deg == pytest.approx(1.8 + 17.0 * 0.1)
+    back = own(falling(-3.0, 0.3))
+    assert back.worst_deg == pytest.approx(abs(-0.6 + 17.0 * 0.3))  # past zero, to the other side
+    assert own(falling(5.0, -0.05)).worst_deg == pytest.approx(4.6)
+    # Without a compass nothing stops it for a minute.
+    aside = own(falling(1.0, 0.1), variance=0.0)
+    assert aside.set_aside and aside.worst_deg == pytest.approx(1.8 + 60.0 * 0.1)
+    assert not own(variance=None).set_aside and not own(variance=1e-9).set_aside
+
+
+@pytest.mark.parametrize(
+    ("samples", "given", "helps"),
+    [
+        (falling(5.0, -0.2), {}, True),  # it falls by more than a hundredth of itself a second
+        (falling(5.0, -0.03), {}, False),  # the bias is yet to go
+        (falling(-5.0, 0.2), {}, True),
+        (falling(5.0, 0.2), {}, False),
+        (falling(2.6, -0.1), {}, False),  # 1.8 degrees are not worth it
+        (falling(5.0, -0.2), {"kind": "copter", "armed": True}, False),
+        (falling(5.0, -0.2), {"kind": "copter"}, True),
+        (falling(5.0, 0.2), {"loads_disarmed": True}, True),  # what has slid off does not come back
+        (falling(5.0, 0.2, 1.0), {"loads_disarmed": True}, False),
+    ],
+)
+def test_taking_the_yaw_over_helps_once_the_bias_is_unlearned(
+    samples: list[tuple[float, float]], given: dict[str, Any], helps: bool
+) -> None:
+    watched = own(samples, **given)
+    assert bool(watched._may_help()) is helps
+    watched._has_a_way = False
+    assert not watched._may_help()
+
+
+def run(script: Any, watched: OwnHeading) -> Any:
+    machine = Machine(lambda context: script)
+    machine.context = watched.desk.context
+    machine.step(Tick(100.0))
+    assert machine.done, "it waits"
+    if machine.error:
+        raise machine.error
+    return machine.result
+
+
+def shown(watched: OwnHeading) -> list[str]:
+    return [a.text for a in watched.desk.context.outbox if isinstance(a, Show)]
+
+
+def test_what_took_it_over_is_noted_and_the_samples_begin_anew() -> None:
+    watched = own(falling(5.0, -0.2))
+    assert run(watched._put_right(-7.25), watched) is True
+    assert watched.by == ["a switch"] and not watched.samples and watched.desk.took == [False]  # type: ignore[attr-defined]
+    assert watched._not_before_s == pytest.approx(50.0 + 0.8 + 1.2)
+    none = own(falling(5.0, -0.2), how="")
+    assert run(none._put_right(5.0), none) is False and none.by == [] and none.samples and not none._has_a_way
+    assert shown(none) == []
+
+
+@pytest.mark.parametrize(("before", "has_a_way"), [(2, True), (4, False)])
+def test_what_so_many_loads_have_not_brought_right_another_will_not(before: int, has_a_way: bool) -> None:
+    watched = own(loads_disarmed=True, how="a load")
+    watched._values, watched.by = {"CAL_MAG0_XOFF": 0.1}, ["a load"] * before
+    assert run(watched._take_over(), watched) == "a load" and watched._has_a_way is has_a_way
+    flying = own(loads_disarmed=True, armed=True)
+    flying._values = {"CAL_MAG0_XOFF": 0.1}
+    assert run(flying._take_over(), flying) == "" and not flying._has_a_way
+
+
+def test_before_a_turn_it_takes_the_yaw_over_if_it_knows_a_way() -> None:
+    watched = own()
+    run(watched.keep_up(), watched)
+    assert watched.desk.took == [False] and watched.by == []  # type: ignore[attr-defined]
+    watched._has_a_way = False
+    run(watched.keep_up(), watched)
+    assert watched.desk.took == [False]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("rest_s", "not_before_s", "flying", "looks"),
+    [(1.3, -math.inf, False, True), (1.1, -math.inf, False, False), (1.1, -math.inf, True, True),
+     (9.0, 50.0, False, True), (9.0, 50.1, False, False)],
+)  # fmt: skip
+def test_it_is_looked_at_where_the_vehicle_has_rested(
+    rest_s: float, not_before_s: float, flying: bool, looks: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watched = own(kind="copter" if flying else "rover", armed=flying)
+    watched.desk.rest.for_s = lambda: rest_s  # type: ignore[method-assign]
+    watched._not_before_s = not_before_s
+    seen: list[tuple[float, float]] = []
+    monkeypatch.setattr(OwnHeading, "_sample", lambda self, a, b: seen.append((a, b)))
+    watched._look()
+    assert seen == ([(pytest.approx(48.8), 50.0)] if looks else [])
+
+
+@pytest.mark.parametrize(
+    ("way", "kind", "armed", "patience_s"),
+    [(True, "rover", True, 120.0), (False, "rover", True, 45.0), (True, "copter", True, 45.0),
+     (True, "copter", False, 120.0)],
+)  # fmt: skip
+def test_it_is_waited_for_longer_where_it_can_be_helped(
+    way: bool, kind: str, armed: bool, patience_s: float
+) -> None:
+    watched = own(kind=kind, armed=armed)
+    watched._has_a_way = way
+    assert watched._patience_s() == patience_s
+
+
+def test_the_outcome_names_each_way_once() -> None:
+    watched = own(falling(5.0, -0.2))
+    watched.before_deg, watched._written_s, watched.by = 9.0, 60.0, ["a switch", "a load", "a switch"]
+    told = watched.outcome()
+    assert (told.error_before_deg, told.seconds, told.by) == (9.0, 40.0, "a switch, a load")
+    assert told.error_after_deg == pytest.approx(3.4)
+    watched.by = []
+    assert watched.outcome().by == "its own filter"
+    watched.restarted()
+    assert watched.by == ["a restart"] and not watched.samples and math.isnan(watched.error_deg)
+
+
+def heading(before: float = -8.0, after: float = 1.0, worst: float = 1.5, **more: bool) -> AutopilotHeading:
+    return AutopilotHeading(before, after, "a switch", 30.0, worst, **more)
+
+
+@pytest.mark.parametrize(
+    ("told", "off", "says"),
+    [
+        (heading(), False, "was 8.0 deg off at the write and is 1.0 deg off now, by a switch"),
+        (heading(worst=2.0), False, "is 1.0 deg off now"),
+        (heading(after=-1.9, worst=2.1), True, "still steers 1.9 deg off; restart it"),
+        (heading(after=-1.9, worst=math.nan), False, "is 1.9 deg off now"),
+        (heading(after=-2.1, worst=math.nan), True, "still steers 2.1 deg off;"),
+        (
+            heading(after=3.0, worst=9.0, set_aside=True),
+            True,
+            "3.0 deg off and has set its compasses aside; restart",
+        ),
+        (heading(after=math.nan, worst=math.nan), False, "could not be told"),
+        (heading(not_loaded=True), True, "still flies by the old calibration"),
+    ],
+)
+def test_what_a_person_is_told_of_it(told: AutopilotHeading, off: bool, says: str) -> None:
+    assert told.is_off is off and says in told.summary()
+    assert told.known is math.isfinite(told.error_after_deg)
