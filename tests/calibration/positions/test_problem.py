@@ -1,0 +1,272 @@
+"""What a four-position fit starts from, and what it is told to be unsure of: against closed forms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from calibration_worlds import FIELD, Iron, four_positions
+
+from mavcompass.calibration.model import (
+    GAIN,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    HEADINGS,
+    HORIZONTAL,
+    MOTOR,
+    OFFSET,
+    VERTICAL,
+    gain_parameters,
+    level_to_body,
+)
+from mavcompass.calibration.observation import FourPositionData, Step
+from mavcompass.calibration.positions import DEFAULT_PRIOR, PositionProblem, next_pose, solve_four_positions
+from mavcompass.calibration.positions.budget import _source_of
+from mavcompass.calibration.positions.fit import _evaluate, fit_positions, weigh_cross_terms
+from mavcompass.calibration.positions.observability import unobserved
+from mavcompass.calibration.positions.problem import _by_tilt
+from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import wrap_pi
+
+GAIN_XY = np.array([[1.1, 0.03, 0.0], [0.03, 0.95, 0.0], [0.0, 0.0, 1.025]])
+IRON = Iron((60.0, -40.0, 25.0), GAIN_XY)
+
+
+def problem_of(
+    data: FourPositionData | None = None, earth: Any = FIELD, in_force: Any = IDENTITY
+) -> PositionProblem:
+    return PositionProblem.of(data or four_positions(IRON), in_force, earth, DEFAULT_PRIOR)
+
+
+def true_state(data: FourPositionData, first: float = 0.4) -> Any:
+    state = np.zeros(HEADINGS + len(data.dwells))
+    state[OFFSET], state[GAIN] = IRON.offset, gain_parameters(GAIN_XY)
+    state[HORIZONTAL], state[VERTICAL] = FIELD.horizontal_mgauss, FIELD.ned_mgauss[2]
+    state[HEADINGS:] = first + data.turned_rad
+    return state
+
+
+@pytest.mark.parametrize("first", [0.0, 0.4, 2.0, 3.5, 5.5])
+def test_exact_readings_start_at_the_truth(first: float) -> None:
+    """A gain whose vertical part is the mean of the horizontal ones, as the start supposes it."""
+    data = four_positions(IRON, first=first)
+    problem = problem_of(data)
+    assert not problem.mirrored
+    state = problem.start
+    assert state[OFFSET] == pytest.approx(IRON.offset, abs=1e-6)
+    assert state[GAIN] == pytest.approx(gain_parameters(GAIN_XY), abs=1e-9)
+    assert wrap_pi(state[HEADINGS:] - first - data.turned_rad) == pytest.approx(np.zeros(4), abs=1e-9)
+    residual, _, field = _evaluate(problem, state, np.ones(4))
+    assert np.abs(field).max() < 1e-6 and np.abs(residual[:15]).max() < 0.02  # but for the prior
+
+
+def test_a_field_that_turns_the_wrong_way_is_mirrored() -> None:
+    iron = Iron((20.0, 10.0, 0.0), np.diag([1.0, -1.0, -1.0]))
+    problem = problem_of(four_positions(iron))
+    assert problem.mirrored and problem.start[GAIN][:2] == pytest.approx([1.0, 1.0])
+    assert problem.start[OFFSET][:2] == pytest.approx([20.0, 10.0])
+
+
+def test_without_a_world_the_fields_own_size_is_taken() -> None:
+    in_force = FieldCorrection((-60.0, 40.0, -25.0))
+    problem = problem_of(four_positions(IRON), None, in_force)
+    assert problem.start[HORIZONTAL] == pytest.approx(
+        FIELD.horizontal_mgauss * math.sqrt(1.1 * 0.95 - 0.03**2)
+    )
+    assert problem.start[VERTICAL] == pytest.approx(1.025 * FIELD.ned_mgauss[2])
+    held = problem.sigma
+    assert held[HORIZONTAL] == 0.5 * problem.start[HORIZONTAL] and held[2] == 100.0
+    assert held[VERTICAL] == 0.5 * abs(problem.start[VERTICAL]) and problem.centre[2] == 25.0
+    weak = replace(FIELD, ned_mgauss=(232.0, 52.7, 60.0))
+    assert problem_of(four_positions(Iron(), earth=weak), None).sigma[VERTICAL] == 50.0
+
+
+def test_before_the_data_everything_has_its_sigma() -> None:
+    data = replace(four_positions(IRON), gyro_scale_sigma=0.02, gyro_bias_sigma_radps=0.003)
+    problem = problem_of(data)
+    sigma, centre = problem.sigma, problem.centre
+    assert (
+        sigma[GAIN].tolist() == [0.25, 0.25, math.inf, 0.04, 0.04, 0.04]
+        and problem.vertical_gain_sigma == 0.05
+    )
+    assert centre[GAIN].tolist() == [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    assert (sigma[GYRO_SCALE], sigma[GYRO_BIAS]) == (0.02, 0.003) and sigma[MOTOR].tolist() == [0.5] * 3
+    assert np.isinf(sigma[OFFSET]).all() and np.isinf(sigma[HEADINGS:]).all()
+    north, east, down = FIELD.sigma_mgauss
+    d = FIELD.declination_rad
+    along = math.hypot(north * math.cos(d), east * math.sin(d))
+    assert sigma[HORIZONTAL] == pytest.approx(math.hypot(along, 5.0))
+    assert sigma[VERTICAL] == pytest.approx(math.hypot(down, 5.0))
+    assert (
+        centre[HORIZONTAL] == pytest.approx(FIELD.horizontal_mgauss)
+        and centre[VERTICAL] == FIELD.ned_mgauss[2]
+    )
+    none = problem_of(replace(data, gyro_scale_sigma=0.0, gyro_bias_sigma_radps=0.0)).sigma
+    assert none[GYRO_SCALE] == none[GYRO_BIAS] == 1e-9
+
+
+def test_the_field_changes_with_roll_and_pitch_as_a_turn_of_the_vehicle_does() -> None:
+    data = four_positions(IRON, np.random.default_rng(3), tilt=0.2)
+    state, h = true_state(data), 1e-6
+    tilts = level_to_body([d.roll_rad for d in data.dwells], [d.pitch_rad for d in data.dwells])
+    by = _by_tilt(state, tilts)
+    psi = state[HEADINGS:]
+    level = np.stack([FIELD.horizontal_mgauss * np.cos(psi), -FIELD.horizontal_mgauss * np.sin(psi),
+                      np.full(4, FIELD.ned_mgauss[2])], axis=1)  # fmt: skip
+    for axis in range(2):
+        turn = level_to_body(*(h * np.eye(2)[axis]))
+        moved = np.einsum("ij,kjl,kl->ki", turn, tilts, level) - np.einsum("kjl,kl->kj", tilts, level)
+        assert by[:, :, axis] == pytest.approx(moved @ GAIN_XY / h, abs=0.01)
+
+
+def test_readings_are_weighed_by_noise_steps_and_tilt() -> None:
+    data = four_positions(IRON)
+    dwells = tuple(
+        replace(
+            d, covariance_mgauss2=np.eye(3) * 4.0, quantisation_mgauss2=np.eye(3) * 0.5, tilt_sigma_rad=0.01
+        )
+        for d in data.dwells
+    )
+    problem = problem_of(replace(data, dwells=dwells, tilt_bias_sigma_rad=0.002))
+    by = _by_tilt(problem.start, problem.level_to_body)
+    for k in range(4):
+        covariance = np.eye(3) * (4.0 + 0.01**2 + 0.5) + by[k] @ by[k].T * 0.01**2
+        assert problem.whiten[k] @ covariance @ problem.whiten[k].T == pytest.approx(np.eye(3))
+    assert problem.leaning == pytest.approx(0.002 * by)
+    loose = problem.loosened(2, 30.0)
+    assert loose.whiten[1] == pytest.approx(problem.whiten[1])
+    inverse = np.linalg.inv(loose.whiten[2])
+    assert inverse @ inverse.T == pytest.approx(covariance_of(problem, 2) + 900.0 * np.eye(3))
+
+
+def covariance_of(problem: PositionProblem, k: int) -> Any:
+    return problem.noise[k] + problem.quantisation[k] + problem.tilt[k]
+
+
+@pytest.mark.parametrize(
+    ("currents", "counted"),
+    [((1.0, 2.0, 3.0, 6.0), (-2.0, -1.0, 0.0, 3.0)), ((1.0, 2.0, math.nan, 6.0), (0.0,) * 4)],
+)
+def test_a_current_counts_where_it_is_known_everywhere(
+    currents: tuple[float, ...], counted: tuple[float, ...]
+) -> None:
+    data = four_positions(IRON)
+    dwells = tuple(replace(d, current_a=a) for d, a in zip(data.dwells, currents, strict=True))
+    assert problem_of(replace(data, dwells=dwells)).current.tolist() == list(counted)
+
+
+@pytest.mark.parametrize(("degrees", "enough"), [((40.0, 40.0, 40.0), True), ((20.0, 20.0, 20.0), False)])
+def test_positions_have_to_cover_the_circle(degrees: tuple[float, ...], enough: bool) -> None:
+    data = four_positions(IRON, turns=np.radians(degrees))
+    if enough:
+        assert problem_of(data).start[OFFSET][:2] == pytest.approx([60.0, -40.0])
+    else:
+        with pytest.raises(PoorCalibration, match="too little of the circle: 60 degrees"):
+            problem_of(data)
+    with pytest.raises(PoorCalibration, match="Only 2 still positions"):
+        problem_of(four_positions(IRON, turns=np.radians([120.0])))
+
+
+@pytest.mark.parametrize(("share", "enough"), [(1.05, True), (0.95, False)])
+def test_a_field_that_hardly_turns_is_a_dead_compass(share: float, enough: bool) -> None:
+    iron = Iron((60.0, -40.0, 25.0), np.eye(3) * share / FIELD.horizontal_mgauss)
+    if enough:
+        assert problem_of(four_positions(iron)).start is not None
+    else:
+        with pytest.raises(PoorCalibration, match=r"amplitude 0\.9 mG|amplitude 1\.0 mG"):
+            problem_of(four_positions(iron))
+
+
+def test_a_pose_not_yet_taken_reads_what_the_state_predicts() -> None:
+    data = four_positions(IRON)
+    state = true_state(data)
+    grown = problem_of(data).with_pose(state, math.pi / 3.0, 0.1, -0.2, Step(0.0, 0.004, 7.0))
+    assert len(grown.mean) == 5 and grown.start.size == state.size + 1
+    assert grown.start[-1] == pytest.approx(state[-1] + math.pi / 3.0)
+    assert (grown.steps[-1], grown.step_sigma[-1], grown.step_duration[-1]) == (math.pi / 3.0, 0.004, 7.0)
+    assert (grown.coherence[-1], grown.current[-1]) == (1.0, 0.0)
+    _, _, field = _evaluate(grown, grown.start, np.ones(5))
+    assert np.abs(field).max() < 1e-6
+    worse = list(data.dwells)
+    worse[0] = replace(worse[0], covariance_mgauss2=np.eye(3) * 100.0)
+    certain = problem_of(replace(data, dwells=tuple(worse))).with_pose(
+        state, 1.0, 0.0, 0.0, Step(0.0, 0.0, 1.0)
+    )
+    assert certain.whiten[-1] == pytest.approx(certain.whiten[1]) and certain.step_sigma[-1] == 1e-6
+
+
+def test_each_parameter_has_its_source_in_the_budget() -> None:
+    names = {
+        GYRO_SCALE: "step_angle",
+        GYRO_BIAS: "step_angle",
+        HORIZONTAL: "world_model",
+        VERTICAL: "world_model",
+    }
+    told = {place: _source_of(place) for place in range(HEADINGS)}
+    assert told == {p: names.get(p, "disturbance" if p >= MOTOR.start else "prior") for p in range(HEADINGS)}
+
+
+@pytest.mark.parametrize(
+    ("place", "sigma", "hidden"),
+    [(0, 10.1, "offset_x"), (2, 9.9, ""), (2, 10.1, "offset_z"), (5, 0.041, "scale_z"), (5, 0.039, ""),
+     (6, 0.021, "cross_xy"), (8, 0.019, ""), (8, 0.021, "cross_yz")],
+)  # fmt: skip
+def test_what_the_motion_does_not_tell_is_the_priors_opinion(place: int, sigma: float, hidden: str) -> None:
+    variance = np.full(20, 1e-8)
+    variance[place] = sigma**2
+    fit: Any = type("Fit", (), {"covariance": np.diag(variance)})
+    assert unobserved(fit) == ((hidden, "mounting_yaw") if hidden else ("mounting_yaw",))
+
+
+def test_the_next_pose_lowers_what_is_not_known_and_says_how() -> None:
+    data = four_positions(IRON, np.random.default_rng(5), noise=2.0, gyro_sigma=0.003)
+    now = solve_four_positions(data, earth=FIELD)
+    level = next_pose(data, earth=FIELD, may_tilt=False)
+    assert (level.roll_rad, level.pitch_rad) == (0.0, 0.0) and "One more level position" in level.words
+    tilted = next_pose(data, earth=FIELD)
+    assert tilted.sigma_tilted_rad <= level.sigma_tilted_rad
+    assert abs(tilted.roll_rad) + abs(tilted.pitch_rad) == pytest.approx(math.radians(15.0))
+    assert "by 15 degrees" in tilted.words and level.sigma_level_rad < 1.5 * now.heading_sigma_rad
+
+
+def test_cross_terms_are_blended_by_their_odds() -> None:
+    """Savage and Dickey, in one dimension: the density of 0 after over before, times three."""
+    state, covariance = np.zeros(20), np.eye(20) * 1e-6
+    sigma = 0.01
+    for value in (0.0, 0.02, 0.05):
+        state[6], covariance[6, 6], covariance[0, 6], covariance[6, 0] = value, sigma**2, 0.02, 0.02
+        covariance[0, 0] = 9.0
+        after = math.exp(-0.5 * (value / sigma) ** 2) / sigma
+        odds = after * DEFAULT_PRIOR.cross_sigma * 3.0
+        share = odds / (1.0 + odds)
+        blend = weigh_cross_terms(state, covariance, DEFAULT_PRIOR)
+        assert blend.cross_probability[0] == pytest.approx(1.0 - share, rel=1e-6)
+        assert blend.state[6] == pytest.approx((1.0 - share) * value, abs=1e-12)
+        assert blend.state[0] == pytest.approx(-share * 0.02 / sigma**2 * value, abs=1e-9)
+        spread = share * (1.0 - share) * value**2
+        assert blend.covariance[6, 6] == pytest.approx((1.0 - share) * sigma**2 + spread, rel=1e-6)
+
+
+def test_a_fit_may_begin_at_one_that_is_nearly_the_same() -> None:
+    data = four_positions(IRON, np.random.default_rng(5), noise=2.0, gyro_sigma=0.003)
+    problem = problem_of(data)
+    fit = fit_positions(problem)
+    again = fit_positions(problem, fit)
+    assert again.state == pytest.approx(fit.state, abs=1e-6) and again.cost == pytest.approx(fit.cost)
+    assert fit.freedom == 15 - round(
+        float(np.trace(fit.jacobian[:15] @ fit.covariance @ fit.jacobian[:15].T))
+    )
+    assert fit.chi_square == pytest.approx(
+        float((_evaluate(problem, fit.state, fit.weights)[0][:15] ** 2).sum())
+    )
+    many = four_positions(
+        IRON, np.random.default_rng(6), turns=np.radians([60.0] * 6), noise=1.0, gyro_sigma=0.003
+    )
+    dwells = list(many.dwells)
+    dwells[3] = replace(dwells[3], mean_mgauss=dwells[3].mean_mgauss + np.array([40.0, 0.0, 0.0]))
+    robust = fit_positions(problem_of(replace(many, dwells=tuple(dwells))))
+    assert robust.weights[3] < 0.1 and np.delete(robust.weights, 3).min() > 0.5
