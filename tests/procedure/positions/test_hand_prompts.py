@@ -1,0 +1,153 @@
+"""A person turns the vehicle: which way, how far, level, hold, and when that is enough."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from mavcompass.errors import LinkLost, PoorCalibration
+from mavcompass.procedure.positions import DwellSettings
+from mavcompass.procedure.positions.hand import HandMover
+from mavcompass.procedure.script import Context, Machine, Show, Tick
+from mavcompass.procedure.turning import GyroAngle
+
+DEG = math.radians(1.0)
+
+
+class Person:
+    """Hold the vehicle at an angle and a tilt, still for a while."""
+
+    def __init__(self, *visited_deg: float, tilt_deg: float = 0.0) -> None:
+        self.gyro, self.still_s, self.heard = GyroAngle(), 0.0, True
+        self.rest: Any = SimpleNamespace(heard_s=0.0, for_s=lambda: self.still_s, why_not="hunting")
+        self.mover = HandMover(self.gyro, self.rest, visited_rad=[d * DEG for d in visited_deg])
+        self.lean(tilt_deg)
+        self.at(visited_deg[-1] if visited_deg else 0.0)
+        self.texts: list[str] = []
+
+    def at(self, degrees: float) -> None:
+        self.gyro.angle_rad = degrees * DEG
+
+    def lean(self, degrees: float) -> None:
+        self.gyro._down = (math.sin(degrees * DEG), 0.0, math.cos(degrees * DEG))
+
+    def runs(self, machine: Machine[Any], until_s: float) -> Machine[Any]:
+        now_s = machine.context.now
+        while now_s < until_s - 1e-9 and not machine.done:
+            now_s = round(now_s + 0.1, 1)
+            if self.heard:
+                self.rest.heard_s = now_s
+            self.texts += [a.text for a in machine.step(Tick(now_s)) if isinstance(a, Show)]
+        return machine
+
+    def next(self, step_deg: float = 90.0) -> Machine[Any]:
+        return Machine(lambda context: self.mover.next(context, step_deg * DEG, 2))
+
+    def settle(self) -> Machine[Any]:
+        return Machine(lambda context: self.mover.settle(context, self.rest, DwellSettings(settle_s=0.5)))
+
+
+@pytest.mark.parametrize(
+    ("visited", "at", "step", "left"),
+    [
+        ((0.0,), 0.0, 90.0, 90.0), ((0.0,), 0.0, -90.0, -90.0), ((0.0,), 30.0, 90.0, 60.0),
+        ((0.0,), -30.0, 90.0, -60.0),
+        ((0.0,), 170.0, 90.0, 10.0), ((0.0, 90.0), 90.0, 90.0, 90.0), ((0.0, 95.0), 95.0, 90.0, 85.0),
+        ((0.0, 90.0), 134.0, 90.0, 46.0), ((0.0, 90.0, 180.0), 180.0, 90.0, 90.0),
+        ((0.0, -90.0), -90.0, 90.0, -90.0),
+    ],
+)  # fmt: skip
+def test_the_way_to_go_is_to_the_nearest_heading_that_is_wanted(
+    visited: tuple[float, ...], at: float, step: float, left: float
+) -> None:
+    person = Person(*visited)
+    person.at(at)
+    assert math.degrees(person.mover._left(step * DEG)) == pytest.approx(left, abs=1e-6)
+
+
+def test_the_way_is_told_until_it_is_near() -> None:
+    person = Person()
+    machine = person.runs(person.next(), 1.0)
+    person.at(77.9)
+    person.runs(machine, 2.0)
+    assert not machine.done
+    person.at(78.1)
+    person.runs(machine, 2.2)
+    assert machine.done and machine.error is None
+    assert person.texts == ["Turn right 90 deg more.", "Turn right 12 deg more.", "Here."]
+    assert person.mover.visited_rad == [0.0]
+
+
+def test_rest_anywhere_new_is_a_position() -> None:
+    person = Person(0.0)
+    person.at(45.0)
+    person.still_s = 9.0
+    assert not person.runs(person.next(), 1.0).done  # less than fifty degrees away
+    person.at(55.0)
+    person.still_s = 1.4
+    machine = person.runs(person.next(), 1.0)
+    assert not machine.done
+    person.still_s = 1.6
+    assert person.runs(machine, 1.4).done
+
+
+def test_a_prompt_that_changes_faster_than_it_can_be_read_is_left_out() -> None:
+    person = Person(0.0)
+    machine = person.next()
+    for k in range(20):
+        person.at(2.0 * k)
+        person.runs(machine, 0.1 * (k + 1))
+    assert person.texts == [f"Turn right {d} deg more." for d in (90, 82, 74, 66, 56)]
+
+
+def test_a_person_has_three_minutes_and_a_vehicle_that_talks() -> None:
+    person = Person(0.0)
+    machine = person.runs(person.next(), 200.0)
+    assert isinstance(machine.error, PoorCalibration) and "within 180 s" in machine.error.what
+    assert machine.context.now == pytest.approx(180.1, abs=0.2)
+    mute = Person(0.0)
+    mute.heard = False
+    machine = mute.runs(mute.next(), 20.0)
+    assert isinstance(machine.error, LinkLost) and "for 5 s" in machine.error.what
+    assert machine.context.now == pytest.approx(5.2, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "still_s", "settled"),
+    [(9.9, 0.5, True), (9.9, 0.4, False), (10.1, 14.9, False), (10.1, 15.1, True)],
+)
+def test_it_is_settled_level_or_on_a_slope(tilt_deg: float, still_s: float, settled: bool) -> None:
+    person = Person(0.0, tilt_deg=tilt_deg)
+    person.still_s = still_s
+    machine = person.runs(person.settle(), 0.5)
+    assert machine.done is settled
+    if not settled:
+        assert person.texts == ["Hold still 2 s." if tilt_deg < 10.0 else "Tilted by 10 deg: level it."]
+
+
+def test_what_is_never_held_still_is_told_why() -> None:
+    person = Person(0.0)
+    machine = person.runs(person.settle(), 200.0)
+    assert isinstance(machine.error, PoorCalibration) and "within 180 s (hunting)" in machine.error.what
+
+
+def test_a_dwell_is_counted_down() -> None:
+    person, context = Person(0.0), Context()
+    for left_s in (1.7, 1.25, 1.15, 0.1):
+        context.now += 1.0
+        person.mover.hold(context, left_s)
+    assert [a.text for a in context.outbox if isinstance(a, Show)] == ["Hold still 2 s.", "Hold still 1 s."]
+
+
+@pytest.mark.parametrize(
+    ("at", "taken"), [(139.0, False), (141.0, True), (-49.0, False), (-51.0, True), (311.0, False)]
+)
+def test_a_position_counts_fifty_degrees_from_every_other(at: float, taken: bool) -> None:
+    person, context = Person(0.0, 90.0), Context()
+    assert person.mover.accept(context, at * DEG) is taken
+    said = [a.text for a in context.outbox if isinstance(a, Show)]
+    assert said == ["Position 3 is taken." if taken else "The vehicle stood here before: turn it further."]
+    assert len(person.mover.visited_rad) == (3 if taken else 2)
