@@ -12,8 +12,9 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
 from mavcompass.heading.witnesses import Witness
-from mavcompass.procedure.check import items
+from mavcompass.procedure.check import CheckReport, items
 from mavcompass.procedure.check.items import CheckItem, Reading, Verdict
+from mavcompass.procedure.vehicle_state import VehicleIdentity
 
 WORLD = EarthField((200.0, 0.0, 400.0))
 TOTAL, DIP = math.hypot(200.0, 400.0), math.degrees(math.atan2(400.0, 200.0))
@@ -208,3 +209,28 @@ def test_the_worst_counts_and_what_is_unknown_is_null() -> None:
         "value": None, "limit": 3.0,
     }  # fmt: skip
     assert CheckItem("turn", "warn", "t", "r", 2, 1.5).to_json()["compass"] == 2
+
+
+def report(*verdicts: Verdict, turned: bool = True) -> CheckReport:
+    found = tuple(
+        CheckItem("dip", v, f"Compass 1 is {v}.", "Calibrate." if v == "fail" else "Wait.") for v in verdicts
+    )
+    return CheckReport(VehicleIdentity(1, 1, "ardupilot", "rover"), found, turned, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("told", "says", "advised"),
+    [
+        (report("pass", "pass"), "Pass: 2 questions, nothing wrong.", False),
+        (report("pass", turned=False), "Pass: 1 questions, nothing wrong (without a turn).", False),
+        (report("pass", "warn"), "Warn: Compass 1 is warn.", False),
+        (report("warn", "fail", "fail", "fail"), "Fail: Compass 1 is fail and 2 more.", True),
+    ],
+)
+def test_the_report_says_its_worst(told: CheckReport, says: str, advised: bool) -> None:
+    assert told.summary() == says and told.calibration_advised is advised
+    document = told.to_json()
+    assert (
+        document["summary"] == says and document["verdict"] == told.verdict and document["duration_s"] == 7.0
+    )
+    assert len(document["items"]) == len(told.items) and document["turned"] is told.turned

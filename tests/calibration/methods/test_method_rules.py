@@ -1,0 +1,278 @@
+"""The rules between the fits and a result: which method is chosen, what is claimed, what is refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from calibration_worlds import FIELD, Iron, turning_track
+
+from mavcompass.calibration.comparison import at_least, compared, judged
+from mavcompass.calibration.fits.length import LengthFit
+from mavcompass.calibration.methods import _length, _level, auto, running
+from mavcompass.calibration.methods.four_positions_textbook import _right_angles
+from mavcompass.calibration.model import HeadingError, gain_matrix
+from mavcompass.calibration.motion.reference import reference_turn
+from mavcompass.calibration.observation import Dwell, FourPositionData, Step
+from mavcompass.calibration.recorded import Recorded
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.calibration.verdict import DEFAULT_LIMITS
+from mavcompass.correction import FieldCorrection
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray, euler_to_quaternion
+from mavcompass.procedure.positions.proof import CompassProof, Proof
+from mavcompass.track import MagSeries, Series, Track
+
+H = 200.0
+
+
+def result(
+    method: str = "four-positions", sigma_deg: float = 0.5, off_deg: float = 0.0, **more: Any
+) -> CalibrationResult:
+    """Make an accepted result whose headings differ from another's by so much, rms over the circle."""
+    offset = off_deg * math.pi / 180.0 * H * math.sqrt(2.0)
+    values: dict[str, Any] = {
+        "instance": 1,
+        "method": method,
+        "accepted": True,
+        "reasons": (),
+        "raw_offset_mgauss": np.zeros(3),
+        "correction": FieldCorrection((0.0, -offset, 0.0)),
+        "in_force": FieldCorrection(),
+        "heading_sigma_deg": sigma_deg,
+        "horizontal_mgauss": H,
+        "vertical_mgauss": 400.0,
+        **more,
+    }
+    return CalibrationResult(**values)
+
+
+@pytest.mark.parametrize(
+    ("still_deg", "moving_deg", "chosen"),
+    [(0.9, 0.5, "four-positions"), (1.1, 0.5, "world-field"), (0.4, 0.5, "four-positions")],
+)
+def test_still_positions_are_preferred_unless_another_is_twice_as_sure(
+    still_deg: float, moving_deg: float, chosen: str
+) -> None:
+    still, moving = result(sigma_deg=still_deg), result("world-field", moving_deg)
+    assert auto._chosen([still, moving]).method == chosen
+    assert auto._chosen([moving, still]).method == (
+        "world-field" if moving_deg <= still_deg else "four-positions"
+    )
+    assert auto._chosen([replace(still, accepted=False), moving]).method == "world-field"
+    refused = [replace(r, accepted=False, reasons=("no",)) for r in (still, moving)]
+    assert not auto._chosen(refused).accepted
+
+
+@pytest.mark.parametrize(
+    ("apart_deg", "sigma_deg", "agree"),
+    [(1.9, 0.1, True), (2.1, 0.1, False), (3.8, 0.9, True), (4.0, 0.9, False)],
+)
+def test_two_methods_that_are_both_sure_have_to_agree(
+    apart_deg: float, sigma_deg: float, agree: bool
+) -> None:
+    """Within two degrees, or three of their common sigmas."""
+    both = [result(sigma_deg=sigma_deg), result("world-field", sigma_deg, apart_deg)]
+    chosen = auto._chosen(both)
+    assert chosen.accepted is agree
+    assert agree or f"are both sure and {apart_deg:.1f} degrees apart" in chosen.reasons[-1]
+
+
+def test_a_change_from_what_is_in_force_is_told_rms_and_at_most() -> None:
+    told = compared(result(off_deg=2.0))
+    assert told.heading_change_deg == pytest.approx(2.0, rel=0.01)
+    assert told.heading_change_max_deg == pytest.approx(2.0 * math.sqrt(2.0), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("sigma_deg", "accepted"), [(1.99, True), (2.0, True), (2.01, False), (math.nan, False)]
+)
+def test_a_heading_less_certain_than_the_limit_is_refused(sigma_deg: float, accepted: bool) -> None:
+    assert judged(result(sigma_deg=sigma_deg), DEFAULT_LIMITS).accepted is accepted
+    assert not judged(result(reasons=("flat",)), DEFAULT_LIMITS).accepted
+
+
+@pytest.mark.parametrize(
+    ("scatter_deg", "claimed_deg", "accepted"), [(0.4, 0.5, True), (1.3, 1.3, True), (2.1, 2.1, False)]
+)
+def test_no_less_is_claimed_than_was_seen(scatter_deg: float, claimed_deg: float, accepted: bool) -> None:
+    state = np.zeros(11)
+    state[3:6], state[9] = 1.0, H
+    error = HeadingError(state, np.eye(9))
+    before = result(heading_error=error, heading_budget_deg={"noise": 0.4, "disturbance": 0.3})
+    told = at_least(before, math.radians(scatter_deg), DEFAULT_LIMITS)
+    assert told.heading_sigma_deg == pytest.approx(claimed_deg) and told.accepted is accepted
+    assert math.hypot(*told.heading_budget_deg.values()) == pytest.approx(claimed_deg)
+    assert told.heading_error is not None
+    assert told.heading_error.rms_rad() == pytest.approx(error.rms_rad() * claimed_deg / 0.5)
+    assert bool(told.reasons) is not accepted
+    assert at_least(result(), math.radians(1.0), DEFAULT_LIMITS).heading_budget_deg["disturbance"] > 0.8
+
+
+# --- positions and turns ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("steps_deg", "begins"),
+    [
+        ((90.0, 90.0, 90.0), 0), ((-90.0, -90.0, -90.0), 0), ((61.0, 119.0, 90.0), 0),
+        ((59.0, 90.0, 90.0), None), ((90.0, 90.0, 121.0), None), ((90.0, -90.0, 90.0), None),
+        ((40.0, 90.0, 90.0, 90.0), 1), ((90.0, 90.0), None), ((90.0, 90.0, 90.0, 90.0), 0),
+    ],
+)  # fmt: skip
+def test_four_right_angles_in_one_direction_are_chosen(
+    steps_deg: tuple[float, ...], begins: int | None
+) -> None:
+    dwells = tuple(Dwell(float(k), k + 0.5, np.zeros(3), np.eye(3)) for k in range(len(steps_deg) + 1))
+    data = FourPositionData(dwells, tuple(Step(math.radians(d), 0.01) for d in steps_deg))
+    if begins is None:
+        with pytest.raises(PoorCalibration, match="no four positions with steps of about 90"):
+            _right_angles(data)
+    else:
+        chosen = _right_angles(data)
+        assert [d.start_s for d in chosen.dwells] == [float(begins + k) for k in range(4)] and len(
+            chosen.steps
+        ) == 3
+    with pytest.raises(PoorCalibration):
+        _right_angles(None)
+
+
+def circle(degrees: float) -> Recorded:
+    psi = np.radians(np.arange(0.0, degrees, 0.5))
+    field = np.stack([60.0 + 220.0 * np.cos(psi), -40.0 - 180.0 * np.sin(psi), 400.0 + 0.0 * psi], axis=1)
+    field[3] = np.nan
+    return Recorded(Track(compasses={1: MagSeries(1, Series.of(np.arange(psi.size) * 0.1, field))}), 1)
+
+
+@pytest.mark.parametrize(("degrees", "whole"), [(360.0, True), (305.0, True), (290.0, False)])
+def test_a_sixth_of_the_circle_may_be_missing(degrees: float, whole: bool) -> None:
+    if whole:
+        assert len(_level.full_turn(circle(degrees))) == 2 * degrees - 1
+    else:
+        with pytest.raises(
+            PoorCalibration, match=r"did not turn all the way round: [67]\d degrees are missing"
+        ):
+            _level.full_turn(circle(degrees))
+
+
+@pytest.mark.parametrize("method", ["min_max", "sensitivity_bias"])
+def test_the_extremes_of_a_turn_centre_it(method: str) -> None:
+    from mavcompass.calibration.methods import min_max, sensitivity_bias
+
+    iron = Iron((60.0, -40.0, 25.0), np.diag([1.1, 0.9, 1.0]))
+    track = turning_track(iron, noise=0.0, turns_deg=(120.0, 120.0, 120.0), dwell_s=1.0)
+    solve = {"min_max": min_max, "sensitivity_bias": sensitivity_bias}[method].calibrate
+    found = solve(Recorded(track, 1, FIELD))
+    assert found.raw_offset_mgauss[:2] == pytest.approx([60.0, -40.0], abs=1.0)
+    stretch = found.correction.diagonals[1] / found.correction.diagonals[0]
+    assert stretch == pytest.approx(1.1 / 0.9, rel=0.01)
+
+
+# --- a length's fit ------------------------------------------------------------------------------------
+
+
+def length_fit(matrix: FloatArray, covariance: FloatArray) -> LengthFit:
+    return LengthFit(np.zeros(3), matrix, 450.0, covariance, 1.0, 0.01, 1.0)
+
+
+def test_the_covariance_of_the_matrix_is_that_of_its_inverse() -> None:
+    chance = np.random.default_rng(3)
+    matrix = gain_matrix([1.1, 0.9, 1.05, 0.05, -0.03, 0.04])
+    root = 1e-4 * chance.normal(size=(9, 9))
+    names, found = _length._raw_form(length_fit(matrix, root @ root.T))
+    assert names[:4] == ("offset_x", "offset_y", "offset_z", "gain_xx")
+    draws = chance.normal(size=(4000, 9)) @ root.T
+    place = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+    gains = [np.linalg.inv(matrix + gain_matrix(d[3:]))[place] for d in draws]
+    drawn = np.concatenate([draws[:, :3], np.array(gains)], axis=1)
+    scale = np.sqrt(np.diag(found))
+    assert np.cov(drawn.T) / np.outer(scale, scale) == pytest.approx(found / np.outer(scale, scale), abs=0.08)
+    _, of_sphere = _length._raw_form(length_fit(np.eye(3), np.eye(3) * 4.0))
+    assert np.diag(of_sphere).tolist() == [4.0] * 3 + [0.0] * 6
+
+
+def test_a_length_is_split_by_the_world_or_by_gravity() -> None:
+    down = np.tile([0.0, 0.6, 0.8], (9, 1))
+    field = np.tile([100.0, 300.0, 200.0], (9, 1))  # 340 mG along down
+    assert _length._split(500.0, field, down, None) == pytest.approx((math.sqrt(500.0**2 - 340.0**2), 340.0))
+    assert _length._split(330.0, field, down, None)[0] == pytest.approx(0.05 * 330.0)
+    horizontal, vertical = _length._split(2.0 * FIELD.total_mgauss, field, down, FIELD)
+    assert (horizontal, vertical) == pytest.approx((2.0 * FIELD.horizontal_mgauss, 2.0 * FIELD.ned_mgauss[2]))
+
+
+# --- what is learnt while it works ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change_deg", "sigma_deg", "accepted", "gain_deg"),
+    [(5.0, 0.5, True, 3.5), (1.4, 0.5, True, 0.0), (5.0, 0.5, False, 0.0)],
+)
+def test_a_gain_is_what_three_sigmas_leave_of_a_change(
+    change_deg: float, sigma_deg: float, accepted: bool, gain_deg: float
+) -> None:
+    found = replace(result(sigma_deg=sigma_deg), heading_change_deg=change_deg, accepted=accepted)
+    assert running.Learnt(found, (), None).gain_deg == pytest.approx(gain_deg)
+
+
+def test_twelfths_that_were_not_seen_are_named_by_their_first_heading() -> None:
+    headings = np.radians([-1.0, 1.0, 29.0, 31.0, 95.0, 400.0, 185.0])
+    sound = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.4])  # the last was disturbed
+    motion: Any = SimpleNamespace(fit=SimpleNamespace(headings_rad=headings, sound=sound))
+    assert running._not_seen_deg(motion) == (60, 120, 150, 180, 210, 240, 270, 300)
+
+
+# --- an attitude that owes nothing to a compass ----------------------------------------------------------
+
+
+def test_a_reference_is_a_turn_with_its_tilt() -> None:
+    time = np.arange(40.0) * 0.5
+    yaw = 0.4 * time + 2.0  # more than once round
+    q = 3.0 * np.array([euler_to_quaternion(0.1, -0.2, y) for y in yaw])
+    found = reference_turn(Track(reference_q=Series.of(time, q)))
+    assert found is not None and found.sigma_rad == math.radians(0.3)
+    assert np.diff(found.record.angle_rad) == pytest.approx(np.full(39, 0.2))
+    assert found.record.rate_radps == pytest.approx(np.full(40, 0.4)) and found.record.interval_s == 0.5
+    down = np.array([math.sin(0.2), math.cos(0.2) * math.sin(0.1), math.cos(0.2) * math.cos(0.1)])
+    assert found.down_at(Track(), np.array([3.25]))[0] == pytest.approx(down)
+    assert reference_turn(Track(reference_q=Series.of(time[:9], q[:9]))) is None
+    assert reference_turn(Track(reference_q=Series.of(time[:10], q[:10]))) is not None
+
+
+def test_a_yaw_by_satellites_is_a_turn_without_tilt() -> None:
+    time = np.arange(40.0) * 0.5
+    yaw = np.mod(0.4 * time, 2.0 * math.pi)
+    yaw[5:8] = np.nan
+    found = reference_turn(Track(gps_yaw_rad=Series.of(time, yaw)))
+    assert found is not None and found.sigma_rad == math.radians(0.7) and found.record.time_s.size == 37
+    assert found.record.angle_rad[-1] == pytest.approx(0.4 * 19.5)
+    assert found.down_at(Track(), np.array([1.0])).tolist() == [[0.0, 0.0, 1.0]]
+    yaw[9:] = np.nan
+    assert reference_turn(Track(gps_yaw_rad=Series.of(time, yaw))) is None and reference_turn(Track()) is None
+
+
+# --- the proof ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "change_deg", "doubts", "passed"),
+    [
+        (1.4, 0.75, (), True), (1.6, 0.7, (), False), (-1.6, 0.7, (), False), (0.0, 0.8, (), False),
+        (360.5, 0.1, (), True), (0.0, 0.1, ("It slipped.",), False),
+    ],
+)  # fmt: skip
+def test_a_proof_passes_where_the_turns_agree_and_the_solution_stands(
+    off_deg: float, change_deg: float, doubts: tuple[str, ...], passed: bool
+) -> None:
+    one = CompassProof(1, 90.0 + off_deg, 90.0, 1.5, change_deg, 0.75, doubts)
+    assert one.passed is passed and Proof((one,)).passed is passed
+    said = Proof((one,)).summary()
+    assert said.startswith("Proven" if passed else "Not proven")
+    assert ("would be 0.8 deg another" in said) is (change_deg > 0.75) and said.endswith(
+        "." if not doubts else "slipped."
+    )
+    assert one.difference_deg == pytest.approx(math.remainder(off_deg, 360.0))
+    assert not Proof((one, CompassProof(2, 80.0, 90.0, 1.5))).passed
