@@ -163,13 +163,13 @@ def test_the_sigma_is_the_scatter_of_fits() -> None:
     clean = sections_of()
     chance = np.random.default_rng(8)
     off = []
-    for _ in range(16):
+    for _ in range(10):
         noisy = replace(
             clean, mean_mgauss=clean.mean_mgauss + chance.normal(0.0, 1.0 / math.sqrt(20.0), (K, 3))
         )
         off.append(fit_motion(noisy, EARTH).offset_mgauss[:2])
     claimed = np.sqrt(np.diag(fit_motion(clean, EARTH).covariance)[:2])
-    assert np.std(off, axis=0) == pytest.approx(claimed, rel=0.45)
+    assert np.std(off, axis=0) == pytest.approx(claimed, rel=0.5)
 
 
 @pytest.mark.parametrize(("mgauss", "is_sound"), [(1.0, True), (8.0, True), (11.0, False)])
@@ -338,12 +338,12 @@ def test_blocks_are_tenths_of_the_time_and_eighths_of_the_circle(found: MotionFi
 
 def test_left_out_blocks_differ_as_much_as_chance_lets_expect() -> None:
     ratios = []
-    for seed in range(12):
+    for seed in range(6):
         sections = sections_of()
         sections.mean_mgauss[:] += np.random.default_rng(seed).normal(0.0, 1.0 / math.sqrt(20.0), (K, 3))
         seen = fit_motion(sections, EARTH)
         ratios.append(honesty._left_out(seen, honesty._by_time(sections)))
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.35)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.5)
     shifted = sections_of()
     shifted.mean_mgauss[12:] += [3.0, 0.0, 0.0]  # the iron moved a little: blocks contradict each other
     seen = fit_motion(shifted, EARTH)

@@ -192,13 +192,13 @@ def test_a_gap_of_training_rows_is_probed_in_its_middle() -> None:
 
 
 def test_a_value_is_drawn_inside_the_step_that_it_was_rounded_to() -> None:
-    true = 100.0 + 3.0 * np.random.default_rng(3).normal(size=(4000, 3))
+    true = 100.0 + 3.0 * np.random.default_rng(3).normal(size=(2000, 3))
     rounded = 10.0 * np.round(true / 10.0)
     drawn = remainder._before_rounding(rounded, np.full_like(true, 100.0), np.full(3, 3.0), 10.0)
     assert np.abs(drawn - rounded).max() <= 5.0
     # If the model is true, what is drawn is what was there before.
-    assert drawn.mean() == pytest.approx(100.0, abs=0.1) and drawn.std() == pytest.approx(3.0, rel=0.03)
-    assert ((drawn - 100.0) ** 4).mean() == pytest.approx(3.0 * 81.0, rel=0.1)
+    assert drawn.mean() == pytest.approx(100.0, abs=0.15) and drawn.std() == pytest.approx(3.0, rel=0.04)
+    assert ((drawn - 100.0) ** 4).mean() == pytest.approx(3.0 * 81.0, rel=0.15)
     far = remainder._before_rounding(np.full((1, 3), 200.0), np.full((1, 3), 100.0), np.full(3, 3.0), 10.0)
     assert far.tolist() == [[195.0] * 3]
 

@@ -1,0 +1,197 @@
+"""Which of several sets that explain a gap is named, and what else it may be: on sets without any data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.gap.fit import Fit, Term
+from mavcompass.gap.selection import identification
+from mavcompass.gap.selection.guards import TOO_SMALL
+from mavcompass.gap.selection.identified import Identified
+from mavcompass.simulation.effects import registry
+
+
+def fit_of(*names: str, sse: float = 100.0) -> Fit:
+    terms = []
+    for name in names:
+        effect = registry.get(name)
+        low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
+        terms.append(Term(effect, np.ones(low.size, dtype=np.bool_), low, high))
+    return Fit(tuple(terms), tuple(np.zeros(t.lower.size) for t in terms), (), sse)
+
+
+@dataclass
+class Problem:
+    """Know how far each set bends what is known of the vehicle."""
+
+    strained: dict[frozenset[str], float]
+
+    def refit(self, fit: Fit) -> Fit:
+        return fit
+
+    def strain(self, fit: Fit) -> float:
+        return self.strained.get(fit.ids, 0.0)
+
+
+def candidate(
+    chosen: Fit, *explored: Fit, strained: dict[frozenset[str], float] | None = None, **more: Any
+) -> Identified:
+    def without(fit: Fit, name: str) -> Fit:
+        return fit.without([t.effect.id for t in fit.terms].index(name))
+
+    search = SimpleNamespace(
+        explored={f.ids: f for f in explored},
+        score=lambda f: f.sse + 10.0 * len(f.terms),
+        without=without,
+        terms=(),
+    )
+    values: dict[str, Any] = {
+        "problem": Problem(strained or {}),
+        "split": None,
+        "found": None,
+        "fit": chosen,
+        "dropped": (),
+        "search": search,
+        "first": None,
+        **more,
+    }
+    return Identified(**values)
+
+
+MEASURED: Any = SimpleNamespace(measured=True, representative=False)
+IRON, SOFT, BOTH = fit_of("hard_iron"), fit_of("soft_iron"), fit_of("hard_iron", "soft_iron", sse=50.0)
+
+
+@pytest.fixture
+def good(monkeypatch: pytest.MonkeyPatch) -> set[frozenset[str]]:
+    """The sets that reach the floor; no alias, and no guard that refuses."""
+    reach: set[frozenset[str]] = set()
+    monkeypatch.setattr(identification, "at_floor", lambda candidate, fit, floor: fit.ids in reach)
+    monkeypatch.setattr(identification, "_substitutes", lambda candidate: [])
+    monkeypatch.setattr(identification, "refused", lambda candidate, floor: None)
+    return reach
+
+
+def test_of_the_sets_that_reach_the_floor_the_smallest_is_named(good: set[frozenset[str]]) -> None:
+    good |= {BOTH.ids, IRON.ids}
+    named = identification._simplest(candidate(BOTH, IRON, SOFT, BOTH), MEASURED)
+    assert named.fit is IRON and named.as_good == (BOTH.ids,)
+    good.add(SOFT.ids)
+    named = identification._simplest(candidate(BOTH, IRON, SOFT, BOTH), MEASURED)
+    fewest = min((IRON, SOFT), key=lambda f: (f.dimension, f.sse))
+    assert named.fit is fewest and set(named.as_good) == {BOTH.ids, IRON.ids, SOFT.ids} - {fewest.ids}
+
+
+def test_what_does_not_reach_the_floor_is_no_rival(good: set[frozenset[str]]) -> None:
+    good.add(BOTH.ids)
+    named = identification._simplest(candidate(BOTH, IRON, SOFT), MEASURED)
+    assert named.fit is BOTH and named.as_good == ()
+    good.clear()
+    assert identification._simplest(candidate(BOTH, IRON, SOFT), MEASURED).fit is BOTH
+
+
+def test_where_the_chosen_does_not_reach_it_the_best_that_does_is_taken(good: set[frozenset[str]]) -> None:
+    good |= {IRON.ids, SOFT.ids}
+    better = replace(SOFT, sse=70.0)
+    named = identification._simplest(candidate(BOTH, IRON, better), MEASURED)
+    assert named.fit.dimension == min(IRON.dimension, better.dimension)
+    assert BOTH.ids not in named.as_good and named.fit.ids not in named.as_good
+
+
+def test_what_a_guard_refuses_is_not_taken(
+    good: set[frozenset[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good |= {IRON.ids, SOFT.ids}
+    monkeypatch.setattr(
+        identification, "refused", lambda c, floor: ("soft_iron", "no") if c.fit.ids == SOFT.ids else None
+    )
+    assert (
+        identification._simplest(candidate(BOTH, replace(IRON, sse=900.0), SOFT), MEASURED).fit.ids
+        == IRON.ids
+    )
+    monkeypatch.setattr(identification, "refused", lambda c, floor: ("x", "no"))
+    assert identification._simplest(candidate(BOTH, IRON, SOFT), MEASURED).fit is BOTH
+
+
+@pytest.mark.parametrize(("strain", "is_rival"), [(29.0, True), (31.0, False)])
+def test_what_bends_the_vehicle_by_force_is_no_rival(
+    strain: float, is_rival: bool, good: set[frozenset[str]]
+) -> None:
+    good |= {BOTH.ids, IRON.ids}
+    here = candidate(BOTH, IRON, strained={IRON.ids: strain + 5.0, BOTH.ids: 5.0})
+    assert (identification._simplest(here, MEASURED).fit is IRON) is is_rival
+
+
+def test_four_rivals_are_looked_at(good: set[frozenset[str]]) -> None:
+    names = ("hard_iron", "soft_iron", "declination", "transport_lag", "misalignment")
+    sets = [fit_of(name, sse=10.0 * k) for k, name in enumerate(names)]
+    good |= {f.ids for f in sets} | {BOTH.ids}
+    named = identification._simplest(candidate(BOTH, *sets), MEASURED)
+    assert {*named.as_good, named.fit.ids} == {f.ids for f in sets[:4]} | {BOTH.ids}
+
+
+def test_an_alias_that_was_not_searched_is_a_rival_and_no_name(
+    good: set[frozenset[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identification, "_substitutes", lambda candidate: [IRON])
+    good |= {BOTH.ids, IRON.ids}
+    named = identification._simplest(candidate(BOTH), MEASURED)
+    assert named.fit is BOTH and named.as_good == (IRON.ids,)
+
+
+def test_what_a_guard_refuses_is_taken_out_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = fit_of("hard_iron", "soft_iron", "declination")
+    reasons = {"declination": "it is torn", "soft_iron": TOO_SMALL}
+
+    def refuse(here: Any, floor: Any) -> tuple[str, str] | None:
+        return next(((n, why) for n, why in reasons.items() if n in here.fit.ids), None)
+
+    monkeypatch.setattr(identification, "refused", refuse)
+    for certain in (True, False):
+        monkeypatch.setattr(identification, "evident", lambda here, rest, c=certain: c)
+        left = identification._allowed(candidate(whole), MEASURED)
+        assert left.fit.ids == {"hard_iron"} and left.dropped == (
+            ("declination", "it is torn"),
+            ("soft_iron", TOO_SMALL),
+        )
+        # What is certain and too small to be named is remembered; what is torn is not.
+        assert left.evident == (frozenset({"soft_iron"}) if certain else frozenset())
+    exact: Any = SimpleNamespace(measured=True, representative=True)
+    monkeypatch.setattr(identification, "evident", lambda here, rest: True)
+    assert identification._allowed(candidate(whole), exact).evident == frozenset()
+
+
+def test_what_is_certain_beside_a_name_makes_other_sets() -> None:
+    here = candidate(IRON, evident=frozenset({"soft_iron", "declination", "hard_iron"}))
+    assert {frozenset(s) for s in identification._with_evident(here)} == {
+        frozenset({"hard_iron", "soft_iron"}), frozenset({"hard_iron", "declination"}),
+        frozenset({"hard_iron", "soft_iron", "declination"}),
+    }  # fmt: skip
+    assert identification._with_evident(candidate(fit_of(), evident=frozenset({"soft_iron"}))) == []
+
+
+def tried(*names: str) -> Any:
+    return SimpleNamespace(terms=fit_of(*names).terms)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "searched", "other"),
+    [
+        (("transport_lag",), ("transport_lag",), [{"low_pass"}]),
+        (("transport_lag",), ("transport_lag", "low_pass"), []),
+        (("height_anomaly", "hard_iron"), ("spatial_dipole",), [{"spatial_dipole", "hard_iron"}]),
+        (("height_anomaly",), (), []),
+        (("hard_iron",), ("spatial_dipole",), []),
+    ],
+)
+def test_what_no_recording_tells_from_the_chosen_is_said(
+    chosen: tuple[str, ...], searched: tuple[str, ...], other: list[set[str]]
+) -> None:
+    here = candidate(fit_of(*chosen))
+    here = replace(here, search=tried(*searched))
+    assert [set(s) for s in identification._alike(here)] == other
