@@ -179,3 +179,11 @@ def test_a_place_is_asked_for_only_where_the_world_is_wanted() -> None:
     )
     assert with_world.vertical_mgauss == pytest.approx(-528.9, abs=20.0)
     assert without.correction.offsets_mgauss[2] == 0.0 != with_world.correction.offsets_mgauss[2]
+
+
+def test_in_force_is_what_was_at_the_end_and_what_was_not_applied() -> None:
+    late, never = FieldCorrection((5.0, 0.0, 0.0)), FieldCorrection((9.0, 0.0, 0.0))
+    steps = (InForce(-np.inf, FieldCorrection()), InForce(15.0, late))
+    compass = MagSeries(1, Series.of(TIME, swinging(9.0)), steps)
+    assert Recorded(Track(compasses={1: compass}), 1).in_force is late
+    assert Recorded(Track(compasses={1: replace(compass, not_applied=never)}), 1).in_force is never

@@ -104,7 +104,7 @@ def _linear(problem: PositionProblem, fit: PositionFit) -> tuple[_Hypotheses, Fl
     rows = fit.jacobian[: 3 * k].reshape(k, 3, -1)
     residual = np.einsum("kij,kj->ki", problem.whiten, fit.residual) * np.sqrt(fit.weights)[:, np.newaxis]
     spared = np.eye(3) - rows @ fit.covariance @ np.swapaxes(rows, 1, 2)
-    values, vectors = np.linalg.eigh(0.5 * (spared + np.swapaxes(spared, 1, 2)))
+    values, vectors = np.linalg.eigh(spared)
     # A direction that the fit takes up whole tells nothing: it counts as undisturbed, with nothing left.
     seen = values > _FREE
     values = np.where(seen, values, 1.0)

@@ -212,3 +212,13 @@ def test_an_estimators_error_in_flight_is_how_far_it_lies_from_newton(
     expected = math.sqrt(0.5) * 2.0 if is_looked_at else 0.0  # each of two angles
     assert found == pytest.approx([expected] * 2, abs=0.1)
     assert estimator_error_rad(hovering(0.0), starts, starts + length_s) == pytest.approx([0.0, 0.0])
+
+
+def test_between_stretches_that_tell_it_an_error_is_in_between() -> None:
+    time = np.arange(601.0) * 0.05
+    starts, ends = np.array([6.0, 13.8, 20.0]), np.array([8.0, 14.2, 22.0])  # the middle one is too short
+    first, between, last = estimator_error_rad(hovering(np.where(time < 14.0, 1.0, 3.0)), starts, ends) / DEG
+    assert first == pytest.approx(math.sqrt(0.5), abs=0.1) and last == pytest.approx(
+        3.0 * math.sqrt(0.5), abs=0.1
+    )
+    assert between == pytest.approx(math.sqrt(0.5 * (first**2 + last**2)))
