@@ -8,7 +8,8 @@ from mavcompass.frames import FloatArray
 from mavcompass.track import Track
 
 GRAVITY_SMOOTHING_S = 0.6
-_ON_THE_GROUND = frozenset({"rover", "ackermann-rover", "boat"})
+# What stands, or floats, and shows gravity by its accelerometer.
+ON_THE_GROUND = frozenset({"rover", "ackermann-rover", "boat"})
 
 
 def moving_average(time_s: FloatArray, values: FloatArray, width_s: float) -> FloatArray:
@@ -28,7 +29,7 @@ def down_in_body(track: Track, time_s: FloatArray) -> FloatArray:
     attitude, acc = track.attitude_rad, track.acc_mps2
     has_attitude = attitude is not None and len(attitude) and np.isfinite(attitude.values[:, :2]).any()
     has_acc = acc is not None and len(acc) and np.isfinite(acc.values).all(axis=1).any()
-    if attitude is not None and has_attitude and not (has_acc and track.vehicle in _ON_THE_GROUND):
+    if attitude is not None and has_attitude and not (has_acc and track.vehicle in ON_THE_GROUND):
         roll, pitch = attitude.at(time_s)[:, 0], attitude.at(time_s)[:, 1]
         return np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
     if acc is None or not has_acc:

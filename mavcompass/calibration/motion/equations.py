@@ -98,7 +98,7 @@ def section_variance(
     """
     leaning = by_tilt(sections, x)
     tilt = leaning @ np.swapaxes(leaning, 1, 2)
-    alike = (model_mgauss**2 + sections.hidden_mgauss**2)[:, np.newaxis, np.newaxis] * np.eye(3)
+    alike = (model_mgauss**2 + sections.hidden_mgauss**2)[:, :, np.newaxis] * np.eye(3)
     shared = tilt * sections.tilt_sigma_rad[:, np.newaxis, np.newaxis] ** 2 + alike
     white = (sections.noise_mgauss**2 / sections.samples)[:, np.newaxis, np.newaxis] * np.eye(3)
     return np.asarray(

@@ -12,14 +12,15 @@ from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, circle_seen
 from mavcompass.calibration.motion.fit import MotionFit, fit_motion, level_headings, sigma_of
 from mavcompass.calibration.motion.reference import ReferenceTurn, reference_turn
 from mavcompass.calibration.motion.scatter import motors_left_rad, scatter_left_rad
-from mavcompass.calibration.motion.sections import UPHELD, Sections, cut_sections
+from mavcompass.calibration.motion.sections import Sections, cut_sections
 from mavcompass.calibration.observation import centred, turn_record, uncorrected_field
 from mavcompass.calibration.observation.turning import TurnRecord
+from mavcompass.calibration.observation.upright import upright
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection, MotorSource
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.heading.gravity import down_in_body
+from mavcompass.heading.gravity import ON_THE_GROUND, down_in_body
 from mavcompass.track import Track
 
 # A load that varies less than this shows no motor field.
@@ -55,7 +56,9 @@ class Motion:
         not show which way is down while it moves.
         """
         track, instance = self.recorded.track, self.recorded.instance
-        levelled = self.reference is not None or track.attitude_rad is not None or track.vehicle in UPHELD
+        levelled = (
+            self.reference is not None or track.attitude_rad is not None or track.vehicle in ON_THE_GROUND
+        )
         if not levelled or sparse_words(self.sections):
             return 0.0
         time = track.compasses[instance].time_s
@@ -113,6 +116,8 @@ def observe_motion(recorded: Recorded) -> Motion:
     Raises PoorCalibration where the recording has neither gyro nor reference, or turned too little.
     """
     track, instance = centred(recorded.track, recorded.instance), recorded.instance
+    mended = upright(track)
+    track, tilt_sigma = (track, None) if mended is None else (mended.track, mended.sigma_rad)
     recorded = replace(recorded, track=track)
     reference = reference_turn(track)
     record = reference.record if reference is not None else turn_record(track, instance)
@@ -122,7 +127,9 @@ def observe_motion(recorded: Recorded) -> Motion:
             "and the recording has no gyro either.",
             "Record a gyro, GPS yaw or an external reference.",
         )
-    sections = cut_sections(track, instance, record, uncorrected_field(track, instance), None, reference)
+    sections = cut_sections(
+        track, instance, record, uncorrected_field(track, instance), None, reference, tilt_sigma
+    )
     if len(sections) and float(np.ptp(sections.turned_rad)) < _LEAST_TURN_RAD:
         raise PoorCalibration(
             f"The vehicle turned only {math.degrees(float(np.ptp(sections.turned_rad))):.0f} degrees.",
@@ -132,7 +139,7 @@ def observe_motion(recorded: Recorded) -> Motion:
     if load is None:
         fit = _fitted(recorded, sections, "none")
         return Motion(recorded, record, reference, sections, fit, "none")
-    loaded = cut_sections(track, instance, record, track.raw_field(instance), load, reference)
+    loaded = cut_sections(track, instance, record, track.raw_field(instance), load, reference, tilt_sigma)
     fit, usual = _fitted(recorded, loaded, source), _fitted(recorded, loaded, source, usual_motors=True)
     # Both are weighed under the larger errors, those of the fit with hardly a motor field.
     strong = fit.cost_under(usual) < usual.cost_under(usual) - _MOTOR_GAIN

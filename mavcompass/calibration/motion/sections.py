@@ -19,15 +19,16 @@ from numpy.typing import NDArray
 from mavcompass.calibration.model import level_to_body
 from mavcompass.calibration.motion.reference import ReferenceTurn
 from mavcompass.calibration.observation import field_lag_s
-from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD, estimator_error_rad
+from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.observation.turning import (
     GYRO_SCALE_SIGMA,
     TurnRecord,
 )
-from mavcompass.calibration.observation.wire import effective_count, hidden_by_step
+from mavcompass.calibration.observation.upright import ESTIMATOR_SIGMA_RAD, STANDING_SIGMA_RAD
+from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs
 from mavcompass.frames import FloatArray, tilt_from_acceleration
-from mavcompass.heading.gravity import down_in_body
-from mavcompass.track import Track
+from mavcompass.heading.gravity import ON_THE_GROUND, down_in_body
+from mavcompass.track import Series, Track
 
 _WIDEST_TURN_RAD = math.radians(20.0)
 _WIDEST_TILT = math.sin(math.radians(7.0))
@@ -36,8 +37,6 @@ _LONGEST_GAP_S = 1.0
 _MOST_SECTIONS = 160
 # The cutting looks at means over this time; inside a section every reading counts.
 _GRAIN_S = 0.1
-# The tilt's sigma at best: of what stands, by the accelerometer; else by the estimator.
-_STANDING_TILT_RAD, _FLYING_TILT_RAD = math.radians(0.02), math.radians(0.3)
 # A wheel's or a wave's rocking lasts about this long.
 _ROCKING_S = 1.0
 # A gyro's bias wanders by this much between sections.
@@ -48,8 +47,6 @@ _SPARSE_S, _WORST_SPARSE = 0.2, 5.0
 _DENSE_S = 0.1
 _LOAD_STEP = 0.15
 _PARAMETERS_SETTLE_S = 2.0
-# What stands and shows gravity by its accelerometer.
-UPHELD = frozenset({"rover", "ackermann-rover", "boat"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +55,7 @@ class Sections:
 
     Attributes:
         start_s, end_s: (K,). mean_mgauss: raw field, (K, 3). samples: fresh readings, (K,).
-        noise_mgauss: white noise of one reading. hidden_mgauss: by whole numbers, in each mean, (K,).
+        noise_mgauss: white noise of one reading. hidden_mgauss: by whole numbers, in each mean, (K, 3).
         mapping: A of equation S1, (K, 3, 3). by_lag: its change per second of the field's lag, (K, 3, 3).
         tilt_sigma_rad: what is not known of roll and pitch, (K,).
         tilt_bias_rad: what its source is off by all along, 1 sigma.
@@ -128,6 +125,7 @@ def cut_sections(
     raw_mgauss: FloatArray,
     load: FloatArray | None = None,
     reference: ReferenceTurn | None = None,
+    tilt_sigma_rad: Series | None = None,
 ) -> Sections:
     """Cut the motion of one compass into sections.
 
@@ -138,12 +136,14 @@ def cut_sections(
         raw_mgauss: (N, 3), at the compass's times.
         load: motor load, (N,).
         reference: the attitude reference that `record` comes from.
+        tilt_sigma_rad: of the recording's roll and pitch, each; None where nothing tells.
     """
 
     def down_at(times: FloatArray) -> FloatArray:
         return down_in_body(track, times) if reference is None else reference.down_at(track, times)
 
-    time = track.compasses[instance].time_s
+    compass = track.compasses[instance]
+    time = compass.time_s
     usable = np.isfinite(raw_mgauss).all(axis=1)
     usable &= (time >= record.time_s[0]) & (time <= record.time_s[-1])
     usable[1:] &= np.diff(time) > 0.0
@@ -164,6 +164,7 @@ def cut_sections(
         total = np.add.reduceat(values, first, axis=0)
         return total / count.reshape(-1, *[1] * (values.ndim - 1))
 
+    known = None if tilt_sigma_rad is None else mean(np.asarray(tilt_sigma_rad.at(time)))
     turned = mean(angle)
     section = np.repeat(np.arange(len(first)), last - first)
     mapping = turned_mapping(down, angle - turned[section])
@@ -171,9 +172,6 @@ def cut_sections(
     moved = turned_mapping(down_at(time - lag - later), record.angle_at(time - lag - later) - turned[section])
     middle = 0.5 * (time[first] + time[last - 1]) if len(first) else np.empty(0)
     steps = np.diff(middle)
-    mean_raw = mean(raw)
-    spread = np.sqrt(np.maximum(mean(raw**2) - mean_raw**2, 0.0).mean(axis=1))
-    quantum = track.compasses[instance].quantum_mgauss
     middle_load = float(loads.mean()) if loads.size else 0.0
     if reference is None:
         white = np.array([_step_sigma(record, a, b) for a, b in pairwise(middle)])
@@ -183,15 +181,15 @@ def cut_sections(
     return Sections(
         start_s=time[first] if len(first) else np.empty(0),
         end_s=time[last - 1] if len(first) else np.empty(0),
-        mean_mgauss=mean_raw,
+        mean_mgauss=mean(raw),
         samples=np.maximum(np.add.reduceat(fresh.astype(float), first), 1.0) if len(first) else np.empty(0),
-        noise_mgauss=_white_noise(time[fresh], raw[fresh], quantum),
-        hidden_mgauss=hidden_by_step(spread, quantum),
+        noise_mgauss=_white_noise(time[fresh], raw[fresh], compass.quantum_mgauss),
+        hidden_mgauss=hidden_in_runs(compass.reported.values[usable], first, compass.quantum_mgauss),
         mapping=mean(mapping),
         by_lag=(mean(moved) - mean(mapping)) / later,
-        tilt_sigma_rad=_tilt_sigma(track, mean(down), mean(down**2), time[first], time[last - 1]),
+        tilt_sigma_rad=_tilt_sigma(track, mean(down), mean(down**2), time[first], time[last - 1], known),
         tilt_bias_rad=TILT_BIAS_SIGMA_RAD if reference is None else 0.0,
-        rocking=track.vehicle in UPHELD,
+        rocking=track.vehicle in ON_THE_GROUND,
         turned_rad=turned,
         step_sigma_rad=sigma,
         bias_sigma_radps=record.bias_sigma_radps,
@@ -224,15 +222,22 @@ def turned_mapping(down: FloatArray, turned: FloatArray) -> FloatArray:
 
 
 def _tilt_sigma(
-    track: Track, mean: FloatArray, square: FloatArray, start_s: FloatArray, end_s: FloatArray
+    track: Track,
+    mean: FloatArray,
+    square: FloatArray,
+    start_s: FloatArray,
+    end_s: FloatArray,
+    known: FloatArray | None = None,
 ) -> FloatArray:
     """Return what rocking leaves unknown of each section's tilt, (K,), beside what its source is good for."""
-    if track.vehicle not in UPHELD or track.acc_mps2 is None:
-        return np.hypot(_FLYING_TILT_RAD, estimator_error_rad(track, start_s, end_s))
-    lasted = end_s - start_s
+    stands = track.vehicle in ON_THE_GROUND and (known is not None or track.acc_mps2 is not None)
+    usual = STANDING_SIGMA_RAD if stands else ESTIMATOR_SIGMA_RAD
+    good_for = np.full(start_s.size, usual) if known is None else known
+    if not stands:
+        return good_for
     swing = np.sqrt(np.maximum(square - mean**2, 0.0).sum(axis=1) / 2.0)
-    share = np.sqrt(np.minimum(1.0, _ROCKING_S / np.maximum(lasted, 1e-3)))
-    return np.asarray(np.hypot(_STANDING_TILT_RAD, swing * share))
+    share = np.sqrt(np.minimum(1.0, _ROCKING_S / np.maximum(end_s - start_s, 1e-3)))
+    return np.asarray(np.hypot(good_for, swing * share))
 
 
 def _step_sigma(record: TurnRecord, start_s: float, end_s: float) -> float:

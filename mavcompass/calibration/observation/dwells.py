@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mavcompass.calibration.observation.tilt import TILT_FLOOR_RAD, tilt_during
 from mavcompass.calibration.observation.turning import TurnRecord, turn_record
-from mavcompass.calibration.observation.wire import effective_count, unquantise
+from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs, unquantise
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
@@ -220,6 +220,8 @@ def _dwell(
     residual = counted - _trend(angles[keep], counted)
     spread = np.sqrt((residual**2).sum(axis=0) / max(len(counted) - 1, 1))
     value, hidden = unquantise(counted.mean(axis=0), spread, compass.quantum_mgauss, compass.truncated)
+    runs = hidden_in_runs(counted, np.zeros(1, dtype=np.intp), compass.quantum_mgauss)
+    hidden = np.maximum(hidden, runs[0])
     inverse = in_force.inverse
     memory = _memory(residual[fresh[keep]])
     # Whole numbers that never change show no noise; their step's share is in `hidden`.

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavcompass.calibration.observation.wire import hidden_beside_noise
 from mavcompass.frames import FloatArray
 from mavcompass.heading.gravity import down_in_body
 from mavcompass.track import Track
@@ -26,7 +27,7 @@ from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # What is looked at before and after a dwell: several periods of a position loop.
 _MARGIN_S = 10.0
-_LONGEST_GAP_S = 0.5
+LONGEST_GAP_S = 0.5
 _KNOT_S = 1.0
 _FEWEST = 20
 # Of one velocity of a satellite receiver; its error lasts for about a second. And its delay.
@@ -57,22 +58,74 @@ class Sway:
     swing_rad: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Levelled:
+    """Hold the tilt by (T1) at every sample of a stretch.
+
+    Attributes:
+        time_s: (N,). level_mps2: specific force in the level frame, (N, 3).
+        rotation: of the gyro alone, body to level, (N, 3, 3). leaning: its tilt error per unknown, (N, 2, U).
+        state, covariance: of these unknowns, (U,), (U, U).
+    """
+
+    time_s: FloatArray
+    level_mps2: FloatArray
+    rotation: FloatArray
+    leaning: FloatArray
+    state: FloatArray
+    covariance: FloatArray
+
+    def error_rad(self) -> FloatArray:
+        """Return what the rotation's tilt is off by, about the level axes, (N, 3)."""
+        x, y = (self.leaning @ self.state).T
+        return np.stack([x, y, np.zeros_like(x)], axis=1)
+
+    def down(self) -> FloatArray:
+        """Return the direction of down in body axes, (N, 3)."""
+        # R true transposed, times down.
+        upright = np.array([0.0, 0.0, 1.0]) - np.cross(self.error_rad(), [0.0, 0.0, 1.0])
+        return np.einsum("nji,nj->ni", self.rotation, upright)
+
+    def sigma_rad(self) -> FloatArray:
+        """Return the sigma of each angle, (N,)."""
+        variance = np.einsum("nij,jk,nik->n", self.leaning, self.covariance, self.leaning, optimize=True)
+        return np.hypot(np.sqrt(variance / 2.0), _FLOOR_RAD)
+
+
 def sway(track: Track, start_s: float, end_s: float) -> Sway | None:
     """Find down between two times from gyro, accelerometer and velocity; None where these do not tell it."""
+    found = level_by_newton(track, start_s, end_s, hovers=track.vehicle == "copter")
+    if found is None:
+        return None
+    average = found.leaning.mean(axis=0)
+    variance = average @ found.covariance @ average.T
+    down = found.down().mean(axis=0)
+    return Sway(
+        down=down / np.linalg.norm(down),
+        sigma_rad=math.hypot(math.sqrt(float(np.trace(variance)) / 2.0), _FLOOR_RAD),
+        swing_rad=_swing(found.level_mps2 + np.cross(found.error_rad(), found.level_mps2)),
+    )
+
+
+def level_by_newton(track: Track, start_s: float, end_s: float, hovers: bool = False) -> Levelled | None:
+    """Solve (T1) for what lies between two times, with a margin; None where nothing tells the velocity.
+
+    `hovers`: where none was measured it is near zero.
+    """
     samples = _samples(track, start_s, end_s)
     if samples is None:
         return None
     time, rate, force = samples
-    known = _velocity(track, time)
+    known = _velocity(track, time, hovers)
     if known is None:
         return None
     middle = int(np.searchsorted(time, 0.5 * (start_s + end_s)))
     rotation = _carried(time, rate, down_in_body(track, time[[middle]])[0], middle)
     level = np.einsum("nij,nj->ni", rotation, force)
-    phi, prior = _tilt_errors(time, rotation, rate, middle)
+    phi, prior = _tilt_errors(time, rotation, rate, middle, track.gyro_truncation_radps)
     up = -level[:, 2][:, np.newaxis, np.newaxis]
     leaning = integral(time, up * np.stack([-phi[:, 1], phi[:, 0]], axis=1))
-    pushing, push_sigma = _walks(time, rotation, white_noise(force))
+    pushing, push_sigma = _walks(time, rotation, white_noise(force), track.acc_truncation_mps2)
     mean, covariance = _solve(
         time,
         known,
@@ -81,19 +134,14 @@ def sway(track: Track, start_s: float, end_s: float) -> Sway | None:
         integral(time, level[:, :2]),
     )
     inside = (time >= start_s) & (time <= end_s)
-    tilts = phi[inside]
-    state = mean[: phi.shape[2]]
-    average = tilts.mean(axis=0)
-    variance = average @ covariance[: phi.shape[2], : phi.shape[2]] @ average.T
-    x, y = (tilts @ state).T
-    error = np.stack([x, y, np.zeros_like(x)], axis=1)
-    # R true transposed, times down: body axes.
-    upright = np.array([0.0, 0.0, 1.0]) - np.cross(error, [0.0, 0.0, 1.0])
-    down = np.einsum("nji,nj->ni", rotation[inside], upright).mean(axis=0)
-    return Sway(
-        down=down / np.linalg.norm(down),
-        sigma_rad=math.hypot(math.sqrt(float(np.trace(variance)) / 2.0), _FLOOR_RAD),
-        swing_rad=_swing(level[inside] + np.cross(error, level[inside])),
+    unknown = phi.shape[2]
+    return Levelled(
+        time[inside],
+        level[inside],
+        rotation[inside],
+        phi[inside],
+        mean[:unknown],
+        covariance[:unknown, :unknown],
     )
 
 
@@ -108,14 +156,14 @@ def _samples(track: Track, start_s: float, end_s: float) -> tuple[FloatArray, Fl
     usable = np.asarray(np.isfinite(rate).all(axis=1) & np.isfinite(force).all(axis=1), dtype=np.bool_)
     usable[1:] &= np.diff(time) > 0.0
     time, rate, force = time[usable], rate[usable], force[usable]
-    gaps = np.flatnonzero(np.diff(time) > _LONGEST_GAP_S)
+    gaps = np.flatnonzero(np.diff(time) > LONGEST_GAP_S)
     before = gaps[time[gaps] <= start_s]
     after = gaps[time[gaps] >= end_s]
     if before.size + after.size < gaps.size:
         return None
     first, last = int(before.max(initial=-1)) + 1, int(after.min(initial=time.size - 1)) + 1
     time = time[first:last]
-    if time.size < _FEWEST or time[0] > start_s + _LONGEST_GAP_S or time[-1] < end_s - _LONGEST_GAP_S:
+    if time.size < _FEWEST or time[0] > start_s + LONGEST_GAP_S or time[-1] < end_s - LONGEST_GAP_S:
         return None
     # Numbers that were cut toward zero are half a step too small on the average.
     rate = rate[first:last] + 0.5 * track.gyro_truncation_radps * np.sign(rate[first:last])
@@ -153,30 +201,34 @@ def integral(time: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _tilt_errors(
-    time: FloatArray, rotation: FloatArray, rate: FloatArray, middle: int
+    time: FloatArray, rotation: FloatArray, rate: FloatArray, middle: int, quantum_radps: float
 ) -> tuple[FloatArray, FloatArray]:
     """Build phi(t) over its unknowns, (N, 2, 5 + 2 K), and their sigmas: phi at `middle`, bias, K steps.
 
     The gyro's noise makes phi a random walk: steps of it, knot by knot.
     """
     drifting = integral(time, rotation[:, :2, :])
-    walking, step_sigma = _walks(time, rotation, white_noise(rate))
+    walking, step_sigma = _walks(time, rotation, white_noise(rate), quantum_radps)
     still = np.broadcast_to(np.eye(2), (time.size, 2, 2))
     phi = np.concatenate([still, drifting - drifting[middle], walking - walking[middle]], axis=2)
     return phi, np.concatenate([[_TILT_SIGMA_RAD] * 2, [_BIAS_SIGMA_RADPS] * 3, step_sigma])
 
 
-def _walks(time: FloatArray, rotation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _walks(
+    time: FloatArray, rotation: FloatArray, noise: FloatArray, quantum: float
+) -> tuple[FloatArray, FloatArray]:
     """Build what white noise of the body's x and y, (>= 2,), integrates to in the level frame, knot by knot.
 
-    Returns (N, 2, 2 K) and the sigmas (2 K,). Each axis has its own noise, which turns with the vehicle.
+    Returns (N, 2, 2 K) and the sigmas (2 K,). Each axis has its own noise, which turns with the vehicle; what
+    the step of whole numbers hides lasts for a knot.
     """
     count = max(round(float(time[-1] - time[0]) / _KNOT_S), 1)
     width_s = float(time[-1] - time[0]) / count
     knot = np.minimum(((time - time[0]) / width_s).astype(int), count - 1)
     inside = (knot[:, np.newaxis] == np.arange(count)) / width_s
     walks = integral(time, rotation[:, :2, :2, np.newaxis] * inside[:, np.newaxis, np.newaxis, :])
-    step = noise[:2] * math.sqrt(float(np.median(np.diff(time))) * width_s)
+    white = noise[:2] * math.sqrt(float(np.median(np.diff(time))) * width_s)
+    step = np.hypot(white, hidden_beside_noise(noise[:2], quantum) * width_s)
     return walks.reshape(time.size, 2, -1), np.repeat(step, count)
 
 
@@ -234,7 +286,7 @@ class _Velocity:
     sigma_mps: float
 
 
-def _velocity(track: Track, time: FloatArray) -> _Velocity | None:
+def _velocity(track: Track, time: FloatArray, hovers: bool) -> _Velocity | None:
     """Return what is known of the velocity; None where that is nothing."""
     measured = track.gps_velocity_mps
     if measured is not None:
@@ -246,7 +298,7 @@ def _velocity(track: Track, time: FloatArray) -> _Velocity | None:
         if when.size >= 4 and when.size > 0.8 * span:
             crowd = max(when.size * _RECEIVER_MEMORY_S / span, 1.0)
             return _Velocity(when, horizontal, _RECEIVER_SIGMA_MPS * math.sqrt(crowd))
-    if track.vehicle != "copter":
+    if not hovers:
         return None
     when = np.arange(float(time[0]), float(time[-1]), 1.0)
     return _Velocity(when, np.zeros((when.size, 2)), _HOVER_SIGMA_MPS)

@@ -20,13 +20,11 @@ TILT_FLOOR_RAD = math.radians(0.02)
 TILT_BIAS_SIGMA_RAD = 0.001
 # What an autopilot's attitude estimate is off by while it stands or hovers and its compass is sound.
 _ESTIMATOR_SIGMA_RAD = math.radians(0.15)
-# The estimator is held against Newton's law in so many stretches of such a length.
-_WITNESSED_S, _MOST_WITNESSED = (1.0, 10.0), 16
 # A mean specific force further from g than this is not gravity alone.
 _GRAVITY_SLACK = 0.06
 # What stands, floats or is held upright by its buoyancy, and a box of sensors of which nothing is known:
 # there the accelerometer shows gravity.
-_UPHELD = frozenset({"rover", "ackermann-rover", "boat", "sub", "unknown"})
+UPHELD = frozenset({"rover", "ackermann-rover", "boat", "sub", "unknown"})
 
 
 def tilt_during(
@@ -44,7 +42,7 @@ def tilt_during(
     """
     start, end = float(time_s[0]), float(time_s[-1])
     force, shaking = _mean_force(track, start, end)
-    moved = None if track.vehicle in _UPHELD else sway(track, start, end)
+    moved = None if track.vehicle in UPHELD else sway(track, start, end)
     witnesses: list[tuple[FloatArray, float]] = []
     if abs(float(np.linalg.norm(force)) / STANDARD_GRAVITY_MPS2 - 1.0) < _GRAVITY_SLACK:
         swing = 0.0 if moved is None else moved.swing_rad
@@ -58,32 +56,6 @@ def tilt_during(
     x, y, z = down
     sigma = math.hypot(sigma, *_swinging(down_in_body(track, time_s), end - start, lag_sigma_s))
     return math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), sigma, force
-
-
-def estimator_error_rad(track: Track, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
-    """Return how far the autopilot's roll and pitch are off in flight, each, over stretches (K,).
-
-    That is how far they lie from Newton's law (`sway`), beyond what this is good for, in some of the
-    stretches, and between these in time. 0 where nothing tells.
-    """
-    middle = 0.5 * (start_s + end_s)
-    none = np.zeros(middle.size)
-    if track.vehicle in _UPHELD or track.attitude_rad is None or track.gps_velocity_mps is None:
-        return none
-    lasted = end_s - start_s
-    able = np.flatnonzero((lasted >= _WITNESSED_S[0]) & (lasted <= _WITNESSED_S[1]))
-    chosen = able[np.linspace(0, able.size - 1, min(_MOST_WITNESSED, able.size)).astype(np.intp)]
-    at: list[float] = []
-    excess: list[float] = []
-    for start, end in zip(start_s[chosen].tolist(), end_s[chosen].tolist(), strict=True):
-        moved = sway(track, start, end)
-        estimate: list[tuple[FloatArray, float]] = []
-        _add_estimator(track, start, end, estimate, may_be_bent=False)
-        if moved is not None and estimate:
-            apart = float(((moved.down - estimate[0][0]) ** 2).sum()) / 2.0
-            at.append(0.5 * (start + end))
-            excess.append(max(apart - moved.sigma_rad**2, 0.0))
-    return np.sqrt(np.interp(middle, at, excess)) if at else none
 
 
 def _weighed(witnesses: list[tuple[FloatArray, float]]) -> tuple[FloatArray, float]:

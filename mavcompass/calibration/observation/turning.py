@@ -23,8 +23,9 @@ BARE_BIAS_SIGMA_RADPS = math.radians(3.0)
 # Sensitivity of MEMS gyros as they come and after the autopilot's temperature has settled.
 GYRO_SCALE_SIGMA = 0.01
 _WINDOW_S = 3.0
-# How fast a MEMS gyro's bias wanders while it warms up.
-_DRIFT_RADPS2 = math.radians(0.0007)
+# How fast a MEMS gyro's bias drifts while it warms up, and for how long the same way.
+_DRIFT_RADPS2, _DRIFTS_FOR_S = math.radians(0.0007), 100.0
+_MOST_STRETCHES = 300
 # Windows share their errors (a creep below the compass's resolution): no more than two count as independent.
 _INDEPENDENT_WINDOWS = 2.0
 _GAP_S = 0.5
@@ -197,16 +198,33 @@ def _vertical_bias(
 def _drifting(
     time: FloatArray, seen: list[tuple[float, float, float]], prior_sigma: float
 ) -> tuple[FloatArray, float]:
-    """Weigh what stretches (middle, rate, sigma) tell of the bias at each time, (N,), and its usual sigma."""
+    """Find the bias at each time, (N,), and its usual sigma, from stretches (middle, rate, sigma).
+
+    It is a smooth curve about an unknown constant, a Gaussian process: a gyro that warms up drifts for a
+    minute and more the same way, so that stretches near in time tell its course, those far off its size.
+    """
     if not seen:
         return np.zeros(time.size), prior_sigma
-    middle, rate, sigma = np.array(seen).T
-    variance = sigma**2 + (_DRIFT_RADPS2 * (middle[:, np.newaxis] - middle)) ** 2
-    weight = 1.0 / prior_sigma**2 + (1.0 / variance).sum(axis=1)
-    bias = (rate / variance).sum(axis=1) / weight
-    usual = 1.0 / math.sqrt(float(np.median(weight)))
+    middle, rate, sigma = _grouped(np.array(seen)).T
+    apart = (middle[:, np.newaxis] - middle) / _DRIFTS_FOR_S
+    believed = prior_sigma**2 + (_DRIFT_RADPS2 * _DRIFTS_FOR_S) ** 2 * np.exp(-0.5 * apart**2)
+    gain = np.linalg.solve(believed + np.diag(sigma**2), believed).T
+    left = np.diag(believed) - np.einsum("ij,ji->i", gain, believed)
+    usual = math.sqrt(max(float(np.median(left)), 0.0))
     best = min(float(sigma.min()), prior_sigma)
-    return np.interp(time, middle, bias), max(usual, best / math.sqrt(_INDEPENDENT_WINDOWS))
+    bias = np.interp(time, middle, gain @ rate)
+    return bias, max(usual, best / math.sqrt(_INDEPENDENT_WINDOWS))
+
+
+def _grouped(seen: FloatArray) -> FloatArray:
+    """Average neighbouring stretches (M, 3) of a long recording, so that few enough are left."""
+    if len(seen) <= _MOST_STRETCHES:
+        return seen
+    groups = np.array_split(seen, _MOST_STRETCHES)
+    rows = [np.average(group, axis=0, weights=group[:, 2] ** -2) for group in groups]
+    return np.array(
+        [[*row[:2], (group[:, 2] ** -2).sum() ** -0.5] for row, group in zip(rows, groups, strict=True)]
+    )
 
 
 def _quiet_stretches(time: FloatArray, rate: FloatArray, limit_radps: float) -> list[tuple[float, float]]:

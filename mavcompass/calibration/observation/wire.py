@@ -62,12 +62,35 @@ def _erf(values: FloatArray) -> FloatArray:
     return np.array([math.erf(v) for v in values.ravel().tolist()]).reshape(values.shape)
 
 
-def hidden_by_step(spread: ArrayLike, quantum: float) -> FloatArray:
-    """Return what whole numbers hide of averages, 1 sigma each, (K,), for the readings' spread, (K,)."""
+def hidden_in_runs(values: FloatArray, first: NDArray[np.intp], quantum: float) -> FloatArray:
+    """Return what whole numbers hide of averages, 1 sigma of each axis, (K, 3).
+
+    Args:
+        values: converted readings, (N, 3). first: where each average begins, (K,), the first at 0.
+        quantum: the step; 0 means the readings are not quantised.
+
+    A run of one value hides a twelfth of a square step, and the next run another: noise makes the runs
+    short, and so does a field that moves through the steps, on the axes along which it moves.
+    """
+    if quantum <= 0.0 or not len(first):
+        return np.zeros((len(first), 3))
+    last = np.append(first[1:], len(values))
+    new = np.ones(values.shape, dtype=bool)
+    new[1:] = values[1:] != values[:-1]
+    new[first] = True
+    share = np.zeros((len(first), 3))
+    for axis in range(3):
+        begins = np.flatnonzero(new[:, axis])
+        squares = np.diff(begins, append=len(values)) ** 2.0
+        share[:, axis] = np.add.reduceat(squares, np.searchsorted(begins, first))
+    return np.asarray(quantum * np.sqrt(share / 12.0) / (last - first)[:, np.newaxis])
+
+
+def hidden_beside_noise(noise: FloatArray, quantum: float) -> FloatArray:
+    """Return what whole numbers hide of averages, 1 sigma, (K,), for the readings' own noise, (K,)."""
     if quantum <= 0.0:
-        return np.zeros_like(np.asarray(spread, dtype=np.float64))
-    noise = np.interp((np.asarray(spread) / quantum) ** 2, _seen_variances(), _NOISE_GRID)
-    return quantum * np.sqrt([_hidden_variance(float(s)) for s in noise])
+        return np.zeros_like(noise)
+    return quantum * np.sqrt([_hidden_variance(float(n)) for n in noise / quantum])
 
 
 def _hidden_variance(noise: float) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.motion import sections
+from mavcompass.calibration.observation import wire
 from mavcompass.track import Series, Track
 
 TIME = np.arange(0.0, 20.0, 0.1)
@@ -77,6 +78,10 @@ def test_rocking_averages_out_of_what_stands_and_not_of_what_flies() -> None:
         assert sections._tilt_sigma(other, mean, square, begun, lasted) == pytest.approx(
             [math.radians(0.3)] * 2
         )
+    known = np.array([0.01, 0.02])
+    assert sections._tilt_sigma(track("copter"), mean, square, begun, lasted, known) is known
+    driven = sections._tilt_sigma(track("rover", force=False), mean, square, begun, lasted, known)
+    assert driven == pytest.approx([math.hypot(0.01, 0.5 * math.sqrt(0.0002)), 0.02])
 
 
 @pytest.mark.parametrize(("interval_s", "times"), [(0.02, 1.0), (0.1, 1.0), (0.3, 3.0), (5.0, 5.0)])
@@ -99,3 +104,19 @@ def test_the_noise_is_that_beside_a_smooth_turn() -> None:
     assert sections._white_noise(TIME, still, 1.0) == pytest.approx(math.hypot(0.2, math.sqrt(1.0 / 12.0)))
     assert sections._white_noise(TIME[:7], noisy[:7], 0.0) == 3.0  # too few to tell
     assert sections._white_noise(2.1 * TIME, noisy, 0.0) == 3.0  # too far apart
+
+
+def test_a_whole_number_that_does_not_move_hides_its_step_on_that_axis() -> None:
+    rng = np.random.default_rng(6)
+    true = rng.uniform(100.0, 120.0, (300, 3))
+    ramp = np.linspace(0.0, 30.0, 40)
+    rows = true[:, np.newaxis, :] + np.array([1.0, 0.3, 0.0]) * ramp[:, np.newaxis]  # along x and y, not z
+    values = np.trunc(rows.reshape(-1, 3))
+    first = np.arange(0, len(values), ramp.size)
+    hidden = wire.hidden_in_runs(values, first, 1.0)
+    means = np.add.reduceat(values, first) / ramp.size + 0.5
+    off = (means - rows.mean(axis=1)).std(axis=0)
+    claimed = np.sqrt((hidden**2).mean(axis=0))
+    assert off[2] == pytest.approx(claimed[2], rel=0.1) and claimed[2] == pytest.approx(1.0 / math.sqrt(12.0))
+    assert claimed[0] < claimed[1] < 0.15 and (off[:2] < claimed[:2]).all()
+    assert not wire.hidden_in_runs(values, first, 0.0).any()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.calibration.observation import turn_record
+from mavcompass.calibration.observation import turn_record, turning
 from mavcompass.track import MagSeries, Series, Track
 
 RATE_HZ = 25.0
@@ -75,3 +75,33 @@ def test_a_bare_gyro_may_have_a_bias_of_degrees_per_second() -> None:
     )
     record = turn_record(track)
     assert record is not None and math.degrees(record.bias_radps) == pytest.approx(6.0, abs=0.1)
+
+
+def test_a_bias_that_drifts_is_followed() -> None:
+    """A gyro that warms up by 0.05 deg/s a minute, as a firmware's simulator has it."""
+    rng = np.random.default_rng(5)
+    time = np.arange(0.0, 200.0, 1.0 / RATE_HZ)
+    yaw = np.radians(30.0) * np.clip(time - 100.0, 0.0, 12.0)
+    drift = np.radians(0.05 / 60.0) * time
+    field = FIELD_MGAUSS * np.stack([np.cos(yaw), -np.sin(yaw), np.full_like(yaw, 2.0)], axis=1)
+    field += 0.5 * rng.standard_normal(field.shape)
+    gyro = np.gradient(yaw, time) + drift
+    track = Track(
+        autopilot="ardupilot",
+        vehicle="copter",
+        gyro_radps=Series.of(time, np.column_stack([0.0 * time, 0.0 * time, gyro])),
+        acc_mps2=Series.of(time, np.tile([0.0, 0.0, -9.80665], (time.size, 1))),
+        compasses={1: MagSeries(1, Series.of(time, field))},
+    )
+    record = turn_record(track)
+    assert record is not None
+    # One bias for all would be four degrees off.
+    assert math.degrees(float(np.ptp(record.angle_rad - yaw))) < 0.7
+
+
+def test_hours_of_standing_are_averaged_in_groups() -> None:
+    middle = np.arange(0.0, 6000.0, 3.0)
+    wave = 0.002 * np.sin(middle / 1000.0)
+    seen = [(float(m), float(w), 0.001) for m, w in zip(middle, wave, strict=True)]
+    bias, sigma = turning._drifting(middle, seen, 0.01)
+    assert np.abs(bias - wave)[20:-20].max() < 1e-4 and 0.0 < sigma < 0.001

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mavcompass.calibration.observation.sway import sway
 from mavcompass.calibration.observation.tilt import tilt_during
+from mavcompass.calibration.observation.upright import upright
 from mavcompass.frames import FloatArray
+from mavcompass.heading.gravity import down_in_body
 from mavcompass.simulation.physics.motion import rotation_matrix
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -146,3 +149,83 @@ def test_a_gap_in_the_recording_is_not_bridged() -> None:
         gyro_radps=Series.of(TIME[kept], np.asarray(track.gyro_radps.values)[kept]),
     )
     assert sway(with_gap, START_S, END_S) is None
+
+
+def away_deg(track: Track, tilt: FloatArray) -> FloatArray:
+    """Return by how much a recording's roll and pitch are off away from its ends, (M, 2)."""
+    assert track.attitude_rad is not None
+    inside = track.attitude_rad.between(2.0, LENGTH_S - 2.0)
+    true = np.stack([np.interp(inside.time_s, TIME, column) for column in tilt.T], axis=1)
+    return np.degrees(inside.values[:, :2] - true)
+
+
+def test_roll_and_pitch_of_a_whole_flight_are_mended_by_newton() -> None:
+    track, tilt = hovering(bent_deg=1.5)
+    found = upright(track)
+    assert found is not None
+    assert np.abs(away_deg(track, tilt)).max() > 1.4
+    off = away_deg(found.track, tilt)
+    sigma = np.degrees(found.sigma_rad.between(2.0, LENGTH_S - 2.0).values)
+    assert np.abs(off).max() < 0.2 and float(np.sqrt((off**2).mean())) < float(sigma.max()) < 0.2
+
+
+def test_where_newton_cannot_tell_the_estimator_is_believed() -> None:
+    track, _ = hovering(bent_deg=1.5)
+    assert track.gyro_radps is not None and track.gps_velocity_mps is not None
+    kept = np.abs(TIME - 6.0) > 0.5
+    gyro = Series.of(TIME[kept], track.gyro_radps.values[kept])
+    late = track.gps_velocity_mps.between(13.0, LENGTH_S)
+    found = upright(replace(track, gyro_radps=gyro, gps_velocity_mps=late))
+    assert found is not None and track.attitude_rad is not None
+    assert np.isfinite(found.sigma_rad.values).all()
+    roll = np.interp(5.0, found.track.attitude_rad.time_s, found.track.attitude_rad.values[:, 0])  # type: ignore[union-attr]
+    assert roll == pytest.approx(float(track.attitude_rad.at(5.0)[0]), abs=1e-3)
+    assert float(found.sigma_rad.at(5.0)) == pytest.approx(math.radians(0.3))
+
+
+def test_what_stands_or_has_no_receiver_keeps_its_roll_and_pitch() -> None:
+    track, _ = hovering()
+    assert upright(replace(track, vehicle="sub")) is None
+    assert upright(replace(track, gps_velocity_mps=None)) is None
+    assert upright(replace(track, attitude_rad=None)) is None
+
+
+def test_what_brakes_leans_only_in_its_accelerometer() -> None:
+    """Steered wheels on the level: half a turn between straight stretches, braked by 1.2 m/s^2."""
+    ahead_mps2 = 1.2 * np.sign(np.sin(2.0 * math.pi * TIME / 6.0)) * (TIME < 18.0)
+    yaw_rate = np.where((TIME > 6.0) & (TIME < 12.0), math.radians(30.0), 0.0)
+    yaw, speed = np.cumsum(yaw_rate) / RATE_HZ, np.cumsum(ahead_mps2) / RATE_HZ
+    force = np.stack([ahead_mps2, speed * yaw_rate, np.full(TIME.size, -STANDARD_GRAVITY_MPS2)], axis=1)
+    going = np.stack([speed * np.cos(yaw), speed * np.sin(yaw), np.full(TIME.size, np.nan)], axis=1)
+    track = Track(
+        autopilot="ardupilot",
+        vehicle="rover",
+        acc_mps2=Series.of(TIME, force),
+        gyro_radps=Series.of(TIME, np.column_stack([0.0 * TIME, 0.0 * TIME, yaw_rate]) + BIAS_RADPS),
+        gps_velocity_mps=Series.of(TIME[::10] + 0.11, going[::10]),
+    )
+    leaning = np.degrees(np.arccos(down_in_body(track, TIME)[:, 2]))
+    assert leaning.max() > 6.0
+    found = upright(track)
+    assert found is not None and found.track.acc_mps2 is None
+    mended = np.degrees(np.arccos(down_in_body(found.track, TIME)[:, 2]))
+    assert mended.max() < 0.3
+    # What stands is as level as its accelerometer says.
+    assert mended[TIME > 20.0].max() < 0.05
+    assert np.degrees(found.sigma_rad.at(22.0)) == pytest.approx(0.02, abs=0.005)
+
+
+def test_rates_that_are_cut_to_nothing_are_not_certain() -> None:
+    """Noise below the step of whole numbers shows no noise, and may hide a rate of half a step."""
+    track, _ = hovering()
+    whole = replace(track, gyro_truncation_radps=0.001)
+    certain, less = (sway(each, START_S, END_S) for each in (track, whole))
+    assert certain is not None and less is not None
+    assert less.sigma_rad > certain.sigma_rad
+
+
+def test_a_gyro_heard_too_seldom_tells_nothing() -> None:
+    track, _ = hovering(bent_deg=1.5)
+    assert track.gyro_radps is not None
+    assert upright(replace(track, gyro_radps=Series.of(TIME[::10], track.gyro_radps.values[::10]))) is None
+    assert upright(replace(track, gyro_radps=None)) is None
