@@ -207,7 +207,8 @@ def _drifting(
         return np.zeros(time.size), prior_sigma
     middle, rate, sigma = _grouped(np.array(seen)).T
     apart = (middle[:, np.newaxis] - middle) / _DRIFTS_FOR_S
-    believed = prior_sigma**2 + (_DRIFT_RADPS2 * _DRIFTS_FOR_S) ** 2 * np.exp(-0.5 * apart**2)
+    drifting = min(_DRIFT_RADPS2 * _DRIFTS_FOR_S, prior_sigma) ** 2
+    believed = prior_sigma**2 - drifting * (1.0 - np.exp(-0.5 * apart**2))
     gain = np.linalg.solve(believed + np.diag(sigma**2), believed).T
     left = np.diag(believed) - np.einsum("ij,ji->i", gain, believed)
     usual = math.sqrt(max(float(np.median(left)), 0.0))

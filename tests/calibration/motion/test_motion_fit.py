@@ -58,7 +58,7 @@ def sections_of(
         "mean_mgauss": mean,
         "samples": np.full(k, 20.0),
         "noise_mgauss": 1.0,
-        "hidden_mgauss": np.zeros(k),
+        "hidden_mgauss": np.zeros((k, 3)),
         "mapping": np.tile(np.eye(3), (k, 1, 1)),
         "by_lag": np.zeros((k, 3, 3)),
         "tilt_sigma_rad": np.full(k, 1e-4),
@@ -246,7 +246,7 @@ def test_an_accelerometers_error_is_an_offset_by_the_dip(found: MotionFit) -> No
 
 def test_a_sections_variance_is_noise_steps_tilt_and_model(found: MotionFit) -> None:
     sections = sections_of(
-        hidden_mgauss=np.full(K, 0.3), tilt_sigma_rad=np.full(K, 0.01), repeats=np.full(K, 2.0)
+        hidden_mgauss=np.full((K, 3), 0.3), tilt_sigma_rad=np.full(K, 0.01), repeats=np.full(K, 2.0)
     )
     single = section_variance(sections, found.state, 2.0, weighed=False)
     both = section_variance(sections, found.state, 2.0)

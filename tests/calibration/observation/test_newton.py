@@ -99,21 +99,24 @@ def test_white_noise_is_seen_beside_smooth_motion() -> None:
 def test_noise_walks_knot_by_knot_and_turns_with_the_vehicle() -> None:
     time = np.arange(0.0, 4.001, 0.1)
     rotation = np.tile(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), (time.size, 1, 1))
-    walks, sigma = _walks(time, rotation, np.array([0.3, 0.5, 9.0]))
+    walks, sigma = _walks(time, rotation, np.array([0.3, 0.5, 9.0]), 0.0)
     assert walks.shape == (time.size, 2, 8)
     # Four knots of a second; in each what is added is one step, along the turned axes.
     assert walks[-1, 1, :4] == pytest.approx(np.ones(4), abs=0.06)
     assert walks[-1, 0, 4:] == pytest.approx(-np.ones(4), abs=0.06)
     assert np.abs(walks[:, 0, :4]).max() < 1e-12 and walks[10, 1, 1:4] == pytest.approx(np.zeros(3), abs=0.06)
     assert sigma == pytest.approx([0.3 * math.sqrt(0.1)] * 4 + [0.5 * math.sqrt(0.1)] * 4)
-    assert _walks(time[:4], rotation[:4], np.ones(3))[0].shape == (4, 2, 2)  # at least one knot
+    # Noise far below the step of whole numbers hides the step's share for a knot.
+    _, whole = _walks(time, rotation, np.array([0.3, 0.5, 9.0]), 100.0)
+    assert whole == pytest.approx([100.0 / math.sqrt(12.0)] * 8, rel=3e-3)
+    assert _walks(time[:4], rotation[:4], np.ones(3), 0.0)[0].shape == (4, 2, 2)  # at least one knot
 
 
 def test_a_tilt_error_begins_in_the_middle_and_drifts() -> None:
     time = np.arange(0.0, 4.001, 0.1)
     rotation = np.tile(np.eye(3), (time.size, 1, 1))
     rate = 0.02 * np.random.default_rng(2).normal(size=(time.size, 3))
-    phi, sigma = _tilt_errors(time, rotation, rate, 20)
+    phi, sigma = _tilt_errors(time, rotation, rate, 20, 0.0)
     assert phi.shape == (time.size, 2, 2 + 3 + 8) and sigma.size == 13
     assert phi[20, :, 2:] == pytest.approx(np.zeros((2, 11))) and phi[7, :, :2] == pytest.approx(np.eye(2))
     assert phi[-1, :, 2:5] == pytest.approx(np.eye(3)[:2] * 2.0) and phi[0, :, 2:5] == pytest.approx(
@@ -160,21 +163,21 @@ def test_the_equations_are_solved_for_what_leans() -> None:
 
 
 def test_what_is_known_of_the_velocity() -> None:
-    hover = _velocity(recording(), TIME)
+    hover = _velocity(recording(), TIME, True)
     assert hover is not None and hover.sigma_mps == 0.3 and not hover.mps.any()
     assert hover.time_s.tolist() == [float(k) for k in range(24)]
-    assert _velocity(recording(vehicle="plane"), TIME) is None
-    told = _velocity(recording(gps_velocity_mps=moving((1.0, 2.0))), TIME)
+    assert _velocity(recording(), TIME, False) is None
+    told = _velocity(recording(gps_velocity_mps=moving((1.0, 2.0))), TIME, True)
     assert told is not None and told.mps[0] == pytest.approx([1.0, 2.0])
     # 0.1 m/s each second: five in a second tell no more than one.
     assert told.sigma_mps == pytest.approx(0.1 * math.sqrt(told.time_s.size / 24.0))
     assert told.time_s[0] == pytest.approx(0.2 - 0.11)  # a receiver is late
-    slow = _velocity(recording(vehicle="plane", gps_velocity_mps=moving(every_s=1.15)), TIME)
+    slow = _velocity(recording(vehicle="plane", gps_velocity_mps=moving(every_s=1.15)), TIME, False)
     assert slow is not None and slow.sigma_mps == 0.1
-    assert _velocity(recording(vehicle="plane", gps_velocity_mps=moving(every_s=1.3)), TIME) is None
+    assert _velocity(recording(vehicle="plane", gps_velocity_mps=moving(every_s=1.3)), TIME, False) is None
     unknown = moving()
     unknown.values[5:] = np.nan
-    assert _velocity(recording(vehicle="plane", gps_velocity_mps=unknown), TIME) is None
+    assert _velocity(recording(vehicle="plane", gps_velocity_mps=unknown), TIME, False) is None
 
 
 @pytest.mark.parametrize(

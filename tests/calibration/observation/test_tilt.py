@@ -15,9 +15,9 @@ from mavcompass.calibration.observation.tilt import (
     _swinging,
     _uneven,
     _weighed,
-    estimator_error_rad,
     tilt_during,
 )
+from mavcompass.calibration.observation.upright import upright
 from mavcompass.frames import FloatArray
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -176,18 +176,6 @@ def test_the_lag_matters_while_it_tilts() -> None:
     assert math.sqrt(unsure**2 - sure**2) == pytest.approx(2.0 * 0.03, rel=0.01)
 
 
-def test_what_stands_has_no_error_of_flight() -> None:
-    starts, ends = np.array([0.0, 2.0]), np.array([2.0, 4.0])
-    for track in (
-        Track(
-            vehicle="rover", attitude_rad=attitude(0.0), gps_velocity_mps=Series.of(TIME, np.zeros((41, 3)))
-        ),
-        Track(vehicle="copter", attitude_rad=attitude(0.0)),
-        Track(vehicle="copter", gps_velocity_mps=Series.of(TIME, np.zeros((41, 3)))),
-    ):
-        assert estimator_error_rad(track, starts, ends).tolist() == [0.0, 0.0]
-
-
 def hovering(bent_deg: FloatArray | float) -> Track:
     """Make a level copter that stands in the air, and an estimator that leans."""
     time = 0.05 * np.arange(601)
@@ -201,24 +189,13 @@ def hovering(bent_deg: FloatArray | float) -> Track:
     )
 
 
-@pytest.mark.parametrize(
-    ("length_s", "is_looked_at"), [(0.95, False), (1.05, True), (9.9, True), (10.1, False)]
-)
-def test_an_estimators_error_in_flight_is_how_far_it_lies_from_newton(
-    length_s: float, is_looked_at: bool
-) -> None:
-    starts = np.array([9.0, 14.0])
-    found = estimator_error_rad(hovering(2.0), starts, starts + length_s) / DEG
-    expected = math.sqrt(0.5) * 2.0 if is_looked_at else 0.0  # each of two angles
-    assert found == pytest.approx([expected] * 2, abs=0.1)
-    assert estimator_error_rad(hovering(0.0), starts, starts + length_s) == pytest.approx([0.0, 0.0])
-
-
-def test_between_stretches_that_tell_it_an_error_is_in_between() -> None:
-    time = np.arange(601.0) * 0.05
-    starts, ends = np.array([6.0, 13.8, 20.0]), np.array([8.0, 14.2, 22.0])  # the middle one is too short
-    first, between, last = estimator_error_rad(hovering(np.where(time < 14.0, 1.0, 3.0)), starts, ends) / DEG
-    assert first == pytest.approx(math.sqrt(0.5), abs=0.1) and last == pytest.approx(
-        3.0 * math.sqrt(0.5), abs=0.1
-    )
-    assert between == pytest.approx(math.sqrt(0.5 * (first**2 + last**2)))
+@pytest.mark.parametrize("bent_deg", [0.0, 0.2, 2.0])
+def test_an_estimator_in_flight_is_doubted_by_how_far_it_lies_from_newton(bent_deg: float) -> None:
+    found = upright(hovering(bent_deg))
+    assert found is not None and found.track.attitude_rad is not None
+    doubt = max(math.sqrt(0.5) * bent_deg, 0.3)  # each of two angles
+    sigma = found.sigma_rad.at(15.0) / DEG
+    newton = 1.0 / math.sqrt(sigma**-2 - doubt**-2)
+    assert newton == pytest.approx(0.05, abs=0.01)
+    left = bent_deg * (sigma / doubt) ** 2
+    assert found.track.attitude_rad.at(15.0)[0] / DEG == pytest.approx(left, abs=0.02)

@@ -205,13 +205,15 @@ def test_a_bias_drifts_between_what_two_stretches_tell() -> None:
     bias, usual = _drifting(at, [(5.0, 0.1, sigma)], sigma)
     assert bias == pytest.approx([0.05] * 4)  # as certain as what was known before
     assert usual == pytest.approx(sigma / math.sqrt(2.0))
-    # After 14.3 s at 0.0007 deg/s^2 it has drifted by one sigma: that stretch counts half.
-    apart_s = 0.01 / 0.0007
-    bias, _ = _drifting(np.array([0.0, 0.5 * apart_s]), [(0.0, 0.0, sigma), (apart_s, 0.3, sigma)], 1e3)
-    assert bias == pytest.approx([0.1, 0.15])
-    bias, usual = _drifting(at, [(0.0, 0.0, sigma), (1e5, 0.3, sigma)], 1e3)
-    assert bias == pytest.approx([0.0, 0.3 * 5e-5, 0.3, 0.3], abs=1e-5)
-    assert usual == pytest.approx(sigma)
+    # A smooth drift of 0.07 deg/s, 100 s long: near stretches share it, their difference is mostly chance.
+    for apart_s, share in ((10.0, 0.196), (50.0, 0.852), (1e5, 0.980)):
+        drifted = 0.07**2 * (1.0 - math.exp(-0.5 * (apart_s / 100.0) ** 2))
+        assert share == pytest.approx(drifted / (drifted + 0.01**2), abs=1e-3)
+        bias, usual = _drifting(
+            np.array([0.0, 0.5 * apart_s, 2e5]), [(0.0, 0.0, sigma), (apart_s, 0.3, sigma)], 1.0
+        )
+        assert bias == pytest.approx([0.15 - 0.15 * share, 0.15, 0.15 + 0.15 * share], abs=2e-4)
+        assert sigma / math.sqrt(2.0) <= usual * 1.001 and usual < sigma
 
 
 def quiet(deg_s: FloatArray, time: FloatArray, limit_deg_s: float = 15.0) -> list[list[float]]:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.calibration.observation.wire import effective_count, hidden_by_step, unquantise
+from mavcompass.calibration.observation.wire import effective_count, hidden_beside_noise, unquantise
 from mavcompass.frames import FloatArray
 
 CHANCE = np.random.default_rng(11)
@@ -38,7 +38,7 @@ def test_what_is_hidden_is_how_far_averages_come_out(noise: float, truncated: bo
 def test_without_steps_nothing_is_hidden() -> None:
     value, hidden = unquantise([1.5, -2.0], [0.1, 0.1], 0.0, True)
     assert value.tolist() == [1.5, -2.0] and hidden.tolist() == [0.0, 0.0]
-    assert hidden_by_step([0.1, 3.0], 0.0).tolist() == [0.0, 0.0]
+    assert hidden_beside_noise(np.array([0.1, 3.0]), 0.0).tolist() == [0.0, 0.0]
 
 
 def test_the_cell_about_zero_is_twice_as_wide() -> None:
@@ -60,11 +60,11 @@ def test_near_zero_noise_is_cut_both_ways() -> None:
         assert abs(told.mean()) < abs(value[0])
 
 
-def test_each_spread_has_its_own_share_hidden() -> None:
-    hidden = hidden_by_step([0.0, 0.35, 1.5, 12.0], 1.0)
+def test_each_noise_has_its_own_share_hidden() -> None:
+    hidden = hidden_beside_noise(np.array([0.0, 0.2, 0.5, 12.0]), 1.0)
     assert hidden[0] == pytest.approx(1.0 / math.sqrt(12.0)) and hidden[-1] == pytest.approx(0.0, abs=1e-6)
     assert hidden[0] > hidden[1] > hidden[2]
-    assert hidden_by_step([0.7], 2.0) == pytest.approx(2.0 * hidden[1:2])
+    assert hidden_beside_noise(np.array([0.4]), 2.0) == pytest.approx(2.0 * hidden[1:2])
 
 
 def test_fresh_is_what_differs_from_the_reading_before() -> None:
