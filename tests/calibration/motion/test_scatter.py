@@ -33,7 +33,7 @@ def sections_of(**changed: Any) -> Sections:
         "mean_mgauss": np.zeros((K, 3)),
         "samples": np.full(K, 50.0),
         "noise_mgauss": 1e-6,
-        "hidden_mgauss": np.zeros(K),
+        "hidden_mgauss": np.zeros((K, 3)),
         "mapping": np.tile(np.eye(3), (K, 1, 1)),
         "by_lag": np.zeros((K, 3, 3)),
         "tilt_sigma_rad": np.zeros(K),
