@@ -1,0 +1,87 @@
+"""The published formulas, number by number."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mavcompass.calibration.fits.textbook import (
+    ScaleOffset,
+    SensitivityBias,
+    four_positions_textbook,
+    four_readings,
+    min_max,
+    sensitivity_bias,
+    set_reset_offset,
+)
+from mavcompass.errors import PoorCalibration
+
+RAW = np.array([[100.0, -40.0, 7.0], [-300.0, 90.0, 7.0]])
+
+
+def test_an_offset_is_half_the_sum_of_set_and_reset() -> None:
+    assert set_reset_offset([212.0, -3.0], [-188.0, 5.0]).tolist() == [12.0, 1.0]
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.7, 2.0, 3.9, -1.0])
+def test_four_readings_of_a_sine_give_its_amplitude_offset_and_angle(alpha: float) -> None:
+    readings = 150.0 * np.sin(alpha + np.arange(4) * 0.5 * math.pi) + 40.0
+    solved = four_readings(readings)
+    assert solved.amplitude == pytest.approx(150.0) and solved.offset == pytest.approx(40.0)
+    assert math.remainder(solved.alpha_rad - alpha, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
+    assert solved.left_over == pytest.approx(0.0, abs=1e-12)
+    spoilt = readings + np.array([0.0, 8.0, 0.0, 0.0])
+    assert four_readings(spoilt).left_over == pytest.approx(-2.0)
+    assert four_readings(spoilt).offset == pytest.approx(42.0)
+    assert four_readings(readings + np.array([4.0, 0.0, 8.0, 0.0])).left_over == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [ScaleOffset(1.5, 1.0, 30.0, -20.0), SensitivityBias(1.5, 1.0, -30.0, 20.0)],
+    ids=["Skula", "Memsense"],
+)
+def test_both_forms_are_one_correction(form: ScaleOffset | SensitivityBias) -> None:
+    expected = [[1.5 * 100.0 - 30.0, -40.0 + 20.0], [1.5 * -300.0 - 30.0, 90.0 + 20.0]]
+    assert form.apply(RAW).tolist() == expected
+    correction = form.correction()
+    assert correction.apply(RAW)[:, :2] == pytest.approx(np.array(expected))
+    assert correction.apply(RAW)[:, 2].tolist() == [7.0, 7.0]
+    assert form.correction(-3.0, 2.0).apply(RAW)[:, 2].tolist() == [8.0, 8.0]
+
+
+def test_the_weaker_axis_is_scaled_up_about_the_middle_of_its_extremes() -> None:
+    turn = np.array([[10.0, -50.0], [210.0, 0.0], [110.0, 50.0], [60.0, -150.0]])
+    found = min_max(turn)
+    assert (found.x_scale, found.y_scale) == (1.0, 1.0) and (found.x_offset, found.y_offset) == (110.0, -50.0)
+    weak = min_max(turn * [0.5, 1.0])
+    assert (weak.x_scale, weak.y_scale) == (2.0, 1.0) and weak.x_offset == 2.0 * 55.0
+    assert min_max(turn * [1.0, 0.5]).y_scale == 2.0
+
+
+@pytest.mark.parametrize(
+    ("unity", "x_sensitivity", "y_sensitivity"), [("stronger", 1.0, 2.0), ("x", 1.0, 2.0), ("y", 0.5, 1.0)]
+)
+def test_sensitivities_bring_both_spans_together(
+    unity: str, x_sensitivity: float, y_sensitivity: float
+) -> None:
+    found = sensitivity_bias(10.0, 210.0, -150.0, -50.0, unity)  # type: ignore[arg-type]
+    assert (found.x_sensitivity, found.y_sensitivity) == (x_sensitivity, y_sensitivity)
+    ends = found.apply([[10.0, -150.0], [210.0, -50.0]])
+    assert ends[0] == pytest.approx(-ends[1]) and ends[1, 0] == ends[1, 1]
+    swapped = sensitivity_bias(-150.0, -50.0, 10.0, 210.0)
+    assert (swapped.x_sensitivity, swapped.y_sensitivity) == (2.0, 1.0)
+
+
+def test_an_axis_that_does_not_change_has_no_scale() -> None:
+    for axis in (0, 1):
+        flat = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 1.0], [2.0, 0.0]])
+        flat[:, axis] = 5.0
+        for solve in (min_max, four_positions_textbook):
+            with pytest.raises(PoorCalibration, match="did not change at all"):
+                solve(flat)
+    for extremes in ((1.0, 1.0, 0.0, 2.0), (0.0, 2.0, 1.0, 1.0)):
+        with pytest.raises(PoorCalibration, match="did not change at all"):
+            sensitivity_bias(*extremes)
