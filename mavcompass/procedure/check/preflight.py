@@ -239,7 +239,7 @@ class _Checker:
         elif not self.desk.state.armed:
             return "it is disarmed"
         elif not strategies_for(self.desk.identity.kind, self.desk.identity.autopilot):
-            return f"a {self.desk.identity.autopilot} {self.desk.identity.kind} cannot turn on the spot"
+            return f"this {self.desk.identity.autopilot} {self.desk.identity.kind} cannot turn on the spot"
         wishes = Wishes("hand" if self.settings.turn == "hand" else "vehicle", limits=self.settings.limits)
         self.mobility = self.desk.mobility(wishes)
         try:

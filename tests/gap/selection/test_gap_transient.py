@@ -87,6 +87,8 @@ def test_between_fitted_rows_any_moment_fits() -> None:
     )
     put = transient.with_moments(problem, changing(1.7), [1.2, 2.4])
     assert transient.moments(put) == [1.2]
+    for row_s in (1.0, 2.0):  # a row at the moment itself does not lie between
+        assert transient.moments(transient.with_moments(problem, changing(1.7), [row_s])) == [row_s]
     assert transient.moments(transient.with_moments(problem, changing(2.1), [1.2])) == [
         2.1
     ]  # a row lies between
