@@ -129,7 +129,7 @@ def test_a_copter_flies_to_the_begin_and_rests_there_for_four_seconds() -> None:
     state, clock = VehicleState(), heard(_Clock(), 0.0)
     machine = Machine(lambda context: follow._to_the_begin(context, profile("copter"), state, clock))
     drive(machine, clock, 3.0)
-    state.local = mav.LocalPositionNed(x=0.0, y=1.6, z=-5.0)  # too far still
+    state.local = mav.LocalPositionNed(x=0.0, y=1.5, z=-5.0)  # too far still
     drive(machine, clock, 6.0, 3.0)
     state.local = mav.LocalPositionNed(x=0.0, y=1.4, z=-5.0)
     for k in range(300):  # near, and its nose is not yet where it should be
