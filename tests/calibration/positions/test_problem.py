@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from calibration_worlds import FIELD, Iron, four_positions
 
+from mavcompass.calibration.judged import calibrate_positions
 from mavcompass.calibration.model import (
     GAIN,
     GYRO_BIAS,
@@ -270,3 +271,24 @@ def test_a_fit_may_begin_at_one_that_is_nearly_the_same() -> None:
     dwells[3] = replace(dwells[3], mean_mgauss=dwells[3].mean_mgauss + np.array([40.0, 0.0, 0.0]))
     robust = fit_positions(problem_of(replace(many, dwells=tuple(dwells))))
     assert robust.weights[3] < 0.1 and np.delete(robust.weights, 3).min() > 0.5
+
+
+def test_a_result_tells_how_z_is_known_and_what_the_field_is() -> None:
+    data = four_positions(IRON, np.random.default_rng(5), noise=2.0, gyro_sigma=0.003)
+    by_world, alone = calibrate_positions(data, earth=FIELD), calibrate_positions(data)
+    sigma = math.sqrt(float(by_world.covariance[2, 2]))
+    assert (
+        f"comes from the world model, good to {sigma:.0f} mG" in by_world.warnings[-1] and 5.0 < sigma < 60.0
+    )
+    assert "the place is unknown: Z stays as it is in force" in alone.warnings[-1]
+    assert by_world.horizontal_mgauss == pytest.approx(FIELD.horizontal_mgauss, rel=0.03)
+    # Without a world the field is that of a correction whose horizontal diagonals average 1.
+    field = alone.correction.apply(np.array([d.mean_mgauss for d in data.dwells]))
+    assert alone.horizontal_mgauss == pytest.approx(
+        float(np.hypot(field[:, 0], field[:, 1]).mean()), rel=0.01
+    )
+    assert [p.turned_deg for p in by_world.positions] == pytest.approx([0.0, 90.0, 180.0, 270.0], abs=1.0)
+    assert by_world.heading_change_max_deg > by_world.heading_change_deg > 5.0  # as bent as it was
+    assert by_world.heading_sigma_deg == pytest.approx(
+        math.hypot(*by_world.heading_budget_deg.values()), rel=0.01
+    )
