@@ -87,7 +87,8 @@ def test_the_worst_is_what_it_will_come_to() -> None:
     ("samples", "given", "helps"),
     [
         (falling(5.0, -0.2), {}, True),  # it falls by more than a hundredth of itself a second
-        (falling(5.0, -0.03), {}, False),  # the bias is yet to go
+        (falling(5.0, -0.055), {}, True),
+        (falling(5.0, -0.04), {}, False),  # the bias is yet to go
         (falling(-5.0, 0.2), {}, True),
         (falling(5.0, 0.2), {}, False),
         (falling(2.6, -0.1), {}, False),  # 1.8 degrees are not worth it

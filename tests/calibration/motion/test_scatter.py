@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.model import HORIZONTAL, VERTICAL
-from mavcompass.calibration.motion import changes
+from mavcompass.calibration.motion import changes, observed
 from mavcompass.calibration.motion.equations import FIRST, LAG
 from mavcompass.calibration.motion.scatter import scatter_left_rad
 from mavcompass.calibration.motion.sections import Sections, turned_mapping, unsettled
@@ -224,3 +224,50 @@ def test_a_stretch_is_taken_where_it_fits_much_better_and_turns_enough(
         assert found == (later, ("whole", 12.0)) and change == changes.Change(11.0, 5.0)
     else:
         assert found is motion and change is None
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "attitude", "reference", "seldom", "tells"),
+    [
+        ("rover", False, None, False, True), ("boat", False, None, False, True),
+        ("copter", False, None, False, False),
+        ("copter", True, None, False, True), ("unknown", False, "optical", False, True),
+        ("unknown", False, None, False, False), ("rover", True, None, True, False),
+    ],
+)  # fmt: skip
+def test_what_is_held_by_hand_or_heard_too_seldom_tells_no_scatter(
+    vehicle: str,
+    attitude: bool,
+    reference: str | None,
+    seldom: bool,
+    tells: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(observed, "scatter_left_rad", lambda *given: 0.03)
+    level = Series.of(TIME, np.zeros((400, 3)))
+    track = Track(
+        vehicle=vehicle, attitude_rad=level if attitude else None, compasses={1: MagSeries(1, level)}
+    )
+    sections = sections_of(step_sigma_rad=np.full(K - 1, 6.0 * DEG if seldom else 0.01))
+    turn: Any = SimpleNamespace(down_at=lambda track, time_s: np.tile([0.0, 0.0, 1.0], (time_s.size, 1)))
+    recorded: Any = SimpleNamespace(track=track, instance=1)
+    fit: Any = None
+    motion = observed.Motion(recorded, fit, turn if reference else None, sections, fit, "none")
+    assert motion.scatter_left_rad(FieldCorrection()) == (0.03 if tells else 0.0)
+
+
+def test_motors_that_a_correction_takes_out_leave_no_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
+    left: list[FloatArray] = []
+    monkeypatch.setattr(
+        observed, "motors_left_rad", lambda sections, fit, mgauss: left.append(mgauss) or 0.04
+    )
+    state = np.zeros(FIRST + K)
+    state[13:16] = (1.0, 2.0, 3.0)
+    nothing: Any = None
+    fit: Any = SimpleNamespace(state=state)
+    motion = observed.Motion(nothing, nothing, None, sections_of(), fit, "current")
+    cure = FieldCorrection(diagonals=(2.0, 1.0, 1.0), motor_mgauss=(-2.0, -2.0, -3.0), motor_source="current")
+    assert motion._motors_left_rad(cure) == 0.04 and left[-1] == pytest.approx([0.0, 0.0, 0.0])
+    motion._motors_left_rad(replace(cure, motor_source="throttle"))
+    assert left[-1].tolist() == [1.0, 2.0, 3.0]  # another load's term takes nothing out
+    assert replace(motion, load_source="none")._motors_left_rad(cure) == 0.0

@@ -1,0 +1,250 @@
+"""Flight modes that are changed and put back, and what a vehicle says of itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from mavcompass import messages as mav
+from mavcompass.enums import MavCmd, MavResult
+from mavcompass.errors import NoVehicle
+from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper, mode_command, mode_name, turning_mode
+from mavcompass.procedure.script import Context, Machine, Script, Send, Tick
+from mavcompass.procedure.vehicle_state import (
+    VehicleState,
+    find_vehicle,
+    find_vehicles,
+    identify,
+    printable,
+)
+
+MANUAL, GUIDED, AUTO = 0, 15, 10
+
+
+@pytest.mark.parametrize(
+    ("kind", "autopilot", "by_controls", "mode"),
+    [
+        ("rover", "ardupilot", False, 15), ("rover", "ardupilot", True, 0), ("copter", "ardupilot", False, 4),
+        ("copter", "ardupilot", True, None), ("sub", "ardupilot", False, 4), ("sub", "ardupilot", True, 19),
+        ("plane", "ardupilot", False, None), ("copter", "px4", False, None),
+    ],
+)  # fmt: skip
+def test_the_mode_in_which_a_vehicle_takes_turns(
+    kind: Any, autopilot: str, by_controls: bool, mode: int | None
+) -> None:
+    assert turning_mode(kind, autopilot, by_controls) == mode
+
+
+def test_modes_have_names_for_a_person() -> None:
+    assert mode_name("rover", "ardupilot", 15) == "GUIDED" and mode_name("copter", "ardupilot", 9) == "LAND"
+    assert mode_name("rover", "ardupilot", 99) == "mode 99" and mode_name("plane", "ardupilot", 5) == "mode 5"
+    assert (
+        mode_name("copter", "px4", PX4_OFFBOARD) == "OFFBOARD"
+        and mode_name("copter", "px4", 4 << 16 | 3 << 24) == "AUTO"
+    )
+    assert mode_name("copter", "px4", 9 << 16) == f"mode {9 << 16}"
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "mode", "main", "sub"),
+    [("ardupilot", 15, 15.0, 0.0), ("px4", PX4_OFFBOARD, 6.0, 0.0), ("px4", 4 << 16 | 3 << 24, 4.0, 3.0)],
+)
+def test_a_mode_is_asked_for_as_its_autopilot_counts(
+    autopilot: str, mode: int, main: float, sub: float
+) -> None:
+    asked = mode_command(Context(system=7, component=1), autopilot, mode)
+    assert (asked.command, asked.target_system, asked.param1) == (MavCmd.DO_SET_MODE, 7, 1.0)
+    assert (asked.param2, asked.param3) == (main, sub)
+
+
+class Vehicle:
+    """Be in a mode; `obeys` tells when a command to change is followed, or None where it never is."""
+
+    def __init__(
+        self, mode: int = MANUAL, obeys_s: float | None = 0.1, result: int = MavResult.ACCEPTED
+    ) -> None:
+        self.state = VehicleState(heard_s=0.0)
+        self.keeper = ModeKeeper(self.state, "ardupilot")
+        self.obeys_s, self.result = obeys_s, result
+        self.asked: list[tuple[float, int]] = []
+        self.talks = self.answers = True
+        self.now_s = 0.0
+        self.is_in(mode)
+        self.keeper.accept_present()
+
+    def is_in(self, mode: int) -> None:
+        self.state.heartbeat = mav.Heartbeat(custom_mode=mode)
+
+    def does(self, script: Callable[[Context], Script[bool]]) -> bool | None:
+        machine, coming = Machine(script), list[tuple[float, int]]()
+        acknowledgements: list[mav.CommandAck] = []
+        for _ in range(600):
+            self.now_s = round(self.now_s + 0.05, 2)
+            if self.talks:
+                self.state.heard_s = self.now_s
+            for at_s, mode in coming:
+                if at_s <= self.now_s:
+                    self.is_in(mode)
+            event: Any = (
+                mav.Incoming(self.now_s, 1, 1, acknowledgements.pop(0))
+                if acknowledgements
+                else Tick(self.now_s)
+            )
+            for action in machine.step(event):
+                if isinstance(action, Send) and isinstance(action.message, mav.CommandLong):
+                    mode = int(action.message.param2)
+                    self.asked.append((self.now_s, mode))
+                    if self.answers:
+                        acknowledgements.append(mav.CommandAck(MavCmd.DO_SET_MODE, self.result))
+                    if self.obeys_s is not None:
+                        coming.append((self.now_s + self.obeys_s, mode))
+            if machine.done:
+                return machine.result
+        raise AssertionError("it hangs")
+
+
+def test_a_mode_is_changed_and_put_back() -> None:
+    vehicle = Vehicle()
+    assert vehicle.does(lambda context: vehicle.keeper.change(context, GUIDED)) is True
+    assert (
+        vehicle.keeper.ours == {GUIDED}
+        and vehicle.keeper.before == [MANUAL]
+        and not vehicle.keeper.is_foreign()
+    )
+    assert vehicle.does(vehicle.keeper.restore) is True
+    assert vehicle.state.mode == MANUAL and [m for _, m in vehicle.asked] == [GUIDED, MANUAL]
+    assert (
+        vehicle.does(vehicle.keeper.restore) is True and len(vehicle.asked) == 2
+    )  # nothing is left to put back
+    assert (
+        vehicle.does(lambda context: vehicle.keeper.change(context, MANUAL)) is True
+        and len(vehicle.asked) == 2
+    )
+
+
+def test_a_pilots_mode_is_left_to_the_pilot() -> None:
+    vehicle = Vehicle()
+    vehicle.does(lambda context: vehicle.keeper.change(context, GUIDED))
+    vehicle.is_in(AUTO)
+    assert vehicle.keeper.is_foreign() and vehicle.does(vehicle.keeper.restore) is False
+    assert vehicle.state.mode == AUTO and len(vehicle.asked) == 1
+
+
+def test_while_it_changes_both_modes_are_ours_and_then_the_new_one_alone() -> None:
+    vehicle = Vehicle(obeys_s=None)
+    vehicle.does(lambda context: vehicle.keeper.change(context, GUIDED))
+    assert not vehicle.keeper.is_foreign()  # still in the old one
+    vehicle.is_in(GUIDED)
+    assert not vehicle.keeper.is_foreign()
+    vehicle.is_in(MANUAL)
+    assert vehicle.keeper.is_foreign()  # somebody has taken it back
+
+
+def test_two_refusals_are_an_answer() -> None:
+    vehicle = Vehicle(obeys_s=None, result=MavResult.DENIED)
+    assert vehicle.does(lambda context: vehicle.keeper.change(context, GUIDED)) is False
+    assert len(vehicle.asked) == 2 and vehicle.now_s == pytest.approx(0.8, abs=0.12)
+
+
+def test_what_was_accepted_is_told_by_the_next_heartbeat() -> None:
+    slow = Vehicle(obeys_s=1.2)
+    assert slow.does(lambda context: slow.keeper.change(context, GUIDED)) is True
+    assert len(slow.asked) == 1  # it is not asked again meanwhile
+    never = Vehicle(obeys_s=None)
+    assert never.does(lambda context: never.keeper.change(context, GUIDED)) is False
+    assert never.now_s == pytest.approx(5.05, abs=0.1) and 3 <= len(never.asked) <= 4
+
+
+def test_unanswered_it_is_asked_again_and_a_silent_vehicle_is_not() -> None:
+    deaf = Vehicle(obeys_s=None)
+    deaf.answers = False
+    assert deaf.does(lambda context: deaf.keeper.change(context, GUIDED)) is False
+    gaps = [b - a for (a, _), (b, _) in zip(deaf.asked[:-1], deaf.asked[1:], strict=True)]
+    assert gaps == pytest.approx([0.7] * len(gaps), abs=0.06) and len(gaps) == 7
+    gone = Vehicle(obeys_s=None)
+    gone.answers = gone.talks = False
+    assert gone.does(lambda context: gone.keeper.change(context, GUIDED)) is False
+    assert gone.now_s == pytest.approx(3.0, abs=0.8)
+
+
+# --- what a vehicle says ---------------------------------------------------------------------------------
+
+
+def heard(time_s: float, message: mav.Message, system: int = 1) -> mav.Incoming:
+    return mav.Incoming(time_s, system, 1, message)
+
+
+ROVER = mav.Heartbeat(type=10, autopilot=3)
+
+
+@pytest.mark.parametrize(
+    ("beat", "told"),
+    [
+        (ROVER, ("ardupilot", "rover")), (mav.Heartbeat(type=2, autopilot=12), ("px4", "copter")),
+        (mav.Heartbeat(type=6, autopilot=8), None),
+        (mav.Heartbeat(type=250, autopilot=3), ("ardupilot", "unknown")),
+        (mav.Attitude(), None),
+    ],
+)  # fmt: skip
+def test_an_autopilot_is_known_by_its_heartbeat(beat: mav.Message, told: tuple[str, str] | None) -> None:
+    found = identify(heard(1.0, beat, 9))
+    assert (found and (found.autopilot, found.kind)) == told
+    assert found is None or (found.system, found.component) == (9, 1)
+
+
+def find(
+    script: Callable[[Context], Script[Any]], *messages: mav.Incoming | Tick, until_s: float = 20.0
+) -> Machine[Any]:
+    machine = Machine(script)
+    for message in messages:
+        machine.step(message)
+    for tenth in range(round(10.0 * until_s)):
+        machine.step(Tick(5.0 + 0.1 * tenth))
+    return machine
+
+
+def test_the_vehicle_is_the_first_autopilot_or_the_one_asked_for() -> None:
+    beats = [heard(0.1, mav.Heartbeat(type=6, autopilot=8), 255), heard(0.2, ROVER, 3), heard(0.3, ROVER, 4)]
+    first = find(lambda c: find_vehicle(c), *beats)
+    assert first.result.system == 3 and first.context.system == 3
+    assert find(lambda c: find_vehicle(c, 4), *beats).result.system == 4
+    other = find(lambda c: find_vehicle(c, 5, 4.0), *beats)
+    assert isinstance(other.error, NoVehicle) and "3 messages were heard" in other.error.what
+    assert "with system id 5" in other.error.what
+    mute = find(lambda c: find_vehicle(c, None, 7.0))
+    assert isinstance(mute.error, NoVehicle) and "Nothing was heard in 7 s" in mute.error.what
+
+
+def test_all_vehicles_on_a_link_are_those_of_three_seconds() -> None:
+    times = ((0.2, 4), (1.0, 2), (1.2, 4), (3.1, 7), (3.3, 0), (3.4, 9))
+    beats = [heard(time_s, ROVER, system) if system else Tick(time_s) for time_s, system in times]
+    found = find(lambda c: find_vehicles(c), *beats)
+    assert [v.system for v in found.result] == [2, 4, 7]
+
+
+def test_the_latest_of_what_it_says_is_kept_if_it_can_be() -> None:
+    state = VehicleState()
+    assert not state.armed and state.mode == -1
+    state.hear(heard(1.0, mav.Heartbeat(base_mode=128, custom_mode=15)))
+    assert state.armed and state.mode == 15 and state.heartbeat_s == state.heard_s == 1.0
+    state.hear(heard(2.0, mav.Heartbeat(base_mode=127)))
+    assert not state.armed
+    good = mav.Attitude(roll=0.1)
+    for message in (good, mav.Attitude(roll=math.nan), mav.Attitude(pitch=math.inf)):
+        state.hear(heard(3.0, message))
+    assert state.attitude is good
+    there = mav.GlobalPositionInt(lat=900_000_000, lon=-1_800_000_000)
+    for place in (there, mav.GlobalPositionInt(lat=900_000_001), mav.GlobalPositionInt(lon=1_800_000_002)):
+        state.hear(heard(4.0, place))
+    assert state.place is there
+    local = mav.LocalPositionNed(x=1.0)
+    for position in (local, mav.LocalPositionNed(z=math.nan)):
+        state.hear(heard(5.0, position))
+    assert state.local is local and state.heard_s == 5.0
+    for k in range(25):
+        state.hear(heard(6.0, mav.Statustext(text=f"text {k}\n\x1b[31m")))
+    assert next(iter(state.texts)) == "text 5??[31m" and len(state.texts) == 20
+    assert printable("é°\t") == "é°?"
