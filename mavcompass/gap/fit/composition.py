@@ -50,15 +50,21 @@ def _nudged(signals: Signals) -> list[Signals]:
     ]
 
 
-def _along(by_axis: Sequence[Reading], curves_rad: FloatArray, yaw_rad: float) -> list[Reading]:
-    """Combine the changes by turns about the world's axes to those by curves of a frame turned by a yaw."""
-    if not curves_rad.shape[2]:
-        return []
+def _turns(curves_rad: FloatArray, yaw_rad: float) -> FloatArray:
+    """Return the turns in world axes, (N, 3, 1 + k), by a constant of the yaw and by curves.
+
+    The curves' frame is turned by that yaw.
+    """
     c, d = math.cos(yaw_rad), math.sin(yaw_rad)
-    turns = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]]) @ curves_rad
-    mag = np.stack([one.mag_mgauss for one in by_axis], axis=2) @ turns
-    still = by_axis[0]
-    return [Reading(mag[:, :, k], 0.0 * still.acc_mps2, 0.0 * still.gyro_radps) for k in range(mag.shape[2])]
+    constant = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (len(curves_rad), 3, 1))
+    turned = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]]) @ curves_rad
+    return np.concatenate([constant, turned], axis=2)
+
+
+def _of_the_compass(mag_mgauss: FloatArray, like: Reading) -> list[Reading]:
+    """Return changes (N, 3, k) of the compass alone as readings."""
+    acc, gyro = np.zeros_like(like.acc_mps2), np.zeros_like(like.gyro_radps)
+    return [Reading(mag_mgauss[:, :, k], acc, gyro) for k in range(mag_mgauss.shape[2])]
 
 
 class Composition:
@@ -119,8 +125,14 @@ class Composition:
             at = places[place]
             effect = order[at][0]
             free = self.free(terms, place)
+            if effect.id == REFERENCE_YAW:
+                turns = _turns(self.replay.reference.curves_rad, float(everything[place][0]))
+                if (turned_by := after.turned(at + 1, turns)) is not None:
+                    changes += turned_by
+                    made_by += [(at, effect.stage)] * len(turned_by)
+                    continue
             moved, steps = [], []
-            for j in free[:1] if effect.id == REFERENCE_YAW else free:
+            for j in () if effect.id == REFERENCE_YAW else free:
                 theta = everything[place].copy()
                 step = _STEP * max(effect.parameters[j].scale, 1e-12)
                 if theta[j] + step > effect.parameters[j].high:
@@ -129,14 +141,14 @@ class Composition:
                 moved.append(effect.forward(states[at], theta, {}, None))
                 steps.append(step)
             if at < end:
-                changes += after.changes(at + 1, moved, steps)
+                changes += after.changes(at + 1, moved, steps) if moved else []
             else:
                 own = states[at + 1].reading
                 changes += [difference(m.reading, own, s) for m, s in zip(moved, steps, strict=True)]
             if effect.id == REFERENCE_YAW:
                 by_axis = after.changes(at + 1, _nudged(states[at + 1]), [_NUDGE_RAD] * 3)
-                yaw = float(everything[place][0])
-                changes += _along(by_axis, self.replay.reference.curves_rad, yaw)
+                mag = np.stack([one.mag_mgauss for one in by_axis], axis=2) @ turns
+                changes += _of_the_compass(mag, by_axis[0])
             made_by += [(at, effect.stage)] * (len(changes) - len(made_by))
         for at, (_, place) in enumerate(order[end:], end):
             early = {i: stage for i, (by, stage) in enumerate(made_by) if by < at}
@@ -202,6 +214,22 @@ class _After:
                 one = effect.forward(one, self._thetas[place], {}, None)
             out.append(difference(one.reading, end, step))
         return out
+
+    def turned(self, at: int, turns: FloatArray) -> list[Reading] | None:
+        """Return the changes when the attitude before member `at` is turned in world axes (N, 3, k).
+
+        None where what comes after asks for more of the attitude than how it turns the field.
+        """
+        first, count = at, len(self._order)
+        while first < count and self._order[first][0].stage is Stage.WORLD:
+            first += 1
+        if any(effect.stage not in EACH_BY_ITSELF for effect, _ in self._order[first:]):
+            return None
+        state = self._states[first]
+        s = state.stimulus
+        # R exp(v x) sees B as R' (B + B x v).
+        mag = s.rotation.transpose(0, 2, 1) @ (cross_matrices(s.field_ned_mgauss) @ turns)
+        return _of_the_compass(mag if first == count else self._matrix(first) @ mag, state.reading)
 
     def _matrix(self, at: int) -> FloatArray:
         """Return the derivative of the prediction by the compass's reading before member `at`, (N, 3, 3)."""

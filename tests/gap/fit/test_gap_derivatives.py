@@ -23,6 +23,15 @@ _WITH = {
     "low_pass": {"time_constant_s": 0.1},
     "clipping": {"limit_mgauss": 520.0},
     "inclination": {"angle_rad": 0.05},
+    "transport_lag": {"lag_s": 0.12},
+    "spatial_dipole": {
+        "moment_north": 40.0,
+        "moment_down": -30.0,
+        "north_m": 6.0,
+        "east_m": -4.0,
+        "down_m": 1.0,
+    },
+    "eddy_current": {"x": 0.05, "y": 0.04, "z": 0.06},
 }
 
 
@@ -37,6 +46,9 @@ def flight() -> Replay:
         ((), 0.003),
         (("axis_scale", "hard_iron"), 0.003),
         (("soft_iron", "misalignment", "inclination"), 0.003),
+        (("spatial_dipole", "hard_iron"), 0.003),
+        (("hard_iron", "transport_lag"), 0.01),
+        (("eddy_current", "hard_iron"), 0.003),
         # Behind a delay the attitude's curves count where they are read, not where they were.
         (("hard_iron", "low_pass"), 0.15),
         (("axis_scale", "clipping"), 0.06),
