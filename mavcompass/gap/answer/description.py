@@ -165,7 +165,7 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
         )
     answer = said
     if floor.measured and not floor.representative and not evidence.beside:
-        answer = owning_up(said, identified, field, heading, evidence.adequacy)
+        answer = owning_up(said, identified, field, evidence.adequacy)
     if answer.named.terms and _worse_on(problem, answer.named, test):
         # A name that makes held-out data worse is no explanation.
         answer = Answer("unknown", none, True, evidence.adequacy.tests[0].coordinate)

@@ -29,11 +29,12 @@ _PLIANT = frozenset(
 _TURNS = frozenset({"misalignment", "orientation", "declination"})
 _NEARLY_ALTERNATING = 0.85
 # More than healthy vehicles leave of a model that is never exact: squared sigmas by which what is known is
-# bent, structure along the motion over what is left in all, and the mean square of whitened readings, of
-# fitted ones and others.
+# bent, beside names and without any; structure along the motion over what is left in all; and the mean square
+# of whitened readings, of fitted ones and others.
 _BENT = 60.0
+_BENT_UNNAMED = 120.0
 _STRUCTURED = 12.0
-_LOUD = 1.5
+_LOUD = 2.0
 _ALONG = frozenset({"mag: heading harmonics", "mag: direction, cubic", "mag: rate"})
 _DRIFT_RIVALS = 6
 _DRIFT_MARGIN = 6.0
@@ -131,9 +132,7 @@ def consistent(
     return Answer("unknown", none, True, coordinate)
 
 
-def owning_up(
-    answer: Answer, identified: Identified, field: Closing, heading: Closing, adequacy: Adequacy
-) -> Answer:
+def owning_up(answer: Answer, identified: Identified, field: Closing, adequacy: Adequacy) -> Answer:
     """Return an answer that is neither silent nor sure beside what healthy vehicles do not leave.
 
     For vehicles with a baseline, whose floor is known but not in detail. Names that bend what is known of
@@ -152,9 +151,8 @@ def owning_up(
     if along is not None and along.excess > _STRUCTURED * max(*left, 1.0):
         verdict: Verdict = "unknown" if answer.verdict == "no_gap" else "named_with_remainder"
         return Answer(verdict, answer.named, True, along.coordinate)
-    above = any(c.nominal > c.floor for c in (field, heading))
-    bent = problem.strain(fit) > _BENT
-    if answer.verdict == "no_gap" and (bent or (above and min(left) > _LOUD)):
+    bent = problem.strain(fit) > _BENT_UNNAMED
+    if answer.verdict == "no_gap" and (bent or (field.nominal > field.floor and min(left) > _LOUD)):
         where = adequacy.tests[0].coordinate if adequacy.tests else "time"
         return Answer("unknown", answer.named, True, where)
     return answer
