@@ -142,8 +142,9 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     how.progress(f"weighing {len(testable)} effects")
     identified, remainder, floor = _explained(replayed, before, floor, testable, traces)
     if "orientation" in identified.fit.ids and steered_by(track, how.compass) != "other":
-        # An autopilot that steers by a compass in another orientation says nothing of the gyro.
-        faults = shifted
+        # An autopilot that steers by a compass in another orientation leans as it should not: it says nothing
+        # of the other sensors.
+        faults = ()
     how.progress("looking at what is left")
     adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
 

@@ -89,12 +89,6 @@ def advice(diagnosis: Diagnosis) -> str:
                 "Change nothing yet: other causes would do the same here. A recording with other turns, tilts"
                 " and loads would decide, beside one of the vehicle in a good state (--baseline)."
             )
-        case "unknown" if all(c.nominal <= c.floor for c in (diagnosis.field, diagnosis.heading)):
-            return (
-                f"The heading is right to {max(diagnosis.heading.nominal, 0.1):.1f} deg rms, within the noise"
-                " of this recording; but something is not as in the baseline: look at what goes with it"
-                " (below)."
-            )
         case "unknown":
             return (
                 "Look at what goes with it (below); a recording of the vehicle in a good state"

@@ -29,12 +29,12 @@ _PLIANT = frozenset(
 _TURNS = frozenset({"misalignment", "orientation", "declination"})
 _NEARLY_ALTERNATING = 0.85
 # More than healthy vehicles leave of a model that is never exact: squared sigmas by which what is known is
-# bent, beside names and without any; structure along the motion over what is left in all; and the mean square
-# of whitened readings, of fitted ones and others.
-_BENT = 60.0
-_BENT_UNNAMED = 120.0
-_STRUCTURED = 12.0
-_LOUD = 2.0
+# bent, beside names and without any; structure that is left beside names over what is left in all, along the
+# motion and along anything; and the mean square of whitened readings, of fitted ones and others, where the
+# field lies above its floor.
+_BENT, _BENT_UNNAMED = 60.0, 120.0
+_STRUCTURED_ALONG, _STRUCTURED = 12.0, 20.0
+_LOUD, _LOUD_ABOVE = 2.0, 1.15
 _ALONG = frozenset({"mag: heading harmonics", "mag: direction, cubic", "mag: rate"})
 _DRIFT_RIVALS = 6
 _DRIFT_MARGIN = 6.0
@@ -147,14 +147,16 @@ def owning_up(answer: Answer, identified: Identified, field: Closing, adequacy: 
     held = problem.with_rows(identified.split.test)
     rows = [p.residual(p.predict(fit)) for p in (problem, held)]
     left = [float(np.mean(r**2)) for r in rows if r.size]
-    along = max((t for t in adequacy.tests if t.name in _ALONG), key=lambda t: t.excess, default=None)
-    if along is not None and along.excess > _STRUCTURED * max(*left, 1.0):
-        verdict: Verdict = "unknown" if answer.verdict == "no_gap" else "named_with_remainder"
-        return Answer(verdict, answer.named, True, along.coordinate)
-    bent = problem.strain(fit) > _BENT_UNNAMED
-    if answer.verdict == "no_gap" and (bent or (field.nominal > field.floor and min(left) > _LOUD)):
-        where = adequacy.tests[0].coordinate if adequacy.tests else "time"
-        return Answer("unknown", answer.named, True, where)
+    if answer.verdict == "no_gap":
+        loud = min(left) > _LOUD and field.nominal > _LOUD_ABOVE * field.floor
+        if loud or problem.strain(fit) > _BENT_UNNAMED:
+            where = adequacy.tests[0].coordinate if adequacy.tests else "time"
+            return Answer("unknown", answer.named, True, where)
+        return answer
+    for test in sorted(adequacy.tests, key=lambda t: -t.excess):
+        most = _STRUCTURED_ALONG if test.name in _ALONG else _STRUCTURED
+        if test.excess > most * max(*left, 1.0):
+            return Answer("named_with_remainder", answer.named, True, test.coordinate)
     return answer
 
 

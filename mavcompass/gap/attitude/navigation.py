@@ -128,7 +128,12 @@ def smoothed_attitude(
             break
     assert solved is not None
     change = solved.states[:, _BIAS].mean(axis=0)
-    if (np.abs(change) > _STRAINED * bias.sigma).any() and (bias.sigma < _FAULTY_RADPS).all():
+    if _strained(change, bias) and (bias.sigma < _FAULTY_RADPS).all():
+        if witness is not None and math.isinf(witness.constant_rad):
+            # An autopilot that believes a bent compass leans the wrong way when it accelerates.
+            alone = smoothed_attitude(sensed, start, bias, velocity, None)
+            if not _strained(alone.gyro_bias.mean - bias.mean, bias):
+                return alone
         # No healthy gyro then: let it say how far it is off.
         faulty = Bias(bias.mean, np.full(3, _FAULTY_RADPS))
         return smoothed_attitude(sensed, rotation, faulty, velocity, witness)
@@ -141,6 +146,11 @@ def smoothed_attitude(
     sigma = np.sqrt(np.diag(solved.covariance(middle, _BIAS.stop))[_BIAS])
     found = Bias(bias.mean + change, sigma)
     return Smoothed(rotation, rate, found, smoother.knots[some], covariance)
+
+
+def _strained(change_radps: FloatArray, bias: Bias) -> bool:
+    """Tell whether a gyro's bias differs from what it was at rest by more than it may."""
+    return bool((np.abs(change_radps) > _STRAINED * bias.sigma).any())
 
 
 @dataclass(frozen=True, slots=True)

@@ -181,19 +181,24 @@ def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> R
     resting = bias_at_rest(clock, sensed.rate_radps, sensed.force_mps2)
     velocity = receiver_velocity(track, clock)
     autopilot = _autopilot_rotation(track, clock) if choice == "auto" else None
-    start = started(sensed, resting, velocity, autopilot)
+    start, level = started(sensed, resting, velocity, autopilot), autopilot
+    if autopilot is not None and velocity is not None and not start.bearing:
+        alone = started(sensed, resting, velocity, None)
+        if alone.bearing:
+            # The receiver explains what is felt, but not as the autopilot leans: by a bent compass.
+            start, level = alone, None
     antennas = _antennas_yaw(track, clock) if choice in ("auto", "gps-yaw") else None
     if choice == "gps-yaw" and antennas is None:
         return None
     told = ["the receiver's velocity"] if start.bearing else []
     witness, rotation = None, start.rotation
     if antennas is not None:
-        level = rotation if autopilot is None else autopilot
-        witness = Witness(_facing(level, antennas), _ANTENNAS_RAD, _ANTENNAS_SLOW_RAD)
+        leaning = rotation if level is None else level
+        witness = Witness(_facing(leaning, antennas), _ANTENNAS_RAD, _ANTENNAS_SLOW_RAD)
         told.append("the two-antenna receiver")
-    elif autopilot is not None:
+    elif level is not None:
         steered = steered_by(track, instance) == "other"
-        witness = Witness(autopilot, _AUTOPILOT_RAD if steered else math.inf, _AUTOPILOT_SLOW_RAD)
+        witness = Witness(level, _AUTOPILOT_RAD if steered else math.inf, _AUTOPILOT_SLOW_RAD)
         told += ["the autopilot's yaw, which another compass steers"] if steered else []
     if not start.bearing and witness is not None and math.isfinite(witness.constant_rad):
         ahead = float(np.median(_ahead(rotation, witness.rotation)))

@@ -7,10 +7,12 @@ import numpy as np
 from mavcompass.frames import FloatArray
 
 _AGE_STEP_S, _LONGEST_AGE_S, _LEAST_TURNING_RADPS = 0.01, 0.2, 0.05
+# An age that there is leaves half of what none leaves, or less; one that even turns do not show, nearly all.
+_LEFT = 0.8
 
 
 def age_of(clock: FloatArray, rate: FloatArray, when: FloatArray, yaw: FloatArray) -> float | None:
-    """Return how late a rate (N,) is beside the rate of another yaw (M,), seconds; None where little turns.
+    """Return how late a rate (N,) is beside the rate of another yaw (M,), seconds; None where turns hide it.
 
     What bends that yaw with the heading changes how fast it turns, by sines of it, and not when: of all ages
     that one is right which leaves least beside such a bend.
@@ -35,5 +37,6 @@ def age_of(clock: FloatArray, rate: FloatArray, when: FloatArray, yaw: FloatArra
         normal = design.T @ design + 1e-9 * np.eye(bends.shape[1])
         score = design.T @ other[inner]
         left.append(float(other[inner] @ other[inner] - score @ np.linalg.solve(normal, score)))
-    best = int(np.argmin(left))
-    return float(lags[best]) if 0 < best < lags.size - 1 else None
+    best, none = int(np.argmin(left)), int(np.argmin(np.abs(lags)))
+    shown = 0 < best < lags.size - 1 and left[best] < _LEFT * left[none]
+    return float(lags[best]) if shown else None

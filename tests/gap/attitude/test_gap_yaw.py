@@ -51,6 +51,11 @@ def test_age_is_not_told_by_what_hardly_turns_or_lasts_briefly() -> None:
     clock = np.arange(0.0, 60.0, 0.04)
     yaw = 0.01 * np.sin(clock)
     assert age_of(clock, np.gradient(yaw, clock), clock, yaw) is None
+    # On a circle every age explains as much.
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        circled = 0.5 * clock + 0.02 * np.cumsum(rng.normal(0.0, 0.2, clock.size)) * 0.04
+        assert age_of(clock, 0.5 + rng.normal(0.0, 0.003, clock.size), clock, circled) is None
     short = clock[:80]
     assert age_of(short, np.cos(short), short, np.sin(short)) is None
 

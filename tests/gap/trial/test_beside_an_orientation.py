@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pytest
+
 from mavcompass.gap.diagnose import diagnose_gap
+from mavcompass.gap.replay import replay
 from mavcompass.gap.trial.vehicles import make_case
 
 
@@ -21,3 +25,12 @@ def test_autopilot_that_steers_by_a_turned_compass_accuses_no_gyro() -> None:
     found = diagnose_gap(case.track, case.baseline)
     assert found.verdict == "named"
     assert [cause.effect for cause in found.causes] == ["orientation"]
+
+
+@pytest.mark.parametrize("seed", [1208850555, 1042849402])
+def test_gyro_stays_what_it_is_where_a_turned_compass_leans_the_autopilot(seed: int) -> None:
+    case = make_case(seed, "single")
+    assert [effect for effect, _ in case.effects] == ["orientation"] and case.baseline is not None
+    flight, before = (replay(track).reference.gyro_bias for track in (case.track, case.baseline))
+    assert flight is not None and before is not None
+    np.testing.assert_allclose(flight.mean, before.mean, atol=0.006)

@@ -7,7 +7,6 @@ import pytest
 from mavcompass.gap import Diagnosis
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.trial.vehicles import make_case
-from mavcompass.report.gap_words import advice
 
 
 def found_in(seed: int, tier: str, withheld: str | None = None) -> Diagnosis:
@@ -15,20 +14,11 @@ def found_in(seed: int, tier: str, withheld: str | None = None) -> Diagnosis:
     return diagnose_gap(case.track, case.baseline, [withheld] if withheld else [])
 
 
-def test_structure_that_follows_the_heading_is_told_below_the_floor() -> None:
-    # A sensor that saturates as a cube does changes a quarter of a degree.
-    found = found_in(92119, "outside")
-    assert found.field.nominal < found.field.floor and found.heading.nominal < found.heading.floor
-    assert (found.verdict, found.unknown_coordinate, found.causes) == ("unknown", "heading", ())
-    assert "not as in the baseline" in advice(found)
-
-
-@pytest.mark.parametrize(("seed", "withheld"), [(92226, "noise_excess"), (92311, None)])
-def test_what_healthy_vehicles_do_not_leave_is_told_above_the_floor(seed: int, withheld: str | None) -> None:
-    found = found_in(seed, "single", withheld)
+@pytest.mark.parametrize(("tier", "seed"), [("outside", 92018), ("single", 92311)])
+def test_what_healthy_vehicles_do_not_leave_is_told_above_the_floor(tier: str, seed: int) -> None:
+    found = found_in(seed, tier)
     assert found.field.floor < found.field.nominal < 1.3 * found.field.floor
     assert found.verdict == "unknown" and not found.causes
-    assert "baseline" in advice(found)
 
 
 def test_a_name_that_bends_what_is_known_is_not_sure() -> None:
