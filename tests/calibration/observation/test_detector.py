@@ -136,3 +136,16 @@ def test_the_mean_is_long_enough_for_tilt_and_field(tilt_deg: float, field_mgaus
     ratio = max(force / (G * math.radians(tilt_deg)), field / field_mgauss)
     # n readings leave sigma / sqrt(n).
     assert detector.averaging_s(math.radians(tilt_deg), field_mgauss) == pytest.approx(ratio**2 * STEP_S)
+
+
+@pytest.mark.parametrize("tilt_deg_s", [5.5, -5.5])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_of_what_leans_only_the_horizontal_part_of_its_rate_is_tilting(axis: int, tilt_deg_s: float) -> None:
+    down, across = [0.0, 0.0, 0.5], [0.0, 0.0, -math.sqrt(0.75)]  # across is horizontal
+    down[axis], across[axis] = math.sqrt(0.75), 0.5
+    acc = (-G * down[0], -G * down[1], -G * down[2])
+    detector = StillnessDetector(0.0)
+    detector.update(0.0, (0.0, 0.0, 0.0), acc, FIELD)
+    x, y, z = (math.radians(2.9 * d + tilt_deg_s * a) for d, a in zip(down, across, strict=True))
+    state = fed(detector, 1.0, 0.0, (x, y, z), acc)
+    assert state.why_not == "" and math.degrees(state.rate_radps) == pytest.approx(2.9, abs=0.05)
