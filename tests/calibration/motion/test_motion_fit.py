@@ -410,3 +410,29 @@ def test_motors_that_are_left_scatter_the_heading(found: MotionFit) -> None:
 
 def test_the_heading_error_is_that_of_its_covariance(found: MotionFit) -> None:
     assert fit.sigma_of(found) == HeadingError(found.state[:11], found.covariance[:9, :9]).rms_rad()
+
+
+def test_scatter_between_sections_is_what_noise_does_not_explain() -> None:
+    psi = np.linspace(0.0, 2.0 * math.pi, K, endpoint=False)
+    sections = sections_of(psi)
+    east = np.stack([np.sin(psi), np.cos(psi), np.zeros(K)], axis=1)
+    state = np.zeros(FIRST + K)
+    state[HORIZONTAL] = 200.0
+
+    def scatter_of(off_mgauss: float, model_mgauss: float, sound: FloatArray | None = None) -> float:
+        seen: Any = SimpleNamespace(
+            model_mgauss=model_mgauss,
+            headings_rad=psi,
+            gain=np.eye(3),
+            state=state,
+            residual_mgauss=east * np.where(np.arange(K) % 2, off_mgauss, -off_mgauss)[:, np.newaxis],
+            variance_mgauss2=np.tile((4.0 + model_mgauss**2) * np.eye(3), (K, 1, 1)),  # noise of 2 mG
+            sound=np.ones(K) if sound is None else sound,
+        )
+        return honesty._scatter(sections, seen)
+
+    assert scatter_of(10.0, 6.0) == pytest.approx(math.sqrt(96.0) / 200.0)
+    assert scatter_of(1.0, 6.0) == pytest.approx(6.0 / 200.0)  # no less than the model's own error
+    assert scatter_of(10.0, 0.0) == 0.0
+    half = np.where(np.arange(K) < 12, 1.0, 0.0)
+    assert scatter_of(10.0, 6.0, half) == pytest.approx(math.sqrt(96.0) / 200.0)

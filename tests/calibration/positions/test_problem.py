@@ -276,6 +276,7 @@ def test_a_fit_may_begin_at_one_that_is_nearly_the_same() -> None:
 def test_a_result_tells_how_z_is_known_and_what_the_field_is() -> None:
     data = four_positions(IRON, np.random.default_rng(5), noise=2.0, gyro_sigma=0.003)
     by_world, alone = calibrate_positions(data, earth=FIELD), calibrate_positions(data)
+    assert by_world.instance == 1 and calibrate_positions(data, instance=3).instance == 3
     sigma = math.sqrt(float(by_world.covariance[2, 2]))
     assert (
         f"comes from the world model, good to {sigma:.0f} mG" in by_world.warnings[-1] and 5.0 < sigma < 60.0

@@ -242,3 +242,34 @@ def test_readings_at_the_limit_of_a_saturated_sensor_are_put_aside(monkeypatch: 
     for plateau in (left[40:80, 2], left[80:, 0]):  # as the floor's noise would have it
         assert np.abs(plateau).max() < 12.0 and plateau.std() > 0.5
     assert remainder._without_plateaus(problem, changing(7.5)) is problem
+
+
+@pytest.mark.parametrize(
+    ("scatter", "effects", "comparable"),
+    [(None, (), True), (None, ("clipping",), False), ("jitter", (), False), ("jitter", ("clipping",), False)],
+)
+def test_noise_is_compared_with_the_floors_where_it_is_the_floors(
+    scatter: str | None, effects: tuple[str, ...], comparable: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Any] = []
+
+    class Fitted:
+        def __init__(self, replay: Any, noise: Any, rows: Any, prior: Any) -> None:
+            self.replay, self.noise, self.rows, self.prior = replay, noise, rows, prior
+            made.append(noise)
+
+        def refit(self, fit: Any) -> Any:
+            return SimpleNamespace(ids=frozenset(effects), terms=())
+
+    monkeypatch.setattr(remainder, "Problem", Fitted)
+    monkeypatch.setattr(remainder, "_without_plateaus", lambda problem, fit: problem)
+    monkeypatch.setattr(remainder, "find_scatter", lambda *given: scatter)
+    monkeypatch.setattr(remainder, "noise_with", lambda problem, fit, scatter: "noisier")
+    chosen: Any = SimpleNamespace(problem=SimpleNamespace(replay=SimpleNamespace(valid=None)), fit=None)
+    floor: Any = SimpleNamespace(noise="the floor's", prior=None)
+    traces: Any = SimpleNamespace(step_mgauss=0.0, excess_mgauss2=0.0)
+    left = remainder.what_is_left(chosen, floor, frozenset(), traces)
+    assert left.comparable is comparable and left.scatter == scatter
+    assert (
+        left.problem.noise == ("the floor's" if scatter is None else "noisier") and made[0] == "the floor's"
+    )
