@@ -1,0 +1,126 @@
+"""Writing what a calibration found: refused, asked for, written, taken back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.correction import FieldCorrection
+from mavcompass.errors import LinkLost, WriteFailed
+from mavcompass.procedure.dialect import Change, ParameterPlan, WriteOutcome
+from mavcompass.procedure.report import CalibrationReport
+from mavcompass.procedure.script import Answer, Ask, Context, Machine, Show, Tick, nothing
+from mavcompass.procedure.vehicle_state import VehicleIdentity
+from mavcompass.procedure.writing import Writer
+from mavcompass.track import Track
+
+FOUND = FieldCorrection((60.0, -40.0, 25.0))
+PLAN = ParameterPlan(
+    (Change("COMPASS_OFS_X", 5.0, 60.0), Change("COMPASS_OFS_Y", 0.0, -40.0)), (), ("It is slow.",)
+)
+OUTCOME = WriteOutcome(True, Path("u.json"), {"COMPASS_OFS_X": 60.0}, restore_command="restore u.json")
+
+
+def report(**more: Any) -> CalibrationReport:
+    result = CalibrationResult(1, "four-positions", True, (), np.zeros(3), FOUND)
+    identity = VehicleIdentity(1, 1, "ardupilot", "rover")
+    return replace(CalibrationReport(identity, (result,), {}, Track(), (), 9.0), **more)
+
+
+class Vehicle:
+    def __init__(
+        self, plan: ParameterPlan = PLAN, trouble: Exception | None = None, raw: bool = False
+    ) -> None:
+        self.written: list[ParameterPlan] = []
+        self.builder_heard: list[tuple[int, FieldCorrection]] = []
+
+        def write(context: Any, plan: ParameterPlan, save_undo: Any) -> Any:
+            self.written.append(plan)
+            if trouble is not None:
+                raise trouble
+            return nothing(OUTCOME)
+
+        dialect = SimpleNamespace(
+            plan=lambda parameters, corrections: plan,
+            write=write,
+            raw_rotation=lambda parameters, instance: np.eye(3) if raw else None,
+        )
+        builder = SimpleNamespace(set_correction=lambda i, c: self.builder_heard.append((i, c)))
+        self.desk: Any = SimpleNamespace(context=Context(), parameters={}, dialect=dialect, builder=builder)
+
+    def does(self, script: Any, answer: bool | None = None) -> tuple[Machine[Any], list[Any]]:
+        machine = Machine(lambda context: script)
+        machine.context = self.desk.context
+        actions = machine.step(Tick(1.0))
+        if answer is not None:
+            actions += machine.step(Answer(2.0, answer))
+        return machine, actions
+
+
+def writer(vehicle: Vehicle, asks: bool = False) -> Writer:
+    return Writer(vehicle.desk, lambda plan, values: Path("u.json"), asks)
+
+
+def test_a_plan_is_written_and_what_was_said_of_it_is_kept() -> None:
+    vehicle = Vehicle()
+    machine, actions = vehicle.does(writer(vehicle).write(report()))
+    assert machine.result.outcome is OUTCOME and machine.result.plan is PLAN and vehicle.written == [PLAN]
+    assert machine.result.messages == ("It is slow.",) and not any(isinstance(a, Ask) for a in actions)
+    # From now on what is heard is corrected by it; a raw reading stays raw.
+    assert vehicle.builder_heard == [(1, FOUND)]
+    raw = Vehicle(raw=True)
+    raw.does(writer(raw).write(report()))
+    assert raw.written and raw.builder_heard == []
+
+
+def test_a_plan_that_is_refused_is_not_written() -> None:
+    vehicle = Vehicle(replace(PLAN, refusals=("Offsets of zero.",)))
+    machine, _ = vehicle.does(writer(vehicle, asks=True).write(report()))
+    assert machine.done and machine.result.outcome is None and vehicle.written == []
+    assert machine.result.messages == ("Offsets of zero.", "It is slow.")
+
+
+@pytest.mark.parametrize("yes", [True, False])
+def test_a_person_is_asked_with_old_and_new(yes: bool) -> None:
+    vehicle = Vehicle()
+    machine, actions = vehicle.does(writer(vehicle, asks=True).write(report()), yes)
+    (asked,) = [a.question for a in actions if isinstance(a, Ask)]
+    assert asked.splitlines() == [
+        "Write these parameters?",
+        "  COMPASS_OFS_X               5 -> 60",
+        "  COMPASS_OFS_Y               0 -> -40",
+    ]
+    assert bool(vehicle.written) is yes and (machine.result.outcome is not None) is yes
+    assert ("Not written: the answer was no." in machine.result.messages) is not yes
+
+
+def test_the_old_values_are_put_back_last_change_first() -> None:
+    vehicle = Vehicle()
+    machine, actions = vehicle.does(
+        writer(vehicle).take_back(report(plan=PLAN, outcome=OUTCOME), "Not proven.")
+    )
+    assert machine.done and machine.error is None
+    (back,) = vehicle.written
+    assert [(c.name, c.old, c.new) for c in back.changes] == [
+        ("COMPASS_OFS_Y", -40.0, 0.0), ("COMPASS_OFS_X", 60.0, 5.0),
+    ]  # fmt: skip
+    assert [a.text for a in actions if isinstance(a, Show)] == ["Not proven. Putting the old values back."]
+
+
+@pytest.mark.parametrize(
+    "trouble", [LinkLost("It fell silent.", "x"), WriteFailed("It is torn.", "x", None, "")]
+)
+def test_where_that_fails_the_way_back_is_told(trouble: Exception) -> None:
+    vehicle = Vehicle(trouble=trouble)
+    machine, _ = vehicle.does(writer(vehicle).take_back(report(plan=PLAN, outcome=OUTCOME), "Not proven."))
+    error = machine.error
+    assert (
+        isinstance(error, WriteFailed) and "Not proven. The new values could not be taken back" in error.what
+    )
+    assert "restore u.json" in error.remedy and error.undo_file == Path("u.json")
