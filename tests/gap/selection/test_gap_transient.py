@@ -273,3 +273,33 @@ def test_noise_is_compared_with_the_floors_where_it_is_the_floors(
     assert (
         left.problem.noise == ("the floor's" if scatter is None else "noisier") and made[0] == "the floor's"
     )
+
+
+@pytest.mark.parametrize(
+    ("measured", "rms_mgauss", "sigma_mgauss"),
+    [(True, 5.0, 5.0), (False, 5.0, math.sqrt(25.0 - 12.0)), (False, 3.0, 0.3)],
+)
+def test_a_scatter_read_off_coarse_numbers_holds_that_of_their_rounding(
+    measured: bool, rms_mgauss: float, sigma_mgauss: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[FloatArray] = []
+
+    def drawn(rounded: Any, predicted: Any, sigma: FloatArray, step: float) -> FloatArray:
+        seen.append(sigma)
+        assert step == 12.0  # of which rounding leaves 3.46 mG
+        return np.zeros((3, 3))
+
+    reading = SimpleNamespace(mag_mgauss=np.zeros((3, 3)), acc_mps2=None, gyro_radps=None)
+    fitted: Any = SimpleNamespace(refit=lambda fit: fit)
+    monkeypatch.setattr(remainder, "_before_rounding", drawn)
+    monkeypatch.setattr(remainder, "replace", lambda replay, measured: replay)
+    monkeypatch.setattr(remainder, "Problem", lambda replay, noise, rows, prior: fitted)
+    monkeypatch.setattr(remainder, "measured_noise", lambda problem, fit: {"mag": None})
+    problem: Any = SimpleNamespace(
+        replay=SimpleNamespace(measured=reading), noise=None, rows=None, prior=None,
+        predict=lambda fit: SimpleNamespace(mag_mgauss=None),
+    )  # fmt: skip
+    floor: Any = SimpleNamespace(noise={"mag": white(np.full(3, rms_mgauss))}, measured=measured)
+    fit: Any = None
+    left = remainder._unrounded(problem, fit, floor, 12.0)
+    assert seen[0] == pytest.approx(np.full(3, sigma_mgauss)) and left.scatter is None and not left.comparable
