@@ -436,3 +436,13 @@ def test_scatter_between_sections_is_what_noise_does_not_explain() -> None:
     assert scatter_of(10.0, 0.0) == 0.0
     half = np.where(np.arange(K) < 12, 1.0, 0.0)
     assert scatter_of(10.0, 6.0, half) == pytest.approx(math.sqrt(96.0) / 200.0)
+
+
+def test_where_nothing_is_left_to_judge_by_no_model_error_is_found(found: MotionFit) -> None:
+    sections = sections_of(noise=6.0)
+    _, rules = first_state(sections, EARTH, IronPrior(), 1e-6, None)
+    loose = replace(rules, rows=1e-6 * rules.rows)  # a prior that holds nothing
+    residual = np.full((K, 3), 6.0)
+    disturbed_all = np.full(K, 1e-3)
+    assert fit._model_error(sections, found.state, residual, disturbed_all, loose) == 0.0
+    assert fit._model_error(sections, found.state, residual, np.ones(K), rules) > 3.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.observation import StillnessDetector, find_dwells, rolls
-from mavcompass.calibration.observation.rolling import force_step
+from mavcompass.calibration.observation.rolling import RollingWitness, force_step
 from mavcompass.calibration.observation.tilt import tilt_during
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.physics.motion import rotation_matrix
@@ -92,3 +92,19 @@ def test_live_a_dwell_does_not_begin_while_it_brakes() -> None:
     assert not still[(TIME > STANDS_S + 0.05) & (TIME < STANDS_S + 0.4)].any()
     assert still[TIME > STANDS_S + 0.55].all() and still[(TIME > 2.0) & (TIME < BRAKES_S)].all()
     assert still_from(stopping(), wheels=False)[TIME > 2.0].all()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("rate_radps", [0.1, -0.1])
+def test_live_a_body_that_nods_does_not_roll(axis: int, rate_radps: float) -> None:
+    witness = RollingWitness()
+    gyro = [0.0, 0.0, 0.0]
+    gyro[axis] = rate_radps
+    for time_s in TIME[:60].tolist():
+        angles = [0.0, 0.0]
+        angles[axis] = rate_radps * time_s
+        turned = np.reshape(rotation_matrix(*angles, 0.0), (3, 3))
+        witness.hear(time_s, tuple(gyro), tuple((turned.T @ [0.0, 0.0, -STANDARD_GRAVITY_MPS2]).tolist()))
+        assert not witness.rolls(0.0)  # 0.25 m/s^2 in a quarter of a second, of which the turn explains all
+    witness.hear(TIME[60], tuple(gyro), (3.0, 0.0, -9.8))
+    assert witness.rolls(0.0) and not witness.rolls(9.0)
