@@ -7,7 +7,7 @@ stage on. What an attitude may be off by, and a common delay, are reckoned once 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from mavcompass.gap.attitude import cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, Replay, turned
 from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, Effect, Signals, Stage
-from mavcompass.simulation.effects.sampling import Between, at_times, central_differences
+from mavcompass.simulation.effects.sampling import Between, at_times, central_differences, first_order_lag
 from mavcompass.simulation.physics.signals import Reading
 
 _STEP = 1e-3
@@ -25,7 +25,8 @@ _NUDGE_RAD = 1e-5
 _NUDGE_MGAUSS = 1.0
 # Stages whose changes turn with the vehicle.
 _TURNING = frozenset({Stage.ATTITUDE, Stage.WORLD})
-_DELAYS = frozenset({"transport_lag", TELEMETRY_AGE})
+_SMOOTHING = "low_pass"
+_LAST = frozenset({"transport_lag", _SMOOTHING, TELEMETRY_AGE})
 
 
 def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
@@ -113,9 +114,9 @@ class Composition:
         everything = [*nuisance_thetas, *thetas]
         order = self._ordered(terms, everything)
         places = {place: at for at, (_, place) in enumerate(order)}
-        # Delays come last and are the same for all that comes before them: once for all columns.
+        # What delays and smooths comes last, the same for all that comes before it: once for all columns.
         end = len(order)
-        while end and order[end - 1][0].id in _DELAYS:
+        while end and order[end - 1][0].id in _LAST:
             end -= 1
         after = _After(order[:end], everything, states[: end + 1])
         changes: list[Reading] = []
@@ -150,11 +151,22 @@ class Composition:
                 mag = np.stack([one.mag_mgauss for one in by_axis], axis=2) @ turns
                 changes += _of_the_compass(mag, by_axis[0])
             made_by += [(at, effect.stage)] * (len(changes) - len(made_by))
-        for at, (_, place) in enumerate(order[end:], end):
+        for at, (last, place) in enumerate(order[end:], end):
             early = {i: stage for i, (by, stage) in enumerate(made_by) if by < at}
-            if early:
+            if not early:
+                continue
+            if last.id == _SMOOTHING:
+                self._smooth(changes, early, float(everything[place][0]))
+            else:
                 self._delay(changes, early, float(everything[place][0]))
         return changes
+
+    def _smooth(self, changes: list[Reading], early: Collection[int], time_constant_s: float) -> None:
+        """Smooth changes, by their places."""
+        flat = np.hstack([changes[i].mag_mgauss for i in early])
+        flat, _ = first_order_lag(self.replay.time_s, flat, time_constant_s)
+        for n, i in enumerate(early):
+            changes[i] = Reading(flat[:, 3 * n : 3 * n + 3], changes[i].acc_mps2, changes[i].gyro_radps)
 
     def _delay(self, changes: list[Reading], early: Mapping[int, Stage], delay_s: float) -> None:
         """Delay changes, by their places and stages: of attitude and world's field they turn with the

@@ -49,8 +49,7 @@ def flight() -> Replay:
         (("spatial_dipole", "hard_iron"), 0.003),
         (("hard_iron", "transport_lag"), 0.01),
         (("eddy_current", "hard_iron"), 0.003),
-        # Behind a delay the attitude's curves count where they are read, not where they were.
-        (("hard_iron", "low_pass"), 0.15),
+        (("hard_iron", "low_pass"), 0.01),
         (("axis_scale", "clipping"), 0.06),
     ],
 )
