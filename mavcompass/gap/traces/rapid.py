@@ -22,7 +22,8 @@ _SHARE, _BESIDE_NOISE = 0.7, 0.25
 _SIMPLER = 0.05
 _BLOCK = 12
 _SLOW_S = 2.0
-_LOWEST_HZ = 0.5
+# Below, a vehicle itself swings, and what its attitude is off by with it.
+_LOWEST_HZ = 0.75
 _FINER = 8
 # How much nearer than its width in the spectrum the frequency of a line is sought.
 _STEPS, _ROUNDS = 8, 3

@@ -14,6 +14,8 @@ _DOUBTFUL_EXCESS = 1.0
 # White noise scatters alike between neighbours and between readings further apart, and at all times.
 _UNLIKE, _SPANS, _UNSTEADY = 2.0, 8, 4.0
 _FEWEST = 20
+# Where a vehicle is now quieter, now faster, a third of the readings is quiet, and so are their neighbours.
+_LEAST_QUIET = 0.15
 
 
 def quiet_variance(readings: Readings, values: FloatArray) -> float:
@@ -24,9 +26,11 @@ def quiet_variance(readings: Readings, values: FloatArray) -> float:
 def excess_variance(readings: Readings, baseline: Readings) -> float:
     """Return the variance of white scatter in excess of the baseline's, mG^2, while the field hardly turns.
 
-    0 where it is not much more, and where it is no noise: fast changes that follow each other, or come in
-    bursts.
+    0 where it is not much more, where a vehicle that circles evenly is never quiet, and where it is no noise:
+    fast changes that follow each other, or come in bursts.
     """
+    if float(readings.quiet.mean()) < _LEAST_QUIET:
+        return 0.0
     now, before = quiet_scatter(readings), quiet_scatter(baseline)
     excess = now**2 - before**2
     if excess <= _DOUBTFUL_EXCESS * max(before, 1e-9) ** 2:
