@@ -45,7 +45,8 @@ def identify(
     """Search and guard; where the noise is not known estimate it from what is left, and repeat.
 
     Where a change that was found takes time, the readings meanwhile are set aside and the search repeated.
-    If nothing that changes is found then, they were the whole disturbance, and must stay.
+    If nothing that changes is found then, they were the whole disturbance, and must stay; and they stay where
+    the rest is explained no better without them.
     """
     result, own = _searched(replay, floor, split, effects, 1 if noise_known else _PASSES)
     when = moments(result.fit)
@@ -60,9 +61,15 @@ def identify(
         kept = Problem(fewer, result.problem.noise, calm.train, result.problem.prior)
         start = widened(floor, kept, kept.refit(result.fit))
     calmer, settled = _searched(fewer, start, calm, effects, 1)
-    if not moments(calmer.fit):
+    # Under a noise that is known both can be compared.
+    if not moments(calmer.fit) or (floor.measured and _each(calmer) > _each(result)):
         return result, own
     return replace(calmer, fit=with_moments(calmer.problem, calmer.fit, when)), settled
+
+
+def _each(found: Identified) -> float:
+    """Return the whitened sum of squares that a chosen fit leaves, of each of its rows."""
+    return found.fit.sse / max(found.problem.count, 1)
 
 
 def _searched(
