@@ -6,11 +6,14 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from mavcompass.calibration.methods import ellipsoid, four_positions, world_field
 from mavcompass.calibration.motion.changes import Change, calm_since_s, last_stretch, since
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad, surest
+from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 
 # Two methods that are both sure must agree within so many of their sigmas.
@@ -28,12 +31,12 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
     if recorded.windows is not None:
         return four_positions.calibrate(recorded)
     motion, change = _observed(recorded)
-    if change is not None:
-        recorded = since(recorded, change.time_s)
+    if motion is not None and change is not None:
+        recorded = since(recorded, float(motion.sections.start_s[0]))
     results, refusals = _tried(recorded, motion)
     if not results:
         raise refusals[0]
-    result = _chosen(results)
+    result = _chosen(results, motion)
     said = [f"Method: {result.method}, chosen by what the recording holds."]
     if change is not None:
         said.append(change.words())
@@ -80,7 +83,7 @@ def _still(recorded: Recorded, motion: Motion | None) -> CalibrationResult:
     return replace(later, warnings=(said, *later.warnings)) if later.accepted else result
 
 
-def _chosen(results: list[CalibrationResult]) -> CalibrationResult:
+def _chosen(results: list[CalibrationResult], motion: Motion | None = None) -> CalibrationResult:
     """Choose an accepted result, still positions first; refuse it where another sure method contradicts."""
     accepted = [r for r in results if r.accepted]
     if not accepted:
@@ -89,7 +92,7 @@ def _chosen(results: list[CalibrationResult]) -> CalibrationResult:
     if accepted[0].method == "four-positions" and _sigma(accepted[0]) < _SURER * _sigma(best):
         best = accepted[0]
     for other in accepted:
-        apart = _apart_deg(best, other)
+        apart = _apart_deg(best, other, motion)
         allowed = max(_AGREE_SIGMAS * math.hypot(_sigma(best), _sigma(other)), _AGREE_DEG)
         if apart > allowed:
             reason = (
@@ -104,7 +107,22 @@ def _sigma(result: CalibrationResult) -> float:
     return result.heading_sigma_deg
 
 
-def _apart_deg(one: CalibrationResult, other: CalibrationResult) -> float:
-    """Return by how much two results' headings differ, rms over the circle, their mean left out."""
-    change = heading_change_rad(other.correction, one.correction, one.horizontal_mgauss, one.vertical_mgauss)
+def _apart_deg(one: CalibrationResult, other: CalibrationResult, motion: Motion | None) -> float:
+    """Return by how much two results' headings differ at the usual load, rms without their mean."""
+    change = heading_change_rad(
+        _at_usual_load(other.correction, motion),
+        _at_usual_load(one.correction, motion),
+        one.horizontal_mgauss,
+        one.vertical_mgauss,
+    )
     return math.degrees(float(change.std()))
+
+
+def _at_usual_load(correction: FieldCorrection, motion: Motion | None) -> FieldCorrection:
+    """Take the motors' field at their mean load for iron: what was flown under load is not known without."""
+    if motion is None or motion.load_source == "none" or correction.motor_source != motion.load_source:
+        return correction
+    motors = np.linalg.solve(correction.matrix, np.asarray(correction.motor_mgauss))
+    offsets = np.asarray(correction.offsets_mgauss) + motors * motion.sections.load_mean
+    x, y, z = offsets.tolist()
+    return replace(correction, offsets_mgauss=(x, y, z), motor_source="none", motor_mgauss=(0.0, 0.0, 0.0))

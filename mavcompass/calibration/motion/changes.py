@@ -23,6 +23,8 @@ _EVEN_CUTS = 8
 _JUMPS = 4
 # Between a change and the first reading that counts.
 _SETTLE_S = 1.0
+# What passes by is gone sooner.
+_NO_PASSING_S = 10.0
 # A smaller difference may be an error of the attitude.
 _IRON_MGAUSS = 15.0
 
@@ -54,6 +56,9 @@ class Change:
 
 def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
     """Return the motion since the iron last changed, and what changed; all of it and None without."""
+    kept_out = _since_the_beginning_was_kept_out(motion)
+    if kept_out is not None:
+        return kept_out
     horizontal = abs(float(motion.fit.state[HORIZONTAL])) * float(np.abs(motion.fit.gain[:2, :2]).max())
     if motion.fit.model_mgauss < _WORTH_IT_RAD * horizontal:
         return motion, None
@@ -70,11 +75,31 @@ def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
             found = later, start
     if found is None:
         return motion, None
-    later, start = found
-    before = motion.sections.between(-math.inf, start)
+    return _told(motion, *found)
+
+
+def _told(motion: Motion, later: Motion, start_s: float) -> tuple[Motion, Change]:
+    before = motion.sections.between(-math.inf, start_s)
     moved = np.linalg.norm(residual_of(before, later.fit), axis=1) if len(before) else np.zeros(1)
     change = Change(_dated(motion, later, float(np.median(moved))), float(np.median(moved)))
-    return replace(later, recorded=since(motion.recorded, start)), change
+    return replace(later, recorded=since(motion.recorded, start_s)), change
+
+
+def _since_the_beginning_was_kept_out(motion: Motion) -> tuple[Motion, Change] | None:
+    """Cut off a beginning of which the fit kept out all, as if something passed by; None without."""
+    first_sound = int(np.argmax(motion.fit.sound > 0.5))
+    if first_sound == 0:
+        return None
+    start_s = float(motion.sections.end_s[first_sound - 1]) + _SETTLE_S
+    if start_s - float(motion.sections.start_s[0]) < _NO_PASSING_S:
+        return None
+    try:
+        later = motion.since(start_s)
+    except PoorCalibration:
+        return None
+    if circle_seen_rad(later.fit.headings_rad) < LEAST_CIRCLE_RAD:
+        return None
+    return _told(motion, later, start_s)
 
 
 def _dated(motion: Motion, later: Motion, moved_mgauss: float) -> float:

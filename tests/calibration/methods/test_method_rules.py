@@ -276,3 +276,19 @@ def test_a_proof_passes_where_the_turns_agree_and_the_solution_stands(
     )
     assert one.difference_deg == pytest.approx(math.remainder(off_deg, 360.0))
     assert not Proof((one, CompassProof(2, 80.0, 90.0, 1.5))).passed
+
+
+def test_methods_are_held_against_each_other_at_the_load_that_was_flown() -> None:
+    """One has a motor field of 20 mG at full throttle and as much less iron at half of it."""
+    motion: Any = SimpleNamespace(load_source="throttle", sections=SimpleNamespace(load_mean=0.5))
+    plain = result(sigma_deg=0.1)
+    ofs = plain.correction.offsets_mgauss
+    loaded = replace(
+        plain.correction,
+        offsets_mgauss=(ofs[0] - 10.0, ofs[1], ofs[2]),
+        motor_mgauss=(plain.correction.matrix @ [20.0, 0.0, 0.0]).tolist(),
+        motor_source="throttle",
+    )
+    both = [plain, replace(result("world-field", 0.1), correction=loaded)]
+    assert not auto._chosen(both).accepted
+    assert auto._chosen(both, motion).accepted

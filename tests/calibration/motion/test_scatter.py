@@ -190,9 +190,36 @@ def test_an_error_of_half_a_degree_is_looked_into(
     monkeypatch.setattr(changes, "_candidates", lambda motion: asked.append(motion) or [])  # type: ignore[func-returns-value]
     state = np.zeros(FIRST + K)
     state[HORIZONTAL] = 200.0
-    fit = SimpleNamespace(state=state, gain=np.eye(3) * 1.1, model_mgauss=model_deg * DEG * 220.0)
+    fit = SimpleNamespace(
+        state=state, gain=np.eye(3) * 1.1, model_mgauss=model_deg * DEG * 220.0, sound=np.ones(K)
+    )
     motion: Any = SimpleNamespace(fit=fit, sections=sections_of())
     assert changes.last_stretch(motion) == (motion, None) and bool(asked) is looks
+
+
+@pytest.mark.parametrize(("kept_out", "cuts"), [(0, False), (1, False), (K - 2, True)])
+def test_a_beginning_that_was_all_kept_out_is_a_change(
+    kept_out: int, cuts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of one section only something may have passed by; what lasts longer than ten seconds was iron."""
+    state = np.zeros(FIRST + K)
+    state[HORIZONTAL] = 200.0
+    sections = sections_of()
+    lasted_s = float(sections.end_s[max(kept_out, 1) - 1] - sections.start_s[0])
+    assert (lasted_s >= 10.0) is cuts
+    later = SimpleNamespace(fit=SimpleNamespace(headings_rad=np.linspace(0.0, 300.0, 40) * DEG))
+    fit = SimpleNamespace(state=state, gain=np.eye(3), model_mgauss=0.0, sound=np.arange(K) >= kept_out)
+    motion: Any = SimpleNamespace(fit=fit, sections=sections, since=lambda start_s: later, recorded="whole")
+    monkeypatch.setattr(changes, "residual_of", lambda rows, fit: np.tile([0.0, 30.0, 40.0], (len(rows), 1)))
+    monkeypatch.setattr(changes, "since", lambda recorded, start_s: (recorded, start_s))
+    monkeypatch.setattr(changes, "replace", lambda later, recorded: (later, recorded))
+    monkeypatch.setattr(changes, "_dated", lambda motion, later, moved: lasted_s)
+    found, change = changes.last_stretch(motion)
+    if cuts:
+        settled = float(sections.end_s[kept_out - 1]) + 1.0
+        assert found == (later, ("whole", settled)) and change is not None and change.is_iron
+    else:
+        assert found is motion and change is None
 
 
 @pytest.mark.parametrize(
@@ -207,7 +234,7 @@ def test_a_stretch_is_taken_where_it_fits_much_better_and_turns_enough(
         fit=SimpleNamespace(model_mgauss=10.0 * share, headings_rad=np.linspace(0.0, seen_deg, 40) * DEG)
     )
     motion: Any = SimpleNamespace(
-        fit=SimpleNamespace(state=state, gain=np.eye(3), model_mgauss=10.0),
+        fit=SimpleNamespace(state=state, gain=np.eye(3), model_mgauss=10.0, sound=np.ones(K)),
         sections=sections_of(),
         since=lambda start_s: later,
         recorded="whole",
