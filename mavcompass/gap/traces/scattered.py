@@ -9,8 +9,9 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay import Readings
 
-# How much larger than a baseline's the variance of the scatter must be where noise is not known in detail.
-_DOUBTFUL_EXCESS = 1.0
+# How much larger than a baseline's the variance of the scatter must be where noise is not known in detail,
+# and where a vehicle circles evenly: readings of one that is never quiet scatter by nature.
+_DOUBTFUL_EXCESS, _NEVER_QUIET_EXCESS = 1.0, 5.0
 # White noise scatters alike between neighbours and between readings further apart, and at all times.
 _UNLIKE, _SPANS, _UNSTEADY = 2.0, 8, 4.0
 _FEWEST = 20
@@ -26,14 +27,14 @@ def quiet_variance(readings: Readings, values: FloatArray) -> float:
 def excess_variance(readings: Readings, baseline: Readings) -> float:
     """Return the variance of white scatter in excess of the baseline's, mG^2, while the field hardly turns.
 
-    0 where it is not much more, where a vehicle that circles evenly is never quiet, and where it is no noise:
-    fast changes that follow each other, or come in bursts.
+    0 where it is not much more, and where it is no noise: fast changes that follow each other, or come in
+    bursts.
     """
-    if float(readings.quiet.mean()) < _LEAST_QUIET:
-        return 0.0
     now, before = quiet_scatter(readings), quiet_scatter(baseline)
     excess = now**2 - before**2
-    if excess <= _DOUBTFUL_EXCESS * max(before, 1e-9) ** 2:
+    quiet = float(readings.quiet.mean()) > _LEAST_QUIET
+    least = _DOUBTFUL_EXCESS if quiet else _NEVER_QUIET_EXCESS
+    if excess <= least * max(before, 1e-9) ** 2:
         return 0.0
     return excess if _white(readings, baseline, excess) and _steady(readings, excess) else 0.0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -100,6 +101,14 @@ def test_white_scatter_is_measured_and_what_is_no_noise_is_not() -> None:
     for other in (bursts, smooth):
         assert excess_variance(readings(noisy(T, 6) + other, T), HEALTHY) == 0.0
     assert excess_variance(readings(noisy(T, 7, sigma=1.3 * NOISE), T), HEALTHY) == 0.0
+
+
+def test_vehicle_that_is_never_quiet_needs_more_scatter_for_noise() -> None:
+    even = np.arange(T.size) % 12 < 1
+    for sigma, told in ((1.8 * NOISE, False), (3.0 * NOISE, True)):
+        flight = readings(noisy(T, 8, sigma=sigma), T)
+        assert excess_variance(flight, HEALTHY) > 0.0
+        assert (excess_variance(replace(flight, quiet=flight.quiet & even), HEALTHY) > 0.0) == told
 
 
 @given(st.floats(6.0, 60.0), st.integers(0, 1000))

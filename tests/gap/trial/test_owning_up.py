@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from mavcompass.gap import Diagnosis
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.trial.vehicles import make_case
@@ -14,9 +12,8 @@ def found_in(seed: int, tier: str, withheld: str | None = None) -> Diagnosis:
     return diagnose_gap(case.track, case.baseline, [withheld] if withheld else [])
 
 
-@pytest.mark.parametrize(("tier", "seed"), [("outside", 92018), ("single", 92311)])
-def test_what_healthy_vehicles_do_not_leave_is_told_above_the_floor(tier: str, seed: int) -> None:
-    found = found_in(seed, tier)
+def test_what_healthy_vehicles_do_not_leave_is_told_above_the_floor() -> None:
+    found = found_in(92018, "outside")
     assert found.field.floor < found.field.nominal < 1.3 * found.field.floor
     assert found.verdict == "unknown" and not found.causes
 
