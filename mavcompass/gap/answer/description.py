@@ -151,7 +151,7 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     explained = (added, evidence.unseen_mgauss2, unrounded)
     field, heading = closings(problem, answer.named, test, floor, *explained)
     none = identified.found.null
-    where_left = evidence.adequacy.tests[0].coordinate if evidence.adequacy.tests else "time"
+    where_left = evidence.adequacy.where
     turns = bool(problem.replay.present & {"turning", "tilt"}) or floor.measured
     said = consistent(answer, field, heading, where_left, floor, none, evidence.beside, turns, problem.replay)
     if said.verdict == "no_gap" and answer.named.terms:
@@ -168,7 +168,7 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
         answer = owning_up(said, identified, field, evidence.adequacy)
     if answer.named.terms and _worse_on(problem, answer.named, test):
         # A name that makes held-out data worse is no explanation.
-        answer = Answer("unknown", none, True, evidence.adequacy.tests[0].coordinate)
+        answer = Answer("unknown", none, True, where_left)
         field, heading = closings(problem, none, test, floor)
     return answer, _never_worse(field), _never_worse(heading)
 

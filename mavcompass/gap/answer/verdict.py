@@ -150,8 +150,7 @@ def owning_up(answer: Answer, identified: Identified, field: Closing, adequacy: 
     if answer.verdict == "no_gap":
         loud = min(left) > _LOUD and field.nominal > _LOUD_ABOVE * field.floor
         if loud or problem.strain(fit) > _BENT_UNNAMED:
-            where = adequacy.tests[0].coordinate if adequacy.tests else "time"
-            return Answer("unknown", answer.named, True, where)
+            return Answer("unknown", answer.named, True, adequacy.where)
         return answer
     for test in sorted(adequacy.tests, key=lambda t: -t.excess):
         most = _STRUCTURED_ALONG if test.name in _ALONG else _STRUCTURED

@@ -125,31 +125,24 @@ class Composition:
         for place in wanted:
             at = places[place]
             effect = order[at][0]
-            free = self.free(terms, place)
             if effect.id == REFERENCE_YAW:
                 turns = _turns(self.replay.reference.curves_rad, float(everything[place][0]))
-                if (turned_by := after.turned(at + 1, turns)) is not None:
-                    changes += turned_by
-                    made_by += [(at, effect.stage)] * len(turned_by)
-                    continue
-            moved, steps = [], []
-            for j in () if effect.id == REFERENCE_YAW else free:
-                theta = everything[place].copy()
-                step = _STEP * max(effect.parameters[j].scale, 1e-12)
-                if theta[j] + step > effect.parameters[j].high:
-                    step = -step
-                theta[j] += step
-                moved.append(effect.forward(states[at], theta, {}, None))
-                steps.append(step)
-            if at < end:
-                changes += after.changes(at + 1, moved, steps) if moved else []
+                changes += after.turned(at + 1, turns)
             else:
-                own = states[at + 1].reading
-                changes += [difference(m.reading, own, s) for m, s in zip(moved, steps, strict=True)]
-            if effect.id == REFERENCE_YAW:
-                by_axis = after.changes(at + 1, _nudged(states[at + 1]), [_NUDGE_RAD] * 3)
-                mag = np.stack([one.mag_mgauss for one in by_axis], axis=2) @ turns
-                changes += _of_the_compass(mag, by_axis[0])
+                moved, steps = [], []
+                for j in self.free(terms, place):
+                    theta = everything[place].copy()
+                    step = _STEP * max(effect.parameters[j].scale, 1e-12)
+                    if theta[j] + step > effect.parameters[j].high:
+                        step = -step
+                    theta[j] += step
+                    moved.append(effect.forward(states[at], theta, {}, None))
+                    steps.append(step)
+                if at < end:
+                    changes += after.changes(at + 1, moved, steps)
+                else:
+                    own = states[at + 1].reading
+                    changes += [difference(m.reading, own, s) for m, s in zip(moved, steps, strict=True)]
             made_by += [(at, effect.stage)] * (len(changes) - len(made_by))
         for at, (last, place) in enumerate(order[end:], end):
             early = {i: stage for i, (by, stage) in enumerate(made_by) if by < at}
@@ -227,16 +220,15 @@ class _After:
             out.append(difference(one.reading, end, step))
         return out
 
-    def turned(self, at: int, turns: FloatArray) -> list[Reading] | None:
-        """Return the changes when the attitude before member `at` is turned in world axes (N, 3, k).
-
-        None where what comes after asks for more of the attitude than how it turns the field.
-        """
+    def turned(self, at: int, turns: FloatArray) -> list[Reading]:
+        """Return the changes when the attitude before member `at` is turned in world axes, (N, 3, k)."""
         first, count = at, len(self._order)
         while first < count and self._order[first][0].stage is Stage.WORLD:
             first += 1
         if any(effect.stage not in EACH_BY_ITSELF for effect, _ in self._order[first:]):
-            return None
+            # What comes after asks for more of the attitude than how it turns the field.
+            by_axis = self.changes(at, _nudged(self._states[at]), [_NUDGE_RAD] * 3)
+            return _of_the_compass(np.stack([one.mag_mgauss for one in by_axis], axis=2) @ turns, by_axis[0])
         state = self._states[first]
         s = state.stimulus
         # R exp(v x) sees B as R' (B + B x v).

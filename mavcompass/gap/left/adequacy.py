@@ -54,7 +54,12 @@ class Adequacy:
     @property
     def coordinate(self) -> str | None:
         """Return where the unexplained structure shows most, None where there is none."""
-        return self.tests[0].coordinate if self.flagged and self.tests else None
+        return self.where if self.flagged and self.tests else None
+
+    @property
+    def where(self) -> str:
+        """Return where what is left shows most, flagged or not."""
+        return self.tests[0].coordinate if self.tests else "time"
 
 
 def judge(problem: Problem, fit: Fit, compare_scatter: bool, thorough: bool = True) -> Adequacy:
