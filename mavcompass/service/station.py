@@ -24,6 +24,7 @@ from mavcompass.service.publisher import HeadingPublisher
 from mavcompass.service.schedule import Schedule
 from mavcompass.service.view import GONE_S, VehicleView
 from mavcompass.service.watch import CompassWatch, Finding
+from mavcompass.service.work import clock
 from mavcompass.service.work.history import History
 from mavcompass.service.work.jobs import Jobs
 from mavcompass.service.work.learning import Learning
@@ -188,7 +189,7 @@ class Station:
             return
         _log.info("found %s %s, system %d", found.autopilot, found.kind, found.system)
         link.identity = link.identity.aboard(found.system)
-        year = round(decimal_year(time.time()), 2)
+        year = round(decimal_year(clock.now().timestamp()), 2)
         self.view = VehicleView(found, f"{found.autopilot}-system-{found.system}", year)
         self.view.hear(heard)
         self._rates = RateKeeper(_wanted_rates(found, self.config.vehicle.rate_hz))

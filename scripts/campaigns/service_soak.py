@@ -2,19 +2,25 @@
 
     python scripts/campaigns/service_soak.py [--hours 2] [--cuts 200] [--reboots 20] [--calibrations 12]
                                              [--full-disks 3] [--clock-steps 20]
+    python scripts/campaigns/service_soak.py --hours 72 --cuts 720 --reboots 72 --calibrations 72
+                                             --full-disks 9 --clock-steps 72
 
-The service's station runs on an embedded rover in virtual time, as fast as the machine can. Cuts lose
-everything both ways. A reconnect is counted from the moment the link works (or the rebooted vehicle speaks)
-to the first heading published after it; cuts during which the vehicle was silent anyway are counted from
-the end of the silence. Each calibration asked for must end, in the history and in a MAG_CAL_REPORT that
-left while the link worked. On a full disk (the system refuses every byte that is written) it must end,
-too, and only then may it be missing in the history. The computer's clock steps, as a receiver's time sets it.
-Memory is the whole process's, the simulated vehicle's included.
+The service's station runs on an embedded rover in virtual time, as fast as the machine can; its date runs
+with it. Cuts lose everything both ways. A reconnect is counted from the moment the link works (or the
+rebooted vehicle speaks) to the first heading published after it; cuts during which the vehicle was silent
+anyway are counted from the end of the silence. Each calibration asked for must end, in the history and in a
+MAG_CAL_REPORT that left while the link worked; what it wrote can be undone by the file that the history
+names. On a disk that is full (the system refuses every byte beyond so many in each file: none, or what an
+undo file or part of a recording takes) it must end, too, and only then may it be missing in the history.
+The computer's clock steps by up to ten years, as a receiver's time sets it. Memory is the whole process's,
+the simulated vehicle's included, and is compared with what it was after two hours (a fifth of a shorter
+run).
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gc
 import json
 import random
@@ -23,24 +29,32 @@ import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(PROJECT))
 
+from mavcompass.errors import UsageError  # noqa: E402
 from mavcompass.messages import Incoming, MagCalReport, Message  # noqa: E402
 from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfig  # noqa: E402
 from mavcompass.service.station import Station  # noqa: E402
-from mavcompass.service.work.history import History  # noqa: E402
+from mavcompass.service.work import clock  # noqa: E402
+from mavcompass.service.work.history import Entry, History  # noqa: E402
 from mavcompass.service.work.tasks import CalibrationRequest, Task  # noqa: E402
 from mavcompass.simulation.vehicle import SimulatedAutopilot  # noqa: E402
 from mavcompass.vehicle.link import Link  # noqa: E402
 from mavcompass.vehicle.links.simulated import SimulatedLink  # noqa: E402
+from mavcompass.vehicle.parameters.undo import load_record  # noqa: E402
 
 _READY_AFTER_REBOOT_S = 10.0
 _MOST_GROWTH_PERCENT = 2.0
 _MOST_RECORDINGS = 50
 _LARGEST_STEP_S = 3e8  # ten years
+_BEGAN = datetime(2026, 5, 1, tzinfo=UTC)
+# What a full disk still takes of each file: nothing, an undo file, a part of a recording.
+_ROOM = (0, 20_000, 200_000)
+_WARM_AFTER_S = 7200.0
 
 
 @dataclass(slots=True)
@@ -62,6 +76,9 @@ class Figures:
     warm_mb: float = 0.0
     end_mb: float = 0.0
     growth_percent: float = 0.0
+    headings: int = 0
+    undo_files: int = 0
+    hourly_mb: list[float] = field(default_factory=list)
     endings: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
 
@@ -131,6 +148,7 @@ class Soak:
         self._rearm_at: float | None = None
         self._waiting_since: float | None = None
         self._seen_boots = 0
+        self._step_s = 0.0
 
     def run(self) -> Figures:
         """Run to the end and return the figures."""
@@ -152,14 +170,16 @@ class Soak:
                     self._heading_published(heard.time_s)
 
             station._hear = watching_hear  # type: ignore[method-assign]
-            clock = time.time
+            computers_clock = clock.now
+            clock.now = self._date
             try:
                 station.start()
                 self._watch(station)
                 station.stop()
             finally:
-                time.time = clock
-                fill_disk(False)
+                clock.now = computers_clock
+                fill_disk(None)
+            self.figures.headings = station.headings
             self.figures.wall_s = time.monotonic() - began
             self.figures.virtual_s = self.link.now()
             self.figures.recordings = len(list((Path(folder) / "recordings").glob("*")))
@@ -188,17 +208,16 @@ class Soak:
         if self.steps_at and now_s >= self.steps_at[0]:
             self.steps_at.pop(0)
             self.figures.clock_steps += 1
-            step_s = self._chance.uniform(-_LARGEST_STEP_S, _LARGEST_STEP_S)
-            began, reference_s = time.monotonic(), time.time()
-            time.time = lambda: reference_s + step_s + (time.monotonic() - began)
+            self._step_s = self._chance.uniform(-_LARGEST_STEP_S, _LARGEST_STEP_S)
         if self._on_full_disk and self._on_full_disk[-1].finished:
-            fill_disk(False)
+            fill_disk(None)
         if self.calibrations_at and now_s >= self.calibrations_at[0] and not station.desk.busy:
             self.calibrations_at.pop(0)
             request = CalibrationRequest(motion="vehicle", writing="yes")
-            fill_disk(len(self._tasks) in self.full_disks)
-            task = station.desk.submit(request, "http", "2026-05-01T00:00:00+00:00")
-            if len(self._tasks) in self.full_disks:
+            full = len(self._tasks) in self.full_disks
+            fill_disk(_ROOM[len(self._on_full_disk) % len(_ROOM)] if full else None)
+            task = station.desk.submit(request, "http", clock.utc_now())
+            if full:
                 self._on_full_disk.append(task)
             self._tasks.append(task)
 
@@ -209,16 +228,24 @@ class Soak:
             self.figures.slowest_reconnect_s = max(self.figures.slowest_reconnect_s, waited_s)
             self._waiting_since = None
 
+    def _date(self) -> datetime:
+        """Return the date that the service is told: it runs with virtual time, and steps."""
+        return _BEGAN + timedelta(seconds=self.link.now() + self._step_s)
+
     # --- on the main thread -------------------------------------------------------------------------
 
     def _watch(self, station: Station) -> None:
-        warm_s = 0.2 * self.length_s
+        warm_s = min(0.2 * self.length_s, _WARM_AFTER_S)
         stalled, last_s = 0, -1.0
         while self.link.now() < self.length_s:
             time.sleep(0.1)
             if not self.figures.warm_mb and self.link.now() > warm_s:
                 self.figures.warm_mb = resident_mb()
             now_s = self.link.now()
+            if now_s > 3600.0 * (len(self.figures.hourly_mb) + 1):
+                self.figures.hourly_mb.append(round(resident_mb(), 2))
+                with contextlib.suppress(OSError):  # the disk may be full just now
+                    print(f"{now_s / 3600.0:6.2f} h {self.figures.hourly_mb[-1]:8.2f} MB", file=sys.stderr)
             stalled, last_s = (stalled + 1 if now_s == last_s else 0), now_s
             if stalled > 600:
                 self.figures.faults.append(f"the station stood still at {self.link.now():.0f} s")
@@ -227,7 +254,7 @@ class Soak:
 
     def _judge(self, history: History) -> None:
         figures = self.figures
-        entries = history.entries("calibration", limit=200)
+        entries = history.entries("calibration", limit=10_000)
         figures.calibrations = len(self._tasks)
         figures.written = sum(entry.ok for entry in entries)
         figures.interrupted = sum(task.state == "failed" for task in self._tasks)
@@ -239,6 +266,10 @@ class Soak:
         lost = [t.number for t in self._tasks if t.entry not in kept and t not in self._on_full_disk]
         if lost:
             figures.faults.append(f"calibrations {lost} are missing in the history")
+        undone = [entry.id for entry in entries if entry.ok and not has_undo(entry)]
+        if undone:
+            figures.faults.append(f"what entries {undone} wrote cannot be undone")
+        figures.undo_files = sum(entry.undo_file is not None for entry in entries)
         if figures.recordings > _MOST_RECORDINGS:
             figures.faults.append(f"{figures.recordings} recordings were kept")
         unfinished = [task.number for task in self._tasks if not task.finished]
@@ -252,10 +283,18 @@ class Soak:
             figures.faults.append(f"memory grew by {figures.growth_percent:.1f} %")
 
 
-def fill_disk(full: bool) -> None:
-    """Have the system refuse this process every byte that it writes to a file, or no more."""
+def fill_disk(room: int | None) -> None:
+    """Have the system refuse this process, in every file, what goes beyond so many bytes; None: no more."""
     _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0 if full else most, most))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most if room is None else room, most))
+
+
+def has_undo(entry: Entry) -> bool:
+    """Tell whether the file is there and whole that puts back what a calibration wrote."""
+    try:
+        return entry.undo_file is not None and bool(load_record(Path(entry.undo_file)).before)
+    except UsageError:
+        return False
 
 
 def resident_mb() -> float:

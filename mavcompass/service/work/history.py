@@ -167,9 +167,11 @@ class History:
         with self._transaction() as database:
             database.execute("UPDATE entry SET report = ? WHERE id = ?", (report, number))
 
-    def has_undo(self, undo_file: str) -> bool:
-        """Tell whether an entry names this undo file."""
-        return bool(self._select("WHERE undo_file = ? LIMIT 1", (undo_file,)))
+    def undo_files(self) -> set[str]:
+        """Return the undo files that entries name."""
+        with self._lock:
+            rows = self._database.execute("SELECT undo_file FROM entry WHERE undo_file IS NOT NULL")
+            return {str(name) for (name,) in rows}
 
     def entry(self, number: int) -> Entry | None:
         """Return one entry, None where there is none of this number."""

@@ -17,12 +17,14 @@ _log = logging.getLogger(__name__)
 
 
 def note_interrupted_write(history: History, view: VehicleView, undo_folder: Path) -> None:
-    """Offer the newest undo file in the history, where the vehicle holds some of the values it was made for.
+    """Offer the undo file that the history does not know, where the vehicle holds what it was made for.
 
-    `view` knows the parameters in force.
+    Not simply the newest: the computer's clock may have been set back. `view` knows the parameters in force.
     """
-    newest = max(undo_folder.glob("*.json"), key=lambda path: path.stat().st_mtime_ns, default=None)
-    if newest is None or history.has_undo(str(newest)):
+    known = history.undo_files()
+    unknown = [path for path in undo_folder.glob("*.json") if str(path) not in known]
+    newest = max(unknown, key=lambda path: path.stat().st_mtime_ns, default=None)
+    if newest is None:
         return
     try:
         record = load_record(newest)
@@ -41,7 +43,9 @@ def note_interrupted_write(history: History, view: VehicleView, undo_folder: Pat
 
 
 def _was_written(record: UndoRecord, view: VehicleView) -> bool:
-    """Tell whether the vehicle holds any of the values that were to be written."""
+    """Tell whether the vehicle holds values that were to be written, and for the rest the old ones."""
     now = view.parameters
     changed = [name for name, old in record.before.items() if name in now and not same_value(now[name], old)]
-    return any(same_value(now[name], record.planned[name]) for name in changed if name in record.planned)
+    return bool(changed) and all(
+        name in record.planned and same_value(now[name], record.planned[name]) for name in changed
+    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
 from typing import Any
 
 from mavcompass.errors import MavCompassError
@@ -15,7 +14,7 @@ from mavcompass.procedure.script import Machine, Show
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
-from mavcompass.service.work import procedures
+from mavcompass.service.work import clock, procedures
 from mavcompass.service.work.history import History
 from mavcompass.service.work.interrupted import note_interrupted_write
 from mavcompass.service.work.learning import Learning
@@ -88,7 +87,7 @@ class Jobs:
         for instance in view.instances():
             last = self._history.latest_calibration(view.key, view.device_id(instance))
             found = stale_findings(
-                instance, dialect, view.parameters, last, datetime.now(UTC), self._config.watch.age_days
+                instance, dialect, view.parameters, last, clock.now(), self._config.watch.age_days
             )
             findings += found
             changed = any(finding.id in ("parameters", "uncalibrated") for finding in found)

@@ -12,7 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from mavcompass.procedure.dialect import describe_compasses
 from mavcompass.service.config import LearningConfig
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
+from mavcompass.service.work import clock
 from mavcompass.service.work.worker import Worker, learn
 from mavcompass.track import Track
 from mavcompass.track_builder import TrackBuilder
@@ -174,7 +175,7 @@ class Learning:
         if what.change is None or self._builder is None:
             return Lesson(instance, what)
         ago_s = self._builder.latest_s - self._kept.boot_time_s(what.change.time_s)
-        return Lesson(instance, what, changed_at=datetime.now(UTC) - timedelta(seconds=ago_s))
+        return Lesson(instance, what, changed_at=clock.now() - timedelta(seconds=ago_s))
 
     def offers(self) -> tuple[Lesson, ...]:
         """List what would lower the heading error in force by the margin, at the least."""

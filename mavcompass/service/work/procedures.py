@@ -21,6 +21,7 @@ from mavcompass.procedure.positions import DwellSettings
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script, expect
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
+from mavcompass.service.work import clock
 from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Task
 from mavcompass.service.work.worker import Worker
 from mavcompass.service.work.worker import solve as solve_there
@@ -100,7 +101,7 @@ def calibration(
 
     services = Services(
         dialect_for=dialect_for,
-        save_undo=lambda plan, values: undo_saver(autopilot, source, undo_folder)(plan, values),
+        save_undo=lambda plan, values: undo_saver(autopilot, source, undo_folder, clock.now)(plan, values),
         solve=solve,
     )
     settings = CalibrateSettings(
@@ -134,7 +135,7 @@ def write_learnt(
     settings = LearntSettings(
         request.writing == "ask", request.writing != "never", identity.system, rate_hz, year
     )
-    save = undo_saver(identity.autopilot, source, undo_folder)
+    save = undo_saver(identity.autopilot, source, undo_folder, clock.now)
 
     def script(context: Context) -> Script[CalibrationReport]:
         return write_learnt_script(context, lambda make: make_dialect(make, source), save, results, settings)
@@ -166,7 +167,7 @@ def undo(undo_file: Path, source: str, system: int, undo_folder: Path) -> Machin
         parameters = yield from dialect.compass_parameters(context)
         plan = dialect.plan_values(parameters, record.before, checked=False)
         context.show("write", f"Putting back {len(plan.changes)} parameters.", 0.5)
-        save = undo_saver(identity.autopilot, source, undo_folder)
+        save = undo_saver(identity.autopilot, source, undo_folder, clock.now)
         return (yield from dialect.write(context, plan, save))
 
     return Machine(script)

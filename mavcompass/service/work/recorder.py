@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 from mavcompass.messages import Incoming
+from mavcompass.service.work import clock
 from mavcompass.vehicle.wire import FrameWriter
 
 # Ten minutes of a fast link; what comes after is not needed to explain a calibration.
@@ -25,7 +25,7 @@ class Recorder:
         if len(self._data) > _MOST_BYTES:
             return
         if self._offset_s is None:
-            self._offset_s = time.time() - heard.time_s
+            self._offset_s = clock.now().timestamp() - heard.time_s
         sender = (heard.system, heard.component)
         if sender not in self._writers:
             self._writers[sender] = FrameWriter(2, None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -53,6 +54,7 @@ def test_new_values_on_the_vehicle_are_offered_once(
     [
         view(OLD),  # killed before the first value, or put back
         view({"COMPASS_OFS_X": 7.0, "COMPASS_OFS_Y": 13.0}),  # somebody else's
+        view({"COMPASS_OFS_X": 60.0, "COMPASS_OFS_Y": 7.0}),  # written long ago, and one of them again since
         view(NEW, autopilot="px4"),
         view({}),
     ],
@@ -72,3 +74,14 @@ def test_a_write_in_the_history_is_known(tmp_path: Path, history: History) -> No
     history.add("calibration", "2026-05-01", "rover-7", True, "fine", {}, undo_file=str(path))
     note_interrupted_write(history, view(NEW), tmp_path / "undo")
     assert len(history.entries()) == 1
+
+
+def test_a_clock_that_was_set_back_hides_no_write_that_was_cut_short(
+    tmp_path: Path, history: History
+) -> None:
+    earlier = undo_file(tmp_path)
+    history.add("calibration", "2026-05-01", "rover-7", True, "fine", {}, undo_file=str(earlier))
+    cut_short = undo_file(tmp_path)
+    os.utime(cut_short, (0.0, 0.0))
+    note_interrupted_write(history, view(NEW), tmp_path / "undo")
+    assert [entry.undo_file for entry in history.entries()] == [str(cut_short), str(earlier)]
