@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,10 @@ from pathlib import Path
 import coverage
 import pytest
 
+from mavcompass.workers import child
+
 SECONDS = ".coverage-seconds"
+_END_S = 10.0
 _seconds: Counter[str] = Counter()
 
 
@@ -23,6 +27,21 @@ def _enter(context: str) -> None:
     measured = coverage.Coverage.current()
     if measured is not None:
         measured.switch_context(context)
+
+
+def _end_and_tell(process: subprocess.Popen[bytes]) -> None:
+    """End a worker process as `child` does, but let it write down what it ran."""
+    process.terminate()
+    try:
+        process.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def pytest_configure() -> None:
+    """Have worker processes counted, which are killed otherwise."""
+    child._end = _end_and_tell
 
 
 @pytest.hookimpl(hookwrapper=True)
