@@ -1,0 +1,195 @@
+"""The blind trial's table: which cases count in which line, at both sides of every limit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mavcompass.gap.trial.label import Label, Tier
+from mavcompass.gap.trial.score import Answer, Case, scoreboard
+from mavcompass.gap.trial.trial import Trial
+from mavcompass.report.gap import reliability, write_trial_report
+
+TRUTH = ("hard_iron:x=9",)
+
+
+def answer(verdict: str = "named", **more: object) -> Answer:
+    named = ("hard_iron",) if verdict in ("named", "named_with_remainder") else ()
+    return replace(Answer(verdict, named, (), 2.0, 1.0, 0.5, (0.4, 0.6), 1.0, 0.8), **more)  # type: ignore[arg-type]
+
+
+def case(tier: Tier, separation: float, answered: Answer | None = None, **more: object) -> Case:
+    effects = () if tier == "none" else TRUTH
+    made = Case(
+        Label(tier, "hand", 1, effects, 20.0), answered or answer(), None, separation, True, True, math.nan
+    )
+    return replace(made, **more)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("line", "counted", "left_out"),
+    [
+        ("no effect: named or unknown", case("none", math.nan), case("single", 20.0)),
+        ("single, d_sep >= 9: exact", case("single", 9.0), case("single", 8.99)),
+        ("single, d_sep >= 9: exact", case("single", 50.0), case("pair", 50.0)),
+        ("single, d_sep 5 to 9: in the set", case("single", 5.0), case("single", 4.99)),
+        ("single, d_sep 5 to 9: in the set", case("single", 8.99), case("single", 9.0)),
+        (
+            "single without shift (noise, steps, repeats): exact",
+            case("single", math.nan),
+            case("single", 9.0),
+        ),
+        ("pair, both d_sep >= 9: exact", case("pair", 9.0), case("pair", 8.99)),
+        ("pair, both d_sep >= 9: in the set", case("pair", 9.0), case("single", 9.0)),
+        ("withheld, d_perp >= 12: flagged", case("withheld", 12.0), case("withheld", 11.99)),
+        ("withheld, d_perp >= 12: misnamed", case("withheld", 12.0), case("outside", 12.0)),
+        ("outside, d_perp >= 12: flagged", case("outside", 12.0), case("outside", 11.99)),
+        ("outside, d_perp >= 12: misnamed", case("outside", 12.0), case("withheld", 12.0)),
+        (
+            "restored, d_perp >= 12 and d_sep >= 9: exact",
+            case("withheld", 12.0, own_separation=9.0),
+            case("withheld", 12.0, own_separation=8.99),
+        ),
+        ("restored, d_perp >= 12: in the set", case("withheld", 12.0), case("withheld", 11.99)),
+        (
+            "restored: within 5 % of the oracle",
+            case("withheld", 12.0, oracle_shrink=1.0),
+            case("withheld", 12.0, oracle_shrink=math.nan),
+        ),
+        (
+            "shrink's interval covers the true shrink",
+            case("single", 9.0, true_shrink=0.5),
+            case("single", 9.0, true_shrink=math.nan),
+        ),
+        (
+            "shrink's interval covers the true shrink",
+            case("single", 9.0, true_shrink=0.5),
+            case("single", 9.0, answer(shrink_ci95=(math.nan, math.nan)), true_shrink=0.5),
+        ),
+    ],
+)
+def test_a_line_counts_its_own_cases_only(line: str, counted: Case, left_out: Case) -> None:
+    assert scoreboard([counted])[line][1] == 1
+    assert scoreboard([left_out])[line] == (0, 0)
+    assert scoreboard([counted, left_out, counted])[line][1] == 2
+
+
+@pytest.mark.parametrize(
+    ("line", "hit", "miss"),
+    [
+        (
+            "no effect: named or unknown",
+            case("none", 0.0, answer("unknown")),
+            case("none", 0.0, answer("no_gap")),
+        ),
+        ("single, d_sep >= 9: exact", case("single", 9.0), case("single", 9.0, exact=False)),
+        (
+            "single, d_sep 5 to 9: in the set",
+            case("single", 5.0, exact=False),
+            case("single", 5.0, in_set=False),
+        ),
+        ("pair, both d_sep >= 9: exact", case("pair", 9.0), case("pair", 9.0, exact=False)),
+        (
+            "pair, both d_sep >= 9: in the set",
+            case("pair", 9.0, exact=False),
+            case("pair", 9.0, in_set=False),
+        ),
+        (
+            "withheld, d_perp >= 12: flagged",
+            case("withheld", 12.0, withheld=answer("unknown")),
+            case("withheld", 12.0, withheld=answer("named")),
+        ),
+        (
+            "withheld, d_perp >= 12: misnamed",
+            case("withheld", 12.0, withheld=answer("named")),
+            case("withheld", 12.0, withheld=answer("no_gap")),
+        ),
+        (
+            "outside, d_perp >= 12: flagged",
+            case("outside", 12.0, answer("named_with_remainder")),
+            case("outside", 12.0, answer("no_gap")),
+        ),
+        (
+            "outside, d_perp >= 12: misnamed",
+            case("outside", 12.0, answer("named")),
+            case("outside", 12.0, answer("ambiguous")),
+        ),
+        (
+            "restored: within 5 % of the oracle",
+            case("withheld", 12.0, oracle_shrink=0.951),
+            case("withheld", 12.0, oracle_shrink=1.051),
+        ),
+        (
+            "shrink's interval covers the true shrink",
+            case("single", 9.0, true_shrink=0.4),
+            case("single", 9.0, true_shrink=0.39),
+        ),
+        (
+            "shrink's interval covers the true shrink",
+            case("single", 9.0, true_shrink=0.6),
+            case("single", 9.0, true_shrink=0.61),
+        ),
+        ("confident wrong names", case("none", 0.0, answer("named")), case("single", 9.0, answer("named"))),
+        (
+            "after above nominal",
+            case("single", 9.0, answer(after=2.001)),
+            case("single", 9.0, answer(after=2.0)),
+        ),
+    ],
+)
+def test_a_hit_and_a_miss(line: str, hit: Case, miss: Case) -> None:
+    assert scoreboard([hit])[line] == (1, 1)
+    assert scoreboard([miss])[line] == (0, 1)
+
+
+def trial() -> Trial:
+    sizes = (2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 40.0)
+    cases = [case("single", size, exact=size > 5.0) for size in sizes]
+    return Trial(7, "5" * 64, "a" * 64, (*cases, case("none", math.nan, answer("no_gap"))))
+
+
+def test_lines_for_a_terminal_leave_out_what_was_not_drawn() -> None:
+    lines = trial().lines()
+    assert lines[:3] == ["8 sealed cases, seed 7", f"labels sealed  {'5' * 64}", f"answers hashed {'a' * 64}"]
+    assert "  single, d_sep >= 9: exact: 3/3 = 100.0 % (95 % 43.8 .. 100.0)" in lines
+    assert "  no effect: named or unknown: 0/1 = 0.0 % (95 % 0.0 .. 79.3)" in lines
+    assert not any("pair" in line for line in lines)
+    assert lines[-2:] == [
+        "  seconds per case: median 1.00, 95 % below 1.00",
+        "  CPU seconds per case: median 0.80, 95 % below 0.80",
+    ]
+
+
+def test_times_are_the_middle_and_the_95_percent_point() -> None:
+    cases = tuple(case("single", 9.0, answer(seconds=float(s), cpu_seconds=s / 2)) for s in range(40, 0, -1))
+    taken = Trial(1, "", "", cases).seconds()
+    assert taken == {"seconds": (21.0, 39.0), "CPU seconds": (10.5, 19.5)}
+    assert Trial(1, "", "", ()).seconds() == {}
+
+
+def test_the_page_groups_by_separation(tmp_path: Path) -> None:
+    bands = [(name, count, share) for name, count, share, _ in reliability(trial())]
+    assert bands == [
+        ("0 to 3", 1, "0 %"),
+        ("3 to 5", 1, "0 %"),
+        ("5 to 7", 1, "100 %"),
+        ("7 to 9", 1, "100 %"),
+        ("9 to 12", 1, "100 %"),
+        ("12 to 20", 1, "100 %"),
+        ("20 and more", 1, "100 %"),
+    ]
+    assert reliability(replace(trial(), cases=()))[0] == ("0 to 3", 0, "-", "")
+    page = tmp_path / "trial.html"
+    write_trial_report(trial(), page)
+    text = page.read_text()
+    assert "8 cases, seed 7" in text and "single, d_sep &gt;= 9: exact" in text and "43.8 to 100.0" in text
+    document = trial().to_json()
+    assert document["figures"]["single, d_sep >= 9: exact"] == {  # type: ignore[index]
+        "hits": 3,
+        "of": 3,
+        "wilson95": [pytest.approx(0.438, abs=0.001), 1.0],
+    }
+    assert document["cpu_seconds"] == {"median": 0.8, "p95": 0.8}
