@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar, cast
 
-from mavcompass.errors import LinkLost, NoReply, Refused
+from mavcompass.errors import LinkLost, NoReply, NoVehicle, Refused
 from mavcompass.messages import Incoming
 from mavcompass.procedure.script import CLEAN_UP_S, Answer, Ask, Event, Machine, Send, Show, Stop, Tick
 from mavcompass.vehicle.link import Link
@@ -61,14 +61,32 @@ def run(
     if drive.lost is not None and type(machine.error) is Refused:
         raise drive.lost from machine.error
     if machine.error is not None:
-        if isinstance(machine.error, NoReply) and (behind_s := link.behind_s()) > _BEHIND_S:
-            machine.error.remedy = (
-                f"For {behind_s:.0f} s more has come on {link.name} than this computer could read, so that"
-                " answers were lost. Lower the rates of the vehicle's messages (SRn_*, MAV_n_RATE), or end"
-                " what else keeps this computer busy, and run again."
-            )
+        if isinstance(machine.error, NoVehicle | NoReply):
+            machine.error.remedy = _what_the_link_shows(link) or machine.error.remedy
         raise machine.error
     return cast(T, machine.result)
+
+
+def _what_the_link_shows(link: Link) -> str:
+    """Say why vehicle and program may not understand each other, and what to do; "" if not known."""
+    counts = link.statistics
+    if (behind_s := link.behind_s()) > _BEHIND_S:
+        return (
+            f"For {behind_s:.0f} s more has come on {link.name} than this computer could read, so that"
+            " answers were lost. Lower the rates of the vehicle's messages (SRn_*, MAV_n_RATE), or end"
+            " what else keeps this computer busy, and run again."
+        )
+    if counts.refused:
+        return (
+            f"What came on {link.name} ({counts.refused} messages) was not signed with the key in use. Give"
+            " the vehicle's own key with --sign-key FILE, or none if the vehicle does not sign."
+        )
+    if counts.signed:
+        return (
+            f"What comes on {link.name} is signed: the vehicle may believe only who signs, too. Give its key"
+            " with --sign-key FILE."
+        )
+    return ""
 
 
 def _refuse(question: str) -> PollAnswer:

@@ -89,6 +89,8 @@ class LinkStatistics:
     Attributes:
         received: messages handed out. malformed: stretches of bytes that were no frame, or a frame whose
             checksum or signature was wrong. unknown: whole frames of messages that this program does not use.
+        signed: frames with a signature that was not looked at, no key being in use. refused: good frames
+            without a signature by the key in use.
         dropped: messages that could not be sent.
         sources: by (system, component).
     """
@@ -96,6 +98,8 @@ class LinkStatistics:
     received: int = 0
     malformed: int = 0
     unknown: int = 0
+    signed: int = 0
+    refused: int = 0
     dropped: int = 0
     sources: dict[tuple[int, int], SourceStatistics] = field(default_factory=dict)
 

@@ -169,3 +169,29 @@ def test_the_angle_is_turned_about_the_vertical_less_the_bias_that_rest_shows() 
     level.update(12.6, (0.0, 0.0, -G), (0.0, 0.0, 1.0))
     assert level.down == (0.0, 0.0, 1.0) and level.turned_rad == turned
     assert level.rate_radps == pytest.approx(1.0 - level.bias_radps)
+
+
+def test_the_tilt_is_as_unsure_as_accelerometer_and_gyro_disagree_over_a_third_of_a_second() -> None:
+    level = leaning(0.0, 0.0)
+    assert level.tilt_sigma_rad == pytest.approx(math.radians(0.3))
+    lean, strength = 0.05, 1.5  # the accelerometer hardly corrects
+    force = (strength * G * math.sin(lean), 0.0, -strength * G * math.cos(lean))
+    for k in range(1, 31):
+        level.update(0.01 * k, force, (0.0, 0.0, 0.0))
+    seen = lean * (1.0 - (1.0 - 0.01 / 0.3) ** 30)
+    assert level.tilt_sigma_rad == pytest.approx(math.hypot(math.radians(0.3), seen), rel=0.05)
+
+
+def test_a_coarse_step_of_the_gyro_leaves_down_a_unit_vector() -> None:
+    level = leaning(0.5, 0.3)
+    x, y, z = level.down
+    level.update(0.4, (0.0, 0.0, 0.0), (0.0, 0.0, 2.0))
+    moved = np.array([x + 0.8 * y, y - 0.8 * x, z])
+    assert level.down == pytest.approx(tuple(moved / np.linalg.norm(moved)), abs=1e-12)
+
+
+def test_each_horizontal_axis_counts_for_the_noise_by_its_change() -> None:
+    level, compass = leaning(0.0, 0.0), LiveCompass(1)
+    for reading in ((200.0, 50.0, 400.0), (203.0, 54.0, 500.0)):
+        compass.update(0.0, 0.0, reading, level)
+    assert compass._noise_mgauss2 == pytest.approx(0.05 * 25.0 / 4.0)

@@ -50,6 +50,8 @@ class Counts(Protocol):
 
     malformed: int
     unknown: int
+    signed: int
+    refused: int
 
 
 @cache
@@ -188,9 +190,14 @@ class FrameParser:
         flags = raw[FLAGS_AT] if frame.version == 2 else 0
         if flags & ~SIGNED or not checksum_is_right(frame):
             return False  # such a flag must be understood and is not
-        if self.signing is None or frame.message_id == _RADIO_STATUS:
+        if self.signing is None:
+            self.counts.signed += flags
             return True
-        return bool(flags) and self.signing.accepts(raw, frame.system, frame.component)
+        if frame.message_id == _RADIO_STATUS:
+            return True
+        believed = bool(flags) and self.signing.accepts(raw, frame.system, frame.component)
+        self.counts.refused += not believed
+        return believed
 
 
 def checksum_is_right(frame: Frame) -> bool:

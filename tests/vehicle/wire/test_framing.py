@@ -20,6 +20,8 @@ SAMPLE = RawImu(time_usec=123_456_789, xacc=-3, zacc=-1000, xmag=232, ymag=52, z
 class Counts:
     malformed: int = 0
     unknown: int = 0
+    signed: int = 0
+    refused: int = 0
 
 
 def pymavlink(system: int = 1, component: int = 1) -> theirs.MAVLink:
@@ -162,12 +164,15 @@ def test_with_a_key_unsigned_and_wrongly_signed_frames_are_refused() -> None:
     assert parser.feed(unsigned + wrong + bytes(300)) == []
     right = FrameWriter(signing=Signing(KEY)).write(SAMPLE, 1, 1)
     assert [f.raw for f in parser.feed(right)] == [right]
+    assert (counts.refused, counts.signed) == (2, 0)
 
 
 def test_without_a_key_signed_frames_are_read_like_any_other() -> None:
     raw = FrameWriter(signing=Signing(KEY)).write(SAMPLE, 1, 1)
-    (frame,) = FrameParser(Counts()).feed(raw)
+    counts = Counts()
+    frame, _ = FrameParser(counts).feed(raw + FrameWriter().write(SAMPLE, 1, 1))
     assert decode(frame.message_id, frame.payload) == SAMPLE
+    assert counts == Counts(signed=1)
 
 
 def test_a_key_of_the_wrong_length_is_refused() -> None:
