@@ -54,7 +54,10 @@ _NEVER_FOLDED = frozenset({"hard_iron_step", "ac_interference", "relay_field", "
 # One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
 _REPRESENTATIVE_P = 1e-5
 # How much the same vehicle differs from one recording to the next, in the nuisances' own units.
-_FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.02, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
+_FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.01, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
+# A reading of some age waits for its message, for at most about twice that age.
+_MOST_WAITING = 0.5
+_EVENLY_HELD = 0.9
 _SAME_PLACE_M = 1000.0
 DISCREPANCY_MGAUSS = 1.2
 _UNMEASURED, _UNMEASURED_AGE, _LEVEL_MORE = 3.0, 2.0, 1.25
@@ -230,7 +233,8 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
     prior = Prior.of(taught)
     stated = np.concatenate([n.mean for n in own]) if own else np.zeros(0)
     if source:
-        daily = np.concatenate([np.full(n.mean.size, _FROM_DAY_TO_DAY.get(n.effect.id, 0.0)) for n in taught])
+        waiting_s = max(_waiting_s(replay), _waiting_s(baseline))
+        daily = np.concatenate([_daily(n, waiting_s) for n in taught])
         if replay.reference.kind == "columns":
             daily = np.zeros(daily.size)
         elif trust is ANOTHER_IRON:
@@ -252,6 +256,28 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
         mean[at_known] = stated[at_known] + (mean[at_known] - stated[at_known]) / told[known]
         prior = replace(prior.moved(mean), precision=precision)
     return prior
+
+
+def _daily(taught: Nuisance, waiting_s: float) -> FloatArray:
+    """Say how much each parameter of a nuisance differs from one recording to the next."""
+    daily = np.full(taught.mean.size, _FROM_DAY_TO_DAY.get(taught.effect.id, 0.0))
+    if taught.effect.id == TELEMETRY_AGE:
+        daily = np.maximum(daily, np.minimum(waiting_s, _MOST_WAITING * np.abs(taught.mean)))
+    return daily
+
+
+def _waiting_s(replay: Replay) -> float:
+    """Return how much the time for which readings wait for their message differs between two starts.
+
+    A compass that is read in step with its messages keeps the phase that it began with, a uniform one, and
+    the difference of two has a variance of a sixth. Where the steps drift through each other all phases
+    occur, and their mean is always the same.
+    """
+    held = replay.trace.held_s
+    usual = float(np.median(held))
+    step = float(np.median(np.diff(replay.trace.fresh_s))) - usual
+    in_step = float(np.mean(np.abs(held - usual) < 0.5 * step)) > _EVENLY_HELD
+    return step / math.sqrt(6.0) if in_step else 0.0
 
 
 def _same_witness(

@@ -148,10 +148,10 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto", period_s: f
     steady = iron.offset_mgauss + np.interp(rows.time_s, time_s, iron.load)[:, None] * iron.motor_mgauss
     readings = Readings.of(rows.time_s, raw, turning + steady, whole.known & rows.usable)
     if rows.width > 1:
-        # What is averaged is the difference to the nominal field, which hardly turns with the vehicle.
-        raw = averaged(raw - turning, rows.width)[picked] + turning[picked]
+        swing = _swing(raw, ideal_all, whole.known & rows.usable, rows.width)[picked]
+        raw = averaged(raw, rows.width)[picked] + swing
         if corrected is not None:
-            corrected = averaged(corrected - ideal_all, rows.width)[picked] + ideal_all[picked]
+            corrected = averaged(corrected, rows.width)[picked] + swing @ np.linalg.inv(iron.matrix).T
         usable = np.asarray(np.isfinite(raw).all(axis=1))
     acc = _column(track.acc_mps2, time_s, rows.width)
     gyro = _column(track.gyro_radps, time_s, rows.width)
@@ -208,6 +208,18 @@ def _place(track: Track) -> tuple[float, float, float] | None:
     if track.place is None or not np.isfinite(track.place.values).all(axis=1).any():
         return None
     return middle_place(track.place.values)
+
+
+def _swing(raw: FloatArray, ideal: FloatArray, usable: NDArray[np.bool_], width: int) -> FloatArray:
+    """Return how far readings (N, 3) stand off the mean of their neighbours because the field turns.
+
+    Readings follow the field that an upright compass would see by some matrix: that of the calibration, of
+    another iron, or of a compass that was turned. The readings tell which, by how they swing themselves.
+    """
+    turns = ideal - averaged(ideal, width)
+    rows = usable & np.isfinite(raw).all(axis=1) & np.isfinite(turns).all(axis=1)
+    follows = np.linalg.lstsq(turns[rows], (raw - averaged(raw, width))[rows], rcond=None)[0]
+    return np.asarray(turns @ follows)
 
 
 def _middles(count: int, width: int) -> slice:

@@ -8,9 +8,8 @@ from mavcompass.gap.replay.nominal import Replay
 from mavcompass.simulation.effects import Effect
 
 _TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
-# Ten readings a second, averaged, are a low pass by nature: how much of one depends on the turns.
+# What a baseline teaches that was read in the same way: how late, and how smooth, readings are by nature.
 _LATE = frozenset({"transport_lag", "stale_samples", "low_pass"})
-_REPEATED = 0.1
 _NO_SENSOR = (
     "the sensors that would show it were not recorded, or feel motion that the recording does not tell"
 )
@@ -66,8 +65,7 @@ def untestable_effects(
         if len(effect.groups) == 1 and effect.groups[0] in replayed.doubtful:
             # What is not known of the motion looks like any fault of the sensor that feels it.
             out[effect.id] = _NO_SENSOR
-        smooths = effect.id == "low_pass" and replayed.trace.stale_share > _REPEATED
-        taught = age_known and effect.id in _LATE and not smooths
+        taught = age_known and effect.id in _LATE
         if replayed.telemetry and effect.id in _TIMING and not taught:
             out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"
         if replayed.averaged > 1 and effect.id == "timestamp_jitter":
