@@ -85,6 +85,6 @@ def rolls(track: Track, time_s: FloatArray) -> NDArray[np.bool_]:
 
     earlier, later = -0.5 * HALF_S, 0.5 * HALF_S
     step = force_step(at(force, earlier), at(force, later), at(angle, later) - at(angle, earlier))
-    noise = float(np.linalg.norm(white_noise(felt))) / math.sqrt(3.0)
+    noise = float(np.linalg.norm(white_noise(felt_at, felt))) / math.sqrt(3.0)
     readings = HALF_S / max(float(np.median(np.diff(felt_at))), 1e-3)
     return np.asarray(step > least_step_mps2(noise, readings))

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
@@ -28,6 +29,8 @@ from mavcompass.units import STANDARD_GRAVITY_MPS2
 # What is looked at before and after a dwell: several periods of a position loop.
 _MARGIN_S = 10.0
 LONGEST_GAP_S = 0.5
+# Noise is told by means over this time.
+_MEAN_S = 0.025
 _KNOT_S = 1.0
 _FEWEST = 20
 # Of one velocity of a satellite receiver; its error lasts for about a second. And its delay.
@@ -125,7 +128,7 @@ def level_by_newton(track: Track, start_s: float, end_s: float, hovers: bool = F
     phi, prior = _tilt_errors(time, rotation, rate, middle, track.gyro_truncation_radps)
     up = -level[:, 2][:, np.newaxis, np.newaxis]
     leaning = integral(time, up * np.stack([-phi[:, 1], phi[:, 0]], axis=1))
-    pushing, push_sigma = _walks(time, rotation, white_noise(force), track.acc_truncation_mps2)
+    pushing, push_sigma = _walks(time, rotation, white_noise(time, force), track.acc_truncation_mps2)
     mean, covariance = _solve(
         time,
         known,
@@ -208,7 +211,7 @@ def _tilt_errors(
     The gyro's noise makes phi a random walk: steps of it, knot by knot.
     """
     drifting = integral(time, rotation[:, :2, :])
-    walking, step_sigma = _walks(time, rotation, white_noise(rate), quantum_radps)
+    walking, step_sigma = _walks(time, rotation, white_noise(time, rate), quantum_radps)
     still = np.broadcast_to(np.eye(2), (time.size, 2, 2))
     phi = np.concatenate([still, drifting - drifting[middle], walking - walking[middle]], axis=2)
     return phi, np.concatenate([[_TILT_SIGMA_RAD] * 2, [_BIAS_SIGMA_RADPS] * 3, step_sigma])
@@ -232,10 +235,20 @@ def _walks(
     return walks.reshape(time.size, 2, -1), np.repeat(step, count)
 
 
-def white_noise(values: FloatArray) -> FloatArray:
-    """Return each axis's white noise of one sample, by second differences: smooth motion hardly shows."""
-    bends = np.abs(np.diff(values, 2, axis=0))
-    return np.asarray(np.median(bends, axis=0) / (0.6745 * math.sqrt(6.0)) + 1e-9)
+def white_noise(time: FloatArray, values: FloatArray, quantile: float = 0.5) -> FloatArray:
+    """Return each axis's noise of one of (N, M) samples, as far as it adds up like white noise: (M,).
+
+    By second differences, which smooth motion hardly shows, and of means: a filter ahead of a fast recording
+    takes noise out of the difference of neighbours and leaves it in their sum. `quantile` of the differences
+    tells; a smaller one looks at the calmer part of a motion.
+    """
+    interval_s = max(float(np.median(np.diff(time))), 1e-6)
+    count = max(min(round(_MEAN_S / interval_s), len(values) // 8), 1)
+    whole = len(values) // count
+    means = values[: whole * count].reshape(whole, count, -1).mean(axis=1)
+    bends = np.quantile(np.abs(np.diff(means, 2, axis=0)), quantile, axis=0)
+    normal = NormalDist().inv_cdf(0.5 + 0.5 * quantile)
+    return np.asarray(bends / normal * math.sqrt(count / 6.0) + 1e-9)
 
 
 def _solve(

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from mavcompass.calibration.observation.sway import white_noise
 from mavcompass.frames import FloatArray, tilt_from_acceleration, wrap_pi
 from mavcompass.heading.gravity import down_in_body, moving_average
 from mavcompass.track import Track
@@ -116,6 +117,7 @@ def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
     angle = np.concatenate([[0.0], np.cumsum(turns)])
     jumps = np.abs(np.diff(rate, 2))
     noise = float(np.percentile(jumps, 25)) / (0.3186 * math.sqrt(6.0)) if jumps.size else 0.0
+    walking = max(noise, float(white_noise(time, rate[:, np.newaxis], quantile=0.25)[0]))
     return TurnRecord(
         time_s=time,
         angle_rad=angle,
@@ -124,7 +126,7 @@ def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
         bias_radps=float(np.mean(bias)),
         bias_sigma_radps=sigma,
         noise_radps=noise,
-        walk_rad=min(noise * math.sqrt(float(np.median(steps))), _witnessed_walk_rad(track, time, rates)),
+        walk_rad=min(walking * math.sqrt(float(np.median(steps))), _witnessed_walk_rad(track, time, rates)),
         interval_s=float(np.median(steps)),
     )
 

@@ -44,6 +44,7 @@ class Change:
 def changes(seen: Iterable[Seen], power_up_s: Sequence[float]) -> tuple[Change, ...]:
     """Reduce what was seen, in the recording's order, to the changes, in order of time.
 
+    What was set again to the same value is kept: it may take effect only then (see `ulog.in_force`).
     The first value of a parameter also held before it was seen. A value that is merely read after a
     restart and differs from the one before held since that restart: `power_up_s` are their times.
     """
@@ -57,7 +58,7 @@ def changes(seen: Iterable[Seen], power_up_s: Sequence[float]) -> tuple[Change, 
         read_in[one.name] = one.power_up
         if one.name not in last:
             out.append(Change(-math.inf, one.name, one.value))
-        elif last[one.name] != one.value:
+        elif last[one.name] != one.value or one.announced:
             since_restart = first_here and not one.announced
             from_s = power_up_s[one.power_up] if since_restart else one.time_s
             out.append(Change(from_s, one.name, one.value))

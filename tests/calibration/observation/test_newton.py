@@ -92,8 +92,19 @@ def test_white_noise_is_seen_beside_smooth_motion() -> None:
     values = (
         chance.normal(size=(4000, 3)) * [1.0, 2.0, 0.0] + 30.0 * np.sin(TIME[:1000].repeat(4))[:, None] * 0.1
     )
-    assert white_noise(values)[:2] == pytest.approx([1.0, 2.0], rel=0.06)
-    assert white_noise(np.outer(TIME, [1.0, 2.0, 3.0])) == pytest.approx(np.full(3, 1e-9), abs=1e-9)
+    time = 0.04 * np.arange(4000)
+    assert white_noise(time, values)[:2] == pytest.approx([1.0, 2.0], rel=0.06)
+    assert white_noise(time, values, quantile=0.25)[:2] == pytest.approx([1.0, 2.0], rel=0.08)
+    assert white_noise(TIME, np.outer(TIME, [1.0, 2.0, 3.0])) == pytest.approx(np.full(3, 1e-9), abs=1e-9)
+
+
+def test_noise_behind_a_filter_adds_up_as_it_did_before_it() -> None:
+    white = np.random.default_rng(5).normal(size=(20_000, 1))
+    filtered = (white[:-3] + white[1:-2] + white[2:-1] + white[3:]) / 4.0
+    time = 0.004 * np.arange(len(filtered))
+    assert white_noise(time, filtered) == pytest.approx([1.0], rel=0.2)
+    # Neighbours alone show a third of it.
+    assert white_noise(10.0 * time, filtered) < 0.4
 
 
 def test_noise_walks_knot_by_knot_and_turns_with_the_vehicle() -> None:
@@ -123,7 +134,7 @@ def test_a_tilt_error_begins_in_the_middle_and_drifts() -> None:
         np.eye(3)[:2] * -2.0
     )
     assert sigma[:5] == pytest.approx([5.0 * DEG] * 2 + [0.2 * DEG] * 3)
-    assert sigma[5:] == pytest.approx(np.repeat(white_noise(rate)[:2], 4) * math.sqrt(0.1))
+    assert sigma[5:] == pytest.approx(np.repeat(white_noise(time, rate)[:2], 4) * math.sqrt(0.1))
 
 
 def test_cosine_and_sine_are_bound_to_their_circle() -> None:

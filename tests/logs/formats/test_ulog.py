@@ -91,7 +91,10 @@ def test_a_rotation_that_nobody_knows_falls_back_to_the_corrected_field(tmp_path
 
 
 def flight(path: Path, raw_every: int = 14, learnt_gauss: float = 0.0) -> Path:
-    """Log a compass whose calibration is written at 7 s and loaded at 8 s; one written at 1 s never is."""
+    """Log a compass whose calibration is written at 7 s and loaded at 8 s; what was written at 1 s never is.
+
+    One of its values was written at 1 s already.
+    """
     log = ULogFile()
     log.topic(
         "sensor_mag", "uint64_t timestamp_sample", "uint32_t device_id", "float x", "float y", "float z"
@@ -118,7 +121,7 @@ def flight(path: Path, raw_every: int = 14, learnt_gauss: float = 0.0) -> Path:
     for n in range(126):
         now = 1_000_000 + n * 71_429
         if n == 1:
-            log.parameter("CAL_MAG0_ZOFF", 0.7)
+            log.parameter("CAL_MAG0_ZOFF", 0.7).parameter("CAL_MAG0_XOFF", 0.3)
         if n == 84:
             log.parameter("CAL_MAG0_XOFF", 0.3).parameter("CAL_MAG0_YSCALE", 2.0)
         x = 0.4 + 0.001 * n
