@@ -123,6 +123,8 @@ class Track:
         reference_q: an independent attitude reference (optical, turntable), NED <- FRD, (N, 4).
         truth_q: a simulator's true attitude: for judging results, never an input of a method.
         gps_yaw_rad, gps_velocity_mps (north, east, down), position_ned_m: (N,), (N, 3), (N, 3).
+        receiver_velocity_mps: as the receiver itself measured it, where gps_velocity_mps is the autopilot's
+            estimate, which a bent compass bends; (N, 3), down may be nan.
         place: latitude deg, longitude deg, altitude m, (N, 3); what is not on the globe is NaN.
         current_a, throttle (0..1), temperature_degc: (N,); motors: outputs 0..1, (N, k).
         utc_offset_s: Unix time of time_s = 0; None where unknown.
@@ -143,6 +145,7 @@ class Track:
     truth_q: Series | None = None
     gps_yaw_rad: Series | None = None
     gps_velocity_mps: Series | None = None
+    receiver_velocity_mps: Series | None = None
     position_ned_m: Series | None = None
     place: Series | None = None
     current_a: Series | None = None

@@ -19,7 +19,7 @@ from mavcompass.errors import PoorCalibration
 # Two methods that are both sure must agree within so many of their sigmas.
 _AGREE_SIGMAS, _AGREE_DEG = 3.0, 2.0
 # Still positions are preferred as long as no other method is surer by this factor.
-_SURER = 2.0
+_SURER = 1.25
 
 
 def calibrate(recorded: Recorded) -> CalibrationResult:

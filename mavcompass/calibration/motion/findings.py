@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mavcompass.calibration.model import GAIN, HORIZONTAL, MOTOR
+from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR
 from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.honesty import Honesty
 from mavcompass.calibration.motion.sections import Sections
@@ -28,6 +28,8 @@ _FEWEST_READINGS = 150
 # A turn known no better shows nothing of the compass.
 _SPARSE_RAD = math.radians(5.0)
 _SCATTER_TOLD_DEG = 1.0
+# A gyro's scale is told where it is off by more than sensors come with, and by as many sigmas.
+_GYRO_SCALE_TOLD, _GYRO_SCALE_SIGMAS = 0.03, 3.0
 # Motors, or a change of the iron, are named where they are at least this share of the horizontal field.
 _NAMED_SHARE = 0.1
 _MOTORS_REFUSED_SHARE = 0.6
@@ -85,8 +87,7 @@ def findings(
             f"The motors' field of {motors:.0f} mG is {100.0 * motors / horizontal:.0f} % of the Earth's "
             "horizontal field: no compensation is that exact. Move the compass away from the power leads."
         )
-    if kept_out := _kept_out_words(sections, fit):
-        warnings.append(kept_out)
+    warnings += [words for words in (_gyro_words(fit), _kept_out_words(sections, fit)) if words]
     return tuple(reasons), tuple(warnings)
 
 
@@ -158,6 +159,17 @@ def _cause(sections: Sections, fit: MotionFit, load_source: str) -> str:
         )
     return (
         ": something magnetic near the vehicle, motors, or hard manoeuvres that its attitude did not follow."
+    )
+
+
+def _gyro_words(fit: MotionFit) -> str:
+    off, sigma = float(fit.state[GYRO_SCALE]), math.sqrt(float(fit.covariance[GYRO_SCALE, GYRO_SCALE]))
+    if abs(off) < max(_GYRO_SCALE_TOLD, _GYRO_SCALE_SIGMAS * sigma):
+        return ""
+    return (
+        f"The gyro reads {100.0 * abs(off):.0f} % {'more' if off > 0.0 else 'less'} than the vehicle turned: "
+        "after a full circle the compass is where it was and the gyro is not. The calibration takes that out; "
+        "a heading held against this gyro seems to scatter."
     )
 
 

@@ -301,8 +301,9 @@ class _Velocity:
 
 def _velocity(track: Track, time: FloatArray, hovers: bool) -> _Velocity | None:
     """Return what is known of the velocity; None where that is nothing."""
-    measured = track.gps_velocity_mps
-    if measured is not None:
+    for measured in (track.receiver_velocity_mps, track.gps_velocity_mps):
+        if measured is None:
+            continue
         inside = measured.between(float(time[0]) + _RECEIVER_LAG_S, float(time[-1]) + _RECEIVER_LAG_S)
         horizontal = np.asarray(inside.values)[:, :2]
         finite = np.isfinite(horizontal).all(axis=1)

@@ -17,12 +17,14 @@ import numpy as np
 from mavcompass.calibration.observation.sway import LONGEST_GAP_S, level_by_newton
 from mavcompass.calibration.observation.tilt import UPHELD
 from mavcompass.frames import FloatArray, tilt_from_acceleration
-from mavcompass.heading.gravity import ON_THE_GROUND, down_in_body
+from mavcompass.heading.gravity import ON_THE_GROUND, down_in_body, moving_average
 from mavcompass.track import Series, Track
 
 # What roll and pitch are off by while nothing is wrong: an autopilot's in flight, an accelerometer's at rest.
 ESTIMATOR_SIGMA_RAD, STANDING_SIGMA_RAD = math.radians(0.3), math.radians(0.02)
 _WINDOW_S = 20.0
+# An autopilot's level errs for as long as this the same way, and more.
+_ERRS_FOR_S = 10.0
 # A gyro with longer intervals misses what the vehicle did.
 _DENSE_S = 0.1
 
@@ -45,7 +47,7 @@ def upright(track: Track) -> Upright | None:
     """
     drives, gyro = track.vehicle in ON_THE_GROUND, track.gyro_radps
     told = track.acc_mps2 if drives else track.attitude_rad
-    if track.vehicle in UPHELD - ON_THE_GROUND or not told or track.gps_velocity_mps is None:
+    if track.vehicle in UPHELD - ON_THE_GROUND or not told:
         return None
     if gyro is None or len(gyro) < 3 or float(np.median(np.diff(gyro.time_s))) > _DENSE_S:
         return None
@@ -55,7 +57,13 @@ def upright(track: Track) -> Upright | None:
     estimate = down_in_body(track, time)
     apart = ((newton - estimate) ** 2).sum(axis=1) / 2.0
     best = STANDING_SIGMA_RAD if drives else ESTIMATOR_SIGMA_RAD
-    doubt = np.sqrt(np.maximum(apart - sigma**2, best**2))
+    known = np.isfinite(sigma)
+    beyond = np.where(known, apart - sigma**2, 0.0)
+    if not drives:
+        # An estimate that crosses the truth is not right for that moment.
+        sums = moving_average(time, np.stack([beyond, known.astype(float)], axis=1), _ERRS_FOR_S)
+        beyond = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
+    doubt = np.sqrt(np.maximum(beyond, best**2))
     weight, others = (sigma**-2)[:, np.newaxis], (doubt**-2)[:, np.newaxis]
     roll, pitch = tilt_from_acceleration(-(weight * newton + others * estimate))
     mended = Series.of(time, np.stack([roll, pitch, np.zeros(time.size)], axis=1))

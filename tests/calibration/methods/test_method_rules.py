@@ -53,9 +53,9 @@ def result(
 
 @pytest.mark.parametrize(
     ("still_deg", "moving_deg", "chosen"),
-    [(0.9, 0.5, "four-positions"), (1.1, 0.5, "world-field"), (0.4, 0.5, "four-positions")],
+    [(0.6, 0.5, "four-positions"), (0.65, 0.5, "world-field"), (0.4, 0.5, "four-positions")],
 )
-def test_still_positions_are_preferred_unless_another_is_twice_as_sure(
+def test_still_positions_are_preferred_unless_another_is_surer_by_a_quarter(
     still_deg: float, moving_deg: float, chosen: str
 ) -> None:
     still, moving = result(sigma_deg=still_deg), result("world-field", moving_deg)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.calibration.model import GAIN, HORIZONTAL, MOTOR
+from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR
 from mavcompass.calibration.motion.findings import (
     _kept_out_words,
     circle_seen_rad,
@@ -68,6 +68,18 @@ def told(
 
 def test_nothing_wrong_is_not_mentioned() -> None:
     assert told() == ((), ())
+
+
+@pytest.mark.parametrize(
+    ("off", "sigma", "said"),
+    [(0.031, 0.01, "3 % more"), (-0.08, 0.02, "8 % less"), (0.029, 0.001, ""), (-0.08, 0.03, "")],
+)
+def test_a_gyro_whose_scale_is_off_is_told(off: float, sigma: float, said: str) -> None:
+    fitted = fit(gain_sigma=sigma)
+    fitted.state[GYRO_SCALE] = off
+    reasons, warnings = told(fitted=fitted)
+    assert not reasons and len(warnings) == bool(said)
+    assert not said or f"The gyro reads {said} than the vehicle turned" in warnings[0]
 
 
 @pytest.mark.parametrize(("sigma_deg", "rms_deg", "refused"), [(4.9, 1.1, 0), (5.1, 1.1, 1), (5.1, 0.9, 0)])

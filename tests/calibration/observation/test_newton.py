@@ -183,6 +183,12 @@ def test_what_is_known_of_the_velocity() -> None:
     # 0.1 m/s each second: five in a second tell no more than one.
     assert told.sigma_mps == pytest.approx(0.1 * math.sqrt(told.time_s.size / 24.0))
     assert told.time_s[0] == pytest.approx(0.2 - 0.11)  # a receiver is late
+    # What the receiver measured counts before what a filter made of it, as long as there is enough of it.
+    for every_s, east in ((0.2, 5.0), (2.0, 2.0)):
+        measured = moving((1.0, 5.0), every_s=every_s)
+        both = recording(gps_velocity_mps=moving((1.0, 2.0)), receiver_velocity_mps=measured)
+        chosen = _velocity(both, TIME, True)
+        assert chosen is not None and chosen.mps[0, 1] == pytest.approx(east)
     slow = _velocity(recording(vehicle="plane", gps_velocity_mps=moving(every_s=1.15)), TIME, False)
     assert slow is not None and slow.sigma_mps == 0.1
     assert _velocity(recording(vehicle="plane", gps_velocity_mps=moving(every_s=1.3)), TIME, False) is None

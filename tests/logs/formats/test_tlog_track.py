@@ -364,3 +364,22 @@ def test_whole_numbers_of_the_imu_are_known_to_be_cut(tmp_path: Path) -> None:
     track = read_track(Recording().fly(2.0).write(tmp_path / "a.tlog"))
     assert track.acc_truncation_mps2 == pytest.approx(0.00980665)
     assert track.gyro_truncation_radps == 0.001
+
+
+def test_the_receivers_velocity_is_kept_beside_the_filters(tmp_path: Path) -> None:
+    recording = Recording()
+    for n in range(10):
+        boot_ms = 20_000 + 200 * n
+        heard = dialect.MAVLink_gps_raw_int_message(
+            boot_ms * 1000, 3, 470_000_000, 80_000_000, 0, 99, 99, 200, 9000, 9
+        )
+        recording.add(0.2 * n, heard)
+        estimate = dialect.MAVLink_global_position_int_message(
+            boot_ms, 470_000_000, 80_000_000, 0, 0, 100, -30, 5, 0
+        )
+        if n % 2:
+            recording.add(0.2 * n, estimate)
+    track = read_track(recording.fly(2.0).write(tmp_path / "a.tlog"))
+    assert track.gps_velocity_mps is not None and track.receiver_velocity_mps is not None
+    np.testing.assert_allclose(track.gps_velocity_mps.values, [[1.0, -0.3, 0.05]] * 5)
+    np.testing.assert_allclose(track.receiver_velocity_mps.values, [[0.0, 2.0, np.nan]] * 10, atol=1e-9)

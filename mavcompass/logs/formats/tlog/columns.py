@@ -96,6 +96,8 @@ def _gps(placer: Placer) -> dict[str, Series]:
             time_s = estimate.time_s if bool(placed.all()) else estimate.time_s[placed]
             rows = rows if bool(placed.all()) else rows[placed]
             out["place"] = Series.of(time_s, telemetry.place(rows))
+            if "gps_velocity_mps" in out:
+                out["receiver_velocity_mps"] = out["gps_velocity_mps"]
             out["gps_velocity_mps"] = Series.of(time_s, _velocity(rows))
     return out
 
