@@ -168,8 +168,8 @@ def _gyro_words(fit: MotionFit) -> str:
         return ""
     return (
         f"The gyro reads {100.0 * abs(off):.0f} % {'more' if off > 0.0 else 'less'} than the vehicle turned: "
-        "after a full circle the compass is where it was and the gyro is not. The calibration takes that out; "
-        "a heading held against this gyro seems to scatter."
+        "after a full circle the compass is where it was and the gyro is not. The calibration takes that "
+        "out; a heading held against this gyro seems to scatter."
     )
 
 
