@@ -1,0 +1,74 @@
+"""`mavcompass heading`: rows of recordings and of live vehicles, thinned out, as text and as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mavcompass import api
+from mavcompass.cli.main import main
+from mavcompass.heading import stream
+
+TIMES = np.arange(0.0, 4.0, 0.5)
+Shown = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A recording of eight headings; where its place was unknown, none is true."""
+    path = tmp_path / "flight.BIN"
+    path.write_bytes(b"")
+    true = np.where(TIMES < 1.0, math.nan, math.radians(92.0))
+    found = SimpleNamespace(
+        time_s=TIMES,
+        magnetic_rad=np.full(8, math.radians(90.0)),
+        true_rad=true,
+        grid_rad=None,
+        sigma_rad=np.full(8, math.radians(1.5)),
+    )
+    monkeypatch.setattr(api, "read_track", lambda source: source)
+    monkeypatch.setattr(stream, "heading_of_track", lambda track, earth, instance, two_axis: found)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "times"),
+    [
+        ([], list(TIMES)),
+        (["--rate", "1"], [0.0, 1.0, 2.0, 3.0]),
+        (["--duration", "1"], [0.0, 0.5, 1.0]),
+        (["--rate", "100"], list(TIMES)),
+    ],
+)
+def test_rows_of_a_recording(words: list[str], times: list[float], flight: str, capsys: Shown) -> None:
+    assert main(["heading", flight, "--json-lines", *words]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [row["time_s"] for row in rows] == times
+    assert {row["magnetic_deg"] for row in rows} == {90.0} and {row["sigma_deg"] for row in rows} == {1.5}
+    assert [row["true_deg"] for row in rows] == [None if t < 1.0 else 92.0 for t in times]
+    assert {row["grid_deg"] for row in rows} == {None}
+
+
+def test_one_document_of_all(flight: str, capsys: Shown) -> None:
+    assert main(["heading", flight, "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["schema"] == "mavcompass.heading/1" and document["source"] == flight
+    assert len(document["headings"]) == 8
+
+
+def test_lines_for_a_person(flight: str, capsys: Shown) -> None:
+    assert main(["heading", flight, "--rate", "1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4 and all("90.0" in line for line in lines)
+
+
+def test_two_axes_are_of_the_first_compass(capsys: Shown) -> None:
+    assert main(["heading", "sim:rover", "--two-axis", "--compass", "2"]) == 2
+    assert "--two-axis works on compass 1 of a live vehicle" in capsys.readouterr().err
+    assert main(["heading", "sim:rover", "--two-axis", "--duration", "1", "--json-lines"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) >= 4

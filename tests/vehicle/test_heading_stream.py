@@ -1,0 +1,99 @@
+"""The live heading: which messages make it, what it refuses, and that it ends with the vehicle."""
+
+from __future__ import annotations
+
+import math
+from itertools import islice
+
+import pytest
+
+from mavcompass.errors import LinkLost, Refused
+from mavcompass.messages import GlobalPositionInt, ScaledImu2
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.heading_stream import LiveHeading, headings
+from mavcompass.vehicle.links.simulated import SimulatedLink
+
+
+class Listening(SimulatedLink):
+    """Leave out messages of these kinds, and all after a time."""
+
+    left_out: tuple[type, ...] = ()
+    silent_from_s = math.inf
+
+    def receive(self, timeout_s: float):  # type: ignore[no-untyped-def]
+        heard = super().receive(timeout_s)
+        if heard is None or isinstance(heard.message, self.left_out) or heard.time_s > self.silent_from_s:
+            return None
+        return heard
+
+
+def listening(kind: str = "rover") -> Listening:
+    return Listening(SimulatedAutopilot(kind, seed=2, calibration="exact"), "sim:" + kind)
+
+
+def first(link: SimulatedLink, count: int = 20, **options: bool) -> list[LiveHeading]:
+    stream = headings(link, "sim:x", **options)
+    try:
+        return list(islice(stream, count))
+    finally:
+        stream.close()  # type: ignore[attr-defined]
+
+
+def off_deg(found: LiveHeading, link: SimulatedLink) -> float:
+    yaw_rad = link.autopilot.body.yaw_rad  # type: ignore[attr-defined]
+    assert found.true_rad is not None
+    return math.degrees(math.remainder(found.true_rad - yaw_rad, 2.0 * math.pi))
+
+
+@pytest.mark.parametrize("kind", ["rover", "px4-copter"])
+def test_it_points_where_the_nose_does(kind: str) -> None:
+    link = listening(kind)
+    found = first(link)
+    assert abs(off_deg(found[-1], link)) < 3.0
+    times = [heading.boot_s for heading in found]
+    assert times == sorted(set(times)), "each fresh message once"
+    assert all(h.grid_rad is not None and 0.0 <= h.grid_rad < 2.0 * math.pi for h in found)
+
+
+def test_two_axes_know_the_world_and_need_no_third() -> None:
+    link = listening()
+    assert abs(off_deg(first(link, 60, two_axis=True)[-1], link)) < 3.0
+
+
+def test_two_axes_are_refused_where_the_place_is_unknown() -> None:
+    link = listening()
+    link.left_out = (GlobalPositionInt,)
+    with pytest.raises(Refused, match="does not know its place"):
+        first(link, two_axis=True)
+    found = first(link)[-1]
+    assert found.true_rad is None and found.grid_rad is None and found.sigma_rad > 0.0
+
+
+def test_another_compass_is_read_from_its_own_message() -> None:
+    link = listening()
+    link.left_out = (ScaledImu2,)
+    stream = headings(link, "sim:rover", 2)
+    link.silent_from_s = link.now() + 20.0
+    with pytest.raises(LinkLost, match="fell silent"):
+        next(stream)
+    link.left_out, link.silent_from_s = (), math.inf
+    assert next(headings(link, "sim:rover", 2)).sigma_rad > 0.0
+
+
+def test_a_compass_that_is_not_there_is_refused() -> None:
+    link = listening()
+    compasses = {
+        name: 0.0 for name in link.autopilot.firmware.store.values if name.startswith("COMPASS_DEV_ID3")
+    }
+    link.autopilot.firmware.store.values.update(compasses)
+    with pytest.raises(Refused, match="has no compass 3"):
+        next(headings(link, "sim:rover", 3))
+
+
+def test_it_ends_with_the_vehicle() -> None:
+    link = listening()
+    stream = headings(link, "sim:rover")
+    next(stream)
+    link.silent_from_s = link.now() + 1.0
+    with pytest.raises(LinkLost, match="fell silent"):
+        list(stream)
