@@ -186,7 +186,7 @@ def test_what_the_calibration_cures_is_added_to_what_was_found() -> None:
         "current", 1.0,
     )  # fmt: skip
     cause = Cause("motor_current", {"x": 0.5, "y": -1.0, "z": 0.25}, {}, 1.0, ())
-    diagnosis = SimpleNamespace(causes=(cause,), in_force=iron)
+    diagnosis = SimpleNamespace(causes=(cause,), in_force=iron, beliefs=())
     offset, motors = vehicle_settings(diagnosis)  # type: ignore[arg-type]
     np.testing.assert_allclose(offset.theta, [4.0, 0.0, 9.0])
     np.testing.assert_allclose(motors.theta, [1.5, 1.0, -2.75])
@@ -194,6 +194,36 @@ def test_what_the_calibration_cures_is_added_to_what_was_found() -> None:
     offset, motors = vehicle_settings(diagnosis, beside_simulator=True)  # type: ignore[arg-type]
     np.testing.assert_allclose(offset.theta, [3.0, 0.0, 2.0])
     np.testing.assert_allclose(motors.theta, [1.0, 1.0, -2.75])
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "told", "sigma", "held"),
+    [
+        (0.0, 0.04, 0.015, None),  # 2.7 sigmas of one of three axes: the noise of a baseline
+        (0.0, 0.04, 0.0142, 0.04),
+        (0.0, 0.001, 0.0001, 0.001),  # however small it is
+        (2.0, 2.04, 0.015, 2.0),
+        (2.0, 2.04, 0.0142, 2.04),
+    ],
+)
+def test_an_export_holds_a_motors_field_that_is_known_to_differ_from_zero(
+    calibrated: float, told: float, sigma: float, held: float | None
+) -> None:
+    from mavcompass.gap.export.vehicle import vehicle_settings
+    from mavcompass.gap.result import Belief, Cured
+
+    motor, tuned = np.array([0.0, calibrated, 0.0]), np.array([0.0, told, 0.0])
+    none, whole = np.zeros(3), np.eye(3)
+    iron = Cured(
+        True, none, whole, motor, np.ones(3), whole, tuned, none, np.zeros((3, 3)), none, "current", 1.0
+    )
+    likely = Belief(0.9, (), (), np.zeros(18), sigma**2 * np.eye(18))
+    beliefs = (Belief(0.1, (), (), np.zeros(18), np.eye(18)), likely)
+    diagnosis = SimpleNamespace(causes=(), in_force=iron, beliefs=beliefs)
+    settings = {s.effect.id: s.theta for s in vehicle_settings(diagnosis)}  # type: ignore[arg-type]
+    assert settings.keys() == ({"hard_iron"} if held is None else {"hard_iron", "motor_current"})
+    if held is not None:
+        np.testing.assert_allclose(settings["motor_current"], [0.0, held, 0.0])
 
 
 def test_of_what_was_promised_an_export_tells_what_it_holds() -> None:

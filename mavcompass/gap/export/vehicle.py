@@ -9,14 +9,17 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay import calibration_in_force, known_iron
-from mavcompass.gap.result import Cause, Diagnosis
+from mavcompass.gap.result import Belief, Cause, Diagnosis
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Chain, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.track import Track
 
 _ROTATION_LEFT_OUT_RAD = math.radians(0.05)
-_LEAST_MOTOR = 0.02
+# Beyond this a vector of three differs from zero: chi^2 of three, 95 %.
+_DIFFERS = 7.81
+# Where a belief has what the motors' field is more than the calibration says.
+_MOTOR = slice(15, 18)
 
 
 def settings_of(causes: Iterable[Cause]) -> list[Setting]:
@@ -44,10 +47,22 @@ def vehicle_settings(diagnosis: Diagnosis, beside_simulator: bool = False) -> li
     own = 1.0 if beside_simulator else 0.0
     matrix = iron.tuned_matrix - own * iron.matrix @ iron.taught_matrix
     offset = iron.tuned_hard_iron_mgauss - own * iron.taught_hard_iron_mgauss
-    motor = iron.tuned_motor_mgauss - own * iron.taught_motor_mgauss
-    if iron.motor_source != "current":
-        motor = np.zeros(3)
+    motor = np.zeros(3)
+    if iron.motor_source == "current":
+        added = iron.tuned_motor_mgauss - own * iron.taught_motor_mgauss - iron.motor_mgauss
+        motor = iron.motor_mgauss + (added if _is_known(added, diagnosis.beliefs) else 0.0)
     return _summed([*_iron(matrix, offset, motor), *causes])
+
+
+def _is_known(motor_mgauss: FloatArray, beliefs: Sequence[Belief]) -> bool:
+    """Tell whether a field of the motors beside the calibration's differs from zero, by the likeliest belief.
+
+    A vehicle that draws hardly any current shows the noise of its compass there.
+    """
+    if not beliefs:
+        return True
+    covariance = max(beliefs, key=lambda belief: belief.weight).covariance[_MOTOR, _MOTOR]
+    return float(motor_mgauss @ np.linalg.pinv(covariance) @ motor_mgauss) > _DIFFERS
 
 
 def nominal_settings(track: Track, instance: int = 1) -> list[Setting]:
@@ -73,7 +88,7 @@ def _iron(matrix: FloatArray, offset_mgauss: FloatArray, motor_mgauss: FloatArra
         found["soft_iron"] = {name: float(soft[i, j]) for name, (i, j) in places.items()}
     if float(np.linalg.norm(vector)) > _ROTATION_LEFT_OUT_RAD:
         found["misalignment"] = dict(zip("xyz", vector.tolist(), strict=True))
-    if np.abs(motor_mgauss).max() > _LEAST_MOTOR:
+    if np.abs(motor_mgauss).max() > 0.0:
         found["motor_current"] = dict(zip("xyz", motor_mgauss.tolist(), strict=True))
     return settings_of(Cause(effect, values, {}, 1.0, ()) for effect, values in found.items())
 
