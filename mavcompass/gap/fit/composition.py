@@ -16,6 +16,7 @@ from mavcompass.frames import FloatArray, rotate, rotate_back
 from mavcompass.gap.attitude import cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, Replay, turned
+from mavcompass.simulation.effects.causes.timing import late_field
 from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, Effect, Signals, Stage
 from mavcompass.simulation.effects.sampling import Between, at_times, central_differences, first_order_lag
 from mavcompass.simulation.physics.signals import Reading
@@ -26,7 +27,8 @@ _NUDGE_MGAUSS = 1.0
 # Stages whose changes turn with the vehicle.
 _TURNING = frozenset({Stage.ATTITUDE, Stage.WORLD})
 _SMOOTHING = "low_pass"
-_LAST = frozenset({"transport_lag", _SMOOTHING, TELEMETRY_AGE})
+_DELAYS = frozenset({"transport_lag", TELEMETRY_AGE})
+_LAST = _DELAYS | {_SMOOTHING}
 
 
 def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
@@ -102,8 +104,14 @@ class Composition:
         states = [self.replay.signals]
         if without_last:
             states = list(without_last[: 1 + [place for _, place in order].index(len(everything) - 1)])
-        for effect, place in order[len(states) - 1 :]:
-            states.append(effect.forward(states[-1], everything[place], {}, None))
+        for at, (effect, place) in enumerate(order[len(states) - 1 :], len(states) - 1):
+            together = _together(order, at)
+            if len(together) == 1:
+                states.append(effect.forward(states[-1], everything[place], {}, None))
+            else:
+                # A delay that is followed by another one waits for it.
+                last = at == together[-1]
+                states.append(_late(states[together[0]], order, everything, together) if last else states[-1])
         return states
 
     def changes(
@@ -125,9 +133,14 @@ class Composition:
         for place in wanted:
             at = places[place]
             effect = order[at][0]
+            together = _together(order, at)
             if effect.id == REFERENCE_YAW:
                 turns = _turns(self.replay.reference.curves_rad, float(everything[place][0]))
                 changes += after.turned(at + 1, turns)
+            elif len(together) > 1:
+                step, at = _STEP * float(effect.parameters[0].scale), together[-1]
+                late = _late(states[together[0]], order, everything, together, step)
+                changes.append(difference(late.reading, states[at + 1].reading, step))
             else:
                 moved, steps = [], []
                 for j in self.free(terms, place):
@@ -146,12 +159,13 @@ class Composition:
             made_by += [(at, effect.stage)] * (len(changes) - len(made_by))
         for at, (last, place) in enumerate(order[end:], end):
             early = {i: stage for i, (by, stage) in enumerate(made_by) if by < at}
-            if not early:
+            together = _together(order, at)
+            if not early or at != together[-1]:
                 continue
             if last.id == _SMOOTHING:
                 self._smooth(changes, early, float(everything[place][0]))
             else:
-                self._delay(changes, early, float(everything[place][0]))
+                self._delay(changes, early, sum(float(everything[order[i][1]][0]) for i in together))
         return changes
 
     def _smooth(self, changes: list[Reading], early: Collection[int], time_constant_s: float) -> None:
@@ -191,6 +205,32 @@ class Composition:
             late |= {i: flat[:, 3 * n : 3 * n + 3] for n, i in enumerate(rest)}
         for i, mag in late.items():
             changes[i] = Reading(mag, changes[i].acc_mps2, changes[i].gyro_radps)
+
+
+def _together(order: Sequence[tuple[Effect, int]], at: int) -> range:
+    """Return the members that are reckoned with member `at`: delays that follow each other are one.
+
+    One after the other they would interpolate what was interpolated, and a fit between them would stick.
+    """
+    first, end = at, at + 1
+    if order[at][0].id in _DELAYS:
+        while first and order[first - 1][0].id in _DELAYS:
+            first -= 1
+        while end < len(order) and order[end][0].id in _DELAYS:
+            end += 1
+    return range(first, end)
+
+
+def _late(
+    before: Signals,
+    order: Sequence[tuple[Effect, int]],
+    thetas: Sequence[FloatArray],
+    together: range,
+    more_s: float = 0.0,
+) -> Signals:
+    """Return signals as several members delay them together, and by some seconds more."""
+    delay_s = sum(float(thetas[order[at][1]][0]) for at in together) + more_s
+    return before.with_mag(late_field(before, before.stimulus.time_s - delay_s))
 
 
 class _After:

@@ -181,6 +181,13 @@ class Problem:
             self._null = self.fit((), (), start)
         return self._null
 
+    def again(self, near: Fit) -> Fit:
+        """Fit the nuisances alone once more from where a hypothesis has them; keep what is better."""
+        other = self.fit((), (), near.nuisance_thetas)
+        if other.sse < self.null().sse:
+            self._null = other
+        return self.null()
+
     def refit(self, fit: Fit) -> Fit:
         """Fit the same hypothesis to the rows of this problem, from the values that it has."""
         return self.fit(fit.terms, fit.thetas, fit.nuisance_thetas)

@@ -121,6 +121,10 @@ class Search:
         """Search up to `most` effects."""
         null = self._null()
         best = self._rounds(null, most, ())
+        if best.terms and self.problem.again(best).sse < null.sse - _AS_GOOD:
+            # Nothing was the best of its neighbourhood only: what helps must do so beside the better one.
+            null = self.explored[frozenset()] = self.problem.null()
+            best = self._rounds(null, most, ())
         for turned in self._turned(null, best):
             rival = self._rounds(turned, most, turned.terms)
             if self.score(rival) < self.score(best):

@@ -262,10 +262,15 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     count = np.bincount(label)
     blocks = np.stack([np.bincount(label, gained[:, k]) / count for k in (0, 1)], axis=1)
     # Blocks that an effect leaves alone say nothing against it.
-    change = np.mean(np.square(predictions[1] - predictions[0])[rows], axis=1)
-    touched = np.bincount(label, change) / count
-    blocks = blocks[touched >= _TOUCHED * touched.max()]
-    mean, spread = blocks.mean(axis=0), blocks.std(axis=0)
+    turned = np.degrees(heading_error_rad(replay, predictions[0], predictions[1]))[rows]
+    changed = np.stack([np.mean(np.square(predictions[1] - predictions[0])[rows], axis=1), turned**2], axis=1)
+    changes = np.stack([np.bincount(label, changed[:, k]) / count for k in (0, 1)], axis=1)
+    touched = changes[:, 0] >= _TOUCHED * changes[:, 0].max()
+    blocks, changes = blocks[touched], changes[touched]
+    # They agree if each gains in proportion to what the effect changes there.
+    mean = blocks.mean(axis=0)
+    off = blocks - changes * mean / np.maximum(changes.mean(axis=0), 1e-12)
+    spread = np.sqrt(np.mean(off**2, axis=0))
     low = mean - 1.7 * spread / math.sqrt(len(blocks) - 1) if len(blocks) > 2 else mean
     if not held.any():
         held = np.ones(rows.size, dtype=np.bool_)

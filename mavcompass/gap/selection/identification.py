@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -105,12 +106,15 @@ def _parted(problem: Problem, nothing: Fit, floor: Floor, split: Split) -> Split
 
     A gap that is there all the time may swing with the vehicle's turns: its blocks are long enough.
     """
-    replay = problem.replay
-    left = replay.measured.mag_mgauss - problem.predict(nothing).mag_mgauss
-    loud = np.sqrt(np.mean(left**2, axis=1)) > _LOUD * floor.field_rms_mgauss
-    loud &= split.train | split.test
-    passing = 0 < loud.sum() < _PASSING * (split.train | split.test).sum()
-    return with_parts(split, replay.time_s, loud) if passing else split
+    replay, rows = problem.replay, split.train | split.test
+    # A gap that bends what is known is loud everywhere: as it is known, it may be loud for a while only.
+    known = Fit((), (), tuple(n.mean for n in problem.nuisances), math.inf)
+    for fit in (nothing, known):
+        left = replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
+        loud = rows & (np.sqrt(np.mean(left**2, axis=1)) > _LOUD * floor.field_rms_mgauss)
+        if 0 < loud.sum() < _PASSING * rows.sum():
+            return with_parts(split, replay.time_s, loud)
+    return split
 
 
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
