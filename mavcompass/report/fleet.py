@@ -13,7 +13,12 @@ from mavcompass.frames import FloatArray
 from mavcompass.report.page import write_page
 from mavcompass.report.svg import Plot, bars, limits
 
-_DAY_S = 86_400.0
+# Units of time, the first that recordings span two of: seconds, name, how their beginning is written.
+_UNITS = (
+    (86_400.0, "days", "%Y-%m-%d"),
+    (3_600.0, "hours", "%Y-%m-%d %H:%M UTC"),
+    (60.0, "minutes", "%Y-%m-%d %H:%M UTC"),
+)
 # A page stays one that a person can read; the Parquet file has everything.
 _MOST_VEHICLES, _MOST_DRIFTS, _MOST_ERRORS, _MOST_FIRST = 300, 24, 50, 12
 # Classes of the style sheet for the first, second and third compass: line and band, dots.
@@ -48,33 +53,37 @@ def drift_figure(vehicle: Vehicle, calibrated: bool) -> str:
     """Draw a vehicle's compasses over time: drift of the calibration, or the heading gap, in degrees."""
     drawn = [h for h in vehicle.histories if len(h.points) > 1]
     start = min(h.points[0].time_unix_s for h in drawn)
-    curves = [_curve(history, start, calibrated) for history in drawn]
-    day = datetime.fromtimestamp(start, UTC).strftime("%Y-%m-%d")
+    span_s = max(h.points[-1].time_unix_s for h in drawn) - start
+    unit_s, unit, written = next((u for u in _UNITS if span_s >= 2.0 * u[0]), _UNITS[-1])
+    curves = [_curve(history, start, unit_s, calibrated) for history in drawn]
+    began = datetime.fromtimestamp(start, UTC).strftime(written)
     plot = Plot(
-        x_range=limits(*(days for days, _, _ in curves), least=1.0),
+        x_range=limits(*(since for since, _, _ in curves), least=1.0),
         y_range=limits([0.0], *(values + sigmas for _, values, sigmas in curves), least=1.0),
-        x_label=f"days since {day}",
+        x_label=f"{unit} since {began}",
         y_label="moved since then, deg" if calibrated else "heading gap, deg",
         title=f"{vehicle.name} over time",
         height=220.0,
     )
-    for number, (days, values, sigmas) in enumerate(curves):
+    for number, (since, values, sigmas) in enumerate(curves):
         css, dots_css = _CURVES[number % len(_CURVES)]
         if calibrated:
-            plot.band(days, (values - sigmas).clip(min=0.0), values + sigmas, css)
-        plot.line(days, values, css)
-        plot.dots(days, values, dots_css, radius=2.4)
+            plot.band(since, (values - sigmas).clip(min=0.0), values + sigmas, css)
+        plot.line(since, values, css)
+        plot.dots(since, values, dots_css, radius=2.4)
     return plot.render()
 
 
-def _curve(history: History, start: float, calibrated: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _curve(
+    history: History, start: float, unit_s: float, calibrated: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     def column(values: Sequence[float | None]) -> FloatArray:
         return np.array([np.nan if value is None else value for value in values])
 
     points = history.points
     values = column([p.drift_deg if calibrated else p.off_deg for p in points])
     sigmas = np.nan_to_num(column([p.sigma_deg for p in points]))
-    return (np.array([p.time_unix_s for p in points]) - start) / _DAY_S, values, sigmas
+    return (np.array([p.time_unix_s for p in points]) - start) / unit_s, values, sigmas
 
 
 def _last_off_deg(vehicle: Vehicle) -> float | None:

@@ -6,6 +6,8 @@ import pytest
 
 from mavcompass.cli.fleet import shown
 from mavcompass.fleet.run import Progress
+from mavcompass.fleet.summary import History, Point, Vehicle
+from mavcompass.report.fleet import drift_figure
 
 
 def test_a_pipe_gets_no_bar(capsys: pytest.CaptureFixture[str]) -> None:
@@ -45,3 +47,20 @@ def test_what_takes_less_than_twenty_seconds_is_not_named(
     with shown.showing() as show:
         show(Progress(9, 5, 0, (("a/b.BIN", 19.0),)))
     assert "b.BIN" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("span_s", "axis"),
+    [
+        (600.0, "minutes since 2026-05-01 06:30 UTC"),
+        (7_199.0, "minutes since 2026-05-01 06:30 UTC"),
+        (7_200.0, "hours since 2026-05-01 06:30 UTC"),
+        (172_799.0, "hours since 2026-05-01 06:30 UTC"),
+        (172_800.0, "days since 2026-05-01"),
+    ],
+)
+def test_recordings_of_one_day_are_drawn_apart(span_s: float, axis: str) -> None:
+    began = 1_777_617_000.0  # 2026-05-01 06:30 UTC
+    points = (Point(began, "a.BIN", 1.0), Point(began + span_s, "b.BIN", 2.0))
+    seven = Vehicle("seven", "rover", 2, 0, 0, (), (History(1, None, points),), 2.0, ())
+    assert axis in drift_figure(seven, calibrated=False)
