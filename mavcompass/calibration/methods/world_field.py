@@ -12,6 +12,7 @@ from mavcompass.calibration.model import GAIN, HORIZONTAL, MOTOR, OFFSET, VERTIC
 from mavcompass.calibration.motion.findings import findings
 from mavcompass.calibration.motion.honesty import weigh_honestly
 from mavcompass.calibration.motion.observed import Motion, observe_motion
+from mavcompass.calibration.motion.stops import without_disturbed_stop
 from mavcompass.calibration.positions.budget import ACCELEROMETER
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
@@ -37,12 +38,17 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
 def calibrate_motion(motion: Motion) -> CalibrationResult:
     """Turn the fit of a motion into a judged result."""
     recorded = motion.recorded
+    disturbed = without_disturbed_stop(motion)
+    if disturbed is not None:
+        motion = disturbed.motion
     honest = weigh_honestly(motion.sections, motion.fit, recorded.prior)
     correction = correction_of(motion, honest.state)
     honest = honest.at_least(motion.scatter_left_rad(correction))
     ratio = motion.halves_ratio()
     if ratio > _BY_CHANCE:
         honest = honest.at_least(ratio * honest.noise_rad)
+    if disturbed is not None:
+        honest = honest.at_least(disturbed.open_rad)
     mounting = _mounting_rad(motion)
     sigma = honest.error.rms_rad()
     reasons, warnings = findings(
@@ -53,6 +59,11 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
         motion.load_source,
         recorded.limits.heading_deg,
     )
+    if disturbed is not None:
+        reason = disturbed.reason(recorded.limits.heading_deg)
+        reasons, warnings = (
+            ((*reasons, reason), warnings) if reason else (reasons, (disturbed.words(), *warnings))
+        )
     if motion.reference is None:
         unknown = "No yaw reference was recorded; the gyro's turned angle was used with an unknown start."
         warnings = (unknown, *warnings)

@@ -106,7 +106,10 @@ class Motion:
 
     def since(self, start_s: float) -> Motion:
         """Keep what lies after a time, fitted anew. Raises PoorCalibration where that is too little."""
-        sections = self.sections.between(start_s, math.inf)
+        return self.on(self.sections.between(start_s, math.inf))
+
+    def on(self, sections: Sections) -> Motion:
+        """Fit some of the sections anew. Raises PoorCalibration where these are too few."""
         return replace(self, sections=sections, fit=_fitted(self.recorded, sections, self.load_source))
 
 

@@ -48,17 +48,18 @@ def scatter_left_rad(
     usable = np.isfinite(field_mgauss).all(axis=1)
     usable &= (time >= sections.start_s[0]) & (time <= sections.end_s[-1])
     usable &= ~unsettled(track, instance)
+    section = np.clip(np.searchsorted(sections.start_s, time, side="right") - 1, 0, len(sections) - 1)
+    usable &= time <= sections.end_s[section]
     late = field_lag_s(track) + float(fit.state[LAG])
     tilting = np.interp(time - late, record.time_s, record.tilt_rate_radps) - 1.3 * record.noise_radps
     slow = usable & (down[:, 2] > _LEAST_UPRIGHT)
     slow &= np.hypot(record.rate_at(time - late), np.maximum(tilting, 0.0)) < _SLOW_RADPS
     if int(slow.sum()) < 2:
         return 0.0
-    time = time[slow]
+    time, section = time[slow], section[slow]
     heading = np.asarray(tilt_compensated_heading(field_mgauss[slow], -down[slow]))
     drift = np.interp(time, sections.middle_s, fit.headings_rad - sections.turned_rad)
     off = np.asarray(wrap_pi(heading - drift - record.angle_at(time - late)))
-    section = np.clip(np.searchsorted(sections.start_s, time, side="right") - 1, 0, len(sections) - 1)
     sound = fit.sound[section]
     lasted = np.maximum(sections.end_s - sections.start_s, 1.0)
     visit = sound / (sections.repeats * lasted)[section]

@@ -110,12 +110,19 @@ class Sections:
 
     def rows(self, first: int, last: int) -> Sections:
         """Keep the sections first <= k < last."""
+        return self.chosen(np.arange(first, last))
+
+    def chosen(self, kept: NDArray[np.intp]) -> Sections:
+        """Keep some of the sections, in their order; the turns between them are joined."""
         cut = {
-            f.name: value[first:last]
+            f.name: value[kept]
             for f in fields(self)
             if isinstance(value := getattr(self, f.name), np.ndarray) and f.name != "step_sigma_rad"
         }
-        return replace(self, **cut, step_sigma_rad=self.step_sigma_rad[first : max(last - 1, first)])  # type: ignore[arg-type]
+        steps = np.empty(0)
+        if len(kept) > 1:
+            steps = np.sqrt(np.add.reduceat(self.step_sigma_rad[: kept[-1]] ** 2, kept[:-1]))
+        return replace(self, **cut, step_sigma_rad=steps)  # type: ignore[arg-type]
 
 
 def cut_sections(
