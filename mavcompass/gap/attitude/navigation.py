@@ -128,15 +128,6 @@ def smoothed_attitude(
             break
     assert solved is not None
     change = solved.states[:, _BIAS].mean(axis=0)
-    if _strained(change, bias) and (bias.sigma < _FAULTY_RADPS).all():
-        if witness is not None and math.isinf(witness.constant_rad):
-            # An autopilot that believes a bent compass leans the wrong way when it accelerates.
-            alone = smoothed_attitude(sensed, start, bias, velocity, None)
-            if not _strained(alone.gyro_bias.mean - bias.mean, bias):
-                return alone
-        # No healthy gyro then: let it say how far it is off.
-        faulty = Bias(bias.mean, np.full(3, _FAULTY_RADPS))
-        return smoothed_attitude(sensed, rotation, faulty, velocity, witness)
     some = smoother.telling()
     rate = (
         smoother.rate - smoother.between(solved.states[:, _BIAS]) - smoother.rate * solved.constants[_SCALE]
@@ -148,9 +139,14 @@ def smoothed_attitude(
     return Smoothed(rotation, rate, found, smoother.knots[some], covariance)
 
 
-def _strained(change_radps: FloatArray, bias: Bias) -> bool:
-    """Tell whether a gyro's bias differs from what it was at rest by more than it may."""
-    return bool((np.abs(change_radps) > _STRAINED * bias.sigma).any())
+def believable(smoothed: Smoothed, bias: Bias) -> bool:
+    """Tell whether a gyro's bias is what it was at rest, as far as that may be."""
+    return not bool((np.abs(smoothed.gyro_bias.mean - bias.mean) > _STRAINED * bias.sigma).any())
+
+
+def faulty(bias: Bias) -> Bias:
+    """Let a gyro be off by more than a healthy one is."""
+    return Bias(bias.mean, np.maximum(bias.sigma, _FAULTY_RADPS))
 
 
 @dataclass(frozen=True, slots=True)

@@ -220,9 +220,15 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
 
 
 def _gap(candidate: Identified, floor: Floor) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return rms of what the effects change and of the floor, for field (mG) and heading (deg)."""
+    """Return rms of what the effects change and of the floor, for field (mG) and heading (deg).
+
+    A turn of the mounting by right angles is exact: what it changes hides nothing.
+    """
     fit, problem = candidate.fit, candidate.problem
-    after, before = problem.predict(fit), problem.predict(fit, effects=False)
+    exact = fit
+    for place in reversed(range(len(fit.terms))):
+        exact = exact if fit.terms[place].effect.kind == "discrete" else exact.without(place)
+    after, before = problem.predict(fit), problem.predict(exact)
     field, heading = apart(problem.replay, after.mag_mgauss, before.mag_mgauss, problem.index)
     return (field, floor.field_rms_mgauss), (heading, floor.heading_rms_deg)
 

@@ -234,20 +234,30 @@ def _plainer(candidate: Identified) -> Identified:
 def _substitutes(candidate: Identified) -> list[Fit]:
     """Fit the chosen set with an alias in the place of one of its effects: no search need have tried it."""
     chosen, problem = candidate.fit, candidate.problem
-    terms = {term.effect.id: term for term in candidate.search.terms if term.effect.starts is None}
+    terms = {term.effect.id: term for term in candidate.search.terms}
     out, iron = [], problem.replay.iron.offset_mgauss
     for place, term in enumerate(chosen.terms):
         for alias in term.effect.aliases:
-            if alias in terms and alias not in chosen.ids:
-                rest, other = chosen.without(place), terms[alias]
-                fits = [
-                    problem.refit(
-                        problem.fit((*rest.terms, other), (*rest.thetas, guess), chosen.nuisance_thetas)
-                    )
-                    for guess in placements(other.effect, other.effect.neutral(), iron)
-                ]
-                out.append(min(fits, key=lambda f: f.sse))
+            if alias not in terms or alias in chosen.ids:
+                continue
+            rest, other = chosen.without(place), terms[alias]
+            guesses = placements(other.effect, other.effect.neutral(), iron)
+            if other.effect.starts is not None:
+                # A time for a time; what else needs a start of its own is for the search.
+                guesses = [chosen.thetas[place]] if _of_one_kind(term.effect, other.effect) else []
+            fits = [
+                problem.refit(
+                    problem.fit((*rest.terms, other), (*rest.thetas, guess), chosen.nuisance_thetas)
+                )
+                for guess in guesses
+            ]
+            out += sorted(fits, key=lambda f: f.sse)[:1]
     return out
+
+
+def _of_one_kind(one: Effect, other: Effect) -> bool:
+    """Tell whether two effects have the same number of parameters, in the same units."""
+    return [p.unit for p in one.parameters] == [p.unit for p in other.parameters]
 
 
 def _moments_in_training(candidate: Identified) -> Identified:
