@@ -190,6 +190,8 @@ def test_a_tilted_pose_is_what_a_level_turn_lacks() -> None:
     assert (free.roll_rad, free.pitch_rad) != (0.0, 0.0)
     assert (level.roll_rad, level.pitch_rad) == (0.0, 0.0)
     assert free.sigma_tilted_rad < level.sigma_tilted_rad
+    assert all(math.degrees(p.turn_rad) % 45.0 == pytest.approx(0.0, abs=1e-9) for p in (free, level))
+    assert math.degrees(max(abs(free.roll_rad), abs(free.pitch_rad))) == pytest.approx(15.0)
 
 
 @given(b=st.floats(-8, 8), c=st.floats(-8, 8), d=st.floats(-3, 3), e=st.floats(-3, 3), a=st.floats(-5, 5))

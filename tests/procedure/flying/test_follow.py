@@ -152,7 +152,8 @@ def test_a_px4_enters_offboard_while_targets_come() -> None:
     machine = Machine(lambda context: follow._into_offboard(context, profile("copter"), state, clock))
     actions = drive(machine, clock, 1.45)
     assert not machine.done and all(
-        isinstance(m, mav.SetPositionTargetLocalNed) for m in sent(a for _, a in actions)
+        isinstance(m, mav.SetPositionTargetLocalNed) and (m.vx, m.vy, m.vz) == (0.0, 0.0, 0.0)
+        for m in sent(a for _, a in actions)
     )
     state.heartbeat = mav.Heartbeat(custom_mode=PX4_OFFBOARD)
     later = drive(machine, clock, 1.7, 1.45)
@@ -172,7 +173,8 @@ def test_a_px4_that_does_not_enter_offboard_is_asked_six_times() -> None:
 
 
 @pytest.mark.parametrize(
-    ("flags", "knows"), [(0, False), (1 | 2 | 16, True), (1 | 2, False), (2 | 16, False), (0x1FF, True)]
+    ("flags", "knows"),
+    [(0, False), (1 | 2 | 16, True), (1 | 2, False), (2 | 16, False), (1 | 16, False), (0x1FF, True)],
 )
 def test_an_ardupilot_knows_its_place_by_its_estimator(flags: int, knows: bool) -> None:
     state = VehicleState()

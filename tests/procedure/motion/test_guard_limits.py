@@ -206,3 +206,25 @@ def test_a_mode_that_px4_was_changed_to_is_named() -> None:
 
 def test_the_rates_are_asked_for_by_the_dialects_numbers() -> None:
     assert {kind: message_id(kind) for kind in MESSAGE_IDS} == MESSAGE_IDS
+
+
+@pytest.mark.parametrize(
+    ("kind", "centred"),
+    [("rover", {1}), ("boat", {1}), ("copter", {1, 2, 4}), ("sub", {4}), ("plane", set())],
+)
+@pytest.mark.parametrize("channel", [1, 2, 3, 4])
+@pytest.mark.parametrize(("off_us", "is_held"), [(150, False), (151, True), (-151, True)])
+def test_a_stick_that_is_held_from_the_start_is_the_pilots(
+    kind: Kind, centred: set[int], channel: int, off_us: int, is_held: bool
+) -> None:
+    """Throttles rest anywhere, and who steers by one stick only leaves the others alone."""
+    state = VehicleState()
+    pwm = [1500, 1500, 1100, 1500]
+    pwm[channel - 1] = 1500 + off_us
+    told = {}
+    for ours in (frozenset[int](), frozenset({channel})):
+        guard = MotionGuard(state, GyroAngle(), kind, moved_by_us=ours)
+        state.hear(Incoming(0.0, 1, 1, sticks(*pwm)))
+        told[ours] = guard._pilot()
+    is_told = is_held and channel in centred
+    assert list(told.values()) == ["The pilot holds a stick." if is_told else None, None]
