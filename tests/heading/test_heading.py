@@ -141,6 +141,21 @@ def test_the_fields_length_is_followed_while_level() -> None:
     assert compass.total_mgauss == pytest.approx(math.hypot(horizontal, 480.0 * math.sin(0.9)), rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("roll", "pitch"), [(0.0, 0.0), (0.01, 0.0), (0.0, -0.03), (0.034, 0.034), (0.3, -0.2), (0.0, 0.5)]
+)
+def test_a_two_axis_compass_points_as_three_axes_do_and_learns_while_level(roll: float, pitch: float) -> None:
+    earth = np.array([480.0 * math.cos(0.9), 0.0, 480.0 * math.sin(0.9)])
+    x, y, _ = euler_to_matrix(roll, pitch, 2.0).T @ earth
+    compass = TwoAxisCompass(480.0, 0.9)
+    assert compass.update(float(x), float(y), roll, pitch) == pytest.approx(
+        2.0, abs=0.06 if roll < 0.05 else 1e-6
+    )
+    compass.update(2.0 * x, 2.0 * y, roll, pitch)
+    is_level = max(abs(roll), abs(pitch)) < math.radians(2.0)
+    assert (compass.total_mgauss > 480.5) is is_level
+
+
 def test_grid_north_leaves_true_north_away_from_the_zones_middle() -> None:
     assert grid_convergence_rad(45.0, 9.0) == pytest.approx(0.0, abs=1e-12)
     assert math.degrees(grid_convergence_rad(45.0, 11.0)) == pytest.approx(1.414, abs=0.002)

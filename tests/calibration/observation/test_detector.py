@@ -149,3 +149,20 @@ def test_of_what_leans_only_the_horizontal_part_of_its_rate_is_tilting(axis: int
     x, y, z = (math.radians(2.9 * d + tilt_deg_s * a) for d, a in zip(down, across, strict=True))
     state = fed(detector, 1.0, 0.0, (x, y, z), acc)
     assert state.why_not == "" and math.degrees(state.rate_radps) == pytest.approx(2.9, abs=0.05)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("down", [(0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.0, -0.8, 0.6), (-0.48, 0.6, 0.64)])
+def test_a_rate_is_parted_into_that_about_the_vertical_and_the_rest(axis: int, down: Vector) -> None:
+    detector = StillnessDetector()
+    x, y, z = down
+    acc = (-G * x, -G * y, -G * z)
+    detector.update(0.0, (0.0, 0.0, 0.0), acc, FIELD)
+    gyro = [0.3, -0.2, 0.1]
+    gyro[axis] += 0.5
+    detector.update(STEP_S, (gyro[0], gyro[1], gyro[2]), acc, FIELD)
+    _, about, tilting = detector._window[-1]
+    wanted = float(np.dot(gyro, down))
+    assert about == pytest.approx(wanted)
+    assert tilting == pytest.approx(float(np.linalg.norm(np.array(gyro) - wanted * np.array(down))))
+    assert detector._turned == pytest.approx(0.5 * wanted * STEP_S)
