@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.answer import verdict
-from mavcompass.gap.answer.verdict import Answer, consistent, decide
+from mavcompass.gap.answer.verdict import Answer, consistent, decide, owning_up
 from mavcompass.gap.fit import Fit, Term
 from mavcompass.gap.left import Adequacy
 from mavcompass.gap.result import Closing, Verdict
@@ -272,3 +273,77 @@ def test_a_line_at_half_the_sampling_rate_may_be_a_sensor_that_alternates(hz: fl
     line.thetas[0][6] = hz
     assert registry.get("ac_interference").parameters[6].unit == "Hz"
     assert said(Answer("named", line, False, None)).verdict == told
+
+
+# --- beside what healthy vehicles do not leave -----------------------------------------------------------
+
+
+def beside(
+    told: Verdict = "no_gap",
+    names: tuple[str, ...] = (),
+    strain: float = 0.0,
+    left: tuple[float, float] = (1.0, 1.0),
+    nominal: float = 2.0,
+    tests: tuple[tuple[str, float], ...] = (),
+) -> Answer:
+    """Ask what becomes of an answer: `left` of rows that were fitted, and of others, mean squares."""
+
+    def rows(mean_square: float, **more: Any) -> Any:
+        residual = np.full(8, math.sqrt(mean_square))
+        return SimpleNamespace(residual=lambda _: residual, predict=lambda fit: fit, **more)
+
+    held = rows(left[1])
+    problem = rows(left[0], strain=lambda _: strain, null=fit_of, with_rows=lambda _: held)
+    found = SimpleNamespace(problem=problem, split=SimpleNamespace(test=None))
+    made = [SimpleNamespace(name=name, excess=excess, coordinate=f"at {name}") for name, excess in tests]
+    adequacy: Any = SimpleNamespace(tests=made, where="somewhere")
+    field: Any = SimpleNamespace(nominal=nominal, floor=1.0)
+    return owning_up(answer(told, *names), found, field, adequacy)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"left": (2.1, 2.1)}, "unknown"),
+        ({"left": (1.9, 9.0)}, "no_gap"),  # both must be loud
+        ({"left": (9.0, 1.9)}, "no_gap"),
+        ({"left": (2.1, 2.1), "nominal": 1.16}, "unknown"),
+        ({"left": (2.1, 2.1), "nominal": 1.14}, "no_gap"),  # at the floor
+        ({"strain": 121.0}, "unknown"),
+        ({"strain": 119.0}, "no_gap"),
+    ],
+)
+def test_silence_is_given_up_beside_what_is_loud_or_bent(given: dict[str, Any], told: Verdict) -> None:
+    said = beside(**given)
+    assert (said.verdict, said.flagged) == (told, told == "unknown")
+    assert said.coordinate == ("somewhere" if told == "unknown" else None)
+
+
+@pytest.mark.parametrize(
+    ("given", "told", "where"),
+    [
+        ({"strain": 59.0}, "named", None),
+        ({"strain": 61.0}, "ambiguous", None),
+        ({"tests": (("mag: rate", 12.1),)}, "named_with_remainder", "at mag: rate"),
+        ({"tests": (("mag: rate", 11.9),)}, "named", None),
+        ({"tests": (("mag: time", 20.1),)}, "named_with_remainder", "at mag: time"),
+        ({"tests": (("mag: time", 19.9),)}, "named", None),
+        # The largest first; noise that is higher everywhere is no structure.
+        ({"tests": (("mag: rate", 13.0), ("mag: time", 21.0))}, "named_with_remainder", "at mag: time"),
+        ({"tests": (("mag: rate", 20.0),), "left": (1.0, 2.0)}, "named", None),
+        ({"tests": (("mag: rate", 20.0),), "left": (2.0, 1.0)}, "named", None),
+        ({"tests": (("mag: rate", 12.1),), "left": (0.5, 0.5)}, "named_with_remainder", "at mag: rate"),
+    ],
+)
+def test_beside_a_name_structure_and_bending_are_told(
+    given: dict[str, Any], told: Verdict, where: str | None
+) -> None:
+    said = beside("named", ("hard_iron",), **given)
+    assert (said.verdict, said.coordinate, said.flagged) == (told, where, where is not None)
+    assert said.named.ids == {"hard_iron"}
+
+
+def test_who_is_not_sure_already_stays_so() -> None:
+    for told in ("ambiguous", "unknown", "named_with_remainder", "not_testable"):
+        said = beside(told, ("hard_iron",), strain=1e3, left=(9.0, 9.0), tests=(("mag: rate", 99.0),))  # type: ignore[arg-type]
+        assert said.verdict == told
