@@ -105,6 +105,11 @@ class MagSeries:
         return self.reported.time_s
 
 
+def uncut(values: FloatArray, step: float) -> FloatArray:
+    """Put numbers that were cut toward zero into the middle of their steps, so that averages are right."""
+    return np.asarray(values + 0.5 * step * np.sign(values))
+
+
 _FARTHEST = (90.0, 360.0, 1e6)  # latitude, longitude, altitude
 
 

@@ -83,6 +83,27 @@ def level_to_body(roll_rad: ArrayLike, pitch_rad: ArrayLike) -> FloatArray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def by_tilt(mapping: FloatArray, state: FloatArray, headings_rad: FloatArray) -> FloatArray:
+    """Return how readings (K) at magnetic headings change with roll and pitch, (K, 3, 2).
+
+    `mapping` takes level axes to body axes, (K, 3, 3).
+    """
+    horizontal, gain = state[HORIZONTAL], gain_matrix(state[GAIN])
+    level = np.stack(
+        [
+            horizontal * np.cos(headings_rad),
+            -horizontal * np.sin(headings_rad),
+            np.full(headings_rad.size, state[VERTICAL]),
+        ],
+        axis=1,
+    )
+    x, y, z = np.einsum("kij,kj->ik", mapping, level)
+    zero = np.zeros_like(x)
+    by_roll = np.stack([zero, z, -y], axis=1) @ gain.T
+    by_pitch = np.stack([-z, zero, x], axis=1) @ gain.T
+    return np.stack([by_roll, by_pitch], axis=2)
+
+
 def heading_gradient(
     state: FloatArray, heading_rad: ArrayLike, roll_rad: float = 0.0, pitch_rad: float = 0.0
 ) -> FloatArray:

@@ -24,12 +24,13 @@ from mavcompass.calibration.model import (
     GAIN,
     HORIZONTAL,
     VERTICAL,
+    by_tilt,
     gain_jacobian,
     gain_matrix,
     heading_gradient,
     level_to_body,
 )
-from mavcompass.calibration.motion.equations import FIRST, by_tilt, field_residual, turn_residual
+from mavcompass.calibration.motion.equations import FIRST, field_residual, turn_residual
 from mavcompass.calibration.motion.sections import Sections
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, decimal_year, earth_field, middle_place
@@ -114,7 +115,7 @@ def test_a_tilted_section_reads_what_its_derivative_says(seed: int) -> None:
     x = np.zeros(FIRST + 4)
     x[GAIN], x[HORIZONTAL], x[VERTICAL] = (1.1, 0.9, 1.0, 0.02, -0.01, 0.03), 230.0, -520.0
     x[FIRST:] = rng.uniform(-3.0, 3.0, 4)
-    by = by_tilt(sections, x)
+    by = by_tilt(sections.mapping, x, x[FIRST:])
     for axis in range(2):
         turned = replace(sections, mapping=level_to_body(*(h * np.eye(2)[axis])) @ sections.mapping)
         moved = field_residual(sections, x)[0] - field_residual(turned, x)[0]

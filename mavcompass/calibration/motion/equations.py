@@ -15,6 +15,7 @@ from mavcompass.calibration.model import (
     MOTOR,
     OFFSET,
     VERTICAL,
+    by_tilt,
     gain_jacobian,
     gain_matrix,
 )
@@ -78,17 +79,6 @@ def turn_residual(sections: Sections, x: FloatArray) -> tuple[FloatArray, FloatA
     return (scale * turn + x[GYRO_BIAS] * lasted - step) / sigma, jacobian
 
 
-def by_tilt(sections: Sections, x: FloatArray) -> FloatArray:
-    """Return how each section's mean changes with roll and pitch, (K, 3, 2)."""
-    psi, gain = x[FIRST:], gain_matrix(x[GAIN])
-    h, z = x[HORIZONTAL], x[VERTICAL]
-    level = np.stack([h * np.cos(psi), -h * np.sin(psi), np.full(psi.size, z)], axis=1)
-    bx, by, bz = np.einsum("kij,kj->ik", sections.mapping, level)
-    roll = np.stack([np.zeros_like(bx), bz, -by], axis=1) @ gain.T
-    pitch = np.stack([-bz, np.zeros_like(bx), bx], axis=1) @ gain.T
-    return np.stack([roll, pitch], axis=2)
-
-
 def section_variance(
     sections: Sections, x: FloatArray, model_mgauss: float, weighed: bool = True
 ) -> FloatArray:
@@ -96,7 +86,7 @@ def section_variance(
 
     `weighed`: what the sections of one visit share is multiplied, so that together they count once.
     """
-    leaning = by_tilt(sections, x)
+    leaning = by_tilt(sections.mapping, x, x[FIRST:])
     tilt = leaning @ np.swapaxes(leaning, 1, 2)
     alike = (model_mgauss**2 + sections.hidden_mgauss**2)[:, :, np.newaxis] * np.eye(3)
     shared = tilt * sections.tilt_sigma_rad[:, np.newaxis, np.newaxis] ** 2 + alike

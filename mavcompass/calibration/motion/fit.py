@@ -14,11 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.calibration.model import GAIN, MOTOR, OFFSET, HeadingError, gain_matrix
+from mavcompass.calibration.model import GAIN, MOTOR, OFFSET, HeadingError, by_tilt, gain_matrix
 from mavcompass.calibration.motion.equations import (
     FIRST,
     PriorRows,
-    by_tilt,
     field_residual,
     first_state,
     section_variance,
@@ -26,6 +25,7 @@ from mavcompass.calibration.motion.equations import (
 )
 from mavcompass.calibration.motion.sections import Sections
 from mavcompass.calibration.positions import IronPrior
+from mavcompass.calibration.positions.fit import common_error
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
@@ -141,11 +141,10 @@ def fit_motion(
 def leaning_error(sections: Sections, fit: MotionFit) -> FloatArray:
     """Return what the accelerometer's own error, the same all along, adds to the state, (P, 2).
 
-    By roll and by pitch, one sigma each; see `positions.fit.leaning_error`.
+    By roll and by pitch, one sigma each; see `positions.fit.common_error`.
     """
-    leaning = _roots(fit.variance_mgauss2, fit.sound) @ by_tilt(sections, fit.state) * sections.tilt_bias_rad
-    rows = leaning.reshape(-1, 2)
-    return np.asarray(fit.covariance @ fit.jacobian[: len(rows)].T @ rows)
+    leaning = by_tilt(sections.mapping, fit.state, fit.headings_rad) * sections.tilt_bias_rad
+    return common_error(_roots(fit.variance_mgauss2, fit.sound) @ leaning, fit.covariance, fit.jacobian)
 
 
 def sigma_of(fit: MotionFit) -> float:

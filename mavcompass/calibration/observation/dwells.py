@@ -15,7 +15,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.heading.gravity import down_in_body
-from mavcompass.track import MagSeries, Series, Track
+from mavcompass.track import MagSeries, Series, Track, uncut
 
 # The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.
 ARDUPILOT_LAG_S = 0.09
@@ -163,8 +163,7 @@ def centred(track: Track, instance: int) -> Track:
     compass = track.compasses[instance]
     if not compass.truncated:
         return track
-    reported = np.asarray(compass.reported.values)
-    middle = Series.of(compass.time_s, reported + 0.5 * compass.quantum_mgauss * np.sign(reported))
+    middle = Series.of(compass.time_s, uncut(compass.reported.values, compass.quantum_mgauss))
     return replace(
         track, compasses={**track.compasses, instance: replace(compass, reported=middle, truncated=False)}
     )

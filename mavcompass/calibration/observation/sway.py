@@ -23,7 +23,7 @@ import numpy as np
 from mavcompass.calibration.observation.wire import hidden_beside_noise
 from mavcompass.frames import FloatArray
 from mavcompass.heading.gravity import down_in_body
-from mavcompass.track import Track
+from mavcompass.track import Track, uncut
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # What is looked at before and after a dwell: several periods of a position loop.
@@ -168,9 +168,8 @@ def _samples(track: Track, start_s: float, end_s: float) -> tuple[FloatArray, Fl
     time = time[first:last]
     if time.size < _FEWEST or time[0] > start_s + LONGEST_GAP_S or time[-1] < end_s - LONGEST_GAP_S:
         return None
-    # Numbers that were cut toward zero are half a step too small on the average.
-    rate = rate[first:last] + 0.5 * track.gyro_truncation_radps * np.sign(rate[first:last])
-    return time, rate, force[first:last] + 0.5 * track.acc_truncation_mps2 * np.sign(force[first:last])
+    rate = uncut(rate[first:last], track.gyro_truncation_radps)
+    return time, rate, uncut(force[first:last], track.acc_truncation_mps2)
 
 
 def _carried(time: FloatArray, rate: FloatArray, down: FloatArray, middle: int) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 from mavcompass.calibration.observation.sway import white_noise
 from mavcompass.frames import FloatArray, tilt_from_acceleration, wrap_pi
 from mavcompass.heading.gravity import down_in_body, moving_average
-from mavcompass.track import Track
+from mavcompass.track import Track, uncut
 
 # Autopilots zero their gyros at power-up; what is left drifts with temperature.
 BOOT_BIAS_SIGMA_RADPS = math.radians(0.2)
@@ -103,8 +103,7 @@ def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
     time, rates = gyro.time_s[usable], np.asarray(gyro.values)[usable]
     if time.size < 3:
         return None
-    # Numbers that were cut toward zero are half a step too small on the average.
-    rates = rates + 0.5 * track.gyro_truncation_radps * np.sign(rates)
+    rates = uncut(rates, track.gyro_truncation_radps)
     down = down_in_body(track, time)
     vertical = np.einsum("ij,ij->i", rates, down)
     horizontal = np.linalg.norm(rates - vertical[:, np.newaxis] * down, axis=1)

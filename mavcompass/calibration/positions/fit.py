@@ -150,8 +150,16 @@ def leaning_error(problem: PositionProblem, fit: PositionFit) -> FloatArray:
     averages it out: on the level it looks like an offset.
     """
     leaning = problem.whiten @ problem.leaning * np.sqrt(fit.weights)[:, np.newaxis, np.newaxis]
-    rows = leaning.reshape(-1, 2)
-    return np.asarray(fit.covariance @ fit.jacobian[: len(rows)].T @ rows)
+    return common_error(leaning, fit.covariance, fit.jacobian)
+
+
+def common_error(whitened: FloatArray, covariance: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """Return what errors common to all readings, whitened as these, (K, 3, M), add to the state, (P, M).
+
+    The readings' rows are the first of the whitened Jacobian (R, P).
+    """
+    rows = whitened.reshape(-1, whitened.shape[2])
+    return np.asarray(covariance @ jacobian[: len(rows)].T @ rows)
 
 
 def _weights(problem: PositionProblem, field: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from mavcompass.calibration.model import (
     MOTOR,
     OFFSET,
     VERTICAL,
+    by_tilt,
     gain_matrix,
     gain_parameters,
     level_to_body,
@@ -96,9 +97,9 @@ class PositionProblem:
         centre, sigma = _prior_vectors(start, len(dwells), data, in_force, earth, prior)
         noise = np.array([d.covariance_mgauss2 for d in dwells]) + _FLOOR_MGAUSS**2 * np.eye(3)
         quantisation = np.array([d.quantisation_mgauss2 for d in dwells])
-        by_tilt = _by_tilt(start, tilts)
+        leaning = by_tilt(tilts, start, start[HEADINGS:])
         sigma2 = np.array([d.tilt_sigma_rad for d in dwells])[:, np.newaxis, np.newaxis] ** 2
-        tilt = by_tilt @ np.swapaxes(by_tilt, 1, 2) * sigma2
+        tilt = leaning @ np.swapaxes(leaning, 1, 2) * sigma2
         factor = np.linalg.cholesky(noise + quantisation + tilt)
         return cls(
             mean=mean,
@@ -106,7 +107,7 @@ class PositionProblem:
             noise=noise,
             quantisation=quantisation,
             tilt=tilt,
-            leaning=by_tilt * data.tilt_bias_sigma_rad,
+            leaning=leaning * data.tilt_bias_sigma_rad,
             level_to_body=tilts,
             coherence=coherence,
             current=current,
@@ -238,17 +239,3 @@ def _prior_vectors(
         centre[2] = -in_force.offsets_mgauss[2]
         sigma[2] = prior.vertical_offset_sigma_mgauss
     return centre, sigma
-
-
-def _by_tilt(state: FloatArray, tilts: FloatArray) -> FloatArray:
-    """Return how each dwell's field changes with roll and pitch, (K, 3, 2)."""
-    gain = gain_matrix(state[GAIN])
-    psi = state[HEADINGS:]
-    horizontal, vertical = state[HORIZONTAL], state[VERTICAL]
-    level = np.stack(
-        [horizontal * np.cos(psi), -horizontal * np.sin(psi), np.full(psi.size, vertical)], axis=1
-    )
-    x, y, z = np.einsum("kij,kj->ik", tilts, level)
-    by_roll = np.stack([np.zeros_like(x), z, -y], axis=1) @ gain.T
-    by_pitch = np.stack([-z, np.zeros_like(x), x], axis=1) @ gain.T
-    return np.stack([by_roll, by_pitch], axis=2)

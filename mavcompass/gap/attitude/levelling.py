@@ -19,7 +19,7 @@ from mavcompass.gap.attitude.navigation import Sensed
 from mavcompass.gap.attitude.receiver import Velocity, triangle_means
 from mavcompass.gap.attitude.rest import Bias
 from mavcompass.simulation.effects.rotations import skew
-from mavcompass.track import Track
+from mavcompass.track import Track, uncut
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # Half the averaging window, seconds: the shortest and the longest.
@@ -59,14 +59,10 @@ def sensed_by(track: Track) -> Sensed | None:
     if felt.sum() < _FEWEST:
         return None
     # Numbers that were cut toward zero are half a step too small on the average.
-    force = _restored(np.where(felt[:, None], force, 0.0), track.acc_truncation_mps2)
+    force = uncut(np.where(felt[:, None], force, 0.0), track.acc_truncation_mps2)
     return Sensed(
-        clock, _restored(track.gyro_radps.values[finite][first], track.gyro_truncation_radps), force, felt
+        clock, uncut(track.gyro_radps.values[finite][first], track.gyro_truncation_radps), force, felt
     )
-
-
-def _restored(values: FloatArray, step: float) -> FloatArray:
-    return np.asarray(values + 0.5 * step * np.sign(values))
 
 
 def started(data: Sensed, resting: Bias, velocity: Velocity | None, autopilot: FloatArray | None) -> Start:

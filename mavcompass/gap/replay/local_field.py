@@ -11,7 +11,7 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate
 from mavcompass.gap.attitude import Reference
 from mavcompass.gap.replay.rows import FEWEST_ROWS
-from mavcompass.track import Series, Track
+from mavcompass.track import Series, Track, uncut
 
 UNKNOWN_SIGMA_MGAUSS = 300.0
 _ANOMALY_SHARE = 0.01
@@ -74,9 +74,7 @@ def _measured_by_others(
     for number, compass in track.compasses.items():
         if number == instance or not compass.correction_known or len(compass.reported) < FEWEST_ROWS:
             continue
-        values = compass.reported.values + 0.5 * compass.quantum_mgauss * compass.truncated * np.sign(
-            compass.reported.values
-        )
+        values = uncut(compass.reported.values, compass.quantum_mgauss * compass.truncated)
         world = rotate(
             reference.rotation[reference.known], Series.of(compass.time_s, values).at(time_s)[reference.known]
         )

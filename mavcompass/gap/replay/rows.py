@@ -13,7 +13,7 @@ from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
-from mavcompass.track import MagSeries, Series, Track
+from mavcompass.track import MagSeries, Series, Track, uncut
 
 FEWEST_ROWS = 60
 _MOST_ROWS, _MOST_ROWS_IN_FLIGHT = 3_000, 1_600
@@ -85,9 +85,8 @@ def _restored(compass: MagSeries) -> MagSeries:
     """Put the mean half step back where numbers were cut toward zero."""
     if not compass.truncated or compass.quantum_mgauss <= 0.0:
         return compass
-    values = compass.reported.values
-    half = 0.5 * compass.quantum_mgauss * np.sign(values)
-    return replace(compass, reported=Series.of(compass.time_s, values + half))
+    restored = uncut(compass.reported.values, compass.quantum_mgauss)
+    return replace(compass, reported=Series.of(compass.time_s, restored))
 
 
 def _corrected(track: Track, compass: MagSeries) -> FloatArray | None:

@@ -20,6 +20,7 @@ from mavcompass.calibration.model import (
     MOTOR,
     OFFSET,
     VERTICAL,
+    by_tilt,
     gain_parameters,
     level_to_body,
 )
@@ -28,7 +29,6 @@ from mavcompass.calibration.positions import DEFAULT_PRIOR, PositionProblem, nex
 from mavcompass.calibration.positions.budget import _source_of
 from mavcompass.calibration.positions.fit import _evaluate, fit_positions, weigh_cross_terms
 from mavcompass.calibration.positions.observability import unobserved
-from mavcompass.calibration.positions.problem import _by_tilt
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import wrap_pi
@@ -114,7 +114,7 @@ def test_the_field_changes_with_roll_and_pitch_as_a_turn_of_the_vehicle_does() -
     data = four_positions(IRON, np.random.default_rng(3), tilt=0.2)
     state, h = true_state(data), 1e-6
     tilts = level_to_body([d.roll_rad for d in data.dwells], [d.pitch_rad for d in data.dwells])
-    by = _by_tilt(state, tilts)
+    by = by_tilt(tilts, state, state[HEADINGS:])
     psi = state[HEADINGS:]
     level = np.stack([FIELD.horizontal_mgauss * np.cos(psi), -FIELD.horizontal_mgauss * np.sin(psi),
                       np.full(4, FIELD.ned_mgauss[2])], axis=1)  # fmt: skip
@@ -133,7 +133,7 @@ def test_readings_are_weighed_by_noise_steps_and_tilt() -> None:
         for d in data.dwells
     )
     problem = problem_of(replace(data, dwells=dwells, tilt_bias_sigma_rad=0.002))
-    by = _by_tilt(problem.start, problem.level_to_body)
+    by = by_tilt(problem.level_to_body, problem.start, problem.start[HEADINGS:])
     for k in range(4):
         covariance = np.eye(3) * (4.0 + 0.01**2 + 0.5) + by[k] @ by[k].T * 0.01**2
         assert problem.whiten[k] @ covariance @ problem.whiten[k].T == pytest.approx(np.eye(3))
