@@ -1,0 +1,155 @@
+"""How requests end in history, words and files, also where the disk takes nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.correction import IDENTITY
+from mavcompass.errors import MavCompassError, UsageError, WriteFailed
+from mavcompass.procedure.report import AutopilotHeading
+from mavcompass.procedure.script import Show
+from mavcompass.service.config import ServiceConfig, StorageConfig
+from mavcompass.service.work.history import Entry, History
+from mavcompass.service.work.recorder import Recorder
+from mavcompass.service.work.results import Results, _old_and_new, _summary, recording_path, sigma_deg
+from mavcompass.service.work.tasks import CheckRequest, Task, UndoRequest
+
+
+class NoWorker:
+    """A helper process that does nothing, or cannot."""
+
+    error: Exception | None = None
+
+    def call(self, *_: object) -> None:
+        if self.error is not None:
+            raise self.error
+
+
+@pytest.fixture
+def history(tmp_path: Path) -> Iterator[History]:
+    history = History(tmp_path / "history.db")
+    yield history
+    history.close()
+
+
+@pytest.fixture
+def worker() -> NoWorker:
+    return NoWorker()
+
+
+@pytest.fixture
+def results(tmp_path: Path, history: History, worker: NoWorker) -> Results:
+    return Results(ServiceConfig(storage=StorageConfig(str(tmp_path))), history, worker)  # type: ignore[arg-type]
+
+
+def found(accepted: bool = True, sigma: float = 0.42, **more: Any) -> CalibrationResult:
+    reasons = () if accepted else ("It hardly turned.",)
+    return CalibrationResult(
+        1, "four-positions", accepted, reasons, np.zeros(3), IDENTITY, heading_sigma_deg=sigma, **more
+    )
+
+
+def report(
+    *results: CalibrationResult, written: bool = True, undone: bool = False, off_deg: float = 0.0
+) -> Any:
+    heading = (
+        AutopilotHeading(20.0, off_deg, "it follows the compass", 5.0, abs(off_deg)) if off_deg else None
+    )
+    steers_off = heading is not None and heading.is_off
+    return SimpleNamespace(
+        results=results, written=written, undone=undone, heading=heading, steers_off=steers_off
+    )
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        (report(found()), "compass 1 within 0.4 deg; written"),
+        (report(found(sigma=math.nan)), "compass 1 accepted; written"),
+        (report(found(accepted=False), written=False), "compass 1 not accepted; not written"),
+        (report(found(), written=False, undone=True), "compass 1 within 0.4 deg; put back"),
+        (
+            report(found(), found(sigma=1.0), off_deg=-9.0),
+            "compass 1 within 0.4 deg, compass 1 within 1.0 deg; written; the autopilot steers 9.0 deg off:"
+            " restart it",
+        ),
+    ],
+)
+def test_a_calibration_in_a_line(told: Any, words: str) -> None:
+    assert _summary(told) == words
+
+
+def test_a_failure_is_told_and_leaves_its_undo_file_in_the_history(
+    results: Results, history: History
+) -> None:
+    task = Task(1, CheckRequest(), "http", "2026-05-01T00:00:00+00:00")
+    for line in range(30):
+        task.show(Show("check", f"line {line}"))
+    failed = WriteFailed("Half of it was written.", "Restore it.")
+    failed.undo_file = Path("/somewhere/undo.json")
+    results.failed(task, None, failed)
+    assert (task.state, task.error, task.remedy) == ("failed", "Half of it was written.", "Restore it.")
+    (entry,) = history.entries()
+    assert (entry.id, entry.vehicle, entry.ok) == (task.entry, "unknown", False)
+    assert entry.undo_file == "/somewhere/undo.json"
+    assert [line["text"] for line in entry.document["lines"]] == [f"line {k}" for k in range(10, 30)]
+
+
+def test_what_the_disk_does_not_take_is_told_and_the_rest_goes_on(
+    results: Results, history: History, worker: NoWorker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> int:
+        raise MavCompassError("The history could not be written (full).", "Make room on the service's disk.")
+
+    monkeypatch.setattr(history, "add", full)
+    task = Task(1, CheckRequest(), "http", "now")
+    results.failed(task, None, ZeroDivisionError("by zero"))
+    assert task.error == "ZeroDivisionError: by zero" and task.entry is None
+    assert "Make room" in task.lines[-1]["text"]
+    (tmp_path / "recordings").write_text("a file where the folder should be")
+    results._save_recording(Recorder(), 7)
+    assert not recording_path(tmp_path, 7).exists()
+    worker.error = MavCompassError("The report could not be made.", "See the log.")
+    results._save_report(report(found()), 7)
+    (tmp_path / "reports" / "calibration-7.html").unlink(missing_ok=True)
+    assert list((tmp_path / "reports").iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["other.json", "../history.db", "/etc/passwd", ".."])
+def test_only_undo_files_of_the_folder_are_undone(name: str, results: Results, tmp_path: Path) -> None:
+    (tmp_path / "undo").mkdir()
+    (tmp_path / "undo" / "20260501-000-ardupilot.json").write_text("{}")
+    with pytest.raises(UsageError, match="There is no undo file"):
+        results.undo_path(UndoRequest(name))
+    kept = results.undo_path(UndoRequest("20260501-000-ardupilot.json"))
+    assert kept == (tmp_path / "undo" / "20260501-000-ardupilot.json").resolve()
+
+
+@pytest.mark.parametrize(
+    ("compasses", "sigma"),
+    [
+        ([{"instance": 2, "heading_sigma_deg": 0.5}], 0.5),
+        ([{"instance": 2, "heading_sigma_deg": None}], None),
+        ([{"instance": 1, "heading_sigma_deg": 0.5}], None),
+        ([], None),
+    ],
+)
+def test_the_sigma_that_the_history_claims(compasses: list[dict[str, Any]], sigma: float | None) -> None:
+    entry = Entry(1, "now", "calibration", "key", True, "", (), {"compasses": compasses}, None, None)
+    assert sigma_deg(entry, 2) == sigma
+
+
+def test_old_and_new_stand_side_by_side_with_a_card_where_the_field_is_known() -> None:
+    plain = _old_and_new(found())
+    assert plain["old"] == plain["new"] and plain["deviation"] == []
+    known = _old_and_new(found(horizontal_mgauss=200.0, vertical_mgauss=400.0))
+    assert [row["heading_deg"] for row in known["deviation"]] == [15.0 * k for k in range(24)]
+    assert {row["old_error_deg"] for row in known["deviation"]} == {0.0}

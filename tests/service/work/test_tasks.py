@@ -1,0 +1,82 @@
+"""A request on its way: what is told of it, its question and answer, its end; one at a time."""
+
+from __future__ import annotations
+
+import pytest
+
+from mavcompass.errors import Refused
+from mavcompass.procedure.script import Show
+from mavcompass.service.work.tasks import Busy, CheckRequest, Desk, Task
+
+
+def task() -> Task:
+    return Task(1, CheckRequest(), "http", "2026-05-01T00:00:00+00:00")
+
+
+def test_the_fraction_never_falls_and_a_write_is_not_the_whole() -> None:
+    one = task()
+    shown = []
+    for show in (
+        Show("a", "x", 0.3),
+        Show("a", "y", 0.2),
+        Show("a", "z"),
+        Show("write", "w", 1.0),
+        Show("b", "e", 1.0),
+    ):
+        one.show(show)
+        shown.append(one.fraction)
+    assert shown == [0.3, 0.3, 0.3, 0.9, 1.0]
+    assert [line["fraction"] for line in one.lines] == shown
+
+
+def test_of_many_lines_the_latest_stays() -> None:
+    one = task()
+    for k in range(203):
+        one.show(Show("turn", f"{k}", None, (("turned_deg", float(k)),)))
+    assert len(one.lines) == 200
+    assert [one.lines[k]["text"] for k in (0, 198, 199)] == ["0", "198", "202"]
+    assert one.lines[-1]["data"] == {"turned_deg": 202.0}
+
+
+@pytest.mark.parametrize("yes", [True, False])
+def test_a_question_is_answered_once(yes: bool) -> None:
+    one = task()
+    assert not one.give_answer(yes) and one.poll_answer() is None
+    one.ask("Write?")
+    assert (one.state, one.question) == ("asking", "Write?") and one.poll_answer() is None
+    assert one.give_answer(yes)
+    assert one.poll_answer() is yes
+    assert (one.state, one.question) == ("running", None) and one.poll_answer() is None
+    one.give_answer(True)
+    one.ask("Again?")
+    assert one.poll_answer() is None, "an old answer is none to a new question"
+
+
+def test_an_end_is_an_end() -> None:
+    done, failed = task(), task()
+    assert not done.finished
+    done.ask("?")
+    done.finish(True, {"x": 1}, 4)
+    assert done.finished and done.question is None and done.fraction == 1.0
+    failed.fail(Refused("The pilot moved a stick.", "Let go."))
+    assert failed.finished and (failed.error, failed.remedy) == ("The pilot moved a stick.", "Let go.")
+    told = done.to_json()
+    assert (told["state"], told["ok"], told["history_entry"], told["document"]) == ("done", True, 4, {"x": 1})
+
+
+def test_a_desk_takes_one_thing_at_a_time_until_it_closes() -> None:
+    desk = Desk()
+    assert desk.current is None and not desk.busy and desk.take() is None
+    first = desk.submit(CheckRequest(), "http", "now")
+    assert desk.busy
+    with pytest.raises(Busy, match="A check is under way"):
+        desk.submit(CheckRequest(), "mavlink", "now")
+    assert desk.take() is first and first.state == "running" and desk.take() is None
+    first.finish(True, {}, None)
+    assert not desk.busy
+    second = desk.submit(CheckRequest(), "http", "now")
+    assert (first.number, second.number) == (1, 2)
+    desk.close("The service is stopping.")
+    assert (second.state, second.error) == ("failed", "The service is stopping.")
+    with pytest.raises(Refused, match="stopping"):
+        desk.submit(CheckRequest(), "http", "now")
