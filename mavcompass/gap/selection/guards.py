@@ -47,6 +47,8 @@ SILENT = 9.0
 # A half that gains less than this share of what an effect gains in the other half says nothing of it.
 _LITTLE = 0.1
 _NEAREST_MAGNET_M = 0.03
+# Gains that act behind a sensor's limit differ by some percent, and a reading may be wrong now and then.
+_BEHIND_A_LIMIT, _PASSED = 1.02, 0.01
 
 
 def needs_none(candidate: Identified, floor: Floor) -> bool:
@@ -82,6 +84,8 @@ def refused(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
         return touching, "its place lies on the path itself, where it could explain any reading"
     if _ends_on_a_step(candidate):
         return "clipping", "numbers as coarse as these end at one of their own steps"
+    if _passed(candidate):
+        return "clipping", "readings pass the limit"
     if (worse := _vetoed(candidate)) is not None:
         return worse, "one half of the training data does not confirm what the other half says"
     if (small := _immaterial(candidate, floor)) is not None:
@@ -144,6 +148,16 @@ def _ends_on_a_step(candidate: Identified) -> bool:
     place = [term.effect.id for term in fit.terms].index("clipping")
     free = np.abs(problem.predict(fit.without(place)).mag_mgauss)[problem.usable]
     return float(free.max()) < float(fit.theta("clipping")[0]) + step
+
+
+def _passed(candidate: Identified) -> bool:
+    """Tell a limit that readings pass, by more than their noise and the gains behind it: nothing ends there."""
+    fit, problem = candidate.fit, candidate.problem
+    if "clipping" not in fit.ids:
+        return False
+    limit = _BEHIND_A_LIMIT * float(fit.theta("clipping")[0]) + 4.0 * float(problem.noise["mag"].rms.max())
+    beyond = np.abs(problem.replay.measured.mag_mgauss[problem.usable]) > limit
+    return float(beyond.any(axis=1).mean()) > _PASSED
 
 
 def _vetoed(candidate: Identified) -> str | None:

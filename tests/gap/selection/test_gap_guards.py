@@ -216,6 +216,18 @@ def test_a_limit_within_a_step_of_the_numbers_is_rounding(limit_mgauss: float, e
     )
 
 
+@pytest.mark.parametrize(
+    ("reads_mgauss", "passes"), [(500.0, False), (510.0, False), (513.9, False), (514.1, True), (900.0, True)]
+)
+def test_a_limit_that_readings_pass_is_none(reads_mgauss: float, passes: bool) -> None:
+    # Two percent and four sigmas above 500 mG: one reading of eighty is more than one of a hundred.
+    problem = explained((0.0, 0.0, 0.0), 0.0)
+    problem.noise["mag"].rms[:] = 1.0
+    problem.replay.measured.mag_mgauss[7, 1] = -reads_mgauss
+    assert guards._passed(candidate(problem, fit_of(clipping=500.0))) is passes
+    assert not guards._passed(candidate(problem, fit_of(hard_iron=1.0)))
+
+
 def test_an_effect_of_one_half_that_the_other_contradicts_is_refused() -> None:
     problem = explained((10.0, 0.0, 0.0))
     sound = candidate(problem, fit_of(hard_iron=10.0))
