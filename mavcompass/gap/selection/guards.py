@@ -151,7 +151,7 @@ def _ends_on_a_step(candidate: Identified) -> bool:
 
 
 def _passed(candidate: Identified) -> bool:
-    """Tell a limit that readings pass, by more than their noise and the gains behind it: nothing ends there."""
+    """Tell a limit that readings pass by more than noise and the gains behind it: nothing ends there."""
     fit, problem = candidate.fit, candidate.problem
     if "clipping" not in fit.ids:
         return False
