@@ -25,6 +25,7 @@ import gc
 import json
 import random
 import resource
+import signal
 import sys
 import tempfile
 import time
@@ -174,7 +175,9 @@ class Soak:
             clock.now = self._date
             try:
                 station.start()
-                self._watch(station)
+                with contextlib.suppress(KeyboardInterrupt):  # who stops it early has the figures so far
+                    self._watch(station)
+                self.figures.end_mb = resident_mb()
                 station.stop()
             finally:
                 clock.now = computers_clock
@@ -250,7 +253,6 @@ class Soak:
             if stalled > 600:
                 self.figures.faults.append(f"the station stood still at {self.link.now():.0f} s")
                 return
-        self.figures.end_mb = resident_mb()
 
     def _judge(self, history: History) -> None:
         figures = self.figures
@@ -316,6 +318,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", type=Path, help="write the figures there")
     options = parser.parse_args()
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # also where a shell has its background ignore it
     soak = Soak(
         options.hours,
         options.cuts,
