@@ -24,7 +24,14 @@ from mavcompass.gap.selection.guards import (
 )
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.split import Split, probe, with_parts, with_windows
-from mavcompass.gap.selection.transient import moments, told, transients, with_moments
+from mavcompass.gap.selection.transient import (
+    RELAY,
+    moments,
+    switched,
+    told,
+    transients,
+    with_moments,
+)
 from mavcompass.simulation.effects.effect import Effect
 
 _PASSES = 2
@@ -51,10 +58,12 @@ def identify(
     """
     result, own = _searched(replay, floor, split, effects, 1 if noise_known else _PASSES)
     when = moments(result.fit)
-    aside = transients(result.problem, result.fit, when)
+    changing = transients(result.problem, result.fit, when)
+    switching = switched(result.problem, result.fit)
+    aside = changing | switching
     if not aside.any():
         return result, own
-    notes = (*replay.notes, *told(replay, aside))
+    notes = (*replay.notes, *told(replay, changing, switching))
     fewer = replace(replay, valid=replay.valid & ~aside, notes=notes)
     calm = replace(split, train=split.train & ~aside, test=split.test & ~aside)
     start = floor
@@ -63,7 +72,8 @@ def identify(
         start = widened(floor, kept, kept.refit(result.fit))
     calmer, settled = _searched(fewer, start, calm, effects, 1)
     # Under a noise that is known both can be compared.
-    if not moments(calmer.fit) or (floor.measured and _each(calmer) > _each(result)):
+    still = not moments(calmer.fit) and RELAY not in calmer.fit.ids
+    if still or (floor.measured and _each(calmer) > _each(result)):
         return result, own
     return replace(calmer, fit=with_moments(calmer.problem, calmer.fit, when)), settled
 

@@ -8,13 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.gap.fit import Fit, Mask, Problem
-from mavcompass.gap.replay import Replay
+from mavcompass.gap.replay import TELEMETRY_AGE, Replay
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S
 
 _BIN_S = 0.25
 _LONGEST_S = 3.0
 # How much worse than the rest readings must fit, in mean squares, to be part of a change.
 _WORSE = 4.0
+RELAY = "relay_field"
+# Loads are recorded ten times a second or so; at least a third of the rows must be clear of switching.
+_LOAD_S, _MOST_SWITCHED = 0.1, 0.67
 # The median of a mean of three squares of standard normal values.
 _MEDIAN = 0.789
 
@@ -57,6 +60,30 @@ def transients(problem: Problem, fit: Fit, when_s: Sequence[float]) -> Mask:
     return aside
 
 
+def switched(problem: Problem, fit: Fit) -> Mask:
+    """Tell which rows (N,) something that is switched may share between on and off.
+
+    A reading is the mean of some time, and the load is known at some times: when it was switched between
+    two of them nobody recorded. Where hardly a row is clear of that, none is told.
+    """
+    time = problem.replay.time_s
+    rows: Mask = np.zeros(time.size, dtype=np.bool_)
+    unread = problem.replay.signals.with_mag(np.zeros((time.size, 3)))
+    late = fit.theta("transport_lag")[0] if "transport_lag" in fit.ids else 0.0
+    for nuisance, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True):
+        late += theta[0] if nuisance.effect.id == TELEMETRY_AGE else 0.0
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        if term.effect.id == RELAY:
+            switched_on = np.abs(term.effect.forward(unread, theta, {}, None).reading.mag_mgauss).max(axis=1)
+            last = np.flatnonzero(np.diff(switched_on))
+            when = 0.5 * (time[last] + time[last + 1]) + late
+            width = max(float(np.median(np.diff(time))), _LOAD_S)
+            at = np.searchsorted(when, time)
+            for beside in (np.append(when, np.inf)[at], np.insert(when, 0, -np.inf)[at]):
+                rows |= np.abs(time - beside) < width
+    return rows if rows[problem.usable].mean() < _MOST_SWITCHED else np.zeros_like(rows)
+
+
 def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:
     """Return the fitted rows before and after a moment: anywhere between them it fits as well."""
     time = problem.replay.time_s[problem.index]
@@ -65,10 +92,14 @@ def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:
     return low, float(time[place]) if place < time.size else moment_s
 
 
-def told(replay: Replay, aside: Mask) -> tuple[str, ...]:
-    """Say in words which stretches were set aside because something was changing."""
+def told(replay: Replay, aside: Mask, switching: Mask) -> tuple[str, ...]:
+    """Say in words which stretches were set aside because something was changing, or was switched."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], aside.astype(np.int8), [0]])))
-    return tuple(
+    often = (
+        f"While something is switched, a reading is of both: {switching.sum()} of {switching.size} were not"
+        " fitted.",
+    )
+    return (often if switching.any() else ()) + tuple(
         f"From {replay.time_s[first]:.1f} to {replay.time_s[end - 1]:.1f} s something changes faster than the"
         " model can follow: these readings were not fitted."
         for first, end in zip(edges[::2], edges[1::2], strict=True)

@@ -12,7 +12,9 @@ import pytest
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Term
+from mavcompass.gap.replay import Nuisance
 from mavcompass.gap.replay.noise import white
+from mavcompass.gap.replay.nuisance import AGE
 from mavcompass.gap.selection import remainder, transient
 from mavcompass.gap.selection.split import Split, probe, split_blocks, with_parts, with_windows
 from mavcompass.simulation.effects import registry
@@ -96,14 +98,50 @@ def test_between_fitted_rows_any_moment_fits() -> None:
     assert put.thetas[0][0] == 30.0
 
 
+def switching(load: FloatArray, late_s: float = 0.0) -> FloatArray:
+    """Return the times that something switched above half of a load leaves out."""
+    effect = registry.get("relay_field")
+    low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
+    theta = np.array([30.0, 0.0, 0.0, 0.0, 0.5])
+    age = Nuisance.of(AGE, np.array([late_s]), np.ones(1))
+    fit = Fit((Term(effect, np.ones(low.size, dtype=np.bool_), low, high),), (theta,), (age.mean,), 0.0)
+    stimulus = SimpleNamespace(throttle=load)
+
+    class Still:
+        def __init__(self, mag: FloatArray | None = None) -> None:
+            self.stimulus, self.reading = stimulus, SimpleNamespace(mag_mgauss=mag)
+
+        def with_mag(self, mag: FloatArray) -> Still:
+            return Still(mag)
+
+    replay = SimpleNamespace(time_s=TIME, signals=Still())
+    usable = np.ones(TIME.size, dtype=np.bool_)
+    problem: Any = SimpleNamespace(replay=replay, nuisances=[age], usable=usable)
+    return TIME[transient.switched(problem, fit)]
+
+
+def test_readings_about_a_switching_are_set_aside_unless_there_are_too_many() -> None:
+    once = np.where(TIME >= 10.0, 1.0, 0.0)
+    # Between 9.95 and 10 s; a load is known to a tenth of a second.
+    assert switching(once) == pytest.approx([9.9, 9.95, 10.0, 10.05])
+    assert switching(once, late_s=0.1) == pytest.approx([10.0, 10.05, 10.1, 10.15])
+    assert switching(np.zeros(TIME.size)).size == 0
+    often = np.where(np.floor(TIME / 0.65) % 2 == 0, 1.0, 0.0)
+    assert 0.25 * TIME.size < switching(often).size < 0.4 * TIME.size
+    assert switching(np.where(np.floor(TIME / 0.25) % 2 == 0, 1.0, 0.0)).size == 0
+
+
 def test_what_was_set_aside_is_told_stretch_by_stretch() -> None:
     replay: Any = SimpleNamespace(time_s=TIME)
     rows = ((TIME > 1.99) & (TIME < 3.01)) | (TIME > 18.99)
-    first, second = transient.told(replay, rows)
+    never = 0 * rows == 1
+    first, second = transient.told(replay, rows, never)
     assert first.startswith("From 2.0 to 3.0 s something changes faster") and second.startswith(
         "From 19.0 to 20.0"
     )
-    assert transient.told(replay, 0 * rows == 1) == ()
+    assert transient.told(replay, never, never) == ()
+    (often,) = transient.told(replay, never, rows)
+    assert often.startswith("While something is switched") and f" {rows.sum()} of 400 " in often
 
 
 # --- blocks ------------------------------------------------------------------------------------------
