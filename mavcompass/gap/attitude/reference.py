@@ -194,7 +194,7 @@ def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> R
         if alone.bearing:
             # The receiver explains what is felt, but not as the autopilot leans: by a bent compass.
             start, level = alone, None
-    antennas = _antennas_yaw(track, clock) if choice in ("auto", "gps-yaw") else None
+    antennas = _antennas_yaw(track, clock, start.rotation) if choice in ("auto", "gps-yaw") else None
     if choice == "gps-yaw" and antennas is None:
         return None
     told, witness, rotation = [], None, start.rotation
@@ -290,14 +290,20 @@ def _ahead(rotation: FloatArray, other: FloatArray) -> FloatArray:
     return np.unwrap(np.arctan2(e[:, 1, 0] - e[:, 0, 1], e[:, 0, 0] + e[:, 1, 1]))
 
 
-def _antennas_yaw(track: Track, clock: FloatArray) -> FloatArray | None:
-    """Return the yaw of a two-antenna receiver at other times, (N,); None where it does not tell one."""
+def _antennas_yaw(track: Track, clock: FloatArray, rotation: FloatArray) -> FloatArray | None:
+    """Return the yaw of a two-antenna receiver at other times, (N,); None where it does not tell one.
+
+    Between its readings, and where it lost sight, it turns as the gyro's rotations (N, 3, 3) do.
+    """
     if track.gps_yaw_rad is None:
         return None
     finite = np.isfinite(track.gps_yaw_rad.values)
     if finite.sum() < _FEWEST:
         return None
-    return np.interp(clock, track.gps_yaw_rad.time_s[finite], np.unwrap(track.gps_yaw_rad.values[finite]))
+    heard_s, told = track.gps_yaw_rad.time_s[finite], track.gps_yaw_rad.values[finite]
+    turned = np.unwrap(matrix_to_euler(rotation)[2])
+    ahead: FloatArray = np.interp(clock, heard_s, np.unwrap(told - np.interp(heard_s, clock, turned)))
+    return turned + ahead
 
 
 def _facing(rotation: FloatArray, yaw: FloatArray) -> FloatArray:
