@@ -19,6 +19,8 @@ from mavcompass.track import Track
 # While turning or tilting the lag of the field and of the tilt would be seen, not the compass's error.
 _SLOW_RADPS = math.radians(5.0)
 _FEWEST_S = 5
+# Where the tilt is known no better than this the compass is not seen either: that must not excuse the rest.
+_TILT_KNOWN_RAD = math.radians(1.5)
 # Leaning more than this, a nose has hardly a heading.
 _LEAST_UPRIGHT = math.cos(math.radians(45.0))
 # What counts as chance: so many standard deviations of the noise's own variance.
@@ -49,7 +51,7 @@ def scatter_left_rad(
     usable &= (time >= sections.start_s[0]) & (time <= sections.end_s[-1])
     usable &= ~unsettled(track, instance)
     section = np.clip(np.searchsorted(sections.start_s, time, side="right") - 1, 0, len(sections) - 1)
-    usable &= time <= sections.end_s[section]
+    usable &= (time <= sections.end_s[section]) & (sections.tilt_sigma_rad[section] < _TILT_KNOWN_RAD)
     late = field_lag_s(track) + float(fit.state[LAG])
     tilting = np.interp(time - late, record.time_s, record.tilt_rate_radps) - 1.3 * record.noise_radps
     slow = usable & (down[:, 2] > _LEAST_UPRIGHT)

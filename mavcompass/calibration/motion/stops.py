@@ -24,9 +24,8 @@ from mavcompass.frames import wrap_pi
 _STOP_S = 2.0
 # Fewer do not tell which; of more, one bends little.
 _FEWEST, _MOST = 4, 8
-# A model error that bends the heading by less is not looked into; a small one that several stops explain is
-# chance, or an error of the tilt.
-_WORTH_IT_RAD, _OPEN_RAD = math.radians(0.25), math.radians(0.5)
+# A model error that bends the heading by less may be chance, or the tilt's.
+_WORTH_IT_RAD = math.radians(0.5)
 # What is left without the stop is explained by noise, or nearly; by another stop as well, if it is as near.
 _EXPLAINED, _ALIKE = 0.3, 0.1
 
@@ -84,8 +83,6 @@ def without_disturbed_stop(motion: Motion) -> Disturbed | None:
         return None
     least, _, best = min(found, key=lambda one: one[0])
     found = [one for one in found if one[0] <= least + _ALIKE * error]
-    if len(found) > 1 and error <= _OPEN_RAD * horizontal:
-        return None
     headings = [level_headings(motion.sections, rest.fit) for _, _, rest in found]
     apart = [wrap_pi(one - headings[0]) for one in headings]
     open_rad = math.sqrt(float(np.var(apart, axis=1).max()))

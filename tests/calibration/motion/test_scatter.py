@@ -132,6 +132,22 @@ def test_noise_and_tilt_explain_what_they_can() -> None:
     assert left_deg(SWING, leaning, vertical=100.0) > 1.8
 
 
+def test_seconds_whose_tilt_is_not_known_do_not_excuse_the_others() -> None:
+    for unknown_deg, left in ((1.6, 2.0), (1.4, 0.0)):
+        tilt = np.where(np.arange(K) < 6, unknown_deg, 0.0) * DEG
+        assert left_deg(SWING, sections_of(tilt_sigma_rad=tilt), vertical=-600.0) == pytest.approx(
+            left, abs=0.1
+        )
+    assert left_deg(SWING, sections_of(tilt_sigma_rad=np.full(K, 1.6 * DEG)), vertical=-600.0) == 0.0
+
+
+def test_sections_that_were_left_out_do_not_count() -> None:
+    only = np.where((TIME >= 10.05) & (TIME < 14.95), SWING, 0.0)
+    assert left_deg(only) > 0.5
+    rest = sections_of(end_s=np.where(np.arange(K) == 2, 10.0, 5.0 * np.arange(K) + 5.0))
+    assert left_deg(only, rest) < 0.1
+
+
 def test_five_seconds_are_the_fewest() -> None:
     for last_s, counts in ((34.95, True), (33.95, False)):
         whole = sections_of()

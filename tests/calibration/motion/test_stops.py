@@ -17,7 +17,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.track import Series, Track
 
 DWELL_S, TURN_S = 5.0, 4.5
-STEEL = np.array([24.0, -18.0, 12.0])
+STEEL = np.array([40.0, -30.0, 20.0])
 IRON = iron_of(FieldCorrection((60.0, -40.0, 25.0), (1.08, 0.93, 1.0)))
 
 
