@@ -56,6 +56,8 @@ _BEGAN = datetime(2026, 5, 1, tzinfo=UTC)
 # What a full disk still takes of each file: nothing, an undo file, a part of a recording.
 _ROOM = (0, 20_000, 200_000)
 _WARM_AFTER_S = 7200.0
+# Cuts and reboots end some calibrations; if they ended more than this, nothing was tried.
+_LEAST_WRITTEN = 0.6
 
 
 @dataclass(slots=True)
@@ -216,6 +218,7 @@ class Soak:
             fill_disk(None)
         if self.calibrations_at and now_s >= self.calibrations_at[0] and not station.desk.busy:
             self.calibrations_at.pop(0)
+            self.vehicle.board.consumed_mah = 0.0  # another battery: nobody turns what has none left
             request = CalibrationRequest(motion="vehicle", writing="yes")
             full = len(self._tasks) in self.full_disks
             fill_disk(_ROOM[len(self._on_full_disk) % len(_ROOM)] if full else None)
@@ -279,6 +282,8 @@ class Soak:
             figures.faults.append(f"calibrations {unfinished} never ended")
         if len(self.link.reports) < len(self._tasks):
             figures.faults.append(f"{len(self._tasks)} calibrations, {len(self.link.reports)} reports sent")
+        if figures.written < _LEAST_WRITTEN * (len(self._tasks) - figures.on_full_disk):
+            figures.faults.append(f"{figures.written} of {len(self._tasks)} calibrations were written")
         if figures.slowest_reconnect_s >= 2.0:
             figures.faults.append(f"a reconnect took {figures.slowest_reconnect_s:.1f} s")
         if figures.growth_percent > _MOST_GROWTH_PERCENT:
