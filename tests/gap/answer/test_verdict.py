@@ -333,6 +333,9 @@ def test_silence_is_given_up_beside_what_is_loud_or_bent(given: dict[str, Any], 
         ({"tests": (("mag: rate", 20.0),), "left": (1.0, 2.0)}, "named", None),
         ({"tests": (("mag: rate", 20.0),), "left": (2.0, 1.0)}, "named", None),
         ({"tests": (("mag: rate", 12.1),), "left": (0.5, 0.5)}, "named_with_remainder", "at mag: rate"),
+        # A floor that grows with the turns may hide what fits badly.
+        ({"left": (3.1, 3.1)}, "named_with_remainder", "somewhere"),
+        ({"left": (2.9, 9.0)}, "named", None),
     ],
 )
 def test_beside_a_name_structure_and_bending_are_told(
