@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 from bent_vehicles import bent_vehicle, calibrated
+from vehicle_on_wire import VehicleOnWire
 
+from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import LinkStatistics
@@ -16,8 +18,8 @@ from mavcompass.vehicle.transport import Peer
 from mavcompass.vehicle.wire import FrameParser, FrameWriter, decode
 
 
-class OldVehicle:
-    """Be the bytes of a vehicle in virtual time: everything goes over the wire's own frames.
+class OldVehicle(VehicleOnWire):
+    """Speak and understand version 1 alone.
 
     Attributes:
         heard, not_understood: how many frames came in version 1 and in version 2.
@@ -26,24 +28,16 @@ class OldVehicle:
     name = "old vehicle"
 
     def __init__(self, vehicle: SimulatedAutopilot) -> None:
-        self.vehicle = vehicle
+        super().__init__(vehicle)
         self.heard = self.not_understood = 0
         self._parser = FrameParser(LinkStatistics(), None)
         self._writer = FrameWriter(version=1)
-        self._said = bytearray()
 
-    def wait(self, timeout_s: float) -> None:
-        """Let the vehicle live on for a moment."""
-        for said in self.vehicle.advance(self.vehicle.time_s + min(max(timeout_s, 1e-5), 0.01)):
-            if said.port in (None, 0):
-                # What has no number in version 1 cannot be said.
-                with contextlib.suppress(ValueError):
-                    self._said += self._writer.write(said.message, said.system, said.component)
-
-    def read(self) -> list[tuple[Peer, bytes]]:
-        """Return what the vehicle said."""
-        data, self._said = bytes(self._said), bytearray()
-        return [("vehicle", data)] if data else []
+    def packed(self, said: Outgoing) -> bytes:
+        """Return the bytes of a message; what has no number in version 1 cannot be said."""
+        with contextlib.suppress(ValueError):
+            return self._writer.write(said.message, said.system, said.component)
+        return b""
 
     def write(self, data: bytes, peer: Peer) -> bool:
         """Let the vehicle hear what it understands."""
@@ -56,16 +50,6 @@ class OldVehicle:
             assert message is not None
             self.vehicle.receive(message, frame.system, frame.component, 0)
         return True
-
-    def peers(self) -> list[Peer]:
-        """Name the one vehicle."""
-        return ["vehicle"]
-
-    def hang_up(self) -> None:
-        """Do nothing."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 class VirtualWireLink(WireLink):

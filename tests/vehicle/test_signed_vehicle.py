@@ -10,8 +10,10 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega
+from vehicle_on_wire import VehicleOnWire
 
 from mavcompass.cli.main import main
+from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import LinkStatistics
 from mavcompass.vehicle.links.wire import WireLink
@@ -33,8 +35,8 @@ def _signed(key: bytes, **options: Any) -> Any:
     return end
 
 
-class SigningVehicle:
-    """Be the bytes of a vehicle in virtual time whose link is signed, both ways.
+class SigningVehicle(VehicleOnWire):
+    """Sign what is said, and believe only what is signed with the same key.
 
     Attributes:
         refused: frames that it did not believe.
@@ -43,27 +45,19 @@ class SigningVehicle:
     name = SOURCE
 
     def __init__(self, key: bytes) -> None:
-        self.vehicle = SimulatedAutopilot("rover", seed=1, armed=False)
+        super().__init__(SimulatedAutopilot("rover", seed=1, armed=False))
         self.refused = 0
         self._key, self._ends = key, dict[tuple[int, int], Any]()
         self._ears, self._writer = _signed(key), FrameWriter()
-        self._read, self._said = ardupilotmega.MAVLink(None), bytearray()
+        self._read = ardupilotmega.MAVLink(None)
 
-    def wait(self, timeout_s: float) -> None:
-        """Let the vehicle live on for a moment."""
-        for said in self.vehicle.advance(self.vehicle.time_s + min(max(timeout_s, 1e-5), 0.01)):
-            if said.port not in (None, 0) or said.message is None:
-                continue
-            sender = (said.system, said.component)
-            if sender not in self._ends:
-                self._ends[sender] = _signed(self._key, srcSystem=said.system, srcComponent=said.component)
-            (packet,) = self._read.parse_buffer(self._writer.write(said.message, *sender))
-            self._said += packet.pack(self._ends[sender])
-
-    def read(self) -> list[tuple[Peer, bytes]]:
-        """Return what the vehicle said."""
-        data, self._said = bytes(self._said), bytearray()
-        return [("vehicle", data)] if data else []
+    def packed(self, said: Outgoing) -> bytes:
+        """Return the bytes of a message as pymavlink signs them."""
+        sender = (said.system, said.component)
+        if sender not in self._ends:
+            self._ends[sender] = _signed(self._key, srcSystem=said.system, srcComponent=said.component)
+        (packet,) = self._read.parse_buffer(self._writer.write(said.message, *sender))
+        return bytes(packet.pack(self._ends[sender]))
 
     def write(self, data: bytes, peer: Peer) -> bool:
         """Let the vehicle hear what pymavlink believes."""
@@ -78,16 +72,6 @@ class SigningVehicle:
             assert message is not None
             self.vehicle.receive(message, frame.system, frame.component, 0)
         return True
-
-    def peers(self) -> list[Peer]:
-        """Name the one vehicle."""
-        return ["vehicle"]
-
-    def hang_up(self) -> None:
-        """Do nothing."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 @pytest.fixture
@@ -118,24 +102,20 @@ def test_with_the_vehicles_key_parameters_are_read_and_written(
     assert wire.refused == 0
 
 
-def test_with_another_key_nobody_is_there_for_either_side(
-    wire: SigningVehicle, tmp_path: Path, capsys: Show
+@pytest.mark.parametrize(
+    ("passphrase", "told"),
+    [
+        ("seven of eight", "was not signed with the key in use"),
+        (None, "is signed: the vehicle may believe only who signs, too"),
+    ],
+)
+def test_with_another_key_or_none_the_vehicle_believes_nothing(
+    passphrase: str | None, told: str, wire: SigningVehicle, tmp_path: Path, capsys: Show
 ) -> None:
     before = dict(wire.vehicle.firmware.store.storage)
     wanted = tmp_path / "wanted.param"
     wanted.write_text("COMPASS_OFS_X,42\n")
-    key = key_file(tmp_path, "seven of eight")
-    assert main(["params", "write", SOURCE, str(wanted), "--yes", "--sign-key", key]) != 0
-    assert "was not signed with the key in use" in capsys.readouterr().err
-    assert wire.refused > 0 and dict(wire.vehicle.firmware.store.storage) == before
-
-
-def test_without_a_key_the_vehicle_is_heard_but_believes_nothing(
-    wire: SigningVehicle, tmp_path: Path, capsys: Show
-) -> None:
-    before = dict(wire.vehicle.firmware.store.storage)
-    wanted = tmp_path / "wanted.param"
-    wanted.write_text("COMPASS_OFS_X,42\n")
-    assert main(["params", "write", SOURCE, str(wanted), "--yes"]) != 0
-    assert "is signed: the vehicle may believe only who signs, too" in capsys.readouterr().err
+    key = [] if passphrase is None else ["--sign-key", key_file(tmp_path, passphrase)]
+    assert main(["params", "write", SOURCE, str(wanted), "--yes", *key]) != 0
+    assert told in capsys.readouterr().err
     assert wire.refused > 0 and dict(wire.vehicle.firmware.store.storage) == before

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.calibration.model import HORIZONTAL
 from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, circle_seen_rad
 from mavcompass.calibration.motion.fit import residual_of
 from mavcompass.calibration.motion.observed import Motion
@@ -59,16 +58,12 @@ def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
     kept_out = _since_the_beginning_was_kept_out(motion)
     if kept_out is not None:
         return kept_out
-    horizontal = abs(float(motion.fit.state[HORIZONTAL])) * float(np.abs(motion.fit.gain[:2, :2]).max())
-    if motion.fit.model_mgauss < _WORTH_IT_RAD * horizontal:
+    if motion.fit.model_mgauss < _WORTH_IT_RAD * motion.fit.horizontal_mgauss:
         return motion, None
     found: tuple[Motion, float] | None = None
     for start in _candidates(motion):
-        try:
-            later = motion.since(start)
-        except PoorCalibration:
-            continue
-        if circle_seen_rad(later.fit.headings_rad) < LEAST_CIRCLE_RAD:
+        later = _anew(motion, start)
+        if later is None:
             continue
         best = motion.fit.model_mgauss if found is None else found[0].fit.model_mgauss
         if later.fit.model_mgauss < _BETTER * best:
@@ -93,13 +88,17 @@ def _since_the_beginning_was_kept_out(motion: Motion) -> tuple[Motion, Change] |
     start_s = float(motion.sections.end_s[first_sound - 1]) + _SETTLE_S
     if start_s - float(motion.sections.start_s[0]) < _NO_PASSING_S:
         return None
+    later = _anew(motion, start_s)
+    return None if later is None else _told(motion, later, start_s)
+
+
+def _anew(motion: Motion, start_s: float) -> Motion | None:
+    """Fit a motion from some time on; None where too few sections or headings are left."""
     try:
         later = motion.since(start_s)
     except PoorCalibration:
         return None
-    if circle_seen_rad(later.fit.headings_rad) < LEAST_CIRCLE_RAD:
-        return None
-    return _told(motion, later, start_s)
+    return later if circle_seen_rad(later.fit.headings_rad) >= LEAST_CIRCLE_RAD else None
 
 
 def _dated(motion: Motion, later: Motion, moved_mgauss: float) -> float:

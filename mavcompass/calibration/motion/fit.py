@@ -14,7 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.calibration.model import GAIN, MOTOR, OFFSET, HeadingError, by_tilt, gain_matrix
+from mavcompass.calibration.model import (
+    GAIN,
+    HORIZONTAL,
+    MOTOR,
+    OFFSET,
+    HeadingError,
+    by_tilt,
+    gain_matrix,
+)
 from mavcompass.calibration.motion.equations import (
     FIRST,
     PriorRows,
@@ -80,6 +88,11 @@ class MotionFit:
     def gain(self) -> FloatArray:
         """Return the symmetric gain, (3, 3)."""
         return gain_matrix(self.state[GAIN])
+
+    @property
+    def horizontal_mgauss(self) -> float:
+        """Return the horizontal field as the axis that shows most of it reads it."""
+        return abs(float(self.state[HORIZONTAL])) * float(np.abs(self.gain[:2, :2]).max())
 
     def cost_under(self, other: MotionFit) -> float:
         """Return half the squared residuals as another fit of the same sections weighs them."""

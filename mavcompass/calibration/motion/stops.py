@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.model import HORIZONTAL
 from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, circle_seen_rad
 from mavcompass.calibration.motion.fit import level_headings
 from mavcompass.calibration.motion.observed import Motion
@@ -45,28 +44,29 @@ class Disturbed:
 
     def words(self) -> str:
         """Say it in a sentence."""
-        times = " or ".join(f"{at_s:.0f} s" for at_s in self.at_s)
         return (
-            f"Something magnetic stood near the vehicle where it stopped at {times}: without that stop, and "
-            "the turns to and from it, the rest agrees. It was left out."
+            f"{self._place()}: without that stop, and the turns to and from it, the rest agrees. It was left"
+            " out."
         )
 
     def reason(self, limit_deg: float) -> str:
         """Say why it cannot be believed, or "" where it makes little difference which stop it was."""
         if math.degrees(self.open_rad) <= limit_deg:
             return ""
-        times = " or ".join(f"{at_s:.0f} s" for at_s in self.at_s)
         return (
-            f"Something magnetic stood near the vehicle where it stopped at {times}, and the recording does "
-            "not tell where. Record again with one more stop, at the first heading."
+            f"{self._place()}, and the recording does not tell where. Record again with one more stop, at the"
+            " first heading."
         )
+
+    def _place(self) -> str:
+        times = " or ".join(f"{at_s:.0f} s" for at_s in self.at_s)
+        return f"Something magnetic stood near the vehicle where it stopped at {times}"
 
 
 def without_disturbed_stop(motion: Motion) -> Disturbed | None:
     """Leave out the stop that contradicts the rest; None where none does, or none alone."""
     error, stops = motion.fit.model_mgauss, _stops(motion.sections)
-    horizontal = abs(float(motion.fit.state[HORIZONTAL])) * float(np.abs(motion.fit.gain[:2, :2]).max())
-    if error <= _WORTH_IT_RAD * horizontal or not _FEWEST <= len(stops) <= _MOST:
+    if error <= _WORTH_IT_RAD * motion.fit.horizontal_mgauss or not _FEWEST <= len(stops) <= _MOST:
         return None
     found: list[tuple[float, float, Motion]] = []
     for at_s, left_out in stops:

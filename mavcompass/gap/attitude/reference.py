@@ -197,7 +197,8 @@ def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> R
     antennas = _antennas_yaw(track, clock, start.rotation) if choice in ("auto", "gps-yaw") else None
     if choice == "gps-yaw" and antennas is None:
         return None
-    told, witness, rotation = [], None, start.rotation
+    told = ["the receiver's velocity"] if start.bearing else []
+    witness, rotation = None, start.rotation
     if antennas is not None:
         leaning = rotation if level is None else level
         witness = Witness(_facing(leaning, antennas), _ANTENNAS_RAD, _ANTENNAS_SLOW_RAD)
@@ -209,28 +210,24 @@ def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> R
     if not start.bearing and witness is not None and math.isfinite(witness.constant_rad):
         ahead = float(np.median(_ahead(rotation, witness.rotation)))
         rotation = turned_about_down(rotation, np.full(clock.size, ahead))
-    smoothed = smoothed_attitude(sensed, rotation, resting, velocity if start.bearing else None, witness)
+    heard = velocity if start.bearing else None
+    smoothed = smoothed_attitude(sensed, rotation, resting, heard, witness)
     if not believable(smoothed, resting) and witness is not None and math.isinf(witness.constant_rad):
         # An autopilot that believes a bent compass leans the wrong way when it accelerates.
-        alone = started(sensed, resting, velocity, None)
-        alone = alone if alone.bearing else start
-        without = smoothed_attitude(
-            sensed, alone.rotation, resting, velocity if alone.bearing else None, None
-        )
+        alone = started(sensed, resting, velocity, None) if start.bearing else start
+        first = alone if alone.bearing else start
+        without = smoothed_attitude(sensed, first.rotation, resting, heard, None)
         if believable(without, resting):
-            start, smoothed = alone, without
+            smoothed = without
     if not believable(smoothed, resting):
         # No healthy gyro then: let it say how far it is off.
-        smoothed = smoothed_attitude(
-            sensed, smoothed.rotation, faulty(resting), velocity if start.bearing else None, witness
-        )
+        smoothed = smoothed_attitude(sensed, smoothed.rotation, faulty(resting), heard, witness)
     age = 0.0
     if autopilot is not None and float(np.min(smoothed.rotation[:, 2, 2])) > _UPRIGHT:
         # Whatever steers the autopilot's yaw, it turns when the vehicle turns.
         turning = np.einsum("ni,ni->n", smoothed.rate_radps, smoothed.rotation[:, 2])
         yaw = integral(clock, turning[:, None])[:, 0] + _ahead(smoothed.rotation, autopilot)
         age = age_of(clock, turning, clock, yaw) or 0.0
-    told = ["the receiver's velocity", *told] if start.bearing else told
     constant, curves, rest = _unknown(smoothed, time_s)
     if choice == "gyro" or not told or constant > _MOST_LINEAR_RAD:
         constant = _UNKNOWN_YAW_RAD

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import Floor, apart, heading_error_rad, rms
 from mavcompass.gap.replay import group_values
@@ -279,12 +280,15 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     gained = squares[0] - squares[1]
     held = split.test[rows]
     label = np.unique(split.block[rows], return_inverse=True)[1]
-    count = np.bincount(label)
-    blocks = np.stack([np.bincount(label, gained[:, k]) / count for k in (0, 1)], axis=1)
+
+    def by_block(values: FloatArray) -> FloatArray:
+        return np.stack([np.bincount(label, values[:, k]) / np.bincount(label) for k in (0, 1)], axis=1)
+
+    blocks = by_block(gained)
     # Blocks that an effect leaves alone say nothing against it.
     turned = np.degrees(heading_error_rad(replay, predictions[0], predictions[1]))[rows]
     changed = np.stack([np.mean(np.square(predictions[1] - predictions[0])[rows], axis=1), turned**2], axis=1)
-    changes = np.stack([np.bincount(label, changed[:, k]) / count for k in (0, 1)], axis=1)
+    changes = by_block(changed)
     touched = changes[:, 0] >= _TOUCHED * changes[:, 0].max()
     blocks, changes = blocks[touched], changes[touched]
     # They agree if each gains in proportion to what the effect changes there.

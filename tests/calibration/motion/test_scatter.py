@@ -13,6 +13,7 @@ import pytest
 from mavcompass.calibration.model import HORIZONTAL, VERTICAL
 from mavcompass.calibration.motion import changes, observed
 from mavcompass.calibration.motion.equations import FIRST, LAG
+from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.scatter import scatter_left_rad
 from mavcompass.calibration.motion.sections import Sections, turned_mapping, unsettled
 from mavcompass.calibration.observation.turning import TurnRecord
@@ -198,6 +199,12 @@ def test_the_field_turns_against_the_vehicle() -> None:
         assert mapping[k] @ [0.0, 1.0, 0.0] == pytest.approx([math.sin(turned), math.cos(turned), 0.0])
 
 
+class Fitted(SimpleNamespace):
+    """Hold what is set of a fit; the horizontal field follows from it as in any."""
+
+    horizontal_mgauss = MotionFit.horizontal_mgauss
+
+
 @pytest.mark.parametrize(("model_deg", "looks"), [(0.49, False), (0.51, True)])
 def test_an_error_of_half_a_degree_is_looked_into(
     model_deg: float, looks: bool, monkeypatch: pytest.MonkeyPatch
@@ -206,9 +213,7 @@ def test_an_error_of_half_a_degree_is_looked_into(
     monkeypatch.setattr(changes, "_candidates", lambda motion: asked.append(motion) or [])  # type: ignore[func-returns-value]
     state = np.zeros(FIRST + K)
     state[HORIZONTAL] = 200.0
-    fit = SimpleNamespace(
-        state=state, gain=np.eye(3) * 1.1, model_mgauss=model_deg * DEG * 220.0, sound=np.ones(K)
-    )
+    fit = Fitted(state=state, gain=np.eye(3) * 1.1, model_mgauss=model_deg * DEG * 220.0, sound=np.ones(K))
     motion: Any = SimpleNamespace(fit=fit, sections=sections_of())
     assert changes.last_stretch(motion) == (motion, None) and bool(asked) is looks
 
@@ -224,7 +229,7 @@ def test_a_beginning_that_was_all_kept_out_is_a_change(
     lasted_s = float(sections.end_s[max(kept_out, 1) - 1] - sections.start_s[0])
     assert (lasted_s >= 10.0) is cuts
     later = SimpleNamespace(fit=SimpleNamespace(headings_rad=np.linspace(0.0, 300.0, 40) * DEG))
-    fit = SimpleNamespace(state=state, gain=np.eye(3), model_mgauss=0.0, sound=np.arange(K) >= kept_out)
+    fit = Fitted(state=state, gain=np.eye(3), model_mgauss=0.0, sound=np.arange(K) >= kept_out)
     motion: Any = SimpleNamespace(fit=fit, sections=sections, since=lambda start_s: later, recorded="whole")
     monkeypatch.setattr(changes, "residual_of", lambda rows, fit: np.tile([0.0, 30.0, 40.0], (len(rows), 1)))
     monkeypatch.setattr(changes, "since", lambda recorded, start_s: (recorded, start_s))
@@ -250,7 +255,7 @@ def test_a_stretch_is_taken_where_it_fits_much_better_and_turns_enough(
         fit=SimpleNamespace(model_mgauss=10.0 * share, headings_rad=np.linspace(0.0, seen_deg, 40) * DEG)
     )
     motion: Any = SimpleNamespace(
-        fit=SimpleNamespace(state=state, gain=np.eye(3), model_mgauss=10.0, sound=np.ones(K)),
+        fit=Fitted(state=state, gain=np.eye(3), model_mgauss=10.0, sound=np.ones(K)),
         sections=sections_of(),
         since=lambda start_s: later,
         recorded="whole",
