@@ -10,7 +10,7 @@ from mavcompass.gap.fit import Fit, Problem, least_gain
 from mavcompass.gap.left import Adequacy, Floor, drift_gain, rms
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.result import Closing, Verdict
-from mavcompass.gap.selection import EVIDENT, NEEDED_ABOVE, Identified, Remainder
+from mavcompass.gap.selection import EVIDENT, NEEDED_ABOVE, Identified, Remainder, moments
 
 _SURE = 0.90
 _REMAINDER = 0.05
@@ -164,18 +164,19 @@ def owning_up(answer: Answer, identified: Identified, field: Closing, adequacy: 
 def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:
     """Tell whether names that reach the floor are an explanation, but not the only one.
 
-    Many names are, and one that bends to anything, beside another or without a baseline; so is a turn of the
-    mounting where nothing fixes the yaw, and a line at half the sampling rate, where a sensor that sets and
-    resets alternates.
+    Many names are, and one that bends to anything, beside another or without a baseline; so is a thing nearby
+    that comes or goes, which has a place and a moment to bend by; a turn of the mounting where nothing fixes
+    the yaw; and a line at half the sampling rate, where a sensor that sets and resets alternates.
     """
     alone = not floor.measured and replay.reference.kind != "columns"
     many = len(named.terms) > _FEW_NAMES or (alone and traces and bool(named.terms))
     pliant = bool(named.ids & _PLIANT) and (alone or len(named.terms) > 1)
+    comes = "spatial_dipole" in named.ids and bool(moments(named))
     turned = alone and replay.reference.yaw_unknown and bool(named.ids & _TURNS)
     step_s = float(np.median(np.diff(replay.time_s)))
     fastest = _NEARLY_ALTERNATING * 0.5 / step_s
     alternates = "ac_interference" in named.ids and float(named.theta("ac_interference")[6]) > fastest
-    return many or pliant or turned or alternates
+    return many or pliant or comes or turned or alternates
 
 
 def _above(value: float, floor: float) -> bool:

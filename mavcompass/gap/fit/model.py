@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.fit.chance import least_gain
 from mavcompass.gap.fit.composition import Composition
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
 from mavcompass.gap.fit.newton import bridge, invert, moved, solve
@@ -173,6 +174,12 @@ class Problem:
                 off = theta - nuisance.mean
                 out.append((float(off @ np.linalg.pinv(covariance[own, own]) @ off), theta.size))
         return out
+
+    def straight(self, fit: Fit) -> bool:
+        """Tell whether a fit bends what is known of vehicle and place no further than by chance."""
+        known = sum(1 if n.effect.id == REFERENCE_YAW else n.mean.size for n in self.nuisances)
+        together = self.strain(fit) < least_gain(known)
+        return together and all(cost < least_gain(size) for cost, size in self.strains(fit))
 
     def null(self, near: Fit | None = None) -> Fit:
         """Fit the nuisances alone, from their means or from where another problem has them."""

@@ -221,13 +221,10 @@ class Search:
         found."""
         if fit.terms or not self.problem.nuisances:
             return fit
-        nuisances = self.problem.nuisances
-        known = sum(1 if n.effect.id == REFERENCE_YAW else n.mean.size for n in nuisances)
-        together = self.problem.strain(fit) < least_gain(known)
-        straight = together and all(cost < least_gain(size) for cost, size in self.problem.strains(fit))
+        straight = self.problem.straight(fit)
         kept = tuple(
             _facing_as_known(n, x) if n.effect.id == REFERENCE_YAW else x if straight else n.mean.copy()
-            for n, x in zip(nuisances, fit.nuisance_thetas, strict=True)
+            for n, x in zip(self.problem.nuisances, fit.nuisance_thetas, strict=True)
         )
         same = all(x is y for x, y in zip(kept, fit.nuisance_thetas, strict=True))
         return fit if same else replace(fit, nuisance_thetas=kept)

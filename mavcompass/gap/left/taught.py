@@ -60,7 +60,7 @@ _MOST_WAITING = 0.5
 _EVENLY_HELD = 0.9
 _SAME_PLACE_M = 1000.0
 DISCREPANCY_MGAUSS = 1.2
-_UNMEASURED, _UNMEASURED_AGE, _LEVEL_MORE = 3.0, 2.0, 1.25
+_UNMEASURED, _LEVEL_MORE = 3.0, 1.25
 # What another iron must explain beyond the calibration in force, and how far that may be strained (squared
 # sigmas).
 _MATERIAL_MGAUSS, _MATERIAL_SHARE, _MOST_STRAIN = 1.5, 0.5, 60.0
@@ -238,9 +238,10 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
         if replay.reference.kind == "columns":
             daily = np.zeros(daily.size)
         elif trust is ANOTHER_IRON:
-            # An iron that nobody measured but this baseline takes all its errors with it.
+            # An iron that nobody measured but this baseline takes all its errors with it; times are not among
+            # them.
             of_age = np.concatenate([np.full(n.mean.size, n.effect.id == TELEMETRY_AGE) for n in taught])
-            daily = daily * np.where(of_age, _UNMEASURED_AGE, _UNMEASURED)
+            daily = np.where(of_age, daily, _UNMEASURED * daily)
         covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
         told = np.maximum(np.diag(covariance) * np.diag(prior.precision)[place], 1.0)
         # What a baseline hardly shows (motors that idle) stays within what is stated for this recording.

@@ -22,14 +22,15 @@ class Trace:
     """Hold what the numbers show.
 
     `stale_share` is the share of repeats, `stale` which rows repeat, `held_s` how long each fresh reading
-    stayed from
-    `fresh_s` on, `step_mgauss` the step of the numbers (0: none seen).
+    stayed from `fresh_s` on, `jump_mgauss` by how much the next one differs on the axis where it does most (0
+    of the last one), `step_mgauss` the step of the numbers (0: none seen).
     """
 
     stale_share: float
     stale: NDArray[np.bool_]
     held_s: FloatArray
     fresh_s: FloatArray
+    jump_mgauss: FloatArray
     step_mgauss: float
 
 
@@ -40,7 +41,9 @@ def inspect(field_mgauss: FloatArray, valid: NDArray[np.bool_], time_s: FloatArr
     # How long each fresh reading was repeated: readings that are missing repeat nothing.
     fresh = np.flatnonzero(~same)
     last = np.append(fresh[1:], time_s.size) - 1
-    return Trace(share, same, time_s[last] - time_s[fresh], time_s[fresh], _lattice(field_mgauss[valid]))
+    jump = np.append(np.abs(np.diff(field_mgauss[fresh], axis=0)).max(axis=1), 0.0)
+    held, since = time_s[last] - time_s[fresh], time_s[fresh]
+    return Trace(share, same, held, since, np.nan_to_num(jump), _lattice(field_mgauss[valid]))
 
 
 def _lattice(field: FloatArray) -> float:

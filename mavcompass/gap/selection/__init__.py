@@ -5,7 +5,7 @@ from mavcompass.gap.selection.identification import identify
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.remainder import Remainder, floor_to_start, what_is_left
 from mavcompass.gap.selection.split import split_blocks
-from mavcompass.gap.selection.transient import between_rows
+from mavcompass.gap.selection.transient import between_rows, moments
 
 __all__ = [
     "EVIDENT",
@@ -16,6 +16,7 @@ __all__ = [
     "between_rows",
     "floor_to_start",
     "identify",
+    "moments",
     "split_blocks",
     "what_is_left",
 ]

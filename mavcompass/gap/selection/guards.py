@@ -268,7 +268,8 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     rest = fit.without(place)
     without = problem.fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=4)
     strained = problem.strain(without) > problem.strain(fit) + STRAINED
-    if strained or replay.reference.kind == "columns":
+    bent = problem.straight(fit) and not problem.straight(without)
+    if strained or bent or replay.reference.kind == "columns":
         # Bent by force, what is known of the vehicle would imitate the effect: it stays.
         without = problem.steady(fit).fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=3)
     rows = np.flatnonzero((split.train | split.test) & problem.usable)

@@ -208,37 +208,45 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
     rivals |= {f.ids: f for f in _substitutes(candidate) if f.ids not in rivals}
     # Bent by force, what is known of the vehicle would imitate nearly anything.
     most = candidate.problem.strain(chosen) + STRAINED
-    good = [
-        f for f in rivals.values() if at_floor(candidate, f, floor) and candidate.problem.strain(f) < most
-    ]
+    near = [f for f in rivals.values() if candidate.problem.strain(f) < most]
+    good = [f for f in near if at_floor(candidate, f, floor)]
+    doubted: tuple[frozenset[str], ...] = ()
     if not at_floor(candidate, chosen, floor):
         allowed = [f for f in good if refused(replace(candidate, fit=f), floor) is None]
         if not allowed:
-            return candidate
+            return replace(candidate, as_good=tuple(f.ids for f in _no_worse(candidate, near)))
+        # What the search preferred fits the rest better.
+        doubted = (chosen.ids,)
         chosen = min(allowed, key=candidate.search.score)
         good = [f for f in good if f is not chosen]
     # An alias that the search passed over is a rival, but no reason to change the name.
     simpler = [f for f in good if f.dimension < chosen.dimension and f.ids in candidate.search.explored]
     best = min(simpler, key=lambda f: (f.dimension, f.sse), default=chosen)
     others = tuple(f.ids for f in [chosen, *good] if f.ids != best.ids)
-    return replace(candidate, fit=best, as_good=others)
+    return replace(candidate, fit=best, as_good=others + doubted)
 
 
 def _plainer(candidate: Identified) -> Identified:
     """Take an alias with fewer parameters that leaves no more of field and heading on rows that were not
     fitted."""
+    plainer = [f for f in _substitutes(candidate) if f.dimension < candidate.fit.dimension]
+    good = _no_worse(candidate, plainer)
+    return replace(candidate, fit=min(good, key=lambda f: f.sse)) if good else candidate
+
+
+def _no_worse(candidate: Identified, rivals: Sequence[Fit]) -> list[Fit]:
+    """Return the rivals that leave no more of field and heading than what was chosen, where nothing was
+    fitted."""
     replay, rows = candidate.problem.replay, candidate.split.test
+    if not rows.any():
+        return []
 
     def left(fit: Fit) -> tuple[float, float]:
         predicted = candidate.problem.predict(fit).mag_mgauss
         return apart(replay, replay.measured.mag_mgauss, predicted, rows)
 
-    if not rows.any():
-        return candidate
     most = [_NO_WORSE * value for value in left(candidate.fit)]
-    plainer = [f for f in _substitutes(candidate) if f.dimension < candidate.fit.dimension]
-    good = [f for f in plainer if all(value <= limit for value, limit in zip(left(f), most, strict=True))]
-    return replace(candidate, fit=min(good, key=lambda f: f.sse)) if good else candidate
+    return [f for f in rivals if all(value <= limit for value, limit in zip(left(f), most, strict=True))]
 
 
 def _substitutes(candidate: Identified) -> list[Fit]:

@@ -45,25 +45,20 @@ def stale_share(replay: Replay, baseline: Replay | None) -> float:
 def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
     """Return the share of time in which readings stayed far longer than they do in a healthy vehicle.
 
-    Only while the field changes by more than chance: numbers of a vehicle at rest may repeat for long.
+    Only while the field changes by more than chance: numbers of a vehicle at rest may repeat for long. What a
+    frozen compass missed shows in its next reading, whatever the simulation believes.
     """
-    held, since = replay.trace.held_s, replay.trace.fresh_s
-    moved = np.zeros(held.size)
-    for axis in range(3):
-        then, now = (
-            np.interp(t, replay.time_s, replay.nominal_mgauss[:, axis]) for t in (since, since + held)
-        )
-        moved = np.maximum(moved, np.abs(now - then))
+    trace = replay.trace
     # Coarse numbers change only with the field.
-    changes = max(_MOVED_MGAUSS, 2.0 * replay.trace.step_mgauss)
-    rests = replay.trace.step_mgauss <= _USUAL_STEP_MGAUSS
-    held = np.where((moved > changes) | ((held > _NO_REST_S) & rests), held, 0.0)
+    changes = max(_MOVED_MGAUSS, 2.0 * trace.step_mgauss)
+    rests = trace.step_mgauss <= _USUAL_STEP_MGAUSS
+    held = np.where((trace.jump_mgauss > changes) | ((trace.held_s > _NO_REST_S) & rests), trace.held_s, 0.0)
     usual = _TELEMETRY_HOLDS_S
     if baseline is not None and baseline.telemetry and baseline.trace.held_s.size:
         usual = max(
             float(baseline.trace.held_s.max()), _SEEN_TWICE_S, 0.5 * float(np.median(np.diff(replay.time_s)))
         )
-    span = float((since + replay.trace.held_s).max(initial=replay.time_s[-1]) - replay.time_s[0])
+    span = float((trace.fresh_s + trace.held_s).max(initial=replay.time_s[-1]) - replay.time_s[0])
     return float(held[held > _FAR_LONGER * usual].sum()) / max(span, 1e-9)
 
 

@@ -29,7 +29,8 @@ def fit_of(*effects: str, **first: float) -> Fit:
         free = np.ones(len(effect.parameters), dtype=np.bool_)
         low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
         terms.append(Term(effect, free, low, high))
-        thetas.append(np.array([first.get(p.name, 0.0) for p in effect.parameters]))
+        nothing = zip(effect.parameters, effect.neutral(), strict=True)
+        thetas.append(np.array([first.get(p.name, float(value)) for p, value in nothing]))
     return Fit(tuple(terms), tuple(thetas), (), 0.0 if effects else 100.0)
 
 
@@ -264,6 +265,13 @@ def test_names_that_reach_the_floor_may_be_one_explanation_of_several(
     seen = said(answer("named", *effects), **given)
     assert seen.verdict == told and len(seen.named.terms) == len(effects)
     assert said(answer("ambiguous", *effects), **given).verdict == "ambiguous"
+
+
+def test_a_magnet_that_comes_has_a_place_and_a_moment_to_bend_by() -> None:
+    comes = Answer("named", fit_of("spatial_dipole", on_s=5.0), False, None)
+    assert said(comes).verdict == "ambiguous"
+    step = Answer("named", fit_of("hard_iron_step", on_s=5.0), False, None)
+    assert said(step).verdict == "named"
 
 
 @pytest.mark.parametrize(("hz", "told"), [(4.2, "named"), (4.3, "ambiguous")])

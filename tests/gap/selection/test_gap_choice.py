@@ -74,6 +74,7 @@ def good(monkeypatch: pytest.MonkeyPatch) -> set[frozenset[str]]:
     monkeypatch.setattr(identification, "at_floor", lambda candidate, fit, floor: fit.ids in reach)
     monkeypatch.setattr(identification, "_substitutes", lambda candidate: [])
     monkeypatch.setattr(identification, "refused", lambda candidate, floor: None)
+    monkeypatch.setattr(identification, "_no_worse", lambda candidate, rivals: [])
     return reach
 
 
@@ -100,7 +101,17 @@ def test_where_the_chosen_does_not_reach_it_the_best_that_does_is_taken(good: se
     better = replace(SOFT, sse=70.0)
     named = identification._simplest(candidate(BOTH, IRON, better), MEASURED)
     assert named.fit.dimension == min(IRON.dimension, better.dimension)
-    assert BOTH.ids not in named.as_good and named.fit.ids not in named.as_good
+    assert BOTH.ids in named.as_good and named.fit.ids not in named.as_good, "the search preferred it"
+
+
+def test_where_none_reaches_it_what_leaves_no_more_is_a_rival(
+    good: set[frozenset[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        identification, "_no_worse", lambda candidate, rivals: [f for f in rivals if f.ids == SOFT.ids]
+    )
+    named = identification._simplest(candidate(BOTH, IRON, SOFT), MEASURED)
+    assert named.fit is BOTH and named.as_good == (SOFT.ids,)
 
 
 def test_what_a_guard_refuses_is_not_taken(

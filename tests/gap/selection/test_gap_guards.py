@@ -91,6 +91,9 @@ class Problem:
     def strain(self, fit: Fit) -> float:
         return 0.0 if fit.terms else self.bent
 
+    def straight(self, fit: Fit) -> bool:
+        return self.strain(fit) < 22.0
+
 
 def split() -> Split:
     """Eight blocks of ten rows; the third and the seventh are held out."""
@@ -316,6 +319,29 @@ def test_what_is_removed_is_told_on_rows_that_were_not_fitted() -> None:
     none = replace(split(), test=np.zeros(ROWS, dtype=np.bool_))
     whole, _ = guards.removed_by(candidate(problem, fit_of(soft_iron=6.0), split=none), 0)
     assert whole.square == pytest.approx(0.75 * 12.0 - 0.25 * 12.0 + 2.0, abs=3.0) and whole.square > 0.0
+
+
+class Yielding(Problem):
+    """Without an effect what is known of the vehicle gives way and explains the gap as well."""
+
+    def fit(self, terms: Any, thetas: Any, nuisances: Any, iterations: int = 1) -> Fit:
+        return replace(super().fit(terms, thetas, nuisances), nuisance_thetas=(self.gap,))
+
+    def predict(self, fit: Fit, effects: bool = True) -> Any:
+        out = super().predict(fit, effects)
+        yielded = BOTH_WAYS[:, None] * fit.nuisance_thetas[0] if fit.nuisance_thetas else 0.0
+        return SimpleNamespace(mag_mgauss=out.mag_mgauss + yielded)
+
+    def steady(self, fit: Fit) -> Problem:
+        return Problem(**{name: getattr(self, name) for name in ("left", "rows", "gap")})
+
+
+@pytest.mark.parametrize(("bent", "square"), [(21.0, 0.0), (23.0, 12.0)])
+def test_what_is_known_does_not_give_way_by_more_than_chance(bent: float, square: float) -> None:
+    problem = explained((0.0, 6.0, 0.0), 0.0)
+    yielding = Yielding(problem.left, problem.rows, problem.gap, bent=bent)
+    field, _ = guards.removed_by(candidate(yielding, fit_of(soft_iron=6.0)), 0)
+    assert field.square == pytest.approx(square, abs=1e-9)
 
 
 # --- certain, and too small ---------------------------------------------------------------------------

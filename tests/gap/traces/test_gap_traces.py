@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +16,10 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.replay import Readings, replay
-from mavcompass.gap.replay.integrity import coarse_step
+from mavcompass.gap.replay.integrity import Trace, coarse_step
 from mavcompass.gap.traces import excess_variance, find_traces
 from mavcompass.gap.traces.rapid import find_rapid
+from mavcompass.gap.traces.steps_and_repeats import names_stale, stale_share
 from mavcompass.gap.trial.vehicles.cases import make_case
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Misfit, Signals
@@ -186,3 +189,30 @@ def test_replay_without_an_effect_is_that_of_rows_and_readings_without_it() -> N
     assert of_rows[7] == pytest.approx(change[35:40].mean(axis=0))
     of_corrected = plain.corrected_mgauss - mended.corrected_mgauss
     assert of_corrected == pytest.approx(of_rows @ plain.iron.correction.matrix.T)
+
+
+@pytest.mark.parametrize(
+    ("held_s", "jump_mgauss", "step_mgauss", "frozen"),
+    [
+        (1.4, 58.0, 58.0, False),  # coarse numbers stay until the field has moved by a step
+        (1.4, 174.0, 58.0, True),
+        (1.4, 6.0, 1.0, True),
+        (1.4, 4.0, 1.0, False),
+        (6.0, 0.0, 1.0, True),  # noise alone changes a reading within seconds
+        (6.0, 58.0, 58.0, False),
+        (0.2, 60.0, 1.0, False),
+    ],
+)
+def test_a_frozen_compass_jumps_when_it_wakes(
+    held_s: float, jump_mgauss: float, step_mgauss: float, frozen: bool
+) -> None:
+    time_s = np.arange(0.0, 60.0, 0.2)
+    held, jump = np.zeros(time_s.size), np.full(time_s.size, 3.0)
+    held[100], jump[100] = held_s, jump_mgauss
+    trace = Trace(0.0, np.zeros(time_s.size, dtype=np.bool_), held, time_s, jump, step_mgauss)
+    flight: Any = SimpleNamespace(telemetry=True, trace=trace, time_s=time_s)
+    baseline: Any = SimpleNamespace(
+        telemetry=True, trace=replace(trace, held_s=np.zeros(time_s.size)), time_s=time_s
+    )
+    assert names_stale(flight, baseline) is frozen
+    assert stale_share(flight, baseline) == pytest.approx(held_s / 59.8 if frozen else 0.0)
