@@ -54,7 +54,7 @@ _NEVER_FOLDED = frozenset({"hard_iron_step", "ac_interference", "relay_field", "
 # One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
 _REPRESENTATIVE_P = 1e-5
 # How much the same vehicle differs from one recording to the next, in the nuisances' own units.
-_FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.01, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
+_FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.007, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
 # A reading of some age waits for its message, for at most about twice that age.
 _MOST_WAITING = 0.5
 _EVENLY_HELD = 0.9
@@ -263,7 +263,7 @@ def _daily(taught: Nuisance, waiting_s: float) -> FloatArray:
     """Say how much each parameter of a nuisance differs from one recording to the next."""
     daily = np.full(taught.mean.size, _FROM_DAY_TO_DAY.get(taught.effect.id, 0.0))
     if taught.effect.id == TELEMETRY_AGE:
-        daily = np.maximum(daily, np.minimum(waiting_s, _MOST_WAITING * np.abs(taught.mean)))
+        daily = np.hypot(daily, np.minimum(waiting_s, _MOST_WAITING * np.abs(taught.mean)))
     return daily
 
 
