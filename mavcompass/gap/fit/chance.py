@@ -51,7 +51,7 @@ def _sought(fit: Fit) -> list[str]:
         p.name
         for term, theta in zip(fit.terms, fit.thetas, strict=True)
         for p, v in zip(term.effect.parameters, theta, strict=True)
-        if p.name in _SOUGHT and not (p.name in term.effect.optional and not p.low < v < p.high)
+        if p.name in _SOUGHT and not (p.optional and not p.low < v < p.high)
     ]
 
 

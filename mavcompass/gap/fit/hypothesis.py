@@ -86,7 +86,7 @@ def active_dimension(term: Term, theta: FloatArray) -> int:
     unused = sum(
         1
         for parameter, value in zip(term.effect.parameters, theta, strict=True)
-        if parameter.name in term.effect.optional and not parameter.low < value < parameter.high
+        if parameter.optional and not parameter.low < value < parameter.high
     )
     fixed = sum(1 for p in term.effect.parameters if p.integer or p.scale == 0.0)
     return term.dimension + fixed - unused

@@ -365,7 +365,7 @@ class Search:
         """Take back moments of change that the data do not need: they were sought at many places."""
         for i, term in enumerate(fit.terms):
             for j, parameter in enumerate(term.effect.parameters):
-                if parameter.name not in term.effect.optional:
+                if not parameter.optional:
                     continue
                 if not parameter.low < fit.thetas[i][j] < parameter.high:
                     continue

@@ -105,7 +105,7 @@ def scaled(setting: Setting, factor: float) -> Setting:
 
 def _inside(effect: Effect, theta: FloatArray) -> Setting:
     """Keep amplitudes clear of the ends of their ranges, where no diagnosis may name them."""
-    moved = np.array([p.scale > 0.0 and p.name not in effect.optional for p in effect.parameters])
+    moved = np.array([p.scale > 0.0 and not p.optional for p in effect.parameters])
     clear = np.where(moved, _CLEAR, 1.0)
     low = np.where(effect.lower < 0.0, effect.lower * clear, effect.lower)
     return Setting(effect, np.clip(theta, low, effect.upper * clear))

@@ -52,7 +52,10 @@ EACH_BY_ITSELF = frozenset({Stage.MATRIX, Stage.FIELD, Stage.MOUNTING})
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """Describe one parameter: unit, physical range, a typical simulated value, and its natural size."""
+    """Describe one parameter: unit, physical range, a typical simulated value, and its natural size.
+
+    One that is `optional` costs nothing in a fit while it stays at an end of its range.
+    """
 
     name: str
     unit: str
@@ -61,6 +64,7 @@ class Parameter:
     default: float
     scale: float
     integer: bool = False
+    optional: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +116,22 @@ class Signals:
 # None asks for the mean of what is random.
 Rng = np.random.Generator | None
 Forward = Callable[[Signals, FloatArray, Memory, Rng], Signals]
+Change = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+def on_mag(change: Change) -> Forward:
+    """Make the model that changes each reading of the compass by itself, of the readings (N, 3) and theta."""
+    return lambda signals, theta, memory, rng: signals.with_mag(change(signals.reading.mag_mgauss, theta))
+
+
+def on_acc(change: Change) -> Forward:
+    """Make the same of the accelerometer."""
+    return lambda signals, theta, memory, rng: signals.with_acc(change(signals.reading.acc_mps2, theta))
+
+
+def on_gyro(change: Change) -> Forward:
+    """Make the same of the gyro."""
+    return lambda signals, theta, memory, rng: signals.with_gyro(change(signals.reading.gyro_radps, theta))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +184,6 @@ class Effect:
         sitl: the parameters of ArduPilot's simulator for a fitted setting.
         limits: how far a recording lets the parameters go (lower, upper), where that is less than the
             physical range.
-        optional: parameters that cost nothing in a fit while they stay at an end of their range.
     """
 
     id: str
@@ -182,7 +201,6 @@ class Effect:
     free: Freedom | None = None
     affine: bool = False
     sitl: Export | None = None
-    optional: frozenset[str] = frozenset()
     limits: Limits | None = None
     enough: tuple[Group, ...] = ()
 
@@ -221,7 +239,7 @@ class Effect:
     def neutral(self) -> FloatArray:
         """Return parameters near which the effect does nothing: amplitudes are zero, or as near as may be."""
         zero = np.clip(np.zeros(len(self.parameters)), self.lower, self.upper)
-        always = np.array([p.name in self.optional for p in self.parameters], dtype=np.bool_)
+        always = np.array([p.optional for p in self.parameters], dtype=np.bool_)
         return np.where(always, self.default, zero)
 
 
@@ -287,7 +305,7 @@ class Chain:
 
 def on_iron(usually: bool) -> Parameter:
     """Describe the parameter that tells whether an error of the sensor acts on the vehicle's iron too."""
-    return Parameter(ON_IRON, "1", 0.0, 1.0, float(usually), 0.0, integer=True)
+    return Parameter(ON_IRON, "1", 0.0, 1.0, float(usually), 0.0, integer=True, optional=True)
 
 
 def axes(

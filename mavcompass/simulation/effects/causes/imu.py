@@ -5,25 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Memory, Rng, Signals, Stage, axes
+from mavcompass.simulation.effects.effect import Effect, Memory, Rng, Signals, Stage, axes, on_acc, on_gyro
 
 _REFERENCE = frozenset({"reference"})
-
-
-def _accel_bias(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    return signals.with_acc(signals.reading.acc_mps2 + theta)
-
-
-def _accel_scale(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    return signals.with_acc(signals.reading.acc_mps2 * (1.0 + theta))
-
-
-def _gyro_bias(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    return signals.with_gyro(signals.reading.gyro_radps + theta)
-
-
-def _gyro_scale(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    return signals.with_gyro(signals.reading.gyro_radps * (1.0 + theta))
 
 
 def _lever_arm(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
@@ -53,7 +37,7 @@ EFFECTS = (
         title="an offset of the accelerometer",
         stage=Stage.IMU,
         parameters=axes(-5.0, 5.0, (0.15, -0.1, 0.2), 0.05, "m/s^2"),
-        forward=_accel_bias,
+        forward=on_acc(lambda force, theta: force + theta),
         groups=("acc",),
         needs=_REFERENCE,
         aliases=("accel_scale", "platform_tilt", "linear_acceleration"),
@@ -66,7 +50,7 @@ EFFECTS = (
         title="a gain error of the accelerometer",
         stage=Stage.IMU,
         parameters=axes(-0.2, 0.2, (0.012, -0.01, 0.015), 0.01, "1"),
-        forward=_accel_scale,
+        forward=on_acc(lambda force, theta: force * (1.0 + theta)),
         groups=("acc",),
         needs=_REFERENCE,
         aliases=("accel_bias",),
@@ -104,7 +88,7 @@ EFFECTS = (
         title="an offset of the gyro",
         stage=Stage.IMU,
         parameters=axes(-0.5, 0.5, (0.005, -0.004, 0.006), 0.003, "rad/s"),
-        forward=_gyro_bias,
+        forward=on_gyro(lambda rate, theta: rate + theta),
         groups=("gyro",),
         needs=_REFERENCE,
         aliases=("yaw_step_error",),
@@ -117,7 +101,7 @@ EFFECTS = (
         title="a gain error of the gyro",
         stage=Stage.IMU,
         parameters=axes(-0.3, 0.3, (0.01, -0.008, 0.012), 0.01, "1"),
-        forward=_gyro_scale,
+        forward=on_gyro(lambda rate, theta: rate * (1.0 + theta)),
         groups=("gyro",),
         needs=_REFERENCE | {"turning"},
         aliases=("yaw_step_error",),

@@ -5,41 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import (
-    ON_IRON,
-    Effect,
-    Memory,
-    Rng,
-    Signals,
-    Stage,
-    axes,
-    on_iron,
-)
+from mavcompass.simulation.effects.effect import Effect, Stage, axes, on_iron, on_mag
 from mavcompass.simulation.effects.rotations import rotation_vector_matrix
 
 
-def _hard_iron(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    return signals.with_mag(signals.reading.mag_mgauss + theta)
-
-
-def _soft_iron(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
+def _soft_iron(field: FloatArray, theta: FloatArray) -> FloatArray:
     xx, yy, zz, xy, xz, yz = theta
-    matrix = np.array([[1.0 + xx, xy, xz], [xy, 1.0 + yy, yz], [xz, yz, 1.0 + zz]])
-    return signals.with_mag(signals.reading.mag_mgauss @ matrix)
+    return field @ np.array([[1.0 + xx, xy, xz], [xy, 1.0 + yy, yz], [xz, yz, 1.0 + zz]])
 
 
-def _axis_scale(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    return signals.with_mag(signals.reading.mag_mgauss * (1.0 + theta[:3]))
-
-
-def _non_orthogonality(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
+def _non_orthogonality(field: FloatArray, theta: FloatArray) -> FloatArray:
     yx, zx, zy = theta[:3]
-    matrix = np.array([[1.0, 0.0, 0.0], [yx, 1.0, 0.0], [zx, zy, 1.0]])
-    return signals.with_mag(signals.reading.mag_mgauss @ matrix.T)
-
-
-def _misalignment(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    return signals.with_mag(signals.reading.mag_mgauss @ rotation_vector_matrix(theta[:3]).T)
+    return field @ np.array([[1.0, 0.0, 0.0], [yx, 1.0, 0.0], [zx, zy, 1.0]]).T
 
 
 EFFECTS = (
@@ -48,7 +25,7 @@ EFFECTS = (
         title="permanent magnetism fixed to the vehicle",
         stage=Stage.FIELD,
         parameters=axes(-1500.0, 1500.0, (60.0, -40.0, 20.0), 30.0, "mG"),
-        forward=_hard_iron,
+        forward=on_mag(lambda field, theta: field + theta),
         needs=frozenset({"turning"}),
         aliases=("hard_iron_step", "temperature_bias", "motor_current"),
         separated_by="turn through all headings, and tilt for the vertical part",
@@ -63,7 +40,7 @@ EFFECTS = (
             *axes(-0.5, 0.5, (0.06, -0.05, 0.02), 0.03, "1", ("xx", "yy", "zz")),
             *axes(-0.3, 0.3, (0.04, -0.02, 0.03), 0.03, "1", ("xy", "xz", "yz")),
         ),
-        forward=_soft_iron,
+        forward=on_mag(_soft_iron),
         needs=frozenset({"turning", "tilt"}),
         aliases=("axis_scale", "non_orthogonality"),
         separated_by="tumble through all attitudes",
@@ -75,12 +52,11 @@ EFFECTS = (
         title="gain error of each sensor axis",
         stage=Stage.MATRIX,
         parameters=(*axes(-0.5, 0.5, (0.05, -0.04, 0.02), 0.03, "1"), on_iron(False)),
-        forward=_axis_scale,
+        forward=on_mag(lambda field, theta: field * (1.0 + theta[:3])),
         needs=frozenset({"turning"}),
         aliases=("field_intensity", "inclination", "soft_iron"),
         separated_by="tumble, and visit a second site for the common part",
         source="raw_i = (1 + s_i) m_i, 0.5 to 5 %",
-        optional=frozenset({ON_IRON}),
         affine=True,
     ),
     Effect(
@@ -91,12 +67,11 @@ EFFECTS = (
             *axes(-0.15, 0.15, (0.02, -0.015, 0.01), 0.015, "rad", ("yx", "zx", "zy")),
             on_iron(False),
         ),
-        forward=_non_orthogonality,
+        forward=on_mag(_non_orthogonality),
         needs=frozenset({"turning", "tilt"}),
         aliases=("soft_iron", "misalignment"),
         separated_by="tumble through all attitudes",
         source="lower triangular I + L; data sheets state 90 +/- 1 degree",
-        optional=frozenset({ON_IRON}),
         affine=True,
     ),
     Effect(
@@ -104,11 +79,10 @@ EFFECTS = (
         title="the compass is turned against the body",
         stage=Stage.MOUNTING,
         parameters=(*axes(-0.5, 0.5, (0.02, -0.03, 0.06), 0.03, "rad"), on_iron(True)),
-        forward=_misalignment,
+        forward=on_mag(lambda field, theta: field @ rotation_vector_matrix(theta[:3]).T),
         aliases=("declination", "attitude_reference_error", "non_orthogonality"),
         separated_by="tilt: about the vertical it is the declination exactly",
         source="raw = exp[w] m, 0.5 to 10 degrees",
-        optional=frozenset({ON_IRON}),
         affine=True,
     ),
 )

@@ -8,7 +8,6 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects.effect import (
-    ON_IRON,
     Effect,
     Memory,
     Misfit,
@@ -18,24 +17,17 @@ from mavcompass.simulation.effects.effect import (
     Stage,
     axes,
     on_iron,
+    on_mag,
 )
 
 _FULL_SCALE_MGAUSS = 1000.0
 _NEXT = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 
 
-def _clipping(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    return signals.with_mag(np.clip(signals.reading.mag_mgauss, -theta[0], theta[0]))
-
-
 def _clipping_starts(misfit: Misfit) -> list[FloatArray]:
     measured = (misfit.signals.reading.mag_mgauss + misfit.residual.mag_mgauss)[misfit.rows]
     top = float(np.abs(measured).max()) if measured.size else 0.0
     return [np.array([max(level, 1.0)]) for level in (top, 0.97 * top, 0.9 * top)]
-
-
-def _quantisation(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    return signals.with_mag(np.round(signals.reading.mag_mgauss / theta[0]) * theta[0])
 
 
 def _noise(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
@@ -114,7 +106,7 @@ EFFECTS = (
         title="the sensor saturates",
         stage=Stage.SENSOR,
         parameters=(Parameter("limit_mgauss", "mG", 1.0, 20000.0, 400.0, 5.0),),
-        forward=_clipping,
+        forward=on_mag(lambda field, theta: np.clip(field, -theta[0], theta[0])),
         aliases=("axis_scale", "hard_iron"),
         separated_by="turn through more attitudes: plateaus show",
         source="raw = clip(field, -L, L)",
@@ -125,7 +117,7 @@ EFFECTS = (
         title="coarse steps of the numbers",
         stage=Stage.SENSOR,
         parameters=(Parameter("step_mgauss", "mG", 0.01, 100.0, 4.0, 1.0),),
-        forward=_quantisation,
+        forward=on_mag(lambda field, theta: np.round(field / theta[0]) * theta[0]),
         kind="integrity",
         aliases=("noise_excess",),
         separated_by="nothing is needed: the lattice of the numbers tells",
@@ -186,7 +178,6 @@ EFFECTS = (
             on_iron(False),
         ),
         forward=_cross_axis,
-        optional=frozenset({ON_IRON}),
         needs=frozenset({"turning", "tilt"}),
         aliases=("soft_iron",),
         separated_by="tumble, better in a stronger field",

@@ -110,13 +110,12 @@ EFFECTS = (
         parameters=(
             *axes(-1500.0, 1500.0, (80.0, 50.0, -40.0), 30.0, "mG"),
             Parameter("on_s", "s", -NEVER_S, NEVER_S, 30.0, 1.0),
-            Parameter("off_s", "s", -NEVER_S, NEVER_S, NEVER_S, 1.0),
+            Parameter("off_s", "s", -NEVER_S, NEVER_S, NEVER_S, 1.0, optional=True),
         ),
         forward=_forward,
         aliases=("hard_iron", "relay_field", "temperature_bias"),
         separated_by="repeat the action, and log the moment",
         source="raw = field + b for on <= t < off; a magnet of 3 cm distance makes 130 mG",
         starts=_starts,
-        optional=frozenset({"off_s"}),
     ),
 )

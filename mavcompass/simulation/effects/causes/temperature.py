@@ -6,7 +6,6 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects.effect import (
-    ON_IRON,
     Effect,
     Memory,
     Misfit,
@@ -102,6 +101,5 @@ EFFECTS = (
         source="raw = (1 + a (T - T0)) field; HMC1053: -2700 ppm/degC",
         starts=_sensitivity_starts,
         limits=_sensitivity_limits,
-        optional=frozenset({ON_IRON}),
     ),
 )

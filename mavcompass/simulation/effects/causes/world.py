@@ -297,8 +297,8 @@ EFFECTS = (
         parameters=(
             *axes(-1000.0, 1000.0, (1.0, 0.6, 0.3), 0.1, "m", ("north_m", "east_m", "down_m")),
             *axes(-1e4, 1e4, (40.0, -25.0, 60.0), 50.0, "mG m^3", _MOMENT),
-            Parameter("on_s", "s", -NEVER_S, NEVER_S, -NEVER_S, 1.0),
-            Parameter("off_s", "s", -NEVER_S, NEVER_S, NEVER_S, 1.0),
+            Parameter("on_s", "s", -NEVER_S, NEVER_S, -NEVER_S, 1.0, optional=True),
+            Parameter("off_s", "s", -NEVER_S, NEVER_S, NEVER_S, 1.0, optional=True),
         ),
         forward=_dipole,
         needs=frozenset({"position"}),
@@ -306,6 +306,5 @@ EFFECTS = (
         separated_by="pass the place again on another heading",
         source="(3 u (u . m) - m) / r^3",
         starts=_dipole_starts,
-        optional=frozenset({"on_s", "off_s"}),
     ),
 )
