@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mavcompass.errors import MavCompassError
+from mavcompass.vehicle.parameters.undo import remove_record
 
 Kind = Literal["calibration", "check", "undo", "gap"]
 
@@ -52,6 +53,7 @@ _FORGET = """
         WHERE kind = 'calibration' AND ok = 1 GROUP BY vehicle, device
     )
 """
+_UNDO_FILES = "SELECT undo_file FROM entry WHERE undo_file IS NOT NULL"
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +147,11 @@ class History:
         report: str | None = None,
         undo_file: str | None = None,
     ) -> int:
-        """Add an entry and return its number. Raises MavCompassError where the disk does not take it."""
+        """Add an entry and return its number; what is forgotten for it takes its undo files along.
+
+        Raises MavCompassError where the disk does not take it.
+        """
+        forgotten: set[str] = set()
         row = (made_at, kind, vehicle, int(ok), summary, json.dumps(document), report, undo_file)
         with self._transaction() as database:
             cursor = database.execute(
@@ -159,7 +165,11 @@ class History:
                 [(number, instance, device) for instance, device in compasses],
             )
             if number > MOST_ENTRIES:
+                named = _names(database)
                 database.execute(_FORGET, {"oldest": number - MOST_ENTRIES})
+                forgotten = named - _names(database)
+        for name in forgotten:
+            remove_record(Path(name))
         return number
 
     def attach_report(self, number: int, report: str) -> None:
@@ -170,8 +180,7 @@ class History:
     def undo_files(self) -> set[str]:
         """Return the undo files that entries name."""
         with self._lock:
-            rows = self._database.execute("SELECT undo_file FROM entry WHERE undo_file IS NOT NULL")
-            return {str(name) for (name,) in rows}
+            return _names(self._database)
 
     def entry(self, number: int) -> Entry | None:
         """Return one entry, None where there is none of this number."""
@@ -229,3 +238,7 @@ class History:
         """Close the file."""
         with self._lock:
             self._database.close()
+
+
+def _names(database: sqlite3.Connection) -> set[str]:
+    return {str(name) for (name,) in database.execute(_UNDO_FILES)}

@@ -11,6 +11,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -110,6 +111,13 @@ def save_record(record: UndoRecord, folder: Path) -> Path:
 def written_file(undo_file: Path) -> Path:
     """Return where the new values lie beside an undo file."""
     return undo_file.with_suffix(".new.param")
+
+
+def remove_record(undo_file: Path) -> None:
+    """Delete the files of a record; what the disk does not let go stays."""
+    for path in (undo_file, undo_file.with_suffix(".param"), written_file(undo_file)):
+        with suppress(OSError):
+            path.unlink()
 
 
 def load_record(path: Path) -> UndoRecord:

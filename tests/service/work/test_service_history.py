@@ -12,9 +12,17 @@ import pytest
 from mavcompass.errors import MavCompassError
 from mavcompass.service.work.history import History
 from mavcompass.service.work.results import _keep_latest
+from mavcompass.vehicle.parameters.undo import UndoRecord, load_record, save_record
 
 
-def add(history: History, day: int = 1, ok: bool = True, device: int = 7, vehicle: str = "boat") -> int:
+def add(
+    history: History,
+    day: int = 1,
+    ok: bool = True,
+    device: int = 7,
+    vehicle: str = "boat",
+    undo_file: str = "/nowhere/undo.json",
+) -> int:
     return history.add(
         "calibration",
         f"2026-05-{day:02d}T10:00:00+00:00",
@@ -23,7 +31,7 @@ def add(history: History, day: int = 1, ok: bool = True, device: int = 7, vehicl
         "fine",
         {"compasses": [{"instance": 1}]},
         [(1, device)],
-        undo_file="/tmp/undo.json",
+        undo_file=undo_file,
     )
 
 
@@ -38,7 +46,7 @@ def test_what_was_added_is_there_after_a_restart(tmp_path: Path) -> None:
     assert entry.document == {"compasses": [{"instance": 1}]}
     assert entry.compasses == ((1, 7),)
     assert entry.head()["has_report"]
-    assert entry.head()["undo_file"] == "/tmp/undo.json"
+    assert entry.head()["undo_file"] == "/nowhere/undo.json"
     assert history.entry(99) is None
     history.close()
 
@@ -118,6 +126,25 @@ def test_the_oldest_entries_go_but_not_what_a_compass_was_last_calibrated_with(
     latest = history.latest_calibration("boat", 7)
     assert latest is not None and latest.id == last
     assert history.entry(old) is None and history.entry(failed) is None
+    history.close()
+
+
+def test_an_undo_file_lives_as_long_as_an_entry_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mavcompass.service.work.history.MOST_ENTRIES", 3)
+    history = History(tmp_path / "history.db")
+    folder = tmp_path / "undo"
+    record = UndoRecord("2026-05-01T00:00:00+00:00", "ardupilot", "sim:rover", {"A": 1.0}, {"A": 2.0}, {})
+    by_hand, twice, in_force, once, *newest = (save_record(record, folder) for _ in range(7))
+    for undo_file in (twice, in_force, once, twice, *newest[:2]):
+        add(history, ok=undo_file == in_force, undo_file=str(undo_file))
+    named = {Path(name) for name in history.undo_files()}
+    assert named == {twice, in_force, *newest[:2]}
+    assert set(folder.glob("*.json")) == {by_hand, newest[2], *named}
+    assert all(load_record(path) == record for path in named)
+    add(history, ok=False, undo_file=str(newest[2]))
+    assert not list(folder.glob(f"{twice.stem}.*"))
     history.close()
 
 
