@@ -4,9 +4,9 @@
     python scripts/campaigns/mutants.py --mutant mavcompass/frames.py#17      # one again
 
 Places are drawn evenly over the code of the rooms: an operator, a comparison, a condition, a number, what is
-returned. For each the tests of its own room are run, and where these are content, those that run its line,
-the quickest first, if `scripts/coverage` has found which they are, the nearest other tests otherwise;
-`--longest` seconds of both. The mutant is caught when one fails or hangs. Slower tests might notice more: the
+returned. For each the tests of its own room are run, and where these are content, the nearest others,
+`--longest` seconds of both; of both those that run its line, the quickest first, if `scripts/coverage` has
+found which they are. The mutant is caught when one fails or hangs. Slower tests might notice more: the
 share is a lower bound. Works in a copy; nothing here is changed. Exit code 1 below `--least` percent.
 """
 
@@ -165,9 +165,12 @@ class Trial:
     def _stages(self, site: Site) -> Iterator[list[str]]:
         """Give the tests of the place's own room, then others."""
         near, others = nearest(self.root, site.path)
-        yield near
         if self._covering is not None:
-            others = [t for t in self._covering.tests(site, self.longest_s) if not t.startswith(_UNFIT)]
+            files = frozenset(near)
+            tests = [t for t in self._covering.tests(site) if not t.startswith(_UNFIT)]
+            near = [t for t in tests if t.partition("::")[0] in files]
+            others = [t for t in tests if t.partition("::")[0] not in files]
+        yield near
         yield others
 
     def _is_noticed_by(self, tests: list[str], site: Site, text: str, number: int) -> bool:

@@ -30,8 +30,8 @@ class Covering:
         for name in self.seconds:
             self._of_file[name.partition("::")[0]].add(name)
 
-    def tests(self, site: Site, longest_s: float) -> list[str]:
-        """Return the tests that run a place, the quickest first, as many as fit into so many seconds."""
+    def tests(self, site: Site) -> list[str]:
+        """Return the tests that run a place, the quickest first."""
         lines = self._data.contexts_by_lineno(str(self.project / site.path))
         # What a file does when it is loaded matters to whoever runs anything of it.
         wanted = [site.line] if site.in_function else list(lines)
@@ -42,10 +42,4 @@ class Covering:
                 found.add(name)
             elif phase == "file":  # a fixture of all its tests
                 found |= self._of_file[name]
-        chosen, sum_s = [], 0.0
-        for name in sorted(found, key=lambda name: self.seconds[name]):
-            sum_s += self.seconds[name]
-            if chosen and sum_s > longest_s:
-                break
-            chosen.append(name)
-        return chosen
+        return sorted(found, key=lambda name: self.seconds[name])

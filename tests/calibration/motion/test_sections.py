@@ -59,6 +59,29 @@ def test_a_gap_begins_another(gap_s: float, is_cut: bool) -> None:
     assert (begins[1] < 5.0) is is_cut and visits[-1] == is_cut
 
 
+LONG = np.arange(0.0, 800.0, 0.1)
+CHANCE = np.random.default_rng(1)
+RESTLESS = {
+    "turns": {"angle": np.radians(10.0) * LONG},
+    "leans": {
+        "down": np.stack([np.cos(0.1 * LONG), np.sin(0.1 * LONG), 0.0 * LONG + 1.0], 1) / math.sqrt(2.0)
+    },
+    "draws current": {"load": np.repeat(CHANCE.uniform(0.0, 10.0, LONG.size // 25), 25)},
+    "is heard now and then": {
+        "time": LONG + np.repeat(np.cumsum(CHANCE.uniform(0.5, 9.0, LONG.size // 20)), 20)
+    },
+}
+
+
+@pytest.mark.parametrize("what", RESTLESS)
+def test_what_never_rests_is_cut_more_coarsely_but_no_more_than_need_be(what: str) -> None:
+    changed = RESTLESS[what]
+    time = changed.get("time", LONG)
+    rest = {"time": time, "angle": 0.0 * time, "down": np.tile(LEVEL[0], (time.size, 1)), "load": 0.0 * time}
+    begins, _ = cut(**{**rest, **changed})
+    assert 110 <= len(begins) <= 160
+
+
 def track(kind: str, force: bool = True) -> Track:
     return Track(vehicle=kind, acc_mps2=Series.of(TIME, LEVEL) if force else None)
 

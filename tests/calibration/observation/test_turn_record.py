@@ -264,3 +264,19 @@ def test_a_creep_of_the_field_is_known_to_its_noise_and_its_step() -> None:
     again = 3.0 * np.where(np.arange(201) % 2, 1.0, -1.0)[:, np.newaxis] * np.ones(3)
     assert _slope(often, again, 0.0)[1] == pytest.approx(sigma, rel=0.03)
     assert _slope(np.ones(5), np.zeros((5, 3)), 0.0)[1] == math.inf
+
+
+@pytest.mark.parametrize("leans", [0.0, 0.4])
+def test_what_roll_and_pitch_witness_is_the_walk_of_the_sum(leans: float) -> None:
+    time = np.arange(0.0, 400.0, 0.04)
+    chance = np.random.default_rng(5)
+    shaking = 0.5 * np.where(np.arange(time.size) % 2, 1.0, -1.0)[:, np.newaxis] * np.ones(3)
+    walking = chance.normal(0.0, 0.01, (time.size, 3))
+    # Turning at a steady lean: what the gyro reads then neither rolls nor pitches.
+    leaning = np.tile([leans, 0.5 * leans, 0.0], (time.size, 1))
+    roll, pitch, _ = leaning[0]
+    down = np.array([-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch)])
+    track = gyro_of(shaking + walking + 0.3 * down, time, attitude_rad=Series.of(time, leaning))
+    turn = turn_record(track)
+    assert turn is not None
+    assert turn.walk_rad == pytest.approx(0.01 * math.sqrt(0.04), rel=0.15)

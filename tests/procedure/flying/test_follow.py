@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega
 
 from mavcompass import messages as mav
 from mavcompass.enums import MavCmd, MavFrame, MavParamType
@@ -65,6 +66,16 @@ def test_rates_are_like_those_of_the_recording() -> None:
     assert as_px4[26] == 20.0 and 27 not in as_px4 and as_px4[105] == 0.0
     slow, fast = FlightRates.like(1.0).by_message, FlightRates.like(400.0).by_message
     assert (slow[27], slow[30], slow[32]) == (5.0, 10.0, 5.0) and (fast[27], fast[32]) == (50.0, 10.0)
+
+
+def test_rates_are_asked_for_by_the_numbers_of_the_protocol() -> None:
+    names = (
+        "ATTITUDE RAW_IMU SCALED_IMU SCALED_PRESSURE LOCAL_POSITION_NED GLOBAL_POSITION_INT VFR_HUD"
+        " SERVO_OUTPUT_RAW GPS_RAW_INT SYS_STATUS BATTERY_STATUS EKF_STATUS_REPORT"
+    )
+    numbers = {getattr(ardupilotmega, f"MAVLINK_MSG_ID_{name}") for name in names.split()}
+    assert set(FlightRates.like(20.0).by_message) == numbers
+    assert set(FlightRates.like(20.0).of("px4")) - numbers == {ardupilotmega.MAVLINK_MSG_ID_HIGHRES_IMU}
 
 
 def test_a_clock_that_stands_still_is_noticed() -> None:

@@ -20,10 +20,12 @@ def waiting(
     tilts_until_s: float = 0.0,
     wanders_m: float = 0.0,
     grows: float = 1.0,
+    lat_deg: float | None = None,
 ) -> tuple[Machine[float], list[str]]:
     """Let a copter fly off, doubt its compass or tilt until some time; the machine tells how long it waited.
 
-    One that wanders goes to and fro for ever, faster than a copter at rest, each time by `grows` as far.
+    One that wanders goes to and fro for ever, faster than a copter at rest, each time by `grows` as far:
+    north of the equator, or at `lat_deg` to the east.
     """
     state, rest = VehicleState(), Rest()
     shown: list[str] = []
@@ -39,11 +41,12 @@ def waiting(
         north_m = 1.2 * min(time_s, swings_until_s)
         north_m += 0.5 * wanders_m * grows ** (time_s / 6.0) * math.sin(2.0 * math.pi * time_s / 6.0)
         variance = 1.2 if time_s < doubts_until_s else 0.1
-        state.hear(
-            mav.Incoming(
-                time_s, 1, 1, mav.GlobalPositionInt(lat=round(north_m / 111_319.5 * 1e7), vx=speed_cmps)
-            )
-        )
+        degrees = north_m / 111_319.5
+        lat, lon = degrees, 7.0
+        if lat_deg is not None:
+            lat, lon = lat_deg, 7.0 + degrees / math.cos(math.radians(lat_deg))
+        place = mav.GlobalPositionInt(lat=round(1e7 * lat), lon=round(1e7 * lon), vx=speed_cmps)
+        state.hear(mav.Incoming(time_s, 1, 1, place))
         state.hear(mav.Incoming(time_s, 1, 1, mav.EkfStatusReport(compass_variance=variance)))
         rest.why_not = "tilting" if time_s < tilts_until_s else ""
         shown += [action.text for action in machine.step(Tick(time_s)) if isinstance(action, Show)]
@@ -69,8 +72,9 @@ def test_one_that_doubts_its_compass_is_waited_for_a_while() -> None:
     assert waiting(doubts_until_s=60.0)[0].result == pytest.approx(10.0, abs=0.3)
 
 
-def test_one_that_wanders_about_its_place_holds_it_as_well_as_it_can() -> None:
-    machine, shown = waiting(wanders_m=1.2)
+@pytest.mark.parametrize("lat_deg", [None, 0.0, -60.0])
+def test_one_that_wanders_about_its_place_holds_it_as_well_as_it_can(lat_deg: float | None) -> None:
+    machine, shown = waiting(wanders_m=1.2, lat_deg=lat_deg)
     assert machine.result == pytest.approx(12.0, abs=0.5)
     assert shown[-1] == "The copter wanders by 1.2 m; it holds its place so well."
 
