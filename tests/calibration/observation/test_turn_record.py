@@ -266,17 +266,19 @@ def test_a_creep_of_the_field_is_known_to_its_noise_and_its_step() -> None:
     assert _slope(np.ones(5), np.zeros((5, 3)), 0.0)[1] == math.inf
 
 
-@pytest.mark.parametrize("leans", [0.0, 0.4])
-def test_what_roll_and_pitch_witness_is_the_walk_of_the_sum(leans: float) -> None:
-    time = np.arange(0.0, 400.0, 0.04)
-    chance = np.random.default_rng(5)
-    shaking = 0.5 * np.where(np.arange(time.size) % 2, 1.0, -1.0)[:, np.newaxis] * np.ones(3)
-    walking = chance.normal(0.0, 0.01, (time.size, 3))
-    # Turning at a steady lean: what the gyro reads then neither rolls nor pitches.
-    leaning = np.tile([leans, 0.5 * leans, 0.0], (time.size, 1))
-    roll, pitch, _ = leaning[0]
-    down = np.array([-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch)])
-    track = gyro_of(shaking + walking + 0.3 * down, time, attitude_rad=Series.of(time, leaning))
-    turn = turn_record(track)
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.4, -0.3)])
+def test_what_roll_and_pitch_witness_is_the_walk_of_the_sum(roll: float, pitch: float) -> None:
+    time = np.arange(0.0, 40.0, 0.04)
+    shaking = 0.5 * np.where(np.arange(time.size) % 2, 1.0, -1.0)
+    # It turns at a steady lean; summed, it rolls and pitches by 0.02 in most stretches of two seconds.
+    off, turning = 0.01 * (time // 2.0 % 3.0 - 1.0), 0.3
+    rates = [
+        off - turning * math.sin(pitch),
+        off * math.cos(roll) + turning * math.cos(pitch) * math.sin(roll),
+        -off * math.sin(roll) + turning * math.cos(pitch) * math.cos(roll),
+    ]
+    attitude = Series.of(time, np.tile([roll, pitch, 0.0], (time.size, 1)))
+    turn = turn_record(gyro_of(np.stack(rates, 1) + shaking[:, np.newaxis], time, attitude_rad=attitude))
     assert turn is not None
-    assert turn.walk_rad == pytest.approx(0.01 * math.sqrt(0.04), rel=0.15)
+    # A normal walk is within 0.6745 sigma half of the time.
+    assert turn.walk_rad == pytest.approx(0.02 / 0.6745 / math.sqrt(2.0), rel=0.03)
