@@ -286,6 +286,21 @@ def test_the_result_is_json() -> None:
         "positions",
         "parameters",
     } <= set(entry)
+    c = result.correction
+    assert entry["correction"] == {
+        "offsets_mgauss": list(c.offsets_mgauss),
+        "diagonals": list(c.diagonals),
+        "off_diagonals": list(c.off_diagonals),
+        "scale": c.scale,
+    }
+    assert entry["raw_offset_mgauss"] == list(result.raw_offset_mgauss)
+    for name in ("residual_rms_mgauss", "heading_sigma_deg", "heading_change_deg", "heading_change_max_deg"):
+        assert entry[name] == getattr(result, name)
+    field = {"horizontal": result.horizontal_mgauss, "vertical": result.vertical_mgauss}
+    assert entry["field_mgauss"] == field
+    assert entry["heading_error_budget_deg"] == result.heading_budget_deg
+    matrix = np.array(entry["covariance"]["matrix"], dtype=np.float64)
+    assert np.array_equal(matrix, result.covariance, equal_nan=True)
     assert len(entry["covariance"]["names"]) == len(entry["covariance"]["matrix"])
     assert "offset_z" in entry["not_observable"] or entry["covariance"]["matrix"][2][2] < 100.0
     card = entry["deviation_card"]

@@ -13,7 +13,7 @@ from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turnin
 from mavcompass.calibration import calibrate_compasses, calibrate_track
 from mavcompass.calibration.model import level_to_body
 from mavcompass.calibration.motion.fit import fit_motion
-from mavcompass.calibration.motion.observed import observe_motion
+from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
@@ -55,6 +55,17 @@ def test_sections_without_noise_give_the_iron_back_exactly() -> None:
     correction = FieldCorrection.from_matrix(-fit.offset_mgauss, np.linalg.inv(fit.gain))
     assert fit.model_mgauss == 0.0
     assert rms(heading_errors(correction, iron)) < 0.03
+
+
+def test_halves_that_differ_by_more_than_two_sigmas_widen_the_claim(monkeypatch: pytest.MonkeyPatch) -> None:
+    track, claims = driven(iron_of(STRONG), noise=30.0), []
+    for ratio in (0.0, 1.9, 2.1, 4.2):
+        monkeypatch.setattr(Motion, "halves_ratio", lambda _, ratio=ratio: ratio)
+        claims.append(calibrate_track(track, "world-field", earth=FIELD))
+    alike_deg, nearly_deg, apart_deg, further_deg = (claim.heading_sigma_deg for claim in claims)
+    assert nearly_deg == alike_deg
+    noise_deg = claims[0].heading_budget_deg["noise"]
+    assert (apart_deg, further_deg) == pytest.approx((2.1 * noise_deg, 4.2 * noise_deg))
 
 
 @pytest.mark.parametrize("first_deg", [0.0, 77.0, 181.0, 300.0])

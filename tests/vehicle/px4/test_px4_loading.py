@@ -32,6 +32,12 @@ def test_what_disarming_has_overwritten_is_written_again() -> None:
     assert any("had put other values" in show.text for show in radio.shown)
 
 
+def test_where_no_offset_was_written_nothing_is_made_to_load() -> None:
+    radio = Radio(PX4Vehicle(px4_parameters(**NEW)))
+    assert radio.run(lambda context: load(context, {"CAL_MAG0_XSCALE": 0.9})) == ""
+    assert not any(isinstance(message, ParamSet) for message in radio.sent)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_px4_sees_another_calibration_and_then_the_right_one(seed: int) -> None:
     vehicle = PX4Vehicle(px4_parameters(**NEW))
