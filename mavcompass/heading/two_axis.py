@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mavcompass.frames import FloatArray, wrap_two_pi
-from mavcompass.heading.compute import level_heading, tilt_compensated_heading
+from mavcompass.heading.compute import tilt_compensated_heading
 
 _LEVEL_RAD = math.radians(2.0)
 _GAIN = 0.02
@@ -118,7 +118,6 @@ class TwoAxisCompass:
 
     def __init__(self, total_mgauss: float, inclination_rad: float) -> None:
         self.total_mgauss = total_mgauss
-        self._inclination_rad = inclination_rad
         self._vertical = total_mgauss * math.sin(inclination_rad)
 
     def update(self, x_mgauss: float, y_mgauss: float, roll_rad: float, pitch_rad: float) -> float:
@@ -126,13 +125,6 @@ class TwoAxisCompass:
         if max(abs(roll_rad), abs(pitch_rad)) < _LEVEL_RAD:
             measured = math.sqrt(x_mgauss**2 + y_mgauss**2 + self._vertical**2)
             self.total_mgauss += _GAIN * (measured - self.total_mgauss)
-            return (
-                float(level_heading((x_mgauss, y_mgauss)))
-                if roll_rad == pitch_rad == 0.0
-                else self._heading(x_mgauss, y_mgauss, roll_rad, pitch_rad)
-            )
-        return self._heading(x_mgauss, y_mgauss, roll_rad, pitch_rad)
-
-    def _heading(self, x: float, y: float, roll: float, pitch: float) -> float:
         inclination = math.asin(max(-1.0, min(1.0, self._vertical / self.total_mgauss)))
-        return float(two_axis_heading((x, y), roll, pitch, self.total_mgauss, inclination))
+        field = (x_mgauss, y_mgauss)
+        return float(two_axis_heading(field, roll_rad, pitch_rad, self.total_mgauss, inclination))

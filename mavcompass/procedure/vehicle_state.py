@@ -7,10 +7,14 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
+from mavcompass.earth_field import EarthField, decimal_year, earth_field
 from mavcompass.enums import MavModeFlag
 from mavcompass.errors import NoVehicle
 from mavcompass.messages.kinds import AUTOPILOTS, VEHICLES, Kind
 from mavcompass.procedure.script import Context, Script
+
+# Clocks that were never set begin at zero, or at a date of their firmware.
+_NOT_DATED_US = 1_400_000_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +97,6 @@ class VehicleState:
 
     heard_s: float = float("-inf")
     heartbeat: mav.Heartbeat | None = None
-    heartbeat_s: float = float("-inf")
     attitude: mav.Attitude | None = None
     place: mav.GlobalPositionInt | None = None
     local: mav.LocalPositionNed | None = None
@@ -112,7 +115,7 @@ class VehicleState:
         message = heard.message
         match message:
             case mav.Heartbeat():
-                self.heartbeat, self.heartbeat_s = message, heard.time_s
+                self.heartbeat = message
             case mav.Attitude(roll=roll, pitch=pitch) if math.isfinite(roll) and math.isfinite(pitch):
                 self.attitude = message
             case mav.GlobalPositionInt(lat=lat, lon=lon) if abs(lat) <= 900_000_000 >= abs(lon) // 2:
@@ -145,3 +148,16 @@ class VehicleState:
     def mode(self) -> int:
         """Return the autopilot's own number of its mode, -1 while none is known."""
         return -1 if self.heartbeat is None else self.heartbeat.custom_mode
+
+    def world(self, year: float) -> EarthField | None:
+        """Return the Earth's field at the vehicle, None where it does not know its place.
+
+        `year` (decimal) is used where it does not know the date.
+        """
+        place, utc = self.place, self.utc
+        if place is None or not (place.lat or place.lon):
+            return None
+        if utc is not None and utc.time_unix_usec > _NOT_DATED_US:
+            year = decimal_year(utc.time_unix_usec * 1e-6)
+        lat_deg, lon_deg = round(place.lat * 1e-7, 2), round(place.lon * 1e-7, 2)
+        return earth_field(lat_deg, lon_deg, place.alt * 1e-3, round(year, 2))

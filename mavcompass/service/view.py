@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
 from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, px4_name, px4_rotation
-from mavcompass.earth_field import EarthField, decimal_year, earth_field
+from mavcompass.earth_field import EarthField
 from mavcompass.heading.live import UNKNOWN_CALIBRATION_SIGMA_RAD, Heading, Level, LiveCompass
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 from mavcompass.service.watch import Glance
@@ -21,7 +21,7 @@ GONE_S = 2.0
 _REBOOT_S = 2.0
 _PREFERRED_SILENCE_S = 1.0
 _COURSE_UNKNOWN = 65535
-_IMU = (mav.RawImu, mav.ScaledImu)
+_NEAR_1E7_DEG = 1_000_000  # a tenth of a degree, as GLOBAL_POSITION_INT counts
 
 
 @dataclass(slots=True)
@@ -49,7 +49,7 @@ class VehicleView:
     reconnects: int = 0
     reboots: int = 0
     _preferred_s: float = -math.inf
-    _world_at: tuple[float, float] | None = None
+    _world_at: mav.GlobalPositionInt | None = None
 
     def hear(self, heard: mav.Incoming) -> Heading | None:
         """Take one message; the heading, where it brought one."""
@@ -62,7 +62,7 @@ class VehicleView:
             return self._scaled(heard.time_s, message)  # type: ignore[arg-type]
         self.state.hear(heard)
         if kind is mav.GlobalPositionInt:
-            self._place(message)  # type: ignore[arg-type]
+            self._look_up_world(message)  # type: ignore[arg-type]
         return None
 
     def _raw(self, time_s: float, imu: mav.RawImu) -> Heading | None:
@@ -114,22 +114,14 @@ class VehicleView:
         self.fresh = False
         self.level.restart()
 
-    def _place(self, place: mav.GlobalPositionInt) -> None:
+    def _look_up_world(self, place: mav.GlobalPositionInt) -> None:
         """Look up the Earth's field; again after ten kilometres."""
-        if not place.lat and not place.lon:
-            return
-        here = (place.lat * 1e-7, place.lon * 1e-7)
         known = self._world_at
-        if known is not None and max(abs(here[0] - known[0]), abs(here[1] - known[1])) < 0.1:
+        if known is not None and max(abs(place.lat - known.lat), abs(place.lon - known.lon)) < _NEAR_1E7_DEG:
             return
-        if not (abs(here[0]) <= 90.0 and abs(here[1]) <= 180.0):
+        if (world := self.state.world(self.year)) is None:
             return
-        self._world_at = here
-        utc = self.state.utc
-        dated = utc is not None and utc.time_unix_usec > 1_400_000_000_000_000
-        year = decimal_year(utc.time_unix_usec * 1e-6) if utc is not None and dated else self.year
-        lat_deg, lon_deg = round(here[0], 2), round(here[1], 2)
-        self.world = earth_field(lat_deg, lon_deg, place.alt * 1e-3, round(year, 2))
+        self.world, self._world_at = world, place
         for compass in self.compasses.values():
             compass.set_world(self.world)
 

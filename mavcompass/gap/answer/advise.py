@@ -19,7 +19,6 @@ from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 _RATE_HZ = 10.0
-_ENOUGH = 9.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ _MOST_LAGS = 4
 _MEMORIES, _FEWEST_MEMORIES = (10, 20, 40, 80, 160, 320), 12
 _GAINS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3)
 # The response to an innovation has died away after so many readings; correlation is told for so many lags.
-_RESPONSE, _LAGS, _SLOWEST = 2000, 25, 0.995
+_RESPONSE, _LAGS = 2000, 25
 # Data sheets state 2 to 4 mG (HMC5883L, QMC5883L, IST8310); no healthy compass scatters by more than ten.
 USUAL_SCATTER_MGAUSS = 4.0
 WORST_SCATTER_MGAUSS = 10.0

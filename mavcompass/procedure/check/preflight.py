@@ -15,7 +15,7 @@ import numpy as np
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import Dwell, assemble, dwell_between
-from mavcompass.earth_field import EarthField, decimal_year, earth_field
+from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
@@ -203,13 +203,7 @@ class _Checker:
 
     def world(self) -> EarthField | None:
         """Return the Earth's field at the vehicle, None where it does not know its place."""
-        place, utc = self.desk.state.place, self.desk.state.utc
-        if place is None or (place.lat == 0 and place.lon == 0):
-            return None
-        known = utc is not None and utc.time_unix_usec > 1_400_000_000_000_000
-        year = decimal_year(utc.time_unix_usec * 1e-6) if utc is not None and known else self.settings.year
-        lat_deg, lon_deg = round(place.lat * 1e-7, 2), round(place.lon * 1e-7, 2)
-        return earth_field(lat_deg, lon_deg, place.alt * 1e-3, round(year, 2))
+        return self.desk.state.world(self.settings.year)
 
     # --- the turn -----------------------------------------------------------------------------------
 

@@ -32,7 +32,6 @@ class ReplayedAutopilot:
         self, played: Iterable[Played], contents: Contents, alterations: Alterations | None = None
     ) -> None:
         self.time_s = 0.0
-        self.contents = contents
         self._alter = (alterations or Alterations()).begin()
         self._coming: Iterator[Played] = iter(played)
         self._next = next(self._coming, None)

@@ -10,14 +10,16 @@ import pytest
 
 from mavcompass import messages as mav
 from mavcompass.earth_field import earth_field
+from mavcompass.enums import MavModeFlag
 from mavcompass.errors import Refused
 from mavcompass.procedure.check import CheckSettings
 from mavcompass.procedure.check.items import CheckItem, Reading
 from mavcompass.procedure.check.preflight import _Checker, _down
 from mavcompass.procedure.script import Context, Machine, Tick
+from mavcompass.procedure.vehicle_state import VehicleState
 
 
-def checker(turn: str, armed: bool = False, kind: str = "rover", refuses: bool = False) -> _Checker:
+def checker(turn: str, armed: bool = False, kind: str = "rover") -> _Checker:
     def take_charge(context: Any, parameters: Any) -> Any:
         yield context.now
         raise Refused("The vehicle is in MANUAL.", "Switch it.")
@@ -25,7 +27,7 @@ def checker(turn: str, armed: bool = False, kind: str = "rover", refuses: bool =
     desk: Any = SimpleNamespace(
         context=Context(),
         identity=SimpleNamespace(kind=kind, autopilot="ardupilot"),
-        state=SimpleNamespace(armed=armed, place=None, utc=None),
+        state=VehicleState(heartbeat=mav.Heartbeat(base_mode=MavModeFlag.SAFETY_ARMED * armed)),
         parameters={},
         mobility=lambda wishes: SimpleNamespace(take_charge=take_charge),
     )
