@@ -86,6 +86,18 @@ class Figures:
     faults: list[str] = field(default_factory=list)
 
 
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """Keep of a calibration what is judged: all of it weighs 44 kB, as if the service grew."""
+
+    number: int
+    ok: bool
+    finished: bool
+    entry: int | None
+    error: str
+    on_full_disk: bool
+
+
 class UnreliableLink(SimulatedLink):
     """A link that is cut between given times; it notes what reports got through."""
 
@@ -146,8 +158,9 @@ class Soak:
         self.vehicle = SimulatedAutopilot("rover", seed=seed)
         self.link = UnreliableLink(self.vehicle, list(windows))
         self.figures = Figures(cuts=cuts, reboots=reboots)
-        self._tasks: list[Task] = []
-        self._on_full_disk: list[Task] = []
+        self._task: Task | None = None
+        self._is_full = False
+        self._ended: list[Ended] = []
         self._rearm_at: float | None = None
         self._waiting_since: float | None = None
         self._seen_boots = 0
@@ -214,18 +227,23 @@ class Soak:
             self.steps_at.pop(0)
             self.figures.clock_steps += 1
             self._step_s = self._chance.uniform(-_LARGEST_STEP_S, _LARGEST_STEP_S)
-        if self._on_full_disk and self._on_full_disk[-1].finished:
+        if self._is_full and self._task is not None and self._task.finished:
             fill_disk(None)
         if self.calibrations_at and now_s >= self.calibrations_at[0] and not station.desk.busy:
             self.calibrations_at.pop(0)
             self.vehicle.board.consumed_mah = 0.0  # another battery: nobody turns what has none left
             request = CalibrationRequest(motion="vehicle", writing="yes")
-            full = len(self._tasks) in self.full_disks
-            fill_disk(_ROOM[len(self._on_full_disk) % len(_ROOM)] if full else None)
-            task = station.desk.submit(request, "http", clock.utc_now())
-            if full:
-                self._on_full_disk.append(task)
-            self._tasks.append(task)
+            self._note_the_end()
+            self._is_full = len(self._ended) in self.full_disks
+            before = sum(ended.on_full_disk for ended in self._ended)
+            fill_disk(_ROOM[before % len(_ROOM)] if self._is_full else None)
+            self._task = station.desk.submit(request, "http", clock.utc_now())
+
+    def _note_the_end(self) -> None:
+        if (task := self._task) is not None:
+            self._ended.append(
+                Ended(task.number, task.ok, task.finished, task.entry, task.error, self._is_full)
+            )
 
     def _heading_published(self, now_s: float) -> None:
         if self._waiting_since is not None:
@@ -259,16 +277,17 @@ class Soak:
 
     def _judge(self, history: History) -> None:
         figures = self.figures
-        entries = history.entries("calibration", limit=10_000)
-        figures.calibrations = len(self._tasks)
+        self._note_the_end()
+        ended, entries = self._ended, history.entries("calibration", limit=10_000)
+        figures.calibrations = len(ended)
         figures.written = sum(entry.ok for entry in entries)
-        figures.interrupted = sum(task.state == "failed" for task in self._tasks)
-        figures.endings = [task.error or ("written" if task.ok else "not accepted") for task in self._tasks]
+        figures.interrupted = sum(bool(e.error) for e in ended)
+        figures.endings = [e.error or ("written" if e.ok else "not accepted") for e in ended]
         if figures.warm_mb:
             figures.growth_percent = 100.0 * (figures.end_mb / figures.warm_mb - 1.0)
-        figures.on_full_disk = len(self._on_full_disk)
+        figures.on_full_disk = sum(e.on_full_disk for e in ended)
         kept = {entry.id for entry in entries}
-        lost = [t.number for t in self._tasks if t.entry not in kept and t not in self._on_full_disk]
+        lost = [e.number for e in ended if e.entry not in kept and not e.on_full_disk]
         if lost:
             figures.faults.append(f"calibrations {lost} are missing in the history")
         undone = [entry.id for entry in entries if entry.ok and not has_undo(entry)]
@@ -277,13 +296,13 @@ class Soak:
         figures.undo_files = sum(entry.undo_file is not None for entry in entries)
         if figures.recordings > _MOST_RECORDINGS:
             figures.faults.append(f"{figures.recordings} recordings were kept")
-        unfinished = [task.number for task in self._tasks if not task.finished]
+        unfinished = [e.number for e in ended if not e.finished]
         if unfinished:
             figures.faults.append(f"calibrations {unfinished} never ended")
-        if len(self.link.reports) < len(self._tasks):
-            figures.faults.append(f"{len(self._tasks)} calibrations, {len(self.link.reports)} reports sent")
-        if figures.written < _LEAST_WRITTEN * (len(self._tasks) - figures.on_full_disk):
-            figures.faults.append(f"{figures.written} of {len(self._tasks)} calibrations were written")
+        if len(self.link.reports) < len(ended):
+            figures.faults.append(f"{len(ended)} calibrations, {len(self.link.reports)} reports sent")
+        if figures.written < _LEAST_WRITTEN * (len(ended) - figures.on_full_disk):
+            figures.faults.append(f"{figures.written} of {len(ended)} calibrations were written")
         if figures.slowest_reconnect_s >= 2.0:
             figures.faults.append(f"a reconnect took {figures.slowest_reconnect_s:.1f} s")
         if figures.growth_percent > _MOST_GROWTH_PERCENT:

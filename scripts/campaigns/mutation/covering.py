@@ -43,3 +43,7 @@ class Covering:
             elif phase == "file":  # a fixture of all its tests
                 found |= self._of_file[name]
         return sorted(found, key=lambda name: self.seconds[name])
+
+    def is_older_than(self, file: str) -> bool:
+        """Tell whether a file of tests was changed since."""
+        return (self.project / file).stat().st_mtime > (self.project / ".coverage").stat().st_mtime
