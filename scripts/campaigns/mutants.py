@@ -6,7 +6,7 @@
 Places are drawn evenly over the code of the rooms: an operator, a comparison, a condition, a number, what is
 returned. For each the tests of its own room are run, and where these are content, the nearest others,
 `--longest` seconds of both; of both those that run its line, the quickest first, if `scripts/coverage` has
-found which they are (and, of the room's own, files that were changed since). The mutant is caught when one fails or hangs. Slower tests might notice more: the
+found which they are. The mutant is caught when one fails or hangs. Slower tests might notice more: the
 share is a lower bound. Works in a copy; nothing here is changed. Exit code 1 below `--least` percent.
 """
 
@@ -168,8 +168,9 @@ class Trial:
         if self._covering is not None:
             files = frozenset(near)
             tests = [t for t in self._covering.tests(site) if not t.startswith(_UNFIT)]
-            younger = [t for t in near if self._covering.is_older_than(t)]
-            near = [t for t in tests if t.partition("::")[0] in files] + younger
+            # Who reads a table, or was written since, is not seen to run its line.
+            unseen = [t for t in near if not site.in_function or self._covering.is_older_than(t)]
+            near = [t for t in tests if t.partition("::")[0] in files.difference(unseen)] + unseen
             others = [t for t in tests if t.partition("::")[0] not in files]
         yield near
         yield others
