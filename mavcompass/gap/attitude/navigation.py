@@ -52,6 +52,7 @@ _SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S = 0.005, 0.08, 0.1
 _UNKNOWN_YAW_RAD, _UNKNOWN_V_MPS = math.radians(60.0), 100.0
 # A receiver's errors last for a second or so; a velocity that nobody tells, for ten.
 _RECEIVER_MEMORY_S, _VELOCITY_MEMORY_S, _OUTLIER = 1.0, 10.0, 2.5
+_BORNE_OUT = 2.0
 _VELOCITIES_MPS = (0.2, 0.6, 2.0, 6.0)
 # An autopilot's level is made of the same sensors, and its filter errs as the vehicle turns: it bounds the
 # level, and carries it over what was lost.
@@ -98,6 +99,7 @@ class Smoothed:
         rotation: body to NED, (N, 3, 3). rate_radps: without the gyro's bias and scale error, (N, 3).
         gyro_bias: mean over the recording, and its standard deviation.
         knots_s: some of the times, (M,). covariance: of the rotation vectors in world axes there, (3 M, 3 M).
+        borne_out: False where a receiver's velocity is contradicted.
     """
 
     rotation: FloatArray
@@ -105,6 +107,7 @@ class Smoothed:
     gyro_bias: Bias
     knots_s: FloatArray
     covariance: FloatArray
+    borne_out: bool
 
 
 def smoothed_attitude(
@@ -136,7 +139,7 @@ def smoothed_attitude(
     middle = np.array([smoother.knots.size // 2])
     sigma = np.sqrt(np.diag(solved.covariance(middle, _BIAS.stop))[_BIAS])
     found = Bias(bias.mean + change, sigma)
-    return Smoothed(rotation, rate, found, smoother.knots[some], covariance)
+    return Smoothed(rotation, rate, found, smoother.knots[some], covariance, smoother.bears_out(solved))
 
 
 def believable(smoothed: Smoothed, bias: Bias) -> bool:
@@ -241,6 +244,15 @@ class _Smoother:
     def excess(self, solved: Solved) -> float:
         """Return how much larger a receiver's errors are than stated, as a variance, at least 1."""
         return 1.0 if self.seen is None else max(1.0, float(np.median(self._left(solved) ** 2)) / 0.455)
+
+    def bears_out(self, solved: Solved) -> bool:
+        """Tell whether a receiver's level velocity leaves less than it varies by, or twice its errors."""
+        if self.seen is None:
+            return True
+        left = np.abs(self._left(solved)[:, :2])
+        varies = self.seen.mean_mps[:, :2] - self.seen.mean_mps[:, :2].mean(axis=0)
+        least = np.maximum(np.median(np.abs(varies), axis=0), _BORNE_OUT * self.seen.sigma_mps[:2])
+        return bool((np.median(left * self.seen.sigma_mps[:2], axis=0) < least).all())
 
     def through(self, rotation: FloatArray) -> FloatArray:
         """Carry rotations of the knots (K, 3, 3) to the gyro's times: between, it turns as the gyro says."""

@@ -20,6 +20,7 @@ _COMPARED_S, _TAKEN_S = 3.0, 1.0
 # Readings that a derivative is smoothed over; no receiver's velocity is better than this.
 _SMOOTHED, _LEAST_SCATTER_MPS = 3, 0.1
 _FEWEST_FIXES = 50
+_ORDER = 6
 _LONGEST_GAP_S = 3.0
 # The receiver is believed where it explains this share of what is felt, and more than chance would, with a
 # yaw that drifts by less.
@@ -131,12 +132,13 @@ def receiver_velocity(track: Track, clock: FloatArray) -> Velocity | None:
 
 
 def white_scatter(values: FloatArray) -> FloatArray:
-    """Return the standard deviation of what is white in columns (N, k), (k,), from second differences.
+    """Return the standard deviation of what is white in columns (N, k), (k,), from sixth differences.
 
-    Those of white noise have the variance 6 sigma^2.
+    Those of white noise have the variance C(12, 6) sigma^2. Of a motion of frequency f, sampled every h
+    seconds, they hold (2 sin(pi f h))^6 only: second ones took a vehicle's own swinging for noise.
     """
-    second = np.abs(np.diff(values, 2, axis=0))
-    return np.asarray(1.4826 * np.median(second, axis=0) / math.sqrt(6.0))
+    sixth = np.abs(np.diff(values, _ORDER, axis=0))
+    return np.asarray(1.4826 * np.median(sixth, axis=0) / math.sqrt(math.comb(2 * _ORDER, _ORDER)))
 
 
 def local_position(place: Series | None) -> Series | None:

@@ -179,14 +179,19 @@ def body_rate(time_s: FloatArray, rotation: FloatArray) -> FloatArray:
     return rate
 
 
-def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> Reference | None:
-    """Smooth gyro and accelerometer with the receiver and the witnesses that the choice allows."""
+def _fused(
+    track: Track, time_s: FloatArray, choice: Choice, instance: int, listening: bool = True
+) -> Reference | None:
+    """Smooth gyro and accelerometer with the receiver and the witnesses that the choice allows.
+
+    What a receiver says of the velocity is left out where it is contradicted, or not `listening`.
+    """
     sensed = sensed_by(track)
     if sensed is None:
         return None
     clock = sensed.time_s
     resting = bias_at_rest(clock, sensed.rate_radps, sensed.force_mps2)
-    velocity = receiver_velocity(track, clock)
+    velocity = receiver_velocity(track, clock) if listening else None
     autopilot = _autopilot_rotation(track, clock) if choice == "auto" else None
     start, level = started(sensed, resting, velocity, autopilot), autopilot
     if autopilot is not None and velocity is not None and not start.bearing:
@@ -212,6 +217,8 @@ def _fused(track: Track, time_s: FloatArray, choice: Choice, instance: int) -> R
         rotation = turned_about_down(rotation, np.full(clock.size, ahead))
     heard = velocity if start.bearing else None
     smoothed = smoothed_attitude(sensed, rotation, resting, heard, witness)
+    if not smoothed.borne_out:
+        return _fused(track, time_s, choice, instance, listening=False)
     if not believable(smoothed, resting) and witness is not None and math.isinf(witness.constant_rad):
         # An autopilot that believes a bent compass leans the wrong way when it accelerates.
         alone = started(sensed, resting, velocity, None) if start.bearing else start

@@ -192,7 +192,7 @@ def _gain(problem: Problem, fit: Fit, place: int) -> tuple[float, float]:
 
 
 def _immaterial(candidate: Identified, floor: Floor) -> str | None:
-    """Name the effect that removes least, where that is too little to be named without an exact floor.
+    """Name the effect that is missed least of those that remove too little, without an exact floor.
 
     Where it was not fitted an effect must lower the error of the field or of the heading, by more than blocks
     contradict each other, and by a material share: of the gap, and of what healthy sensors leave. Beside an
@@ -217,21 +217,21 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     rounding = _LEAST_OF_ROUNDING * problem.replay.trace.step_mgauss / math.sqrt(12.0)
     world = problem.replay.signals.stimulus.field_ned_mgauss[0]
     rounded = (rounding, math.degrees(rounding / max(math.hypot(world[0], world[1]), 1.0)))
-    ratios = {}
+    costs = {}
     for place, term in enumerate(fit.terms):
         if "mag" not in term.effect.groups:
             continue
-        ratio = 0.0
+        ratio = cost = 0.0
         for k, removed in enumerate(removed_by(candidate, place)):
             change, level = gap[k]
             least = max(_LEAST_HERE[floor.measured][k], share * level, part * change, rounded[k])
+            cost = removed.cost
             if removed.sure > 0.0 and removed.without > needed * level:
                 ratio = max(ratio, math.sqrt(removed.square) / least)
-        ratios[term.effect.id] = ratio
-    if not ratios:
-        return None
-    smallest = min(ratios, key=ratios.__getitem__)
-    return smallest if ratios[smallest] < 1.0 else None
+        if ratio < 1.0:
+            costs[term.effect.id] = cost
+    # Of two that do the same the one that is missed least.
+    return min(costs, key=costs.__getitem__, default=None)
 
 
 def _gap(candidate: Identified, floor: Floor) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -252,12 +252,14 @@ def _gap(candidate: Identified, floor: Floor) -> tuple[tuple[float, float], tupl
 class Removed:
     """Hold what an effect takes off a held-out mean square, and the rms that stays without it anywhere.
 
-    `sure` is a bound of it that blocks of the whole recording leave above zero where they agree.
+    `sure` is a bound of it that blocks of the whole recording leave above zero where they agree; `cost` is
+    what a fit without the effect loses, in squared sigmas.
     """
 
     square: float
     sure: float
     without: float
+    cost: float
 
 
 def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
@@ -267,6 +269,7 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     measured = replay.measured.mag_mgauss
     rest = fit.without(place)
     without = problem.fit(rest.terms, rest.thetas, fit.nuisance_thetas, iterations=4)
+    cost = without.sse - fit.sse
     strained = problem.strain(without) > problem.strain(fit) + STRAINED
     bent = problem.straight(fit) and not problem.straight(without)
     if strained or bent or replay.reference.kind == "columns":
@@ -303,7 +306,7 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     taken = gained[held].mean(axis=0)
     left = np.maximum(squares[0][held].mean(axis=0), squares[0].mean(axis=0))
     of_field, of_heading = (
-        Removed(max(float(taken[k]), 0.0), float(low[k]), math.sqrt(float(left[k]))) for k in (0, 1)
+        Removed(max(float(taken[k]), 0.0), float(low[k]), math.sqrt(float(left[k])), cost) for k in (0, 1)
     )
     return of_field, of_heading
 

@@ -136,7 +136,9 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
         fewer = search.run(fewest).best
         if fewer.ids != candidate.fit.ids and search.score(fewer) < search.score(candidate.fit):
             rival = _allowed(_moments_in_training(replace(candidate, fit=fewer)), floor)
-            candidate = rival if len(rival.fit.terms) >= len(candidate.fit.terms) else candidate
+            fuller = len(rival.fit.terms) - len(candidate.fit.terms)
+            better = fuller > 0 or (fuller == 0 and search.score(rival.fit) <= search.score(candidate.fit))
+            candidate = rival if better else candidate
     if candidate.fit.terms and not floor.representative:
         candidate = _simplest(candidate, floor) if floor.measured else _plainer(candidate)
     candidate = replace(candidate, fit=pruned(candidate.search.problem, candidate.fit))

@@ -14,6 +14,8 @@ from mavcompass.gap.replay import Readings
 _DOUBTFUL_EXCESS, _NEVER_QUIET_EXCESS = 1.0, 5.0
 # White noise scatters alike between neighbours and between readings further apart, and at all times.
 _UNLIKE, _SPANS, _UNSTEADY = 2.0, 8, 4.0
+# Second differences of white noise so many readings apart have no reading in common.
+_LAGS, _RELATED = (3, 4, 5), 0.2
 _FEWEST = 20
 # Where a vehicle is now quieter, now faster, a third of the readings is quiet, and so are their neighbours.
 _LEAST_QUIET = 0.15
@@ -59,9 +61,20 @@ def neighbours(error_mgauss: FloatArray, apart: int = 1) -> FloatArray:
 
 
 def _white(readings: Readings, baseline: Readings, excess: float) -> bool:
-    """Tell whether readings further apart scatter more than the baseline's by the same as neighbours do."""
+    """Tell whether readings further apart scatter more than the baseline's by the same as neighbours do, and
+    none follows the others: the swing of a vehicle, seen by a slow compass, scatters from reading to reading.
+    """
     further = quiet_scatter(readings, 2) ** 2 - quiet_scatter(baseline, 2) ** 2
-    return excess / _UNLIKE < further < _UNLIKE * excess
+    if not excess / _UNLIKE < further < _UNLIKE * excess:
+        return False
+    second, quiet = neighbours(readings.error_mgauss), readings.quiet
+    for lag in _LAGS:
+        both = quiet[lag:] & quiet[:-lag]
+        one, other = second[lag:][both], second[:-lag][both]
+        size = math.sqrt(float(np.sum(one**2) * np.sum(other**2)))
+        if both.sum() > _FEWEST and abs(float(np.sum(one * other))) > _RELATED * size:
+            return False
+    return True
 
 
 def _steady(readings: Readings, excess: float) -> bool:

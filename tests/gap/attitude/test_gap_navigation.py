@@ -8,8 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mavcompass.frames import FloatArray, euler_to_matrix, quaternion_to_matrix, rotate_back
+from mavcompass.gap.attitude.receiver import white_scatter
 from mavcompass.gap.attitude.reference import Reference, body_rate, reference_attitude
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.track import MagSeries, Series, Track
@@ -151,12 +154,31 @@ def test_large_bias_of_the_gyro_is_found_on_the_axes_that_the_motion_tells(seed:
     assert (np.abs(found.mean - true) < 3.0 * found.sigma)[told].all()
 
 
-@pytest.mark.parametrize("seed", [3, 12, 32])
-def test_usual_bias_of_the_gyro_is_found_within_its_doubt_on_every_axis(seed: int) -> None:
-    track, true = with_bias(make_case(seed, "none", baseline=False).track, 0.1 * BIAS)
-    found = reference_attitude(track, times_of(track)).gyro_bias
-    assert found is not None and (found.sigma < math.radians(0.15)).all()
-    assert (np.abs(found.mean - true) < 3.0 * found.sigma).all()
+def test_the_doubt_in_a_usual_bias_of_the_gyro_covers_it() -> None:
+    off = []
+    for seed in range(1, 9):
+        track, true = with_bias(make_case(seed, "none", baseline=False).track, 0.1 * BIAS)
+        found = reference_attitude(track, times_of(track)).gyro_bias
+        assert found is not None and (found.sigma < math.radians(0.2)).all()
+        off.append(np.abs(found.mean - true) / found.sigma)
+    assert np.mean(np.array(off) < 1.0) > 0.68 and np.mean(np.array(off) < 3.0) > 0.95
+
+
+def test_a_receiver_that_what_is_felt_contradicts_tells_no_yaw() -> None:
+    # Turned by hand on one spot: what is felt and a receiver's noise go together by chance.
+    track = make_case(56597, "none").baseline
+    assert track is not None
+    found = reference_attitude(track, times_of(track))
+    assert found.yaw_unknown and "receiver" not in found.notes[0]
+
+
+@given(st.floats(0.02, 0.12), st.floats(0.0, 30.0))
+@settings(max_examples=20, deadline=None)
+def test_scatter_is_that_of_the_noise_and_not_of_a_swing(share_of_rate: float, size: float) -> None:
+    rng = np.random.default_rng(5)
+    phase = 2.0 * np.pi * share_of_rate * np.arange(4000)
+    values = rng.standard_normal((4000, 2)) * [0.2, 1.0] + size * np.sin(phase)[:, None]
+    assert white_scatter(values) == pytest.approx([0.2, 1.0], rel=0.1, abs=0.01 * size)
 
 
 def without(series: Series | None, silent: Callable[[FloatArray], FloatArray]) -> Series | None:

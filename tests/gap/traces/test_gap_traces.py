@@ -17,7 +17,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.replay import Readings, replay
 from mavcompass.gap.replay.integrity import Trace, coarse_step
-from mavcompass.gap.traces import excess_variance, find_traces
+from mavcompass.gap.traces import excess_variance, find_traces, quiet_scatter
 from mavcompass.gap.traces.rapid import find_rapid
 from mavcompass.gap.traces.steps_and_repeats import names_stale, stale_share
 from mavcompass.gap.trial.vehicles.cases import make_case
@@ -101,7 +101,11 @@ def test_white_scatter_is_measured_and_what_is_no_noise_is_not() -> None:
     rng = np.random.default_rng(5)
     bursts = np.where((T % 30.0 < 3.0)[:, None], 40.0, 0.0) * rng.standard_normal((T.size, 3))
     smooth = 12.0 * np.sin(2.0 * np.pi * 2.0 * T + 3.0 * np.sin(0.3 * T))[:, None] * np.ones(3)
-    for other in (bursts, smooth):
+    # A vehicle that swings, seen by a slow compass: three readings are a swing.
+    third = np.arange(T.size) * 2.0 * np.pi / 3.0 + 2.0 * np.sin(0.2 * T)
+    swing = 6.0 * np.stack([np.sin(third), np.cos(third), 0.5 * np.sin(third)], axis=1)
+    assert quiet_scatter(readings(noisy(T, 6) + swing, T)) > 2.0 * NOISE
+    for other in (bursts, smooth, swing):
         assert excess_variance(readings(noisy(T, 6) + other, T), HEALTHY) == 0.0
     assert excess_variance(readings(noisy(T, 7, sigma=1.3 * NOISE), T), HEALTHY) == 0.0
 
