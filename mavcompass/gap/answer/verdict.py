@@ -113,11 +113,10 @@ def consistent(
     if answer.named.terms and not gap and not (shrinks and none.sse - answer.named.sse > EVIDENT):
         # Below the floor only what surely shrinks, and is certain, is a cause.
         return replace(answer, verdict="no_gap", named=none) if not traces else replace(answer, named=none)
+    # What single readings tell stays told, whatever else there is.
+    owned = Answer("named_with_remainder" if traces else "unknown", none, True, coordinate)
     if not answer.named.terms:
-        if not left:
-            return answer
-        verdict: Verdict = "named_with_remainder" if traces else "unknown"
-        return Answer(verdict, none, True, coordinate)
+        return owned if left else answer
     if not left:
         unsure = answer.verdict == "named" and _unsure(answer.named, floor, replay, traces)
         # Many names, or one that bends to anything beside another, are an explanation but not the only one.
@@ -129,7 +128,7 @@ def consistent(
     )
     if len(answer.named.terms) <= _FEW_NAMES and explained > 1.0 - _REMAINDER_UNTRUSTED:
         return Answer("named_with_remainder", answer.named, True, coordinate)
-    return Answer("unknown", none, True, coordinate)
+    return owned
 
 
 def owning_up(answer: Answer, identified: Identified, field: Closing, adequacy: Adequacy) -> Answer:

@@ -235,6 +235,8 @@ def test_beside_a_remainder_few_names_must_explain_most(
         seen = said(answer("named", *effects), field, heading)
         assert (seen.verdict, seen.flagged, seen.coordinate) == (told, True, "speed")
         assert bool(seen.named.terms) is (told != "unknown")
+        told_beside = said(answer("named", *effects), field, heading, traces=True)
+        assert told_beside.verdict == "named_with_remainder", "what single readings tell stays told"
     # The worse of the two counts.
     assert said(answer("named", *effects), left, Closing(4.0, 3.5, 1.0, 0.1, (0.0, 0.2))).verdict == "unknown"
 
