@@ -31,10 +31,10 @@ _NEARLY_ALTERNATING = 0.85
 # More than healthy vehicles leave of a model that is never exact: squared sigmas by which what is known is
 # bent, beside names and without any; structure that is left beside names over what is left in all, along the
 # motion and along anything; and the mean square of whitened readings, of fitted ones and others, where the
-# field lies above its floor, and beside names (which leave 1 to 2 where they are right).
+# field lies above its floor, anywhere, and beside names (which leave 1 to 2 where they are right).
 _BENT, _BENT_UNNAMED = 60.0, 120.0
 _STRUCTURED_ALONG, _STRUCTURED = 12.0, 20.0
-_LOUD, _LOUD_ABOVE, _LOUD_BESIDE = 2.0, 1.15, 3.0
+_LOUD, _LOUD_ABOVE, _LOUD_ALONE, _LOUD_BESIDE = 2.0, 1.15, 8.0, 3.0
 _ALONG = frozenset({"mag: heading harmonics", "mag: direction, cubic", "mag: rate"})
 _DRIFT_RIVALS = 6
 _DRIFT_MARGIN = 6.0
@@ -147,7 +147,8 @@ def owning_up(answer: Answer, identified: Identified, field: Closing, adequacy: 
     rows = [p.residual(p.predict(fit)) for p in (problem, held)]
     left = [float(np.mean(r**2)) for r in rows if r.size]
     if answer.verdict == "no_gap":
-        loud = min(left) > _LOUD and field.nominal > _LOUD_ABOVE * field.floor
+        most = _LOUD if field.nominal > _LOUD_ABOVE * field.floor else _LOUD_ALONE
+        loud = min(left) > most
         if loud or problem.strain(fit) > _BENT_UNNAMED:
             return Answer("unknown", answer.named, True, adequacy.where)
         return answer

@@ -319,6 +319,8 @@ def beside(
         ({"left": (9.0, 1.9)}, "no_gap"),
         ({"left": (2.1, 2.1), "nominal": 1.16}, "unknown"),
         ({"left": (2.1, 2.1), "nominal": 1.14}, "no_gap"),  # at the floor
+        ({"left": (7.9, 7.9), "nominal": 0.9}, "no_gap"),
+        ({"left": (8.1, 8.1), "nominal": 0.9}, "unknown"),  # far louder than any healthy vehicle
         ({"strain": 121.0}, "unknown"),
         ({"strain": 119.0}, "no_gap"),
     ],
