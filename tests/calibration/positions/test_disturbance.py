@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+import scipy
 
 from mavcompass.calibration.positions import disturbance
 from mavcompass.calibration.positions.disturbance import (
@@ -47,7 +47,7 @@ class Linear:
         covariance = at @ PRIOR @ at.T
         for k in range(K):
             covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += self.noise[k]
-        return float(multivariate_normal.logpdf(self.mean.ravel(), cov=covariance))
+        return float(scipy.stats.multivariate_normal.logpdf(self.mean.ravel(), cov=covariance))
 
     def posterior(self) -> tuple[FloatArray, FloatArray]:
         weights = np.linalg.inv(self.noise)

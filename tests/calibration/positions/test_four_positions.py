@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.special
+import scipy
 from calibration_worlds import FIELD, Iron, four_positions, heading_errors, iron_of, rms
 from hypothesis import given, settings
 from hypothesis import strategies as st

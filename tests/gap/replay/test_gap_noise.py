@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+import scipy
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.noise import SensorNoise, estimate_noise, rough_sigma, white, with_white
@@ -14,7 +14,9 @@ def wandering(seed: int, n: int = 3000, share: float = 0.45, memory: float = 60.
     """Make white scatter of 1 on an error of `share` that lasts for `memory` readings, (n, 3)."""
     rng = np.random.default_rng(seed)
     rho = 1.0 - 1.0 / memory
-    slow = lfilter([np.sqrt(1.0 - rho**2)], [1.0, -rho], rng.standard_normal((n + 500, 3)), axis=0)[500:]
+    slow = scipy.signal.lfilter(
+        [np.sqrt(1.0 - rho**2)], [1.0, -rho], rng.standard_normal((n + 500, 3)), axis=0
+    )[500:]
     return np.asarray(share * slow + rng.standard_normal((n, 3)))
 
 
@@ -37,7 +39,7 @@ def test_slow_error_under_scatter_is_no_cause() -> None:
 
 def test_short_correlation_stays_a_few_lags() -> None:
     rng = np.random.default_rng(3)
-    error = np.asarray(lfilter([1.0], [1.0, -0.4], rng.standard_normal((3000, 3)), axis=0))
+    error = np.asarray(scipy.signal.lfilter([1.0], [1.0, -0.4], rng.standard_normal((3000, 3)), axis=0))
     noise = estimate_noise(error, np.ones(3000, dtype=bool), 0.0)
     assert not noise.moving.any()
     np.testing.assert_allclose(noise.coefficients[0], 0.4, atol=0.05)
@@ -55,7 +57,7 @@ def test_missing_readings_are_drawn_from_the_noise() -> None:
         np.full((1, 3), 0.6), np.full(3, 2.0), np.full(3, 2.5), 6000.0, moving=np.full(3, 0.3)
     )
     rng = np.random.default_rng(6)
-    error = np.asarray(lfilter([2.0, -0.6], [1.0, -0.6], rng.standard_normal((4000, 3)), axis=0))
+    error = np.asarray(scipy.signal.lfilter([2.0, -0.6], [1.0, -0.6], rng.standard_normal((4000, 3)), axis=0))
     missing = np.zeros(error.shape, dtype=bool)
     missing[500:3500, 2] = True
     missing[:40, 0] = True

@@ -14,7 +14,7 @@ from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from mavcompass.gap.trial.vehicles.draw import Compass, Vehicle
 from mavcompass.gap.trial.vehicles.loads import Loads
@@ -134,7 +134,7 @@ def readings(
 def _noise(scene: Scene, rng: np.random.Generator) -> Array:
     shape = (scene.reading_s.size, 3)
     keep = np.exp(-np.median(np.diff(scene.reading_s)) / _SLOW_NOISE_S)
-    slow = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.standard_normal(shape), axis=0)
+    slow = scipy.signal.lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.standard_normal(shape), axis=0)
     white = rng.standard_normal(shape) * scene.compass.noise_mgauss
     return np.asarray(white + scene.compass.slow_noise_mgauss * slow)
 

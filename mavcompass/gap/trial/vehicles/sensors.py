@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, lfilter
+import scipy
 
 from mavcompass.gap.trial.vehicles.draw import Imu, Receiver
 from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S, Motion
@@ -57,10 +57,10 @@ def measured_imu(imu: Imu, scene: Scene, rng: np.random.Generator) -> Felt:
 
 
 def _low_passed(values: Array) -> Array:
-    b, a = butter(2, _CUTOFF_HZ * 2.0 * STEP_S)
+    b, a = scipy.signal.butter(2, _CUTOFF_HZ * 2.0 * STEP_S)
     start = values[:1]
     # From rest at the first value: no transient.
-    return np.asarray(lfilter(b, a, values - start, axis=0) + start)
+    return np.asarray(scipy.signal.lfilter(b, a, values - start, axis=0) + start)
 
 
 def fixes_of(scene: Scene, receiver: Receiver, rate_hz: float, rng: np.random.Generator) -> Fixes:
@@ -77,7 +77,7 @@ def fixes_of(scene: Scene, receiver: Receiver, rate_hz: float, rng: np.random.Ge
         keep = np.exp(-1.0 / (rate_hz * memory))
         start = rng.standard_normal((1, 3))
         driven = np.sqrt(1.0 - keep**2) * rng.standard_normal(shape)
-        wander, _ = lfilter([1.0], [1.0, -keep], driven, axis=0, zi=keep * start)
+        wander, _ = scipy.signal.lfilter([1.0], [1.0, -keep], driven, axis=0, zi=keep * start)
         return np.asarray(truth[index] + (white * rng.standard_normal(shape) + slow * wander) * worse_down)
 
     return Fixes(time, told(motion.velocity_mps, white_v, slow_v), told(motion.position_m, white_p, slow_p))

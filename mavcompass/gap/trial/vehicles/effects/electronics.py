@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from mavcompass.gap.trial.vehicles.effects.kind import (
     AXES,
@@ -74,7 +74,7 @@ def _act_lag(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
 
 def _act_low_pass(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     keep = np.exp(-STEP_S / p["time_constant_s"])
-    out, _ = lfilter([1.0 - keep], [1.0, -keep], values, axis=0, zi=keep * values[:1])
+    out, _ = scipy.signal.lfilter([1.0 - keep], [1.0, -keep], values, axis=0, zi=keep * values[:1])
     return np.asarray(out)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from mavcompass.gap.trial.vehicles.effects.fields import dipole
 from mavcompass.gap.trial.vehicles.effects.kind import AXES, Grow, Kind, Rng, along, grown, of, only, unit
@@ -67,7 +67,7 @@ def _act_bursts(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
 
 
 def _walk(rng: Rng, count: int) -> Array:
-    return np.asarray(lfilter([0.6], [1.0, -0.8], rng.standard_normal(count)))
+    return np.asarray(scipy.signal.lfilter([0.6], [1.0, -0.8], rng.standard_normal(count)))
 
 
 def _draw_swinging(rng: Rng, scene: Scene) -> Grow:
@@ -87,7 +87,7 @@ def _act_swinging(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     omega, damping = np.sqrt(GRAVITY_NED_MPS2[2] / p["length_m"]), 0.04
     radius, angle = np.exp(-damping * omega * STEP_S), omega * STEP_S
     gusts = rng.standard_normal((len(values), 2))
-    swing = lfilter([1.0], [1.0, -2.0 * radius * np.cos(angle), radius**2], gusts, axis=0)
+    swing = scipy.signal.lfilter([1.0], [1.0, -2.0 * radius * np.cos(angle), radius**2], gusts, axis=0)
     swing = p["swing_rad"] * swing / (np.sqrt(2.0) * swing.std())
     hanging = np.column_stack([np.sin(swing), np.sqrt(1.0 - np.minimum((np.sin(swing) ** 2).sum(1), 0.9))])
     # Seen from the magnet the compass is above it.
@@ -109,7 +109,7 @@ def _act_chirp(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
 def _act_current_memory(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     keep = np.exp(-STEP_S / p["memory_s"])
     above = scene.loads.current_a - scene.loads.current_a[0]
-    return values + np.outer(lfilter([1.0 - keep], [1.0, -keep], above), of(p))
+    return values + np.outer(scipy.signal.lfilter([1.0 - keep], [1.0, -keep], above), of(p))
 
 
 def _draw_flexing(rng: Rng, scene: Scene) -> Grow:
