@@ -16,7 +16,7 @@ from mavcompass.errors import MavCompassError, UsageError
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.trial.label import SHARES, Generator, Label, Tier
 from mavcompass.gap.trial.score import Answer, Case, score, scoreboard, wilson
-from mavcompass.gap.trial.stored import read_case
+from mavcompass.gap.trial.sealed import read_case
 from mavcompass.track import Track
 
 SCHEMA = "mavcompass.gap-trial/1"

@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 from mavcompass.logs.common.boot_clock import BootClock, build_clock, impossible_times
-from mavcompass.logs.common.chunks import CHUNK_BYTES, ByteArray, Chunk, read_chunks
+from mavcompass.logs.common.chunks import (
+    CHUNK_BYTES,
+    ByteArray,
+    Chunk,
+    IntArray,
+    not_overlapping,
+    read_chunks,
+    windows,
+)
 from mavcompass.logs.common.growing import GrowingArray
-from mavcompass.logs.common.intervals import IntArray, not_overlapping, windows
 from mavcompass.logs.common.motors import motor_outputs
 from mavcompass.logs.common.notes import damage, restarts, unknown_correction
 from mavcompass.logs.common.ordering import finite_series, in_order

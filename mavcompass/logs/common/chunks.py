@@ -1,4 +1,4 @@
-"""Read a file of any size in overlapping chunks, in bounded memory."""
+"""Read a file of any size in overlapping chunks, in bounded memory, and find stretches in them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ByteArray = NDArray[np.uint8]
+IntArray = NDArray[np.intp]
 
 CHUNK_BYTES = 2 << 20
 
@@ -77,3 +78,20 @@ def _fill(file: FileIO, into: ByteArray) -> int:
             break
         done += got
     return done
+
+
+def windows(data: ByteArray, starts: IntArray, width: int) -> ByteArray:
+    """Copy `width` bytes from each start: shape (N, width)."""
+    return np.lib.stride_tricks.sliding_window_view(data, width)[starts]
+
+
+def not_overlapping(starts: IntArray, ends: IntArray) -> NDArray[np.bool_]:
+    """Of sorted stretches keep those that do not begin inside an earlier kept one."""
+    keep = np.ones(starts.size, dtype=bool)
+    # Only those that begin inside any earlier one can be in question.
+    for index in (np.flatnonzero(starts[1:] < np.maximum.accumulate(ends)[:-1]) + 1).tolist():
+        before = index - 1
+        while not keep[before]:
+            before -= 1
+        keep[index] = starts[index] >= ends[before]
+    return keep

@@ -13,8 +13,7 @@ from mavcompass.errors import UsageError
 from mavcompass.gap.trial.bench import draw_label
 from mavcompass.gap.trial.label import Label
 from mavcompass.gap.trial.score import Answer, Case, wilson
-from mavcompass.gap.trial.sealed import seal
-from mavcompass.gap.trial.stored import read_case, write_case
+from mavcompass.gap.trial.sealed import read_case, seal, write_case
 from mavcompass.gap.trial.trial import run_trial
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.track import Series
