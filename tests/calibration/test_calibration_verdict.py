@@ -12,7 +12,7 @@ import pytest
 from mavcompass.calibration.model import GAIN, HORIZONTAL
 from mavcompass.calibration.positions import WIDENED_BELOW
 from mavcompass.calibration.verdict import Limits, judge, largest_gap_rad, share_words
-from mavcompass.units import RAD_PER_DEG
+from mavcompass.units import DEG_PER_RAD, RAD_PER_DEG
 
 H = 200.0
 
@@ -217,3 +217,4 @@ def test_a_heading_less_certain_than_the_limit_is_refused_with_its_largest_cause
     reasons, _ = told(fitted=fit(heading_sigma_rad=sigma_deg * RAD_PER_DEG))
     assert len(reasons) == refused
     assert all("uncertain by 2.0 degrees (limit 2), most of it from tilt" in reason for reason in reasons)
+    assert told(fitted=fit(heading_sigma_rad=1.0), limit_deg=DEG_PER_RAD) == ((), ())  # just at it

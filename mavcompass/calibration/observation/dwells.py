@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.calibration.observation.tilt import TILT_FLOOR_RAD, tilt_during
-from mavcompass.calibration.observation.turning import TurnRecord, turn_record
+from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord, turn_record
 from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs, unquantise
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
@@ -92,7 +92,7 @@ class FourPositionData:
 
     dwells: tuple[Dwell, ...]
     steps: tuple[Step, ...]
-    gyro_scale_sigma: float = 0.01
+    gyro_scale_sigma: float = GYRO_SCALE_SIGMA
     gyro_bias_sigma_radps: float = 0.0
     tilt_bias_sigma_rad: float = 0.0
     source: str = ""
