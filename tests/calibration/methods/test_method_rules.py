@@ -110,7 +110,8 @@ def test_no_less_is_claimed_than_was_seen(scatter_deg: float, claimed_deg: float
     assert told.heading_error is not None
     assert told.heading_error.rms_rad() == pytest.approx(error.rms_rad() * claimed_deg / 0.5)
     assert bool(told.reasons) is not accepted
-    assert at_least(result(), math.radians(1.0), DEFAULT_LIMITS).heading_budget_deg["disturbance"] > 0.8
+    alone = at_least(result(), math.radians(1.0), DEFAULT_LIMITS).heading_budget_deg
+    assert alone == pytest.approx({"disturbance": math.sqrt(1.0 - 0.5**2)})
 
 
 # --- positions and turns ---------------------------------------------------------------------------------
