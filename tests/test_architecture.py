@@ -41,7 +41,7 @@ ROWS = {
         {"fit", "traces"},
         {"replay"},
         {"attitude"},
-        {"blas", "result"},
+        {"result"},
     ],
     "simulation": [
         {"heading_error"},

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mavcompass.blas import single_thread
 from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.methods.running import Learnt, learn
 from mavcompass.calibration.recorded import Recorded
@@ -33,6 +34,7 @@ _BIAS_RADPS = math.radians(3.0)
 _OTHERS = ("four-positions", "world-field", "ellipsoid")
 
 
+@single_thread()
 def calibrate_track(
     track: Track,
     method: str = "auto",
@@ -68,6 +70,7 @@ def calibrate_track(
     return with_parameters(result, track)
 
 
+@single_thread()
 def learn_compass(
     track: Track, instance: int, earth: EarthField | None, limits: Limits = DEFAULT_LIMITS
 ) -> Learnt:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from mavcompass.blas import single_thread
 from mavcompass.calibration.model import GAIN, HORIZONTAL, VERTICAL
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import (
@@ -23,6 +24,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.units import DEG_PER_RAD
 
 
+@single_thread()
 def calibrate_positions(
     data: FourPositionData,
     in_force: FieldCorrection = IDENTITY,

@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from mavcompass.blas import single_thread
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import Replayed, diagnose_gap
 from mavcompass.gap.export import settings_of
@@ -112,6 +113,7 @@ class Comparison:
         }
 
 
+@single_thread()
 def compare(
     simulator: Track,
     vehicle: Track,
@@ -135,6 +137,7 @@ def compare(
     return flown_again(comparison, simulator, vehicle, again, progress)
 
 
+@single_thread()
 def flown_again(
     comparison: Comparison,
     simulator: Track,

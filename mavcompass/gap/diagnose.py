@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 
+from mavcompass.blas import single_thread
 from mavcompass.errors import UsageError
 from mavcompass.gap.answer import Evidence, decide, describe
 from mavcompass.gap.attitude import Choice, accelerometer_fault, gyro_fault, steered_by, without_fault
-from mavcompass.gap.blas import single_thread
 from mavcompass.gap.left import (
     Floor,
     doubting,

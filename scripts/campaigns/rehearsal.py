@@ -27,10 +27,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mavcompass.blas import single_thread
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, Refused
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.blas import single_thread
 from mavcompass.gap.left import rms_deg
 from mavcompass.gap.rehearsal import Expected
 from mavcompass.gap.rehearsal.draws import Draws

@@ -15,9 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from mavcompass.blas import single_thread
 from mavcompass.frames import FloatArray
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.blas import single_thread
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
 from mavcompass.gap.replay.nominal import replay

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from mavcompass.blas import single_thread
 from mavcompass.gap.attitude import Choice
-from mavcompass.gap.blas import single_thread
 from mavcompass.gap.rehearsal.draws import MOTORS, Draws
 from mavcompass.gap.rehearsal.judging import TILT_RAD
 from mavcompass.gap.rehearsal.kind import Kind, kind_of

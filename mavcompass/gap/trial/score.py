@@ -10,9 +10,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.blas import single_thread
 from mavcompass.errors import UsageError
 from mavcompass.frames import FloatArray
-from mavcompass.gap.blas import single_thread
 from mavcompass.gap.diagnose import withheld_effects
 from mavcompass.gap.fit import Problem, Search, Term, placements
 from mavcompass.gap.replay import replay

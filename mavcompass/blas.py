@@ -1,7 +1,7 @@
-"""Keep the linear algebra of a diagnosis on one thread.
+"""Keep linear algebra on one thread.
 
-Its matrices have a handful of columns: threads make them wait for each other (ten times slower where
-the processor is shared), and a fleet of diagnoses already fills every core.
+The matrices of a calibration or a diagnosis have a handful of columns: threads make them wait for each other
+(ten times slower where the processor is shared), and a fleet of them already fills every core.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _libraries() -> tuple[tuple[Any, Any], ...]:
 
 @contextmanager
 def single_thread() -> Iterator[None]:
-    """Run a block with one thread per matrix product, then restore what was set before."""
+    """Run a block, or a function, with one thread per matrix product, then restore what was set before."""
     before = [(setter, getter()) for setter, getter in _libraries()]
     for setter, _ in before:
         setter(1)
