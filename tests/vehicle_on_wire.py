@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
-from mavcompass.vehicle.transport import Peer
+from mavcompass.vehicle.transport import Peer, Transport
 
 
-class VehicleOnWire:
+class VehicleOnWire(Transport):
     """Be the bytes of a vehicle; what a message becomes, and what is understood, is for those made of it."""
 
     def __init__(self, vehicle: SimulatedAutopilot) -> None:
         self.vehicle = vehicle
         self._said = bytearray()
 
+    @abstractmethod
     def packed(self, said: Outgoing) -> bytes:
         """Return the bytes of a message, none where it cannot be said."""
-        raise NotImplementedError
-
-    def write(self, data: bytes, peer: Peer) -> bool:
-        """Let the vehicle hear what it understands."""
-        raise NotImplementedError
 
     def wait(self, timeout_s: float) -> None:
         """Let the vehicle live on for a moment."""
@@ -36,9 +34,3 @@ class VehicleOnWire:
     def peers(self) -> list[Peer]:
         """Name the one vehicle."""
         return ["vehicle"]
-
-    def hang_up(self) -> None:
-        """Do nothing."""
-
-    def close(self) -> None:
-        """Do nothing."""

@@ -52,6 +52,7 @@ _SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S = 0.005, 0.08, 0.1
 _UNKNOWN_YAW_RAD, _UNKNOWN_V_MPS = math.radians(60.0), 100.0
 # A receiver's errors last for a second or so; a velocity that nobody tells, for ten.
 _RECEIVER_MEMORY_S, _VELOCITY_MEMORY_S, _OUTLIER = 1.0, 10.0, 2.5
+# A velocity is contradicted where more is left of it than it varies by, and than so many of its errors.
 _BORNE_OUT = 2.0
 _VELOCITIES_MPS = (0.2, 0.6, 2.0, 6.0)
 # An autopilot's level is made of the same sensors, and its filter errs as the vehicle turns: it bounds the

@@ -20,6 +20,7 @@ _COMPARED_S, _TAKEN_S = 3.0, 1.0
 # Readings that a derivative is smoothed over; no receiver's velocity is better than this.
 _SMOOTHED, _LEAST_SCATTER_MPS = 3, 0.1
 _FEWEST_FIXES = 50
+# The order of the differences that noise is told from.
 _ORDER = 6
 _LONGEST_GAP_S = 3.0
 # The receiver is believed where it explains this share of what is felt, and more than chance would, with a

@@ -221,15 +221,14 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     for place, term in enumerate(fit.terms):
         if "mag" not in term.effect.groups:
             continue
-        ratio = cost = 0.0
-        for k, removed in enumerate(removed_by(candidate, place)):
+        ratio, both = 0.0, removed_by(candidate, place)
+        for k, removed in enumerate(both):
             change, level = gap[k]
             least = max(_LEAST_HERE[floor.measured][k], share * level, part * change, rounded[k])
-            cost = removed.cost
             if removed.sure > 0.0 and removed.without > needed * level:
                 ratio = max(ratio, math.sqrt(removed.square) / least)
         if ratio < 1.0:
-            costs[term.effect.id] = cost
+            costs[term.effect.id] = both[0].cost
     # Of two that do the same the one that is missed least.
     return min(costs, key=costs.__getitem__, default=None)
 
@@ -284,9 +283,10 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     gained = squares[0] - squares[1]
     held = split.test[rows]
     label = np.unique(split.block[rows], return_inverse=True)[1]
+    count = np.bincount(label)
 
     def by_block(values: FloatArray) -> FloatArray:
-        return np.stack([np.bincount(label, values[:, k]) / np.bincount(label) for k in (0, 1)], axis=1)
+        return np.stack([np.bincount(label, values[:, k]) / count for k in (0, 1)], axis=1)
 
     blocks = by_block(gained)
     # Blocks that an effect leaves alone say nothing against it.

@@ -38,7 +38,8 @@ def excess_variance(readings: Readings, baseline: Readings) -> float:
     least = _DOUBTFUL_EXCESS if quiet else _NEVER_QUIET_EXCESS
     if excess <= least * max(before, 1e-9) ** 2:
         return 0.0
-    return excess if _white(readings, baseline, excess) and _steady(readings, excess) else 0.0
+    noise = _white(readings, baseline, excess) and _unrelated(readings) and _steady(readings, excess)
+    return excess if noise else 0.0
 
 
 def quiet_scatter(readings: Readings, apart: int = 1) -> float:
@@ -61,12 +62,13 @@ def neighbours(error_mgauss: FloatArray, apart: int = 1) -> FloatArray:
 
 
 def _white(readings: Readings, baseline: Readings, excess: float) -> bool:
-    """Tell whether readings further apart scatter more than the baseline's by the same as neighbours do, and
-    none follows the others: the swing of a vehicle, seen by a slow compass, scatters from reading to reading.
-    """
+    """Tell whether readings further apart scatter more than the baseline's by the same as neighbours do."""
     further = quiet_scatter(readings, 2) ** 2 - quiet_scatter(baseline, 2) ** 2
-    if not excess / _UNLIKE < further < _UNLIKE * excess:
-        return False
+    return excess / _UNLIKE < further < _UNLIKE * excess
+
+
+def _unrelated(readings: Readings) -> bool:
+    """Tell whether no reading's scatter follows others': a vehicle's swing, seen by a slow compass, does."""
     second, quiet = neighbours(readings.error_mgauss), readings.quiet
     for lag in _LAGS:
         both = quiet[lag:] & quiet[:-lag]
