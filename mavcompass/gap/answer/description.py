@@ -149,7 +149,8 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     if evidence.traces.step_mgauss > 0.0:
         unrounded = evidence.remainder.problem.replay.measured.mag_mgauss
     explained = (added, evidence.unseen_mgauss2, unrounded)
-    field, heading = closings(problem, answer.named, test, floor, *explained)
+    decided, with_names = answer, closings(problem, answer.named, test, floor, *explained)
+    field, heading = with_names
     none = identified.found.null
     where_left = evidence.adequacy.where
     turns = bool(problem.replay.present & {"turning", "tilt"}) or floor.measured
@@ -165,7 +166,9 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
         )
     answer = said
     if floor.measured and not floor.representative and not evidence.beside:
-        answer = owning_up(said, identified, field, evidence.adequacy)
+        answer = owning_up(said, decided, identified, field, evidence.adequacy)
+        if answer is decided:
+            field, heading = with_names
     if answer.named.terms and _worse_on(problem, answer.named, test):
         # A name that makes held-out data worse is no explanation.
         answer = Answer("unknown", none, True, where_left)

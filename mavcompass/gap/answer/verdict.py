@@ -131,11 +131,15 @@ def consistent(
     return owned
 
 
-def owning_up(answer: Answer, identified: Identified, field: Closing, adequacy: Adequacy) -> Answer:
+def owning_up(
+    answer: Answer, decided: Answer, identified: Identified, field: Closing, adequacy: Adequacy
+) -> Answer:
     """Return an answer that is neither silent nor sure beside what healthy vehicles do not leave.
 
     For vehicles with a baseline, whose floor is known but not in detail. Names that bend what is known of
-    vehicle and place are an explanation, but not the only one.
+    vehicle and place are an explanation, but not the only one. Where silence would leave what is loud, and
+    the names that were `decided` do not, they stand: a magnet that is passed once hardly lifts the field's
+    mean.
     """
     problem = identified.problem
     if answer.verdict == "named" and answer.named.terms and problem.strain(answer.named) > _BENT:
@@ -143,14 +147,12 @@ def owning_up(answer: Answer, identified: Identified, field: Closing, adequacy: 
     if answer.verdict not in ("no_gap", "named"):
         return answer
     fit = answer.named if answer.named.terms else problem.null()
-    held = problem.with_rows(identified.split.test)
-    rows = [p.residual(p.predict(fit)) for p in (problem, held)]
-    left = [float(np.mean(r**2)) for r in rows if r.size]
+    left = _whitened_left(identified, fit)
     if answer.verdict == "no_gap":
         most = _LOUD if field.nominal > _LOUD_ABOVE * field.floor else _LOUD_ALONE
-        loud = min(left) > most
-        if loud or problem.strain(fit) > _BENT_UNNAMED:
-            return Answer("unknown", answer.named, True, adequacy.where)
+        if min(left) > most or problem.strain(fit) > _BENT_UNNAMED:
+            quiet = decided.named.terms and max(_whitened_left(identified, decided.named)) < _LOUD_BESIDE
+            return decided if quiet else Answer("unknown", answer.named, True, adequacy.where)
         return answer
     if min(left, default=0.0) > _LOUD_BESIDE:
         return Answer("named_with_remainder", answer.named, True, adequacy.where)
@@ -159,6 +161,13 @@ def owning_up(answer: Answer, identified: Identified, field: Closing, adequacy: 
         if test.excess > most * max(*left, 1.0):
             return Answer("named_with_remainder", answer.named, True, test.coordinate)
     return answer
+
+
+def _whitened_left(identified: Identified, fit: Fit) -> list[float]:
+    """Return the mean square of whitened readings that a fit leaves, of fitted rows and of others."""
+    problem = identified.problem
+    rows = [p.residual(p.predict(fit)) for p in (problem, problem.with_rows(identified.split.test))]
+    return [float(np.mean(r**2)) for r in rows if r.size]
 
 
 def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:

@@ -24,6 +24,7 @@ _LEAST_OF_FLOOR = 0.5
 # No model is exact: what holds less than this share of a gap (4 % of its square) may be the error of the
 # rest.
 _MATERIAL_SHARE, _MATERIAL_BESIDE_UNKNOWN, _EXPLAINED = 0.2, 0.4, 1.25
+_MATERIAL_IF_MISSED, _MISSED = 0.1, 2.0
 # A set that leaves no more than this many floors explains enough.
 _AT_FLOOR = 1.25
 TOO_SMALL = "it removes no more than healthy sensors may be off, or less than a tenth of the gap"
@@ -40,6 +41,8 @@ _LOST_OF_FLOOR, _LOST_SHARE = 0.35, 0.06
 _LEAST_OF_ROUNDING = 0.5
 # A block shows an effect where it changes this share of what it does where it changes most.
 _TOUCHED = 0.05
+# Rows that were not fitted speak for those that were where an effect changes these so much more, at most.
+_MOST_UNSHOWN = 10.0
 # Squared sigmas by which what is known of the vehicle may give way to a missing effect.
 STRAINED = 30.0
 _NEEDED = 10.0
@@ -109,8 +112,11 @@ def evident(candidate: Identified, rest: Fit) -> bool:
 
 
 def worthwhile(problem: Problem, floor: Floor, fit: Fit) -> bool:
-    """Tell whether what a fit leaves above the noise is enough for one more effect to be named."""
-    if floor.representative:
+    """Tell whether what a fit leaves above the noise is enough for one more effect to be named.
+
+    What bends that which is known of vehicle and place has left it there.
+    """
+    if floor.representative or not problem.straight(fit):
         return True
     after = _left(problem, fit, effects=True)
     least = _least(problem, fit, after)
@@ -224,7 +230,10 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
         ratio, both = 0.0, removed_by(candidate, place)
         for k, removed in enumerate(both):
             change, level = gap[k]
-            least = max(_LEAST_HERE[floor.measured][k], share * level, part * change, rounded[k])
+            # What lies far above the floor without it, and at the floor with it, is no error of the rest.
+            missed = explained and not stated and removed.without > _MISSED * level
+            of_gap = _MATERIAL_IF_MISSED if missed else part
+            least = max(_LEAST_HERE[floor.measured][k], share * level, of_gap * change, rounded[k])
             if removed.sure > 0.0 and removed.without > needed * level:
                 ratio = max(ratio, math.sqrt(removed.square) / least)
         if ratio < 1.0:
@@ -234,17 +243,18 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
 
 
 def _gap(candidate: Identified, floor: Floor) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return rms of what the effects change and of the floor, for field (mG) and heading (deg).
-
-    A turn of the mounting by right angles is exact: what it changes hides nothing.
-    """
+    """Return rms of what the effects change and of the floor, for field (mG) and heading (deg)."""
     fit, problem = candidate.fit, candidate.problem
-    exact = fit
-    for place in reversed(range(len(fit.terms))):
-        exact = exact if fit.terms[place].effect.kind == "discrete" else exact.without(place)
-    after, before = problem.predict(fit), problem.predict(exact)
+    after, before = problem.predict(fit), problem.predict(_turned_alone(fit))
     field, heading = apart(problem.replay, after.mag_mgauss, before.mag_mgauss, problem.index)
     return (field, floor.field_rms_mgauss), (heading, floor.heading_rms_deg)
+
+
+def _turned_alone(fit: Fit) -> Fit:
+    """Return a fit with its turn of the mounting by right angles alone, which is exact: it hides nothing."""
+    for place in reversed(range(len(fit.terms))):
+        fit = fit if fit.terms[place].effect.kind == "discrete" else fit.without(place)
+    return fit
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,8 +312,10 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
     low = mean - 1.7 * spread / math.sqrt(len(blocks) - 1) if len(blocks) > 2 else mean
     if not held.any():
         held = np.ones(rows.size, dtype=np.bool_)
-    # What is left without it may lie in rows that were fitted: there it is no less a gap.
-    taken = gained[held].mean(axis=0)
+    # What it changes, and what is left without it, may lie in rows that were fitted: there it is no less.
+    there, everywhere = changed[held].mean(axis=0), changed.mean(axis=0)
+    shown = np.clip(everywhere / np.maximum(there, 1e-12), 1.0, _MOST_UNSHOWN)
+    taken = gained[held].mean(axis=0) * shown
     left = np.maximum(squares[0][held].mean(axis=0), squares[0].mean(axis=0))
     of_field, of_heading = (
         Removed(max(float(taken[k]), 0.0), float(low[k]), math.sqrt(float(left[k])), cost) for k in (0, 1)
@@ -362,7 +374,7 @@ def _lost_beside(candidate: Identified, floor: Floor, removed: Mapping[int, floa
 
 def _least(problem: Problem, fit: Fit, after: dict[Group, float]) -> dict[Group, float]:
     """Return the least that an effect must remove to be named without a baseline."""
-    nominal = _left(problem, fit, effects=False)["mag"]
+    nominal = _left(problem, _turned_alone(fit), effects=True)["mag"]
     # Nuisances that make room for effects may leave more than there was.
     nominal = min(nominal, _left(problem, problem.null(), effects=False)["mag"])
     gap = math.sqrt(max(nominal**2 - after["mag"] ** 2, 0.0))

@@ -295,12 +295,19 @@ def beside(
     left: tuple[float, float] = (1.0, 1.0),
     nominal: float = 2.0,
     tests: tuple[tuple[str, float], ...] = (),
+    decided: tuple[str, ...] = (),
+    decided_left: float = 1.0,
 ) -> Answer:
-    """Ask what becomes of an answer: `left` of rows that were fitted, and of others, mean squares."""
+    """Ask what becomes of an answer: `left` of rows that were fitted, and of others, mean squares.
+
+    The names that were decided first leave `decided_left`.
+    """
 
     def rows(mean_square: float, **more: Any) -> Any:
-        residual = np.full(8, math.sqrt(mean_square))
-        return SimpleNamespace(residual=lambda _: residual, predict=lambda fit: fit, **more)
+        def residual(fit: Fit) -> Any:
+            return np.full(8, math.sqrt(decided_left if decided and fit.terms else mean_square))
+
+        return SimpleNamespace(residual=residual, predict=lambda fit: fit, **more)
 
     held = rows(left[1])
     problem = rows(left[0], strain=lambda _: strain, null=fit_of, with_rows=lambda _: held)
@@ -308,7 +315,7 @@ def beside(
     made = [SimpleNamespace(name=name, excess=excess, coordinate=f"at {name}") for name, excess in tests]
     adequacy: Any = SimpleNamespace(tests=made, where="somewhere")
     field: Any = SimpleNamespace(nominal=nominal, floor=1.0)
-    return owning_up(answer(told, *names), found, field, adequacy)
+    return owning_up(answer(told, *names), answer("named", *decided), found, field, adequacy)
 
 
 @pytest.mark.parametrize(
@@ -329,6 +336,15 @@ def test_silence_is_given_up_beside_what_is_loud_or_bent(given: dict[str, Any], 
     said = beside(**given)
     assert (said.verdict, said.flagged) == (told, told == "unknown")
     assert said.coordinate == ("somewhere" if told == "unknown" else None)
+
+
+@pytest.mark.parametrize(("decided_left", "told"), [(2.9, "named"), (3.1, "unknown")])
+def test_what_is_loud_without_its_name_keeps_it(decided_left: float, told: Verdict) -> None:
+    magnet = {"decided": ("spatial_dipole",), "decided_left": decided_left, "nominal": 0.9}
+    said = beside(left=(9.0, 9.0), **magnet)  # type: ignore[arg-type]
+    assert said.verdict == told and said.flagged is (told == "unknown")
+    assert said.named.ids == ({"spatial_dipole"} if told == "named" else set())
+    assert beside(left=(1.0, 9.0), **magnet).verdict == "no_gap"  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

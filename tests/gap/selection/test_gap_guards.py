@@ -271,17 +271,26 @@ def test_what_removes_too_little_is_not_named(
 
 
 @pytest.mark.parametrize(
-    ("share", "left_mgauss", "refused"),
-    [(0.21, 0.5, False), (0.19, 0.5, True), (0.35, 2.0, True), (0.45, 2.0, False)],
+    ("share", "left_mgauss", "floor_mgauss", "refused"),
+    [
+        (0.21, 0.5, 4.0, False),
+        (0.19, 0.5, 4.0, True),  # 6.6 mG without it, no two floors
+        (0.19, 0.5, 3.0, False),
+        (0.11, 0.5, 1.0, False),
+        (0.09, 0.5, 1.0, True),
+        (0.35, 2.0, 1.0, True),
+        (0.45, 2.0, 1.0, False),
+    ],
 )
 def test_beside_another_a_material_share_is_asked_for(
-    share: float, left_mgauss: float, refused: bool
+    share: float, left_mgauss: float, floor_mgauss: float, refused: bool
 ) -> None:
-    """A fifth of what all effects change, or two fifths where something is left that nobody knows."""
+    """A fifth of what all effects change, a tenth where it leads from far above the floor down to it, or two
+    fifths where something is left that nobody knows."""
     other = 60.0
     size = share * other / math.sqrt(1.0 - share**2)
     here = candidate(explained((other, 0.0, size), left_mgauss), fit_of(hard_iron=other, spatial_dipole=size))
-    assert guards._immaterial(here, floor(1.0, 90.0)) == ("spatial_dipole" if refused else None)
+    assert guards._immaterial(here, floor(floor_mgauss, 90.0)) == ("spatial_dipole" if refused else None)
 
 
 def test_the_heading_alone_makes_an_effect_matter() -> None:
@@ -319,6 +328,25 @@ def test_what_is_removed_is_told_on_rows_that_were_not_fitted() -> None:
     none = replace(split(), test=np.zeros(ROWS, dtype=np.bool_))
     whole, _ = guards.removed_by(candidate(problem, fit_of(soft_iron=6.0), split=none), 0)
     assert whole.square == pytest.approx(0.75 * 12.0 - 0.25 * 12.0 + 2.0, abs=3.0) and whole.square > 0.0
+
+
+class Passed(Problem):
+    """The effect is there on a quarter of the held-out rows only, and on all the others."""
+
+    def predict(self, fit: Fit, effects: bool = True) -> Any:
+        there = ~split().test | (np.arange(ROWS) % 4 == 0)
+        whole = super().predict(fit, effects).mag_mgauss
+        return SimpleNamespace(mag_mgauss=NORTH + (whole - NORTH) * there[:, None])
+
+
+def test_what_shows_in_few_held_out_rows_is_told_for_all() -> None:
+    made = explained((0.0, 6.0, 0.0), 0.0)
+    problem = Passed(made.left, made.rows, made.gap)
+    fit = fit_of(soft_iron=6.0)
+    problem.replay.measured.mag_mgauss[:] = problem.predict(fit).mag_mgauss
+    field, _ = guards.removed_by(candidate(problem, fit), 0)
+    there = 20 / 80 * 6 / 20 + 60 / 80  # six of twenty held-out rows, all others
+    assert field.square == pytest.approx(12.0 * there)
 
 
 class Yielding(Problem):
@@ -370,6 +398,7 @@ def test_one_more_effect_is_worth_while_above_the_noise(left_mgauss: float, wort
     problem = explained((0.0, 0.0, 0.0), left_mgauss)  # noise 0.5, least 1 mG: 1.118 in all
     assert guards.worthwhile(problem, floor(), fit_of()) is worth  # type: ignore[arg-type]
     assert guards.worthwhile(problem, floor(representative=True), fit_of())  # type: ignore[arg-type]
+    assert guards.worthwhile(replace(problem, bent=23.0), floor(), fit_of())  # type: ignore[arg-type]
 
 
 def test_a_tenth_of_the_gap_is_the_least() -> None:
