@@ -27,6 +27,8 @@ _PLIANT = frozenset(
     }
 )  # fmt: skip
 _TURNS = frozenset({"misalignment", "orientation", "declination"})
+# How many moments of change these have where they are there to stay.
+_STAYING = {"spatial_dipole": 0, "hard_iron_step": 1}
 _NEARLY_ALTERNATING = 0.85
 # More than healthy vehicles leave of a model that is never exact: squared sigmas by which what is known is
 # bent, beside names and without any; structure that is left beside names over what is left in all, along the
@@ -173,19 +175,19 @@ def _whitened_left(identified: Identified, fit: Fit) -> list[float]:
 def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:
     """Tell whether names that reach the floor are an explanation, but not the only one.
 
-    Many names are, and one that bends to anything, beside another or without a baseline; so is a thing nearby
-    that comes or goes, which has a place and a moment to bend by; a turn of the mounting where nothing fixes
-    the yaw; and a line at half the sampling rate, where a sensor that sets and resets alternates.
+    Many names are, and one that bends to anything, beside another or without a baseline; so is what passes: a
+    thing nearby that comes or goes, an iron that comes and goes again; a turn of the mounting where nothing
+    fixes the yaw; and a line at half the sampling rate, where a sensor that sets and resets alternates.
     """
     alone = not floor.measured and replay.reference.kind != "columns"
     many = len(named.terms) > _FEW_NAMES or (alone and traces and bool(named.terms))
     pliant = bool(named.ids & _PLIANT) and (alone or len(named.terms) > 1)
-    comes = "spatial_dipole" in named.ids and bool(moments(named))
+    passes = any(len(moments(named, effect)) > most for effect, most in _STAYING.items())
     turned = alone and replay.reference.yaw_unknown and bool(named.ids & _TURNS)
     step_s = float(np.median(np.diff(replay.time_s)))
     fastest = _NEARLY_ALTERNATING * 0.5 / step_s
     alternates = "ac_interference" in named.ids and float(named.theta("ac_interference")[6]) > fastest
-    return many or pliant or comes or turned or alternates
+    return many or pliant or passes or turned or alternates
 
 
 def _above(value: float, floor: float) -> bool:

@@ -58,7 +58,7 @@ _LEAST_CURVE_RAD, _MOST_CURVES, _LEAST_CONSTANT_RAD = math.radians(0.04), 48, ma
 # A yaw that is told no better may lie on the wrong side altogether.
 _MOST_LINEAR_RAD = math.radians(5.0)
 # Farther over, a bent yaw tilts the autopilot's attitude too, and looks like an age.
-_UPRIGHT = math.cos(math.radians(45.0))
+_UPRIGHT = math.cos(math.radians(30.0))
 _REMEDY = "Record RAW_IMU or IMU messages at 10 Hz or more, or an attitude (ATTITUDE, ATT)."
 
 

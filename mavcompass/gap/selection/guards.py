@@ -61,6 +61,9 @@ def needs_none(candidate: Identified, floor: Floor) -> bool:
     if floor.representative or stated:
         # An exact floor is asked for more than its size, and that of an independent attitude is generous.
         return False
+    if floor.measured and candidate.problem.strain(candidate.problem.null()) > STRAINED:
+        # What a baseline taught of the vehicle was bent to come there.
+        return False
     return at_floor(candidate, candidate.found.null, floor, NEEDED_ABOVE[floor.measured])
 
 

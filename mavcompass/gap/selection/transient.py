@@ -22,13 +22,13 @@ _LOAD_S, _MOST_SWITCHED = 0.1, 0.67
 _MEDIAN = 0.789
 
 
-def moments(fit: Fit) -> list[float]:
-    """List when something changes under a fit, in seconds."""
+def moments(fit: Fit, effect_id: str | None = None) -> list[float]:
+    """List when something changes under a fit, by any effect or by one, in seconds."""
     return [
         float(value)
         for term, theta in zip(fit.terms, fit.thetas, strict=True)
         for parameter, value in zip(term.effect.parameters, theta, strict=True)
-        if parameter.name in MOMENTS and abs(value) < NEVER_S
+        if effect_id in (None, term.effect.id) and parameter.name in MOMENTS and abs(value) < NEVER_S
     ]
 
 

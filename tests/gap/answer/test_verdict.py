@@ -269,11 +269,13 @@ def test_names_that_reach_the_floor_may_be_one_explanation_of_several(
     assert said(answer("ambiguous", *effects), **given).verdict == "ambiguous"
 
 
-def test_a_magnet_that_comes_has_a_place_and_a_moment_to_bend_by() -> None:
-    comes = Answer("named", fit_of("spatial_dipole", on_s=5.0), False, None)
-    assert said(comes).verdict == "ambiguous"
-    step = Answer("named", fit_of("hard_iron_step", on_s=5.0), False, None)
-    assert said(step).verdict == "named"
+def test_what_passes_has_more_than_a_place_or_a_moment_to_bend_by() -> None:
+    def told(effect: str, **when_s: float) -> Verdict:
+        return said(Answer("named", fit_of(effect, **when_s), False, None)).verdict
+
+    assert told("spatial_dipole", on_s=5.0) == told("spatial_dipole", off_s=5.0) == "ambiguous"
+    assert told("hard_iron_step", on_s=5.0) == "named"
+    assert told("hard_iron_step", on_s=5.0, off_s=9.0) == "ambiguous"
 
 
 @pytest.mark.parametrize(("hz", "told"), [(4.2, "named"), (4.3, "ambiguous")])
