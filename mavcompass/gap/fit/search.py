@@ -126,9 +126,12 @@ class Search:
             null = self.explored[frozenset()] = self.problem.null()
             best = self._rounds(null, most, ())
         for turned in self._turned(null, best):
+            before = self._temper
             rival = self._rounds(turned, most, turned.terms)
             if self.score(rival) < self.score(best):
                 best = rival
+            else:
+                self._temper = before
         best = self.polished(best)
         self.explored[best.ids] = best
         self._remember(self._rivals(best))
@@ -140,17 +143,18 @@ class Search:
         sets = likeliest_sets(candidates, self._temper, self.cost, size).get(size)
         return frozenset(c.term.effect.id for c in sets[0]) if sets else frozenset()
 
-    def nearest(self, most: int) -> Fit:
-        """Return the fit that comes nearest with up to `most` effects, needed or not.
+    def nearest(self, most: int, held: Fit | None = None) -> Fit:
+        """Return the fit that comes nearest with up to `most` effects, beside those `held`, needed or not.
 
         On noiseless readings its sum of squares is the squared distance to all that these effects can make.
         """
-        best = self.problem.null()
+        kept = Fit((), (), (), np.inf) if held is None else held
+        best = self.problem.null() if held is None else self.problem.refit(held)
         for _ in range(_ROUNDS):
-            candidates = self._linearised(best, ())
+            candidates = self._linearised(best, kept.terms)
             sets = likeliest_sets(candidates, self._temper, self.cost, most)
             trials = [s for size in sorted(sets) for s in sets[size][: 2 if size == max(sets) else 1]]
-            fits = [self._fitted(candidates, chosen, Fit((), (), (), np.inf), 8) for chosen in trials]
+            fits = [self._fitted(candidates, chosen, kept, 8) for chosen in trials]
             better = min([best, *fits], key=lambda f: f.sse)
             if better.sse > 0.99 * best.sse:
                 best = better
@@ -186,6 +190,8 @@ class Search:
         """Linearise beside the best set, weigh all sets, fit the likeliest; again until nothing changes."""
         kept = Fit(first.terms, first.thetas, (), np.inf) if held else Fit((), (), (), np.inf)
         smallest = best = first
+        # How blocks contradict each other beside another start says nothing of this one.
+        self._temper = 1.0
         for _ in range(_ROUNDS):
             candidates = self._linearised(self._unbent(best), held)
             sets = likeliest_sets(candidates, self._temper, self.cost, most - len(held))

@@ -14,7 +14,7 @@ from mavcompass.blas import single_thread
 from mavcompass.errors import UsageError
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import withheld_effects
-from mavcompass.gap.fit import Problem, Search, Term, placements
+from mavcompass.gap.fit import Fit, Problem, Search, Term, placements
 from mavcompass.gap.replay import replay
 from mavcompass.gap.trial import bench, foreign
 from mavcompass.gap.trial.bench import recipe_of, tracks_of
@@ -122,11 +122,12 @@ def score(label: Label, answer: Answer, withheld: Answer | None) -> Case:
 def _separation(label: Label, search: Search) -> float:
     """Return how far, in sigmas of the whole recording, the case is from what other effects can make.
 
-    For a pair it is the lesser of the two distances with one member removed; for what the catalogue does not
-    have, or is not to use, the distance to all that three others can make together.
+    For a pair it is the lesser of the two distances with one member removed (a turn of the mounting that
+    stays is known); for what the catalogue does not have, or is not to use, the distance to all that three
+    others can make together.
     """
     if label.tier == "pair":
-        return min(_distance(search, frozenset({name}), most=2) for name in label.ids)
+        return min(_distance(search, frozenset({n}), 2, _turned(label, search, n)) for n in label.ids)
     if label.tier == "single":
         return _distance(search, frozenset(label.ids), most=1)
     return _distance(search, _akin(label.ids), most=3)
@@ -137,11 +138,24 @@ def _akin(names: Iterable[str]) -> frozenset[str]:
     return withheld_effects(name for name in names if name in catalogue())
 
 
-def _distance(search: Search, removed: frozenset[str], most: int) -> float:
+def _turned(label: Label, search: Search, removed: str) -> Fit | None:
+    """Return the turn of the mounting by right angles that a pair keeps: no search goes from one to the
+    next."""
+    terms = {term.effect.id: term for term in search.terms if term.effect.kind == "discrete"}
+    kept = [s for s in map(parse, label.effects) if s.effect.id in terms and s.effect.id != removed]
+    known = tuple(n.mean for n in search.problem.nuisances)
+    return (
+        Fit(tuple(terms[s.effect.id] for s in kept), tuple(s.theta for s in kept), known, math.inf)
+        if kept
+        else None
+    )
+
+
+def _distance(search: Search, removed: frozenset[str], most: int, held: Fit | None = None) -> float:
     def nearest(terms: list[Term]) -> float:
         rest = search.on(search.problem)
         rest.terms = terms
-        return rest.nearest(most).sse
+        return rest.nearest(most, held).sse
 
     usable = [term for term in search.terms if term.effect.id not in removed]
     least = nearest(usable)

@@ -7,19 +7,38 @@ import pytest
 
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.replay import replay
+from mavcompass.gap.trial.label import Label
+from mavcompass.gap.trial.score import Answer, score
 from mavcompass.gap.trial.vehicles import make_case
 
 
-def test_small_effect_beside_a_turned_compass_is_named() -> None:
-    # A compass that is turned by 270 degrees changes 293 mG, its hysteresis 6.
-    case = make_case(1217082270, "pair")
+# What a turned compass changes is 293, 470 and 620 mG; the other effects 6, 31 and 50.
+@pytest.mark.parametrize(
+    ("seed", "beside", "within"),
+    [(1217082270, "hysteresis", 3.0), (615621390, "cross_axis", 0.015), (1223982451, "field_gradient", 0.1)],
+)
+def test_small_effect_beside_a_turned_compass_is_named(seed: int, beside: str, within: float) -> None:
+    case = make_case(seed, "pair")
     found = diagnose_gap(case.track, case.baseline)
-    assert [cause.effect for cause in found.causes] == ["orientation", "hysteresis"]
-    true = dict(case.effects)["hysteresis"]
-    assert dict(found.causes[1].parameters) == pytest.approx(true, rel=0.1)
-    assert found.verdict == "ambiguous"
-    assert dict(found.ambiguity_set) == {("hysteresis", "orientation"): 1.0}
+    assert [cause.effect for cause in found.causes] == ["orientation", beside]
+    named = dict(found.causes[1].parameters)
+    for name, true in dict(case.effects)[beside].items():
+        assert named[name] == pytest.approx(true, abs=within)
+    assert found.verdict in ("named", "ambiguous")
+    assert dict(found.ambiguity_set) == {tuple(sorted(("orientation", beside))): 1.0}
     assert found.field.after < found.field.floor
+
+
+def test_distance_of_a_pair_keeps_its_turn_of_the_mounting() -> None:
+    """What is left of a pair without its other member is a turned compass, not one that nothing explains."""
+    case = make_case(2092035597, "pair")
+    effects = tuple(
+        f"{name}:" + ",".join(f"{key}={value:.9g}" for key, value in values.items())
+        for name, values in case.effects
+    )
+    nothing = Answer("unknown", (), (), 1.0, 1.0, 0.0, (0.0, 0.0), 1.0)
+    scored = score(Label("pair", "copter lanes", 2092035597, effects, generator="vehicles"), nothing, None)
+    assert 5.0 < scored.separation < 50.0  # without the turn 856
 
 
 def test_autopilot_that_steers_by_a_turned_compass_accuses_no_gyro() -> None:
