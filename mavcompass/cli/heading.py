@@ -99,8 +99,8 @@ def command(
                 print(to_json(row.document()), flush=not recorded)
             elif draw is not None:
                 draw(row.magnetic_deg if row.true_deg is None else row.true_deg, row.text())
-            elif output.json_file is None or sys.stdout.isatty():
-                output.say(row.text())
+            elif output.json_file is None or (output.json_file != "-" and sys.stdout.isatty()):
+                print(row.text(), flush=True)  # without a reader it ends
             if output.json_file is not None:
                 kept.append(row.document())
     output.write_json({"schema": "mavcompass.heading/1", "source": source, "headings": kept})

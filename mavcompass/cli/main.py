@@ -16,7 +16,7 @@ from typing import TextIO
 import click
 
 from mavcompass import __version__
-from mavcompass.cli.options import verbose_option
+from mavcompass.cli.options import discard_standard_output, verbose_option
 from mavcompass.cli.terminal.colour import styled
 from mavcompass.errors import MavCompassError
 
@@ -62,7 +62,7 @@ class LazyCommands(click.Group):
             result = super().invoke(ctx)
             sys.stdout.flush()
         except BrokenPipeError:
-            _discard_standard_output()
+            discard_standard_output()
             ctx.exit(READER_WENT_AWAY)
         return result
 
@@ -156,10 +156,3 @@ def _log_traceback(error: Exception) -> None:
     import logging
 
     logging.getLogger("mavcompass").info("where it happened", exc_info=error)
-
-
-def _discard_standard_output() -> None:
-    """Send what is still buffered nowhere, so that the interpreter's last flush is quiet too."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
-    os.close(nowhere)

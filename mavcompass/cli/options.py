@@ -55,24 +55,38 @@ class Output:
     def say(self, text: str = "") -> None:
         """Print a line for a person on standard output, unless that belongs to the JSON document."""
         if self.json_file != "-":
-            print(text, flush=True)
+            _print(text)
 
     def write_json(self, document: Mapping[str, object]) -> None:
         """Write the result where `--json` asked for it; without `--json` do nothing."""
         if self.json_file is None:
             return
-        text = to_json(document, indent=2) + "\n"
+        text = to_json(document, indent=2)
         if self.json_file == "-":
-            sys.stdout.write(text)
-            sys.stdout.flush()
+            _print(text)
             return
         try:
-            Path(self.json_file).write_text(text, encoding="utf-8")
+            Path(self.json_file).write_text(f"{text}\n", encoding="utf-8")
         except OSError as error:
             raise UsageError(
                 f"The result could not be written to {self.json_file} ({error.strerror}).",
                 "Give --json a file in a folder that you may write to.",
             ) from error
+
+
+def _print(text: str) -> None:
+    """Print a result; that its reader has gone away is no reason to leave the rest undone."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        discard_standard_output()
+
+
+def discard_standard_output() -> None:
+    """Send what is still buffered, and what is to come, nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
 
 
 def _output(context: click.Context, parameter: click.Parameter, value: str | None) -> Output:

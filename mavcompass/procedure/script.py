@@ -139,7 +139,7 @@ class Machine(Generic[T]):
         self.wake_at_s = 0.0
         self._script = script(self.context)
         self._started = False
-        self._stopping_since: float | None = None
+        self._stopped: tuple[float, Exception] | None = None
 
     def step(self, event: Event) -> list[Action]:
         """Take one event, return what is to be sent and shown. After `done` nothing happens."""
@@ -154,12 +154,12 @@ class Machine(Generic[T]):
             self._stop(Refused(event.reason))
         elif not self.done:
             error = self._look(event)
-            if error is not None and self._stopping_since is None:
+            if error is not None and self._stopped is None:
                 self._stop(error)
             else:
                 self._resume(lambda: self._script.send(event))
-        if self._stopping_since is not None and context.now - self._stopping_since > CLEAN_UP_S:
-            self._abandon()
+        if self._stopped is not None and context.now - self._stopped[0] > CLEAN_UP_S:
+            self._abandon(self._stopped[1])
         actions, context.outbox = context.outbox, []
         return actions
 
@@ -170,7 +170,7 @@ class Machine(Generic[T]):
             if (message := context.heard_from_vehicle(event)) is not None:
                 for listener in context.listeners:
                     listener(message)
-            if self._stopping_since is None:
+            if self._stopped is None:
                 reason = next((r for w in list(context.watches) if (r := w(context.now))), None)
                 return None if reason is None else Refused(reason)
         except Exception as fault:
@@ -178,11 +178,11 @@ class Machine(Generic[T]):
         return None
 
     def _stop(self, error: Exception) -> None:
-        if self._stopping_since is None and not self.done:
-            self._stopping_since = self.context.now
+        if self._stopped is None and not self.done:
+            self._stopped = self.context.now, error
             self._resume(lambda: self._script.throw(error))
 
-    def _abandon(self) -> None:
+    def _abandon(self, why: Exception) -> None:
         """End a script that could not clean up in time; it may say what it leaves behind."""
         try:
             with suppress(RuntimeError):  # it was still waiting in a `finally`
@@ -192,7 +192,7 @@ class Machine(Generic[T]):
         self._finish(
             None,
             Refused(
-                "The procedure was stopped, and the vehicle did not answer after.",
+                f"{getattr(why, 'what', why)} The vehicle did not answer after.",
                 "Look at the vehicle before you go near it.",
             ),
         )

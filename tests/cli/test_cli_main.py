@@ -284,6 +284,19 @@ def test_a_reader_that_goes_away_ends_the_program_quietly(
     assert running.wait(timeout=30) == 141
 
 
+def test_a_result_whose_reader_goes_away_is_completed(
+    start_process: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    report, result = tmp_path / "page.html", tmp_path / "result.json"
+    command = ("calibrate", "sim:rover", "--dry-run", "--report", str(report), "--json", str(result))
+    running = start_process(sys.executable, "-m", "mavcompass", *command)
+    assert running.stdout is not None and running.stderr is not None
+    running.stdout.close()
+    assert "Errno" not in running.stderr.read()
+    assert running.wait(timeout=60) == 0
+    assert "</html>" in report.read_text() and json.loads(result.read_text())["compasses"]
+
+
 def test_a_terminal_without_the_letters_gets_question_marks() -> None:
     done = subprocess.run(
         [sys.executable, "-X", "utf8=0", "-c", TALKING_COMMAND.replace("100000", "1")],

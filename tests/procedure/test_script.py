@@ -120,12 +120,13 @@ def test_a_clean_up_that_never_ends_is_ended() -> None:
 
     machine = Machine(script)
     machine.step(Tick(0.0))
-    machine.step(Stop(1.0, "stop"))
+    machine.step(Stop(1.0, "Stopped by hand."))
     machine.step(Tick(1.0 + CLEAN_UP_S))
     assert not machine.done
     machine.step(Tick(1.1 + CLEAN_UP_S))
     assert machine.done
     assert isinstance(machine.error, Refused)
+    assert machine.error.what == "Stopped by hand. The vehicle did not answer after."
 
 
 def test_a_watch_stops_the_script_once() -> None:

@@ -133,7 +133,7 @@ def test_a_stop_of_the_service_halts_the_vehicle_first(start_service: StartServi
     running.client.post("/api/calibration", json={})
     wait_for(lambda: abs(running.link.autopilot.truth.yaw_rate_radps) > 0.3)  # type: ignore[union-attr,attr-defined]
     running.service.stop()
-    wait_for(lambda: not running._thread.is_alive(), 30.0)
+    wait_for(lambda: not running._thread.is_alive())
     running.link.autopilot.advance(running.link.autopilot.time_s + 1.0)
     assert abs(running.link.autopilot.truth.yaw_rate_radps) < 0.05  # type: ignore[attr-defined]
     task = running.service.station.desk.current

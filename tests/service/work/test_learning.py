@@ -187,7 +187,7 @@ def test_what_was_learnt_is_written_with_consent_and_undone(disarmed: RunningSer
     assert "COMPASS_OFS_X" in asking["question"]
     assert heading_error_rms_deg(vehicle) == bent_deg, "nothing is written without consent"
     client.post("/api/task/answer", json={"yes": True})
-    done = disarmed.finish(task, 60.0)
+    done = disarmed.finish(task)
     assert done["ok"] and done["document"]["written"] and done["document"]["verified"], done["error"]
     assert done["document"]["method"] == "running"
     assert heading_error_rms_deg(vehicle) < 0.5

@@ -6,7 +6,6 @@ import os
 import socket
 import sys
 import threading
-import time
 import tty
 from collections.abc import Iterator
 from contextlib import closing
@@ -251,14 +250,12 @@ def test_a_peer_that_does_not_read_costs_only_its_own_messages() -> None:
             server.wait(0.1)
             server.read()
         link = WireLink(server)
-        start_s = time.monotonic()
         frames = 0
         while not link.statistics.dropped and frames < 500_000:
             link.send(NamedValueFloat(1, "n", 1.0))
             frames += 1
         assert link.statistics.dropped == 1
         assert frames * 20 > SEND_BUFFER_BYTES
-        assert time.monotonic() - start_s < 20.0
 
 
 def test_a_link_that_was_closed_says_so() -> None:
