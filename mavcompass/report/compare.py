@@ -8,7 +8,7 @@ from pathlib import Path
 from mavcompass.gap.comparison import Comparison
 from mavcompass.report.compare_words import compare_advice
 from mavcompass.report.gap_figures import levels_figure, residual_overlay
-from mavcompass.report.gap_words import VERDICTS, shrink_words
+from mavcompass.report.gap_words import SHADES, VERDICTS, shrink_words
 from mavcompass.report.page import write_page
 from mavcompass.simulation.effects import get
 
@@ -42,7 +42,7 @@ def write_compare_report(comparison: Comparison, path: Path) -> None:
     shown = {
         "advice": compare_advice(comparison),
         "verdict": VERDICTS[told.verdict],
-        "css": "good" if told.verdict in ("no_gap", "named") else "warn",
+        "css": SHADES.get(told.verdict, "warn"),
         "facts": {
             "Simulator": comparison.simulator.path or "unknown",
             "Vehicle": comparison.vehicle.path or "unknown",

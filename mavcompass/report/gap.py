@@ -16,31 +16,21 @@ from mavcompass.report.gap_figures import (
     tests_figure,
     waterfall_figure,
 )
-from mavcompass.report.gap_words import advice, shrink_words
+from mavcompass.report.gap_words import SHADES, VERDICTS, advice, shrink_words
 from mavcompass.report.page import write_page
 from mavcompass.simulation.effects import catalogue
-
-_VERDICTS = {
-    "no_gap": ("no gap", "good", "The simulation agrees with the recording down to the noise floor."),
-    "named": ("explained", "good", "One explanation holds, on parts that were not used to find it."),
-    "ambiguous": ("ambiguous", "warn", "More than one explanation fits; the next recording can decide."),
-    "named_with_remainder": ("explained in part", "warn", "The named effects hold, and something is left."),
-    "unknown": ("unknown", "bad", "No effect of the catalogue explains this gap."),
-    "not_testable": ("not testable", "warn", "The recording cannot tell."),
-}
 
 
 def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
     """Write the report of a diagnosis. Raises UsageError where the file cannot be written."""
-    word, css, sentence = _VERDICTS[diagnosis.verdict]
-    if diagnosis.in_force is not None and (cured := diagnosis.in_force.words()) is not None:
-        sentence += f" The calibration in force cures {cured}: that is part of the nominal simulation."
     facts = {
         "Recording": diagnosis.path or "unknown",
         "Length": f"{diagnosis.duration_s:.0f} s, {diagnosis.samples} readings",
         "Compass": str(diagnosis.compass),
         "Attitude from": diagnosis.reference,
     }
+    if diagnosis.in_force is not None and (cured := diagnosis.in_force.words()) is not None:
+        facts["The calibration in force cures"] = f"{cured}, part of the nominal simulation"
     if diagnosis.corrected_rms_mgauss is not None:
         facts["With the calibration in force"] = (
             f"{diagnosis.corrected_rms_mgauss:.2f} mG rms beside the plain field"
@@ -50,9 +40,8 @@ def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
     if diagnosis.withheld:
         facts["Withheld"] = ", ".join(diagnosis.withheld)
     shown = {
-        "verdict": word,
-        "css": css,
-        "sentence": sentence,
+        "verdict": VERDICTS[diagnosis.verdict],
+        "css": SHADES.get(diagnosis.verdict, "warn"),
         "facts": facts,
         "notes": diagnosis.notes,
         "d": diagnosis,

@@ -16,6 +16,7 @@ VERDICTS = {
     "unknown": "unknown: none of the effects in the catalogue explains it",
     "not_testable": "not testable",
 }
+SHADES = {"no_gap": "good", "named": "good", "unknown": "bad"}  # of a verdict on a page; else "warn"
 _CALIBRATE = "Calibrate: the vehicle's iron is not what its parameters say"
 _MOVE_AWAY = "Move the compass away from the power leads, or set the motor compensation (COMPASS_MOT)"
 _OF_THE_PLACE = "Record elsewhere: it is of the place, not of the vehicle"
