@@ -104,8 +104,8 @@ class History:
             # After a power cut the file is whole; the last entry may be missing.
             self._database.execute("PRAGMA journal_mode = WAL")
             self._database.execute("PRAGMA foreign_keys = ON")
-            # Of 2 MB, its default, each calibration takes 40 kB more, though it is hardly ever read again.
-            self._database.execute("PRAGMA cache_size = -256")
+            # Of 2 MB, its default, each calibration would take 17 kB more, and is hardly ever read again.
+            self._database.execute("PRAGMA cache_size = -64")
             self._migrate()
         except (OSError, sqlite3.Error) as error:
             raise MavCompassError(

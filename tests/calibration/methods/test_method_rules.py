@@ -68,6 +68,28 @@ def test_still_positions_are_preferred_unless_another_is_surer_by_a_quarter(
     assert not auto._chosen(refused).accepted
 
 
+@pytest.mark.parametrize("changed", [True, False])
+def test_iron_that_changed_is_told_and_only_what_came_after_is_used(
+    changed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = turning_track(Iron((60.0, -40.0, 25.0), np.eye(3)), noise=0.0, dwell_s=1.0)
+    middle_s = float(track.compasses[1].time_s.mean())
+    motion = SimpleNamespace(sections=SimpleNamespace(start_s=np.array([middle_s])), load_source="")
+    change = SimpleNamespace(words=lambda: "The iron changed.") if changed else None
+    used: list[Recorded] = []
+
+    def tried(recorded: Recorded, _: object) -> tuple[list[CalibrationResult], list[PoorCalibration]]:
+        used.append(recorded)
+        return [result()], []
+
+    monkeypatch.setattr(auto, "_observed", lambda recorded: (motion, change))
+    monkeypatch.setattr(auto, "_tried", tried)
+    told = auto.calibrate(Recorded(track, 1, FIELD)).warnings
+    first_s = used[0].track.compasses[1].time_s[0]
+    assert first_s == pytest.approx(middle_s if changed else track.compasses[1].time_s[0], abs=0.2)
+    assert ("The iron changed." in told) is changed
+
+
 @pytest.mark.parametrize(
     ("apart_deg", "sigma_deg", "agree"),
     [(1.9, 0.1, True), (2.1, 0.1, False), (3.8, 0.9, True), (4.0, 0.9, False)],

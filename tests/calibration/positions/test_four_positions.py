@@ -152,7 +152,7 @@ def test_the_budget_adds_up() -> None:
     data = four_positions(iron_of(STRONG), np.random.default_rng(2), noise=3.0, gyro_sigma=math.radians(0.3))
     fit = solve_four_positions(data, earth=FIELD)
     total = math.sqrt(sum(v**2 for v in fit.budget_rad.values()))
-    assert total == pytest.approx(fit.heading_sigma_rad, rel=0.05)
+    assert total == pytest.approx(fit.heading_sigma_rad, rel=1e-6)
     assert {"noise", "step_angle", "tilt", "world_model", "quantisation", "disturbance"} <= set(
         fit.budget_rad
     )

@@ -56,6 +56,8 @@ def test_matrix(stretch: float, verdict: Verdict) -> None:
         item = items.judge_matrix(1, FieldCorrection(diagonals=matrix))
         assert item.verdict == verdict and with_remedy(item) and item.limit == 1.35
         assert item.value == pytest.approx(stretch) and f"axis {stretch:.2f} times the other" in item.text
+    thin = items.judge_matrix(1, FieldCorrection(diagonals=(1.0, 0.05, 1.0)))
+    assert thin.verdict == "fail" and thin.value == pytest.approx(20.0)
     flat = items.judge_matrix(1, FieldCorrection(diagonals=(1.0, 0.0, 1.0)))
     assert flat.verdict == "fail" and flat.to_json()["value"] is None
 
