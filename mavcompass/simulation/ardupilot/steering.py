@@ -39,7 +39,6 @@ class Steering:
     ground: GroundGuidance
     hover: HoverGuidance
     arming: Arming
-    _idle_s: float = field(default=0.0, init=False)
     _returning_home: bool = field(default=False, init=False)
 
     def take_position_target(self, target: Target | None, mask: int) -> None:
@@ -76,8 +75,10 @@ class Steering:
     def _fly(self, dt_s: float) -> Drive:
         body = self.board.body
         if body.landed and body.climb_mps <= 0.0 and not self._wants_to_climb():
-            return self._idle(dt_s)
-        self._idle_s = 0.0
+            self._returning_home = False
+            if self.hover.idle(dt_s, self.status.mode, self.store.get("DISARM_DELAY", 10.0)):
+                self.arming.disarm()
+            return Drive(motors_on=self.status.armed)
         now = self.board.boot_time_s
         by_hand = 0.0
         if self.status.mode in self.rules.by_hand:
@@ -110,18 +111,6 @@ class Steering:
             return -_FALL_MPS
         speed = stick(throttle)
         return speed * (_CLIMB_MPS if speed > 0.0 else _DESCEND_MPS)
-
-    def _idle(self, dt_s: float) -> Drive:
-        """Stand on the ground with the motors idling; disarm after a while."""
-        self.hover.release()
-        self.hover.height_m = None
-        self._returning_home = False
-        self._idle_s += dt_s
-        landed_by_itself = self.status.mode in ("LAND", "RTL")
-        if self._idle_s >= (2.0 if landed_by_itself else self.store.get("DISARM_DELAY", 10.0)):
-            self._idle_s = 0.0
-            self.arming.disarm()
-        return Drive(motors_on=self.status.armed)
 
     def _dive(self, dt_s: float) -> Drive:
         now = self.board.boot_time_s

@@ -16,6 +16,7 @@ from mavcompass.simulation.physics.motion import Drive
 TARGET_TIMEOUT_S = 3.0
 _STICK_CENTRE, _STICK_SPAN, _STICK_DEADZONE = 1500, 500, 30
 _TWO_PI = 2.0 * math.pi
+_LANDED_AND_IDLE_S = 2.0
 
 
 class Ignore(IntFlag):
@@ -104,6 +105,7 @@ class HoverGuidance:
         self._left_rad = 0.0
         self._slew_radps = 0.0
         self._target: Target | None = None
+        self._idle_s = 0.0
 
     def hold(self) -> None:
         """Hold the present heading."""
@@ -121,6 +123,16 @@ class HoverGuidance:
         self._yaw_rad = None
         self._left_rad = 0.0
         self._target = None
+
+    def idle(self, dt_s: float, mode: str, patience_s: float) -> bool:
+        """Stand on the ground with the motors idling; tell whether it is time to disarm."""
+        self.release()
+        self.height_m = None
+        self._idle_s += dt_s
+        if self._idle_s < (_LANDED_AND_IDLE_S if mode in ("LAND", "RTL") else patience_s):
+            return False
+        self._idle_s = 0.0
+        return True
 
     def turn(self, angle_rad: float, slew_radps: float, direction: int, relative: bool) -> None:
         """Turn as CONDITION_YAW says: to or by an angle, from the present heading."""
@@ -149,6 +161,7 @@ class HoverGuidance:
 
     def yaw_rate(self, dt_s: float, turn_by_hand_radps: float = 0.0) -> float | None:
         """Return the turn rate to fly now; None to let go."""
+        self._idle_s = 0.0
         if self._yaw_rad is None:
             return None
         feed = turn_by_hand_radps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from mavcompass.enums import MavFrame, MavSeverity
 from mavcompass.messages import SetPositionTargetLocalNed
@@ -22,8 +22,6 @@ from mavcompass.simulation.px4.arming import Arming
 from mavcompass.simulation.px4.modes import BY_HAND, Modes
 from mavcompass.simulation.px4.setpoints import Setpoints
 
-_LANDED_AND_IDLE_S = 2.0
-
 
 @dataclass(slots=True, eq=False)
 class Flight:
@@ -37,7 +35,6 @@ class Flight:
     setpoints: Setpoints
     modes: Modes
     arming: Arming
-    _idle_s: float = field(default=0.0, init=False)
 
     def boot(self, hovering: bool) -> None:
         """Begin on the ground, or hovering."""
@@ -87,8 +84,9 @@ class Flight:
             return Drive()
         climbs = self.status.mode == "TAKEOFF" and bool(self.hover.height_m)
         if body.landed and body.climb_mps <= 0.0 and not climbs:
-            return self._idle(dt_s)
-        self._idle_s = 0.0
+            if self.hover.idle(dt_s, self.status.mode, self.store["COM_DISARM_PRFLT"]):
+                self.arming.disarm("auto preflight disarming")
+            return Drive(motors_on=self.status.armed)
         if body.landed:
             self.hover.hold()
         now = self.board.boot_time_s
@@ -117,14 +115,3 @@ class Flight:
             if abs(hover.height_m - height) < 0.2:
                 self.modes.enter("HOLD")
         return climb
-
-    def _idle(self, dt_s: float) -> Drive:
-        """Stand on the ground with the motors idling; disarm after a while."""
-        self.hover.release()
-        self.hover.height_m = None
-        self._idle_s += dt_s
-        limit = _LANDED_AND_IDLE_S if self.status.mode in ("LAND", "RTL") else self.store["COM_DISARM_PRFLT"]
-        if self._idle_s >= limit:
-            self._idle_s = 0.0
-            self.arming.disarm("auto preflight disarming")
-        return Drive(motors_on=self.status.armed)
