@@ -265,7 +265,8 @@ class OwnHeading:
             self._has_a_way = bool(how) and self.by.count(how) < _LOADS
         else:
             how = yield from desk.dialect.take_compass_yaw(desk.context, desk.parameters, self.flying)
-            self._has_a_way = bool(how)
+            # What is not done in flight may be done on the ground.
+            self._has_a_way = bool(how) or self.flying
         return how
 
     def _look(self) -> None:
