@@ -121,8 +121,9 @@ def main() -> None:
 
 def take(program: str, url: str, size: tuple[int, int], scheme: str, picture: str, ready: str) -> None:
     """Take one picture when a condition holds in the page."""
-    page = Page(program, *size, dark=scheme == "dark")
+    page = Page(program, *size)
     try:
+        page.show_on(*size, dark=scheme == "dark")
         page.open(url)
         page.wait(ready)
         file = PICTURES / f"{picture}-{scheme}.png"

@@ -29,6 +29,8 @@ _OPTIONS = (
     "--remote-debugging-port=0",
 )
 
+_PATIENCE_S = 300.0  # what hangs ends by it; a busy machine is slow
+
 
 def find_chromium() -> str | None:
     """Find the program, None where there is none."""
@@ -70,7 +72,7 @@ class Page:
     def _connect(self) -> Any:
         self._session = None
         told = Path(self._folder.name) / "DevToolsActivePort"
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + _PATIENCE_S
         while time.monotonic() < end:
             if self._browser.poll() is not None:
                 raise RuntimeError("Chromium ended at once")
@@ -87,7 +89,7 @@ class Page:
             message["sessionId"] = self._session
         self._socket.send(json.dumps(message))
         while True:
-            heard = json.loads(self._socket.recv(timeout=30.0))
+            heard = json.loads(self._socket.recv(timeout=_PATIENCE_S))
             if heard.get("id") == self._number:
                 if "error" in heard:
                     raise RuntimeError(f"{method}: {heard['error']}")
@@ -115,9 +117,9 @@ class Page:
             raise RuntimeError(f"{script}: {result['exceptionDetails']['text']}")
         return result["result"].get("value")
 
-    def wait(self, condition: str, timeout_s: float = 20.0) -> Any:
+    def wait(self, condition: str) -> Any:
         """Wait until an expression is true in the page."""
-        end = time.monotonic() + timeout_s
+        end = time.monotonic() + _PATIENCE_S
         while time.monotonic() < end:
             if value := self.run(condition):
                 return value

@@ -67,9 +67,9 @@ def test_a_calibration_from_the_page_to_written_parameters(
 
     page.click("#calibrate")
     page.wait("!document.querySelector('#running').hidden")
-    page.wait("document.querySelectorAll('.c-spot.lit').length >= 2", 40.0)
+    page.wait("document.querySelectorAll('.c-spot.lit').length >= 2")
     look(page, "2-turning")
-    page.wait("!document.querySelector('#question').hidden", 60.0)
+    page.wait("!document.querySelector('#question').hidden")
     # Four, and further ones where four left doubt: whatever was visited is lit.
     assert lit(page) == page.run("document.querySelectorAll('.c-spot').length") >= 4
     assert "COMPASS_OFS_X" in page.text("#question-text")
@@ -77,7 +77,7 @@ def test_a_calibration_from_the_page_to_written_parameters(
     before_deg = heading_error_rms_deg(running.link.autopilot)  # type: ignore[arg-type]
 
     page.click("#yes")
-    page.wait("!document.querySelector('#result').hidden", 60.0)
+    page.wait("!document.querySelector('#result').hidden")
     assert "written, read back" in page.text("#result .verdict")
     assert heading_error_rms_deg(running.link.autopilot) < 0.1 * before_deg  # type: ignore[arg-type]
     page.wait("document.querySelectorAll('#history li[data-kind=calibration]').length === 1")
@@ -98,7 +98,7 @@ def test_a_person_is_told_how_to_turn_and_can_stop(start_service: StartService, 
     page = open_page(start_service(link))
     page.wait("document.querySelector('#motion-hint').innerText.includes('by hand')")
     page.click("#calibrate")
-    page.wait("document.querySelector('#prompt').innerText.startsWith('Turn right')", 40.0)
+    page.wait("document.querySelector('#prompt').innerText.startsWith('Turn right')")
     page.screenshot(SCREENSHOTS / "390x844-6-by-hand.png")
     page.click("#stop")
     page.wait("!document.querySelector('#result').hidden")
@@ -116,7 +116,7 @@ def test_without_the_token_the_page_only_shows(running: RunningService, open_pag
     page.run(f"document.querySelector('#token').value = {running.service.token!r}")
     page.click("#token-form button")
     page.click("#check")
-    page.wait("!document.querySelector('#result').hidden", 40.0)
+    page.wait("!document.querySelector('#result').hidden")
     assert "Fail" in page.text("#result .verdict")
     page.screenshot(SCREENSHOTS / "390x844-7-check.png", whole=True)
 
