@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mavcompass.cli.gap.shared import compass_option, showing_progress
+from mavcompass.cli.gap.shared import compass_option, say_summary, showing_progress
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
-from mavcompass.cli.terminal.colour import styled
 from mavcompass.installation.invocation import program
 
 if TYPE_CHECKING:
@@ -62,10 +61,7 @@ def say_comparison(comparison: Comparison, output: Output) -> None:
     """Say what to do, and how the two differ."""
     from mavcompass.report.compare_words import compare_summary
 
-    first, *rest = compare_summary(comparison)
-    output.say(styled(first, bold=True))
-    for line in rest:
-        output.say(line)
+    say_summary(compare_summary(comparison), output)
 
 
 def write_report(comparison: Comparison, report: Path | None, output: Output) -> None:

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mavcompass.cli.gap.shared import baseline_option, compass_option, diagnosed
+from mavcompass.cli.gap.shared import baseline_option, compass_option, diagnosed, say_summary
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.source import reference_option
-from mavcompass.cli.terminal.colour import styled
 from mavcompass.errors import UsageError
 from mavcompass.installation.invocation import program
 
@@ -233,7 +232,5 @@ def blind_trial(cases: int, seed: int, generator: Generator, report: Path | None
 def _say(diagnosis: Diagnosis, output: Output) -> None:
     from mavcompass.report.gap_words import summary
 
-    first, *rest = summary(diagnosis, everything=output.verbose)
-    output.say(styled(first, bold=True, fg="green" if diagnosis.verdict == "no_gap" else "yellow"))
-    for line in rest:
-        output.say(line)
+    colour = "green" if diagnosis.verdict == "no_gap" else "yellow"
+    say_summary(summary(diagnosis, everything=output.verbose), output, colour)

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import click
 
-from mavcompass.cli.gap.shared import baseline_option, compass_option, showing_progress
+from mavcompass.cli.gap.shared import baseline_option, compass_option, say_summary, showing_progress
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.source import reference_option
-from mavcompass.cli.terminal.colour import styled
 from mavcompass.cli.terminal.show import is_live
 from mavcompass.errors import UsageError
 
@@ -77,10 +76,7 @@ def rehearse(
         result = rehearsed(track, diagnosis, draws, seed, reference, count)  # type: ignore[arg-type]
     from mavcompass.report.rehearsal import rehearsal_summary, write_rehearsal_report
 
-    first, *rest = rehearsal_summary(result)
-    output.say(styled(first, bold=True))
-    for line in rest:
-        output.say(line)
+    say_summary(rehearsal_summary(result), output)
     output.write_json(result.to_json())
     if report is not None:
         write_rehearsal_report(result, report)

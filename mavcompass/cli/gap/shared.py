@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mavcompass.cli.options import Output
+from mavcompass.cli.terminal.colour import styled
+
 if TYPE_CHECKING:
     from mavcompass.gap.result import Diagnosis
 
@@ -43,6 +46,11 @@ def diagnosed(
             track, before, withhold, instance, reference,  # type: ignore[arg-type]
             thorough=thorough, progress=progress,
         )  # fmt: skip
+
+
+def say_summary(lines: list[str], output: Output, colour: str | None = None) -> None:
+    """Say what to do, which is the first line, and why."""
+    output.say("\n".join([styled(lines[0], bold=True, fg=colour), *lines[1:]]))
 
 
 @contextmanager
