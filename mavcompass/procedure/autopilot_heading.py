@@ -265,8 +265,7 @@ class OwnHeading:
             self._has_a_way = bool(how) and self.by.count(how) < _LOADS
         else:
             how = yield from desk.dialect.take_compass_yaw(desk.context, desk.parameters, self.flying)
-            # What is not done in flight may be done on the ground.
-            self._has_a_way = bool(how) or self.flying
+            self._has_a_way = bool(how)
         return how
 
     def _look(self) -> None:

@@ -150,18 +150,6 @@ def test_before_a_turn_it_takes_the_yaw_over_if_it_knows_a_way() -> None:
     assert watched.desk.took == [False]  # type: ignore[attr-defined]
 
 
-def test_what_is_not_done_in_flight_is_done_once_it_has_landed() -> None:
-    watched = own(falling(5.0, -0.2), kind="copter", armed=True)
-    watched.desk.dialect.take_compass_yaw = (  # type: ignore[method-assign]
-        lambda context, parameters, flying: nothing("" if flying else "a switch")
-    )
-    run(watched.keep_up(), watched)
-    assert not watched._may_help() and watched._patience_s() == 45.0
-    watched.desk.state.armed = False
-    assert watched._may_help() and watched._patience_s() == 120.0
-    assert run(watched._put_right(5.0), watched) is True and watched.by == ["a switch"]
-
-
 @pytest.mark.parametrize(
     ("rest_s", "not_before_s", "flying", "looks"),
     [(1.3, -math.inf, False, True), (1.1, -math.inf, False, False), (1.1, -math.inf, True, True),
