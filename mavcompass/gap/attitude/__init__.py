@@ -4,6 +4,7 @@ from mavcompass.gap.attitude.inertial import accelerometer_fault, gyro_fault, wi
 from mavcompass.gap.attitude.kinematics import (
     cross_matrices,
     exponentials,
+    integral,
     second_derivative,
     turned_about_down,
 )
@@ -26,6 +27,7 @@ __all__ = [
     "cross_matrices",
     "exponentials",
     "gyro_fault",
+    "integral",
     "local_position",
     "north_east_m",
     "reference_attitude",

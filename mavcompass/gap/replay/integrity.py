@@ -9,11 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude import integral
+from mavcompass.track import Series
 
 _FEWEST_LEVELS = 6
 # Steps that are looked for behind a calibration: finer ones drown in the messages' own rounding.
 _FINEST_MGAUSS, _COARSEST_MGAUSS = 4.0, 100.0
 _IN_STEP, _AS_GOOD, _WORTH_A_LEVEL = 0.85, 0.97, 0.005
+# What a gyro at rest may tell; readings stay for a shorter time by nature.
+_RESTING_RADPS, _WORTH_A_LOOK_S = 0.01, 0.25
 _BIN_MGAUSS, _MOST_BINS = 0.25, 1 << 18
 
 
@@ -22,8 +26,9 @@ class Trace:
     """Hold what the numbers show.
 
     `stale_share` is the share of repeats, `stale` which rows repeat, `held_s` how long each fresh reading
-    stayed from `fresh_s` on, `jump_mgauss` by how much the next one differs on the axis where it does most (0
-    of the last one), `step_mgauss` the step of the numbers (0: none seen).
+    stayed from `fresh_s` on, `jump_mgauss` by how much the next one differs on the axis where it does most
+    (inf of the last one), `turned_rad` how far the gyro turned meanwhile (inf where there is none, 0
+    of what stayed for an instant only), `step_mgauss` the step of the numbers (0: none seen).
     """
 
     stale_share: float
@@ -31,19 +36,41 @@ class Trace:
     held_s: FloatArray
     fresh_s: FloatArray
     jump_mgauss: FloatArray
+    turned_rad: FloatArray
     step_mgauss: float
 
 
-def inspect(field_mgauss: FloatArray, valid: NDArray[np.bool_], time_s: FloatArray) -> Trace:
+def inspect(
+    field_mgauss: FloatArray,
+    valid: NDArray[np.bool_],
+    time_s: FloatArray,
+    gyro_radps: Series | None = None,
+) -> Trace:
     """Look for repeats and a lattice in readings (N, 3) at some times (N,), before any averaging."""
     same = np.concatenate([[False], (np.diff(field_mgauss, axis=0) == 0.0).all(axis=1)]) & valid
     share = float(same.sum()) / max(int(valid.sum()), 1)
     # How long each fresh reading was repeated: readings that are missing repeat nothing.
     fresh = np.flatnonzero(~same)
     last = np.append(fresh[1:], time_s.size) - 1
-    jump = np.append(np.abs(np.diff(field_mgauss[fresh], axis=0)).max(axis=1), 0.0)
+    jump = np.append(np.abs(np.diff(field_mgauss[fresh], axis=0)).max(axis=1), np.inf)
     held, since = time_s[last] - time_s[fresh], time_s[fresh]
-    return Trace(share, same, held, since, np.nan_to_num(jump), _lattice(field_mgauss[valid]))
+    turned = np.zeros(held.size)
+    for i in np.flatnonzero(held > _WORTH_A_LOOK_S):
+        turned[i] = _turned_rad(gyro_radps, float(since[i]), float(since[i] + held[i]))
+    jump = np.nan_to_num(jump, posinf=np.inf)
+    return Trace(share, same, held, since, jump, turned, _lattice(field_mgauss[valid]))
+
+
+def _turned_rad(gyro_radps: Series | None, start_s: float, end_s: float) -> float:
+    """Return the farthest that a gyro turned from where it was, beyond what its bias may make of rest."""
+    if gyro_radps is None or len(gyro_radps) < 2:
+        return math.inf
+    first, last = np.searchsorted(gyro_radps.time_s, (start_s, end_s))
+    time_s, rate = gyro_radps.time_s[first:last], gyro_radps.values[first:last]
+    if time_s.size < 2:
+        return 0.0
+    turned = np.linalg.norm(integral(time_s, rate), axis=1) - _RESTING_RADPS * (time_s - time_s[0])
+    return max(float(turned.max()), 0.0)
 
 
 def _lattice(field: FloatArray) -> float:

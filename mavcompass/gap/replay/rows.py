@@ -51,7 +51,7 @@ def compass_rows(track: Track, compass: MagSeries, period_s: float = 0.0) -> Row
     """
     time_s, keep = np.unique(compass.time_s, return_index=True)
     reported = compass.reported.values[keep]
-    logged = inspect(reported, np.asarray(np.isfinite(reported).all(axis=1)), time_s)
+    logged = inspect(reported, np.asarray(np.isfinite(reported).all(axis=1)), time_s, track.gyro_radps)
     telemetry = track.autopilot != "unknown" or _slower_than_logged(reported)
     restored = _restored(compass)
     raw = replace(track, compasses={compass.instance: restored}).raw_field(compass.instance)[keep]

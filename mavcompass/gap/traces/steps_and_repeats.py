@@ -15,8 +15,8 @@ _REPEATS_WORTH_NAMING = 0.003
 # that rounding to the messages' makes.
 _MUCH_COARSER = 14.0
 # Autopilots read their compass ten times a second and repeat it meanwhile; a rest may look like a repeat.
-# While the field changes by this a live sensor changes too; at rest its noise does within some seconds.
-_MOVED_MGAUSS, _NO_REST_S = 5.0, 5.0
+# While the field changes by this, or the vehicle turns so far, a live sensor changes too.
+_MOVED_MGAUSS, _TURNED_RAD = 5.0, math.radians(2.0)
 _TELEMETRY_HOLDS_S, _FAR_LONGER = 0.3, 1.5
 # Messages as often as readings fall beside them now and then: one reading in two of them.
 _SEEN_TWICE_S = 0.2
@@ -45,21 +45,20 @@ def stale_share(replay: Replay, baseline: Replay | None) -> float:
 def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
     """Return the share of time in which readings stayed far longer than they do in a healthy vehicle.
 
-    Only while the field changes by more than chance: numbers of a vehicle at rest may repeat for long. What a
-    frozen compass missed shows in its next reading, whatever the simulation believes.
+    Only where the gyro turned meanwhile, and the next reading jumps: a compass without noise that stands
+    still repeats itself for as long, and coarse numbers for as long as the field stays within their step.
     """
     trace = replay.trace
-    # Coarse numbers change only with the field.
-    changes = max(_MOVED_MGAUSS, 2.0 * trace.step_mgauss)
-    rests = trace.step_mgauss <= _USUAL_STEP_MGAUSS
-    held = np.where((trace.jump_mgauss > changes) | ((trace.held_s > _NO_REST_S) & rests), trace.held_s, 0.0)
     usual = _TELEMETRY_HOLDS_S
     if baseline is not None and baseline.telemetry and baseline.trace.held_s.size:
         usual = max(
             float(baseline.trace.held_s.max()), _SEEN_TWICE_S, 0.5 * float(np.median(np.diff(replay.time_s)))
         )
+    # Coarse numbers change only with the field.
+    missed = trace.jump_mgauss > max(_MOVED_MGAUSS, 2.0 * trace.step_mgauss)
+    held = trace.held_s[missed & (trace.turned_rad > _TURNED_RAD) & (trace.held_s > _FAR_LONGER * usual)]
     span = float((trace.fresh_s + trace.held_s).max(initial=replay.time_s[-1]) - replay.time_s[0])
-    return float(held[held > _FAR_LONGER * usual].sum()) / max(span, 1e-9)
+    return float(held.sum()) / max(span, 1e-9)
 
 
 def _steps_of(replay: Replay) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.replay import Readings, replay
-from mavcompass.gap.replay.integrity import Trace, coarse_step
+from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.gap.traces import excess_variance, find_traces, quiet_scatter
 from mavcompass.gap.traces.rapid import find_rapid
 from mavcompass.gap.traces.steps_and_repeats import names_stale, stale_share
@@ -24,6 +24,7 @@ from mavcompass.gap.trial.vehicles.cases import make_case
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.track import Series
 
 B = np.array([6.0, -9.0, 4.0])
 NOISE = 2.0
@@ -195,25 +196,45 @@ def test_replay_without_an_effect_is_that_of_rows_and_readings_without_it() -> N
     assert of_corrected == pytest.approx(of_rows @ plain.iron.correction.matrix.T)
 
 
+def test_how_far_a_gyro_turns_while_a_reading_stays() -> None:
+    time_s = np.arange(0.0, 20.0, 0.1)
+    field = np.stack([np.arange(time_s.size) * 1.0] * 3, axis=1)
+    field[50:100] = field[50]
+    rate = np.zeros((time_s.size, 3))
+    rate[:, 1] = 0.009  # a bias
+    rate[60:70, 2] = 0.5
+    trace = inspect(field, np.ones(time_s.size, dtype=np.bool_), time_s, Series.of(time_s, rate))
+    hold = int(np.argmax(trace.held_s))
+    assert trace.held_s[hold] == pytest.approx(4.9)
+    assert trace.turned_rad[hold] == pytest.approx(0.5, abs=0.03)
+    assert trace.turned_rad[0] == trace.turned_rad[-1] == 0.0
+    assert np.isinf(inspect(field, np.ones(time_s.size, dtype=np.bool_), time_s).turned_rad[hold])
+
+
 @pytest.mark.parametrize(
-    ("held_s", "jump_mgauss", "step_mgauss", "frozen"),
+    ("held_s", "jump_mgauss", "step_mgauss", "turned_deg", "frozen"),
     [
-        (1.4, 58.0, 58.0, False),  # coarse numbers stay until the field has moved by a step
-        (1.4, 174.0, 58.0, True),
-        (1.4, 6.0, 1.0, True),
-        (1.4, 4.0, 1.0, False),
-        (6.0, 0.0, 1.0, True),  # noise alone changes a reading within seconds
-        (6.0, 58.0, 58.0, False),
-        (0.2, 60.0, 1.0, False),
+        (1.4, 58.0, 58.0, 30.0, False),  # coarse numbers stay until the field has moved by a step
+        (1.4, 174.0, 58.0, 30.0, True),
+        (1.4, 6.0, 1.0, 3.0, True),
+        (1.4, 4.0, 1.0, 3.0, False),
+        (6.0, math.inf, 1.0, 3.0, True),  # it has not woken yet
+        (6.0, 58.0, 58.0, 30.0, False),
+        (0.2, 60.0, 1.0, 30.0, False),
+        # A compass without noise stands still, to the end or until the vehicle turns away.
+        (6.0, math.inf, 1.0, 0.0, False),
+        (6.0, 30.0, 1.0, 1.0, False),
+        (6.0, 2.0, 1.0, 3.0, False),
     ],
 )
-def test_a_frozen_compass_jumps_when_it_wakes(
-    held_s: float, jump_mgauss: float, step_mgauss: float, frozen: bool
+def test_a_frozen_compass_misses_a_turn_and_jumps_when_it_wakes(
+    held_s: float, jump_mgauss: float, step_mgauss: float, turned_deg: float, frozen: bool
 ) -> None:
     time_s = np.arange(0.0, 60.0, 0.2)
     held, jump = np.zeros(time_s.size), np.full(time_s.size, 3.0)
-    held[100], jump[100] = held_s, jump_mgauss
-    trace = Trace(0.0, np.zeros(time_s.size, dtype=np.bool_), held, time_s, jump, step_mgauss)
+    turned = np.zeros(time_s.size)
+    held[100], jump[100], turned[100] = held_s, jump_mgauss, math.radians(turned_deg)
+    trace = Trace(0.0, np.zeros(time_s.size, dtype=np.bool_), held, time_s, jump, turned, step_mgauss)
     flight: Any = SimpleNamespace(telemetry=True, trace=trace, time_s=time_s)
     baseline: Any = SimpleNamespace(
         telemetry=True, trace=replace(trace, held_s=np.zeros(time_s.size)), time_s=time_s
