@@ -100,8 +100,12 @@ class Search:
         return other
 
     def score(self, fit: Fit) -> float:
-        """Return the EBIC of a fit."""
-        return fit.sse / self._temper + self.cost(fit.dimension, len(fit.terms))
+        """Return the EBIC of a fit.
+
+        Errors that last for seconds are the readings': what is known of vehicle and place keeps its weight.
+        """
+        strain = self.problem.strain(fit)
+        return (fit.sse - strain) / self._temper + strain + self.cost(fit.dimension, len(fit.terms))
 
     def cost(self, dimension: int, effects: int = 1) -> float:
         """Return EBIC's penalty for so many parameters and effects."""
@@ -304,7 +308,10 @@ class Search:
     def grows(self, smaller: Fit, larger: Fit) -> bool:
         """Tell whether the larger set is needed."""
         least, gain = least_growth(smaller, larger, self.problem.count), smaller.sse - larger.sse
-        return gain > least and (self.exact or gain > least * self.contradiction(smaller, larger))
+        if gain <= least or self.exact:
+            return gain > least
+        eased = self.problem.strain(smaller) - self.problem.strain(larger)
+        return (gain - eased) / self.contradiction(smaller, larger) + eased > least
 
     def contradiction(self, smaller: Fit, larger: Fit) -> float:
         """Return by how much blocks contradict each other about what a larger set has more, 1 where they do

@@ -139,7 +139,8 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
             fuller = len(rival.fit.terms) - len(candidate.fit.terms)
             better = fuller > 0 or (fuller == 0 and search.score(rival.fit) <= search.score(candidate.fit))
             candidate = rival if better else candidate
-    if candidate.fit.terms and not floor.representative:
+    found_some = bool(candidate.fit.terms or candidate.dropped)
+    if found_some and not floor.representative:
         candidate = _simplest(candidate, floor) if floor.measured else _plainer(candidate)
     candidate = replace(candidate, fit=pruned(candidate.search.problem, candidate.fit))
     return replace(candidate, as_good=(*candidate.as_good, *_alike(candidate), *_with_evident(candidate)))
@@ -204,7 +205,9 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
     What fits closer than the floor fits the errors of the model.
     """
     chosen, explored = candidate.fit, candidate.search.explored.values()
-    known = [f for f in explored if f.terms and len(f.terms) <= len(chosen.terms) and f.ids != chosen.ids]
+    # Where guards left nothing, one effect may still do what several did between them.
+    most_terms = max(len(chosen.terms), 1)
+    known = [f for f in explored if 0 < len(f.terms) <= most_terms and f.ids != chosen.ids]
     known = sorted(known, key=lambda f: f.sse)[:_RIVALS]
     rivals = {f.ids: candidate.problem.refit(f) for f in known}
     rivals |= {f.ids: f for f in _substitutes(candidate) if f.ids not in rivals}
@@ -213,12 +216,13 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
     near = [f for f in rivals.values() if candidate.problem.strain(f) < most]
     good = [f for f in near if at_floor(candidate, f, floor)]
     doubted: tuple[frozenset[str], ...] = ()
-    if not at_floor(candidate, chosen, floor):
+    if not (chosen.terms and at_floor(candidate, chosen, floor)):
         allowed = [f for f in good if refused(replace(candidate, fit=f), floor) is None]
         if not allowed:
             return replace(candidate, as_good=tuple(f.ids for f in _no_worse(candidate, near)))
         # What the search preferred fits the rest better.
-        doubted = (chosen.ids,)
+        # What guards took everything from is a rival no more; what they left something of is.
+        doubted, good = ((chosen.ids,), good) if chosen.terms else ((), allowed)
         chosen = min(allowed, key=candidate.search.score)
         good = [f for f in good if f is not chosen]
     # An alias that the search passed over is a rival, but no reason to change the name.

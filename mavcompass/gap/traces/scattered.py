@@ -14,8 +14,10 @@ from mavcompass.gap.replay import Readings
 _DOUBTFUL_EXCESS, _NEVER_QUIET_EXCESS = 1.0, 5.0
 # White noise scatters alike between neighbours and between readings further apart, and at all times.
 _UNLIKE, _SPANS, _UNSTEADY = 2.0, 8, 4.0
-# Second differences of white noise so many readings apart have no reading in common.
-_LAGS, _RELATED = (3, 4, 5), 0.2
+# Second differences of white noise so many readings apart have no reading in common. Their correlation is
+# zero but for chance (within three sigmas), whose variance over their number is 1 + 2 (4/6)^2 + 2 (1/6)^2
+# (Bartlett, Suppl. J. Royal Stat. Soc. 8, 1946).
+_LAGS, _RELATED, _BY_CHANCE = (3, 4, 5), 0.2, 3.0 * math.sqrt(35.0 / 18.0)
 _FEWEST = 20
 # Where a vehicle is now quieter, now faster, a third of the readings is quiet, and so are their neighbours.
 _LEAST_QUIET = 0.15
@@ -38,8 +40,11 @@ def excess_variance(readings: Readings, baseline: Readings) -> float:
     least = _DOUBTFUL_EXCESS if quiet else _NEVER_QUIET_EXCESS
     if excess <= least * max(before, 1e-9) ** 2:
         return 0.0
-    noise = _white(readings, baseline, excess) and _unrelated(readings) and _steady(readings, excess)
-    return excess if noise else 0.0
+    # White noise scatters as much between readings further apart: two estimates of the same.
+    further = quiet_scatter(readings, 2) ** 2 - quiet_scatter(baseline, 2) ** 2
+    white = excess / _UNLIKE < further < _UNLIKE * excess
+    noise = white and _unrelated(readings) and _steady(readings, excess)
+    return 0.5 * (excess + further) if noise else 0.0
 
 
 def quiet_scatter(readings: Readings, apart: int = 1) -> float:
@@ -61,12 +66,6 @@ def neighbours(error_mgauss: FloatArray, apart: int = 1) -> FloatArray:
     return out / math.sqrt(6.0)
 
 
-def _white(readings: Readings, baseline: Readings, excess: float) -> bool:
-    """Tell whether readings further apart scatter more than the baseline's by the same as neighbours do."""
-    further = quiet_scatter(readings, 2) ** 2 - quiet_scatter(baseline, 2) ** 2
-    return excess / _UNLIKE < further < _UNLIKE * excess
-
-
 def _unrelated(readings: Readings) -> bool:
     """Tell whether no reading's scatter follows others': a vehicle's swing, seen by a slow compass, does."""
     second, quiet = neighbours(readings.error_mgauss), readings.quiet
@@ -74,7 +73,8 @@ def _unrelated(readings: Readings) -> bool:
         both = quiet[lag:] & quiet[:-lag]
         one, other = second[lag:][both], second[:-lag][both]
         size = math.sqrt(float(np.sum(one**2) * np.sum(other**2)))
-        if both.sum() > _FEWEST and abs(float(np.sum(one * other))) > _RELATED * size:
+        related = max(_RELATED, _BY_CHANCE / math.sqrt(max(one.size, 1)))
+        if both.sum() > _FEWEST and abs(float(np.sum(one * other))) > related * size:
             return False
     return True
 

@@ -104,6 +104,21 @@ def test_where_the_chosen_does_not_reach_it_the_best_that_does_is_taken(good: se
     assert BOTH.ids in named.as_good and named.fit.ids not in named.as_good, "the search preferred it"
 
 
+def test_where_guards_left_nothing_one_effect_may_do_what_several_did(
+    good: set[frozenset[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the vehicle's own freedom reaches by bending counts as nothing reached."""
+    nothing = Fit((), (), (), 400.0)
+    good |= {nothing.ids, IRON.ids, SOFT.ids, BOTH.ids}
+    monkeypatch.setattr(
+        identification, "refused", lambda c, floor: ("soft_iron", "no") if "soft_iron" in c.fit.ids else None
+    )
+    named = identification._simplest(candidate(nothing, IRON, SOFT, BOTH), MEASURED)
+    assert named.fit is IRON and named.as_good == ()
+    good.remove(IRON.ids)
+    assert identification._simplest(candidate(nothing, IRON, SOFT, BOTH), MEASURED).fit is nothing
+
+
 def test_where_none_reaches_it_what_leaves_no_more_is_a_rival(
     good: set[frozenset[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -111,6 +111,17 @@ def test_white_scatter_is_measured_and_what_is_no_noise_is_not() -> None:
     assert excess_variance(readings(noisy(T, 7, sigma=1.3 * NOISE), T), HEALTHY) == 0.0
 
 
+@pytest.mark.parametrize("share", [0.03, 0.1])
+def test_white_scatter_of_few_quiet_readings_is_noise_too(share: float) -> None:
+    """Of few pairs of readings some seem to follow each other by chance."""
+    told = 0
+    for seed in range(40):
+        flight = readings(noisy(T, 100 + seed, sigma=7.0), T)
+        some = np.arange(T.size) % 100 < round(100.0 * share) + 4
+        told += excess_variance(replace(flight, quiet=flight.quiet & some), HEALTHY) > 0.0
+    assert told >= 36
+
+
 def test_vehicle_that_is_never_quiet_needs_more_scatter_for_noise() -> None:
     even = np.arange(T.size) % 12 < 1
     for sigma, told in ((1.8 * NOISE, False), (3.0 * NOISE, True)):
