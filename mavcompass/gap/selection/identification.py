@@ -43,6 +43,8 @@ _LOUD = 3.0
 _PASSING = 0.25
 # What leaves no more than this many times as much is no worse.
 _NO_WORSE = 1.05
+# A gap so many floors high, of whose square the best set explains no more than this share, stays unknown.
+_FAR_ABOVE, _HOPEFUL = 2.0, 0.3
 # How near to the iron in force a turned compass and a named hard iron must come together.
 _IRON_SHARE = 0.35
 
@@ -100,7 +102,9 @@ def _searched(
         result = Identified(problem, split, none, none.best, (), search, problem)
         if not needs_none(result, floor):
             found = search.run()
-            result = _guarded(replace(result, found=found, fit=found.best), floor)
+            result = replace(result, found=found)
+            if not (floor.measured and _hopeless(result, floor)):
+                result = _guarded(replace(result, fit=found.best), floor)
         if turn + 1 == passes or (previous is not None and result.fit.ids == previous):
             break
         previous = result.fit.ids
@@ -109,6 +113,23 @@ def _searched(
         if floor is before:
             break
     return result, floor
+
+
+def _hopeless(candidate: Identified, floor: Floor) -> bool:
+    """Tell whether the best set explains so little of field or heading that nothing in it will be named."""
+    if floor.representative or not candidate.found.best.terms:
+        return False
+    problem = candidate.problem
+    replay, rows = problem.replay, candidate.split.train | candidate.split.test
+    none, best = (
+        apart(replay, replay.measured.mag_mgauss, problem.predict(fit).mag_mgauss, rows & problem.usable)
+        for fit in (candidate.found.null, candidate.found.best)
+    )
+    floors = (floor.field_rms_mgauss, floor.heading_rms_deg)
+    return any(
+        before > _FAR_ABOVE * least and before**2 - after**2 < _HOPEFUL * (before**2 - least**2)
+        for before, after, least in zip(none, best, floors, strict=True)
+    )
 
 
 def _parted(problem: Problem, nothing: Fit, floor: Floor, split: Split) -> Split:

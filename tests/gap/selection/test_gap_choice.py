@@ -221,3 +221,37 @@ def test_what_no_recording_tells_from_the_chosen_is_said(
     here = candidate(fit_of(*chosen))
     here = replace(here, search=tried(*searched))
     assert [set(s) for s in identification._alike(here)] == other
+
+
+@pytest.mark.parametrize(
+    ("field", "heading", "hopeless"),
+    [
+        ((9.0, 8.5), (2.0, 1.0), True),  # the field is hardly explained
+        ((9.0, 4.0), (2.0, 1.9), True),  # the heading is hardly explained
+        ((9.0, 7.0), (2.0, 1.5), False),
+        ((9.0, 4.0), (0.9, 0.9), False),  # a heading near its floor needs no explanation
+        ((3.9, 3.8), (0.9, 0.9), False),
+    ],
+)
+def test_guards_are_spared_where_the_best_set_explains_little(
+    field: tuple[float, float], heading: tuple[float, float], hopeless: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nothing = Fit((), (), (), 400.0)
+    left = {nothing.ids: (field[0], heading[0]), IRON.ids: (field[1], heading[1])}
+    rows = np.ones(4, dtype=np.bool_)
+    problem: Any = SimpleNamespace(
+        replay=SimpleNamespace(measured=SimpleNamespace(mag_mgauss=None)),
+        usable=rows,
+        predict=lambda fit: SimpleNamespace(mag_mgauss=fit.ids),
+    )
+    monkeypatch.setattr(identification, "apart", lambda replay, measured, predicted, rows: left[predicted])
+    floor: Any = SimpleNamespace(representative=False, field_rms_mgauss=2.0, heading_rms_deg=0.5)
+    tried = candidate(
+        nothing,
+        problem=problem,
+        split=SimpleNamespace(train=rows, test=rows),
+        found=SimpleNamespace(null=nothing, best=IRON),
+    )
+    assert identification._hopeless(tried, floor) == hopeless
+    silent = replace(tried, found=SimpleNamespace(null=nothing, best=nothing))
+    assert not identification._hopeless(silent, floor), "there is nothing to guard"
