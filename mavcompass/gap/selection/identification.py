@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from mavcompass.gap.fit import Fit, Problem, Search, placements, pruned
-from mavcompass.gap.left import Floor, apart, widened
+from mavcompass.gap.left import Floor, apart, rms, widened
 from mavcompass.gap.replay import IRON_OFFSET, Replay
 from mavcompass.gap.selection.guards import (
     STRAINED,
@@ -125,7 +125,13 @@ def _hopeless(candidate: Identified, floor: Floor) -> bool:
         apart(replay, replay.measured.mag_mgauss, problem.predict(fit).mag_mgauss, rows & problem.usable)
         for fit in (candidate.found.null, candidate.found.best)
     )
-    floors = (floor.field_rms_mgauss, floor.heading_rms_deg)
+    # Scatter is explained by no set, and counts against none.
+    scatter = rms(problem.sigma_mgauss)
+    world = replay.signals.stimulus.field_ned_mgauss[0]
+    floors = (
+        max(floor.field_rms_mgauss, scatter),
+        max(floor.heading_rms_deg, math.degrees(scatter / max(math.hypot(world[0], world[1]), 1.0))),
+    )
     return any(
         before > _FAR_ABOVE * least and before**2 - after**2 < _HOPEFUL * (before**2 - least**2)
         for before, after, least in zip(none, best, floors, strict=True)

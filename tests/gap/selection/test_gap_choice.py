@@ -224,23 +224,36 @@ def test_what_no_recording_tells_from_the_chosen_is_said(
 
 
 @pytest.mark.parametrize(
-    ("field", "heading", "hopeless"),
+    ("field", "heading", "scatter", "hopeless"),
     [
-        ((9.0, 8.5), (2.0, 1.0), True),  # the field is hardly explained
-        ((9.0, 4.0), (2.0, 1.9), True),  # the heading is hardly explained
-        ((9.0, 7.0), (2.0, 1.5), False),
-        ((9.0, 4.0), (0.9, 0.9), False),  # a heading near its floor needs no explanation
-        ((3.9, 3.8), (0.9, 0.9), False),
+        ((9.0, 8.5), (2.0, 1.0), 1.0, True),  # the field is hardly explained
+        ((9.0, 4.0), (2.0, 1.9), 1.0, True),  # the heading is hardly explained
+        ((9.0, 7.0), (2.0, 1.5), 1.0, False),
+        ((9.0, 4.0), (0.9, 0.9), 1.0, False),  # a heading near its floor needs no explanation
+        ((3.9, 3.8), (0.9, 0.9), 1.0, False),
+        ((9.0, 7.7), (0.9, 0.9), 1.0, True),
+        ((9.0, 7.7), (0.9, 0.9), 4.0, False),  # of what is no scatter a good part
+        ((9.0, 8.9), (0.9, 0.9), 5.0, False),  # nearly all is scatter
     ],
 )
 def test_guards_are_spared_where_the_best_set_explains_little(
-    field: tuple[float, float], heading: tuple[float, float], hopeless: bool, monkeypatch: pytest.MonkeyPatch
+    field: tuple[float, float],
+    heading: tuple[float, float],
+    scatter: float,
+    hopeless: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     nothing = Fit((), (), (), 400.0)
     left = {nothing.ids: (field[0], heading[0]), IRON.ids: (field[1], heading[1])}
     rows = np.ones(4, dtype=np.bool_)
     problem: Any = SimpleNamespace(
-        replay=SimpleNamespace(measured=SimpleNamespace(mag_mgauss=None)),
+        replay=SimpleNamespace(
+            measured=SimpleNamespace(mag_mgauss=None),
+            signals=SimpleNamespace(
+                stimulus=SimpleNamespace(field_ned_mgauss=np.array([[180.0, 240.0, 400.0]]))
+            ),
+        ),
+        sigma_mgauss=np.full(3, scatter),
         usable=rows,
         predict=lambda fit: SimpleNamespace(mag_mgauss=fit.ids),
     )
