@@ -35,12 +35,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-_PROCESS_S = 120.0
+_PROCESS_S = 300.0
 
 
 @pytest.fixture
 def start_process() -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start a process that ends with the test or after two minutes, whatever the test waits for.
+    """Start a process that ends with the test or after five minutes, whatever the test waits for.
 
     It hears Ctrl-C, which a shell without job control has the processes in its background ignore.
     """

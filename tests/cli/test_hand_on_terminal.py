@@ -20,7 +20,7 @@ from mavcompass.vehicle.links.server import VehicleServer
 from mavcompass.vehicle.transport import TcpIn, open_transport
 
 SPEED = 3.0
-LONGEST_S = 60.0
+LONGEST_S = 300.0  # what hangs ends by it
 
 
 class Screen:
@@ -29,16 +29,16 @@ class Screen:
     def __init__(self, folder: Path, command: str) -> None:
         self._tmux = ["tmux", "-S", str(folder / "tmux.socket")]
         start = ["new-session", "-d", "-x", "120", "-y", "40", command]
-        subprocess.run([*self._tmux, "-f", "/dev/null", *start], check=True, timeout=10)
+        subprocess.run([*self._tmux, "-f", "/dev/null", *start], check=True, timeout=300)
 
     def text(self) -> str:
         shown = subprocess.run(
-            [*self._tmux, "capture-pane", "-p"], capture_output=True, text=True, timeout=10, check=False
+            [*self._tmux, "capture-pane", "-p"], capture_output=True, text=True, timeout=300, check=False
         )
         return shown.stdout
 
     def close(self) -> None:
-        subprocess.run([*self._tmux, "kill-server"], capture_output=True, timeout=10, check=False)
+        subprocess.run([*self._tmux, "kill-server"], capture_output=True, timeout=300, check=False)
 
 
 class Person:

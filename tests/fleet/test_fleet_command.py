@@ -136,10 +136,10 @@ def test_control_c_stops_at_once_and_the_same_command_goes_on(
             break
         time.sleep(0.01)
     running.send_signal(signal.SIGINT)
-    said, complained = running.communicate(timeout=30.0)
+    said, complained = running.communicate()
     assert running.returncode == 7, complained
     assert "the same command goes on from there" in said
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "0 of 12 recordings examined, 12 were done before" in done.stdout
 

@@ -37,6 +37,6 @@ def test_a_wheel_holds_the_package_and_its_params(tmp_path: Path) -> None:
     code = "from mavcompass.installation.data_files import params_path; print(params_path('README.md'))"
     # -S leaves out this environment, in which the checkout itself is installed
     done = subprocess.run(
-        [sys.executable, "-S", "-c", code], cwd=tmp_path / "site", capture_output=True, text=True, timeout=60
+        [sys.executable, "-S", "-c", code], cwd=tmp_path / "site", capture_output=True, text=True, timeout=300
     )
     assert done.stdout.strip() == str(tmp_path / "site" / "mavcompass" / "_params" / "README.md"), done.stderr

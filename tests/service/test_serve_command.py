@@ -43,7 +43,7 @@ def test_it_serves_tells_the_manager_stays_small_and_ends_on_sigterm(
     while not any(line.endswith(": vehicle heard") for line in heard):
         heard.append(manager.recv(1000).decode())
     assert "WATCHDOG=1" in heard
-    with urllib.request.urlopen(f"{page[1]}api/state", timeout=10) as answer:
+    with urllib.request.urlopen(f"{page[1]}api/state", timeout=300) as answer:
         assert json.load(answer)["vehicle"]["kind"] == "rover"
     pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
     assert pages * os.sysconf("SC_PAGE_SIZE") < 90e6

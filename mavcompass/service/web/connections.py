@@ -20,8 +20,10 @@ class Connection(H11Protocol):
         self._since_s = self.loop.time()
         self._looked_at: object = self
         self._look: asyncio.TimerHandle | None = None
-        if len(self.connections) > MOST_CONNECTIONS:
-            waiting = [c for c in self.connections if isinstance(c, Connection) and c._is_waiting()]
+        # What is aborted is still among the connections until the loop comes round.
+        open_now = [c for c in self.connections if not c.transport.is_closing()]
+        if len(open_now) > MOST_CONNECTIONS:
+            waiting = [c for c in open_now if isinstance(c, Connection) and c._is_waiting()]
             if waiting:
                 min(waiting, key=lambda c: c._since_s).transport.abort()
         self._look = self.loop.call_later(PATIENCE_S, self._look_after)

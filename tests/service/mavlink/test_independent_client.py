@@ -39,7 +39,7 @@ class GroundStation:
     def write(self, data: bytes) -> None:
         self._socket.send(data)
 
-    def listen(self, until: Any, timeout_s: float = 60.0) -> Any:
+    def listen(self, until: Any, timeout_s: float = 300.0) -> Any:
         """Collect messages of component 191 until one is what was waited for."""
         end, beat = time.monotonic() + timeout_s, 0.0
         while time.monotonic() < end:

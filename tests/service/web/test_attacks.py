@@ -25,7 +25,7 @@ PAGE = Path(stream.__file__).with_name("page")
 
 @contextmanager
 def raw(running: RunningService, data: bytes = b"") -> Iterator[socket.socket]:
-    with socket.create_connection(running.service.address, timeout=60.0) as client:
+    with socket.create_connection(running.service.address, timeout=300.0) as client:
         client.sendall(data)
         yield client
 
@@ -69,12 +69,15 @@ def test_two_hosts_in_one_request_are_refused(quiet: RunningService) -> None:
 # --- too much, too slow -----------------------------------------------------------------------------
 
 
-def test_hundreds_of_silent_connections_do_not_shut_the_page(quiet: RunningService) -> None:
+def test_hundreds_of_silent_connections_do_not_shut_the_page(
+    quiet: RunningService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connections, "PATIENCE_S", 3600.0)  # they make room at once, not when they dawdle
     with ExitStack() as many:
         held = [
             many.enter_context(raw(quiet, b"GET / HT")) for _ in range(connections.MOST_CONNECTIONS + 100)
         ]
-        with httpx.Client(timeout=60.0) as fresh:
+        with httpx.Client(timeout=300.0) as fresh:
             assert fresh.get(f"{quiet.service.url}healthz").status_code == 200
         wait_for(lambda: sum(map(_is_closed, held)) >= 100)
 
@@ -96,9 +99,11 @@ def _is_closed(client: socket.socket) -> bool:
         b"GET /api/state HTTP/1.1\r\nhost: local",
         b"POST /api/check HTTP/1.1\r\nhost: localhost\r\nauthorization: Bearer TOKEN\r\n"
         b"content-type: application/json\r\ncontent-length: 60000\r\n\r\n{",
+        b"POST /api/check HTTP/1.1\r\nhost: localhost\r\nauthorization: Bearer TOKEN\r\n"
+        b"content-type: application/json\r\ncontent-length: 70000\r\n\r\n{",
         b"GET /healthz HTTP/1.1\r\nhost: localhost\r\n\r\nGET /healthz HT",
     ],
-    ids=["nothing", "half a head", "half a body", "half a second head"],
+    ids=["nothing", "half a head", "half a body", "half of too long a body", "half a second head"],
 )
 def test_what_dawdles_is_closed(quiet: RunningService, monkeypatch: pytest.MonkeyPatch, sent: bytes) -> None:
     monkeypatch.setattr(connections, "PATIENCE_S", 0.15)
@@ -128,7 +133,7 @@ def test_chunks_without_end_are_cut_off(quiet: RunningService) -> None:
     )
     with raw(quiet, head) as client:
         send_until_cut(client, b"400\r\n" + b" " * 1024 + b"\r\n", 400)
-        assert b" 202 " not in answered(client)
+        assert b" 413 " in client.recv(200)
     assert quiet.service.station.desk.current is None
 
 
@@ -138,7 +143,7 @@ def test_a_listener_that_talks_too_much_is_dropped(quiet: RunningService) -> Non
         listener.send("x" * (stream.MOST_HEARD_BYTES + 1))
         with pytest.raises(ConnectionClosed):
             for _ in range(200):
-                listener.recv(timeout=5.0)
+                listener.recv(timeout=300.0)
 
 
 def test_one_address_does_not_get_every_place_at_the_stream(quiet: RunningService) -> None:

@@ -376,7 +376,7 @@ def test_the_command_plays_to_the_end(
     port = int(process.stdout.readline().split(";")[0].rpartition(":")[2])
     with open_link(Tcp("127.0.0.1", port)) as link:
         assert hear(link, RawImu)
-        assert process.wait(timeout=10) == 0
+        assert process.wait() == 0
     assert json.loads(result.read_text())["to_the_end"] is True
 
 
