@@ -13,6 +13,7 @@ from mavcompass.gap.fit import Fit, Term
 from mavcompass.gap.selection import identification
 from mavcompass.gap.selection.guards import TOO_SMALL
 from mavcompass.gap.selection.identified import Identified
+from mavcompass.gap.selection.split import probe, split_blocks
 from mavcompass.simulation.effects import registry
 
 
@@ -268,3 +269,104 @@ def test_guards_are_spared_where_the_best_set_explains_little(
     assert identification._hopeless(tried, floor) == hopeless
     silent = replace(tried, found=SimpleNamespace(null=nothing, best=nothing))
     assert not identification._hopeless(silent, floor), "there is nothing to guard"
+
+
+@dataclass
+class Rows:
+    """Be a replay of nothing but its rows."""
+
+    time_s: Any
+    valid: Any
+    notes: tuple[str, ...] = ()
+
+
+def seconds(length_s: float = 100.0) -> Rows:
+    time_s = np.arange(0.0, length_s, 0.05)
+    return Rows(time_s, np.ones(time_s.size, dtype=np.bool_))
+
+
+@dataclass
+class Fitted(Problem):
+    """Know which rows it fits."""
+
+    replay: Rows
+    train: Any
+    count: int = 100
+    noise = prior = None
+
+    def with_rows(self, train: Any) -> Fitted:
+        return replace(self, train=train)
+
+
+def step_at(moment_s: float) -> Fit:
+    step = fit_of("hard_iron_step")
+    names = [p.name for p in step.terms[0].effect.parameters]
+    theta = np.where(np.array(names) == "on_s", moment_s, 0.0)
+    theta[names.index("off_s")] = 1e7
+    return replace(step, thetas=(theta,))
+
+
+def test_a_change_inside_a_held_out_block_comes_between_training_rows() -> None:
+    rows = seconds()
+    split = split_blocks(rows.time_s, rows.valid)
+    inside, beside = (
+        float(np.median(rows.time_s[split.block == split.block[rows_in][0]]))
+        for rows_in in (split.test, split.train)
+    )
+    search = SimpleNamespace(explored={}, polished=lambda fit: fit)
+    search.on = lambda problem: search
+    problem = Fitted({}, rows, split.train)
+
+    here = candidate(step_at(inside), problem=problem, split=split, search=search)
+    assert probe(split, rows.time_s, inside) is not None
+    closer: Any = identification._moments_in_training(here)
+    assert probe(closer.split, rows.time_s, inside) is None
+    assert closer.problem.train is closer.split.train and closer.search.explored == {here.fit.ids: here.fit}
+    assert 0.8 * split.test.sum() < closer.split.test.sum() < split.test.sum()
+
+    assert probe(split, rows.time_s, beside) is None
+    there = candidate(step_at(beside), problem=problem, split=split, search=search)
+    assert identification._moments_in_training(there) is there
+
+
+@pytest.mark.parametrize(
+    ("changes_still", "left", "noise_known", "taken"),
+    [
+        (True, 90.0, True, True),
+        (True, 110.0, True, False),
+        (True, 110.0, False, True),
+        (False, 90.0, True, False),
+    ],
+)
+def test_rows_while_something_changes_are_set_aside_where_that_explains_the_rest(
+    changes_still: bool, left: float, noise_known: bool, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = seconds(20.0)
+    rows.valid[30] = False
+    split, while_it_changes = split_blocks(rows.time_s, rows.valid), np.abs(rows.time_s - 10.0) < 0.5
+    seen: list[tuple[Any, Any]] = []
+    first = candidate(step_at(10.0), problem=Fitted({}, rows, split.train), split=split)
+    again = replace(first, fit=replace(step_at(10.1), sse=left))
+
+    def searched(replay: Any, floor: Any, split: Any, *more: Any) -> tuple[Identified, Any]:
+        seen.append((replay, split))
+        return (first, again)[len(seen) - 1], floor
+
+    monkeypatch.setattr(identification, "_searched", searched)
+    monkeypatch.setattr(
+        identification, "moments", lambda fit: [10.0] if fit is first.fit or changes_still else []
+    )
+    monkeypatch.setattr(identification, "transients", lambda problem, fit, when: while_it_changes)
+    monkeypatch.setattr(identification, "switched", lambda problem, fit: np.zeros_like(while_it_changes))
+    monkeypatch.setattr(identification, "told", lambda *of: ("something changes",))
+    monkeypatch.setattr(identification, "with_moments", lambda problem, fit, when: fit)
+    monkeypatch.setattr(identification, "widened", lambda floor, problem, fit: floor)
+    monkeypatch.setattr(identification, "Problem", lambda *of: Fitted({}, rows, split.train))
+    floor: Any = SimpleNamespace(measured=noise_known, prior=None)
+    found, _ = identification.identify(rows, floor, split, (), noise_known)  # type: ignore[arg-type]
+    assert found.fit is (again if taken else first).fit
+    (_, _), (calm, parts) = seen
+    np.testing.assert_array_equal(calm.valid, rows.valid & ~while_it_changes)
+    np.testing.assert_array_equal(parts.train, split.train & ~while_it_changes)
+    np.testing.assert_array_equal(parts.test, split.test & ~while_it_changes)
+    assert calm.notes == ("something changes",)
