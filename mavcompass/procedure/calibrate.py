@@ -19,7 +19,7 @@ from mavcompass.errors import LinkLost, PoorCalibration, Refused
 from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
-from mavcompass.procedure.dialect import Dialect, SaveUndo
+from mavcompass.procedure.dialect import Dialect, SaveUndo, WriteOutcome
 from mavcompass.procedure.motion import Motion, Permissions, SafetyLimits, Wishes
 from mavcompass.procedure.positions import DwellSettings, HandMover, Mover, Window, prove, visit
 from mavcompass.procedure.report import CalibrationReport
@@ -147,10 +147,7 @@ class _Calibration:
             if report.accepted and settings.writing != "never":
                 report = yield from writer.write(report)
                 if report.outcome is not None:
-                    last = report.windows[-1]
-                    values = report.outcome.values
-                    yield from self.own.written(report.results, values, last.start_s, last.end_s)
-                    report = yield from self.prove_or_undo(report, mover, writer)
+                    report = yield from self.prove_or_undo(report, report.outcome, mover, writer)
             finished = True
             return report
         finally:
@@ -251,15 +248,16 @@ class _Calibration:
         return replace(report, heading=own.outcome())
 
     def prove_or_undo(
-        self, report: CalibrationReport, mover: Mover, writer: Writer
+        self, report: CalibrationReport, outcome: WriteOutcome, mover: Mover, writer: Writer
     ) -> Script[CalibrationReport]:
         """Turn once more: the field's own heading must follow the gyro; otherwise undo.
 
-        A proof that is cut short is none: the old values are put back.
+        A proof that is cut short, or not begun, is none: the old values are put back.
         """
-        context = self.desk.context
-        context.show("prove", "One more turn proves the new values.")
+        context, last = self.desk.context, report.windows[-1]
         try:
+            yield from self.own.written(report.results, outcome.values, last.start_s, last.end_s)
+            context.show("prove", "One more turn proves the new values.")
             share = 1.0 if isinstance(mover, HandMover) else _PROOF_SHARE
             yield from mover.next(context, share * self.settings.step_rad, 1)
             window = yield from self.desk.dwell(mover, self.settings.dwell, self.sureness_deg)
@@ -269,7 +267,7 @@ class _Calibration:
             mover.halt(context)
             yield from writer.take_back(report, f"The proof was cut short ({why}).")
             raise
-        proof = prove(with_it.track, report.windows[-1], window, report.results, with_it.results)
+        proof = prove(with_it.track, last, window, report.results, with_it.results)
         report = replace(
             report,
             proof=proof,

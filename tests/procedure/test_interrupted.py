@@ -8,6 +8,13 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from bent_vehicles import calibrated
+
+from mavcompass.enums import MavCmd
+from mavcompass.errors import Refused
+from mavcompass.messages import CommandLong, Message
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.stopping import StopRequest
 
 EVENTS = ("stick", "mode", "disarm", "battery", "signal", "silence", "broken", "two-seconds")
 
@@ -45,6 +52,34 @@ def test_the_other_vehicles_stop_commanding_and_are_put_back_too(
     # Water carries a turn on for longer than a second: there the commands are judged alone.
     assert set(outcome.wrong) <= {"turned more than 1 s after"}, (outcome.at_s, outcome.told)
     assert outcome.command_s <= 1.0
+
+
+class StoppedAtTheTakeOver(SimulatedAutopilot):
+    """Be stopped when the autopilot is first asked to take its compass's yaw over after the write."""
+
+    stop: StopRequest
+    was: dict[str, float]
+
+    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
+        if isinstance(message, CommandLong) and message.command == MavCmd.SET_EKF_SOURCE_SET:
+            if compass_values(self) != self.was:
+                self.stop.reason = "Somebody stops it."
+                return
+        super().receive(message, system, component, port)
+
+
+def compass_values(vehicle: SimulatedAutopilot) -> dict[str, float]:
+    return {name: v for name, v in vehicle.firmware.store.values.items() if name.startswith("COMPASS_")}
+
+
+def test_a_stop_between_the_write_and_the_proof_puts_the_old_values_back(tmp_path: Path) -> None:
+    vehicle = StoppedAtTheTakeOver("rover", seed=1001)
+    vehicle.stop, vehicle.was = StopRequest(), compass_values(vehicle)
+    shown: list[str] = []
+    with pytest.raises(Refused, match="Somebody stops it"):
+        calibrated(vehicle, tmp_path, shown=shown, stop=vehicle.stop)
+    assert any(text.startswith("Writing ") for text in shown)
+    assert compass_values(vehicle) == vehicle.was
 
 
 def test_each_event_is_named_to_the_person(campaign: ModuleType) -> None:
