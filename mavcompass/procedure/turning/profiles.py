@@ -23,6 +23,7 @@ class TurnWay:
         coast_s: angle coasted after the last command, per rate at that moment.
         gain_per_s: rate of turn per radian of heading error, for ways that name a heading.
         forward_mps: speed while turning, for what cannot turn on the spot.
+        speed_up_s: the rate grows to its full size in so long.
     """
 
     name: str
@@ -31,6 +32,7 @@ class TurnWay:
     coast_s: float = 0.3
     gain_per_s: float = 2.0
     forward_mps: float = 0.0
+    speed_up_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

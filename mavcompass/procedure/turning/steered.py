@@ -86,6 +86,7 @@ class SteeredTurn:
         slow_down_s: the rate is at most what is left divided by this.
         coast_s: angle coasted after the last command per rate at that moment.
         arrives: the commands name angles, and the vehicle comes to rest there by itself.
+        speed_up_s: the rate grows to its full size in so long: a step sets a soft vehicle swinging.
     """
 
     steer: Steer
@@ -94,13 +95,21 @@ class SteeredTurn:
     slow_down_s: float = 0.6
     coast_s: float = 0.3
     arrives: bool = False
+    speed_up_s: float = 0.0
     _learned_s: float | None = field(default=None, compare=False)
     _ended: tuple[float, float] | None = field(default=None, compare=False)
 
     @classmethod
     def by(cls, steer: Steer, way: TurnWay, arrives: bool = False) -> SteeredTurn:
         """Turn by a message at the rates of a vehicle's profile."""
-        return cls(steer, way.rate_radps, slow_down_s=way.slow_down_s, coast_s=way.coast_s, arrives=arrives)
+        return cls(
+            steer,
+            way.rate_radps,
+            slow_down_s=way.slow_down_s,
+            coast_s=way.coast_s,
+            arrives=arrives,
+            speed_up_s=way.speed_up_s,
+        )
 
     @property
     def name(self) -> str:
@@ -123,7 +132,8 @@ class SteeredTurn:
             if self._is_there(left, speed, turned) or so_far_s > longest_s:
                 break
             if context.now - said_s >= _REPEAT_S - 1e-3:
-                wanted = min(self.rate_radps, max(self.slowest_radps, left / self.slow_down_s))
+                fastest = self.rate_radps * self._gathered(so_far_s + _REPEAT_S)
+                wanted = min(fastest, max(self.slowest_radps, left / self.slow_down_s))
                 boost = self._boosted(boost, wanted, speed, so_far_s)
                 self.steer.turn(context, sign * wanted * boost, left)
                 said_s = context.now
@@ -137,6 +147,10 @@ class SteeredTurn:
             return left < _MOVED_RAD or (turned > 0.6 * (turned + left) and speed < _SLOW_RADPS)
         coast_s = self.coast_s if self._learned_s is None else self._learned_s
         return left <= max(speed, 0.0) * coast_s
+
+    def _gathered(self, so_far_s: float) -> float:
+        """Return the share of the rate that is asked for so long after the beginning."""
+        return min(1.0, so_far_s / self.speed_up_s) if self.speed_up_s else 1.0
 
     def _boosted(self, boost: float, wanted: float, speed: float, so_far_s: float) -> float:
         """Ask for more where the vehicle turns more slowly than it is asked to."""

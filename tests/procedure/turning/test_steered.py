@@ -80,6 +80,15 @@ def test_the_rate_falls_toward_the_end(sense: float) -> None:
     assert len(vehicle.asked) == pytest.approx(10.0 * seconds, abs=3) and vehicle.did == ["stand", "stand"]
 
 
+def test_the_rate_grows_in_the_time_to_speed_up_and_falls_as_ever() -> None:
+    vehicle = Vehicle(GyroAngle())
+    moved, degrees, _ = turned(steered(vehicle, speed_up_s=1.0, arrives=True), vehicle, 90.0)
+    assert moved and degrees == pytest.approx(85.0, abs=2.0)
+    rates = [rate for rate, _ in vehicle.asked]
+    assert rates[:9] == pytest.approx([4.0 * n for n in range(1, 10)])
+    assert max(rates) == pytest.approx(40.0) and rates[-1] == pytest.approx(15.0)
+
+
 def test_what_turns_too_slowly_is_asked_for_more() -> None:
     vehicle = Vehicle(GyroAngle(), share=0.7)
     turned(steered(vehicle), vehicle, 180.0)
@@ -152,8 +161,9 @@ def test_what_arrives_by_itself_is_there_when_it_rests(
 
 def test_holding_asks_for_no_turn_and_halting_lets_go() -> None:
     vehicle = Vehicle(GyroAngle())
-    turn = SteeredTurn.by(vehicle, TurnWay("a way", 0.5, 0.7, 0.4), arrives=True)
+    turn = SteeredTurn.by(vehicle, TurnWay("a way", 0.5, 0.7, 0.4, speed_up_s=0.9), arrives=True)
     assert (turn.rate_radps, turn.slow_down_s, turn.coast_s, turn.arrives) == (0.5, 0.7, 0.4, True)
+    assert turn.speed_up_s == 0.9
     turn.hold(Context())
     assert vehicle.did == ["stand"] and turn.name == "a way"
     turn.halt(Context())
