@@ -109,7 +109,7 @@ def test_one_that_flies_on_is_told_to_fly_by_the_old_calibration(tmp_path: Path)
 
 
 def test_one_that_it_took_off_with_is_landed_and_loaded(tmp_path: Path) -> None:
-    vehicle = SimulatedAutopilot("px4-copter", seed=5, armed=False, ready_s=2.0, calibration="old")
+    vehicle = SimulatedAutopilot("px4-copter", seed=6, armed=False, ready_s=2.0, calibration="old")
     permissions = Permissions(set_mode=True, arm=True, takeoff_m=5.0)
     vehicle.advance(5.0)
     report = calibrated(vehicle, tmp_path, CalibrateSettings(writing="yes", permissions=permissions))

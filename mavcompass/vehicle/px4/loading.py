@@ -27,8 +27,9 @@ HOW = "PX4's own reset when it loads a calibration on the ground"
 _OFFSETS = re.compile(r"CAL_MAG\d_XOFF")
 # What PX4 takes for another calibration is a change by more than 0.005 gauss.
 _ANOTHER_GAUSS = 0.006
-# By then the changed calibration has been loaded.
-_SEEN_S = 0.3
+# By then the changed calibration has been loaded. PX4 stores what was changed 0.3 s after the first change;
+# in SITL it was seen to hang for good where a value changed while it compared what it had stored.
+_SEEN_S = 0.1
 
 
 def load(context: Context, written: Mapping[str, float]) -> Script[str]:

@@ -47,7 +47,14 @@ def test_px4_sees_another_calibration_and_then_the_right_one(seed: int) -> None:
     assert vehicle.values["CAL_MAG0_XOFF"] == float(np.float32(0.12))
 
 
-@pytest.mark.parametrize("stop_s", [0.06, 0.2, 0.42])
+def test_all_is_written_before_px4_stores_what_was_changed() -> None:
+    radio = Radio(PX4Vehicle(px4_parameters(**NEW)))
+    radio.run(loading)
+    set_s = [at_s for at_s, m in zip(radio.sent_s, radio.sent, strict=True) if isinstance(m, ParamSet)]
+    assert 0.1 <= set_s[-1] - set_s[0] <= 0.25
+
+
+@pytest.mark.parametrize("stop_s", [0.06, 0.14, 0.22])
 def test_a_stop_in_between_leaves_nothing_moved(stop_s: float) -> None:
     vehicle = PX4Vehicle(px4_parameters(**NEW))
     with pytest.raises(Refused):
