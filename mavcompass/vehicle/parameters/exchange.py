@@ -19,6 +19,7 @@ from mavcompass.vehicle.parameters.values import Encoding, Parameter, decode, ho
 WINDOW = 12  # requests under way at once; ArduPilot's own queue holds 20
 _FIRST_PATIENCE_S = 0.8
 _PATIENCE_LIMITS_S = (0.25, 3.0)
+_SHORTEST_LATENESS_S = 0.1
 _FALSE_ABSENCE = 1e-5  # probability of calling a parameter absent that exists
 _FEWEST_TRIES, _MOST_TRIES = 4, 25
 
@@ -134,10 +135,14 @@ class Exchange:
 
     def patience_s(self) -> float:
         """Say how long to wait for the answer to a request."""
-        low, high = _PATIENCE_LIMITS_S
+        return max(self.lateness_s(), _PATIENCE_LIMITS_S[0])
+
+    def lateness_s(self) -> float:
+        """Say how long after its request an answer may come (RFC 6298, equation 2.3)."""
         if self.round_trip_s is None:
             return _FIRST_PATIENCE_S
-        return min(max(self.round_trip_s + 4.0 * self.deviation_s, low), high)
+        late_s = self.round_trip_s + 4.0 * self.deviation_s
+        return min(max(late_s, _SHORTEST_LATENESS_S), _PATIENCE_LIMITS_S[1])
 
     def _interval_s(self, ask: Ask) -> float:
         """Say when to ask again: where half of the requests are lost, twice as often as they answer.

@@ -67,7 +67,7 @@ def write(
     for ask in asks:
         if ask.name not in exchange.answers:
             raise _failure(ask, "took")
-    return exchange.patience_s()
+    return exchange.lateness_s()
 
 
 def prove(

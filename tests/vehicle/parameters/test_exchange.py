@@ -78,16 +78,18 @@ def test_no_more_than_a_dozen_are_under_way() -> None:
 
 def test_patience_follows_the_round_trip_as_tcps_does() -> None:
     one = exchange(ask("A"))
-    assert one.patience_s() == 0.8
+    assert one.patience_s() == one.lateness_s() == 0.8
     one._learn(0.4)
     assert (one.round_trip_s, one.deviation_s) == (0.4, 0.2) and one.patience_s() == pytest.approx(1.2)
     one._learn(0.8)
     assert one.deviation_s == pytest.approx(0.2 + (0.4 - 0.2) / 4.0)
     assert one.round_trip_s == pytest.approx(0.45) and one.patience_s() == pytest.approx(0.45 + 4.0 * 0.25)
     one.round_trip_s, one.deviation_s = 0.01, 0.001
-    assert one.patience_s() == 0.25
+    assert one.patience_s() == 0.25 and one.lateness_s() == 0.1  # an echo comes sooner than one asks again
+    one.round_trip_s = 0.15
+    assert one.lateness_s() == pytest.approx(0.154)
     one.round_trip_s, one.deviation_s = 2.5, 1.0
-    assert one.patience_s() == 3.0
+    assert one.patience_s() == one.lateness_s() == 3.0
 
 
 def test_of_a_name_asked_twice_nobody_knows_which_was_answered() -> None:
