@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mavcompass.correction import FieldCorrection
@@ -104,11 +104,11 @@ def test_columns_are_several_times_faster_than_the_textbook() -> None:
     assert spent(textbook, field, acc) > 2.0 * spent(tilt_compensated_heading, *columns)
 
 
-@pytest.mark.parametrize("dip", [0.9, -0.9])
-@given(roll=st.floats(-0.35, 0.35), pitch=st.floats(-0.35, 0.35), yaw=angles)
+@given(dip=st.floats(-1.4, 1.4), roll=tilts, pitch=tilts, yaw=angles)
 def test_two_axes_do_where_the_field_is_known(dip: float, roll: float, pitch: float, yaw: float) -> None:
     earth = 480.0 * np.array([math.cos(dip), 0.0, math.sin(dip)])
     field = body(roll, pitch, yaw, earth)
+    assume(abs(field[2]) > 5.0)  # the roots differ
     heading = two_axis_heading(field[:2], roll, pitch, 480.0, dip)
     assert abs(wrap_pi(heading - yaw)) < 1e-6
 

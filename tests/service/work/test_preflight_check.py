@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import subprocess
+from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from mavcompass.enums import EkfFlag
 from mavcompass.heading.witnesses import Witness
 from mavcompass.procedure.check import CheckReport, CheckSettings, check, items
 from mavcompass.procedure.check.items import Reading
-from mavcompass.procedure.script import Machine
+from mavcompass.procedure.script import Machine, Show
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.sensors import CompassModel
 from mavcompass.simulation.vehicle import SimulatedAutopilot
@@ -29,10 +31,12 @@ from mavcompass.vehicle.links.simulated import SimulatedLink
 WORLD = EarthField((206.155, 0.0, 400.0))
 
 
-def checked(vehicle: SimulatedAutopilot, turn: str = "auto") -> CheckReport:
+def checked(
+    vehicle: SimulatedAutopilot, turn: str = "auto", show: Callable[[Show], None] | None = None
+) -> CheckReport:
     settings = CheckSettings(turn=turn)  # type: ignore[arg-type]
     machine = Machine(lambda context: check(context, make_dialect, settings))
-    return run(machine, SimulatedLink(vehicle))
+    return run(machine, SimulatedLink(vehicle), on_show=show)
 
 
 def verdicts(report: CheckReport, name: str, instance: int = 1) -> list[str]:
@@ -40,8 +44,12 @@ def verdicts(report: CheckReport, name: str, instance: int = 1) -> list[str]:
 
 
 def test_a_well_calibrated_vehicle_passes_with_a_turn() -> None:
-    report = checked(SimulatedAutopilot("rover", seed=2, calibration="exact"))
+    shown: list[Show] = []
+    report = checked(SimulatedAutopilot("rover", seed=2, calibration="exact"), show=shown.append)
     assert report.turned
+    told = [(one.fraction, one.step) for one in shown if one.fraction is not None]
+    assert [step for _, step in told] == ["connect", "dwell", "turn", "dwell"]
+    assert all(0.0 <= before < after < 1.0 for (before, _), (after, _) in pairwise(told))
     assert report.verdict == "pass", [i for i in report.items if i.verdict != "pass"]
     assert not report.calibration_advised
     assert report.summary().startswith("Pass")
