@@ -17,7 +17,7 @@ from mavcompass.logs.formats.dataflash.records import read_records
 from mavcompass.logs.formats.dataflash.text import read_text_records
 from mavcompass.units import RAD_PER_DEG
 
-LOGS = ("copter_dist_use2", "rover_dist", "rover_dist_use2", "rover_plain")
+LOGS = ("copter_dist_use2", "rover_plain")
 
 
 def assert_same_as_pymavlink(path: Path, wanted: dict[str, tuple[str, ...]], text: bool = False) -> None:

@@ -19,8 +19,6 @@ from mavcompass.mavlink.dialect import describe, message_ids
 
 TLOGS = (
     "ardupilot-4.6.3/copter_dist_use2.tlog",
-    "ardupilot-4.6.3/rover_dist.tlog",
-    "ardupilot-4.6.3/rover_dist_use2.tlog",
     "ardupilot-4.6.3/rover_plain.tlog",
     "real/bluerov2-tlog/small.tlog",
     "real/quad-flight-tlog/flight.tlog",
