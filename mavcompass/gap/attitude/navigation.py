@@ -61,6 +61,8 @@ _LEVEL_RAD, _LEVEL_MEMORY_S, _LEVEL_SCATTER_RAD = math.radians(2.0), 20.0, math.
 # A witness is older than the gyro, or younger.
 _WITNESS_LATE_S = 0.03
 _FAST_MEMORY_S, _SLOW_MEMORY_S, _SCATTER_RAD = 8.0, 40.0, math.radians(0.1)
+# A filter that has just begun has the yaw of its first reading, and needs seconds to come from there.
+_BEGINS_RAD = math.radians(5.0)
 _FAST_RAD = np.radians([0.2, 0.4, 0.8, 1.6, 3.2, 6.4])
 _SILENCE = 2.5
 _COVARIANCES, _MOST_SILENCES = 64, 32
@@ -224,7 +226,7 @@ class _Smoother:
             J[:, :, _V] = np.eye(3)
             none = np.zeros((self.knots.size, 3))
             chain.add(slice(None), J, None, none, none + sizes.velocity_mps**-2.0, news)
-        self._add_lasting(chain, _FAST, sizes.fast_rad, _FAST_MEMORY_S)
+        self._add_lasting(chain, _FAST, sizes.fast_rad, _FAST_MEMORY_S, _BEGINS_RAD)
         return chain
 
     def likeliest(self, chain: Chain, sizes: _Sizes) -> _Sizes:
@@ -317,14 +319,16 @@ class _Smoother:
             weights[:, 2] = 0.0
         chain.add(slice(None), J, c, apart, weights)
 
-    def _add_lasting(self, chain: Chain, state: int, size_rad: float, memory_s: float) -> None:
-        """Add a first-order process: an error that lasts for a while."""
+    def _add_lasting(
+        self, chain: Chain, state: int, size_rad: float, memory_s: float, first_rad: float = 0.0
+    ) -> None:
+        """Add a first-order process: an error that lasts for a while, and may begin larger than it stays."""
         keep = np.exp(-self.step / memory_s)
         before, after = _blank(self.step.size, 1), _blank(self.step.size, 1)
         before[:, 0, state], after[:, 0, state] = -keep, 1.0
         none = np.zeros((self.step.size, 1))
         chain.link(before, after, None, none, 1.0 / (size_rad**2 * (1.0 - keep[:, None] ** 2)))
-        chain.add(slice(1), after[:1], None, none[:1], none[:1] + size_rad**-2.0)
+        chain.add(slice(1), after[:1], None, none[:1], none[:1] + max(size_rad, first_rad) ** -2.0)
 
     def at_knots(self, rotation: FloatArray) -> FloatArray:
         """Carry rotations (N, 3, 3) to the knots with the rate at the nearest sample before."""

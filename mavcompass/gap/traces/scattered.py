@@ -28,23 +28,24 @@ def quiet_variance(readings: Readings, values: FloatArray) -> float:
     return float(np.mean(values[readings.quiet] ** 2)) if readings.quiet.any() else 0.0
 
 
-def excess_variance(readings: Readings, baseline: Readings) -> float:
+def excess_variance(readings: Readings, baseline: Readings, repeats: bool = False) -> float:
     """Return the variance of white scatter in excess of the baseline's, mG^2, while the field hardly turns.
 
-    0 where it is not much more, and where it is no noise: fast changes that follow each other, or come in
-    bursts.
+    What `repeats` is read at uneven times, and scatters by nature. 0 where it is not much more, and where it
+    is no noise: fast changes that follow each other, or come in bursts.
     """
     now, before = quiet_scatter(readings), quiet_scatter(baseline)
     excess = now**2 - before**2
-    quiet = float(readings.quiet.mean()) > _LEAST_QUIET
+    quiet = float(readings.quiet.mean()) > _LEAST_QUIET and not repeats
     least = _DOUBTFUL_EXCESS if quiet else _NEVER_QUIET_EXCESS
     if excess <= least * max(before, 1e-9) ** 2:
         return 0.0
-    # White noise scatters as much between readings further apart: two estimates of the same.
+    # White noise scatters as much between readings further apart. Of the two estimates the larger one is
+    # nearer: what wanders in the baseline is taken off both.
     further = quiet_scatter(readings, 2) ** 2 - quiet_scatter(baseline, 2) ** 2
     white = excess / _UNLIKE < further < _UNLIKE * excess
     noise = white and _unrelated(readings) and _steady(readings, excess)
-    return 0.5 * (excess + further) if noise else 0.0
+    return max(excess, further) if noise else 0.0
 
 
 def quiet_scatter(readings: Readings, apart: int = 1) -> float:

@@ -63,7 +63,7 @@ def find_traces(
                 break
             rapid, readings = (*rapid, found), readings.without(found.change_mgauss)
     # What may not be named stays in the readings, but it is no noise either.
-    excess = 0.0 if before is None else excess_variance(readings, before)
+    excess = 0.0 if before is None else excess_variance(readings, before, stale > 0.0)
     # Where nobody says when a reading was taken, what a line leaves may be the times.
     if replay.telemetry and excess < _OF_RAPID * sum(one.variance_mgauss2 for one in rapid):
         excess = 0.0

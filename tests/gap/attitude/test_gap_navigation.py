@@ -134,6 +134,24 @@ BIAS = np.array([0.02, -0.03, 0.04])
 TOLD_RADPS = 7e-4
 
 
+@pytest.mark.parametrize("begins_deg", [-6.0, 6.0])
+def test_a_filter_that_has_just_begun_bends_no_yaw(flights: list[Flight], begins_deg: float) -> None:
+    """Its first yaw is that of one reading, and it needs seconds to come from there."""
+    tried = 0
+    for flight in (f for f in flights if not f.own):
+        attitude = flight.track.attitude_rad
+        assert attitude is not None
+        angles = attitude.values.copy()
+        since_s = attitude.time_s - attitude.time_s[0]
+        angles[:, 2] += math.radians(begins_deg) * np.exp(-since_s / 6.0)
+        begun = replace(flight.track, attitude_rad=Series.of(attitude.time_s, angles))
+        found = reference_attitude(begun, times_of(begun))
+        wander = [np.degrees(yaw_off(r.rotation, flight.truth)) for r in (flight.found, found)]
+        assert np.std(wander[1]) < np.std(wander[0]) + 0.25
+        tried += 1
+    assert tried >= 4
+
+
 def with_bias(track: Track, bias: FloatArray) -> tuple[Track, FloatArray]:
     """Return a track whose gyro has a bias more, and all that it says beyond the true rate, (3,)."""
     assert track.gyro_radps is not None

@@ -122,12 +122,23 @@ def test_white_scatter_of_few_quiet_readings_is_noise_too(share: float) -> None:
     assert told >= 36
 
 
+def test_what_wanders_in_the_baseline_takes_little_off_the_scatter() -> None:
+    """The larger one of two estimates is nearer: readings further apart hold more of a wander."""
+    swinging = 30.0 * np.sin(2.0 * np.pi * 1.5 * T)[:, None] * np.ones(3)
+    before = readings(noisy(T, 1) + swinging, T)
+    assert quiet_scatter(before, 2) > 1.5 * quiet_scatter(before)
+    found = excess_variance(readings(noisy(T, 4, sigma=14.0), T), before)
+    assert math.sqrt(found) == pytest.approx(math.sqrt(14.0**2 - NOISE**2), rel=0.05)
+
+
 def test_vehicle_that_is_never_quiet_needs_more_scatter_for_noise() -> None:
     even = np.arange(T.size) % 12 < 1
     for sigma, told in ((1.8 * NOISE, False), (3.0 * NOISE, True)):
         flight = readings(noisy(T, 8, sigma=sigma), T)
         assert excess_variance(flight, HEALTHY) > 0.0
         assert (excess_variance(replace(flight, quiet=flight.quiet & even), HEALTHY) > 0.0) == told
+        # Readings that repeat come at uneven times.
+        assert (excess_variance(flight, HEALTHY, repeats=True) > 0.0) == told
 
 
 @given(st.floats(6.0, 60.0), st.integers(0, 1000))
