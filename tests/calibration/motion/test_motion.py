@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turnin
 
 from mavcompass.calibration import calibrate_compasses, calibrate_track
 from mavcompass.calibration.model import level_to_body
-from mavcompass.calibration.motion.fit import fit_motion
+from mavcompass.calibration.motion import observed
+from mavcompass.calibration.motion.fit import MotionFit, fit_motion
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
@@ -136,6 +138,25 @@ def test_the_motors_field_is_found_where_the_current_swings() -> None:
     undone = np.linalg.solve(result.correction.matrix, -np.asarray(result.correction.motor_mgauss))
     assert np.allclose(undone, per_ampere, atol=0.2)
     assert rms(heading_errors(result.correction, iron)) < 0.5
+
+
+@pytest.mark.parametrize(("per_ampere", "is_strong"), [(0.0, False), (15.0, True)])
+def test_motors_are_held_to_be_weak_unless_the_field_says_more(
+    per_ampere: float, is_strong: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = driven(iron_of(STRONG))
+    time = track.compasses[1].time_s
+    current = 10.0 + 8.0 * np.sin(0.9 * time)
+    loaded = with_field(track, current[:, np.newaxis] * [per_ampere, 0.0, 0.0])
+    fits: dict[bool, MotionFit] = {}
+
+    def noting(*asked: Any) -> MotionFit:
+        *_, weak = asked
+        return fits.setdefault(weak, fit_motion(*asked))
+
+    monkeypatch.setattr(observed, "fit_motion", noting)
+    found = observe_motion(Recorded(replace(loaded, current_a=Series.of(time, current)), 1, FIELD)).fit
+    assert fits.keys() == {False, True} and found is fits[not is_strong]
 
 
 def wandering(track: Track, size_mgauss: float) -> Track:

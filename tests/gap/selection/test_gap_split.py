@@ -25,6 +25,8 @@ def test_training_and_held_out_rows_never_touch(duration_s: float, rate_hz: floa
     guard = min(0.5, duration_s / 60.0) * 0.9
     distance = np.abs(t[split.train][:, None] - t[split.test][None, :: max(1, t.size // 200)])
     assert distance.min() > guard - 1.0 / rate_hz
+    for number, held in enumerate(np.flatnonzero(split.held)):
+        assert 4 * number <= held <= 4 * number + 4, "one of every four"
     one, other = split.halves()
     assert not (one & other).any() and (one | other).sum() == split.train.sum()
 

@@ -132,6 +132,14 @@ def test_what_the_firmware_would_not_use_is_refused(correction: FieldCorrection,
     assert re.search(said, refusal), refusal
 
 
+def test_the_firmware_applies_a_scale_at_its_limits() -> None:
+    limits = DIALECT.rules.scale
+    assert limits is not None
+    for limit, beyond in zip(limits, (-1e-3, 1e-3), strict=True):
+        assert not plan(replace(GOOD, scale=limit)).refusals
+        assert plan(replace(GOOD, scale=limit + beyond)).refusals
+
+
 def test_the_vehicles_own_offset_limit_counts() -> None:
     big = replace(GOOD, offsets_mgauss=(900.0, 0.0, 0.0))
     assert not plan(big).refusals
