@@ -29,8 +29,8 @@ from mavcompass.procedure.turning import TurnBy
 from mavcompass.procedure.writing import Writer
 from mavcompass.track import Track
 
-# Half a step and a bit prove as much as a whole one and take less of the vehicle's time.
-_PROOF_SHARE = 0.55
+# Midway between two positions proves as much as at the next one, and takes less of the vehicle's time.
+_PROOF_SHARE = 0.5
 _PLACELESS = "The vehicle does not know its place: nothing was taken from the world's magnetic model."
 # The Earth's horizontal and vertical field in temperate latitudes, where the place is not known.
 _TYPICAL_MGAUSS = (220.0, 430.0)
