@@ -17,7 +17,7 @@ from mavcompass.gap.answer.locate import where
 from mavcompass.gap.answer.naming import named_causes, trace_causes
 from mavcompass.gap.answer.picture import picture
 from mavcompass.gap.answer.shrink import closings, waterfall
-from mavcompass.gap.answer.verdict import Answer, consistent, owning_up
+from mavcompass.gap.answer.verdict import Answer, consistent, keeps_step, owning_up
 from mavcompass.gap.fit import Fit, Problem, difference
 from mavcompass.gap.left import Adequacy, Floor, Scatter
 from mavcompass.gap.replay import Replay
@@ -27,6 +27,11 @@ from mavcompass.gap.traces import Traces
 from mavcompass.track import Track
 
 _MOST_SHAPLEY = 4
+_LINE = "ac_interference"
+_IN_STEP = (
+    "The line keeps step with the way driven: a magnet on something that turns with the wheels would look "
+    "the same. Record the vehicle at another speed."
+)
 _UNSEEN = "No held-out part shows what is named: its shrink is not measured. Record it again."
 
 
@@ -67,8 +72,12 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     problem, test = identified.problem, identified.split.test
     answer, field, heading = _closed(evidence, answer)
     named = answer.named
+    in_step = answer.verdict == "named" and _in_step(evidence, named)
+    if in_step:
+        answer = replace(answer, verdict="ambiguous")
     # What single readings told, and nothing besides, is all of the explanation.
-    by_traces = evidence.beside and not named.terms and answer.verdict.startswith("named")
+    told = answer.verdict.startswith("named") or in_step
+    by_traces = evidence.beside and not named.terms and told
     sets = [(named.ids, 1.0)] if by_traces else _ambiguity_set(identified)
     beside = evidence.faults
     if answer.verdict != "unknown":
@@ -107,6 +116,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         seconds=0.0,
         notes=(
             *problem.replay.notes,
+            *((_IN_STEP,) if in_step else ()),
             *((_UNSEEN,) if named.terms and not _told(problem, named, test) else ()),
             *(f"{e} was considered and dropped: {why}." for e, why in identified.dropped),
         ),
@@ -115,6 +125,17 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         beliefs=beliefs(identified, named, answer.verdict == "ambiguous"),
         picture=picture(problem, named, test),
     )
+
+
+def _in_step(evidence: Evidence, named: Fit) -> bool:
+    """Tell whether a named line is one of something that may turn as the vehicle drives."""
+    lines = [rapid.parameters for rapid in evidence.traces.rapid if rapid.effect == _LINE]
+    if _LINE in named.ids:
+        names = next(term.effect.names for term in named.terms if term.effect.id == _LINE)
+        lines.append(dict(zip(names, named.theta(_LINE).tolist(), strict=True)))
+    # What flies has nothing that turns with its way.
+    drives = evidence.track.vehicle != "copter"
+    return drives and any(keeps_step(evidence.replay, line["frequency_hz"]) for line in lines)
 
 
 def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:

@@ -30,6 +30,8 @@ _TURNS = frozenset({"misalignment", "orientation", "declination"})
 # How many moments of change these have where they are there to stay.
 _STAYING = {"spatial_dipole": 0, "hard_iron_step": 1}
 _NEARLY_ALTERNATING = 0.85
+# A line keeps step with a way that is within so much of a turn of an even one.
+_IN_STEP, _DRIVING_MPS, _UNKNOWN_SHARE = 0.25, 0.3, 0.1
 # More than healthy vehicles leave of a model that is never exact: squared sigmas by which what is known is
 # bent, beside names and without any; structure that is left beside names over what is left in all, along the
 # motion and along anything; and the mean square of whitened readings, of fitted ones and others, where the
@@ -188,6 +190,22 @@ def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:
     fastest = _NEARLY_ALTERNATING * 0.5 / step_s
     alternates = "ac_interference" in named.ids and float(named.theta("ac_interference")[6]) > fastest
     return many or pliant or passes or turned or alternates
+
+
+def keeps_step(replay: Replay, frequency_hz: float) -> bool:
+    """Tell whether a line goes with the way of a vehicle as well as with the time: it drives evenly."""
+    stimulus = replay.signals.stimulus
+    time, velocity = stimulus.time_s, stimulus.velocity_ned_mps
+    if not np.isfinite(velocity).any():
+        velocity = np.gradient(stimulus.position_ned_m, time, axis=0)
+    speed = np.linalg.norm(velocity[:, :2], axis=1)
+    known = np.isfinite(speed)
+    if known.mean() < 1.0 - _UNKNOWN_SHARE or float(speed[known].mean()) < _DRIVING_MPS:
+        return False
+    speed = np.interp(time, time[known], speed[known])
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))])
+    off = way - np.polyval(np.polyfit(time, way, 1), time)
+    return rms(off) * frequency_hz < _IN_STEP * float(speed.mean())
 
 
 def _above(value: float, floor: float) -> bool:

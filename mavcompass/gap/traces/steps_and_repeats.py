@@ -54,8 +54,11 @@ def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
         usual = max(
             float(baseline.trace.held_s.max()), _SEEN_TWICE_S, 0.5 * float(np.median(np.diff(replay.time_s)))
         )
-    # Coarse numbers change only with the field.
-    missed = trace.jump_mgauss > max(_MOVED_MGAUSS, 2.0 * trace.step_mgauss)
+    # Coarse numbers change only with the field, and how the last one would have changed nobody knows.
+    steps = 2.0 * trace.step_mgauss
+    missed = trace.jump_mgauss > max(_MOVED_MGAUSS, steps)
+    if steps > _MOVED_MGAUSS:
+        missed &= np.isfinite(trace.jump_mgauss)
     held = trace.held_s[missed & (trace.turned_rad > _TURNED_RAD) & (trace.held_s > _FAR_LONGER * usual)]
     span = float((trace.fresh_s + trace.held_s).max(initial=replay.time_s[-1]) - replay.time_s[0])
     return float(held.sum()) / max(span, 1e-9)

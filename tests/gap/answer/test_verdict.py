@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.answer import verdict
-from mavcompass.gap.answer.verdict import Answer, consistent, decide, owning_up
+from mavcompass.gap.answer.verdict import Answer, consistent, decide, keeps_step, owning_up
 from mavcompass.gap.fit import Fit, Term
 from mavcompass.gap.left import Adequacy
 from mavcompass.gap.result import Closing, Verdict
@@ -19,6 +19,8 @@ from mavcompass.simulation.effects import registry
 
 CLOSED, OPEN = Closing(4.0, 1.2, 1.0, 0.9, (0.8, 0.95)), Closing(4.0, 2.0, 1.0, 0.5, (0.4, 0.6))
 SILENT = Closing(1.0, 1.0, 1.0, 0.0, (-0.1, 0.1))
+
+TIME = np.arange(0.0, 100.0, 0.1)
 
 
 def fit_of(*effects: str, **first: float) -> Fit:
@@ -288,6 +290,33 @@ def test_a_line_at_half_the_sampling_rate_may_be_a_sensor_that_alternates(hz: fl
 
 
 # --- beside what healthy vehicles do not leave -----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "hertz", "by_position", "in_step"),
+    [
+        (2.0 + 0.0 * TIME, 1.3, False, True),
+        (2.0 + 0.0 * TIME, 1.3, True, True),
+        (2.0 + 0.2 * np.sin(0.1 * TIME), 1.3, False, False),  # by 2 m: more than a turn
+        (2.0 + 0.02 * np.sin(0.1 * TIME), 1.3, False, True),
+        (2.0 + 0.02 * np.sin(0.1 * TIME), 13.0, False, False),  # a tenth of the way is a turn
+        (0.1 + 0.0 * TIME, 1.3, False, False),  # it stands
+        (np.where(TIME < 30.0, 2.0, 0.0), 1.3, False, False),
+        (np.where(TIME < 30.0, 2.0, np.nan), 1.3, False, False),
+    ],
+)
+def test_a_line_may_be_of_something_that_turns_as_the_vehicle_drives_evenly(
+    speed_mps: Any, hertz: float, by_position: bool, in_step: bool
+) -> None:
+    velocity = np.stack([0.6 * speed_mps, -0.8 * speed_mps, 0.0 * speed_mps], axis=1)
+    position = np.cumsum(velocity, axis=0) * 0.1
+    stimulus = SimpleNamespace(
+        time_s=TIME,
+        velocity_ned_mps=np.full_like(velocity, np.nan) if by_position else velocity,
+        position_ned_m=position,
+    )
+    driven: Any = SimpleNamespace(signals=SimpleNamespace(stimulus=stimulus))
+    assert keeps_step(driven, hertz) == in_step
 
 
 def beside(

@@ -242,6 +242,7 @@ def test_how_far_a_gyro_turns_while_a_reading_stays() -> None:
         (1.4, 4.0, 1.0, 3.0, False),
         (6.0, math.inf, 1.0, 3.0, True),  # it has not woken yet
         (6.0, 58.0, 58.0, 30.0, False),
+        (6.0, math.inf, 58.0, 30.0, False),  # nor need coarse numbers have moved before the end
         (0.2, 60.0, 1.0, 30.0, False),
         # A compass without noise stands still, to the end or until the vehicle turns away.
         (6.0, math.inf, 1.0, 0.0, False),

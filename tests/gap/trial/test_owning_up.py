@@ -22,3 +22,9 @@ def test_a_name_that_bends_what_is_known_is_not_sure() -> None:
     # Iron that is withheld: a gain does the same, if the calibration in force was far off.
     found = found_in(92214, "single", "hard_iron")
     assert found.verdict == "ambiguous"
+
+
+def test_a_magnet_on_a_wheel_at_one_speed_is_not_surely_a_line() -> None:
+    found = found_in(149161769, "outside")
+    assert found.verdict == "ambiguous" and found.ambiguity_set == ((("ac_interference",), 1.0),)
+    assert any("another speed" in note for note in found.notes)
