@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -11,8 +12,9 @@ import pytest
 from bent_vehicles import calibrated
 
 from mavcompass.enums import MavCmd
-from mavcompass.errors import Refused
+from mavcompass.errors import Refused, WriteFailed
 from mavcompass.messages import CommandLong, Message
+from mavcompass.simulation.autopilot import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.stopping import StopRequest
 
@@ -59,13 +61,24 @@ class StoppedAtTheTakeOver(SimulatedAutopilot):
 
     stop: StopRequest
     was: dict[str, float]
+    with_sources_off = False
 
     def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
         if isinstance(message, CommandLong) and message.command == MavCmd.SET_EKF_SOURCE_SET:
-            if compass_values(self) != self.was:
+            if compass_values(self) != self.was and (message.param1 == 1.0) is self.with_sources_off:
                 self.stop.reason = "Somebody stops it."
                 return
         super().receive(message, system, component, port)
+
+
+class DeadAtTheTakeOver(StoppedAtTheTakeOver):
+    """Say nothing any more, from when the source of yaw was to be put back."""
+
+    with_sources_off = True
+
+    def advance(self, until_s: float) -> Sequence[Outgoing]:
+        said = super().advance(until_s)
+        return [] if self.stop.reason is not None else said
 
 
 def compass_values(vehicle: SimulatedAutopilot) -> dict[str, float]:
@@ -80,6 +93,14 @@ def test_a_stop_between_the_write_and_the_proof_puts_the_old_values_back(tmp_pat
         calibrated(vehicle, tmp_path, shown=shown, stop=vehicle.stop)
     assert any(text.startswith("Writing ") for text in shown)
     assert compass_values(vehicle) == vehicle.was
+
+
+def test_a_link_that_dies_between_the_write_and_the_proof_is_told_with_the_way_back(tmp_path: Path) -> None:
+    vehicle = DeadAtTheTakeOver("rover", seed=1001)
+    vehicle.stop, vehicle.was = StopRequest(), compass_values(vehicle)
+    with pytest.raises(WriteFailed) as told:
+        calibrated(vehicle, tmp_path, stop=vehicle.stop)
+    assert told.value.undo_file and "params restore" in (told.value.restore_command or "")
 
 
 def test_each_event_is_named_to_the_person(campaign: ModuleType) -> None:

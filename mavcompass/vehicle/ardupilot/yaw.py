@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 from mavcompass.enums import MavCmd, MavResult
 from mavcompass.errors import Refused
-from mavcompass.procedure.commands import command
+from mavcompass.procedure.commands import TRIES, command
 from mavcompass.procedure.script import Context, Script, pause
 
 HOW = "switching its source of yaw off and on"
@@ -26,6 +26,7 @@ _OFF_S = 0.1
 # By then the compass's yaw is in force: a turn named relative to the yaw before it may go the other way
 # round, and does so for seconds where its successor never comes.
 _ON_S = 0.12
+_TRIES_AFTER_A_STOP = 5
 
 
 def take_compass_yaw(context: Context, parameters: Mapping[str, float], flying: bool) -> Script[str]:
@@ -41,7 +42,8 @@ def take_compass_yaw(context: Context, parameters: Mapping[str, float], flying: 
         yield from _use(context, _SETS[0])
         yield from pause(context, _ON_S)
     except Refused:
-        yield from _use(context, _SETS[0])  # a stop comes once, and the vehicle needs its sources
+        # A stop comes once, and the vehicle needs its sources; but what was written may have to go back, too.
+        yield from _use(context, _SETS[0], _TRIES_AFTER_A_STOP)
         raise
     return HOW
 
@@ -62,6 +64,6 @@ def idle_set(parameters: Mapping[str, float]) -> int | None:
     return next((n for n in others if parameters[f"EK3_SRC{n}_YAW"] == _NONE), None)
 
 
-def _use(context: Context, number: int) -> Script[MavResult]:
+def _use(context: Context, number: int, tries: int = TRIES) -> Script[MavResult]:
     what = "which sources its estimator uses"
-    return (yield from command(context, MavCmd.SET_EKF_SOURCE_SET, float(number), what=what))
+    return (yield from command(context, MavCmd.SET_EKF_SOURCE_SET, float(number), what=what, tries=tries))
