@@ -22,14 +22,14 @@ def likeliest_sets(
     every = candidates.list
     if not every:
         return {}
-    effect = [c.term.effect.id for c in every]
+    effect, dimension = [c.term.effect.id for c in every], [c.dimension for c in every]
     scores: dict[tuple[int, ...], float] = {}
 
     def score(members: tuple[int, ...]) -> float:
         if members not in scores:
             chosen = [every[i] for i in members]
-            dimension = sum(c.dimension for c in chosen)
-            scores[members] = candidates.expected(chosen) / temper + cost(dimension, len(chosen))
+            parameters = sum(dimension[i] for i in members)
+            scores[members] = candidates.expected(chosen) / temper + cost(parameters, len(chosen))
         return scores[members]
 
     def grown(parent: tuple[int, ...]) -> set[tuple[int, ...]]:
