@@ -22,7 +22,7 @@ class Cause:
     """Hold one named effect: its parameters, their 95 % intervals, how probable, what else it may be.
 
     `separation` is how many sigmas its best rival falls short; `removes_mgauss` and `removes_deg` are the
-    rms of field and heading that it explains.
+    rms of field and heading that it explains, of readings that were not fitted.
     """
 
     effect: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 
@@ -54,6 +55,10 @@ def test_made_case_is_told_without_contradiction(motion: Motion, text: str, with
     diagnosis = diagnose_gap(track, good(motion) if with_baseline else None)
     if not text:
         assert diagnosis.verdict == "no_gap"
+    if diagnosis.verdict == "named" and len(diagnosis.causes) == 1:
+        # It removes what the gap closes by, on the same held-out parts.
+        cause, field = diagnosis.causes[0], diagnosis.field
+        assert cause.removes_mgauss == pytest.approx(math.sqrt(field.nominal**2 - field.after**2), rel=0.01)
 
 
 @pytest.mark.parametrize("with_baseline", [True, False])

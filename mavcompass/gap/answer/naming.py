@@ -24,7 +24,8 @@ def named_causes(
     """
     own = weights.get(fit.ids, 1.0)
     problem = identified.problem
-    replay, rows = problem.replay, problem.index
+    replay, held_out = problem.replay, identified.split.test & problem.usable
+    rows = np.flatnonzero(held_out) if held_out.any() else problem.index
     measured = replay.measured.mag_mgauss
     after = apart(replay, measured, problem.predict(fit).mag_mgauss, rows)
     out = []
