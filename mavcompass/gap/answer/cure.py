@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import Floor, rms
-from mavcompass.gap.replay import IRON_MATRIX, IRON_OFFSET, WORLD_FIELD
+from mavcompass.gap.replay import IRON_MATRIX, IRON_OFFSET, WORLD_FIELD, level_mgauss
 from mavcompass.gap.result import Cured
 
 
@@ -23,7 +23,7 @@ def cured_iron(problem: Problem, fit: Fit, floor: Floor) -> Cured:
     motor = offset[3:] if offset.size > 3 else np.zeros(3)
     taught = {n.effect.id: n.mean for n in problem.nuisances}
     there = taught.get(IRON_OFFSET, np.zeros(3))
-    level = max(float(np.hypot(*problem.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
+    level = level_mgauss(problem.replay)
     total = float(np.linalg.norm(problem.replay.signals.stimulus.field_ned_mgauss[0]))
     trust = floor.trust
     doubted = np.zeros(12) if trust is None else iron.sigma(trust)

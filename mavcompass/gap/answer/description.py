@@ -17,17 +17,16 @@ from mavcompass.gap.answer.locate import where
 from mavcompass.gap.answer.naming import named_causes, trace_causes
 from mavcompass.gap.answer.picture import picture
 from mavcompass.gap.answer.shrink import closings, waterfall
-from mavcompass.gap.answer.verdict import Answer, consistent, keeps_step, owning_up
+from mavcompass.gap.answer.verdict import LINE, Answer, consistent, keeps_step, line_hz, owning_up
 from mavcompass.gap.fit import Fit, Problem, difference
 from mavcompass.gap.left import Adequacy, Floor, Scatter
-from mavcompass.gap.replay import Replay
+from mavcompass.gap.replay import Replay, level_mgauss
 from mavcompass.gap.result import Bar, Cause, Closing, Diagnosis
 from mavcompass.gap.selection import SILENT, Identified, Remainder
 from mavcompass.gap.traces import Traces
 from mavcompass.track import Track
 
 _MOST_SHAPLEY = 4
-_LINE = "ac_interference"
 _IN_STEP = (
     "The line keeps step with the way driven: a magnet on something that turns with the wheels would look "
     "the same. Record the vehicle at another speed."
@@ -81,8 +80,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     sets = [(named.ids, 1.0)] if by_traces else _ambiguity_set(identified)
     beside = evidence.faults
     if answer.verdict != "unknown":
-        level = max(float(np.hypot(*evidence.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
-        beside = trace_causes(scatter, evidence.traces, level) + beside
+        beside = trace_causes(scatter, evidence.traces, level_mgauss(evidence.replay)) + beside
     causes = named_causes(identified, named, dict(sets)) + beside
     bars: tuple[Bar, ...] = ()
     if 1 <= len(named.terms) <= _MOST_SHAPLEY:
@@ -129,13 +127,12 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
 
 def _in_step(evidence: Evidence, named: Fit) -> bool:
     """Tell whether a named line is one of something that may turn as the vehicle drives."""
-    lines = [rapid.parameters for rapid in evidence.traces.rapid if rapid.effect == _LINE]
-    if _LINE in named.ids:
-        names = next(term.effect.names for term in named.terms if term.effect.id == _LINE)
-        lines.append(dict(zip(names, named.theta(_LINE).tolist(), strict=True)))
+    lines_hz = [r.parameters["frequency_hz"] for r in evidence.traces.rapid if r.effect == LINE]
+    if LINE in named.ids:
+        lines_hz.append(line_hz(named))
     # What flies has nothing that turns with its way.
     drives = evidence.track.vehicle != "copter"
-    return drives and any(keeps_step(evidence.replay, line["frequency_hz"]) for line in lines)
+    return drives and any(keeps_step(evidence.replay, hertz) for hertz in lines_hz)
 
 
 def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import Floor, heading_error_rad, rms
+from mavcompass.gap.replay import level_mgauss
 from mavcompass.gap.result import Bar, Closing
 
 _RESAMPLES = 1000
@@ -54,7 +55,7 @@ def closings(
         heading_error_rad(problem.replay, *pair)
         for pair in ((measured, nominal.mag_mgauss), (told, after.mag_mgauss))
     )
-    level = max(float(np.hypot(*problem.replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
+    level = level_mgauss(problem.replay)
     deg2 = math.degrees(1.0 / level) ** 2
     heading = _closing(
         np.degrees(h0[rows])[:, None], np.degrees(h1[rows])[:, None], floor.heading_rms_deg,

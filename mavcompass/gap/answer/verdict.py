@@ -6,12 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcompass.gap.attitude import integral
 from mavcompass.gap.fit import Fit, Problem, least_gain
 from mavcompass.gap.left import Adequacy, Floor, drift_gain, rms
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.result import Closing, Verdict
 from mavcompass.gap.selection import EVIDENT, NEEDED_ABOVE, Identified, Remainder, moments
 
+LINE = "ac_interference"
 _SURE = 0.90
 _REMAINDER = 0.05
 # Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
@@ -188,8 +190,14 @@ def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:
     turned = alone and replay.reference.yaw_unknown and bool(named.ids & _TURNS)
     step_s = float(np.median(np.diff(replay.time_s)))
     fastest = _NEARLY_ALTERNATING * 0.5 / step_s
-    alternates = "ac_interference" in named.ids and float(named.theta("ac_interference")[6]) > fastest
+    alternates = LINE in named.ids and line_hz(named) > fastest
     return many or pliant or passes or turned or alternates
+
+
+def line_hz(named: Fit) -> float:
+    """Return the frequency of a named line."""
+    effect = next(term.effect for term in named.terms if term.effect.id == LINE)
+    return float(named.theta(LINE)[effect.names.index("frequency_hz")])
 
 
 def keeps_step(replay: Replay, frequency_hz: float) -> bool:
@@ -203,7 +211,7 @@ def keeps_step(replay: Replay, frequency_hz: float) -> bool:
     if known.mean() < 1.0 - _UNKNOWN_SHARE or float(speed[known].mean()) < _DRIVING_MPS:
         return False
     speed = np.interp(time, time[known], speed[known])
-    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))])
+    way = integral(time, speed[:, None])[:, 0]
     off = way - np.polyval(np.polyfit(time, way, 1), time)
     return rms(off) * frequency_hz < _IN_STEP * float(speed.mean())
 

@@ -41,6 +41,7 @@ from mavcompass.gap.replay import (
     Replay,
     SensorNoise,
     Trust,
+    level_mgauss,
     untestable_effects,
 )
 from mavcompass.simulation.effects.causes.world import gradient_matrix, gradient_origin
@@ -94,7 +95,7 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
     if law is not None:
         noise["mag"], larger = _grown(noise["mag"], law, baseline, replay)
         # The error of the model itself: attitudes and times of another flight are off in another way.
-        level = max(float(np.hypot(*replay.signals.stimulus.field_ned_mgauss[0][:2])), 1.0)
+        level = level_mgauss(replay)
         field_rms = math.hypot(field_rms * larger, DISCREPANCY_MGAUSS)
         heading_rms = math.hypot(heading_rms * larger, math.degrees(DISCREPANCY_MGAUSS / level))
         # Scatter that is alike in all axes is scatter of the heading too, whatever the baseline's turns

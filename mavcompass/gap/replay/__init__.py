@@ -21,7 +21,7 @@ from mavcompass.gap.replay.noise import (
     white,
     with_white,
 )
-from mavcompass.gap.replay.nominal import Replay, replay
+from mavcompass.gap.replay.nominal import Replay, level_mgauss, replay
 from mavcompass.gap.replay.nuisance import (
     REFERENCE_YAW,
     TELEMETRY_AGE,
@@ -61,6 +61,7 @@ __all__ = [
     "group_values",
     "half_testable",
     "known_iron",
+    "level_mgauss",
     "replay",
     "rough_sigma",
     "shared_period_s",

@@ -252,6 +252,12 @@ def _scalar(series: Series | None, time_s: FloatArray) -> FloatArray:
     return np.interp(time_s, series.time_s[finite], series.values[finite])
 
 
+def level_mgauss(replay: Replay) -> float:
+    """Return the level part of the field where a recording begins, mG, at least 1."""
+    north, east, _ = replay.signals.stimulus.field_ned_mgauss[0]
+    return max(float(np.hypot(north, east)), 1.0)
+
+
 def _stimulus(track: Track, time_s: FloatArray, reference: Reference, field: FloatArray) -> Stimulus:
     n = time_s.size
     motors = np.empty((n, 0))

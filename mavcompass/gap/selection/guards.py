@@ -11,7 +11,7 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import Floor, apart, heading_error_rad, rms
-from mavcompass.gap.replay import group_values
+from mavcompass.gap.replay import group_values, level_mgauss
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.simulation.effects.effect import NEVER_S, Group
 
@@ -224,8 +224,7 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     part = _MATERIAL_SHARE if explained else _MATERIAL_BESIDE_UNKNOWN
     # Errors of rounding go with the field, as effects do.
     rounding = _LEAST_OF_ROUNDING * problem.replay.trace.step_mgauss / math.sqrt(12.0)
-    world = problem.replay.signals.stimulus.field_ned_mgauss[0]
-    rounded = (rounding, math.degrees(rounding / max(math.hypot(world[0], world[1]), 1.0)))
+    rounded = (rounding, math.degrees(rounding / level_mgauss(problem.replay)))
     costs = {}
     for place, term in enumerate(fit.terms):
         if "mag" not in term.effect.groups:

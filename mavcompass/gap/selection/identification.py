@@ -12,7 +12,7 @@ import numpy as np
 
 from mavcompass.gap.fit import Fit, Problem, Search, placements, pruned
 from mavcompass.gap.left import Floor, apart, rms, widened
-from mavcompass.gap.replay import IRON_OFFSET, Replay
+from mavcompass.gap.replay import IRON_OFFSET, Replay, level_mgauss
 from mavcompass.gap.selection.guards import (
     STRAINED,
     TOO_SMALL,
@@ -127,10 +127,9 @@ def _hopeless(candidate: Identified, floor: Floor) -> bool:
     )
     # Scatter is explained by no set, and counts against none.
     scatter = rms(problem.sigma_mgauss)
-    world = replay.signals.stimulus.field_ned_mgauss[0]
     floors = (
         max(floor.field_rms_mgauss, scatter),
-        max(floor.heading_rms_deg, math.degrees(scatter / max(math.hypot(world[0], world[1]), 1.0))),
+        max(floor.heading_rms_deg, math.degrees(scatter / level_mgauss(replay))),
     )
     return any(
         before > _FAR_ABOVE * least and before**2 - after**2 < _HOPEFUL * (before**2 - least**2)
@@ -247,9 +246,12 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
         allowed = [f for f in good if refused(replace(candidate, fit=f), floor) is None]
         if not allowed:
             return replace(candidate, as_good=tuple(f.ids for f in _no_worse(candidate, near)))
-        # What the search preferred fits the rest better.
-        # What guards took everything from is a rival no more; what they left something of is.
-        doubted, good = ((chosen.ids,), good) if chosen.terms else ((), allowed)
+        if chosen.terms:
+            # What the search preferred fits the rest better.
+            doubted = (chosen.ids,)
+        else:
+            # Guards took everything: what they refuse by itself is no rival either.
+            good = allowed
         chosen = min(allowed, key=candidate.search.score)
         good = [f for f in good if f is not chosen]
     # An alias that the search passed over is a rival, but no reason to change the name.
