@@ -23,6 +23,8 @@ _MOVES_WITHIN_S = 3.0
 _MOVED_RAD = math.radians(6.0)
 # How long a vehicle takes to gather way, and how its rate is then brought to what was asked for.
 _GATHERS_WAY_S = 0.5
+# A command, and what the gyro tells of it, come so late.
+_LATE_S = 0.1
 _BOOST_GAIN, _MOST_BOOST = 0.15, 1.6
 _SLOW_RADPS = math.radians(5.0)
 
@@ -122,7 +124,7 @@ class SteeredTurn:
         start_rad, start_s = gyro.angle_rad, context.now
         sign = math.copysign(1.0, angle_rad)
         longest_s = _MOVES_WITHIN_S + 3.0 * abs(angle_rad) / self.slowest_radps
-        said_s, boost = -math.inf, 1.0
+        said_s, boost, most = -math.inf, 1.0, self._most_radps(abs(angle_rad))
         while True:
             turned = (gyro.angle_rad - start_rad) * sign
             left, speed, so_far_s = abs(angle_rad) - turned, gyro.rate_radps * sign, context.now - start_s
@@ -132,7 +134,7 @@ class SteeredTurn:
             if self._is_there(left, speed, turned) or so_far_s > longest_s:
                 break
             if context.now - said_s >= _REPEAT_S - 1e-3:
-                fastest = self.rate_radps * self._gathered(so_far_s + _REPEAT_S)
+                fastest = most * self._gathered(so_far_s + _REPEAT_S)
                 wanted = min(fastest, max(self.slowest_radps, left / self.slow_down_s))
                 boost = self._boosted(boost, wanted, speed, so_far_s)
                 self.steer.turn(context, sign * wanted * boost, left)
@@ -147,6 +149,10 @@ class SteeredTurn:
             return left < _MOVED_RAD or (turned > 0.6 * (turned + left) and speed < _SLOW_RADPS)
         coast_s = self.coast_s if self._learned_s is None else self._learned_s
         return left <= max(speed, 0.0) * coast_s
+
+    def _most_radps(self, angle_rad: float) -> float:
+        """Return the rate that a turn grows to: of a short one, as much as it can slow down from in time."""
+        return min(self.rate_radps, angle_rad / (0.5 * self.speed_up_s + self.slow_down_s + _LATE_S))
 
     def _gathered(self, so_far_s: float) -> float:
         """Return the share of the rate that is asked for so long after the beginning."""

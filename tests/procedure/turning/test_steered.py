@@ -89,6 +89,14 @@ def test_the_rate_grows_in_the_time_to_speed_up_and_falls_as_ever() -> None:
     assert max(rates) == pytest.approx(40.0) and rates[-1] == pytest.approx(15.0)
 
 
+def test_a_short_turn_grows_to_no_more_than_it_can_slow_down_from() -> None:
+    vehicle = Vehicle(GyroAngle())
+    moved, degrees, _ = turned(steered(vehicle, speed_up_s=1.0, arrives=True), vehicle, 36.0)
+    assert moved and degrees == pytest.approx(31.0, abs=2.0)
+    rates = [rate for rate, _ in vehicle.asked]
+    assert max(rates) == pytest.approx(36.0 / (0.5 + 0.6 + 0.1)) and rates[-1] == pytest.approx(15.0)
+
+
 def test_what_turns_too_slowly_is_asked_for_more() -> None:
     vehicle = Vehicle(GyroAngle(), share=0.7)
     turned(steered(vehicle), vehicle, 180.0)
