@@ -17,7 +17,7 @@ from mavcompass.calibration.observation import dwell_between
 from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkError, PoorCalibration, Refused
-from mavcompass.frames import wrap_pi
+from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.report import AutopilotHeading
@@ -34,6 +34,8 @@ _MINUTE_S = 60.0
 _GOOD_DEG = 1.8
 # The slope of the error is that of the last seconds; of so many at least, else it is not known.
 _SLOPE_S, _SLOPE_AT_LEAST_S = 8.0, 3.2
+# The yaw of PX4 on the ground goes to and fro in 5 to 20 s, by as much as its sensors' noise makes it.
+_WANDER_S, _WANDER_AT_LEAST_S = 20.0, 14.0
 # The error falls so fast, as a share of itself per second, once the bias is unlearned.
 _UNLEARNED_PER_S = 0.01
 _SAMPLE_S = 1.2
@@ -132,7 +134,8 @@ class OwnHeading:
             began_s = self._context.now
             while self._context.now - began_s < self._patience_s() and math.isfinite(self.before_deg):
                 self._look()
-                if self.worst_deg <= _GOOD_DEG or (self.set_aside and math.isfinite(self.worst_deg)):
+                hopeless = self.set_aside or 2.0 * self.wander_deg > _GOOD_DEG
+                if self.worst_deg <= _GOOD_DEG or (hopeless and math.isfinite(self.worst_deg)):
                     return
                 if self._may_help() and (yield from self._put_right(self.error_deg)):
                     continue
@@ -158,6 +161,7 @@ class OwnHeading:
             by=", ".join(dict.fromkeys(self.by)) or "its own filter",
             seconds=self._context.now - self._written_s,
             worst_deg=self.worst_deg,
+            wander_deg=self.wander_deg,
             set_aside=self.set_aside,
             not_loaded=self.not_loaded,
         )
@@ -177,20 +181,26 @@ class OwnHeading:
     @property
     def slope_dps(self) -> float:
         """Return how fast the error changes, degrees per second; nan while that cannot be told."""
-        if not self.samples:
-            return math.nan
-        time_s, error_deg = np.asarray(self.samples).T
-        recent = time_s >= time_s[-1] - _SLOPE_S * self._slowness
-        if time_s[-1] - time_s[recent][0] < _SLOPE_AT_LEAST_S * self._slowness:
-            return math.nan
-        return float(np.polyfit(time_s[recent] - time_s[-1], error_deg[recent], 1)[0])
+        recent = self._recent(_SLOPE_S * self._slowness, _SLOPE_AT_LEAST_S * self._slowness)
+        return math.nan if recent is None else float(np.polyfit(*recent, 1)[0])
+
+    @property
+    def wander_deg(self) -> float:
+        """Return by how much the error goes to and fro, 1 sigma: ArduPilot's does not; nan while unknown."""
+        if not self.desk.dialect.loads_disarmed:
+            return 0.0
+        recent = self._recent(_WANDER_S, _WANDER_AT_LEAST_S)
+        return math.nan if recent is None else float(recent[1].std())
 
     @property
     def worst_deg(self) -> float:
         """Return the largest error to expect from now on; nan while that cannot be told."""
-        slope_dps = self.slope_dps
-        if math.isnan(slope_dps):
+        slope_dps, wander_deg = self.slope_dps, self.wander_deg
+        if math.isnan(slope_dps + wander_deg):
             return math.nan
+        if wander_deg:
+            # What goes to and fro has a slope at any moment, which does not last.
+            return abs(self.error_deg) + 2.0 * wander_deg
         seconds = _MINUTE_S if self.set_aside else _SWING_S
         return max(abs(self.error_deg), abs(self.error_deg + seconds * slope_dps))
 
@@ -199,6 +209,16 @@ class OwnHeading:
         """Tell whether the autopilot no longer uses any compass: its variance is then exactly zero."""
         ekf = self.desk.state.ekf
         return ekf is not None and ekf.compass_variance == 0.0
+
+    def _recent(self, longest_s: float, least_s: float) -> tuple[FloatArray, FloatArray] | None:
+        """Return times before the last sample and errors, degrees; None where they span too little."""
+        if not self.samples:
+            return None
+        time_s, error_deg = np.asarray(self.samples).T
+        recent = time_s >= time_s[-1] - longest_s
+        if time_s[-1] - time_s[recent][0] < least_s:
+            return None
+        return time_s[recent] - time_s[-1], error_deg[recent]
 
     # --- steps --------------------------------------------------------------------------------------
 

@@ -25,6 +25,7 @@ class AutopilotHeading:
         error_before_deg: at the write. error_after_deg: at the end; nan where it could not be told.
         by: what brought it there. seconds: from the write to the end.
         worst_deg: the largest error to expect in the minutes to come.
+        wander_deg: by how much it goes to and fro by itself, 1 sigma; nan where that could not be told.
         set_aside: True where the autopilot follows no compass any more.
         not_loaded: True where the autopilot has not loaded the new calibration, and may lose it.
     """
@@ -34,6 +35,7 @@ class AutopilotHeading:
     by: str
     seconds: float
     worst_deg: float
+    wander_deg: float = 0.0
     set_aside: bool = False
     not_loaded: bool = False
 
@@ -62,6 +64,11 @@ class AutopilotHeading:
             return (
                 f"The autopilot's own heading was {before_deg:.1f} deg off at the write and is"
                 f" {after_deg:.1f} deg off now, by {self.by}."
+            )
+        if after_deg <= RIGHT_DEG < after_deg + 2.0 * self.wander_deg:
+            return (
+                f"The autopilot's own heading is {after_deg:.1f} deg off now, but wanders by"
+                f" {self.wander_deg:.1f} deg while it stands: see that it is right before you drive."
             )
         aside = " and has set its compasses aside" if self.set_aside else ""
         return f"The autopilot still steers {after_deg:.1f} deg off{aside}; restart it before you drive."

@@ -64,6 +64,7 @@ def live_document(source: str, report: CalibrationReport, method: str) -> dict[s
         document["autopilot_heading"] = {
             "error_before_deg": _number(heading.error_before_deg),
             "error_after_deg": _number(heading.error_after_deg),
+            "wander_deg": _number(heading.wander_deg),
             "by": heading.by,
             "seconds": heading.seconds,
             "right": not heading.is_off if heading.known else None,

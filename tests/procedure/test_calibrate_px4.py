@@ -116,3 +116,23 @@ def test_one_that_it_took_off_with_is_landed_and_loaded(tmp_path: Path) -> None:
     assert not vehicle.firmware.status.armed
     assert report.written and not report.steers_off
     assert heading_error_rms_deg(vehicle, 1, vehicle.firmware.compasses.correction(1)) < 1.0
+
+
+def test_where_its_yaw_wanders_on_the_ground_nothing_is_promised(tmp_path: Path) -> None:
+    vehicle = SimulatedAutopilot("px4-copter", seed=6, armed=False, ready_s=2.0, calibration="old")
+    vehicle.advance(5.0)
+    correct = vehicle.filter.correct
+
+    def wandering(dt_s: float, compass_yaw_rad: float | None) -> None:
+        correct(dt_s, compass_yaw_rad)
+        if not vehicle.firmware.status.armed:
+            vehicle.filter.yaw_rad += math.radians(1.6) * 0.7 * math.cos(0.7 * vehicle.time_s) * dt_s
+
+    vehicle.filter.correct = wandering  # type: ignore[method-assign]
+    permissions = Permissions(set_mode=True, arm=True, takeoff_m=5.0)
+    report = calibrated(vehicle, tmp_path, CalibrateSettings(writing="yes", permissions=permissions))
+    assert report.written and report.steers_off and report.heading is not None
+    assert abs(report.heading.error_after_deg) < 2.0 and 0.8 < report.heading.wander_deg < 1.5
+    assert "but wanders by" in report.heading.summary()
+    # Waiting does not help, and is not done.
+    assert report.heading.seconds < 60.0

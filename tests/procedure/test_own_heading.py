@@ -192,8 +192,24 @@ def test_the_outcome_names_each_way_once() -> None:
     assert watched.by == ["a restart"] and not watched.samples and math.isnan(watched.error_deg)
 
 
-def heading(before: float = -8.0, after: float = 1.0, worst: float = 1.5, **more: bool) -> AutopilotHeading:
-    return AutopilotHeading(before, after, "a switch", 30.0, worst, **more)
+def test_what_goes_to_and_fro_is_watched_for_longer_and_told() -> None:
+    def wandering(size_deg: float, seconds: float = 25.0) -> list[tuple[float, float]]:
+        return [(20.0 + t, size_deg * math.sin(t / 2.0)) for t in np.arange(0.0, seconds, 1.0)]
+
+    watched = own(wandering(2.0), loads_disarmed=True)
+    assert watched.wander_deg == pytest.approx(math.sqrt(2.0), rel=0.05)
+    assert watched.worst_deg == pytest.approx(abs(watched.error_deg) + 2.0 * watched.wander_deg)
+    assert "wanders by 1.4 deg" in watched.outcome().summary() and watched.outcome().is_off
+    calm = own(wandering(0.3), loads_disarmed=True)
+    assert calm.worst_deg < 1.0 and not calm.outcome().is_off
+    # It is not known in less than 14 s, and nothing is promised before that.
+    short = own(wandering(0.3, 14.0), loads_disarmed=True)
+    assert math.isnan(short.wander_deg) and math.isnan(short.worst_deg)
+    assert own(wandering(2.0)).wander_deg == 0.0
+
+
+def heading(before: float = -8.0, after: float = 1.0, worst: float = 1.5, **more: float) -> AutopilotHeading:
+    return AutopilotHeading(before, after, "a switch", 30.0, worst, **more)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -209,6 +225,8 @@ def heading(before: float = -8.0, after: float = 1.0, worst: float = 1.5, **more
             True,
             "3.0 deg off and has set its compasses aside; restart",
         ),
+        (heading(worst=4.0, wander_deg=1.5), True, "1.0 deg off now, but wanders by 1.5 deg while"),
+        (heading(after=2.5, worst=5.5, wander_deg=1.5), True, "still steers 2.5 deg off"),
         (heading(after=math.nan, worst=math.nan), False, "could not be told"),
         (heading(not_loaded=True), True, "still flies by the old calibration"),
     ],
