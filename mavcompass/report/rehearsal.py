@@ -63,8 +63,7 @@ def remedy_words(remedy: Remedy) -> str:
 
 
 def _expected(expected: Expected) -> str:
-    low, high = expected.interval95_deg
-    return f"{expected.rms_deg:.2f} deg rms ({low:.2f} to {high:.2f})"
+    return f"{expected.rms_deg:.2f} deg rms (95 of 100 below {expected.at_most95_deg:.2f})"
 
 
 def write_rehearsal_report(rehearsal: Rehearsal, path: Path) -> None:

@@ -31,7 +31,7 @@ from mavcompass.blas import single_thread
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, Refused
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.left import rms_deg
+from mavcompass.gap.left import rms, rms_deg
 from mavcompass.gap.rehearsal import Expected
 from mavcompass.gap.rehearsal.draws import Draws
 from mavcompass.gap.rehearsal.kind import kind_of
@@ -138,7 +138,8 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=1000)
     arguments = parser.parse_args()
     groups = [recorded(arguments.recordings), embedded(arguments.embedded, arguments.again)]
-    covered, above = np.zeros(2, dtype=int), np.zeros(2, dtype=int)
+    covered: list[int] = [0, 0]
+    ratios: tuple[list[float], list[float]] = ([], [])
     runs, vehicles = 0, 0
     for vehicle, tracks, reached in itertools.chain(*groups):
         verdict, *expected = told(tracks, arguments.draws)
@@ -146,16 +147,16 @@ def main() -> None:
         line = f"{vehicle:28} {verdict:24}"
         for place, one in enumerate(expected):
             values = [run[place] for run in reached]
-            low, high = one.interval95_deg
-            inside = sum(low <= value <= high for value in values)
+            inside = sum(value <= one.at_most95_deg for value in values)
             covered[place] += inside
-            above[place] += sum(value > high for value in values)
-            line += f" | {one.rms_deg:.2f} ({low:.2f} to {high:.2f}), reached "
+            ratios[place].extend(value / one.rms_deg for value in values)
+            line += f" | {one.rms_deg:.2f} (below {one.at_most95_deg:.2f}), reached "
             line += f"{min(values):.2f} to {max(values):.2f}: {inside}/{len(values)}"
         print(line, flush=True)
     print(f"{vehicles} vehicles, {runs} calibrations")
     for place, where in enumerate(("level", "leaning")):
-        print(f"  {where}: {covered[place]} covered, {above[place]} above, the others below")
+        whole = rms(np.array(ratios[place]))
+        print(f"  {where}: {covered[place]} below the bound; rms of reached over told: {whole:.2f}")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
@@ -77,16 +76,4 @@ def calibrations(
 
 def _expected(errors_deg: FloatArray) -> Expected:
     rms_deg, median_deg = float(np.sqrt(np.mean(errors_deg**2))), float(np.median(errors_deg))
-    return Expected(rms_deg, median_deg, _shortest(np.sort(errors_deg), 0.95))
-
-
-def _shortest(ordered: FloatArray, share: float) -> tuple[float, float]:
-    """Return the shortest interval that holds a share of values in order, (N,).
-
-    An error is never below nothing, and most lie near the least: cut equally at both ends, an interval would
-    leave out small ones that are no surprise, for large ones that are.
-    """
-    within = math.ceil(share * ordered.size)
-    ends = ordered[within - 1 :]
-    first = int(np.argmin(ends - ordered[: ends.size]))
-    return float(ordered[first]), float(ends[first])
+    return Expected(rms_deg, median_deg, float(np.quantile(errors_deg, 0.95, method="higher")))
