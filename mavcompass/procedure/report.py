@@ -48,7 +48,8 @@ class AutopilotHeading:
     def is_off(self) -> bool:
         """Tell whether the vehicle is known to steer by another heading than the calibrated one."""
         worst_deg = self.worst_deg if math.isfinite(self.worst_deg) else abs(self.error_after_deg)
-        return self.not_loaded or (self.known and worst_deg > RIGHT_DEG)
+        may_wander = math.isnan(self.wander_deg)
+        return self.not_loaded or (self.known and (may_wander or worst_deg > RIGHT_DEG))
 
     def summary(self) -> str:
         """Return the sentence for the person."""
@@ -65,10 +66,12 @@ class AutopilotHeading:
                 f"The autopilot's own heading was {before_deg:.1f} deg off at the write and is"
                 f" {after_deg:.1f} deg off now, by {self.by}."
             )
-        if after_deg <= RIGHT_DEG < after_deg + 2.0 * self.wander_deg:
+        if after_deg <= RIGHT_DEG and self.wander_deg:
+            wanders = f"wanders by {self.wander_deg:.1f} deg while it stands"
+            stays = "does not stay there" if math.isnan(self.wander_deg) else wanders
             return (
-                f"The autopilot's own heading is {after_deg:.1f} deg off now, but wanders by"
-                f" {self.wander_deg:.1f} deg while it stands: see that it is right before you drive."
+                f"The autopilot's own heading is {after_deg:.1f} deg off now, but {stays}: see that it is"
+                " right before you drive."
             )
         aside = " and has set its compasses aside" if self.set_aside else ""
         return f"The autopilot still steers {after_deg:.1f} deg off{aside}; restart it before you drive."

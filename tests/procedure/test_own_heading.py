@@ -226,6 +226,8 @@ def heading(before: float = -8.0, after: float = 1.0, worst: float = 1.5, **more
             "3.0 deg off and has set its compasses aside; restart",
         ),
         (heading(worst=4.0, wander_deg=1.5), True, "1.0 deg off now, but wanders by 1.5 deg while"),
+        (heading(worst=math.nan, wander_deg=math.nan), True, "1.0 deg off now, but does not stay there"),
+        (heading(after=math.nan, worst=math.nan, wander_deg=math.nan), False, "could not be told"),
         (heading(after=2.5, worst=5.5, wander_deg=1.5), True, "still steers 2.5 deg off"),
         (heading(after=math.nan, worst=math.nan), False, "could not be told"),
         (heading(not_loaded=True), True, "still flies by the old calibration"),
