@@ -19,7 +19,7 @@ import numpy as np
 from mavcompass.blas import single_thread
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import Replayed, diagnose_gap
-from mavcompass.gap.export import settings_of
+from mavcompass.gap.export import follows_places, settings_of
 from mavcompass.gap.left import DISCREPANCY_MGAUSS, heading_error_rad, rms, rms_deg
 from mavcompass.gap.replay import Replay, replay, shared_period_s
 from mavcompass.gap.result import Cause, Closing, Diagnosis
@@ -30,8 +30,6 @@ from mavcompass.track import Track
 SCHEMA = "mavcompass.gap-compare/1"
 Lacks = Literal["simulator", "vehicle"]
 _EXPLAINED = ("named", "ambiguous", "named_with_remainder")
-# What such effects do, a baseline does not teach.
-_OF_PLACES = frozenset({"position", "height"})
 _BELIEVED_DEG = 5.0
 _SCATTER = frozenset({"noise_excess", "timestamp_jitter"})
 _FLOOR_KNOWN = 0.9**2
@@ -53,7 +51,7 @@ class Achieved:
     Attributes:
         path: the simulator's recording. again: the vehicle beside the simulator as it was flown again.
         shrink: 1 - (left^2 - floor^2) / (gap^2 - floor^2), as promised ones are counted; its 95 % interval.
-        heading_shrink: the same in the heading.
+        heading_shrink: the same in the heading; nan where that gap is no larger than its floor is known.
     """
 
     path: str
@@ -155,7 +153,7 @@ def flown_again(
         forth = comparison.vehicle
         closer = None
         # What follows from places a baseline keeps for itself, as its floor.
-        if not any(_OF_PLACES & get(effect).needs for effect in forth.effects):
+        if not follows_places(forth):
             closer = diagnose_gap(vehicle, track, instance=forth.compass, progress=progress)
         if closer is None or (forth.effects and not _believed(closer)):
             closer = _by_what_it_has(forth, simulator, vehicle, track, progress)
@@ -289,7 +287,7 @@ def _heading_shrink(before: Closing, again: Closing) -> float:
     """Return the share of the excess over the floor that is gone; each beside the floor of its flight."""
     excess = before.nominal**2 - before.floor**2
     left = max(again.nominal**2 - again.floor**2, 0.0)
-    return 1.0 - left / excess if excess > 0.0 else 0.0
+    return 1.0 - left / excess if _FLOOR_KNOWN * before.nominal**2 > before.floor**2 else math.nan
 
 
 def _squares(diagnosis: Diagnosis) -> dict[int, tuple[float, float]]:
@@ -323,7 +321,7 @@ def _achieved(achieved: Achieved) -> dict[str, object]:
         "path": achieved.path,
         "shrink": achieved.shrink,
         "ci95": list(achieved.ci95),
-        "heading_shrink": achieved.heading_shrink,
+        "heading_shrink": achieved.heading_shrink if math.isfinite(achieved.heading_shrink) else None,
         "field_rms_mgauss": {"left": achieved.again.field.nominal, "floor": achieved.again.field.floor},
         "heading_rms_deg": {"left": achieved.again.heading.nominal, "floor": achieved.again.heading.floor},
     }

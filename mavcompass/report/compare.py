@@ -33,9 +33,10 @@ def write_compare_report(comparison: Comparison, path: Path) -> None:
         heading.append((name, one.again.heading.nominal, "new"))
         low, high = one.ci95
         interval = f" ({100 * low:.0f} to {100 * high:.0f})" if math.isfinite(low) else ""
+        of_heading = f"{100 * one.heading_shrink:.0f} %" if math.isfinite(one.heading_shrink) else "no gap"
         rows.append(
             (
-                name, f"{100 * one.shrink:.0f} %{interval}", f"{100 * one.heading_shrink:.0f} %",
+                name, f"{100 * one.shrink:.0f} %{interval}", of_heading,
                 one.again.field.nominal, one.again.heading.nominal,
             )
         )  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from mavcompass.gap.comparison import Achieved, Comparison, Difference
 from mavcompass.gap.result import Closing
 from mavcompass.report.gap_words import VERDICTS, cause_values, shrink_words, unseen_iron
@@ -56,7 +58,7 @@ def compare_summary(comparison: Comparison) -> list[str]:
     for one in comparison.achieved:
         lines.append(
             f"  flown again ({one.path or 'unnamed'}): promised {shrink_words(told.field)}{held}, achieved"
-            f" {_achieved(one)} of the field's gap, {_percent(one.heading_shrink)} of the heading's"
+            f" {_achieved(one)} of the field's gap, {_in_heading(one)}"
         )
     return lines
 
@@ -65,6 +67,13 @@ def _achieved(one: Achieved) -> str:
     """Say what share closed, with its interval where that says more."""
     share, low, high = (_percent(value) for value in (one.shrink, *one.ci95))
     return share if low == share == high else f"{share} ({low} to {high})"
+
+
+def _in_heading(one: Achieved) -> str:
+    """Say what share closed in the heading, where there was more to close than noise."""
+    if math.isfinite(one.heading_shrink):
+        return f"{_percent(one.heading_shrink)} of the heading's"
+    return "the heading's was no more than noise"
 
 
 def _difference(difference: Difference) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -11,8 +12,8 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray, euler_to_matrix
-from mavcompass.gap.export import TARGETS, Found, known_to
-from mavcompass.gap.result import Cause
+from mavcompass.gap.export import TARGETS, Found, found_in, known_to
+from mavcompass.gap.result import Belief, Cause, Cured
 from mavcompass.simulation import effects
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Chain, Setting, Signals
@@ -210,7 +211,6 @@ def test_an_export_holds_a_motors_field_that_is_known_to_differ_from_zero(
     calibrated: float, told: float, sigma: float, held: float | None
 ) -> None:
     from mavcompass.gap.export.vehicle import vehicle_settings
-    from mavcompass.gap.result import Belief, Cured
 
     motor, tuned = np.array([0.0, calibrated, 0.0]), np.array([0.0, told, 0.0])
     none, whole = np.zeros(3), np.eye(3)
@@ -224,6 +224,25 @@ def test_an_export_holds_a_motors_field_that_is_known_to_differ_from_zero(
     assert settings.keys() == ({"hard_iron"} if held is None else {"hard_iron", "motor_current"})
     if held is not None:
         np.testing.assert_allclose(settings["motor_current"], [0.0, held, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("effect", "after", "left2"),
+    [("height_anomaly", 4.0, 3.0), ("height_anomaly", 1.0, 1.0), ("hard_iron", 4.0, 0.0)],
+)
+def test_the_field_of_the_place_stays_where_an_effect_goes_with_places(
+    effect: str, after: float, left2: float
+) -> None:
+    unlikely = Belief(0.1, (), (), 9.0 * np.ones(18), np.eye(18))
+    likely = Belief(0.9, (), (), np.array([3.0, 0.0, 0.0, *[0.0] * 15]), np.eye(18))
+    diagnosis = SimpleNamespace(
+        causes=(), in_force=None, beliefs=(unlikely, likely), effects={effect}, waterfall=(),
+        field=SimpleNamespace(nominal=6.0, after=after, floor=math.sqrt(3.0), shrink=0.9),
+    )  # fmt: skip
+    found = found_in(diagnosis, "a log")  # type: ignore[arg-type]
+    assert found.shrink == pytest.approx(0.9 - left2 / 33.0)
+    told = TARGETS["ardupilot-sitl"](found).lacking
+    assert (f"The field of the place, {math.sqrt(left2):.1f} mG" in " ".join(told)) is bool(left2)
 
 
 def test_of_what_was_promised_an_export_tells_what_it_holds() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from types import MappingProxyType
 
@@ -11,7 +12,13 @@ from mavcompass.gap.export.gazebo import gazebo
 from mavcompass.gap.export.lua import ardupilot_lua
 from mavcompass.gap.export.ours import preset
 from mavcompass.gap.export.px4 import px4_sitl
-from mavcompass.gap.export.vehicle import nominal_settings, settings_of, vehicle_settings
+from mavcompass.gap.export.vehicle import (
+    follows_places,
+    left_of_the_place,
+    nominal_settings,
+    settings_of,
+    vehicle_settings,
+)
 from mavcompass.gap.result import Diagnosis
 
 TARGETS: MappingProxyType[str, Callable[[Found], Exported]] = MappingProxyType(
@@ -38,15 +45,19 @@ def found_in(diagnosis: Diagnosis, source: str, beside_simulator: bool = False) 
     shares = {effect: part / gap for effect, part in parts.items()} if gap > 0.0 else {}
     settings = vehicle_settings(diagnosis, beside_simulator)
     known = tuple(known_to(cause) for cause in diagnosis.causes if cause.ci95)
-    return Found(settings, source, costs, diagnosis.field.shrink, shares, known)
+    left2 = left_of_the_place(diagnosis)
+    shrink = diagnosis.field.shrink - (left2 / gap if gap > 0.0 else 0.0)
+    return Found(settings, source, costs, shrink, shares, known, math.sqrt(left2))
 
 
 __all__ = [
     "TARGETS",
     "Exported",
     "Found",
+    "follows_places",
     "found_in",
     "known_to",
+    "left_of_the_place",
     "nominal_settings",
     "settings_of",
     "vehicle_settings",

@@ -69,7 +69,7 @@ def ardupilot_sitl(found: Found) -> Exported:
     """Write a parameter file that ArduPilot's simulator and ground stations load."""
     affine = affine_of(found)
     parameters = affine.parameters() if affine is not None else {}
-    lacking = affine.lacking() if affine is not None else []
+    lacking = [*(affine.lacking() if affine is not None else []), *found.of_the_place(SIMULATOR)]
     left_out = affine.left_out if affine is not None else []
     for setting in found.settings:
         if setting.effect.sitl is not None:

@@ -13,6 +13,7 @@ from mavcompass.gap.result import Cause
 from mavcompass.simulation.effects import Setting, get
 
 _OWN_MATRIX = 1e-3
+_WORTH_SAYING_MGAUSS = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,7 @@ class Found:
         shrink: by how much the gap in the field closes with all of them.
         shares: the part of that which each named effect has.
         known: in sentences, how well the parameters of each are known.
+        place_mgauss: what they leave because the field of the place is not the world model's, rms.
     """
 
     settings: Sequence[Setting]
@@ -34,6 +36,7 @@ class Found:
     shrink: float = 0.0
     shares: Mapping[str, float] = field(default_factory=dict)
     known: tuple[str, ...] = ()
+    place_mgauss: float = 0.0
 
     def headed(self, simulator: str) -> list[str]:
         """Return the first sentences of a file: where this comes from, and how well it is known."""
@@ -44,6 +47,12 @@ class Found:
         cost = self.heading_deg.get(setting.effect.id)
         stays = "" if cost is None else f" {cost:.1f} deg of heading stay unsimulated."
         return f"{setting.effect.id}: {setting.effect.title}. {simulator} has no such thing.{stays}"
+
+    def of_the_place(self, simulator: str) -> list[str]:
+        """Say by how much the field of the place differs from the one that a simulator has."""
+        if self.place_mgauss < _WORTH_SAYING_MGAUSS:
+            return []
+        return [f"The field of the place, {self.place_mgauss:.1f} mG. {simulator} has the world model's."]
 
     def offset_alone(self, simulator: str) -> tuple[FloatArray, list[str], list[str]]:
         """Return the offset (3,) in mG for a simulator that has no matrix, what that leaves out, and its

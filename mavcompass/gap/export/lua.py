@@ -150,7 +150,7 @@ def ardupilot_lua(found: Found) -> Exported:
     matrix = np.eye(3) if affine is None else affine.stretch
     offset = np.zeros(3) if affine is None else affine.offset_mgauss
     parameters = {} if affine is None else affine.parameters()
-    lacking = [] if affine is None else affine.lacking()
+    lacking = [*([] if affine is None else affine.lacking()), *found.of_the_place(SIMULATOR)]
     left_out = [] if affine is None else affine.left_out
     effects = []
     for setting in found.settings:

@@ -18,8 +18,10 @@ from mavcompass.track import Track
 _ROTATION_LEFT_OUT_RAD = math.radians(0.05)
 # Beyond this a vector of three differs from zero: chi^2 of three, 95 %.
 _DIFFERS = 7.81
-# Where a belief has what the motors' field is more than the calibration says.
-_MOTOR = slice(15, 18)
+# Where a belief has what the field is more than the world model says, and the motors' than the calibration.
+_PLACE, _MOTOR = slice(0, 3), slice(15, 18)
+# What such effects do, a baseline does not teach.
+_OF_PLACES = frozenset({"position", "height"})
 
 
 def settings_of(causes: Iterable[Cause]) -> list[Setting]:
@@ -63,6 +65,26 @@ def _is_known(motor_mgauss: FloatArray, beliefs: Sequence[Belief]) -> bool:
         return True
     covariance = max(beliefs, key=lambda belief: belief.weight).covariance[_MOTOR, _MOTOR]
     return float(motor_mgauss @ np.linalg.pinv(covariance) @ motor_mgauss) > _DIFFERS
+
+
+def follows_places(diagnosis: Diagnosis) -> bool:
+    """Tell whether a named effect goes with the place or the height."""
+    return any(_OF_PLACES & get(effect).needs for effect in diagnosis.effects)
+
+
+def left_of_the_place(diagnosis: Diagnosis) -> float:
+    """Return what a simulator leaves of a gap because its field is the world model's, mG^2.
+
+    A field that goes with places and that of the place itself are told apart as far as the vehicle moved;
+    the simulator gets the former alone.
+    """
+    if not diagnosis.beliefs or not follows_places(diagnosis):
+        return 0.0
+    local_mgauss = max(diagnosis.beliefs, key=lambda belief: belief.weight).mean[_PLACE]
+    closing = diagnosis.field
+    return max(
+        closing.after**2 + float(np.mean(local_mgauss**2)) - max(closing.after, closing.floor) ** 2, 0.0
+    )
 
 
 def nominal_settings(track: Track, instance: int = 1) -> list[Setting]:
