@@ -25,7 +25,7 @@ class AutopilotHeading:
         error_before_deg: at the write. error_after_deg: at the end; nan where it could not be told.
         by: what brought it there. seconds: from the write to the end.
         worst_deg: the largest error to expect in the minutes to come.
-        wander_deg: by how much it goes to and fro by itself, 1 sigma; nan where that could not be told.
+        wander_deg: by how much it may change by itself, 1 sigma; nan where that could not be told.
         set_aside: True where the autopilot follows no compass any more.
         not_loaded: True where the autopilot has not loaded the new calibration, and may lose it.
     """
@@ -67,7 +67,7 @@ class AutopilotHeading:
                 f" {after_deg:.1f} deg off now, by {self.by}."
             )
         if after_deg <= RIGHT_DEG and self.wander_deg:
-            wanders = f"wanders by {self.wander_deg:.1f} deg while it stands"
+            wanders = f"may wander by {self.wander_deg:.1f} deg while it stands"
             stays = "does not stay there" if math.isnan(self.wander_deg) else wanders
             return (
                 f"The autopilot's own heading is {after_deg:.1f} deg off now, but {stays}: see that it is"
