@@ -164,7 +164,11 @@ def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, R
     if baseline is None:
         return replayed, None
     compass = how.compass if how.compass in baseline.compasses else 1
-    return replayed, _replayed(baseline, compass, period_s, how)
+    before = _replayed(baseline, compass, period_s, how)
+    if before.averaged > replayed.averaged:
+        # Means of fewer readings scatter more: a recording that lacks readings is held against the like.
+        before = replay(baseline, compass, how.reference, period_s, replayed.averaged)
+    return replayed, before
 
 
 def _replayed(track: Track, compass: int, period_s: float, how: _How) -> Replay:
@@ -185,11 +189,11 @@ def _explained(
         floor = foreseen(floor, replayed, split.train, split.test)
     start = floor_to_start(floor, replayed, baseline, traces)
     effects = searched(replayed, testable)
-    identified, widened = identify(replayed, start, split, effects, noise_known=floor.measured)
-    if not floor.measured:
-        floor = widened
+    as_it_is = start is floor
+    identified, own = identify(replayed, start, split, effects, noise_known=floor.measured)
+    floor = with_noise(own, floor.noise) if floor.measured else own
     remainder = what_is_left(identified, floor, names, traces)
-    if remainder.scatter is None and (start is floor or not floor.measured or traces.step_mgauss > 0.0):
+    if remainder.scatter is None and (as_it_is or not floor.measured or traces.step_mgauss > 0.0):
         return identified, remainder, floor
     if (
         traces.excess_mgauss2 > 0.0

@@ -14,7 +14,7 @@ from mavcompass.gap.fit.composition import difference
 from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, placements
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.normal import BlockNormal
-from mavcompass.gap.replay import REFERENCE_YAW, WORLD_FIELD, group_values, yaw_starts
+from mavcompass.gap.replay import REFERENCE_YAW, WHEREABOUTS, WORLD_FIELD, group_values, yaw_starts
 from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading
 
@@ -115,7 +115,7 @@ class Candidates:
 
     def _loose(self) -> NDArray[np.bool_]:
         """Tell which parameters of nuisances only this recording knows, (K,)."""
-        own = (REFERENCE_YAW, WORLD_FIELD.id)
+        own = (REFERENCE_YAW, WORLD_FIELD.id, WHEREABOUTS)
         parts = [np.full(n.mean.size, n.effect.id in own) for n in self.problem.nuisances]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.bool_)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +16,14 @@ from numpy.typing import NDArray
 from mavcompass.frames import FloatArray, rotate, rotate_back
 from mavcompass.gap.attitude import cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
-from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, Replay, turned
+from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, WHEREABOUTS, Nuisance, Replay, turned
 from mavcompass.simulation.effects.causes.timing import late_field
-from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, Effect, Signals, Stage
+from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, PLACED, Effect, Signals, Stage
 from mavcompass.simulation.effects.sampling import Between, at_times, central_differences, first_order_lag
 from mavcompass.simulation.physics.signals import Reading
 
 _STEP = 1e-3
-_NUDGE_RAD = 1e-5
+_NUDGE_RAD, _NUDGE_M = 1e-5, 1e-4
 _NUDGE_MGAUSS = 1.0
 # Stages whose changes turn with the vehicle.
 _TURNING = frozenset({Stage.ATTITUDE, Stage.WORLD})
@@ -137,6 +138,8 @@ class Composition:
             if effect.id == REFERENCE_YAW:
                 turns = _turns(self.replay.reference.curves_rad, float(everything[place][0]))
                 changes += after.turned(at + 1, turns)
+            elif effect.id == WHEREABOUTS:
+                changes += after.shifted(at + 1, self.replay.place_curves_m)
             elif len(together) > 1:
                 step, at = _STEP * float(effect.parameters[0].scale), together[-1]
                 late = _late(states[together[0]], order, everything, together, step)
@@ -274,6 +277,20 @@ class _After:
         # R exp(v x) sees B as R' (B + B x v).
         mag = s.rotation.transpose(0, 2, 1) @ (cross_matrices(s.field_ned_mgauss) @ turns)
         return _of_the_compass(mag if first == count else self._matrix(first) @ mag, state.reading)
+
+    def shifted(self, at: int, shifts_m: FloatArray) -> list[Reading]:
+        """Return the changes when the places before member `at` are shifted, (N, 3, k)."""
+        state = self._states[at]
+        s = state.stimulus
+        if not any(effect.needs & PLACED for effect, _ in self._order[at:]):
+            return _of_the_compass(np.zeros_like(shifts_m), state.reading)
+        nudged = [
+            Signals(replace(s, position_ned_m=s.position_ned_m + axis), state.reading)
+            for axis in _NUDGE_M * np.eye(3)
+        ]
+        by_axis = self.changes(at, nudged, [_NUDGE_M] * 3)
+        slopes = np.stack([one.mag_mgauss for one in by_axis], axis=2)
+        return _of_the_compass(slopes @ shifts_m, state.reading)
 
     def _matrix(self, at: int) -> FloatArray:
         """Return the derivative of the prediction by the compass's reading before member `at`, (N, 3, 3)."""

@@ -17,7 +17,7 @@ from mavcompass.gap.fit.composition import Composition
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
 from mavcompass.gap.fit.newton import bridge, invert, moved, solve
 from mavcompass.gap.replay import (
-    REFERENCE_YAW,
+    WHEREABOUTS,
     Noise,
     Prior,
     Replay,
@@ -155,29 +155,26 @@ class Problem:
 
         The yaw's constant may be known; how it wanders is no knowledge of them.
         """
-        parts = [
-            np.arange(n.mean.size) < (1 if n.effect.id == REFERENCE_YAW else n.mean.size)
-            for n in self.nuisances
-        ]
+        parts = [np.arange(n.mean.size) < n.known for n in self.nuisances]
         rows = np.concatenate([*parts, np.zeros(0, dtype=np.bool_)])
         off = (np.concatenate([*fit.nuisance_thetas, np.zeros(0)]) - self._prior)[rows]
         return float(off @ self._precision[np.ix_(rows, rows)] @ off)
 
     def strains(self, fit: Fit) -> list[tuple[float, int]]:
-        """Return how far a fit strains each nuisance but the yaw by itself, in squared sigmas of so many."""
+        """Return how far a fit strains each nuisance that does not wander, in squared sigmas of so many."""
         covariance = np.linalg.pinv(self._precision) if self.nuisances else self._precision
         out, at = [], 0
         for nuisance, theta in zip(self.nuisances, fit.nuisance_thetas, strict=True):
             own = slice(at, at + theta.size)
             at += theta.size
-            if nuisance.effect.id != REFERENCE_YAW:
+            if nuisance.known == theta.size:
                 off = theta - nuisance.mean
                 out.append((float(off @ np.linalg.pinv(covariance[own, own]) @ off), theta.size))
         return out
 
     def straight(self, fit: Fit) -> bool:
         """Tell whether a fit bends what is known of vehicle and place no further than by chance."""
-        known = sum(1 if n.effect.id == REFERENCE_YAW else n.mean.size for n in self.nuisances)
+        known = sum(n.known for n in self.nuisances)
         together = self.strain(fit) < least_gain(known)
         return together and all(cost < least_gain(size) for cost, size in self.strains(fit))
 
@@ -210,6 +207,8 @@ class Problem:
         terms = tuple(terms)
         x = [np.array(t, dtype=np.float64) for t in (*nuisance_thetas, *thetas)]
         n = len(self.nuisances)
+        # What a wander of the places does depends on what belongs to a place.
+        lasting = n - sum(nuisance.effect.id == WHEREABOUTS for nuisance in self.nuisances)
         free = [self.composition.free(terms, i) for i in range(len(x))]
         if self._steady:
             free[:n] = [np.arange(0)] * n
@@ -223,10 +222,11 @@ class Problem:
         borrowed = first is not None
         for _ in range(iterations):
             if first is None or self._moved(x[:n], made_at, _FAR):
-                fitted = range(0 if self._steady else n)
+                fitted = range(0 if self._steady else lasting)
                 first, made_at, borrowed = self.columns(terms, x[n:], x[:n], states, fitted), x[:n], False
                 self._lend(terms, first, made_at)
-            own = self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))
+            other = range(n if self._steady else lasting, n + len(terms))
+            own = self.columns(terms, x[n:], x[:n], states, other)
             normal, gradient = self._equations(np.hstack([first, own]), r, x, free, weak)
             if not normal.size:
                 break

@@ -121,10 +121,11 @@ class Search:
             self.explored[frozenset()] = self.problem.null()
         return self.explored[frozenset()]
 
-    def run(self, most: int = MOST_EFFECTS) -> Found:
-        """Search up to `most` effects."""
+    def run(self, most: int = MOST_EFFECTS, likely: Sequence[Fit] = ()) -> Found:
+        """Search up to `most` effects, from the best of sets that are `likely` on."""
         null = self._null()
-        best = self._rounds(null, most, ())
+        self._remember(likely)
+        best = self._rounds(null, most, (), self._largest_needed(null, likely))
         if best.terms and self.problem.again(best).sse < null.sse - _AS_GOOD:
             # Nothing was the best of its neighbourhood only: what helps must do so beside the better one.
             null = self.explored[frozenset()] = self.problem.null()
@@ -190,10 +191,10 @@ class Search:
         self._remember(out)
         return sorted(out, key=lambda f: f.sse)[:2]
 
-    def _rounds(self, first: Fit, most: int, held: Sequence[Term]) -> Fit:
+    def _rounds(self, first: Fit, most: int, held: Sequence[Term], best: Fit | None = None) -> Fit:
         """Linearise beside the best set, weigh all sets, fit the likeliest; again until nothing changes."""
         kept = Fit(first.terms, first.thetas, (), np.inf) if held else Fit((), (), (), np.inf)
-        smallest = best = first
+        smallest, best = first, first if best is None else best
         # How blocks contradict each other beside another start says nothing of this one.
         self._temper = 1.0
         for _ in range(_ROUNDS):

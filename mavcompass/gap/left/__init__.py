@@ -12,7 +12,7 @@ from mavcompass.gap.left.floor import (
     widened,
     with_noise,
 )
-from mavcompass.gap.left.foreseen import foreseen
+from mavcompass.gap.left.foreseen import foreseen, foreseen_places
 from mavcompass.gap.left.scatter import (
     Scatter,
     drift_gain,
@@ -34,6 +34,7 @@ __all__ = [
     "early_scale",
     "find_scatter",
     "foreseen",
+    "foreseen_places",
     "from_baseline",
     "from_recording",
     "heading_error_rad",

@@ -148,7 +148,8 @@ def _blocks(group: Group, signals: Signals) -> Iterator[tuple[str, str, FloatArr
         if np.isfinite(load).all() and float(load.std()) > 1e-6:
             yield f"{group}: {name}", name, _loads(load, u)
     if s.motors.size and float(s.motors.std(axis=0).max()) > 1e-6:
-        motors = s.motors - s.motors.mean(axis=0)
+        worked = np.abs(s.motors)
+        motors = worked - worked.mean(axis=0)
         yield f"{group}: motors", "throttle", np.hstack([motors, motors**2])
     rate = s.rate_radps
     if float(rate.std()) > 1e-6:

@@ -23,7 +23,7 @@ from mavcompass.gap.replay import (
 )
 
 _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
-_STATED_MGAUSS = 0.3
+_STATED_MGAUSS, _LEAST_IN_FLIGHT_MGAUSS = 0.3, 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,9 +69,7 @@ def first_noise(replay: Replay) -> Noise:
             continue
         measured, ideal = group_values(replay.measured, group), group_values(replay.signals.reading, group)
         sigma = rough_sigma(measured - ideal, replay.valid)
-        least = max(_LEAST[group], replay.resolution_mgauss if group == "mag" else 0.0)
-        if group == "mag":
-            least = max(least, _STATED_MGAUSS)
+        least = max(_least_sigma(replay, group), _STATED_MGAUSS if group == "mag" else 0.0)
         noise[group] = white(np.maximum(np.nan_to_num(sigma, nan=least), least))
     return noise
 
@@ -86,11 +84,21 @@ def measured_noise(problem: Problem, fit: Fit) -> Noise:
             noise[group] = replay.doubtful[group]
             continue
         error = group_values(replay.measured, group) - group_values(predicted, group)
-        least = max(_LEAST[group], replay.resolution_mgauss if group == "mag" else 0.0)
         noise[group] = estimate_noise(
-            error, replay.valid, least, field_channels(replay) if group == "mag" else None
+            error,
+            replay.valid,
+            _least_sigma(replay, group),
+            field_channels(replay) if group == "mag" else None,
         )
     return noise
+
+
+def _least_sigma(replay: Replay, group: str) -> float:
+    """Return the least noise that is believed: of a vehicle's own attitude no model is exact to less."""
+    if group != "mag":
+        return _LEAST[group]
+    own = 0.0 if replay.reference.kind == "columns" else _LEAST_IN_FLIGHT_MGAUSS
+    return max(_LEAST[group], replay.resolution_mgauss, own)
 
 
 def widened(floor: Floor, problem: Problem, fit: Fit) -> Floor:

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Mask, Problem
+from mavcompass.gap.fit import Fit, Mask, Problem
 from mavcompass.gap.left.floor import Floor, heading_error_rad
-from mavcompass.gap.replay import Replay
+from mavcompass.gap.replay import WHEREABOUTS, Replay
 
 
 def foreseen(floor: Floor, replay: Replay, train: Mask, test: Mask) -> Floor:
@@ -20,22 +20,43 @@ def foreseen(floor: Floor, replay: Replay, train: Mask, test: Mask) -> Floor:
     known there only as well as the rest of the recording tells them.
     """
     problem = Problem(replay, floor.noise, train, floor.prior)
-    rows = np.flatnonzero(test)
     null = problem.null()
-    if not null.covariance.size or not rows.size:
+    if not null.covariance.size or not test.any():
         return floor
-    predicted = problem.predict(null).mag_mgauss
-    changes = [change.mag_mgauss for change in problem.nuisance_changes(null)]
-    heading = [heading_error_rad(replay, predicted + c, predicted)[rows] for c in changes]
-    field = np.stack([c[rows].ravel() for c in changes], axis=1)
-    turned = np.degrees(np.stack(heading, axis=1))
-    field_more, heading_more = (
-        float(np.mean(np.einsum("np,pq,nq->n", J, null.covariance, J))) for J in (field, turned)
-    )
+    field_more, heading_more = _unknown(problem, null, test, slice(None))
     field_rest, heading_rest = _of_turns(
         replay.signals.stimulus.field_ned_mgauss[0], replay.reference.rest_rad2
     )
-    field_more, heading_more = field_more + field_rest, heading_more + heading_rest
+    return _raised(floor, field_more + field_rest, heading_more + heading_rest)
+
+
+def foreseen_places(floor: Floor, problem: Problem, fit: Fit, test: Mask) -> Floor:
+    """Raise a floor by what the places' wander leaves unknown of held-out rows beside a fit."""
+    first = 0
+    for nuisance in problem.nuisances:
+        own = slice(first, first + nuisance.mean.size)
+        first = own.stop
+        if nuisance.effect.id == WHEREABOUTS and fit.covariance.size and test.any():
+            return _raised(floor, *_unknown(problem, fit, test, own))
+    return floor
+
+
+def _unknown(problem: Problem, fit: Fit, test: Mask, own: slice) -> tuple[float, float]:
+    """Return the mean squares of field (mG) and heading (deg) that some nuisances leave unknown."""
+    rows, predicted = np.flatnonzero(test), problem.predict(fit).mag_mgauss
+    changes = [change.mag_mgauss for change in problem.nuisance_changes(fit)[own]]
+    heading = [heading_error_rad(problem.replay, predicted + c, predicted)[rows] for c in changes]
+    field = np.stack([c[rows].ravel() for c in changes], axis=1)
+    turned = np.degrees(np.stack(heading, axis=1))
+    count = sum(n.mean.size for n in problem.nuisances)
+    covariance = fit.covariance[:count, :count][own, own]
+    field_more, heading_more = (
+        float(np.mean(np.einsum("np,pq,nq->n", J, covariance, J))) for J in (field, turned)
+    )
+    return field_more, heading_more
+
+
+def _raised(floor: Floor, field_more: float, heading_more: float) -> Floor:
     return replace(
         floor,
         field_rms_mgauss=math.sqrt(floor.field_rms_mgauss**2 + field_more),

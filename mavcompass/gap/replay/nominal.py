@@ -31,6 +31,7 @@ from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
 from mavcompass.gap.replay.readings import Readings
 from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
+from mavcompass.gap.replay.whereabouts import place_curves
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.track import MagSeries, Series, Track
@@ -73,6 +74,7 @@ class Replay:
         nominal_mgauss: what the raw sensor says if that is right and nothing else is wrong, (N, 3).
         readings: every reading, of which the rows are means; averaged: of how many neighbours each.
         place: latitude, longitude in degrees, altitude in metres; None where unknown.
+        place_curves_m: how the places of the stimulus may wander, (N, 3, k), each with sigma one.
         doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
             noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
         notes: what a reader of the result must know.
@@ -96,6 +98,7 @@ class Replay:
     corrected_mgauss: FloatArray | None = None
     averaged: int = 1
     place: tuple[float, float, float] | None = None
+    place_curves_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
     doubtful: Mapping[Group, SensorNoise] = field(default_factory=dict)
 
     @property
@@ -118,14 +121,22 @@ class Replay:
         )
 
 
-def replay(track: Track, instance: int = 1, choice: Choice = "auto", period_s: float | None = None) -> Replay:
+def replay(
+    track: Track,
+    instance: int = 1,
+    choice: Choice = "auto",
+    period_s: float | None = None,
+    most_averaged: int | None = None,
+) -> Replay:
     """Build the nominal simulation of one compass of a recording, averaged to rows of a period.
+
+    Beside a recording with fewer readings, a baseline's rows are means of no more than its.
 
     Raises BadRecording where there is no such compass, or too little to compare.
     """
     compass = _compass(track, instance)
     period_s = shared_period_s([track], instance) if period_s is None else period_s
-    rows = compass_rows(track, compass, period_s)
+    rows = compass_rows(track, compass, period_s, most_averaged)
     whole = reference_attitude(track, rows.time_s, choice, instance)
     field, sigma, field_notes = world_field(
         track,
@@ -200,6 +211,7 @@ def replay(track: Track, instance: int = 1, choice: Choice = "auto", period_s: f
         readings=readings,
         averaged=rows.width,
         place=_place(track),
+        place_curves_m=place_curves(_position(track, reference), track.gps_velocity_mps, time_s),
     )
 
 
@@ -264,7 +276,7 @@ def _stimulus(track: Track, time_s: FloatArray, reference: Reference, field: Flo
     if track.motors is not None and len(track.motors) > 1:
         motors = np.nan_to_num(track.motors.at(time_s))
         if track.vehicle in _NEUTRAL_IN_THE_MIDDLE:
-            motors = 2.0 * np.abs(motors - 0.5)
+            motors = 2.0 * motors - 1.0
     return Stimulus(
         time_s=time_s,
         rotation=reference.rotation,

@@ -18,7 +18,7 @@ from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Sign
 
 _Rng = np.random.Generator | None
 _TURNS = 6
-REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
+REFERENCE_YAW, TELEMETRY_AGE, WHEREABOUTS = "reference yaw", "telemetry age", "whereabouts"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +28,11 @@ class Nuisance:
     effect: Effect
     mean: FloatArray
     precision: FloatArray
+
+    @property
+    def known(self) -> int:
+        """Count the leading parameters that something is known of: how attitude and places wander is not."""
+        return {REFERENCE_YAW: 1, WHEREABOUTS: 0}.get(self.effect.id, self.mean.size)
 
     @classmethod
     def of(cls, effect: Effect, mean: FloatArray, sigma: FloatArray) -> Nuisance:
@@ -46,6 +51,10 @@ class Prior:
     def of(cls, nuisances: Sequence[Nuisance]) -> Prior:
         """Build the prior of nuisances that know nothing of each other."""
         return cls(tuple(nuisances), block_diagonal([n.precision for n in nuisances]))
+
+    def beside(self, other: Nuisance) -> Prior:
+        """Return the prior with one more nuisance, which knows nothing of the others."""
+        return Prior((*self.nuisances, other), block_diagonal([self.precision, other.precision]))
 
     @property
     def mean(self) -> FloatArray:
@@ -110,6 +119,24 @@ def reference_attitude_error(curves_rad: FloatArray) -> Effect:
         parameters=(Parameter("constant", "rad", -10.0, 10.0, 0.0, 0.01), *amplitudes),
         forward=forward,
     )
+
+
+def whereabouts(curves_m: FloatArray) -> Nuisance:
+    """Build what a receiver does not know of its places: curves (N, 3, k) over time, each of sigma one."""
+
+    def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
+        s = signals.stimulus
+        return Signals(replace(s, position_ned_m=s.position_ned_m + curves_m @ theta), signals.reading)
+
+    count = curves_m.shape[2]
+    effect = Effect(
+        id=WHEREABOUTS,
+        title="what the receiver does not know of its places",
+        stage=Stage.WORLD,
+        parameters=tuple(Parameter(f"curve {i + 1}", "1", -30.0, 30.0, 0.0, 1.0) for i in range(count)),
+        forward=forward,
+    )
+    return Nuisance.of(effect, np.zeros(count), np.ones(count))
 
 
 def yaw_starts(nuisances: Sequence[Nuisance]) -> list[tuple[FloatArray, ...]]:

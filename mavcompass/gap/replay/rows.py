@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
+from mavcompass.gap.replay.clock import reading_times
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.track import MagSeries, Series, Track, uncut
 
 FEWEST_ROWS = 60
 _MOST_ROWS, _MOST_ROWS_IN_FLIGHT = 3_000, 1_600
 _SLOWER_SHARE = 0.3
+# Where fewer messages bring a new reading, they come more often than readings.
+_BROUGHT_NEW = 0.9
 _EVEN_RHYTHM = 0.4
 
 
@@ -44,12 +47,15 @@ class Rows:
     usable: NDArray[np.bool_]
 
 
-def compass_rows(track: Track, compass: MagSeries, period_s: float = 0.0) -> Rows:
-    """Choose the rows of a compass, averaged to `period_s` where they come faster.
+def compass_rows(
+    track: Track, compass: MagSeries, period_s: float = 0.0, most_averaged: int | None = None
+) -> Rows:
+    """Choose the rows of a compass, averaged to `period_s` where they come faster, of so many at most.
 
     Raises BadRecording where there are too few.
     """
     time_s, keep = np.unique(compass.time_s, return_index=True)
+    message_s = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
     reported = compass.reported.values[keep]
     logged = inspect(reported, np.asarray(np.isfinite(reported).all(axis=1)), time_s, track.gyro_radps)
     telemetry = track.autopilot != "unknown" or _slower_than_logged(reported)
@@ -64,6 +70,8 @@ def compass_rows(track: Track, compass: MagSeries, period_s: float = 0.0) -> Row
             fresh = _fresh(reported)
             keep, raw = keep[fresh], raw[fresh]
         time_s = compass.time_s[keep]
+        if step == 0.0 and 0 < fresh.sum() < _BROUGHT_NEW * fresh.size:
+            time_s = reading_times(time_s, message_s)
     if time_s.size < FEWEST_ROWS:
         raise BadRecording(
             f"{track.source or 'The recording'} has {time_s.size} readings of compass {compass.instance},"
@@ -78,7 +86,10 @@ def compass_rows(track: Track, compass: MagSeries, period_s: float = 0.0) -> Row
     fine = trace.step_mgauss == 0.0 and compass.quantum_mgauss == 0.0
     if not telemetry and trace.stale_share > 0.0 and fine:
         usable = np.asarray(finite & ~trace.stale)
-    return Rows(time_s, raw, corrected, telemetry, _odd_width(time_s, period_s), trace, usable)
+    width = _odd_width(time_s, period_s)
+    if most_averaged is not None:
+        width = min(width, most_averaged)
+    return Rows(time_s, raw, corrected, telemetry, width, trace, usable)
 
 
 def _restored(compass: MagSeries) -> MagSeries:

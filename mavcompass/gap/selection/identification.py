@@ -10,9 +10,9 @@ from itertools import combinations
 
 import numpy as np
 
-from mavcompass.gap.fit import Fit, Problem, Search, placements, pruned
-from mavcompass.gap.left import Floor, apart, rms, widened
-from mavcompass.gap.replay import IRON_OFFSET, Replay, level_mgauss
+from mavcompass.gap.fit import Fit, Found, Problem, Search, placements, pruned
+from mavcompass.gap.left import Floor, apart, foreseen_places, rms, widened
+from mavcompass.gap.replay import IRON_OFFSET, WHEREABOUTS, Replay, level_mgauss, whereabouts
 from mavcompass.gap.selection.guards import (
     STRAINED,
     TOO_SMALL,
@@ -32,7 +32,7 @@ from mavcompass.gap.selection.transient import (
     transients,
     with_moments,
 )
-from mavcompass.simulation.effects.effect import Effect
+from mavcompass.simulation.effects.effect import PLACED, Effect
 
 _PASSES = 2
 _CLOSINGS_IN = 6
@@ -45,6 +45,9 @@ _PASSING = 0.25
 _NO_WORSE = 1.05
 # A gap so many floors high, of whose square the best set explains no more than this share, stays unknown.
 _FAR_ABOVE, _HOPEFUL = 2.0, 0.3
+# Places may wander where so much is left of each reading, and must leave no more than this share of it; so
+# many smaller sets are fitted with them.
+_UNEXPLAINED, _WANDERED, _LIKELY = 1.3, 0.7, 3
 # How near to the iron in force a turned compass and a named hard iron must come together.
 _IRON_SHARE = 0.35
 
@@ -102,7 +105,14 @@ def _searched(
         result = Identified(problem, split, none, none.best, (), search, problem)
         if not needs_none(result, floor):
             found = search.run()
+            wandering = _with_wander(problem, floor, found)
+            if wandering is not None:
+                floor, problem, likely = wandering
+                search = Search(problem, effects, partial(worthwhile, problem, floor), exact)
+                found = search.run(likely=likely)
+                result = replace(result, problem=problem, search=search, first=problem)
             result = replace(result, found=found)
+            floor = foreseen_places(floor, problem, found.best, split.test)
             if not (floor.measured and _hopeless(result, floor)):
                 result = _guarded(replace(result, fit=found.best), floor)
         if turn + 1 == passes or (previous is not None and result.fit.ids == previous):
@@ -113,6 +123,32 @@ def _searched(
         if floor is before:
             break
     return result, floor
+
+
+def _with_wander(problem: Problem, floor: Floor, found: Found) -> tuple[Floor, Problem, list[Fit]] | None:
+    """Let the places wander where that explains what is left of something at a place.
+
+    Return floor and problem with that, and the sets that held something at a place fitted anew.
+    """
+    curves = problem.replay.place_curves_m
+    known = any(nuisance.effect.id == WHEREABOUTS for nuisance in problem.nuisances)
+    quiet = found.best.sse < _UNEXPLAINED * 3 * problem.count
+    if known or quiet or not curves.size or not _placed(found.best):
+        return None
+    wandering = replace(floor, prior=floor.prior.beside(whereabouts(curves)))
+    wide = Problem(problem.replay, floor.noise, problem.rows, wandering.prior)
+    placed = [f for f in found.explored.values() if _placed(f) and len(f.terms) < len(found.best.terms)]
+    likely = [
+        wide.fit(fit.terms, fit.thetas, (*fit.nuisance_thetas, np.zeros(curves.shape[2])))
+        for fit in (found.best, *sorted(placed, key=lambda f: f.sse)[:_LIKELY])
+    ]
+    explained = min(fit.sse for fit in likely) < _WANDERED * found.best.sse
+    return (wandering, wide, likely) if explained else None
+
+
+def _placed(fit: Fit) -> bool:
+    """Tell whether a set holds something that belongs to a place."""
+    return any(term.effect.needs & PLACED for term in fit.terms)
 
 
 def _hopeless(candidate: Identified, floor: Floor) -> bool:

@@ -71,7 +71,8 @@ def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
     track, baseline = case.track, case.baseline
     assert baseline is not None and track.truth_q is not None
     period_s = shared_period_s([track, baseline], 1)
-    replayed, before = replay(track, period_s=period_s), replay(baseline, period_s=period_s)
+    replayed = replay(track, period_s=period_s)
+    before = replay(baseline, period_s=period_s, most_averaged=replayed.averaged)
     compass = track.compasses[1]
     rows = compass_rows(track, compass, period_s)
     index = np.searchsorted(compass.time_s, rows.time_s)

@@ -29,6 +29,8 @@ NEVER_S = 1.0e7
 ON_IRON = "on_iron"
 # Parameters that are moments of change, whatever effect they belong to.
 MOMENTS = frozenset({"on_s", "off_s"})
+# What a recording has that tells where it was made: what effects need that belong to a place.
+PLACED = frozenset({"position", "height"})
 GROUPS: tuple[Group, ...] = ("mag", "acc", "gyro")
 
 

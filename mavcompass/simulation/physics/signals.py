@@ -22,7 +22,7 @@ class Stimulus:
         rate_radps: body angular rate, (N, 3); specific_force_mps2: body specific force, (N, 3).
         position_ned_m: (N, 3); velocity_ned_mps: (N, 3).
         current_a: battery current, (N,); throttle: 0..1, (N,); temperature_degc: (N,).
-        motors: outputs 0..1, (N, k).
+        motors: outputs 0..1, where motors reverse -1..1, (N, k).
     """
 
     time_s: FloatArray

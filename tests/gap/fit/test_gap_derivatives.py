@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,7 @@ from mavcompass.gap.fit import make_term
 from mavcompass.gap.fit.composition import Composition
 from mavcompass.gap.left.floor import prior_of
 from mavcompass.gap.left.stated import STATED
-from mavcompass.gap.replay import Replay, replay
+from mavcompass.gap.replay import Replay, replay, whereabouts
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.simulation.effects import catalogue
 
@@ -37,7 +38,10 @@ _WITH = {
 
 @cache
 def flight() -> Replay:
-    return replay(make_case(4, "none", baseline=False).track)
+    """Replay a flight whose places wander."""
+    at = replay(make_case(4, "none", baseline=False).track)
+    time = at.time_s[:, None, None] - at.time_s[0]
+    return replace(at, place_curves_m=np.sin(time * np.array([0.05, 0.2])) * np.eye(3)[:, :2])
 
 
 @pytest.mark.parametrize(
@@ -47,6 +51,7 @@ def flight() -> Replay:
         (("axis_scale", "hard_iron"), 0.003),
         (("soft_iron", "misalignment", "inclination"), 0.003),
         (("spatial_dipole", "hard_iron"), 0.003),
+        (("spatial_dipole", "transport_lag"), 0.02),
         (("hard_iron", "transport_lag"), 0.01),
         (("eddy_current", "hard_iron"), 0.003),
         (("hard_iron", "low_pass"), 0.01),
@@ -57,7 +62,7 @@ def test_each_derivative_is_the_difference_that_a_small_step_makes(
     names: tuple[str, ...], share: float
 ) -> None:
     at = flight()
-    prior = prior_of(at, STATED)
+    prior = prior_of(at, STATED).beside(whereabouts(at.place_curves_m))
     composition = Composition(at, prior.nuisances)
     terms = [make_term(catalogue()[name], at.signals) for name in names]
     thetas = []

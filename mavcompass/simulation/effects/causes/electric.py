@@ -24,7 +24,7 @@ def _motor_current(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng
 
 
 def _per_motor(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    motors = np.nan_to_num(signals.stimulus.motors[:, :_MOTORS])
+    motors = np.abs(np.nan_to_num(signals.stimulus.motors[:, :_MOTORS]))
     return signals.with_mag(
         signals.reading.mag_mgauss + motors @ theta.reshape(_MOTORS, 3)[: motors.shape[1]]
     )
@@ -32,7 +32,7 @@ def _per_motor(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) ->
 
 def _varying_motors(signals: Signals) -> NDArray[np.bool_]:
     free = np.zeros((_MOTORS, 3), dtype=np.bool_)
-    motors = signals.stimulus.motors[:, :_MOTORS]
+    motors = np.abs(signals.stimulus.motors[:, :_MOTORS])
     if motors.size:
         free[: motors.shape[1]] = (spread(motors) > 1e-3)[:, None]
     return free.ravel()
@@ -153,7 +153,7 @@ EFFECTS = (
         needs=frozenset({"motors"}),
         aliases=("motor_current",),
         separated_by="run the motors one by one",
-        source="raw = field + sum of c_i u_i, u the motor output 0 to 1; ArduPilot's per-motor compensation",
+        source="raw = field + sum of c_i |u_i|, u the motor output; ArduPilot's per-motor compensation",
         free=_varying_motors,
     ),
     Effect(

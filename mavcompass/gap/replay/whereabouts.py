@@ -1,0 +1,66 @@
+"""How far a receiver's places may be off, and how that wanders: what belongs to a place is found by them.
+
+A receiver tells velocities of its own, from the Doppler shift. What its places move against the way that
+these make is a bound of their wander, an Ornstein-Uhlenbeck process with the memory of the atmosphere's
+delays.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude import integral
+from mavcompass.gap.attitude.receiver import white_scatter
+from mavcompass.track import Series
+
+_MEMORY_S = 60.0
+# How long places are compared with the way of the velocities, whose own errors would take over.
+_SPAN_S = 5.0
+_FEWEST_FIXES = 60
+_LEAST_M, _MOST_M = 0.05, 3.0
+# The wander's largest modes, until the others are smaller than this, so many at most.
+_KNOTS_S, _LEAST_MODE_M, _MOST_MODES = 10.0, 0.05, 12
+
+
+def place_curves(position_m: Series | None, velocity_mps: Series | None, time_s: FloatArray) -> FloatArray:
+    """Return curves of the places' wander at some times, (N, 3, k), each with an amplitude of sigma one.
+
+    None, k = 0, where nothing tells a velocity besides, and where places do not wander.
+    """
+    sigma = _wander_m(position_m, velocity_mps)
+    count = max(math.ceil(float(time_s[-1] - time_s[0]) / _KNOTS_S), 2) + 1
+    knots = np.linspace(time_s[0], time_s[-1], count)
+    covariance = np.exp(-np.abs(knots[:, None] - knots) / _MEMORY_S)
+    values, vectors = np.linalg.eigh(covariance)
+    modes = vectors[:, ::-1][:, :_MOST_MODES] * np.sqrt(np.maximum(values[::-1][:_MOST_MODES], 0.0))
+    over_time = np.stack([np.interp(time_s, knots, mode) for mode in modes.T], axis=1)
+    # A constant is the datum of the places, which nothing knows anyhow.
+    over_time = over_time - over_time.mean(axis=0)
+    size = np.sqrt(np.mean(over_time**2, axis=0))
+    curves = []
+    for axis in range(3):
+        for mode in np.flatnonzero(sigma[axis] * size > _LEAST_MODE_M):
+            curves.append(sigma[axis] * np.outer(over_time[:, mode], np.eye(3)[axis]))
+    return np.stack(curves, axis=2) if curves else np.zeros((time_s.size, 3, 0))
+
+
+def _wander_m(position_m: Series | None, velocity_mps: Series | None) -> FloatArray:
+    """Return how far places may wander, (3,), metres; zeros where they do not, or nothing tells."""
+    if position_m is None or velocity_mps is None:
+        return np.zeros(3)
+    known = np.isfinite(velocity_mps.values).all(axis=1)
+    time_s = velocity_mps.time_s[known]
+    if known.sum() < _FEWEST_FIXES or not np.isfinite(position_m.values).all():
+        return np.zeros(3)
+    way = position_m.at(time_s) - integral(time_s, velocity_mps.values[known])
+    later = np.searchsorted(time_s, time_s + _SPAN_S)
+    pairs = np.flatnonzero(later < time_s.size)
+    if not pairs.size:
+        return np.zeros(3)
+    moved = way[later[pairs]] - way[pairs]
+    square = (1.4826 * np.median(np.abs(moved), axis=0)) ** 2 - 2.0 * white_scatter(way) ** 2
+    sigma = np.sqrt(np.maximum(square, 0.0) / (2.0 * (1.0 - math.exp(-_SPAN_S / _MEMORY_S))))
+    return np.asarray(np.where(sigma < _LEAST_M, 0.0, np.minimum(sigma, _MOST_M)))

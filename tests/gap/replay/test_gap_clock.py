@@ -1,0 +1,58 @@
+"""A clock is told by when its readings come, however the messages fall beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mavcompass.gap.replay.clock import reading_times
+
+
+def _brought(period_s: float, message_s: float, phase_s: float, length_s: float = 90.0) -> tuple:
+    """Let messages bring the last reading; return when new ones came, and when they were taken."""
+    messages = np.arange(phase_s, length_s, message_s)
+    tick = np.floor(messages / period_s)
+    # Of the first message nobody knows how old its reading is.
+    new = np.concatenate([[False], np.diff(tick) > 0.0])
+    return messages[new], tick[new] * period_s
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    period=st.floats(0.095, 0.105),
+    message=st.floats(0.015, 0.08),
+    phase=st.floats(0.0, 0.1),
+)
+def test_readings_are_put_back_on_the_clock_they_were_taken_by(
+    period: float, message: float, phase: float
+) -> None:
+    came, taken = _brought(period, message, phase)
+    age = reading_times(came, message) - taken
+    assert age.std() <= max(0.002, 0.2 * (came - taken).std())
+    assert abs(age.mean() - (came - taken).mean()) < 0.2 * message
+
+
+def test_lost_messages_and_a_clock_that_drifts_leave_the_readings_on_it() -> None:
+    came, taken = _brought(0.1, 0.04, 0.013, 400.0)
+    # A clock that gains a millisecond in ten seconds goes on being one.
+    came, taken = came * 1.0001, taken * 1.0001
+    rng = np.random.default_rng(5)
+    heard = rng.random(came.size) > 0.2
+    heard[1000:1100] = False
+    age = reading_times(came[heard], 0.04) - taken[heard]
+    assert (came - taken).std() > 0.008
+    assert age.std() < 0.002
+
+
+@pytest.mark.parametrize("scatter_s", [0.03, 0.1])
+def test_what_follows_no_clock_keeps_its_times(scatter_s: float) -> None:
+    rng = np.random.default_rng(6)
+    came = np.cumsum(0.1 + scatter_s * rng.random(800))
+    assert np.array_equal(reading_times(came, 0.02), came)
+
+
+def test_a_handful_of_readings_tells_no_clock() -> None:
+    came, _ = _brought(0.1, 0.04, 0.0, 5.0)
+    assert np.array_equal(reading_times(came, 0.04), came)
