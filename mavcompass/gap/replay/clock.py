@@ -50,15 +50,18 @@ def _on_the_clock(time_s: FloatArray, message_s: float) -> FloatArray:
     if not near.any():
         return time_s
     best = float(hertz[near][int(np.argmax(np.abs(np.fft.rfft(ticks))[near]))])
-    width = 1.0 / since[-1]
+    beside = 1.0 / since[-1]
     for _ in range(_ROUNDS):
-        tried = best + width * np.linspace(-1.0, 1.0, 2 * _STEPS + 1)
+        tried = best + beside * np.linspace(-1.0, 1.0, 2 * _STEPS + 1)
         best = float(tried[int(np.argmax(np.abs(np.exp(2j * np.pi * np.outer(tried, since)).sum(axis=1))))])
-        width /= _STEPS
-    middle = float(np.angle(np.exp(2j * np.pi * best * since).sum())) / (2.0 * np.pi)
-    # How much older than the mean each one is, at most half a step of the messages.
-    older = (since * best - middle + 0.5) % 1.0 - 0.5
-    within = np.abs(older) < 0.5 * message_s * best + _BEYOND
-    if float(within.mean()) < _KEPT:
+        beside /= _STEPS
+    # New readings come within a step of the messages after a tick: the rest of the time between two is empty.
+    phase = np.sort((since * best) % 1.0)
+    kept = math.ceil(_KEPT * phase.size) - 1
+    width = np.append(phase, phase + 1.0)[kept : kept + phase.size] - phase
+    first = int(np.argmin(width))
+    if width[first] > message_s * best + _BEYOND:
         return time_s
-    return np.asarray(time_s - np.where(within, older - older[within].mean(), 0.0) / best)
+    # In the middle of what is empty one tick ends and the next one begins.
+    age = (since * best - phase[first] + 0.5 * (1.0 - width[first])) % 1.0
+    return np.asarray(time_s - (age - age.mean()) / best)

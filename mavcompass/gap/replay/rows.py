@@ -29,7 +29,7 @@ class Rows:
     """Hold the compared readings of one compass.
 
     Attributes:
-        time_s: (N,), repeats left out.
+        time_s: (N,), repeats left out; index: which readings of the compass they are, (N,).
         raw_mgauss: (N, 3), the calibration in force undone.
         corrected_mgauss: (N, 3), with it; None where none is in force, or it is not known.
         telemetry: True where an autopilot repeats readings and sends them late by nature.
@@ -39,6 +39,7 @@ class Rows:
     """
 
     time_s: FloatArray
+    index: NDArray[np.int64]
     raw_mgauss: FloatArray
     corrected_mgauss: FloatArray | None
     telemetry: bool
@@ -89,7 +90,7 @@ def compass_rows(
     width = _odd_width(time_s, period_s)
     if most_averaged is not None:
         width = min(width, most_averaged)
-    return Rows(time_s, raw, corrected, telemetry, width, trace, usable)
+    return Rows(time_s, keep, raw, corrected, telemetry, width, trace, usable)
 
 
 def _restored(compass: MagSeries) -> MagSeries:

@@ -75,7 +75,7 @@ def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
     before = replay(baseline, period_s=period_s, most_averaged=replayed.averaged)
     compass = track.compasses[1]
     rows = compass_rows(track, compass, period_s)
-    index = np.searchsorted(compass.time_s, rows.time_s)
+    index = rows.index
     middles = np.searchsorted(rows.time_s, replayed.time_s)
     change = (case.clean_mgauss - case.clean_nominal_mgauss)[index]
     if rows.width > 1:
