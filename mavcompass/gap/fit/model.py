@@ -15,7 +15,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.chance import least_gain
 from mavcompass.gap.fit.composition import Composition
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
-from mavcompass.gap.fit.newton import bridge, invert, moved, solve
+from mavcompass.gap.fit.newton import bridge, invert, moved, room, solve_within
 from mavcompass.gap.replay import (
     WHEREABOUTS,
     Noise,
@@ -212,7 +212,7 @@ class Problem:
         free = [self.composition.free(terms, i) for i in range(len(x))]
         if self._steady:
             free[:n] = [np.arange(0)] * n
-        weak = weak_precision(terms)
+        weak, bounds = weak_precision(terms), self._bounds(terms)
         states = self.composition.states(terms, x[n:], x[:n])
         r = self.residual(states[-1].reading)
         cost = self._cost(r, x, free, weak)
@@ -232,8 +232,8 @@ class Problem:
                 break
             improved = False
             for _ in range(6):
-                step = solve(normal, gradient, damping)
-                trial = moved(x, step, free, self._bounds(terms))
+                step = solve_within(normal, gradient, damping, *room(x, free, bounds))
+                trial = moved(x, step, free, bounds)
                 trial_states = self.composition.states(terms, trial[n:], trial[:n])
                 trial_r = self.residual(trial_states[-1].reading)
                 trial_cost = self._cost(trial_r, trial, free, weak)

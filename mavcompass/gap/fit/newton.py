@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 
+# How often what leaves its room is looked for again.
+_ACTIVE = 3
+
 
 def bridge(valid: NDArray[np.bool_]) -> NDArray[np.int64] | None:
     """Map each row to itself or to the last valid one before; None where all are valid."""
@@ -30,6 +33,36 @@ def moved(
         at += index.size
         out.append(np.clip(trial, low, high))
     return out
+
+
+def room(
+    x: list[FloatArray], free: list[NDArray[np.int64]], bounds: list[tuple[FloatArray, FloatArray]]
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far the free parameters may go down and up, (k,) each."""
+    down = [low[index] - value[index] for value, index, (low, _) in zip(x, free, bounds, strict=True)]
+    up = [high[index] - value[index] for value, index, (_, high) in zip(x, free, bounds, strict=True)]
+    return np.concatenate(down), np.concatenate(up)
+
+
+def solve_within(
+    normal: FloatArray, gradient: FloatArray, damping: float, down: FloatArray, up: FloatArray
+) -> FloatArray:
+    """Solve the damped normal equations; what would leave its room goes to the end of it, and the others as
+    is best beside that."""
+    step = solve(normal, gradient, damping)
+    fixed = np.zeros(step.size, dtype=np.bool_)
+    for _ in range(_ACTIVE):
+        beyond = ~fixed & ((step < down) | (step > up))
+        if not beyond.any():
+            break
+        fixed |= beyond
+        step[fixed] = np.clip(step, down, up)[fixed]
+        rest = ~fixed
+        if not rest.any():
+            break
+        beside = gradient[rest] - normal[np.ix_(rest, fixed)] @ step[fixed]
+        step[rest] = solve(normal[np.ix_(rest, rest)], beside, damping)
+    return step
 
 
 def solve(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:

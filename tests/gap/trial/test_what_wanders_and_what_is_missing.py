@@ -47,3 +47,15 @@ def test_motors_that_reverse_work_either_way_and_switch_by_their_direction() -> 
     back = every["relay_field"].forward(rover.signals, np.array([0.0, 0.0, 7.0, 2.0, -0.01]), {}, None)
     closed = (back.reading.mag_mgauss - rover.signals.reading.mag_mgauss)[:, 2] > 3.0
     assert np.array_equal(closed, motors[:, 0] > -0.01) and 0.0 < closed.mean() < 1.0
+
+
+def test_a_reference_a_degree_below_all_that_was_recorded_is_found() -> None:
+    case = make_case(212410973, "single")
+    (name, truth), *_ = case.effects
+    assert name == "temperature_bias" and case.track.temperature_degc is not None
+    assert truth["reference_degc"] < float(case.track.temperature_degc.values.min()) - 1.0
+    found = diagnose_gap(case.track, case.baseline)
+    assert found.verdict == "named" and found.effects == {"temperature_bias"}
+    (cause,) = found.causes
+    assert cause.parameters["reference_degc"] == pytest.approx(truth["reference_degc"], abs=0.5)
+    assert cause.parameters["x"] == pytest.approx(truth["x"], rel=0.03)

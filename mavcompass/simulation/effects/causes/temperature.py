@@ -18,7 +18,7 @@ from mavcompass.simulation.effects.effect import (
 )
 
 _REFERENCE = Parameter("reference_degc", "degC", -40.0, 85.0, 25.0, 2.0)
-_ROOM_DEGC = 25.0
+_ROOM_DEGC, _NEAR_DEGC = 25.0, 5.0
 
 
 def _bias(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
@@ -60,7 +60,7 @@ def _limits(signals: Signals) -> tuple[FloatArray, FloatArray]:
     temperature = signals.stimulus.temperature_degc
     finite = temperature[np.isfinite(temperature)]
     if finite.size:
-        span = float(np.ptp(finite))
+        span = max(float(np.ptp(finite)), _NEAR_DEGC)
         low[3] = min(float(finite.min()) - span, _ROOM_DEGC)
         high[3] = max(float(finite.max()) + span, _ROOM_DEGC)
     return low, high
