@@ -19,6 +19,8 @@ _BIN_S = 1e-3
 # Steps in a row, and how far their mean may be off the clock's.
 _ROW, _NEAR = 8, 0.12
 _ROUNDS, _STEPS = 4, 8
+# Messages that come no oftener than this tell no clock but their own.
+_OFTENER = 0.9
 # So many readings must lie within the step of the messages after a tick, and a bit.
 _KEPT, _BEYOND = 0.97, 0.05
 
@@ -60,7 +62,7 @@ def _on_the_clock(time_s: FloatArray, message_s: float) -> FloatArray:
     kept = math.ceil(_KEPT * phase.size) - 1
     width = np.append(phase, phase + 1.0)[kept : kept + phase.size] - phase
     first = int(np.argmin(width))
-    if width[first] > message_s * best + _BEYOND:
+    if message_s * best > _OFTENER or width[first] > message_s * best + _BEYOND:
         return time_s
     # In the middle of what is empty one tick ends and the next one begins.
     age = (since * best - phase[first] + 0.5 * (1.0 - width[first])) % 1.0

@@ -56,3 +56,11 @@ def test_what_follows_no_clock_keeps_its_times(scatter_s: float) -> None:
 def test_a_handful_of_readings_tells_no_clock() -> None:
     came, _ = _brought(0.1, 0.04, 0.0, 5.0)
     assert np.array_equal(reading_times(came, 0.04), came)
+
+
+def test_messages_as_often_as_readings_tell_no_clock_but_their_own() -> None:
+    rng = np.random.default_rng(8)
+    came = np.arange(0.0, 400.0, 0.1) + 0.001 * rng.standard_normal(4000)
+    # A sensor that stays now and then brings something new in some of them.
+    new = came[rng.random(came.size) > 0.3]
+    assert np.array_equal(reading_times(new, 0.1), new)
