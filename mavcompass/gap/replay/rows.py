@@ -16,7 +16,7 @@ from mavcompass.gap.replay.clock import reading_times
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.track import MagSeries, Series, Track, uncut
 
-FEWEST_ROWS = 60
+FEWEST_ROWS, FEWEST_NEW = 60, 30
 _MOST_ROWS, _MOST_ROWS_IN_FLIGHT = 3_000, 1_600
 _SLOWER_SHARE = 0.3
 # Where fewer messages bring a new reading, they come more often than readings.
@@ -73,7 +73,8 @@ def compass_rows(
         time_s = compass.time_s[keep]
         if step == 0.0 and 0 < fresh.sum() < _BROUGHT_NEW * fresh.size:
             time_s = reading_times(time_s, message_s)
-    if time_s.size < FEWEST_ROWS:
+    # A sensor that stays brings little that is new, which is a finding and no lack of readings.
+    if time_s.size < (FEWEST_NEW if reported.shape[0] >= FEWEST_ROWS else FEWEST_ROWS):
         raise BadRecording(
             f"{track.source or 'The recording'} has {time_s.size} readings of compass {compass.instance},"
             " too few.",

@@ -59,3 +59,13 @@ def test_a_reference_a_degree_below_all_that_was_recorded_is_found() -> None:
     (cause,) = found.causes
     assert cause.parameters["reference_degc"] == pytest.approx(truth["reference_degc"], abs=0.5)
     assert cause.parameters["x"] == pytest.approx(truth["x"], rel=0.03)
+
+
+def test_a_compass_that_stays_nearly_all_the_time_is_a_finding_and_no_lack_of_readings() -> None:
+    case = make_case(525895344, "single")
+    assert [name for name, _ in case.effects] == ["stale_samples"]
+    reported = case.track.compasses[1].reported.values
+    new = int((np.diff(reported, axis=0) != 0.0).any(axis=1).sum()) + 1
+    assert new < 60 < len(reported)
+    found = diagnose_gap(case.track, case.baseline)
+    assert found.verdict == "named" and found.effects == {"stale_samples"}
