@@ -119,7 +119,8 @@ def _interval(
     _, label = np.unique(blocks, return_inverse=True)
     count = int(label.max()) + 1 if label.size else 0
     if count < 4:
-        return (math.nan, math.nan)
+        # So few tell nothing: none or all of it may be closed.
+        return (0.0, 1.0)
     rng = np.random.default_rng(_SEED)
     size = np.bincount(label).astype(np.float64) * before.shape[1]
     sums0 = np.bincount(label, (before**2).sum(axis=1))
