@@ -19,6 +19,8 @@ _UNLIKE, _SPANS, _UNSTEADY = 2.0, 8, 4.0
 # (Bartlett, Suppl. J. Royal Stat. Soc. 8, 1946).
 _LAGS, _RELATED, _BY_CHANCE = (3, 4, 5), 0.2, 3.0 * math.sqrt(35.0 / 18.0)
 _FEWEST = 20
+# Noise of a sensor's axes hardly goes together.
+_TOGETHER = 0.8
 # Where a vehicle is now quieter, now faster, a third of the readings is quiet, and so are their neighbours.
 _LEAST_QUIET = 0.15
 
@@ -44,7 +46,7 @@ def excess_variance(readings: Readings, baseline: Readings, repeats: bool = Fals
     # nearer: what wanders in the baseline is taken off both.
     further = quiet_scatter(readings, 2) ** 2 - quiet_scatter(baseline, 2) ** 2
     white = excess / _UNLIKE < further < _UNLIKE * excess
-    noise = white and _unrelated(readings) and _steady(readings, excess)
+    noise = white and _unrelated(readings) and _steady(readings, excess) and _of_each_axis(readings)
     return max(excess, further) if noise else 0.0
 
 
@@ -78,6 +80,14 @@ def _unrelated(readings: Readings) -> bool:
         if both.sum() > _FEWEST and abs(float(np.sum(one * other))) > related * size:
             return False
     return True
+
+
+def _of_each_axis(readings: Readings) -> bool:
+    """Tell whether each axis scatters by itself: what changes all of them together is one thing's field."""
+    second = neighbours(readings.error_mgauss)[readings.quiet]
+    square = second.T @ second
+    size = np.sqrt(np.maximum(np.diag(square), 1e-300))
+    return bool(np.abs(np.triu(square / np.outer(size, size), 1)).max() < _TOGETHER)
 
 
 def _steady(readings: Readings, excess: float) -> bool:
