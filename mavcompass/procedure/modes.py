@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
 from mavcompass.enums import CopterMode, MavCmd, MavResult, RoverMode, SubMode
-from mavcompass.messages.kinds import Kind
+from mavcompass.kinds import Kind
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.vehicle_state import VehicleState
 

@@ -10,7 +10,7 @@ from mavcompass import messages as mav
 from mavcompass.earth_field import EarthField, decimal_year, earth_field
 from mavcompass.enums import MavModeFlag
 from mavcompass.errors import NoVehicle
-from mavcompass.messages.kinds import AUTOPILOTS, VEHICLES, Kind
+from mavcompass.kinds import AUTOPILOTS, VEHICLES, Kind
 from mavcompass.procedure.script import Context, Script
 
 # Clocks that were never set begin at zero, or at a date of their firmware.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from mavcompass.errors import Refused
-from mavcompass.messages.kinds import Kind
+from mavcompass.kinds import Kind
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.calm import wait_until_calm
 from mavcompass.procedure.motion.readiness import Permissions, Readiness

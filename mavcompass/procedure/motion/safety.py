@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from mavcompass import messages as mav
 from mavcompass.enums import EkfFlag, MavState
 from mavcompass.errors import Refused
-from mavcompass.messages.kinds import Kind
+from mavcompass.kinds import Kind
 from mavcompass.procedure.modes import ModeKeeper, mode_name
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleState

@@ -9,8 +9,8 @@ import pytest
 from mavcompass import messages as mav
 from mavcompass.enums import EkfFlag, MavState
 from mavcompass.errors import Refused
+from mavcompass.kinds import Kind
 from mavcompass.messages import Incoming
-from mavcompass.messages.kinds import Kind
 from mavcompass.procedure.commands import MESSAGE_IDS
 from mavcompass.procedure.modes import ModeKeeper, mode_name
 from mavcompass.procedure.motion.safety import MotionGuard

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mavcompass.compass_parameters import px4_name
+from mavcompass.kinds import AUTOPILOTS, VEHICLES
 from mavcompass.logs.common import BootClock, Change, changes, restarts, unknown_correction
 from mavcompass.logs.formats.tlog.clock import Placer, clock_of
 from mavcompass.logs.formats.tlog.columns import body_columns, columns
@@ -16,7 +17,6 @@ from mavcompass.logs.formats.tlog.compasses import HIGHRES, compass_of, spokesme
 from mavcompass.logs.formats.tlog.messages import Messages
 from mavcompass.logs.formats.tlog.parameters import parameters_seen
 from mavcompass.messages import telemetry
-from mavcompass.messages.kinds import AUTOPILOTS, VEHICLES
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix, wrap_pi
+from mavcompass.kinds import VEHICLES
 from mavcompass.logs.common import finite_series, motor_outputs
 from mavcompass.logs.formats.ulog.topics import has, indexed, time_s, vector
-from mavcompass.messages.kinds import VEHICLES
 from mavcompass.track import Series
 
 TOPICS = (
