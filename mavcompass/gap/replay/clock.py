@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 
@@ -25,17 +26,18 @@ _OFTENER = 0.9
 _KEPT, _BEYOND = 0.97, 0.05
 
 
-def reading_times(time_s: FloatArray, message_s: float) -> FloatArray:
+def reading_times(time_s: FloatArray, message_s: float, after_loss: NDArray[np.bool_]) -> FloatArray:
     """Return when new readings (N,) that messages brought at some times were taken, but for a common age.
 
-    `message_s` is the time between messages. What follows no even clock stays as it is.
+    `message_s` is the time between messages. What follows no even clock stays as it is, and so does what came
+    `after_loss` (N,): it may be older than the others, and where messages are lost no attitude is known.
     """
     pieces = max(math.ceil(float(time_s[-1] - time_s[0]) / _PIECE_S), 1)
     edges = np.searchsorted(time_s, np.linspace(time_s[0], time_s[-1], pieces + 1)[1:-1])
     read = np.concatenate([_on_the_clock(piece, message_s) for piece in np.split(time_s, edges)])
-    # The first message has a reading that is older, and so may one after a loss.
+    # The first message has a reading that is older, too.
     twice = np.append(np.diff(read) < 0.5 * np.diff(time_s), False)
-    read = np.where(twice, time_s, read)
+    read = np.where(twice | after_loss, time_s, read)
     return read if bool((np.diff(read) > 0.0).all()) else time_s
 
 

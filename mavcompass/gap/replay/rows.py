@@ -19,6 +19,8 @@ from mavcompass.track import MagSeries, Series, Track, uncut
 FEWEST_ROWS, FEWEST_NEW = 60, 30
 _MOST_ROWS, _MOST_ROWS_IN_FLIGHT = 3_000, 1_600
 _SLOWER_SHARE = 0.3
+# Messages so much further apart have lost some between them.
+_LOST = 1.5
 # Where fewer messages bring a new reading, they come more often than readings.
 _BROUGHT_NEW = 0.9
 _EVEN_RHYTHM = 0.4
@@ -72,7 +74,8 @@ def compass_rows(
             keep, raw = keep[fresh], raw[fresh]
         time_s = compass.time_s[keep]
         if step == 0.0 and 0 < fresh.sum() < _BROUGHT_NEW * fresh.size:
-            time_s = reading_times(time_s, message_s)
+            lost = np.diff(compass.time_s, prepend=compass.time_s[0]) > _LOST * message_s
+            time_s = reading_times(time_s, message_s, lost[keep])
     # A sensor that stays brings little that is new, which is a finding and no lack of readings.
     if time_s.size < (FEWEST_NEW if reported.shape[0] >= FEWEST_ROWS else FEWEST_ROWS):
         raise BadRecording(

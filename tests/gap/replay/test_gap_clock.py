@@ -29,7 +29,7 @@ def test_readings_are_put_back_on_the_clock_they_were_taken_by(
     period: float, message: float, phase: float
 ) -> None:
     came, taken = _brought(period, message, phase)
-    age = reading_times(came, message) - taken
+    age = reading_times(came, message, np.zeros(came.size, dtype=np.bool_)) - taken
     assert age.std() <= max(0.002, 0.2 * (came - taken).std())
     assert abs(age.mean() - (came - taken).mean()) < 0.2 * message
 
@@ -41,21 +41,29 @@ def test_lost_messages_and_a_clock_that_drifts_leave_the_readings_on_it() -> Non
     rng = np.random.default_rng(5)
     heard = rng.random(came.size) > 0.2
     heard[1000:1100] = False
-    age = reading_times(came[heard], 0.04) - taken[heard]
+    age = reading_times(came[heard], 0.04, np.zeros(came[heard].size, dtype=np.bool_)) - taken[heard]
     assert (came - taken).std() > 0.008
     assert age.std() < 0.002
+
+
+def test_the_first_reading_after_a_loss_keeps_its_time() -> None:
+    came, _ = _brought(0.1, 0.04, 0.003, 100.0)
+    lost = np.zeros(came.size, dtype=np.bool_)
+    lost[[300, 500]] = True
+    read = reading_times(came, 0.04, lost)
+    assert np.array_equal(read[lost], came[lost]) and (read[~lost] != came[~lost]).mean() > 0.9
 
 
 @pytest.mark.parametrize("scatter_s", [0.03, 0.1])
 def test_what_follows_no_clock_keeps_its_times(scatter_s: float) -> None:
     rng = np.random.default_rng(6)
     came = np.cumsum(0.1 + scatter_s * rng.random(800))
-    assert np.array_equal(reading_times(came, 0.02), came)
+    assert np.array_equal(reading_times(came, 0.02, np.zeros(came.size, dtype=np.bool_)), came)
 
 
 def test_a_handful_of_readings_tells_no_clock() -> None:
     came, _ = _brought(0.1, 0.04, 0.0, 5.0)
-    assert np.array_equal(reading_times(came, 0.04), came)
+    assert np.array_equal(reading_times(came, 0.04, np.zeros(came.size, dtype=np.bool_)), came)
 
 
 def test_messages_as_often_as_readings_tell_no_clock_but_their_own() -> None:
@@ -63,4 +71,4 @@ def test_messages_as_often_as_readings_tell_no_clock_but_their_own() -> None:
     came = np.arange(0.0, 400.0, 0.1) + 0.001 * rng.standard_normal(4000)
     # A sensor that stays now and then brings something new in some of them.
     new = came[rng.random(came.size) > 0.3]
-    assert np.array_equal(reading_times(new, 0.1), new)
+    assert np.array_equal(reading_times(new, 0.1, np.zeros(new.size, dtype=np.bool_)), new)
