@@ -29,6 +29,8 @@ from mavcompass.frames import FloatArray
 LAG, FIRST = 16, 17
 _LAG_SIGMA_S = 0.03
 _STARTS = 12
+# What is linear in the state once the headings are given: offset, gain, motors.
+_LINEAR = np.r_[0:9, 13:16]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,34 +151,30 @@ def first_state(
     rules = _prior_rows(sections, earth, prior, motor_sigma, in_force, horizontal, vertical)
     x = np.zeros(FIRST + len(sections))
     x[GAIN], x[HORIZONTAL], x[VERTICAL] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0), horizontal, vertical
-    linear = np.r_[0:9, 13:16]
     best: tuple[float, FloatArray] | None = None
     for start in np.arange(_STARTS) * (2.0 * math.pi / _STARTS):
         trial = x.copy()
         trial[FIRST:] = start + sections.turned_rad - sections.turned_rad[0]
-        trial, cost = _linear(sections, trial, linear, rules, 0.1 * horizontal)
+        trial, cost = _linear(sections, trial, rules, 0.1 * horizontal)
         if best is None or cost < best[0]:
             best = cost, trial
     assert best is not None
     return best[1], rules
 
 
-def _linear(
-    sections: Sections, x: FloatArray, free: FloatArray, rules: PriorRows, noise: float
-) -> tuple[FloatArray, float]:
+def _linear(sections: Sections, x: FloatArray, rules: PriorRows, noise: float) -> tuple[FloatArray, float]:
     """Solve for the linear part at the headings of `x`, robustly; returns the state and its cost."""
     x, weights, cost = x.copy(), np.ones(len(sections)), math.inf
     residual, by = field_residual(sections, x)
+    by, held = by[:, :, _LINEAR] / noise, rules.rows[:, _LINEAR]
+    residual = residual / noise
     for _ in range(3):
-        root = np.sqrt(weights)[:, np.newaxis] / noise
-        rows = np.concatenate(
-            [(by[:, :, free] * root[:, :, np.newaxis]).reshape(-1, free.size), rules.rows[:, free]]
-        )
-        values = np.concatenate([(residual * root).ravel(), -rules.of(x)])
-        step, *_ = np.linalg.lstsq(rows, values, rcond=None)
-        x[free] += step
-        residual, by = field_residual(sections, x)
+        weighed = (by * weights[:, np.newaxis, np.newaxis]).reshape(-1, _LINEAR.size)
+        normal = weighed.T @ by.reshape(-1, _LINEAR.size) + held.T @ held
+        step = np.linalg.solve(normal, weighed.T @ residual.ravel() - held.T @ rules.of(x))
+        x[_LINEAR] += step
+        residual = residual - by @ step
         size = np.linalg.norm(residual, axis=1)
-        weights = 1.0 / np.maximum(1.0, size / max(2.0 * float(np.median(size)), 1e-6))
-        cost = float((weights * size**2).sum()) / noise**2 + float((rules.of(x) ** 2).sum())
+        weights = 1.0 / np.maximum(1.0, size / max(2.0 * float(np.median(size)), 1e-6 / noise))
+        cost = float((weights * size**2).sum()) + float((rules.of(x) ** 2).sum())
     return x, cost
