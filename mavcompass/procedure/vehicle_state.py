@@ -13,6 +13,7 @@ from mavcompass.errors import NoVehicle
 from mavcompass.kinds import AUTOPILOTS, VEHICLES, Kind
 from mavcompass.procedure.script import Context, Script
 
+_M_PER_DEG = 111_319.5
 # Clocks that were never set begin at zero, or at a date of their firmware.
 _NOT_DATED_US = 1_400_000_000_000_000
 
@@ -89,6 +90,13 @@ def find_vehicles(
         if isinstance(event, mav.Incoming) and (other := identify(event)) is not None:
             found.setdefault(other.system, other)
     return tuple(found[system] for system in sorted(found))
+
+
+def metres_from(start: mav.GlobalPositionInt, place: mav.GlobalPositionInt) -> tuple[float, float]:
+    """Return how far north and east of a start a near place is, metres."""
+    east_deg = ((place.lon - start.lon) * 1e-7 + 180.0) % 360.0 - 180.0  # the date line may lie between
+    east_m = east_deg * _M_PER_DEG * math.cos(math.radians(start.lat * 1e-7))
+    return (place.lat - start.lat) * 1e-7 * _M_PER_DEG, east_m
 
 
 @dataclass(slots=True)

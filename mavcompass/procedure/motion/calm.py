@@ -14,10 +14,11 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
+from mavcompass import messages as mav
 from mavcompass.errors import Refused
 from mavcompass.procedure.positions import Rest
 from mavcompass.procedure.script import Context, Script, pause
-from mavcompass.procedure.vehicle_state import VehicleState
+from mavcompass.procedure.vehicle_state import VehicleState, metres_from
 
 _POLL_S = 0.1
 # So long it must have held its place.
@@ -30,7 +31,6 @@ _PATIENCE_S, _DOUBT_PATIENCE_S = 40.0, 10.0
 # A copter that wanders is watched for two such stretches; so far apart its places may lie in the later one,
 # and so much further than in the earlier one by chance.
 _STRETCH_S, _WIDEST_M, _NO_WIDER = 6.0, 2.0, 1.25
-_M_PER_DEG = 111_319.5
 
 
 def wait_until_calm(context: Context, state: VehicleState, rest: Rest) -> Script[None]:
@@ -65,16 +65,17 @@ def wait_until_calm(context: Context, state: VehicleState, rest: Rest) -> Script
 
 @dataclass(slots=True)
 class _Wander:
-    """Follow where the vehicle was: metres north and east of anywhere."""
+    """Follow where the vehicle was: metres north and east of where it was first."""
 
+    _start: mav.GlobalPositionInt | None = None
     _places: deque[tuple[float, float, float]] = field(default_factory=deque)
 
     def note(self, now_s: float, state: VehicleState) -> None:
         """Take the vehicle's latest place."""
         if (place := state.place) is None:
             return
-        north, east = place.lat * 1e-7 * _M_PER_DEG, place.lon * 1e-7 * _M_PER_DEG
-        self._places.append((now_s, north, east * math.cos(math.radians(place.lat * 1e-7))))
+        self._start = self._start or place
+        self._places.append((now_s, *metres_from(self._start, place)))
         while self._places[0][0] < now_s - 2.0 * _STRETCH_S:
             self._places.popleft()
 

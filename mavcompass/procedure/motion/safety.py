@@ -15,7 +15,7 @@ from mavcompass.errors import Refused
 from mavcompass.kinds import Kind
 from mavcompass.procedure.modes import ModeKeeper, mode_name
 from mavcompass.procedure.turning import GyroAngle
-from mavcompass.procedure.vehicle_state import VehicleState
+from mavcompass.procedure.vehicle_state import VehicleState, metres_from
 
 # Events come at least this often; a longer step is our own computer's, which was busy or asleep.
 _LONGEST_STEP_S = 0.2
@@ -201,10 +201,7 @@ class MotionGuard:
         if start is None:
             self._place = place
             return None
-        north_m = (place.lat - start.lat) * 1e-7 * 111_319.5
-        east_deg = ((place.lon - start.lon) * 1e-7 + 180.0) % 360.0 - 180.0  # the date line may lie between
-        east_m = east_deg * 111_319.5 * math.cos(math.radians(start.lat * 1e-7))
-        drift_m = math.hypot(north_m, east_m)
+        drift_m = math.hypot(*metres_from(start, place))
         if drift_m > self.limits.drift_m:
             reason = f"The vehicle moved {drift_m:.1f} m away from where it started."
             return f"{reason} {_CIRCLING}" if self.kind == "copter" else reason

@@ -1,0 +1,191 @@
+"""The desk of a live procedure: which compasses, which messages; who turns the vehicle, in how much room."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from mavcompass import messages as mav
+from mavcompass.errors import Refused
+from mavcompass.kinds import Kind
+from mavcompass.procedure.desk import Desk
+from mavcompass.procedure.motion import Mobility, Wishes
+from mavcompass.procedure.motion.mobility import _channels_moved
+from mavcompass.procedure.motion.readiness import Permissions
+from mavcompass.procedure.motion.safety import MotionGuard, SafetyLimits
+from mavcompass.procedure.positions import HandMover, Rest, VehicleMover
+from mavcompass.procedure.script import Context, Machine, Tick, nothing
+from mavcompass.procedure.turning import GyroAngle, TurnBy
+from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
+from mavcompass.track_builder import TrackBuilder
+
+
+def desk_of(
+    instances: tuple[int, ...] = (1, 2, 3), autopilot: str = "ardupilot", began_s: float = 0.0
+) -> Desk:
+    def correction(parameters: Any, instance: int) -> None:
+        if instance == 3:
+            raise Refused("Compass 3 is mounted as nobody can tell.", "Say how.")
+
+    dialect: Any = SimpleNamespace(instances=lambda parameters: instances, correction=correction)
+    identity = VehicleIdentity(1, 1, autopilot, "rover")
+    return Desk(
+        Context(now=100.0), identity, dialect, {}, VehicleState(), TrackBuilder(autopilot, "rover"), began_s
+    )
+
+
+def test_all_compasses_are_worked_on_where_none_is_named() -> None:
+    assert desk_of((1, 2)).chosen(()) == (1, 2)
+    assert desk_of((1, 2, 3)).chosen((2, 1)) == (2, 1)
+    with pytest.raises(Refused, match="mounted as nobody can tell"):
+        desk_of().chosen(())
+
+
+@pytest.mark.parametrize(
+    ("present", "sentence"),
+    [
+        ((1, 2), "The vehicle has no compass 3, 4; it has 2."),
+        ((), "The vehicle has no compass 1, 3, 4; it has none."),
+    ],
+)
+def test_a_compass_that_is_not_there_is_refused(present: tuple[int, ...], sentence: str) -> None:
+    with pytest.raises(Refused) as refused:
+        desk_of(present).chosen((1, 3, 4))
+    assert refused.value.what == sentence
+
+
+def test_the_first_compass_is_always_asked_for_as_it_brings_the_gyro_along() -> None:
+    desk = desk_of()
+    assert desk.imu_rates((3, 2), 25.0) == {mav.RawImu: 25.0, mav.ScaledImu2: 25.0, mav.ScaledImu3: 25.0}
+    assert list(desk.imu_rates((1,), 10.0).items()) == [(mav.RawImu, 10.0)]
+    assert list(desk.imu_rates((4,), 10.0)) == [mav.RawImu]  # no message carries a fourth
+    assert list(desk_of(autopilot="px4").imu_rates((1, 2), 25.0)) == [mav.ScaledImu, mav.ScaledImu2]
+    assert desk_of(began_s=58.0).duration_s() == 42.0
+
+
+# --- who turns it -----------------------------------------------------------------------------------------
+
+GUIDED = {"rover": 15, "boat": 15, "copter": 4, "sub": 4}
+
+
+class Charge:
+    """Let a Mobility take charge of a vehicle that stands there, ready, and end."""
+
+    def __init__(
+        self, kind: Kind = "rover", armed: bool = True, mode: int | None = None, **wishes: Any
+    ) -> None:
+        self.state = VehicleState()
+        beat = mav.Heartbeat(
+            base_mode=128 if armed else 0, custom_mode=GUIDED.get(kind, 0) if mode is None else mode
+        )
+        place = mav.GlobalPositionInt(lat=470_000_000, lon=80_000_000, relative_alt=5000)
+        self.heard = (beat, place)
+        self.mobility = Mobility(
+            VehicleIdentity(1, 1, "ardupilot", kind), self.state, GyroAngle(), Rest(), Wishes(**wishes)
+        )
+
+    def taken(self, parameters: dict[str, float] | None = None) -> Machine[Any]:
+        machine = Machine(lambda context: self.mobility.take_charge(context, parameters or {}))
+        machine.step(Tick(0.0))
+        assert not machine.done and machine.wake_at_s == 1.0  # it waits for a heartbeat
+        for step in range(1, 40):
+            for message in self.heard:
+                self.state.hear(mav.Incoming(0.1 * step, 1, 1, message))
+            machine.step(Tick(0.1 * step))
+        assert machine.done
+        return machine
+
+
+@pytest.mark.parametrize(
+    ("motion", "armed", "may_arm", "by"),
+    [
+        ("hand", False, False, HandMover),
+        ("hand", False, True, HandMover),
+        ("auto", False, False, HandMover),
+        ("auto", True, False, VehicleMover),
+        ("vehicle", True, False, VehicleMover),
+    ],
+)
+def test_a_person_turns_what_is_disarmed_and_the_vehicle_itself_what_is_armed(
+    motion: str, armed: bool, may_arm: bool, by: type
+) -> None:
+    charge = Charge(armed=armed, motion=motion, permissions=Permissions(arm=may_arm))
+    machine = charge.taken()
+    assert (
+        machine.error is None and isinstance(machine.result, by) and charge.mobility.mover is machine.result
+    )
+    # What turns itself is watched over.
+    assert len(machine.context.watches) == (by is VehicleMover)
+
+
+@pytest.mark.parametrize(
+    ("wishes", "armed", "sentence"),
+    [
+        ({"motion": "hand"}, True, "The vehicle is armed: turning it by hand is not safe."),
+        ({"motion": "vehicle"}, False, "The vehicle is disarmed, so it cannot turn itself."),
+    ],
+)
+def test_what_is_not_safe_or_cannot_be_is_refused(wishes: dict[str, str], armed: bool, sentence: str) -> None:
+    error = Charge(armed=armed, **wishes).taken().error
+    assert isinstance(error, Refused) and error.what == sentence
+
+
+def test_what_nobody_knows_how_to_turn_is_refused() -> None:
+    error = Charge("plane").taken().error
+    assert isinstance(error, Refused)
+    assert error.what == "There is no known way in which this ardupilot plane turns itself on the spot."
+
+
+@pytest.mark.parametrize(
+    ("kind", "function", "wished_m", "room_m"),
+    [
+        ("rover", 0.0, 5.0, 5.0),
+        ("rover", 26.0, 5.0, 15.0),
+        ("rover", 26.0, 20.0, 20.0),
+        ("rover", 25.0, 5.0, 5.0),
+        ("boat", 0.0, 5.0, 15.0),
+        ("boat", 26.0, 5.0, 40.0),
+    ],
+)
+def test_what_cannot_pivot_has_its_room(kind: Kind, function: float, wished_m: float, room_m: float) -> None:
+    charge = Charge(kind, limits=SafetyLimits(drift_m=wished_m))
+    assert charge.taken({"SERVO1_FUNCTION": function}).error is None
+    guard = charge.mobility._guard
+    assert isinstance(guard, MotionGuard) and guard.limits.drift_m == room_m
+
+
+@pytest.mark.parametrize(
+    ("by", "kind", "channels"),
+    [
+        ("auto", "rover", set()),
+        ("rc-override", "rover", {1}),
+        ("rc-override", "boat", {1}),
+        ("rc-override", "sub", {4}),
+        ("manual-control", "rover", {1, 2, 3, 4}),
+    ],
+)
+def test_the_channels_that_turning_moves(by: TurnBy, kind: Kind, channels: set[int]) -> None:
+    assert _channels_moved(by, kind) == channels
+
+
+@pytest.mark.parametrize(
+    ("turn_by", "foreign", "halts"),
+    [("auto", False, True), ("auto", True, False), ("manual-control", True, True)],
+)
+def test_in_a_pilots_mode_only_the_pilots_controls_are_given_back(
+    turn_by: TurnBy, foreign: bool, halts: bool
+) -> None:
+    charge = Charge(turn_by=turn_by, mode=0 if turn_by != "auto" else None)
+    context = charge.taken().context
+    if foreign:
+        charge.state.heartbeat = mav.Heartbeat(base_mode=128, custom_mode=10)
+    done: list[str] = []
+    charge.mobility.mover = SimpleNamespace(  # type: ignore[assignment]
+        halt=lambda _: done.append("halt"), release=lambda _: nothing(done.append("release"))
+    )
+    machine = Machine(lambda _: charge.mobility.end(context, True))
+    machine.step(Tick(5.0))
+    assert machine.done and context.watches == []
+    assert done == (["halt", "release"] if halts else ["release"])
