@@ -33,6 +33,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=None,
         help="run the tests that need a vehicle against the one at this address, e.g. udpin:0.0.0.0:14550",
     )
+    parser.addoption(
+        "--store", action="store_true", help="store the numbers that tests with stored ones compare with"
+    )
 
 
 _PROCESS_S = 300.0
@@ -83,6 +86,23 @@ def add_file(
     yield add
     for name in added:
         sys.modules.pop(name, None)
+
+
+@pytest.fixture
+def as_stored(request: pytest.FixtureRequest) -> Callable[[Any], None]:
+    """Hold what was found against what is stored beside the test, number by number."""
+    from stored_numbers import changed, store
+
+    file = request.path.parent / "stored" / f"{request.path.stem.removeprefix('test_')}.json"
+
+    def compare(found: Any) -> None:
+        if request.config.getoption("--store"):
+            store(file, request.node.name, found)
+            return
+        told = changed(file, request.node.name, found)
+        assert not told, f"if that is meant: pytest {request.path} --store\n{chr(10).join(told[:20])}"
+
+    return compare
 
 
 @pytest.fixture(scope="session")

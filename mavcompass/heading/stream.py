@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcompass.correction import FieldCorrection
-from mavcompass.earth_field import EarthField, decimal_year, earth_field, middle_place
+from mavcompass.earth_field import EarthField, middle_place
+from mavcompass.earth_field import earth_field_of as earth_field_of
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, tilt_from_acceleration
 from mavcompass.heading.compute import tilt_compensated_heading
@@ -45,21 +46,6 @@ class HeadingResult:
     declination_rad: float = math.nan
 
 
-def earth_field_of(track: Track) -> EarthField | None:
-    """Return the Earth's field where the recording was made; None where it does not tell the place."""
-    place = track.place
-    if place is None or not len(place):
-        return None
-    known = np.isfinite(place.values).all(axis=1) & (np.abs(place.values[:, :2]).max(axis=1) > 1e-6)
-    if not known.any():
-        return None
-    lat, lon, alt = middle_place(place.values[known])
-    year = _UNKNOWN_YEAR
-    if track.utc_offset_s is not None and track.utc_offset_s > 0.0:
-        year = decimal_year(track.utc_offset_s + float(place.time_s[-1]))
-    return earth_field(round(lat, 4), round(lon, 4), round(alt, 0), round(year, 2))
-
-
 def heading_of_track(
     track: Track,
     correction: FieldCorrection | None = None,
@@ -84,7 +70,7 @@ def heading_of_track(
             f"{track.source or 'The recording'} has no readings of compass {instance} (it has: {known}).",
             "Choose one of its compasses with --compass.",
         )
-    world = earth_field_of(track)
+    world = earth_field_of(track, _UNKNOWN_YEAR)
     field = _field(track, correction, instance)
     down = down_in_body(track, compass.time_s)
     roll, pitch = tilt_from_acceleration(-down)

@@ -166,12 +166,15 @@ class Trial:
         """Give the tests of the place's own room, then others."""
         near, others = nearest(self.root, site.path)
         if self._covering is not None:
-            files = frozenset(near)
-            tests = [t for t in self._covering.tests(site) if not t.startswith(_UNFIT)]
             # Who reads a table, or was written since, is not seen to run its line.
-            unseen = [t for t in near if not site.in_function or self._covering.is_older_than(t)]
-            near = [t for t in tests if t.partition("::")[0] in files.difference(unseen)] + unseen
-            others = [t for t in tests if t.partition("::")[0] not in files]
+            changed = {t for t in (*near, *others) if self._covering.is_older_than(t)}
+            whole = [t for t in near if not site.in_function or t in changed]
+            elsewhere = [t for t in others if t in changed]
+            left_out, room = {*whole, *elsewhere}, set(near)
+            seen = [t for t in self._covering.tests(site) if not t.startswith(_UNFIT)]
+            seen = [t for t in seen if t.partition("::")[0] not in left_out]
+            near = [t for t in seen if t.partition("::")[0] in room] + whole
+            others = elsewhere + [t for t in seen if t.partition("::")[0] not in room]
         yield near
         yield others
 

@@ -29,6 +29,10 @@ from mavcompass.track import Track
 from mavcompass.vehicle.replay import ReplayedLink
 
 HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+import stored_numbers  # noqa: E402
+
 PROJECT = HERE.parents[1]
 SUFFIXES = (".tlog", ".BIN", ".csv", ".ulg")
 # Solvers and libraries differ in the last digits; a milligauss and a hundredth of a degree are what counts.
@@ -126,21 +130,9 @@ def _replayed(path: Path) -> dict[str, Any]:
     return {"messages": dict(sorted(heard.items())), "seconds": last_s}
 
 
-def differences(golden: Any, found: Any, place: str = "") -> Iterator[str]:
-    """Yield what differs between two results, beyond the last digits."""
-    if isinstance(golden, dict) and isinstance(found, dict):
-        for key in sorted(golden.keys() | found.keys()):
-            yield from differences(golden.get(key), found.get(key), f"{place}/{key}")
-    elif isinstance(golden, list) and isinstance(found, list) and len(golden) == len(found):
-        for index, (one, other) in enumerate(zip(golden, found, strict=True)):
-            yield from differences(one, other, f"{place}/{index}")
-    elif isinstance(golden, float) and isinstance(found, float):
-        if not math.isclose(golden, found, rel_tol=RELATIVE, abs_tol=ABSOLUTE) and not (
-            math.isnan(golden) and math.isnan(found)
-        ):
-            yield f"{place}: {golden:.6g} was stored, {found:.6g} found"
-    elif golden != found:
-        yield f"{place}: {golden!r} was stored, {found!r} found"
+def differences(golden: Any, found: Any) -> list[str]:
+    """Return what differs between two results, beyond what solvers and libraries do."""
+    return list(stored_numbers.differences(golden, found, "", RELATIVE, ABSOLUTE))
 
 
 def main() -> int:

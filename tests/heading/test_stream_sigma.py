@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.earth_field import EarthField
+from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording
 from mavcompass.heading import stream
 from mavcompass.heading.gravity import down_in_body, moving_average
-from mavcompass.heading.stream import earth_field_of, heading_of_track
+from mavcompass.heading.stream import heading_of_track
 from mavcompass.track import MagSeries, Series, Track
 
 TIME = np.arange(50.0) * 0.1
@@ -87,9 +87,11 @@ def test_a_place_counts_where_it_is_known() -> None:
     late = earth_field_of(placed(place=Series.of(TIME, some)))
     assert late is not None and late.declination_rad == pytest.approx(math.radians(3.5), abs=0.02)
     # The date matters by a tenth of a degree a year; without one it is the middle of the model's years.
-    dated, unknown = earth_field_of(placed(utc_offset_s=1.74e9)), earth_field_of(placed())
-    assert dated is not None and unknown is not None
-    assert 0.001 < unknown.declination_rad - dated.declination_rad < 0.01
+    dated, middle = (earth_field_of(placed(), year) for year in (2025.14, 2027.5))
+    assert dated is not None and middle is not None
+    assert 0.001 < middle.declination_rad - dated.declination_rad < 0.01
+    assert earth_field_of(placed(utc_offset_s=1.74e9), 2099.0) == dated
+    assert heading_of_track(placed()).declination_rad == middle.declination_rad
 
 
 def test_what_is_asked_of_a_recording_has_to_be_there() -> None:

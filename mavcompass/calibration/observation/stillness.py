@@ -67,9 +67,7 @@ def find_dwells(
     rolling = rolls(track, record.time_s)
     windows = [part for window in windows for part in _standing(record.time_s, rolling, window)]
     if len(compass.time_s):
-        windows = [
-            w for w in windows if np.ptp(np.searchsorted(compass.time_s, w)) >= 4 and w[1] > compass.time_s[0]
-        ]
+        windows = [w for w in windows if np.ptp(np.searchsorted(compass.time_s, w)) >= 4]
     if _spread(record, windows) < math.radians(150.0):
         cut = _cut_from_turn(record, compass.time_s)
         windows = cut if len(cut) >= 3 else windows

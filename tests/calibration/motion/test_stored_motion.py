@@ -1,0 +1,117 @@
+"""What is made of the motion of made-up recordings, number by number, as it was when it was stored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_up_recordings import (
+    EARTH,
+    IN_FORCE,
+    IRON,
+    four_stops,
+    hovering,
+    tumbling,
+    wandering,
+    with_magnet,
+    with_reference,
+)
+
+from mavcompass.calibration.motion.changes import calm_since_s, last_stretch
+from mavcompass.calibration.motion.findings import findings
+from mavcompass.calibration.motion.fit import leaning_error, level_headings, sigma_of
+from mavcompass.calibration.motion.honesty import weigh_honestly
+from mavcompass.calibration.motion.observed import Motion, observe_motion
+from mavcompass.calibration.motion.stops import without_disturbed_stop
+from mavcompass.calibration.recorded import Recorded
+
+AsStored = Callable[[Any], None]
+MADE: dict[str, Callable[[], Recorded]] = {
+    "four stops": lambda: Recorded(four_stops(), earth=EARTH),
+    "four stops, somewhere": lambda: Recorded(four_stops("boat", -1.0, 21)),
+    "one stop beside steel": lambda: Recorded(with_magnet(four_stops(), 11.0, 18.0), earth=EARTH),
+    "wandering": lambda: Recorded(wandering(), earth=EARTH),
+    "iron that moved": lambda: Recorded(with_magnet(wandering(), 0.0, 38.0), earth=EARTH),
+    "something passed": lambda: Recorded(with_magnet(wandering("boat", 22), 40.0, 44.0), earth=EARTH),
+    "no current": lambda: Recorded(replace(wandering(), current_a=None), earth=EARTH),
+    "with a reference": lambda: Recorded(with_reference(wandering()), earth=EARTH),
+    "hovering": lambda: Recorded(hovering(), earth=EARTH),
+    "tumbling": lambda: Recorded(tumbling()),
+}
+
+
+@pytest.fixture(scope="module", params=MADE)
+def motion(request: pytest.FixtureRequest) -> Motion:
+    return observe_motion(MADE[request.param]())
+
+
+def test_sections(motion: Motion, as_stored: AsStored) -> None:
+    s = motion.sections
+    names = (
+        "start_s",
+        "end_s",
+        "samples",
+        "tilt_sigma_rad",
+        "step_sigma_rad",
+        "turned_rad",
+        "load",
+        "repeats",
+    )
+    as_stored(
+        {
+            **{name: getattr(s, name)[::2] for name in names},
+            "mean": s.mean_mgauss[::4],
+            "mapping": s.mapping[::8],
+            "by lag": s.by_lag[::16],
+            "hidden": s.hidden_mgauss[::8],
+            "one": [
+                s.noise_mgauss,
+                s.tilt_bias_rad,
+                s.bias_sigma_radps,
+                s.scale_sigma,
+                s.load_mean,
+                s.rocking,
+            ],
+            "rate": s.gyro_rate_hz,
+            "source": motion.load_source,
+        }
+    )
+
+
+def test_fit(motion: Motion, as_stored: AsStored) -> None:
+    fit = motion.fit
+    as_stored(
+        {
+            "state": fit.state[:20],
+            "sigma": np.sqrt(np.diag(fit.covariance))[:20],
+            "sound": fit.sound,
+            "one": [fit.model_mgauss, fit.cost, fit.horizontal_mgauss, sigma_of(fit)],
+            "residual": fit.residual_mgauss[::5],
+            "leaning": leaning_error(motion.sections, fit)[:11],
+            "level": level_headings(motion.sections, fit, 1.5)[::6],
+        }
+    )
+
+
+def test_what_it_may_claim(motion: Motion, as_stored: AsStored) -> None:
+    honest = weigh_honestly(motion.sections, motion.fit)
+    earth, source = motion.recorded.earth, motion.load_source
+    told = [findings(motion.sections, motion.fit, honest, earth, source, limit) for limit in (0.3, 2.0)]
+    later, change = last_stretch(motion)
+    disturbed = without_disturbed_stop(motion)
+    as_stored(
+        {
+            "error": honest.error.rms_rad(),
+            "one": [honest.noise_rad, honest.accelerometer_rad, honest.scatter_rad, honest.left_out_ratio],
+            "told": told,
+            "halves": motion.halves_ratio(),
+            "left": [motion.scatter_left_rad(correction) for correction in (IN_FORCE, IRON)],
+            "calm": calm_since_s(motion),
+            "change": change,
+            "later": later.fit.state[:9],
+            "stop": None if disturbed is None else disturbed.motion.fit.state[:9],
+        }
+    )

@@ -1,0 +1,115 @@
+"""What is made of still positions, number by number, as it was when it was stored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from calibration_worlds import FIELD, Iron, four_positions
+
+from mavcompass.calibration.judged import calibrate_positions
+from mavcompass.calibration.observation import FourPositionData
+from mavcompass.calibration.positions import PositionProblem, next_pose, repeat_test, solve_four_positions
+from mavcompass.calibration.positions.disturbance import weigh_disturbances
+from mavcompass.calibration.positions.fit import fit_positions
+from mavcompass.calibration.positions.problem import DEFAULT_PRIOR
+from mavcompass.correction import FieldCorrection
+
+AsStored = Callable[[Any], None]
+IN_FORCE = FieldCorrection((-40.0, 20.0, -10.0), (1.05, 0.95, 1.0))
+GAIN = np.array([[1.08, 0.03, 0.01], [0.03, 0.95, -0.02], [0.01, -0.02, 1.03]])
+
+
+def positions(degrees: tuple[float, ...], seed: int, disturbed: int = -1, **more: Any) -> FourPositionData:
+    """Made-up positions with all that is not known of real ones; at one of them, steel stands beside."""
+    chance = np.random.default_rng(seed)
+    data = four_positions(
+        Iron((60.0, -40.0, 25.0), GAIN),
+        chance,
+        turns=np.radians(degrees),
+        noise=8.0,
+        gyro_sigma=0.004,
+        gyro_scale_sigma=0.01,
+        tilt=0.04,
+    )
+    dwells = list(data.dwells)
+    for k, dwell in enumerate(dwells):
+        dwells[k] = replace(
+            dwell,
+            quantisation_mgauss2=np.diag([0.1, 0.12, 0.08]),
+            tilt_sigma_rad=0.002 + 0.0005 * k,
+            current_a=3.0 + chance.normal(),
+            coherence=0.9995 - 0.0002 * k,
+            unsteady_mgauss=1.5 * k,
+            turned_sigma_rad=0.001,
+        )
+    if disturbed >= 0:
+        moved = dwells[disturbed].mean_mgauss + np.array([25.0, -15.0, 10.0])
+        dwells[disturbed] = replace(dwells[disturbed], mean_mgauss=moved)
+    known = {"gyro_bias_sigma_radps": 0.0008, "tilt_bias_sigma_rad": 0.003, **more}
+    return replace(data, dwells=tuple(dwells), **known)
+
+
+MADE = {
+    "three": positions((118.0, 123.0), 1),
+    "four": positions((88.0, 92.0, 85.0), 2),
+    "six": positions((58.0, 62.0, 61.0, 55.0, 60.0), 3),
+    "four, one disturbed": positions((91.0, 88.0, 93.0), 4, disturbed=2),
+    "eight, one disturbed": positions((45.0, 47.0, 44.0, 46.0, 45.0, 43.0, 45.0), 5, disturbed=5),
+    "back and forth": positions((90.0, -180.0, -90.0, 75.0), 6),
+}
+
+
+@pytest.fixture(params=MADE)
+def data(request: pytest.FixtureRequest) -> FourPositionData:
+    return MADE[request.param]
+
+
+@pytest.mark.parametrize("world", [True, False])
+def test_a_fit(data: FourPositionData, world: bool, as_stored: AsStored) -> None:
+    problem = PositionProblem.of(data, IN_FORCE, FIELD if world else None, DEFAULT_PRIOR)
+    fit = fit_positions(problem)
+    blend = weigh_disturbances(problem, fit)
+    as_stored(
+        {
+            "start": problem.start,
+            "whiten": problem.whiten[::2],
+            "state": fit.state,
+            "weights": fit.weights,
+            "one": [fit.cost, fit.chi_square, fit.freedom, blend.chi_square, blend.freedom],
+            "sigma": np.sqrt(np.diag(fit.covariance)),
+            "disturbed": blend.probability,
+            "size": blend.size_mgauss,
+            "blend": blend.state[:9],
+        }
+    )
+
+
+@pytest.mark.parametrize("world", [True, False])
+def test_a_result(data: FourPositionData, world: bool, as_stored: AsStored) -> None:
+    earth = FIELD if world else None
+    found, result = solve_four_positions(data, IN_FORCE, earth), calibrate_positions(data, IN_FORCE, earth)
+    as_stored(
+        {
+            "budget": found.budget_rad,
+            "consistency": found.consistency,
+            "cross": found.cross_probability,
+            "suspects": found.suspects,
+            "disturbance": found.disturbance_mgauss,
+            "sigma": [found.heading_sigma_rad, found.heading_error.rms_rad(0.2, -0.1)],
+            "result": {k: v for k, v in result.to_json().items() if k not in ("covariance", "positions")},
+        }
+    )
+
+
+def test_what_would_help_and_what_a_turn_back_shows(data: FourPositionData, as_stored: AsStored) -> None:
+    back = replace(
+        data,
+        dwells=data.dwells[::-1],
+        steps=tuple(replace(step, angle_rad=-step.angle_rad) for step in data.steps[::-1]),
+    )
+    poses = [next_pose(data, IN_FORCE, FIELD, may_tilt=tilt) for tilt in (False, True)]
+    as_stored([poses, repeat_test(data, back, IN_FORCE, FIELD), [data.without(k) for k in (0, 1)]])
