@@ -91,9 +91,9 @@ def two_axis_heading(
         inclination_rad: its dip, positive where it points down: chooses the root.
 
     The vertical part V of the field must come out as total sin(inclination). Of the two roots
-    Z = +-sqrt(F^2 - X^2 - Y^2) the one is taken whose V is nearer to that; with the vehicle upright and
-    the dip well off zero it is the hemisphere's sign. Where noise makes the root's argument negative,
-    the field lies in the sensor's plane and Z is 0.
+    Z = +-sqrt(F^2 - X^2 - Y^2) the one is taken whose V is nearer to that: the one that adds to V where X and
+    Y lack some of it. With the vehicle upright and the dip well off zero it is the hemisphere's sign. Where
+    noise makes the root's argument negative, the field lies in the sensor's plane and Z is 0.
     """
     field = np.asarray(field_xy_mgauss, dtype=np.float64)
     x, y = field[..., 0], field[..., 1]
@@ -101,8 +101,7 @@ def two_axis_heading(
     size = paper_vertical(x, y, total_mgauss)
     wanted = np.asarray(total_mgauss, float) * math.sin(inclination_rad)
     across = -np.sin(pitch) * x + np.cos(pitch) * np.sin(roll) * y
-    down = np.cos(pitch) * np.cos(roll) * size
-    z = np.where(np.abs(across + down - wanted) <= np.abs(across - down - wanted), size, -size)
+    z = np.copysign(size, (wanted - across) * np.cos(roll))
     return tilt_compensated_heading(
         np.stack(np.broadcast_arrays(x, y, z), axis=-1), roll_rad=roll, pitch_rad=pitch
     )

@@ -61,7 +61,7 @@ def who_is_wrong(witnesses: Sequence[Witness], tolerances: Tolerances | None = N
     outside = [w for w in witnesses if w not in together]
     if not outside:
         return ()
-    if 2 * len(together) > len(witnesses) and len(together) > 1:
+    if 2 * len(together) > len(witnesses):
         contradicted = all(_contradicted(w, limits) for w in together)
         borne_out = [w for w in outside if _borne_out(w, limits)]
         if not (contradicted and borne_out):

@@ -125,3 +125,36 @@ def test_a_scale_that_was_not_heard_counts_as_one() -> None:
     heard = {"COMPASS_DIA_X": 1.1, "COMPASS_DIA_Z": 0.9, "COMPASS_ODI_X": 0.02}
     found = ardupilot_correction(heard, 1)
     assert (found.diagonals, found.off_diagonals) == ((1.1, 1.0, 0.9), (0.02, 0.0, 0.0))
+
+
+def test_nothing_said_is_nothing_done() -> None:
+    nothing = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), 1.0, (0.0, 0.0, 0.0), "none")
+    assert FieldCorrection(*nothing) == IDENTITY == FieldCorrection.from_matrix((0.0, 0.0, 0.0), np.eye(3))
+    assert IDENTITY.apply(RAW) == pytest.approx(RAW) and IDENTITY.undo(RAW, AMPERES) == pytest.approx(RAW)
+
+
+@pytest.mark.parametrize(("apart", "is_symmetric"), [(0.9e-9, True), (1.1e-9, False), (-1.1e-9, False)])
+def test_a_matrix_is_symmetric_to_a_billionth_of_its_largest_entry(apart: float, is_symmetric: bool) -> None:
+    matrix = 2.0 * np.eye(3)
+    matrix[0, 1], matrix[1, 0] = 0.2 + 2.0 * apart, 0.2
+    if is_symmetric:
+        assert FieldCorrection.from_matrix((1.0, 2.0, 3.0), matrix, 2.0).off_diagonals[0] == pytest.approx(
+            0.1
+        )
+    else:
+        with pytest.raises(ValueError, match="symmetric"):
+            FieldCorrection.from_matrix((1.0, 2.0, 3.0), matrix, 2.0)
+
+
+def test_motor_terms_compose_where_they_go_with_one_load() -> None:
+    first = FieldCorrection((5.0, 0.0, 0.0), scale=2.0, motor_mgauss=(1.0, 2.0, 3.0), motor_source="current")
+    later = FieldCorrection((1.0, 0.0, 0.0), scale=1.5, motor_mgauss=(0.5, 0.0, -1.0), motor_source="current")
+    both = first.then(later)
+    assert both.motor_mgauss == pytest.approx((2.0, 3.0, 3.5)) and both.motor_source == "current"
+    assert both.apply(RAW, AMPERES) == pytest.approx(later.apply(first.apply(RAW, AMPERES), AMPERES))
+    with pytest.raises(ValueError, match="different motor loads"):
+        first.then(FieldCorrection(motor_mgauss=(1.0, 0.0, 0.0), motor_source="throttle"))
+    plain = first.then(FieldCorrection((1.0, 0.0, 0.0)))
+    assert (plain.motor_mgauss, plain.motor_source) == (first.motor_mgauss, "current")
+    carried = FieldCorrection(diagonals=(3.0, 2.0, 1.0)).with_motor_of(first)
+    assert carried.motor_mgauss == pytest.approx((1.5, 2.0, 1.5)) and carried.motor_source == "current"

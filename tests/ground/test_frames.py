@@ -98,3 +98,23 @@ def test_every_sensor_orientation_is_a_rotation() -> None:
         matrix = sensor_orientation_matrix(number)
         assert matrix @ matrix.T == pytest.approx(np.eye(3), abs=1e-12)
         assert np.linalg.det(matrix) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("number", "roll_pitch_yaw_deg"), [(41, (0.0, 7.0, 0.0)), (42, (45.0, 0.0, 0.0)), (43, (315.0, 0.0, 0.0))]
+)
+def test_sensor_orientations_that_only_ardupilot_has(
+    number: int, roll_pitch_yaw_deg: tuple[float, float, float]
+) -> None:
+    """ROTATION_PITCH_7, ROTATION_ROLL_45 and ROTATION_ROLL_315 of its AP_Math/rotations.h."""
+    assert SENSOR_ORIENTATIONS_DEG[number] == roll_pitch_yaw_deg
+    assert sorted(SENSOR_ORIENTATIONS_DEG) == list(range(44))
+
+
+def test_the_edges_of_the_circle() -> None:
+    assert wrap_pi(math.pi) == wrap_pi(-math.pi) == -math.pi
+    assert wrap_two_pi(2.0 * math.pi) == wrap_two_pi(-1e-17) == 0.0
+    assert math.isnan(circular_mean([])) and circular_mean([0.0]) == 0.0
+    assert [float(angle) for angle in matrix_to_euler(euler_to_matrix(0.0, math.pi / 2, 0.3))][
+        1
+    ] == math.pi / 2

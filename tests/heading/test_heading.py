@@ -20,6 +20,7 @@ from mavcompass.heading import (
     tilt_compensated_heading,
     two_axis_heading,
 )
+from mavcompass.heading.deviation import fit_deviation
 from mavcompass.heading.north import grid_convergence_rad
 from mavcompass.heading.two_axis import (
     TwoAxisCompass,
@@ -210,3 +211,37 @@ def test_a_missing_compass_is_named() -> None:
     track, _ = track_at(np.linspace(0.0, 1.0, 5))
     with pytest.raises(BadRecording, match="compass 3"):
         heading_of_track(track, instance=3)
+
+
+def test_two_degrees_are_level_no_more() -> None:
+    for tilt, learns in ((math.radians(2.0), False), (math.radians(1.999), True)):
+        for roll, pitch in ((tilt, 0.0), (0.0, -tilt)):
+            compass = TwoAxisCompass(480.0, 0.9)
+            compass.update(400.0, 0.0, roll, pitch)
+            assert (compass.total_mgauss != 480.0) is learns
+    gained = TwoAxisCompass(480.0, 0.9)
+    gained.update(400.0, 0.0, 0.0, 0.0)
+    measured = math.hypot(400.0, 480.0 * math.sin(0.9))
+    assert gained.total_mgauss == pytest.approx(480.0 + 0.02 * (measured - 480.0))
+
+
+@given(dip=st.floats(-1.4, 1.4), roll=st.floats(1.7, 3.0), pitch=tilts, yaw=angles)
+def test_two_axes_do_upside_down(dip: float, roll: float, pitch: float, yaw: float) -> None:
+    earth = 480.0 * np.array([math.cos(dip), 0.0, math.sin(dip)])
+    field = body(roll, pitch, yaw, earth)
+    assume(abs(field[2]) > 5.0)
+    assert abs(wrap_pi(two_axis_heading(field[:2], roll, pitch, 480.0, dip) - yaw)) < 1e-6
+
+
+def test_five_headings_make_a_deviation_card() -> None:
+    compass = np.radians([0.0, 70.0, 150.0, 200.0, 300.0])
+    coefficients = dict(zip("ABCDE", (1.0, 2.0, -0.5, 0.7, 0.3), strict=True))
+    terms = [np.ones(5), np.sin(compass), np.cos(compass), np.sin(2.0 * compass), np.cos(2.0 * compass)]
+    off = sum(value * term for value, term in zip(coefficients.values(), terms, strict=True))
+    card = fit_deviation(compass, compass + np.radians(off))
+    assert card.coefficients_deg == pytest.approx(coefficients) and card.residual_deg < 1e-9
+    assert card.compass_deg == pytest.approx(45.0 * np.arange(8)) and np.isnan(card.sigma_deg).all()
+    assert card.deviation_deg[[0, 2]] == pytest.approx([1.0 - 0.5 + 0.3, 1.0 + 2.0 - 0.3])
+    assert fit_deviation(compass, compass, 16).compass_deg == pytest.approx(22.5 * np.arange(16))
+    with pytest.raises(ValueError, match="five different headings"):
+        fit_deviation(compass[[0, 1, 2, 3, 3]], compass)

@@ -195,3 +195,50 @@ def test_each_horizontal_axis_counts_for_the_noise_by_its_change() -> None:
     for reading in ((200.0, 50.0, 400.0), (203.0, 54.0, 500.0)):
         compass.update(0.0, 0.0, reading, level)
     assert compass._noise_mgauss2 == pytest.approx(0.05 * 25.0 / 4.0)
+
+
+def test_a_step_of_half_a_second_is_followed_and_a_longer_one_not() -> None:
+    for step_s, turned in ((0.5, 0.5), (0.5000001, 0.0)):
+        level = leaning(0.0, 0.0)
+        level.update(step_s, (0.0, 0.0, -G), (0.0, 0.0, 1.0))
+        assert level.turned_rad == pytest.approx(turned)
+
+
+@pytest.mark.parametrize(("acc_mps2", "is_felt"), [(1.0, False), (1.001, True)])
+@pytest.mark.parametrize("step_s", [0.1, 9.0])
+def test_what_falls_does_not_feel_which_way_is_down(acc_mps2: float, is_felt: bool, step_s: float) -> None:
+    level = leaning(0.0, 0.0)
+    level.update(step_s, (0.0, -acc_mps2, 0.0), (0.0, 0.0, 0.0))
+    assert (level.roll_rad != 0.0) is is_felt
+
+
+@pytest.mark.parametrize(("rate_radps", "stands"), [(0.0199, True), (0.02, False), (-0.02, False)])
+def test_a_rate_of_a_fiftieth_is_a_turn(rate_radps: float, stands: bool) -> None:
+    level = leaning(0.0, 0.0)
+    level.update(0.1, (0.0, 0.0, -G), (0.0, 0.0, rate_radps))
+    assert level.bias_radps == pytest.approx(0.01 * rate_radps if stands else 0.0)
+
+
+def test_noise_is_learnt_below_three_hundredths_of_a_radian_a_second() -> None:
+    level, compass = leaning(0.0, 0.0), LiveCompass(1)
+    for rate_radps, x in ((0.0, 200.0), (0.03, 210.0), (-0.03, 200.0)):
+        level.rate_radps = rate_radps
+        compass.update(0.0, 0.0, (x, 0.0, 400.0), level)
+    assert compass._noise_mgauss2 == 0.0
+
+
+def test_a_restart_takes_the_next_reading_for_the_first() -> None:
+    level = leaning(0.3, 0.0)
+    level.update(0.1, (0.0, 0.0, -G), (0.0, 0.0, 0.5))
+    turned, bias = level.turned_rad, level.bias_radps
+    level.restart()
+    level.update(0.05, (0.0, 0.0, -G), (0.0, 0.0, 0.4))  # an earlier time, of another clock
+    assert level.down == (0.0, 0.0, 1.0) and level.turned_rad == turned
+    assert level.rate_radps == pytest.approx(0.4 - bias)
+
+
+def test_no_sigma_is_larger_than_the_circle() -> None:
+    level, compass = leaning(0.0, 0.0), LiveCompass(1)
+    level.tilt_sigma_rad = 1.0
+    heading = compass.update(0.0, 0.0, (2.0, 0.0, 400.0), level)
+    assert heading is not None and heading.sigma_rad == math.pi

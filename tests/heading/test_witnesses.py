@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from mavcompass.heading.witnesses import Witness, who_is_wrong
+from mavcompass.heading.witnesses import Tolerances, Witness, _apart_deg, who_is_wrong
 
 FITS = {"dip_off_deg": 0.4, "strength_off_percent": -1.0}
 BENT = {"dip_off_deg": 9.0, "strength_off_percent": 12.0}
@@ -71,3 +71,46 @@ def test_three_that_all_differ_are_left_to_the_turn() -> None:
     ]
     assert blamed(*turned) == [1, 3]
     assert math.isclose(who_is_wrong(turned)[1].apart_deg, 20.0)
+
+
+AT = {"turn_off_deg": 3.0, "dip_off_deg": -3.0, "strength_off_percent": 6.0}
+
+
+@pytest.mark.parametrize(
+    ("beyond", "wrong"),
+    [
+        ({}, []),
+        ({"turn_off_deg": -3.01}, [1]),
+        ({"turn_off_deg": math.nan}, []),
+        ({"turn_off_deg": math.nan, "dip_off_deg": 3.01}, [1]),
+        ({"turn_off_deg": math.nan, "strength_off_percent": -6.01}, [1]),
+    ],
+)
+def test_what_lies_at_a_tolerance_is_within_it(beyond: dict[str, float], wrong: list[int]) -> None:
+    other = {**AT, "turn_off_deg": beyond.get("turn_off_deg", 3.0)}
+    if not math.isnan(other["turn_off_deg"]):
+        other["turn_off_deg"] = 3.0
+    assert blamed(Witness(1, 30.0, **AT | beyond), Witness(2, 0.0, **other)) == (wrong or [0])
+
+
+@pytest.mark.parametrize(("apart_deg", "agree"), [(4.99, True), (5.01, False)])
+def test_compasses_agree_within_five_degrees(apart_deg: float, agree: bool) -> None:
+    for witnesses in (
+        (Witness(1, 0.0), Witness(2, apart_deg)),
+        (Witness(1, 358.0), Witness(2, apart_deg - 2.0)),
+    ):
+        assert blamed(*witnesses) == ([] if agree else [0])
+    at = abs(_apart_deg(Witness(2, apart_deg), [Witness(1, 0.0)]))
+    assert not who_is_wrong([Witness(1, 0.0), Witness(2, apart_deg)], Tolerances(apart_deg=at))
+
+
+def test_the_sentences_name_compasses_and_figures() -> None:
+    told = [Witness(1, 0.0), Witness(2, 0.0), Witness(3, 1.0), Witness(4, 90.0)]
+    (blame,) = who_is_wrong(told)
+    assert (blame.instance, blame.apart_deg) == (4, pytest.approx(90.0 - 1.0 / 3.0))
+    assert blame.why == "Compass 4 is off by 90 deg: 1, 2 and 3 agree with each other within 1.0 deg."
+    by_gyro = [Witness(1, 40.0, turn_off_deg=9.0), *(Witness(k, 0.0, turn_off_deg=0.1) for k in (2, 3))]
+    (blame,) = who_is_wrong(by_gyro)
+    assert blame.why.endswith("2 and 3 agree with each other within 0.1 deg and with the gyro.")
+    (blame,) = who_is_wrong([Witness(5, 10.0), Witness(7, 350.0)])
+    assert blame.why == "Compasses 5 and 7 point 20 deg apart; a turn tells which is wrong."

@@ -186,7 +186,7 @@ def test_a_question_waits_for_its_answer() -> None:
 
 def test_an_error_in_a_script_is_the_machines_error() -> None:
     def script(context: Context) -> Script[None]:
-        yield 0.0
+        yield 0.5
         raise ZeroDivisionError
 
     machine = Machine(script)
@@ -194,3 +194,52 @@ def test_an_error_in_a_script_is_the_machines_error() -> None:
     with pytest.raises(ZeroDivisionError):
         raise machine.error or AssertionError("no error was kept")
     assert machine.step(Tick(1.0)) == []
+
+
+def test_an_expected_message_is_waited_for_a_second() -> None:
+    machine = Machine(lambda context: expect(context, ScaledImu))
+    for time_s in (0.0, 0.5, 0.999):
+        machine.step(Tick(time_s))
+        assert not machine.done and machine.wake_at_s == 1.0
+    machine.step(Tick(1.0))
+    assert machine.done and machine.result is None
+
+
+def test_a_request_is_tried_six_times_each_half_as_patient_again() -> None:
+    machine = Machine(lambda context: request(context, CommandLong(), CommandAck))
+    asked = [step / 100 for step in range(1200) if machine.step(Tick(step / 100))]
+    waits = [0.7 * (1.0 + 0.5 * n) for n in range(6)]
+    assert asked == pytest.approx([sum(waits[:n]) for n in range(6)], abs=0.06)
+    assert machine.context.now == pytest.approx(9.45, abs=0.06) and isinstance(machine.error, NoReply)
+    assert machine.error.what == "The vehicle did not answer a request (6 tries)."
+
+
+def test_a_question_looks_at_the_clock_every_second() -> None:
+    machine = Machine(lambda context: ask(context, "Write?"))
+    machine.step(Tick(7.0))
+    assert machine.wake_at_s == 8.0
+    machine.step(Answer(7.5, False))
+    assert machine.result is False
+
+
+def test_a_machine_begins_at_nothing() -> None:
+    machine = Machine(lambda context: pause(context, 1.0))
+    begun = (machine.done, machine.result, machine.error, machine.wake_at_s, machine.context.now)
+    assert begun == (False, None, None, 0.0, 0.0)
+
+
+def test_a_second_stop_and_one_at_the_end_change_nothing() -> None:
+    def script(context: Context) -> Script[str]:
+        try:
+            yield from pause(context, 10.0)
+        finally:
+            yield from pause(context, 1.0)
+        return "never"
+
+    machine = Machine(script)
+    machine.step(Tick(0.0))
+    machine.step(Stop(1.0, "First."))
+    machine.step(Stop(1.5, "Second."))
+    machine.step(Tick(2.5))
+    assert machine.done and isinstance(machine.error, Refused) and machine.error.what == "First."
+    assert machine.step(Stop(3.0, "Third.")) == [] and machine.error.what == "First."

@@ -151,3 +151,73 @@ def test_a_position_counts_fifty_degrees_from_every_other(at: float, taken: bool
     said = [a.text for a in context.outbox if isinstance(a, Show)]
     assert said == ["Position 3 is taken." if taken else "The vehicle stood here before: turn it further."]
     assert len(person.mover.visited_rad) == (3 if taken else 2)
+
+
+def shown(context: Context) -> list[tuple[str, str, dict[str, float]]]:
+    return [(a.step, a.text, dict(a.data)) for a in context.outbox if isinstance(a, Show)]
+
+
+def test_what_a_page_is_told_beside_the_words() -> None:
+    person = Person(10.0)
+    person.at(40.0)
+    machine = person.next()
+    (first,) = machine.step(Tick(0.0))
+    assert isinstance(first, Show) and first.step == "turn"
+    assert dict(first.data) == {"live": 1.0, "turned_deg": 0.0, "remaining": 2.0}
+    person.at(45.0)
+    told = [a for step in range(1, 8) for a in machine.step(Tick(0.1 * step)) if isinstance(a, Show)]
+    assert dict(told[0].data)["turned_deg"] == pytest.approx(5.0)
+    person.at(95.0)
+    (here,) = machine.step(Tick(1.0))
+    assert here == Show("turn", "Here.", None, (("cue", 1.0),))
+    context = Context()
+    assert not person.mover.accept(context, 30.0 * DEG) and person.mover.accept(context, 100.0 * DEG)
+    assert [(step, data) for step, _, data in shown(context)] == [
+        ("turn", {"cue": 1.0}),
+        ("taken", {"cue": 1.0}),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("visited", "at", "step", "new"),
+    [
+        ((0.0,), 49.9, 90.0, False),
+        ((0.0,), 50.1, 90.0, True),
+        ((0.0,), 35.9, 60.0, False),
+        ((0.0,), 36.1, 60.0, True),
+        ((0.0, 90.0, 180.0), 5.0, 90.0, False),
+        ((0.0, 90.0, 180.0, 270.0), 5.0, 90.0, True),
+        ((0.0, 90.0, 180.0, 270.0), 250.0, 90.0, False),
+        ((0.0, 180.0), 0.0, 180.0, True),
+    ],
+)
+def test_once_round_only_the_last_position_counts(
+    visited: tuple[float, ...], at: float, step: float, new: bool
+) -> None:
+    assert Person(*visited).mover._is_new(at * DEG, step * DEG) is new
+
+
+@pytest.mark.parametrize(
+    ("visited", "step", "wanted"),
+    [
+        ((0.0,), 90.0, [90.0, 180.0, 270.0]),
+        ((10.0, 101.0), 90.0, [190.0, 280.0]),
+        ((0.0, 45.0), 90.0, [180.0, 270.0]),
+        ((0.0, 120.0, 240.0), 120.0, [360.0, 120.0]),
+        ((0.0,), -120.0, [-120.0, -240.0]),
+    ],
+)
+def test_headings_are_wanted_at_the_steps_of_the_circle(
+    visited: tuple[float, ...], step: float, wanted: list[float]
+) -> None:
+    found = [math.degrees(angle) for angle in Person(*visited).mover._wanted(step * DEG)]
+    assert found == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(("at", "left"), [(-4.9, 94.9), (-5.1, -84.9)])
+def test_ten_degrees_nearer_the_other_way_is_worth_a_change_of_mind(at: float, left: float) -> None:
+    person = Person(0.0, 180.0)
+    person.at(at)
+    assert math.degrees(person.mover._left(90.0 * DEG)) == pytest.approx(left)
+    person.at(-at)
+    assert math.degrees(person.mover._left(-90.0 * DEG)) == pytest.approx(-left)

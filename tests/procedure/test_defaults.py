@@ -1,0 +1,72 @@
+"""What holds where a person says nothing: each is a promise of the documentation."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from mavcompass.calibration.positions import DEFAULT_PRIOR
+from mavcompass.calibration.verdict import DEFAULT_LIMITS
+from mavcompass.heading.witnesses import Tolerances
+from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.check import CheckSettings
+from mavcompass.procedure.learnt import LearntSettings
+from mavcompass.procedure.motion import Permissions
+from mavcompass.procedure.motion.mobility import Wishes
+from mavcompass.procedure.motion.safety import SafetyLimits
+from mavcompass.procedure.positions import DwellSettings, HandMover, Rest
+from mavcompass.procedure.script import Context
+from mavcompass.procedure.turning import GyroAngle
+
+DEG = math.radians(1.0)
+DWELL = {
+    "dwell_s": 1.7, "shortest_s": 0.92, "enough_deg": 0.15, "longest_s": 6.0, "settle_s": 0.1,
+    "patience_s": 3.0, "tilting_patience_s": 10.0,
+}  # fmt: skip
+SAFE = {
+    "silence_s": 0.8, "stick_us": 80, "tilt_rad": 35.0 * DEG, "rate_radps": 200.0 * DEG, "drift_m": 5.0,
+    "height_m": 1.5, "battery_percent": 10,
+}  # fmt: skip
+MAY = {"set_mode": False, "arm": False, "takeoff_m": 0.0}
+CALIBRATE = {
+    "instances": (1,), "motion": "auto", "turn_by": "auto", "permissions": Permissions(), "positions": 4,
+    "step_rad": 90.0 * DEG, "enough_deg": 0.3, "most_positions": 8, "writing": "ask", "system": None,
+    "rate_hz": 25.0, "year": 2026.0, "reboot": False, "dwell": DwellSettings(), "limits": SafetyLimits(),
+}  # fmt: skip
+PRIOR = {
+    "gain_sigma": 0.25, "vertical_gain_sigma": 0.05, "cross_sigma": 0.04, "site_sigma_mgauss": 5.0,
+    "motor_sigma_mgauss_per_a": 0.5, "vertical_offset_sigma_mgauss": 100.0,
+}  # fmt: skip
+BY_HAND = {
+    "near_rad": 12.0 * DEG, "apart_rad": 50.0 * DEG, "level_rad": 10.0 * DEG, "slope_patience_s": 15.0,
+    "patience_s": 180.0, "visited_rad": [],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("settings", "promised"),
+    [
+        (DwellSettings(), DWELL),
+        (SafetyLimits(), SAFE),
+        (Permissions(), MAY),
+        (CalibrateSettings(), CALIBRATE),
+        (CheckSettings(), {"turn": "none", "system": None, "rate_hz": 25.0, "year": 2026.0}),
+        (LearntSettings(), {"asks": True, "writes": True, "system": None, "rate_hz": 25.0, "year": 2026.0}),
+        (Wishes(), {"motion": "auto", "turn_by": "auto", "permissions": Permissions()}),
+        (HandMover(GyroAngle(), Rest()), BY_HAND),
+        (DEFAULT_PRIOR, PRIOR),
+        (DEFAULT_LIMITS, {"heading_deg": 2.0}),
+        (Tolerances(), {"apart_deg": 5.0, "turn_deg": 3.0, "dip_deg": 3.0, "strength_percent": 6.0}),
+        (Context(), {"now": 0.0, "system": 0, "component": 0, "silent_until_s": -math.inf}),
+    ],
+)
+def test_what_holds_where_nothing_is_said(settings: Any, promised: dict[str, Any]) -> None:
+    assert {name: getattr(settings, name) for name in promised} == promised
+
+
+def test_a_gyros_angle_begins_at_nothing_and_upright() -> None:
+    gyro = GyroAngle()
+    begun = (gyro.angle_rad, gyro.rate_radps, gyro.bias_radps, gyro.gap_s, gyro.samples, gyro.latest_s)
+    assert begun == (0.0, 0.0, 0.0, 0.0, 0, -math.inf) and gyro._down == (0.0, 0.0, 1.0)
