@@ -105,7 +105,7 @@ def _field_size(data: FourPositionData, fit: FourPositionsResult) -> list[str]:
     if not fit.world_model and not 15.0 < horizontal < 1.2 * EARTH_TOTAL_MGAUSS[1]:
         return [
             f"The field that turns with the vehicle is {horizontal:.0f} mG; the Earth's is nowhere so "
-            f"{'weak' if horizontal < 100.0 else 'strong'}."
+            f"{'weak' if horizontal <= 15.0 else 'strong'}."
         ]
     return []
 

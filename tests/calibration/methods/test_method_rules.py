@@ -259,6 +259,15 @@ def test_a_reference_is_a_turn_with_its_tilt() -> None:
     assert found is not None and found.sigma_rad == math.radians(0.3)
     assert np.diff(found.record.angle_rad) == pytest.approx(np.full(39, 0.2))
     assert found.record.rate_radps == pytest.approx(np.full(40, 0.4)) and found.record.interval_s == 0.5
+    # A reference has no bias, no noise and no walk, and rocks with nothing.
+    record = found.record
+    assert (record.bias_radps, record.bias_sigma_radps, record.noise_radps, record.walk_rad) == (
+        0.0,
+        1e-9,
+        0.0,
+        0.0,
+    )
+    assert record.tilt_rate_radps.tolist() == [0.0] * 40
     down = np.array([math.sin(0.2), math.cos(0.2) * math.sin(0.1), math.cos(0.2) * math.cos(0.1)])
     assert found.down_at(Track(), np.array([3.25]))[0] == pytest.approx(down)
     assert reference_turn(Track(reference_q=Series.of(time[:9], q[:9]))) is None

@@ -143,3 +143,36 @@ def test_a_whole_number_that_does_not_move_hides_its_step_on_that_axis() -> None
     assert off[2] == pytest.approx(claimed[2], rel=0.1) and claimed[2] == pytest.approx(1.0 / math.sqrt(12.0))
     assert claimed[0] < claimed[1] < 0.15 and (off[:2] < claimed[:2]).all()
     assert not wire.hidden_in_runs(values, first, 0.0).any()
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"angle": np.where(TIME < 0.05, 0.0, math.radians(-25.0))},
+        {"angle": np.where(TIME < 0.05, 0.0, math.radians(25.0))},
+        {"load": np.where(TIME < 0.05, 0.0, np.where(TIME < 19.0, 2.0, 10.0))},
+        {"down": np.where(TIME[:, np.newaxis] < 0.05, [0.2, 0.0, 0.98], LEVEL)},
+    ],
+)
+def test_what_changes_after_the_first_reading_begins_another(changed: dict[str, np.ndarray]) -> None:
+    begins, visits = cut(**changed)
+    assert begins[1] == 0.1 and visits[:2] == [0, 1]
+
+
+@pytest.mark.parametrize(("swings", "is_widened"), [(160, False), (161, True)])
+def test_no_more_than_160_sections_are_cut(swings: int, is_widened: bool) -> None:
+    """It swings by thirty degrees every half a second; wider limits let several swings be one section."""
+    time = np.arange(0.0, 0.5 * swings - 0.05, 0.1)
+    swing = np.floor(time / 0.5 + 1e-6) % 2.0
+    begins, visits = cut(
+        time=time, angle=math.radians(30.0) * swing, down=np.tile(LEVEL[0], (time.size, 1)), load=0.0 * time
+    )
+    assert (len(begins) < 160) is is_widened and (len(visits) == 160) is not is_widened
+
+
+def test_nothing_and_one_reading_make_no_section() -> None:
+    for count in (0, 1):
+        edges, visit = sections._edges(TIME[:count], STILL[:count], LEVEL[:count], STILL[:count])
+        assert edges.tolist() == [0] and visit.tolist() == []
+    edges, visit = sections._edges(TIME[:2], STILL[:2], LEVEL[:2], STILL[:2])
+    assert edges.tolist() == [0, 2] and visit.tolist() == [0]

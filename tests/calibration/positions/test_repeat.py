@@ -87,6 +87,9 @@ def test_two_positions_tell_nothing_and_three_do() -> None:
         (0.011, 0.0, 0.0, "repeats"),
         (0.009, 0.0, 0.0, "misfit"),
         (0.009, 3.01, 0.0, "hysteresis"),
+        # What lies at a limit is not beyond it.
+        (0.5, 3.0, 0.0, "repeats"),
+        (0.01, 0.0, 0.0, "repeats"),
     ],
 )
 def test_a_cause_is_named_beyond_its_limit(

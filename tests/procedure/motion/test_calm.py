@@ -157,7 +157,9 @@ def test_it_keeps_to_its_place_if_it_wanders_no_wider_and_not_far(
 ) -> None:
     count = round(10.0 * seconds)
     middle = count - 60
-    places = [(0.1 * n, (later_m if n > middle else earlier_m) * (n % 2), 0.0) for n in range(count + 1)]
+    places = [
+        (70.0 + 0.1 * n, (later_m if n > middle else earlier_m) * (n % 2), 0.0) for n in range(count + 1)
+    ]
     assert wandered(places).keeps_to_its_place() is keeps
     assert not _Wander().keeps_to_its_place()
 
