@@ -144,3 +144,10 @@ def with_magnet(track: Track, from_s: float, until_s: float) -> Track:
     beside = (compass.time_s >= from_s) & (compass.time_s < until_s)
     values = compass.reported.values + np.outer(beside, [35.0, -20.0, 12.0])
     return replace(track, compasses={1: replace(compass, reported=Series.of(compass.time_s, values))})
+
+
+def with_late_gyro(track: Track) -> Track:
+    """Have the gyro be recorded neither at the beginning nor at the end."""
+    assert track.gyro_radps is not None
+    start_s, end_s = track.gyro_radps.time_s[[0, -1]]
+    return replace(track, gyro_radps=track.gyro_radps.between(start_s + 1.5, end_s - 1.0))

@@ -24,6 +24,7 @@ from mavcompass.heading.deviation import fit_deviation
 from mavcompass.heading.north import grid_convergence_rad
 from mavcompass.heading.two_axis import (
     TwoAxisCompass,
+    paper_level_field,
     paper_two_axis_azimuth,
     paper_vertical,
     vertical_error_bound_rad,
@@ -245,3 +246,20 @@ def test_five_headings_make_a_deviation_card() -> None:
     assert fit_deviation(compass, compass, 16).compass_deg == pytest.approx(22.5 * np.arange(16))
     with pytest.raises(ValueError, match="five different headings"):
         fit_deviation(compass[[0, 1, 2, 3, 3]], compass)
+
+
+@pytest.mark.parametrize("tilt", [{}, {"roll_rad": 0.1}, {"pitch_rad": 0.1}])
+def test_half_a_tilt_is_none(tilt: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="either"):
+        tilt_compensated_heading(FIELD, **tilt)
+    assert tilt_compensated_heading(FIELD, [0.0, 0.0, -9.8], **tilt) == pytest.approx(0.0)
+    with pytest.raises(ValueError, match="either"):
+        tilt_compensated_heading(FIELD, [0.0, 0.0, -9.8], roll_rad=0.1, pitch_rad=0.1)
+
+
+@given(roll=tilts, pitch=tilts, yaw=angles)
+def test_the_papers_level_field_is_the_one_of_a_level_vehicle(roll: float, pitch: float, yaw: float) -> None:
+    x, y, z = body(roll, pitch, yaw, FIELD)
+    level = paper_level_field(x, -y, -z, -roll, pitch)
+    expected = (200.0 * math.cos(yaw), 200.0 * math.sin(yaw), -430.0)
+    assert [float(part) for part in level] == pytest.approx(expected, abs=1e-9)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
+from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.calibration.positions import DEFAULT_PRIOR
 from mavcompass.calibration.verdict import DEFAULT_LIMITS
 from mavcompass.heading.witnesses import Tolerances
@@ -39,6 +41,10 @@ PRIOR = {
     "gain_sigma": 0.25, "vertical_gain_sigma": 0.05, "cross_sigma": 0.04, "site_sigma_mgauss": 5.0,
     "motor_sigma_mgauss_per_a": 0.5, "vertical_offset_sigma_mgauss": 100.0,
 }  # fmt: skip
+DWELT = {
+    "roll_rad": 0.0, "pitch_rad": 0.0, "tilt_sigma_rad": 0.02 * DEG, "samples": 1, "turned_sigma_rad": 0.0,
+    "coherence": 1.0, "unsteady_mgauss": 0.0,
+}  # fmt: skip
 BY_HAND = {
     "near_rad": 12.0 * DEG, "apart_rad": 50.0 * DEG, "level_rad": 10.0 * DEG, "slope_patience_s": 15.0,
     "patience_s": 180.0, "visited_rad": [],
@@ -59,6 +65,9 @@ BY_HAND = {
         (DEFAULT_PRIOR, PRIOR),
         (DEFAULT_LIMITS, {"heading_deg": 2.0}),
         (Tolerances(), {"apart_deg": 5.0, "turn_deg": 3.0, "dip_deg": 3.0, "strength_percent": 6.0}),
+        (Dwell(0.0, 1.0, np.zeros(3), np.eye(3)), DWELT),
+        (Step(1.0, 0.1), {"duration_s": 0.0}),
+        (FourPositionData((), ()), {"gyro_bias_sigma_radps": 0.0, "tilt_bias_sigma_rad": 0.0, "source": ""}),
         (Context(), {"now": 0.0, "system": 0, "component": 0, "silent_until_s": -math.inf}),
     ],
 )

@@ -175,7 +175,7 @@ class MotionGuard:
     def _posture(self) -> str | None:
         attitude = self.state.attitude
         if attitude is not None:
-            tilt = math.acos(max(-1.0, min(1.0, math.cos(attitude.roll) * math.cos(attitude.pitch))))
+            tilt = math.acos(math.cos(attitude.roll) * math.cos(attitude.pitch))
             if tilt > self.limits.tilt_rad:
                 return f"The vehicle is tilted by {math.degrees(tilt):.0f} deg."
         if abs(self.gyro.rate_radps) > self.limits.rate_radps:

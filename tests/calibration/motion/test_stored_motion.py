@@ -16,13 +16,22 @@ from made_up_recordings import (
     hovering,
     tumbling,
     wandering,
+    with_late_gyro,
     with_magnet,
     with_reference,
 )
 
 from mavcompass.calibration.motion.changes import calm_since_s, last_stretch
+from mavcompass.calibration.motion.equations import first_state, section_variance
 from mavcompass.calibration.motion.findings import findings
-from mavcompass.calibration.motion.fit import leaning_error, level_headings, sigma_of
+from mavcompass.calibration.motion.fit import (
+    _absorbed,
+    _chance_limit,
+    _first_model_error,
+    leaning_error,
+    level_headings,
+    sigma_of,
+)
 from mavcompass.calibration.motion.honesty import weigh_honestly
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.motion.stops import without_disturbed_stop
@@ -38,6 +47,7 @@ MADE: dict[str, Callable[[], Recorded]] = {
     "something passed": lambda: Recorded(with_magnet(wandering("boat", 22), 40.0, 44.0), earth=EARTH),
     "no current": lambda: Recorded(replace(wandering(), current_a=None), earth=EARTH),
     "with a reference": lambda: Recorded(with_reference(wandering()), earth=EARTH),
+    "a gyro that is late": lambda: Recorded(with_late_gyro(four_stops(seed=23)), earth=EARTH),
     "hovering": lambda: Recorded(hovering(), earth=EARTH),
     "tumbling": lambda: Recorded(tumbling()),
 }
@@ -92,6 +102,22 @@ def test_fit(motion: Motion, as_stored: AsStored) -> None:
             "residual": fit.residual_mgauss[::5],
             "leaning": leaning_error(motion.sections, fit)[:11],
             "level": level_headings(motion.sections, fit, 1.5)[::6],
+        }
+    )
+
+
+def test_where_the_fit_begins(motion: Motion, as_stored: AsStored) -> None:
+    s, prior, in_force = motion.sections, motion.recorded.prior, motion.recorded.in_force
+    first, rules = first_state(s, motion.recorded.earth, prior, 0.7, in_force)
+    fit = motion.fit
+    as_stored(
+        {
+            "first": first[:20],
+            "prior": [np.diag(rules.rows.T @ rules.rows)[:17], rules.wanted, rules.of(fit.state)],
+            "model": [_first_model_error(s, first), _absorbed(s, fit.state, fit.sound, rules)],
+            "variance": section_variance(s, fit.state, 2.0)[::6],
+            "unweighed": section_variance(s, fit.state, 2.0, weighed=False)[::9],
+            "chance": [_chance_limit(freedom) for freedom in (1.0, 7.0, 100.0)],
         }
     )
 
