@@ -62,7 +62,7 @@ def calibrate_track(
     """
     solve = find_method(method)
     _check_compass(track, instance)
-    world = (earth if earth is not None else earth_field_of(track)) if use_world_model else None
+    world = (earth or earth_field_of(track)) if use_world_model else None
     recorded = Recorded(track, instance, world, limits, windows=windows)
     result = solve(recorded)
     if not result.accepted and windows is None and method != "auto":

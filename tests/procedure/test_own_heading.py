@@ -221,6 +221,8 @@ def heading(before: float = -8.0, after: float = 1.0, worst: float = 1.5, **more
     [
         (heading(), False, "was 8.0 deg off at the write and is 1.0 deg off now, by a switch"),
         (heading(worst=2.0), False, "is 1.0 deg off now"),
+        (heading(after=2.0, worst=5.0, wander_deg=1.5), True, "2.0 deg off now, but may wander by 1.5 deg"),
+        (heading(after=-2.0, worst=5.0), True, "still steers 2.0 deg off; restart"),
         (heading(after=-1.9, worst=2.1), True, "still steers 1.9 deg off; restart it"),
         (heading(after=-1.9, worst=math.nan), False, "is 1.9 deg off now"),
         (heading(after=-2.1, worst=math.nan), True, "still steers 2.1 deg off;"),

@@ -124,3 +124,13 @@ def test_where_that_fails_the_way_back_is_told(trouble: Exception) -> None:
         isinstance(error, WriteFailed) and "Not proven. The new values could not be taken back" in error.what
     )
     assert "restore u.json" in error.remedy and error.undo_file == Path("u.json")
+
+
+def test_a_report_of_no_compass_is_not_accepted_and_one_that_was_undone_not_written() -> None:
+    one = report()
+    assert one.accepted and not one.written and not one.steers_off
+    assert not replace(one, results=()).accepted
+    refused = replace(one.results[0], accepted=False)
+    assert not replace(one, results=(one.results[0], refused)).accepted
+    assert replace(one, outcome=OUTCOME).written and not replace(one, outcome=OUTCOME, undone=True).written
+    assert one.noting("First.").noting("Second.", "Third.").messages == ("First.", "Second.", "Third.")

@@ -58,7 +58,7 @@ def _tried(
     refusals: list[PoorCalibration] = []
     attempts: list[Callable[[], CalibrationResult]] = [
         lambda: _still(recorded, motion),
-        lambda: world_field.calibrate_motion(motion if motion is not None else observe_motion(recorded)),
+        lambda: world_field.calibrate_motion(motion or observe_motion(recorded)),
         lambda: ellipsoid.calibrate_witnessed(recorded, motion),
     ]
     for attempt in attempts:

@@ -131,7 +131,7 @@ def fit_motion(
             "Record both at 10 Hz or more, and turn the vehicle through a full circle.",
         )
     motor_sigma = _MOTOR_SIGMA[load_source] * (_USUAL_MOTOR if usual_motors else 1.0)
-    beliefs = prior if prior is not None else IronPrior()
+    beliefs = prior or IronPrior()
     x, rules = first_state(sections, earth, beliefs, motor_sigma, in_force)
     model = _first_model_error(sections, x)
     sound = np.ones(len(sections))

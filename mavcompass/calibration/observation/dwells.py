@@ -197,7 +197,7 @@ def dwell_between(
             ]
         )
         reported = in_force.apply(raw)
-    record = turn if turn is not None else turn_record(track, instance)
+    record = turn or turn_record(track, instance)
     lag = field_lag_s(track)
     angles = record.angle_at(time - lag) if record is not None else np.zeros(time.size)
     return _dwell(track, compass, in_force, time, reported, angles, record)

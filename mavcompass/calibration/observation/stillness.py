@@ -57,7 +57,7 @@ def find_dwells(
     Raises PoorCalibration where the recording has no gyro, KeyError for an unknown compass.
     """
     compass = track.compasses[instance]
-    record = turn if turn is not None else turn_record(track, instance)
+    record = turn or turn_record(track, instance)
     if record is None:
         raise PoorCalibration(
             "The recording has no gyro, so neither stillness nor the turned angles are known.",
@@ -181,7 +181,7 @@ def turns_between(
 
     Raises PoorCalibration where the recording has no gyro.
     """
-    record = turn if turn is not None else turn_record(track, instance)
+    record = turn or turn_record(track, instance)
     if record is None:
         raise PoorCalibration(
             "The recording has no gyro, so the turned angles are not known.",
@@ -209,7 +209,7 @@ def observe(track: Track, instance: int = 1, turn: TurnRecord | None = None) -> 
 
     Raises PoorCalibration where the recording has no gyro or hardly turns, KeyError for an unknown compass.
     """
-    record = turn if turn is not None else turn_record(track, instance)
+    record = turn or turn_record(track, instance)
     dwells = find_dwells(track, instance, record)
     if len(dwells) < 3 and record is not None:
         turned = math.degrees(float(np.ptp(record.angle_rad)))
@@ -228,7 +228,7 @@ def assemble(
 
     Raises PoorCalibration where the recording has no gyro.
     """
-    record = turn if turn is not None else turn_record(track, instance)
+    record = turn or turn_record(track, instance)
     steps = turns_between(track, dwells, instance, record) if dwells else []
     return FourPositionData(
         dwells=tuple(dwells),

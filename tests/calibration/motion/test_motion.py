@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -285,3 +286,34 @@ def test_equation_s1_holds_for_a_section_that_turns_and_rolls() -> None:
     down = np.stack([np.zeros(200), np.sin(roll), np.cos(roll)], axis=1)
     mapping = turned_mapping(down, psi - 0.7).mean(axis=0)
     assert np.allclose(mapping @ [h * math.cos(0.7), -h * math.sin(0.7), z], mean)
+
+
+@pytest.mark.parametrize(
+    ("count", "first_deg", "second_deg", "can"),
+    [
+        (16, 160.0, 160.0, True),
+        (15, 160.0, 160.0, False),
+        (16, 140.0, 160.0, False),
+        (16, 160.0, 140.0, False),
+        (14, 140.0, 140.0, False),
+    ],
+)
+def test_halves_are_of_eight_sections_that_go_round(
+    count: int, first_deg: float, second_deg: float, can: bool
+) -> None:
+    middle = count // 2
+    turned = np.concatenate(
+        [np.linspace(0.0, first_deg, middle), np.linspace(0.0, second_deg, count - middle)]
+    )
+
+    class Half(SimpleNamespace):
+        def __len__(self) -> int:
+            return len(self.turned_rad)
+
+        def rows(self, first: int, last: int) -> Half:
+            return Half(turned_rad=self.turned_rad[first:last])
+
+    halves = Motion.halves(SimpleNamespace(sections=Half(turned_rad=np.radians(turned))))  # type: ignore[arg-type]
+    assert (halves is not None) is can
+    if halves is not None:
+        assert [len(half) for half in halves] == [8, 8]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mavcompass.calibration.observation import StillnessDetector, find_dwells, rolls
-from mavcompass.calibration.observation.rolling import RollingWitness, force_step
+from mavcompass.calibration.observation.rolling import RollingWitness, force_step, least_step_mps2
 from mavcompass.calibration.observation.tilt import tilt_during
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.physics.motion import rotation_matrix
@@ -108,3 +109,52 @@ def test_live_a_body_that_nods_does_not_roll(axis: int, rate_radps: float) -> No
         assert not witness.rolls(0.0)  # 0.25 m/s^2 in a quarter of a second, of which the turn explains all
     witness.hear(TIME[60], tuple(gyro), (3.0, 0.0, -9.8))
     assert witness.rolls(0.0) and not witness.rolls(9.0)
+
+
+@pytest.mark.parametrize("every", [1, 2, 4])
+@pytest.mark.parametrize(("of_least", "is_seen"), [(1.7, True), (0.4, False)])
+def test_a_change_is_one_beyond_the_noise_of_a_quarter_of_a_second(
+    every: int, of_least: float, is_seen: bool
+) -> None:
+    """However often it is read: 0.08 m/s^2, and five sigmas of the difference of two means."""
+    track = stopping(braking_mps2=0.0)
+    assert track.acc_mps2 is not None
+    time, rng = TIME[::every], np.random.default_rng(6)
+    least = least_step_mps2(0.1, 0.25 / (0.02 * every))
+    assert least == pytest.approx(math.hypot(0.08, 0.5 * math.sqrt(2.0 * 0.02 * every / 0.25)))
+    force = np.tile([0.0, 0.0, -STANDARD_GRAVITY_MPS2], (time.size, 1)) + 0.1 * rng.normal(
+        size=(time.size, 3)
+    )
+    force[time >= BRAKES_S, 0] -= of_least * least
+    seen = rolls(replace(track, acc_mps2=Series.of(time, force)), TIME)
+    assert bool(seen.any()) is is_seen
+    assert not seen[np.abs(TIME - BRAKES_S) > 0.3].any()
+
+
+def test_few_readings_are_no_witness() -> None:
+    assert (
+        least_step_mps2(0.1, 0.5)
+        == least_step_mps2(0.1, 1.0)
+        == pytest.approx(math.hypot(0.08, 0.5 * 2**0.5))
+    )
+    braking = stopping(braking_mps2=3.0)
+    assert braking.acc_mps2 is not None and braking.gyro_radps is not None
+    for count, tells in ((7, False), (8, True)):
+        at = np.linspace(4.7, 5.3, count)
+        few = Series.of(at, braking.acc_mps2.at(at))
+        assert rolls(replace(braking, acc_mps2=few), TIME).any() == tells
+    assert not rolls(braking, TIME[TIME < 5.02][-2:]).any() and rolls(braking, TIME[TIME < 5.02][-3:]).any()
+    for nothing in (replace(braking, acc_mps2=None), replace(braking, gyro_radps=None)):
+        assert not rolls(nothing, TIME).any()
+
+
+def test_live_a_quarter_of_a_second_is_held_against_the_one_before() -> None:
+    """At eighths of a second, which are exact: what is a quarter old belongs to the part before."""
+    witness = RollingWitness()
+    for eighth, force in enumerate((0.0, 0.0, 0.0, 1.0, 1.0)):
+        witness.hear(0.125 * eighth, (0.0, 0.0, 0.0), (force, 0.0, -9.8))
+    # 0 to 0.25 s before, 0.375 and 0.5 s after: 0 and 1 m/s^2, of three and two readings.
+    assert witness.rolls(0.19) and not witness.rolls(0.21)
+    assert len(witness._felt) == 5
+    witness.hear(0.625, (0.0, 0.0, 0.0), (1.0, 0.0, -9.8))
+    assert witness._felt[0][0] == 0.125

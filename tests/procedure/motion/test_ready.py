@@ -83,9 +83,11 @@ def test_a_copter_on_the_ground_is_not_turned_even_when_armed(tmp_path: Path) ->
 
 def test_a_rover_is_switched_armed_calibrated_disarmed_and_switched_back(tmp_path: Path) -> None:
     vehicle = on_the_ground("rover")
-    before = vehicle.firmware.reports.heartbeat()
+    before, numbers = vehicle.firmware.reports.heartbeat(), commands_heard(vehicle)
     report = calibrated(vehicle, tmp_path, allow(Permissions(set_mode=True, arm=True)))
     assert report.written and heading_error_rms_deg(vehicle) < 0.5
+    assert MavCmd.PREFLIGHT_REBOOT_SHUTDOWN not in numbers  # nobody asked for a restart
+    assert report.on_vehicle_s == pytest.approx(report.duration_s, abs=12.0) and report.on_vehicle_s > 10.0
     assert vehicle.firmware.reports.heartbeat() == before
 
 

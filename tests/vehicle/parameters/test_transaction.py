@@ -25,6 +25,7 @@ from mavcompass.procedure.dialect import Change, ParameterPlan
 from mavcompass.procedure.script import Machine, Stop, Tick
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameters.files import read_parameter_file
+from mavcompass.vehicle.parameters.transaction import _sentence, counted
 from mavcompass.vehicle.parameters.undo import load_record, newest_record, undo_directory, undo_saver
 
 SOURCE = "udpin:0.0.0.0:14550"
@@ -489,3 +490,18 @@ def test_ten_thousand_parameters_that_nobody_asked_for_do_no_harm(tmp_path: Path
     radio = Radio(vehicle)
     assert write(radio, plan_for(vehicle), tmp_path).verified
     assert len(radio.sent) * 400 > 10_000
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (Refused("It was stopped.", "Wait."), "It was stopped."),
+        (ZeroDivisionError("by zero"), "ZeroDivisionError: by zero"),
+    ],
+)
+def test_why_it_was_put_back_is_a_sentence_or_the_fault(error: Exception, sentence: str) -> None:
+    assert _sentence(error) == sentence
+
+
+def test_parameters_are_counted_as_people_do() -> None:
+    assert [counted(n) for n in (0, 1, 2)] == ["0 parameters", "1 parameter", "2 parameters"]
