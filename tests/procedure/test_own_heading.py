@@ -242,3 +242,54 @@ def heading(before: float = -8.0, after: float = 1.0, worst: float = 1.5, **more
 def test_what_a_person_is_told_of_it(told: AutopilotHeading, off: bool, says: str) -> None:
     assert told.is_off is off and says in told.summary()
     assert told.known is math.isfinite(told.error_after_deg)
+
+
+def test_the_wait_is_counted_from_its_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It began at 100 s of the link's clock: two minutes are over at 220."""
+    watched = own(falling(5.0, 0.02))
+    watched.before_deg, watched._has_a_way = 5.0, True
+    monkeypatch.setattr(OwnHeading, "_look", lambda self: None)
+    machine = Machine(lambda context: watched.settle())
+    machine.context = watched.desk.context
+    texts: list[tuple[float, float]] = []
+    for second in range(200):
+        for action in machine.step(Tick(100.0 + second)):
+            if isinstance(action, Show):
+                texts.append((machine.context.now, dict(action.data)["live"]))
+        if machine.done:
+            break
+    assert machine.context.now == 220.0 and machine.error is None
+    # It is told once it can be told, and from then on the same line is written anew.
+    assert texts[0] == (105.0, 0.0) and {live for _, live in texts[1:]} == {1.0} and len(texts) == 115
+
+
+@pytest.mark.parametrize(
+    ("worst_deg", "aside", "waits"), [(1.8, False, False), (1.81, False, True), (9.0, True, False)]
+)
+def test_what_stays_right_or_is_set_aside_is_not_waited_for(
+    worst_deg: float, aside: bool, waits: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watched = own(falling(1.0, 0.0), variance=0.0 if aside else 0.1)
+    watched.before_deg = 5.0
+    monkeypatch.setattr(OwnHeading, "worst_deg", worst_deg)
+    monkeypatch.setattr(OwnHeading, "_look", lambda self: None)
+    machine = Machine(lambda context: watched.settle())
+    machine.context = watched.desk.context
+    machine.step(Tick(100.0))
+    assert machine.done is not waits
+
+
+@pytest.mark.parametrize(("error_deg", "helped"), [(2.0, False), (2.01, True), (-2.01, True)])
+def test_an_error_of_two_degrees_at_the_write_is_left_to_the_filter(
+    error_deg: float, helped: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def sample(self: OwnHeading, start_s: float, end_s: float) -> None:
+        assert (start_s, end_s) == (3.0, 4.5)
+        self._latest_deg = error_deg
+        self.samples.append((end_s, error_deg))
+
+    monkeypatch.setattr(OwnHeading, "_sample", sample)
+    watched, result = own(), SimpleNamespace(heading_sigma_deg=0.1, instance=1)
+    run(watched.written([result], {"A": 1.0}, 3.0, 4.5), watched)  # type: ignore[list-item]
+    assert (watched.before_deg, watched.samples, watched._written_s) == (error_deg, [], 100.0)
+    assert bool(watched.by) is helped and watched.result is result and not watched.not_loaded

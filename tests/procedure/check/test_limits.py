@@ -236,3 +236,20 @@ def test_the_report_says_its_worst(told: CheckReport, says: str, advised: bool) 
         document["summary"] == says and document["verdict"] == told.verdict and document["duration_s"] == 7.0
     )
     assert len(document["items"]) == len(told.items) and document["turned"] is told.turned
+
+
+@pytest.mark.parametrize(
+    ("value", "verdict"), [(5.0, "pass"), (5.001, "warn"), (15.0, "warn"), (15.001, "fail")]
+)
+def test_what_lies_at_a_limit_is_on_its_better_side(value: float, verdict: Verdict) -> None:
+    assert items._grade(value, 5.0, 15.0) == verdict
+
+
+def test_limits_of_offsets_and_of_the_earths_field_are_within() -> None:
+    assert items.judge_offsets(1, FieldCorrection((400.0, 0.0, 0.0))).verdict == "pass"
+    assert items.judge_offsets(1, FieldCorrection((1800.0, 0.0, 0.0))).verdict == "warn"
+    for total in (185.0, 720.0):
+        (item,) = items.judge_field(Reading(1, total, 0.0, 0.0), None)
+        assert item.verdict == "pass" and item.limit == 720.0
+    assert items.worst([]) == "pass" and items.worst(["warn", "pass"]) == "warn"
+    assert items.worst(["warn", "fail", "pass"]) == "fail"

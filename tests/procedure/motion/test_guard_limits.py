@@ -89,12 +89,14 @@ class Scene:
         ("rover", place(height_m=0.0), None),
         ("copter", place(north_m=5.1), "circles instead of holding its place"),
         ("copter", place(height_m=1.6), None),
+        ("copter", place(height_m=1.5), None),
         ("copter", place(height_m=1.4), "1.4 m above its start, too low"),
         ("rover", sticks(1580, 1500, 1100, 1500), None),
         ("rover", sticks(1581, 1500, 1100, 1500), "moved a stick"),
         ("rover", sticks(1500, 1500, 1100, 1419), "moved a stick"),
         ("rover", sticks(1500, 1500, 65535, 1419), None),  # no receiver
         ("rover", sticks(1500, 1500, 799, 1419), None),
+        ("rover", sticks(1500, 1500, 800, 1419), "moved a stick"),
         ("rover", sticks(1500, 1500, 2201, 1419), None),
         ("rover", sticks(1500, 1500, 2200, 1500), "moved a stick"),
     ],
@@ -132,7 +134,7 @@ def test_a_stick_that_is_held_is_no_start(kind: Kind, held: mav.RcChannels, said
         Scene(kind, held)
 
 
-@pytest.mark.parametrize(("deg_s", "said"), [(199.0, None), (-201.0, "too fast (-201 deg/s)")])
+@pytest.mark.parametrize(("deg_s", "said"), [(199.0, None), (200.0, None), (-201.0, "too fast (-201 deg/s)")])
 def test_a_turn_has_its_fastest(deg_s: float, said: str | None) -> None:
     scene = Scene("rover")
     scene.gyro.rate_radps = math.radians(deg_s)
