@@ -370,3 +370,30 @@ def test_rows_while_something_changes_are_set_aside_where_that_explains_the_rest
     np.testing.assert_array_equal(parts.train, split.train & ~while_it_changes)
     np.testing.assert_array_equal(parts.test, split.test & ~while_it_changes)
     assert calm.notes == ("something changes",)
+
+
+def test_what_a_fit_leaves_is_counted_by_its_rows() -> None:
+    for count, each in ((4, 2.5), (1, 10.0), (0, 10.0)):
+        found: Any = SimpleNamespace(fit=SimpleNamespace(sse=10.0), problem=SimpleNamespace(count=count))
+        assert identification._each(found) == each
+
+
+@pytest.mark.parametrize(
+    ("ids", "tried", "alike"),
+    [
+        (("transport_lag", "hard_iron"), (), [{"low_pass", "hard_iron"}]),
+        (("transport_lag",), ("low_pass",), []),
+        (("height_anomaly",), ("spatial_dipole",), [{"spatial_dipole"}]),
+        (("height_anomaly",), (), []),
+        (("orientation", "hard_iron"), (), [{"orientation"}]),
+        (("orientation",), (), []),
+        (("hard_iron",), (), []),
+    ],
+)
+def test_sets_that_look_the_same_by_nature(
+    ids: tuple[str, ...], tried: tuple[str, ...], alike: list[set[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identification, "_iron_stayed", lambda candidate: True)
+    made = candidate(fit_of(*ids))
+    made.search.terms = tuple(SimpleNamespace(effect=SimpleNamespace(id=name)) for name in tried)
+    assert [set(other) for other in identification._alike(made)] == alike

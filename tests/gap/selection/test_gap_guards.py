@@ -440,3 +440,66 @@ def test_beside_an_exact_floor_a_doubtful_sensors_effects_have_its_tolerance() -
         assert guards._immaterial(here, floor(representative=True)) == ("hard_iron" if refused else None)
     sure = candidate(explained((1.5, 0.0, 0.0), 0.1), fit)
     assert guards._immaterial(sure, floor(representative=True)) is None
+
+
+REASONS = {
+    "_touched": ("spatial_dipole", "its place lies on the path itself, where it could explain any reading"),
+    "_ends_on_a_step": ("clipping", "numbers as coarse as these end at one of their own steps"),
+    "_passed": ("clipping", "readings pass the limit"),
+    "_vetoed": ("soft_iron", "one half of the training data does not confirm what the other half says"),
+    "_immaterial": ("hard_iron", guards.TOO_SMALL),
+}
+
+
+@pytest.mark.parametrize("first", REASONS)
+def test_guards_are_asked_in_their_order_and_say_why(first: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first that refuses is told, whatever those after it would say."""
+    refusing = False
+    for name, (effect, _) in REASONS.items():
+        refusing = refusing or name == first
+        said: Any = refusing if name in ("_ends_on_a_step", "_passed") else (effect if refusing else None)
+        monkeypatch.setattr(guards, name, lambda *_, said=said: said)
+    made = candidate(explained((30.0, 0.0, 0.0)), fit_of(hard_iron=30.0))
+    assert guards.refused(made, floor()) == REASONS[first]
+
+
+def test_a_veto_looks_at_rows_that_are_fitted_alone() -> None:
+    """Each half teaches and judges once; rows that the problem leaves out do neither."""
+    looked: list[Any] = []
+    fitted = np.arange(ROWS) % 3 > 0
+
+    class Spy:
+        rows = fitted
+
+        def with_rows(self, rows: Any) -> Spy:
+            looked.append(rows)
+            return self
+
+        def fit(self, *_: Any, **more: Any) -> Fit:
+            assert more == {"iterations": 3}
+            return fit_of()
+
+    assert guards._vetoed(candidate(Spy(), fit_of(hard_iron=1.0))) is None  # type: ignore[arg-type]
+    one, other = split().halves()
+    assert [rows.tolist() for rows in looked] == [
+        rows.tolist() for rows in (one & fitted, other & fitted, other & fitted, one & fitted)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("field", "heading", "lies"),
+    [(2.49, 0.74, True), (2.5, 0.74, False), (2.49, 0.75, False), (2.6, 0.1, False), (0.1, 0.8, False)],
+)
+def test_the_floor_is_reached_below_a_quarter_more(
+    field: float, heading: float, lies: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guards, "apart", lambda *_: (field, heading))
+    made = candidate(explained((30.0, 0.0, 0.0)), fit_of())
+    assert guards.at_floor(made, made.fit, floor(2.0, 0.6)) is lies
+
+
+@pytest.mark.parametrize(("away_m", "touches"), [(0.03, False), (0.0299, True), (-0.031, False)])
+def test_a_magnet_nearer_than_three_centimetres_lies_on_the_path(away_m: float, touches: bool) -> None:
+    made = candidate(explained((0.0, 0.0, 30.0)), fit_of(spatial_dipole=away_m))
+    assert (guards._touched(made) == "spatial_dipole") is touches
+    assert guards._touched(candidate(made.problem, fit_of(hard_iron=away_m))) is None
