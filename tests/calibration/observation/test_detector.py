@@ -93,7 +93,7 @@ def test_down_follows_the_accelerometer_within_half_a_second() -> None:
     assert detector._down == before
 
 
-@pytest.mark.parametrize(("mgauss", "said"), [(59.0, True), (61.0, False)])
+@pytest.mark.parametrize(("mgauss", "said"), [(59.0, True), (60.0, True), (61.0, False)])
 def test_a_field_that_jumps_begins_anew(mgauss: float, said: bool) -> None:
     detector = standing()
     state = detector.update(2.02, (0.0, 0.0, 0.0), UP, (200.0, -mgauss, 400.0))

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from mavcompass.calibration.observation import dwells
+from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
+from mavcompass.track import InForce, MagSeries, Series, Track
 
 FIELD = np.array([200.0, -50.0, 400.0])
 
@@ -81,3 +84,53 @@ def test_halves_that_lie_apart_beyond_chance_and_tilting_are_told(
     assert found == pytest.approx(wanders_mgauss)
     np.testing.assert_allclose(asked[0], time - 0.25)  # the field is old by the autopilot's averaging
     assert dwells._wander(None, time[:3], residual[:3], 400.0, 2.0, 2.5) == 0.0  # type: ignore[arg-type]
+
+
+def test_two_readings_make_a_dwell_and_eight_a_memory() -> None:
+    assert dwells._memory(wave(0.5)[:8]) > 1.0
+    spiky = np.tile(FIELD, (5, 1)) + np.array([0.0, 0.1, -0.1, 0.2, 90.0])[:, np.newaxis]
+    assert dwells._inliers(spiky[:4] * [1.0, 1.0, 1.0], np.zeros(4), 0.0).all()
+    assert dwells._inliers(spiky, np.zeros(5), 0.0).tolist() == [True] * 4 + [False]
+    time = np.arange(4) * 0.1
+    residual = np.where(time < 0.15, -0.5, 0.5)[:, np.newaxis] * np.array([0.0, 30.0, 0.0])
+    track = Track()
+    assert dwells._wander(track, time, residual, 400.0, 1.0, 0.0) == pytest.approx(30.0)
+
+
+def test_a_correction_holds_from_its_moment_on() -> None:
+    first, second = FieldCorrection((1.0, 0.0, 0.0)), FieldCorrection((2.0, 0.0, 0.0))
+    nothing = Series.of([], np.empty((0, 3)))
+    compass = MagSeries(1, nothing, (InForce(-math.inf, first), InForce(5.0, second)))
+    assert [dwells.correction_at(compass, at) for at in (4.9, 5.0, 9.0)] == [first, second, second]
+
+
+@pytest.mark.parametrize(
+    ("index", "angles", "sigmas", "durations"),
+    [
+        (0, [2.0, 4.0], [0.2, 0.3], [20.0, 30.0]),
+        (1, [3.0, 4.0], [math.hypot(0.1, 0.2), 0.3], [30.0, 30.0]),
+        (2, [1.0, 6.0], [0.1, math.hypot(0.2, 0.3)], [10.0, 50.0]),
+        (3, [1.0, 2.0], [0.1, 0.2], [10.0, 20.0]),
+    ],
+)
+def test_without_a_dwell_the_turns_around_it_are_joined(
+    index: int, angles: list[float], sigmas: list[float], durations: list[float]
+) -> None:
+    made = [dwells.Dwell(float(k), k + 0.5, FIELD, np.eye(3)) for k in range(4)]
+    steps = tuple(dwells.Step(a, s, d) for a, s, d in ((1.0, 0.1, 10.0), (2.0, 0.2, 20.0), (4.0, 0.3, 30.0)))
+    left = dwells.FourPositionData(tuple(made), steps).without(index)
+    assert [d.start_s for d in left.dwells] == [float(k) for k in range(4) if k != index]
+    assert [s.angle_rad for s in left.steps] == angles
+    assert [s.sigma_rad for s in left.steps] == pytest.approx(sigmas)
+    assert [s.duration_s for s in left.steps] == durations
+    assert left.turned_rad.tolist() == [0.0, angles[0], sum(angles)]
+    with pytest.raises(ValueError, match="4 dwells need 3 steps"):
+        dwells.FourPositionData(tuple(made), steps[:2])
+
+
+def test_a_dwell_is_as_sure_as_its_noise_its_tilt_and_its_rest() -> None:
+    covariance = np.diag([4.0, 9.0, 100.0])
+    dwell = dwells.Dwell(0.0, 1.0, FIELD, covariance, np.diag([5.0, 7.0, 0.0]), tilt_sigma_rad=0.01)
+    assert dwell.heading_sigma_rad(200.0, 400.0) == pytest.approx(math.hypot(4.0, 4.0) / 200.0)
+    rough = replace(dwell, unsteady_mgauss=7.0)
+    assert rough.heading_sigma_rad(200.0, -400.0) == pytest.approx(math.hypot(4.0, 4.0, 7.0) / 200.0)

@@ -21,6 +21,7 @@ from mavcompass.calibration.observation.sway import (
     _velocity,
     _walks,
     integral,
+    level_by_newton,
     sway,
     white_noise,
 )
@@ -277,3 +278,19 @@ def test_a_steady_lean_is_found_to_its_sigma(velocity: bool, roll_deg: float, pi
     assert np.abs(off).max() < 3.0 * found.sigma_rad
     assert found.sigma_rad / DEG == pytest.approx(0.06 if velocity else 0.082, rel=0.1)
     assert np.linalg.norm(found.down) == pytest.approx(1.0) and found.swing_rad < 0.2 * DEG
+
+
+@pytest.mark.parametrize(("count", "is_enough"), [(19, False), (20, True)])
+def test_twenty_readings_are_the_fewest(count: int, is_enough: bool) -> None:
+    whole = recording()
+    assert whole.gyro_radps is not None
+    few = replace(
+        whole, gyro_radps=Series.of(TIME[545 : 545 + count], whole.gyro_radps.values[545 : 545 + count])
+    )
+    assert (_samples(few, 11.0, 11.1) is not None) is is_enough
+
+
+def test_a_stretch_holds_the_readings_at_its_very_ends() -> None:
+    found = level_by_newton(recording(), float(TIME[500]), float(TIME[600]), hovers=True)
+    assert found is not None and found.time_s.tolist() == TIME[500:601].tolist()
+    assert found.leaning.shape[:2] == (101, 2) and found.down().shape == (101, 3)

@@ -109,12 +109,12 @@ def loaded(amperes: FloatArray, window: tuple[float, float] = (0.0, 20.0)) -> li
     return [(round(a, 2), round(b, 2)) for a, b in _steady_current(track, window)]
 
 
-@pytest.mark.parametrize(("amperes", "count"), [(3.9, 1), (4.1, 2), (-3.9, 1), (-4.1, 2)])
+@pytest.mark.parametrize(("amperes", "count"), [(3.9, 1), (4.0, 1), (4.1, 2), (-4.0, 1), (-4.1, 2)])
 def test_a_load_that_jumps_by_four_amperes_divides(amperes: float, count: int) -> None:
     assert len(loaded(10.0 + between(8.0, 30.0, amperes))) == count
 
 
-@pytest.mark.parametrize(("amperes", "count"), [(9.9, 1), (10.1, 2)])
+@pytest.mark.parametrize(("amperes", "count"), [(9.9, 1), (10.0, 1), (10.1, 2)])
 def test_or_by_a_quarter(amperes: float, count: int) -> None:
     assert len(loaded(40.0 + between(8.0, 30.0, amperes))) == count
 
