@@ -7,7 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.calibration.fits.length import _huber, fit_ellipsoid, fit_sphere, sphere_coverage
+from mavcompass.calibration.fits.length import (
+    _algebraic_ellipsoid,
+    _algebraic_sphere,
+    _huber,
+    fit_ellipsoid,
+    fit_sphere,
+    sphere_coverage,
+)
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 
@@ -136,3 +143,35 @@ def test_coverage_is_the_share_of_the_sphere_that_is_pointed_to() -> None:
     # Every direction of a patch is nearest to its own middle.
     assert sphere_coverage(all_round(80)) == 1.0 and sphere_coverage(all_round(80)[:20]) == 0.25
     assert sphere_coverage(np.tile(ways, (16, 1))) == 1.0  # of very many, some are looked at
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_a_lengths_unit_does_not_matter(size: float) -> None:
+    readings = noisy(bent(120), 3.0)
+    one, other = fit_ellipsoid(readings), fit_ellipsoid(size * readings)
+    assert other.centre_mgauss == pytest.approx(size * one.centre_mgauss, rel=1e-6)
+    assert other.matrix == pytest.approx(one.matrix, rel=1e-6)
+    assert other.length_mgauss == pytest.approx(size * one.length_mgauss, rel=1e-6)
+    ball = noisy(CENTRE + 500.0 * all_round(), 3.0)
+    round_one, round_other = fit_sphere(ball), fit_sphere(size * ball)
+    assert round_other.centre_mgauss == pytest.approx(size * round_one.centre_mgauss, rel=1e-6)
+    assert round_other.covariance == pytest.approx(
+        size**2 * round_one.covariance, rel=1e-5, abs=1e-12 * size**2
+    )
+
+
+def test_a_sphere_far_from_its_own_middle_is_found() -> None:
+    """A cap: the mean of the readings is far from the centre, and the first answer is exact all the same."""
+    ways = all_round(4000)
+    cap = np.array([1000.0, -2000.0, 500.0]) + 300.0 * ways[ways[:, 0] > 0.3]
+    fit = fit_sphere(cap)
+    assert fit.centre_mgauss == pytest.approx(
+        [1000.0, -2000.0, 500.0]
+    ) and fit.length_mgauss == pytest.approx(300.0)
+    centre, radius = _algebraic_sphere(cap)
+    assert centre == pytest.approx([1000.0, -2000.0, 500.0]) and radius == pytest.approx(300.0)
+
+
+def test_the_first_ellipsoid_is_exact_on_exact_readings() -> None:
+    centre, matrix = _algebraic_ellipsoid(bent(200))
+    assert centre == pytest.approx(CENTRE) and matrix == pytest.approx(SHAPE / 500.0)

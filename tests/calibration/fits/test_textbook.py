@@ -85,3 +85,28 @@ def test_an_axis_that_does_not_change_has_no_scale() -> None:
     for extremes in ((1.0, 1.0, 0.0, 2.0), (0.0, 2.0, 1.0, 1.0)):
         with pytest.raises(PoorCalibration, match="did not change at all"):
             sensitivity_bias(*extremes)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e4])
+def test_the_unit_does_not_matter(size: float) -> None:
+    """Gauss, milligauss, or the counts of a sensor."""
+    turn = size * np.array([[-0.284, 0.0], [0.402, 0.0], [0.0, -0.322], [0.0, 0.246]])
+    found = min_max(turn)
+    assert found.x_scale == 1.0 and found.y_scale == pytest.approx(0.686 / 0.568)
+    assert found.x_offset == pytest.approx(0.059 * size)
+    memsense = sensitivity_bias(*(size * np.array([-0.284, 0.402, -0.322, 0.246])))
+    assert (memsense.x_sensitivity, memsense.y_sensitivity) == pytest.approx((1.0, 0.686 / 0.568))
+    assert memsense.x_bias == pytest.approx(-0.059 * size) and memsense.y_bias == pytest.approx(
+        0.0459 * size, rel=2e-3
+    )
+
+
+def test_of_axes_that_are_alike_either_is_one() -> None:
+    for unity in ("stronger", "x", "y"):
+        found = sensitivity_bias(-1.0, 3.0, 5.0, 9.0, unity)  # type: ignore[arg-type]
+        assert (found.x_sensitivity, found.y_sensitivity, found.x_bias, found.y_bias) == (
+            1.0,
+            1.0,
+            -1.0,
+            -7.0,
+        )
