@@ -17,12 +17,12 @@ from mavcompass.gap.answer.locate import where
 from mavcompass.gap.answer.naming import named_causes, trace_causes
 from mavcompass.gap.answer.picture import picture
 from mavcompass.gap.answer.shrink import closings, waterfall
-from mavcompass.gap.answer.verdict import LINE, Answer, consistent, keeps_step, line_hz, owning_up
+from mavcompass.gap.answer.verdict import ABOVE, LINE, Answer, consistent, keeps_step, line_hz, owning_up
 from mavcompass.gap.fit import Fit, Problem, difference
 from mavcompass.gap.left import Adequacy, Floor, Scatter
 from mavcompass.gap.replay import Replay, level_mgauss
 from mavcompass.gap.result import Bar, Cause, Closing, Diagnosis
-from mavcompass.gap.selection import SILENT, Identified, Remainder
+from mavcompass.gap.selection import SILENT, Identified, Remainder, at_floor, evident
 from mavcompass.gap.traces import Traces
 from mavcompass.track import Track
 
@@ -172,19 +172,23 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     none = identified.found.null
     where_left = evidence.adequacy.where
     turns = bool(problem.replay.present & {"turning", "tilt"}) or floor.measured
-    said = consistent(answer, field, heading, where_left, floor, none, evidence.beside, turns, problem.replay)
+    # Of another iron only what shrinks is a cause: a calibration may be off by it.
+    others = any(not term.effect.affine for term in answer.named.terms)
+    shrunk = field.after < field.nominal
+    certain = others and shrunk and evident(replace(identified, fit=answer.named), none)
+    stated = (where_left, floor, none, evidence.beside, turns, problem.replay)
+    said = consistent(answer, field, heading, *stated, certain)
     if said.verdict == "no_gap" and answer.named.terms:
         # Beside the best explanation of the rest (place, calibration, attitude) nothing lies above the floor.
         field, heading = (replace(c, after=c.nominal, shrink=0.0) for c in (field, heading))
     elif said.named is not answer.named:
         # Without its names an answer has other figures, which it must not contradict either.
         field, heading = closings(problem, said.named, test, floor, *explained)
-        said = consistent(
-            said, field, heading, where_left, floor, none, evidence.beside, turns, problem.replay
-        )
+        said = consistent(said, field, heading, *stated, certain)
     answer = said
     if floor.measured and not floor.representative and not evidence.beside:
-        answer = owning_up(said, decided, identified, field, evidence.adequacy)
+        quiet = at_floor(identified, none, floor, ABOVE)
+        answer = owning_up(said, decided, identified, field, evidence.adequacy, quiet)
         if answer is decided:
             field, heading = with_names
     if answer.named.terms and _worse_on(problem, answer.named, test):

@@ -19,7 +19,7 @@ _REMAINDER = 0.05
 # Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
 _REMAINDER_UNTRUSTED = 0.4
 # What lies above the floor by less may be the floor's own uncertainty.
-_ABOVE = 1.3
+ABOVE = 1.3
 _FEW_NAMES = 2
 # Effects that follow one moment, one place or one load, and so fit much that they did not make.
 _PLIANT = frozenset(
@@ -96,13 +96,14 @@ def consistent(
     traces: bool,
     turns: bool,
     replay: Replay,
+    certain: bool,
 ) -> Answer:
     """Return an answer that does not contradict its own figures.
 
     Where a vehicle neither turns nor tilts and no baseline tells (not `turns`), silence says nothing. No
     gap only where nothing lies above the floor; named only where what is left does not; beside a remainder
     only causes that hold nearly all of the gap, and few of them, since many together imitate anything
-    unknown.
+    unknown. What is `certain` to be there need not lie above the floor.
     """
     if not turns and answer.verdict == "no_gap":
         return Answer("not_testable", none, False, None)
@@ -116,8 +117,9 @@ def consistent(
         return answer if gap else replace(answer, verdict="no_gap", flagged=False, coordinate=None)
     left = _above(field.after, field.floor) or _above(heading.after, heading.floor)
     shrinks = any(c.shrink_ci95[0] > 0.0 for c in (field, heading))
-    if answer.named.terms and not gap and not (shrinks and none.sse - answer.named.sse > EVIDENT):
-        # Below the floor only what surely shrinks, and is certain, is a cause.
+    sure = certain or (shrinks and none.sse - answer.named.sse > EVIDENT)
+    if answer.named.terms and not gap and not sure:
+        # Below the floor only what surely shrinks, or is certain, is a cause.
         return replace(answer, verdict="no_gap", named=none) if not traces else replace(answer, named=none)
     # What single readings tell stays told, whatever else there is.
     owned = Answer("named_with_remainder" if traces else "unknown", none, True, coordinate)
@@ -138,18 +140,26 @@ def consistent(
 
 
 def owning_up(
-    answer: Answer, decided: Answer, identified: Identified, field: Closing, adequacy: Adequacy
+    answer: Answer,
+    decided: Answer,
+    identified: Identified,
+    field: Closing,
+    adequacy: Adequacy,
+    rest_at_floor: bool,
 ) -> Answer:
     """Return an answer that is neither silent nor sure beside what healthy vehicles do not leave.
 
     For vehicles with a baseline, whose floor is known but not in detail. Names that bend what is known of
-    vehicle and place are an explanation, but not the only one. Where silence would leave what is loud, and
+    vehicle and place are an explanation, but not the only one; nor are those that follow anything where the
+    rest alone comes to the floor (`rest_at_floor`). Where silence would leave what is loud, and
     the names that were `decided` do not, they stand: a magnet that is passed once hardly lifts the field's
     mean.
     """
     problem = identified.problem
-    if answer.verdict == "named" and answer.named.terms and problem.strain(answer.named) > _BENT:
-        return replace(answer, verdict="ambiguous")
+    if answer.verdict == "named" and answer.named.terms:
+        small = rest_at_floor and bool(answer.named.ids & _PLIANT)
+        if small or problem.strain(answer.named) > _BENT:
+            return replace(answer, verdict="ambiguous")
     if answer.verdict not in ("no_gap", "named"):
         return answer
     fit = answer.named if answer.named.terms else problem.null()
@@ -217,7 +227,7 @@ def keeps_step(replay: Replay, frequency_hz: float) -> bool:
 
 
 def _above(value: float, floor: float) -> bool:
-    return value > _ABOVE * floor
+    return value > ABOVE * floor
 
 
 def wanders(identified: Identified) -> bool:

@@ -1,6 +1,6 @@
 """Choose the effects: held-out blocks, search, guards, and the choice fitted again on all rows."""
 
-from mavcompass.gap.selection.guards import EVIDENT, NEEDED_ABOVE, SILENT
+from mavcompass.gap.selection.guards import EVIDENT, NEEDED_ABOVE, SILENT, at_floor, evident
 from mavcompass.gap.selection.identification import identify
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.remainder import Remainder, floor_to_start, what_is_left
@@ -13,7 +13,9 @@ __all__ = [
     "SILENT",
     "Identified",
     "Remainder",
+    "at_floor",
     "between_rows",
+    "evident",
     "floor_to_start",
     "identify",
     "moments",

@@ -21,6 +21,8 @@ _LEAST_SHARE = 0.10
 # The least that is named without an exact floor, in mG and degrees: with a baseline, and without.
 _LEAST_HERE = {True: (0.5, 0.1), False: (1.0, 0.3)}
 _LEAST_OF_FLOOR = 0.5
+# Scatter, which means take out, hides no effect: without it a floor is no less than this share of itself.
+_LASTING = 0.25
 # No model is exact: what holds less than this share of a gap (4 % of its square) may be the error of the
 # rest.
 _MATERIAL_SHARE, _MATERIAL_BESIDE_UNKNOWN, _EXPLAINED = 0.2, 0.4, 1.25
@@ -224,7 +226,9 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     part = _MATERIAL_SHARE if explained else _MATERIAL_BESIDE_UNKNOWN
     # Errors of rounding go with the field, as effects do.
     rounding = _LEAST_OF_ROUNDING * problem.replay.trace.step_mgauss / math.sqrt(12.0)
-    rounded = (rounding, math.degrees(rounding / level_mgauss(problem.replay)))
+    rounded = (rounding, _turned_by(problem, rounding))
+    scatter = rms(problem.noise["mag"].sigma)
+    scattered = (scatter, _turned_by(problem, scatter))
     costs = {}
     for place, term in enumerate(fit.terms):
         if "mag" not in term.effect.groups:
@@ -232,16 +236,25 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
         ratio, both = 0.0, removed_by(candidate, place)
         for k, removed in enumerate(both):
             change, level = gap[k]
+            hides = level
+            if not term.effect.affine:
+                # Healthy vehicles may have another iron, by which a calibration is off, and nothing else.
+                hides = math.sqrt(max(level**2 - scattered[k] ** 2, (_LASTING * level) ** 2))
             # What lies far above the floor without it, and at the floor with it, is no error of the rest.
             missed = explained and not stated and removed.without > _MISSED * level
             of_gap = _MATERIAL_IF_MISSED if missed else part
-            least = max(_LEAST_HERE[floor.measured][k], share * level, of_gap * change, rounded[k])
+            least = max(_LEAST_HERE[floor.measured][k], share * hides, of_gap * change, rounded[k])
             if removed.sure > 0.0 and removed.without > needed * level:
                 ratio = max(ratio, math.sqrt(removed.square) / least)
         if ratio < 1.0:
             costs[term.effect.id] = both[0].cost
     # Of two that do the same the one that is missed least.
     return min(costs, key=costs.__getitem__, default=None)
+
+
+def _turned_by(problem: Problem, field_mgauss: float) -> float:
+    """Return by how many degrees an error of the field turns the heading."""
+    return math.degrees(field_mgauss / level_mgauss(problem.replay))
 
 
 def _gap(candidate: Identified, floor: Floor) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -25,6 +25,10 @@ _SLOW_S = 2.0
 # Below, a vehicle itself swings, and what its attitude is off by with it.
 _LOWEST_HZ = 0.75
 _FINER = 8
+# What is usual near a frequency is told by a band of so many widths of a line.
+_BAND = 24
+# What has so many times the power of its neighbours is no noise.
+_NO_NOISE = 100.0
 # How much nearer than its width in the spectrum the frequency of a line is sought.
 _STEPS, _ROUNDS = 8, 3
 
@@ -68,12 +72,14 @@ def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: floa
         left = quiet_variance(readings, fast - _without_slow(readings, rapid.change_mgauss))
         return 1.0 - (left - usual) / excess
 
-    toggling, line = _toggling(readings, fast), _line(readings, fast)
+    toggling, (line, outstanding) = _toggling(readings, fast), _line(readings, fast)
     best = toggling if share(toggling) > share(line) - _SIMPLER else line
     if share(best) > _SHARE:
         return best
     if share(best) < _BESIDE_NOISE or baseline is None:
         return None
+    if best is line and outstanding > _NO_NOISE:
+        return line
     return best if excess_variance(readings.without(best.change_mgauss), baseline) > 0.0 else None
 
 
@@ -105,8 +111,12 @@ def _toggling(readings: Readings, fast: FloatArray) -> Rapid:
     return _rapid("set_reset_offset", ("x", "y", "z"), offset[0], sigma[0], sign[:, None] * offset)
 
 
-def _line(readings: Readings, fast: FloatArray) -> Rapid:
-    """Fit a sine of one frequency: the largest of the spectrum, then closer by least squares."""
+def _line(readings: Readings, fast: FloatArray) -> tuple[Rapid, float]:
+    """Fit a sine of one frequency: what stands out most from its neighbours in the spectrum, then closer by
+    least squares. A vehicle that swings is loud as well, and broad.
+
+    Returns it, and how many times the power of its neighbours it has.
+    """
     time, rows = readings.time_s, readings.valid
     since = time - time[0]
     step = readings.period_s / _FINER
@@ -115,11 +125,13 @@ def _line(readings: Readings, fast: FloatArray) -> Rapid:
     power = np.zeros(length // 2 + 1)
     for column in fast.T:
         power += np.abs(np.fft.rfft(np.bincount(at, column * rows, minlength=length))) ** 2
-    hertz = np.fft.rfftfreq(length, step)
+    hertz = np.asarray(np.fft.rfftfreq(length, step), np.float64)
     within = (hertz > _LOWEST_HZ) & (hertz < 0.5 / readings.period_s)
     if not within.any():
-        return _rapid("ac_interference", _WAVES, np.zeros(7), np.zeros(7), np.zeros_like(fast))
-    best, width = float(hertz[int(np.argmax(np.where(within, power, 0.0)))]), 1.0 / float(since[-1])
+        return _rapid("ac_interference", _WAVES, np.zeros(7), np.zeros(7), np.zeros_like(fast)), 0.0
+    width = 1.0 / float(since[-1])
+    power = power[within] / _neighbours(hertz[within], power[within], width)
+    best, outstanding = float(hertz[within][int(np.argmax(power))]), float(power.max())
     for _ in range(_ROUNDS):
         tried = best + width * np.linspace(-1.0, 1.0, 2 * _STEPS + 1)
         best = float(tried[int(np.argmin([_left(_waves(since, f)[rows], fast[rows]) for f in tried]))])
@@ -128,7 +140,14 @@ def _line(readings: Readings, fast: FloatArray) -> Rapid:
     columns = _waves(time, best)
     waves, sigma = _fitted(readings, columns, fast)
     values, doubt = np.append(waves.ravel(), best), np.append(sigma.ravel(), width)
-    return _rapid("ac_interference", _WAVES, values, doubt, columns @ waves)
+    return _rapid("ac_interference", _WAVES, values, doubt, columns @ waves), outstanding
+
+
+def _neighbours(hertz: FloatArray, power: FloatArray, width_hz: float) -> FloatArray:
+    """Return a spectrum's (K,) usual power near each frequency: medians of bands, joined by lines."""
+    bands = np.array_split(np.arange(hertz.size), max(int(np.ptp(hertz) / (_BAND * width_hz)), 1))
+    usual = [np.median(power[band]) for band in bands]
+    return np.maximum(np.interp(hertz, [hertz[band].mean() for band in bands], usual), 1e-12)
 
 
 _WAVES = (*(f"{wave}_{axis}" for wave in ("sin", "cos") for axis in "xyz"), "frequency_hz")

@@ -51,7 +51,14 @@ NONE = fit_of()
 def said(
     answer: Answer, field: Closing = CLOSED, heading: Closing = SILENT, *, over: Any = None, **given: Any
 ) -> Answer:
-    values = {"traces": False, "turns": True, "floor": over or floor(), "replay": replay(), **given}
+    values = {
+        "traces": False,
+        "turns": True,
+        "certain": False,
+        "floor": over or floor(),
+        "replay": replay(),
+        **given,
+    }
     return consistent(answer, field, heading, "speed", none=NONE, **values)
 
 
@@ -210,6 +217,14 @@ def test_below_the_floor_only_what_surely_shrinks_is_a_cause() -> None:
         assert seen.verdict == "named" and seen.named.terms
 
 
+@pytest.mark.parametrize(("nominal", "told"), [(1.2, "named"), (0.91, "named"), (0.89, "no_gap")])
+def test_what_is_certain_is_named_below_the_floor_but_not_far_below(nominal: float, told: Verdict) -> None:
+    hardly = Closing(nominal, 0.85, 1.0, 0.3, (-0.1, 0.5))
+    assert said(answer("named", "clipping"), hardly, hardly).verdict == "no_gap"
+    seen = said(answer("named", "clipping"), hardly, hardly, certain=True)
+    assert seen.verdict == told and bool(seen.named.terms) is (told == "named")
+
+
 def test_without_a_name_what_is_left_is_unknown() -> None:
     empty = answer("no_gap")
     assert said(empty, CLOSED) is empty
@@ -328,6 +343,7 @@ def beside(
     tests: tuple[tuple[str, float], ...] = (),
     decided: tuple[str, ...] = (),
     decided_left: float = 1.0,
+    rest_at_floor: bool = False,
 ) -> Answer:
     """Ask what becomes of an answer: `left` of rows that were fitted, and of others, mean squares.
 
@@ -346,7 +362,7 @@ def beside(
     made = [SimpleNamespace(name=name, excess=excess, coordinate=f"at {name}") for name, excess in tests]
     adequacy: Any = SimpleNamespace(tests=made, where="somewhere")
     field: Any = SimpleNamespace(nominal=nominal, floor=1.0)
-    return owning_up(answer(told, *names), answer("named", *decided), found, field, adequacy)
+    return owning_up(answer(told, *names), answer("named", *decided), found, field, adequacy, rest_at_floor)
 
 
 @pytest.mark.parametrize(
@@ -403,6 +419,12 @@ def test_beside_a_name_structure_and_bending_are_told(
     said = beside("named", ("hard_iron",), **given)
     assert (said.verdict, said.coordinate, said.flagged) == (told, where, where is not None)
     assert said.named.ids == {"hard_iron"}
+
+
+def test_what_follows_anything_is_not_the_only_explanation_of_what_the_rest_explains() -> None:
+    for names, told in ((("field_gradient",), "ambiguous"), (("hard_iron",), "named")):
+        assert beside("named", names, rest_at_floor=True).verdict == told
+        assert beside("named", names, rest_at_floor=False).verdict == "named"
 
 
 def test_who_is_not_sure_already_stays_so() -> None:

@@ -41,6 +41,7 @@ class Problem:
     gap: FloatArray = field(default_factory=lambda: np.zeros(3))  # what is to be explained, by axis
     axes: tuple[str, ...] = ("hard_iron", "soft_iron", "spatial_dipole")
     noise_mgauss: float = 0.5
+    scatter_mgauss: float = 0.0
     step_mgauss: float = 0.0
     bent: float = 0.0
     kind: str = "estimator"
@@ -48,7 +49,9 @@ class Problem:
     groups = ("mag",)
 
     def __post_init__(self) -> None:
-        self.noise = {"mag": SimpleNamespace(rms=np.full(3, self.noise_mgauss))}
+        self.noise = {
+            "mag": SimpleNamespace(rms=np.full(3, self.noise_mgauss), sigma=np.full(3, self.scatter_mgauss))
+        }
         self.usable = np.ones(ROWS, dtype=np.bool_)
         self.index = np.flatnonzero(self.rows)
         stimulus = SimpleNamespace(field_ned_mgauss=NORTH, position_ned_m=np.zeros((ROWS, 3)))
@@ -268,6 +271,33 @@ def test_what_removes_too_little_is_not_named(
 ) -> None:
     here = candidate(explained((size, 0.0, 0.0), 0.3, **given), fit_of(hard_iron=size))
     assert guards.refused(here, floors) == (("hard_iron", guards.TOO_SMALL) if refused else None)
+
+
+@pytest.mark.parametrize(
+    ("effect", "scatter_mgauss", "size", "refused"),
+    [
+        # Half of a floor of 4 mG; of what lasts of it, the square root of 4^2 - 3.5^2, half is 0.97.
+        ("spatial_dipole", 0.0, 2.1, False),
+        ("spatial_dipole", 0.0, 1.9, True),
+        ("spatial_dipole", 3.5, 1.0, False),
+        ("spatial_dipole", 3.5, 0.9, True),
+        # A quarter of it is taken to last at least: half a milligauss.
+        ("spatial_dipole", 3.99, 0.55, False),
+        ("spatial_dipole", 3.99, 0.45, True),
+        # Another iron is what a calibration may be off by.
+        ("hard_iron", 3.5, 1.9, True),
+    ],
+)
+def test_scatter_hides_nothing_but_another_iron(
+    effect: str, scatter_mgauss: float, size: float, refused: bool
+) -> None:
+    size *= math.sqrt(3.0)
+    axis = Problem.axes.index(effect)
+    gap = size * np.eye(3)[axis]
+    left = np.full((ROWS, 3), 3.9 * math.sqrt(1.5))  # 3.9 mG rms, on the other axes
+    left[:, axis] = 0.0
+    here = candidate(Problem(left, gap=gap, scatter_mgauss=scatter_mgauss), fit_of(**{effect: size}))
+    assert guards._immaterial(here, floor(4.0, 90.0)) == (effect if refused else None)
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,25 @@ def test_line_is_found_with_its_frequency_and_its_phase(hertz: float) -> None:
     assert np.sqrt(np.mean((found.change_mgauss - waves) ** 2)) < 0.3
 
 
+def swinging(seed: int, size: float) -> FloatArray:
+    """Return what a vehicle that rolls about once a second, never quite alike, leaves: (N, 3), rms `size`."""
+    rng = np.random.default_rng(seed)
+    pole = 0.97 * np.exp(2j * np.pi * 1.0 * 0.04)
+    waves = np.zeros((T.size, 3), np.complex128)
+    for k in range(1, T.size):
+        waves[k] = pole * waves[k - 1] + rng.standard_normal(3)
+    return np.asarray(size * waves.real / waves.real.std())
+
+
+def test_line_is_told_from_louder_swings() -> None:
+    line = np.outer(np.sin(2.0 * np.pi * 1.9 * T), B)
+    swings = swinging(5, 1.2 * float(np.sqrt(np.mean(line**2))))
+    found = find_rapid(readings(noisy(T, 6) + swings + line, T), HEALTHY, 1.0)
+    assert found is not None and found.effect == "ac_interference"
+    assert found.parameters["frequency_hz"] == pytest.approx(1.9, abs=1e-3)
+    assert find_rapid(readings(noisy(T, 6) + swings, T), HEALTHY, 1.0) is None
+
+
 def test_toggling_is_found_beside_noise_and_beside_a_line() -> None:
     sign = np.where(np.arange(T.size) % 2 == 0, 1.0, -1.0)
     toggling = sign[:, None] * B
