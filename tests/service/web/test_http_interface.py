@@ -164,6 +164,12 @@ def test_any_rate_that_a_listener_asks_for_is_made_sensible(quiet: RunningServic
         assert "now" in socket.recv(timeout=300.0)
 
 
+def test_no_answer_waits_for_an_acknowledgement(quiet: RunningService) -> None:
+    """Head and body of an answer go out at once: with Nagle's algorithm each waits 40 ms after the first few."""
+    seconds = [quiet.stranger.get("/healthz").elapsed.total_seconds() for _ in range(40)]
+    assert min(seconds[20:]) < 0.03
+
+
 def test_metrics_are_in_prometheus_form(quiet: RunningService) -> None:
     def read() -> dict[str, str]:
         text = quiet.stranger.get("/metrics").text
