@@ -174,6 +174,6 @@ def _listen(listen: str) -> socket.socket:
             "Close the other program that uses this port, or choose another with --http HOST:PORT.",
         ) from error
     listener.setblocking(False)
-    # asyncio does so only where the socket names its protocol; without it every answer waits 40 ms for an ACK.
+    # asyncio does so only where the socket names its protocol; else an answer waits 40 ms for an ACK.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listener

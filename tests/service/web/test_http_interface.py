@@ -165,7 +165,7 @@ def test_any_rate_that_a_listener_asks_for_is_made_sensible(quiet: RunningServic
 
 
 def test_no_answer_waits_for_an_acknowledgement(quiet: RunningService) -> None:
-    """Head and body of an answer go out at once: with Nagle's algorithm each waits 40 ms after the first few."""
+    """Head and body go out at once; with Nagle's algorithm each answer takes 40 ms after the first few."""
     seconds = [quiet.stranger.get("/healthz").elapsed.total_seconds() for _ in range(40)]
     assert min(seconds[20:]) < 0.03
 
