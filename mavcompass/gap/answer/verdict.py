@@ -11,7 +11,7 @@ from mavcompass.gap.fit import Fit, Problem, least_gain
 from mavcompass.gap.left import Adequacy, Floor, drift_gain, rms
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.result import Closing, Verdict
-from mavcompass.gap.selection import EVIDENT, NEEDED_ABOVE, Identified, Remainder, moments
+from mavcompass.gap.selection import EVIDENT, NEEDED_ABOVE, Identified, Remainder, moments, whitened_left
 
 LINE = "ac_interference"
 _SURE = 0.90
@@ -110,7 +110,7 @@ def consistent(
     if floor.representative:
         return answer
     quiet = all(c.nominal < NEEDED_ABOVE[floor.measured] * c.floor for c in (field, heading))
-    if floor.measured and quiet and not traces:
+    if floor.measured and quiet and not (traces or certain):
         return Answer("no_gap", none, False, None)
     gap = _above(field.nominal, field.floor) or _above(heading.nominal, heading.floor)
     if answer.verdict == "unknown":
@@ -151,23 +151,24 @@ def owning_up(
 
     For vehicles with a baseline, whose floor is known but not in detail. Names that bend what is known of
     vehicle and place are an explanation, but not the only one; nor are those that follow anything where the
-    rest alone comes to the floor (`rest_at_floor`). Where silence would leave what is loud, and
-    the names that were `decided` do not, they stand: a magnet that is passed once hardly lifts the field's
-    mean.
+    field without them comes to the floor, or the rest does, fitted alone (`rest_at_floor`). Where silence
+    would leave what is loud, and the names that were `decided` do not, they stand: a magnet that is passed
+    once hardly lifts the field's mean.
     """
     problem = identified.problem
     if answer.verdict == "named" and answer.named.terms:
-        small = rest_at_floor and bool(answer.named.ids & _PLIANT)
+        low = rest_at_floor or not _above(field.nominal, field.floor)
+        small = low and bool(answer.named.ids & _PLIANT)
         if small or problem.strain(answer.named) > _BENT:
             return replace(answer, verdict="ambiguous")
     if answer.verdict not in ("no_gap", "named"):
         return answer
     fit = answer.named if answer.named.terms else problem.null()
-    left = _whitened_left(identified, fit)
+    left = whitened_left(identified, fit)
     if answer.verdict == "no_gap":
         most = _LOUD if field.nominal > _LOUD_ABOVE * field.floor else _LOUD_ALONE
         if min(left) > most or problem.strain(fit) > _BENT_UNNAMED:
-            quiet = decided.named.terms and max(_whitened_left(identified, decided.named)) < _LOUD_BESIDE
+            quiet = decided.named.terms and max(whitened_left(identified, decided.named)) < _LOUD_BESIDE
             return decided if quiet else Answer("unknown", answer.named, True, adequacy.where)
         return answer
     if min(left, default=0.0) > _LOUD_BESIDE:
@@ -177,13 +178,6 @@ def owning_up(
         if test.excess > most * max(*left, 1.0):
             return Answer("named_with_remainder", answer.named, True, test.coordinate)
     return answer
-
-
-def _whitened_left(identified: Identified, fit: Fit) -> list[float]:
-    """Return the mean square of whitened readings that a fit leaves, of fitted rows and of others."""
-    problem = identified.problem
-    rows = [p.residual(p.predict(fit)) for p in (problem, problem.with_rows(identified.split.test))]
-    return [float(np.mean(r**2)) for r in rows if r.size]
 
 
 def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:

@@ -1,6 +1,13 @@
 """Choose the effects: held-out blocks, search, guards, and the choice fitted again on all rows."""
 
-from mavcompass.gap.selection.guards import EVIDENT, NEEDED_ABOVE, SILENT, at_floor, evident
+from mavcompass.gap.selection.guards import (
+    EVIDENT,
+    NEEDED_ABOVE,
+    SILENT,
+    at_floor,
+    evident,
+    whitened_left,
+)
 from mavcompass.gap.selection.identification import identify
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.remainder import Remainder, floor_to_start, what_is_left
@@ -21,4 +28,5 @@ __all__ = [
     "moments",
     "split_blocks",
     "what_is_left",
+    "whitened_left",
 ]

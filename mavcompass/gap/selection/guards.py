@@ -36,6 +36,8 @@ EVIDENT, _EVIDENT_HELD_OUT = 81.0, 25.0
 # measured, and one that was stated. A baseline's floor holds what another flight may add to it.
 NEEDED_ABOVE = {True: 0.9, False: 1.25}
 _ABOVE_STATED, _LEAST_OF_STATED = 0.5, 0.1
+# The mean square of whitened readings above which they are searched though they lie at their floor.
+_LOUD = 1.25
 _AT_THE_END = 1e-3
 # What is less than these shares of the floor, and of another effect, may be the error of that one.
 _LOST_OF_FLOOR, _LOST_SHARE = 0.35, 0.06
@@ -66,7 +68,17 @@ def needs_none(candidate: Identified, floor: Floor) -> bool:
     if floor.measured and candidate.problem.strain(candidate.problem.null()) > STRAINED:
         # What a baseline taught of the vehicle was bent to come there.
         return False
+    if floor.measured and max(whitened_left(candidate, candidate.found.null), default=0.0) > _LOUD:
+        # Readings that know better than their floor may know an effect below it.
+        return False
     return at_floor(candidate, candidate.found.null, floor, NEEDED_ABOVE[floor.measured])
+
+
+def whitened_left(candidate: Identified, fit: Fit) -> list[float]:
+    """Return the mean square of whitened readings that a fit leaves, of fitted rows and of others."""
+    problem = candidate.problem
+    rows = [p.residual(p.predict(fit)) for p in (problem, problem.with_rows(candidate.split.test))]
+    return [float(np.mean(r**2)) for r in rows if r.size]
 
 
 def at_floor(candidate: Identified, fit: Fit, floor: Floor, within: float = _AT_FLOOR) -> bool:
@@ -229,24 +241,36 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     rounded = (rounding, _turned_by(problem, rounding))
     scatter = rms(problem.noise["mag"].sigma)
     scattered = (scatter, _turned_by(problem, scatter))
-    costs = {}
-    for place, term in enumerate(fit.terms):
-        if "mag" not in term.effect.groups:
-            continue
-        ratio, both = 0.0, removed_by(candidate, place)
+    lasting = [
+        math.sqrt(max(gap[k][1] ** 2 - scattered[k] ** 2, (_LASTING * gap[k][1]) ** 2)) for k in (0, 1)
+    ]
+
+    def ratio(both: tuple[Removed, Removed], hides: Sequence[float], above: float) -> float:
+        """Return what is removed over the least that must be, where more than `above` floors are left
+        without it."""
+        most = 0.0
         for k, removed in enumerate(both):
             change, level = gap[k]
-            hides = level
-            if not term.effect.affine:
-                # Healthy vehicles may have another iron, by which a calibration is off, and nothing else.
-                hides = math.sqrt(max(level**2 - scattered[k] ** 2, (_LASTING * level) ** 2))
             # What lies far above the floor without it, and at the floor with it, is no error of the rest.
             missed = explained and not stated and removed.without > _MISSED * level
             of_gap = _MATERIAL_IF_MISSED if missed else part
-            least = max(_LEAST_HERE[floor.measured][k], share * hides, of_gap * change, rounded[k])
-            if removed.sure > 0.0 and removed.without > needed * level:
-                ratio = max(ratio, math.sqrt(removed.square) / least)
-        if ratio < 1.0:
+            least = max(_LEAST_HERE[floor.measured][k], share * hides[k], of_gap * change, rounded[k])
+            if removed.sure > 0.0 and removed.without > above * level:
+                most = max(most, math.sqrt(removed.square) / least)
+        return most
+
+    levels, costs = [level for _, level in gap], {}
+    for place, term in enumerate(fit.terms):
+        if "mag" not in term.effect.groups:
+            continue
+        both = removed_by(candidate, place)
+        # Healthy vehicles may have another iron, by which a calibration is off, and nothing else.
+        small = ratio(both, levels if term.effect.affine else lasting, needed) < 1.0
+        if small and floor.measured and not term.effect.affine:
+            # What is certain need not rise above the floor.
+            known = evident(candidate, candidate.search.without(fit, term.effect.id))
+            small = not known or ratio(both, [_LASTING * level for level in levels], 0.0) < 1.0
+        if small:
             costs[term.effect.id] = both[0].cost
     # Of two that do the same the one that is missed least.
     return min(costs, key=costs.__getitem__, default=None)

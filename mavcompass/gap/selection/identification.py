@@ -292,6 +292,9 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
         good = [f for f in good if f is not chosen]
     # An alias that the search passed over is a rival, but no reason to change the name.
     simpler = [f for f in good if f.dimension < chosen.dimension and f.ids in candidate.search.explored]
+    if any(not term.effect.affine for term in chosen.terms):
+        # What readings that were not fitted know for certain is no error of the model.
+        simpler = [f for f in simpler if not evident(replace(candidate, fit=chosen), f)]
     best = min(simpler, key=lambda f: (f.dimension, f.sse), default=chosen)
     others = tuple(f.ids for f in [chosen, *good] if f.ids != best.ids)
     return replace(candidate, fit=best, as_good=others + doubted)

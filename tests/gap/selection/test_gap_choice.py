@@ -89,6 +89,19 @@ def test_of_the_sets_that_reach_the_floor_the_smallest_is_named(good: set[frozen
     assert named.fit is fewest and set(named.as_good) == {BOTH.ids, IRON.ids, SOFT.ids} - {fewest.ids}
 
 
+@pytest.mark.parametrize(("more", "kept"), [("spatial_dipole", True), ("soft_iron", False)])
+def test_what_is_certain_is_named_though_fewer_reach_the_floor(
+    more: str, kept: bool, good: set[frozenset[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of another iron, by which a calibration may be off, the simplest is taken all the same."""
+    both = fit_of("hard_iron", more, sse=50.0)
+    good |= {both.ids, IRON.ids}
+    monkeypatch.setattr(identification, "evident", lambda here, rest: here.fit is both and rest is IRON)
+    named = identification._simplest(candidate(both, IRON), MEASURED)
+    assert named.fit is (both if kept else IRON)
+    assert named.as_good == ((IRON if kept else both).ids,)
+
+
 def test_what_does_not_reach_the_floor_is_no_rival(good: set[frozenset[str]]) -> None:
     good.add(BOTH.ids)
     named = identification._simplest(candidate(BOTH, IRON, SOFT), MEASURED)

@@ -122,7 +122,13 @@ def plain_errors(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def candidate(problem: Problem, fit: Fit, **changed: Any) -> Any:
     null = fit_of()
-    search = SimpleNamespace(contradiction=lambda rest, fit: changed.pop("contradiction", 0.0))
+
+    def without(fit: Fit, effect: str) -> Fit:
+        return problem.refit(fit.without([term.effect.id for term in fit.terms].index(effect)))
+
+    search = SimpleNamespace(
+        contradiction=lambda rest, fit: changed.pop("contradiction", 0.0), without=without
+    )
     values = {
         "problem": problem,
         "fit": fit,
@@ -159,14 +165,22 @@ def explained(gap: tuple[float, float, float], left_mgauss: float = 0.5, **chang
     [(0.89, True, True), (0.91, True, False), (1.24, False, True), (1.26, False, False)],
 )
 def test_a_gap_at_the_floor_needs_no_effect(left_mgauss: float, measured: bool, silent: bool) -> None:
-    here = candidate(explained((0.0, 0.0, 0.0), left_mgauss), fit_of())
+    here = candidate(explained((0.0, 0.0, 0.0), left_mgauss, noise_mgauss=2.0), fit_of())
     assert guards.needs_none(here, floor(heading_deg=9.0, measured=measured)) is silent
     assert (
         guards.needs_none(here, floor(9.0, math.degrees(1.0 / 200.0), measured)) is silent
     )  # by the heading
     assert not guards.needs_none(here, floor(9.0, 9.0, measured, representative=True))
-    stated = candidate(explained((0.0, 0.0, 0.0), left_mgauss, kind="columns"), fit_of())
+    stated = candidate(explained((0.0, 0.0, 0.0), left_mgauss, noise_mgauss=2.0, kind="columns"), fit_of())
     assert guards.needs_none(stated, floor(9.0, 9.0, measured)) is measured
+
+
+@pytest.mark.parametrize(("left_mgauss", "searched"), [(1.11, False), (1.13, True)])
+def test_readings_that_know_better_than_their_floor_are_searched(left_mgauss: float, searched: bool) -> None:
+    """Their noise is 1 mG: a quarter more than its square is the most that needs nothing."""
+    here = candidate(explained((0.0, 0.0, 0.0), left_mgauss, noise_mgauss=1.0), fit_of())
+    assert guards.needs_none(here, floor(9.0, 9.0)) is not searched
+    assert guards.needs_none(here, floor(9.0, 9.0, measured=False))
 
 
 def test_without_held_out_rows_nothing_lies_at_the_floor() -> None:
@@ -296,8 +310,31 @@ def test_scatter_hides_nothing_but_another_iron(
     gap = size * np.eye(3)[axis]
     left = np.full((ROWS, 3), 3.9 * math.sqrt(1.5))  # 3.9 mG rms, on the other axes
     left[:, axis] = 0.0
-    here = candidate(Problem(left, gap=gap, scatter_mgauss=scatter_mgauss), fit_of(**{effect: size}))
+    problem = Problem(left, gap=gap, scatter_mgauss=scatter_mgauss, noise_mgauss=4.0)
+    here = candidate(problem, fit_of(**{effect: size}))
     assert guards._immaterial(here, floor(4.0, 90.0)) == (effect if refused else None)
+
+
+@pytest.mark.parametrize(
+    ("effect", "size", "noise_mgauss", "refused"),
+    [
+        # An eighth of a floor of 8 mG is asked for, though 8 mG are left without it, and no more.
+        ("spatial_dipole", 1.05, 0.5, False),
+        ("spatial_dipole", 0.95, 0.5, True),
+        # Eighty-one squared sigmas make it certain: with 60 readings and a noise of 1.9 mG 55.
+        ("spatial_dipole", 1.05, 1.9, True),
+        # Another iron is what a calibration may be off by, however certain.
+        ("hard_iron", 1.05, 0.5, True),
+    ],
+)
+def test_what_is_certain_need_not_rise_above_the_floor(
+    effect: str, size: float, noise_mgauss: float, refused: bool
+) -> None:
+    size *= math.sqrt(3.0)
+    gap = size * np.eye(3)[Problem.axes.index(effect)]
+    x, y, z = gap.tolist()
+    here = candidate(explained((x, y, z), 0.3, noise_mgauss=noise_mgauss), fit_of(**{effect: size}))
+    assert guards._immaterial(here, floor(8.0, 90.0)) == (effect if refused else None)
 
 
 @pytest.mark.parametrize(
