@@ -132,7 +132,9 @@ class Composition:
         # By the member whose derivative it is, and its stage.
         made_by: list[tuple[int, Stage]] = []
         for place in wanted:
-            at = places[place]
+            at, free = places[place], self.free(terms, place)
+            if not free.size:
+                continue
             effect = order[at][0]
             together = _together(order, at)
             if effect.id == REFERENCE_YAW:
@@ -146,7 +148,7 @@ class Composition:
                 changes.append(difference(late.reading, states[at + 1].reading, step))
             else:
                 moved, steps = [], []
-                for j in self.free(terms, place):
+                for j in free:
                     theta = everything[place].copy()
                     step = _STEP * max(effect.parameters[j].scale, 1e-12)
                     if theta[j] + step > effect.parameters[j].high:

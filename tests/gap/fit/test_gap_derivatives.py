@@ -91,3 +91,20 @@ def test_each_derivative_is_the_difference_that_a_small_step_makes(
             assert error < share * size + 1e-6, (effect.id, effect.parameters[j].name, error, size)
             column += 1
     assert column == len(told)
+
+
+@pytest.mark.parametrize("name", ["transport_lag", "hard_iron", "low_pass"])
+def test_what_is_held_has_no_derivative(name: str) -> None:
+    """A delay beside the age of the telemetry, with which it is reckoned together, as anything else."""
+    at = flight()
+    nuisances = prior_of(at, STATED).nuisances
+    assert "telemetry age" in {n.effect.id for n in nuisances}
+    composition = Composition(at, nuisances)
+    term = make_term(catalogue()[name], at.signals)
+    held = replace(term, free=np.zeros_like(term.free))
+    known, thetas = [n.mean for n in nuisances], [term.effect.neutral()]
+    counts = []
+    for one in (term, held):
+        states = composition.states([one], thetas, known)
+        counts.append(len(composition.changes([one], thetas, known, states, range(len(known) + 1))))
+    assert counts[0] - counts[1] == np.count_nonzero(term.free)
