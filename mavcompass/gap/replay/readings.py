@@ -18,7 +18,7 @@ class Readings:
 
     Attributes:
         time_s: (M,), repeats of a slow compass left out.
-        error_mgauss: raw less nominal, (M, 3).
+        error_mgauss: raw less nominal, (M, 3). nominal_mgauss: (M, 3).
         valid: readings with a reference, (M,).
         quiet: of these, with both neighbours, the ones while the field hardly turns: what is late, averaged
             or repeated by nature scatters while the vehicle turns.
@@ -26,6 +26,7 @@ class Readings:
 
     time_s: FloatArray
     error_mgauss: FloatArray
+    nominal_mgauss: FloatArray
     valid: NDArray[np.bool_]
     quiet: NDArray[np.bool_]
 
@@ -39,7 +40,7 @@ class Readings:
         quiet = valid & slow
         quiet[1:-1] &= (valid & slow)[:-2] & (valid & slow)[2:]
         quiet[[0, -1]] = False
-        return cls(time_s, raw - nominal, valid, quiet)
+        return cls(time_s, raw - nominal, nominal, valid, quiet)
 
     @property
     def period_s(self) -> float:

@@ -22,13 +22,15 @@ _SHARE, _BESIDE_NOISE = 0.7, 0.25
 _SIMPLER = 0.05
 _BLOCK = 12
 _SLOW_S = 2.0
-# Below, a vehicle itself swings, and what its attitude is off by with it.
-_LOWEST_HZ = 0.75
+# Below, a vehicle itself swings, and what its attitude is off by with it; what lasts for seconds is slow.
+_LOWEST_HZ = 0.5
 _FINER = 8
 # What is usual near a frequency is told by a band of so many widths of a line.
 _BAND = 24
-# What has so many times the power of its neighbours is no noise.
-_NO_NOISE = 100.0
+# What has so many times the power of its neighbours is no noise, nor a swing; beyond, a line's own skirts
+# are its neighbours. The vehicle's own has this share of its power in the baseline, too, and what its motion
+# makes, as laps do that are driven alike, this share in the nominal field.
+_NO_NOISE, _ITS_OWN, _ITS_MOTION = 100.0, 0.3, 0.05
 # How much nearer than its width in the spectrum the frequency of a line is sought.
 _STEPS, _ROUNDS = 8, 3
 
@@ -54,7 +56,7 @@ class Rapid:
 
 
 def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: float) -> Rapid | None:
-    """Return the effect that holds most of the fast excess over the baseline's; None where none holds it.
+    """Return the effect that holds most of the fast excess over the baseline's, or a clear line; else None.
 
     Of less than `least_mgauss` rms none is told.
     """
@@ -63,8 +65,10 @@ def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: floa
     fast = _fast(readings)
     usual = 0.0 if baseline is None else quiet_variance(baseline, _fast(baseline))
     excess = quiet_variance(readings, fast) - usual
+    line, clear = _line(readings, fast)
+    clear = clear and line.variance_mgauss2 > least_mgauss**2 and not _is_in(baseline, line)
     if excess <= least_mgauss**2:
-        return None
+        return line if clear else None
 
     def share(rapid: Rapid) -> float:
         if rapid.variance_mgauss2 <= least_mgauss**2:
@@ -72,14 +76,14 @@ def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: floa
         left = quiet_variance(readings, fast - _without_slow(readings, rapid.change_mgauss))
         return 1.0 - (left - usual) / excess
 
-    toggling, (line, outstanding) = _toggling(readings, fast), _line(readings, fast)
-    best = toggling if share(toggling) > share(line) - _SIMPLER else line
+    toggling = _toggling(readings, fast)
+    best = toggling if share(toggling) > max(share(line) - _SIMPLER, 0.0) else line
     if share(best) > _SHARE:
         return best
+    if clear and best is line:
+        return line
     if share(best) < _BESIDE_NOISE or baseline is None:
         return None
-    if best is line and outstanding > _NO_NOISE:
-        return line
     return best if excess_variance(readings.without(best.change_mgauss), baseline) > 0.0 else None
 
 
@@ -111,27 +115,26 @@ def _toggling(readings: Readings, fast: FloatArray) -> Rapid:
     return _rapid("set_reset_offset", ("x", "y", "z"), offset[0], sigma[0], sign[:, None] * offset)
 
 
-def _line(readings: Readings, fast: FloatArray) -> tuple[Rapid, float]:
-    """Fit a sine of one frequency: what stands out most from its neighbours in the spectrum, then closer by
-    least squares. A vehicle that swings is loud as well, and broad.
+def _line(readings: Readings, fast: FloatArray) -> tuple[Rapid, bool]:
+    """Fit a sine of one frequency: what stands out from its neighbours in the spectrum, then closer by least
+    squares. A vehicle that swings is loud as well, and broad; one that drives laps has its motion's lines.
 
-    Returns it, and how many times the power of its neighbours it has.
+    Returns it, and whether it is no noise, no swing and nothing of the motion's.
     """
     time, rows = readings.time_s, readings.valid
     since = time - time[0]
-    step = readings.period_s / _FINER
-    at = np.round(since / step).astype(np.int64)
-    length = int(2 ** math.ceil(math.log2(at[-1] + 1)))
-    power = np.zeros(length // 2 + 1)
-    for column in fast.T:
-        power += np.abs(np.fft.rfft(np.bincount(at, column * rows, minlength=length))) ** 2
-    hertz = np.asarray(np.fft.rfftfreq(length, step), np.float64)
-    within = (hertz > _LOWEST_HZ) & (hertz < 0.5 / readings.period_s)
-    if not within.any():
-        return _rapid("ac_interference", _WAVES, np.zeros(7), np.zeros(7), np.zeros_like(fast)), 0.0
+    hertz, power = _spectrum(readings, fast)
+    if not hertz.size:
+        return _rapid("ac_interference", _WAVES, np.zeros(7), np.zeros(7), np.zeros_like(fast)), False
     width = 1.0 / float(since[-1])
-    power = power[within] / _neighbours(hertz[within], power[within], width)
-    best, outstanding = float(hertz[within][int(np.argmax(power))]), float(power.max())
+    nominal = np.where(rows[:, None], np.nan_to_num(readings.nominal_mgauss), 0.0)
+    motion = _loudest_near(_spectrum(readings, _without_slow(readings, nominal))[1], hertz, width)
+    own, outstanding = motion > _ITS_MOTION * power, power / _neighbours(hertz, power, width)
+    loudest = int(np.argmax(np.where(outstanding > _NO_NOISE, power, 0.0)))
+    # Beside a line of the motion's, what that makes of other errors has lines at its harmonics.
+    clear = bool(outstanding[loudest] > _NO_NOISE and not own[loudest])
+    at = loudest if clear else int(np.argmax(np.where(own, 0.0, outstanding)))
+    best = float(hertz[at])
     for _ in range(_ROUNDS):
         tried = best + width * np.linspace(-1.0, 1.0, 2 * _STEPS + 1)
         best = float(tried[int(np.argmin([_left(_waves(since, f)[rows], fast[rows]) for f in tried]))])
@@ -140,7 +143,30 @@ def _line(readings: Readings, fast: FloatArray) -> tuple[Rapid, float]:
     columns = _waves(time, best)
     waves, sigma = _fitted(readings, columns, fast)
     values, doubt = np.append(waves.ravel(), best), np.append(sigma.ravel(), width)
-    return _rapid("ac_interference", _WAVES, values, doubt, columns @ waves), outstanding
+    return _rapid("ac_interference", _WAVES, values, doubt, columns @ waves), clear
+
+
+def _spectrum(readings: Readings, fast: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies (K,) at which a line may lie, and the mean square of a sine there."""
+    rows, since = readings.valid, readings.time_s - readings.time_s[0]
+    step = readings.period_s / _FINER
+    at = np.round(since / step).astype(np.int64)
+    length = int(2 ** math.ceil(math.log2(2 * at[-1] + 1)))  # half a width apart: no line lies far between
+    power = np.zeros(length // 2 + 1)
+    for column in fast.T:
+        power += np.abs(np.fft.rfft(np.bincount(at, column * rows, minlength=length))) ** 2
+    hertz = np.asarray(np.fft.rfftfreq(length, step), np.float64)
+    within = (hertz > _LOWEST_HZ) & (hertz < 0.5 / readings.period_s)
+    return hertz[within], power[within] * 2.0 / (3.0 * max(int(rows.sum()), 1) ** 2)
+
+
+def _is_in(baseline: Readings | None, line: Rapid) -> bool:
+    """Tell whether a baseline holds the same line."""
+    if baseline is None:
+        return False
+    hertz, power = _spectrum(baseline, _fast(baseline))
+    near = np.abs(hertz - line.parameters["frequency_hz"]) < 2.0 / float(np.ptp(baseline.time_s))
+    return bool((power[near] > _ITS_OWN * line.variance_mgauss2).any())
 
 
 def _neighbours(hertz: FloatArray, power: FloatArray, width_hz: float) -> FloatArray:
@@ -148,6 +174,13 @@ def _neighbours(hertz: FloatArray, power: FloatArray, width_hz: float) -> FloatA
     bands = np.array_split(np.arange(hertz.size), max(int(np.ptp(hertz) / (_BAND * width_hz)), 1))
     usual = [np.median(power[band]) for band in bands]
     return np.maximum(np.interp(hertz, [hertz[band].mean() for band in bands], usual), 1e-12)
+
+
+def _loudest_near(power: FloatArray, hertz: FloatArray, width_hz: float) -> FloatArray:
+    """Return the greatest power within two widths of a line around each frequency, (K,)."""
+    reach = max(round(2.0 * width_hz * hertz.size / float(np.ptp(hertz))), 1)
+    padded = np.pad(power, reach, mode="edge")
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1))
 
 
 _WAVES = (*(f"{wave}_{axis}" for wave in ("sin", "cos") for axis in "xyz"), "frequency_hz")

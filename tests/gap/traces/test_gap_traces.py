@@ -65,7 +65,7 @@ def test_toggling_offset_is_found_though_readings_were_lost(seed: int) -> None:
     )
 
 
-@pytest.mark.parametrize("hertz", [0.8, 3.7, 11.9])
+@pytest.mark.parametrize("hertz", [0.6, 0.8, 3.7, 11.9])
 def test_line_is_found_with_its_frequency_and_its_phase(hertz: float) -> None:
     phase = 2.0 * np.pi * hertz * T
     waves = np.outer(np.sin(phase), B) + np.outer(np.cos(phase), 0.5 * B[::-1])
@@ -92,6 +92,47 @@ def test_line_is_told_from_louder_swings() -> None:
     assert found is not None and found.effect == "ac_interference"
     assert found.parameters["frequency_hz"] == pytest.approx(1.9, abs=1e-3)
     assert find_rapid(readings(noisy(T, 6) + swings, T), HEALTHY, 1.0) is None
+
+
+def test_line_is_told_beside_an_error_that_is_far_louder() -> None:
+    """As a compass in another orientation leaves it; its own size is no matter there."""
+    line = np.outer(np.sin(2.0 * np.pi * 1.4 * T), B)
+    wide = swinging(7, 0.3 * float(np.sqrt(np.mean(line**2))))
+    wide += 20.0 * np.sign(np.sin(0.9 * T + 3.0 * np.sin(0.11 * T)))[:, None]
+    found = find_rapid(readings(noisy(T, 8) + wide + line, T), HEALTHY, 1.0)
+    assert found is not None and found.effect == "ac_interference"
+    assert found.parameters["frequency_hz"] == pytest.approx(1.4, abs=2e-3)
+    restless = readings(noisy(T, 9) + swinging(10, 12.0), T)  # a baseline that is louder than the recording
+    found = find_rapid(readings(noisy(T, 8) + line, T), restless, 1.0)
+    assert found is not None and found.parameters["frequency_hz"] == pytest.approx(1.4, abs=1e-3)
+
+
+def test_the_loudest_line_is_told_not_its_image_in_a_quiet_band() -> None:
+    """A line's skirts are its neighbours: a weak one in a quiet band stands out as much."""
+    strong = np.outer(np.sin(2.0 * np.pi * 4.3 * T), 8.0 * B)
+    image = np.outer(np.sin(2.0 * np.pi * 8.2 * T), B)
+    found = find_rapid(readings(noisy(T, 12, 0.1) + strong + image, T), HEALTHY, 1.0)
+    assert found is not None and found.parameters["frequency_hz"] == pytest.approx(4.3, abs=1e-3)
+
+
+def test_laps_driven_alike_are_no_line() -> None:
+    """What a vehicle's own motion holds at a frequency, an error that follows it holds, too."""
+    waves = np.sin(2.0 * np.pi * 0.9 * T)
+    laps = 300.0 * np.stack([np.cos(waves), -np.sin(waves), 0.0 * T], axis=1)
+    clipped = np.minimum(laps, 280.0) - laps
+    known = np.ones(T.size, dtype=np.bool_)
+    assert find_rapid(Readings.of(T, laps + clipped + noisy(T, 13), laps, known), HEALTHY, 1.0) is None
+    other = np.outer(np.sin(2.0 * np.pi * 2.3 * T), B)
+    found = find_rapid(Readings.of(T, laps + clipped + noisy(T, 13) + other, laps, known), HEALTHY, 1.0)
+    assert found is None or found.parameters["frequency_hz"] == pytest.approx(2.3, abs=1e-3)
+
+
+def test_a_line_of_the_vehicles_own_is_in_its_baseline() -> None:
+    line = np.outer(np.sin(2.0 * np.pi * 1.4 * T), B)
+    baseline = readings(noisy(T, 14) + line, T)
+    assert find_rapid(readings(noisy(T, 15) + line, T), baseline, 1.0) is None
+    found = find_rapid(readings(noisy(T, 15) + 3.0 * line, T), baseline, 1.0)
+    assert found is not None and found.effect == "ac_interference"
 
 
 def test_toggling_is_found_beside_noise_and_beside_a_line() -> None:
