@@ -117,8 +117,8 @@ class TrackBuilder:
                 time_s = message.time_usec * 1e-6
                 if abs(time_s - self.latest_s) > _OTHER_CLOCK_S:  # some send the time of day here
                     time_s = self.vehicle_time_s(heard.time_s)
-                velocity = telemetry.ground_velocity_mps(message)
-                self._column("gps_velocity_mps").add(time_s, *velocity.tolist())
+                north, east, _ = telemetry.ground_velocity_mps(message).tolist()
+                self._column("gps_velocity_mps").add(time_s, north, east)
         elif isinstance(message, mav.SystemTime):
             if message.time_unix_usec and message.time_boot_ms:
                 self._utc_offset_s = message.time_unix_usec * 1e-6 - message.time_boot_ms * 1e-3
@@ -205,7 +205,7 @@ class TrackBuilder:
             acc_truncation_mps2=MPS2_PER_MILLI_G,
             gyro_truncation_radps=RADPS_PER_MILLIRADPS,
             attitude_rad=columns_by_name.get("attitude_rad"),
-            gps_velocity_mps=columns_by_name.get("gps_velocity_mps"),
+            gps_velocity_mps=_over_ground(columns_by_name.get("gps_velocity_mps")),
             truth_q=columns_by_name.get("truth_q"),
             position_ned_m=columns_by_name.get("position_ned_m"),
             place=columns_by_name.get("place"),
@@ -214,6 +214,13 @@ class TrackBuilder:
             utc_offset_s=self._utc_offset_s,
             parameters=dict(self.parameters),
         )
+
+
+def _over_ground(columns: Series | None) -> Series | None:
+    """Add the velocity down, which GPS_RAW_INT does not tell, as nan."""
+    if columns is None:
+        return None
+    return Series(columns.time_s, np.column_stack([columns.values, np.full(len(columns), np.nan)]))
 
 
 def _scaled(columns: Series | None, which: slice, factor: float) -> Series | None:

@@ -31,6 +31,8 @@ from mavcompass.track import Track
 
 # Midway between two positions proves as much as at the next one, and takes less of the vehicle's time.
 _PROOF_SHARE = 0.5
+# And so sure a heading: a third of what the field may turn more or less than the gyro.
+_PROOF_ENOUGH_DEG = 0.5
 _PLACELESS = "The vehicle does not know its place: nothing was taken from the world's magnetic model."
 # The Earth's horizontal and vertical field in temperate latitudes, where the place is not known.
 _TYPICAL_MGAUSS = (220.0, 430.0)
@@ -260,7 +262,8 @@ class _Calibration:
             context.show("prove", "One more turn proves the new values.")
             share = 1.0 if isinstance(mover, HandMover) else _PROOF_SHARE
             yield from mover.next(context, share * self.settings.step_rad, 1)
-            window = yield from self.desk.dwell(mover, self.settings.dwell, self.sureness_deg)
+            enough = replace(self.settings.dwell, enough_deg=_PROOF_ENOUGH_DEG)
+            window = yield from self.desk.dwell(mover, enough, self.sureness_deg)
             yield from mover.release(context)
             with_it = self.solve([*report.windows, window])
         except Exception as why:

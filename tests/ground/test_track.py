@@ -10,6 +10,7 @@ from mavcompass.earth_field import earth_field_of
 from mavcompass.messages import (
     Attitude,
     GlobalPositionInt,
+    GpsRawInt,
     Incoming,
     LocalPositionNed,
     Message,
@@ -101,6 +102,17 @@ def test_a_live_stream_becomes_a_track_in_the_vehicles_time() -> None:
     assert track.place is not None and track.place.values[0] == pytest.approx([47.1234567, 8.5, 450.0])
     assert track.utc_offset_s == pytest.approx(1_790_000_000.0 - 100.6)
     assert track.parameters["COMPASS_OFS_X"] == 10.0
+
+
+def test_the_receivers_velocity_is_known_over_ground_only() -> None:
+    builder = TrackBuilder("ardupilot", "copter")
+    builder.add(heard(5.0, Attitude(time_boot_ms=100_000)))
+    fixed = GpsRawInt(100_200_000, 3, vel=500, cog=9_000)
+    for message in (fixed, GpsRawInt(100_400_000, 2, vel=500, cog=9_000), GpsRawInt(100_600_000, 3, vel=500)):
+        builder.add(heard(5.2, message))  # one without a fix, one without a course
+    velocity = builder.build().gps_velocity_mps
+    assert velocity is not None and velocity.time_s == pytest.approx([100.2])
+    np.testing.assert_allclose(velocity.values, [[0.0, 5.0, np.nan]], atol=1e-9)
 
 
 def test_late_and_repeated_messages_are_put_in_order() -> None:

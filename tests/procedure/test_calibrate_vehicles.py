@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from bent_vehicles import KINDS, bent_vehicle, calibrated
 
 from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.desk import Desk
+from mavcompass.procedure.positions import DwellSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.faults import Faults, FaultyLink
@@ -50,6 +54,29 @@ def test_four_dwells_and_the_proof_turn_take_22_seconds(kind: str, tmp_path: Pat
     time_s = report.track.compasses[1].time_s
     assert len(report.windows) == 4
     assert float(time_s[-1]) - report.windows[0].start_s <= 22.0
+
+
+def test_the_proof_stands_no_longer_than_it_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A third of what the turns may differ by is sure enough; a position's heading is to be surer."""
+    asked = []
+    whole = Desk.dwell
+
+    def dwell(self: Desk, mover: Any, settings: Any, sureness: Any = None) -> Any:
+        asked.append(settings)
+        return (yield from whole(self, mover, settings, sureness))
+
+    monkeypatch.setattr(Desk, "dwell", dwell)
+    report = calibrated(bent_vehicle("rover", 2, 0.6), tmp_path)
+    assert report.proof is not None and report.proof.passed
+    assert asked == [replace(DwellSettings(), enough_deg=0.5)]
+    assert min(proof.tolerance_deg for proof in report.proof.compasses) >= 3.0 * 0.5
+
+
+@pytest.mark.parametrize("kind", ["copter", "px4-copter"])
+def test_what_hovers_is_levelled_by_its_receivers_velocity(kind: str, tmp_path: Path) -> None:
+    report = calibrated(bent_vehicle(kind, seed=2), tmp_path)
+    assert (velocity := report.track.gps_velocity_mps) is not None
+    assert np.diff(velocity.time_s).max() < 0.5 and np.ptp(velocity.time_s) > 20.0
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("rover", 1), ("copter", 2)])

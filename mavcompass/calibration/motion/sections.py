@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from mavcompass.calibration.model import level_to_body
 from mavcompass.calibration.motion.reference import ReferenceTurn
 from mavcompass.calibration.observation import field_lag_s
-from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
+from mavcompass.calibration.observation.tilt import ESTIMATOR_SIGMA_RAD, TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.observation.turning import (
     GYRO_SCALE_SIGMA,
     TurnRecord,
 )
-from mavcompass.calibration.observation.upright import ESTIMATOR_SIGMA_RAD, STANDING_SIGMA_RAD
+from mavcompass.calibration.observation.upright import STANDING_SIGMA_RAD
 from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs
 from mavcompass.frames import FloatArray, tilt_from_acceleration
 from mavcompass.heading.gravity import ON_THE_GROUND, down_in_body

@@ -115,7 +115,7 @@ def level_by_newton(track: Track, start_s: float, end_s: float, hovers: bool = F
 
     `hovers`: where none was measured it is near zero.
     """
-    samples = _samples(track, start_s, end_s)
+    samples = _samples(track, start_s, end_s, hovers)
     if samples is None:
         return None
     time, rate, force = samples
@@ -148,12 +148,17 @@ def level_by_newton(track: Track, start_s: float, end_s: float, hovers: bool = F
     )
 
 
-def _samples(track: Track, start_s: float, end_s: float) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+def _samples(
+    track: Track, start_s: float, end_s: float, hovers: bool = False
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return time, angular rate and specific force around a stretch, as far as nothing is missing."""
     gyro, acc = track.gyro_radps, track.acc_mps2
     if gyro is None or acc is None or len(acc) < 2:
         return None
-    around = gyro.between(start_s - _MARGIN_S, end_s + _MARGIN_S)
+    before_s = _MARGIN_S
+    if hovers:  # of a stretch that has just ended, what comes after it is not there yet
+        before_s = max(_MARGIN_S, 2.0 * _MARGIN_S - max(float(gyro.time_s[-1]) - end_s, 0.0))
+    around = gyro.between(start_s - before_s, end_s + _MARGIN_S)
     time, rate = around.time_s, np.asarray(around.values)
     force = np.asarray(acc.at(time))
     usable = np.asarray(np.isfinite(rate).all(axis=1) & np.isfinite(force).all(axis=1), dtype=np.bool_)

@@ -18,8 +18,9 @@ from mavcompass.units import STANDARD_GRAVITY_MPS2
 TILT_FLOOR_RAD = math.radians(0.02)
 # What the accelerometer's calibration leaves: one thousandth of gravity, the same at every position.
 TILT_BIAS_SIGMA_RAD = 0.001
-# What an autopilot's attitude estimate is off by while it stands or hovers and its compass is sound.
-_ESTIMATOR_SIGMA_RAD = math.radians(0.15)
+# What an autopilot's roll and pitch are off by while it flies by a compass that may be bent (ArduPilot 4.5.7,
+# hovering: 0.13 degrees with a sound one, 0.29 with a badly bent one), and while it stands.
+ESTIMATOR_SIGMA_RAD, _STANDING_ESTIMATOR_SIGMA_RAD = math.radians(0.3), math.radians(0.15)
 # A mean specific force further from g than this is not gravity alone.
 _GRAVITY_SLACK = 0.06
 # What stands, floats or is held upright by its buoyancy, and a box of sensors of which nothing is known:
@@ -89,7 +90,8 @@ def _add_estimator(
     roll, pitch = during.T
     down = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
     swing = float(np.linalg.norm(down - down.mean(axis=0), axis=1).std())
-    sigma = math.hypot(_ESTIMATOR_SIGMA_RAD, swing / math.sqrt(len(during)))
+    own_sigma = ESTIMATOR_SIGMA_RAD if may_be_bent else _STANDING_ESTIMATOR_SIGMA_RAD
+    sigma = math.hypot(own_sigma, swing / math.sqrt(len(during)))
     if may_be_bent:
         others, others_sigma = _weighed(witnesses)
         apart = float(((down.mean(axis=0) - others) ** 2).sum()) / 2.0

@@ -15,13 +15,13 @@ from itertools import pairwise
 import numpy as np
 
 from mavcompass.calibration.observation.sway import LONGEST_GAP_S, level_by_newton
-from mavcompass.calibration.observation.tilt import UPHELD
+from mavcompass.calibration.observation.tilt import ESTIMATOR_SIGMA_RAD, UPHELD
 from mavcompass.frames import FloatArray, tilt_from_acceleration
 from mavcompass.heading.gravity import ON_THE_GROUND, down_in_body, moving_average
 from mavcompass.track import Series, Track
 
-# What roll and pitch are off by while nothing is wrong: an autopilot's in flight, an accelerometer's at rest.
-ESTIMATOR_SIGMA_RAD, STANDING_SIGMA_RAD = math.radians(0.3), math.radians(0.02)
+# What an accelerometer's roll and pitch are off by at rest.
+STANDING_SIGMA_RAD = math.radians(0.02)
 _WINDOW_S = 20.0
 # An autopilot's level errs for as long as this the same way, and more.
 _ERRS_FOR_S = 10.0

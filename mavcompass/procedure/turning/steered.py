@@ -27,6 +27,8 @@ _GATHERS_WAY_S = 0.5
 _LATE_S = 0.1
 _BOOST_GAIN, _MOST_BOOST = 0.15, 1.6
 _SLOW_RADPS = math.radians(5.0)
+# What holds an angle and is stopped dead swings back: it turns on for so long, per rate, at half of it.
+_LAST_S = 0.1
 
 
 class TurnStrategy(Protocol):
@@ -98,6 +100,7 @@ class SteeredTurn:
     coast_s: float = 0.3
     arrives: bool = False
     speed_up_s: float = 0.0
+    _asked_radps: float = field(default=0.0, compare=False)
     _learned_s: float | None = field(default=None, compare=False)
     _ended: tuple[float, float] | None = field(default=None, compare=False)
 
@@ -137,10 +140,12 @@ class SteeredTurn:
                 fastest = most * self._gathered(so_far_s + _REPEAT_S)
                 wanted = min(fastest, max(self.slowest_radps, left / self.slow_down_s))
                 boost = self._boosted(boost, wanted, speed, so_far_s)
-                self.steer.turn(context, sign * wanted * boost, left)
+                self._asked_radps = sign * wanted * boost
+                self.steer.turn(context, self._asked_radps, left)
                 said_s = context.now
             yield from pause(context, _POLL_S)
         self._ended = None if self.arrives else (gyro.angle_rad, gyro.rate_radps)
+        self._asked_radps = 0.0
         self._stand(context)
         return True
 
@@ -184,7 +189,11 @@ class SteeredTurn:
         """Ask for no turn, and let go."""
         self._stand(context)
         for _ in range(2):
-            self.steer.let_go(context)
+            if self.arrives and self._asked_radps:
+                self.steer.turn(context, 0.5 * self._asked_radps, _LAST_S * abs(self._asked_radps))
+            else:
+                self.steer.let_go(context)
+        self._asked_radps = 0.0
 
     def release(self, context: Context) -> Script[None]:
         """Do nothing: nothing was taken but what `halt` gives back."""

@@ -105,6 +105,19 @@ def test_a_bent_estimator_does_not_bend_the_tilt_of_a_dwell(bent_deg: float) -> 
     assert sigma_deg < 0.15
 
 
+def test_a_dwell_that_has_just_ended_is_told_by_more_of_what_was_before() -> None:
+    """Live, nothing is recorded after it yet."""
+    track, tilt = hovering(bent_deg=0.7, shaking_mps2=0.05)
+    start_s, end_s = 20.6, 22.3
+    inside = (TIME >= start_s) & (TIME <= end_s)
+    more, less = (sway(track.between(since_s, end_s), start_s, end_s) for since_s in (0.0, start_s - 10.0))
+    assert more is not None and less is not None
+    assert more.sigma_rad < 0.7 * less.sigma_rad
+    roll, pitch, sigma, _ = tilt_during(track.between(0.0, end_s), TIME[inside])
+    off_deg = np.degrees([roll, pitch] - tilt[inside].mean(axis=0))
+    assert np.abs(off_deg).max() < 0.12 and np.abs(off_deg).max() < 2.0 * math.degrees(sigma)
+
+
 def test_motors_that_shake_make_the_tilt_less_certain() -> None:
     calm, _ = hovering(shaking_mps2=0.02)
     shaken, tilt = hovering(shaking_mps2=1.0)

@@ -154,13 +154,13 @@ def test_the_estimator_is_smooth_and_off_by_a_little() -> None:
     assert len(tilts) == 2  # three readings are enough
 
 
-@pytest.mark.parametrize(("bent_deg", "own_deg"), [(0.1, 0.0), (2.0, 0.0), (-2.0, 0.5)])
+@pytest.mark.parametrize(("bent_deg", "own_deg"), [(0.1, 0.0), (0.4, 0.0), (2.0, 0.0), (-2.0, 0.5)])
 def test_an_estimator_counts_less_by_as_much_as_it_contradicts(bent_deg: float, own_deg: float) -> None:
     other = (np.array([0.0, 0.0, 1.0]), own_deg * DEG)
     tilts = [other]
     _add_estimator(level_track(attitude_rad=attitude(bent_deg)), 0.0, 4.0, tilts, True)
-    beyond = max(0.5 * bent_deg**2 - 0.15**2 - own_deg**2 - 0.02**2, 0.0)
-    assert tilts[1][1] / DEG == pytest.approx(math.sqrt(0.15**2 + beyond), rel=1e-3)
+    beyond = max(0.5 * bent_deg**2 - 0.3**2 - own_deg**2 - 0.02**2, 0.0)
+    assert tilts[1][1] / DEG == pytest.approx(math.sqrt(0.3**2 + beyond), rel=1e-3)
 
 
 def test_what_flies_does_not_believe_its_accelerometer_alone() -> None:

@@ -179,6 +179,23 @@ def test_holding_asks_for_no_turn_and_halting_lets_go() -> None:
     assert list(turn.release(Context())) == []
 
 
+def test_what_holds_an_angle_is_halted_in_two_steps_while_it_turns() -> None:
+    """Stopped dead it swings back; it turns on for a fifth of a second, at half the rate."""
+    vehicle = Vehicle(GyroAngle())
+    turn = steered(vehicle, arrives=True)
+    machine = Machine(lambda context: turn.turn(context, vehicle.gyro, -90.0 * DEG))
+    for step in range(30):
+        machine.step(Tick(STEP_S * step))
+        vehicle.moves()
+    assert vehicle.asked[-1][0] == pytest.approx(-40.0) and not machine.done
+    vehicle.asked.clear()
+    turn.halt(machine.context)
+    assert vehicle.did == ["stand", "stand"]
+    assert vehicle.asked == [(pytest.approx(-20.0), pytest.approx(4.0))] * 2
+    turn.halt(machine.context)  # it turns no more
+    assert vehicle.did[2:] == ["stand", "stand", "let go", "let go"] and len(vehicle.asked) == 2
+
+
 # --- the gyro's angle --------------------------------------------------------------------------------
 
 

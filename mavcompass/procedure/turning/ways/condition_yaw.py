@@ -15,7 +15,7 @@ from mavcompass.procedure.turning.steered import Builder, SteeredTurn
 class YawStep:
     """Turn on by CONDITION_YAW in small relative steps: flying copters and diving subs in GUIDED.
 
-    A repeated relative command starts from the present yaw, so the steps do not add up.
+    A repeated relative command replaces what is left of the last one, so the steps do not add up.
     """
 
     step_rad: float = math.radians(8.0)
