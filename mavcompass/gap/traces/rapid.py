@@ -67,8 +67,10 @@ def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: floa
     excess = quiet_variance(readings, fast) - usual
     line, clear = _line(readings, fast)
     clear = clear and line.variance_mgauss2 > least_mgauss**2 and not _is_in(baseline, line)
-    if excess <= least_mgauss**2:
-        return line if clear else None
+    toggling = _toggling(readings, fast)
+    if excess <= least_mgauss**2:  # the baseline is as loud, by something else
+        alternates = toggling.variance_mgauss2 > (1.0 - _SIMPLER) * line.variance_mgauss2
+        return None if not clear else toggling if alternates else line
 
     def share(rapid: Rapid) -> float:
         if rapid.variance_mgauss2 <= least_mgauss**2:
@@ -76,7 +78,6 @@ def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: floa
         left = quiet_variance(readings, fast - _without_slow(readings, rapid.change_mgauss))
         return 1.0 - (left - usual) / excess
 
-    toggling = _toggling(readings, fast)
     best = toggling if share(toggling) > max(share(line) - _SIMPLER, 0.0) else line
     if share(best) > _SHARE:
         return best

@@ -105,6 +105,11 @@ def test_line_is_told_beside_an_error_that_is_far_louder() -> None:
     restless = readings(noisy(T, 9) + swinging(10, 12.0), T)  # a baseline that is louder than the recording
     found = find_rapid(readings(noisy(T, 8) + line, T), restless, 1.0)
     assert found is not None and found.parameters["frequency_hz"] == pytest.approx(1.4, abs=1e-3)
+    toggling = np.where(np.arange(T.size) % 2 == 0, 1.0, -1.0)[:, None] * B
+    found = find_rapid(
+        readings(noisy(T, 8) + toggling, T), restless, 1.0
+    )  # as a line of half the rate would be
+    assert found is not None and found.effect == "set_reset_offset"
 
 
 def test_the_loudest_line_is_told_not_its_image_in_a_quiet_band() -> None:
