@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,8 +33,10 @@ _TURNS = frozenset({"misalignment", "orientation", "declination"})
 # How many moments of change these have where they are there to stay.
 _STAYING = {"spatial_dipole": 0, "hard_iron_step": 1}
 _NEARLY_ALTERNATING = 0.85
-# A line keeps step with a way that is within so much of a turn of an even one.
+# A line keeps step with a way that is within so much of a turn of an even one, as far as that is known: a
+# receiver's velocity errs by so much for a second, and its sum, less a straight line, by root of time / 15.
 _IN_STEP, _DRIVING_MPS, _UNKNOWN_SHARE = 0.25, 0.3, 0.1
+_RECEIVER_MPS, _RECEIVER_S = 0.1, 1.0
 # More than healthy vehicles leave of a model that is never exact: squared sigmas by which what is known is
 # bent, beside names and without any; structure that is left beside names over what is left in all, along the
 # motion and along anything; and the mean square of whitened readings, of fitted ones and others, where the
@@ -217,7 +220,8 @@ def keeps_step(replay: Replay, frequency_hz: float) -> bool:
     speed = np.interp(time, time[known], speed[known])
     way = integral(time, speed[:, None])[:, 0]
     off = way - np.polyval(np.polyfit(time, way, 1), time)
-    return rms(off) * frequency_hz < _IN_STEP * float(speed.mean())
+    known_m = _RECEIVER_MPS * math.sqrt(_RECEIVER_S * float(np.ptp(time)) / 15.0)
+    return rms(off) < math.hypot(_IN_STEP * float(speed.mean()) / frequency_hz, known_m)
 
 
 def _above(value: float, floor: float) -> bool:

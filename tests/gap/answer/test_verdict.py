@@ -314,7 +314,8 @@ def test_a_line_at_half_the_sampling_rate_may_be_a_sensor_that_alternates(hz: fl
         (2.0 + 0.0 * TIME, 1.3, True, True),
         (2.0 + 0.2 * np.sin(0.1 * TIME), 1.3, False, False),  # by 2 m: more than a turn
         (2.0 + 0.02 * np.sin(0.1 * TIME), 1.3, False, True),
-        (2.0 + 0.02 * np.sin(0.1 * TIME), 13.0, False, False),  # a tenth of the way is a turn
+        (2.0 + 0.02 * np.sin(0.1 * TIME), 13.0, False, True),  # by a turn, which no receiver tells
+        (2.0 + 0.08 * np.sin(0.1 * TIME), 13.0, False, False),
         (0.1 + 0.0 * TIME, 1.3, False, False),  # it stands
         (np.where(TIME < 30.0, 2.0, 0.0), 1.3, False, False),
         (np.where(TIME < 30.0, 2.0, np.nan), 1.3, False, False),
