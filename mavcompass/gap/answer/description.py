@@ -195,6 +195,10 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
         # A name that makes held-out data worse is no explanation.
         answer = Answer("unknown", none, True, where_left)
         field, heading = closings(problem, none, test, floor)
+    shrinks = floor.representative or any(c.shrink_ci95[0] > 0.0 for c in (field, heading))
+    if answer.verdict == "named" and answer.named.terms and not (shrinks or evidence.beside):
+        # What is certain by its shape alone, and does not surely shrink the mean, may be something else.
+        answer = replace(answer, verdict="ambiguous")
     return answer, _never_worse(field), _never_worse(heading)
 
 

@@ -85,7 +85,12 @@ def trace_causes(scatter: Scatter | None, traces: Traces, level_mgauss: float) -
     if scatter is not None:
         name = "sigma_s" if scatter.effect == "timestamp_jitter" else "sigma_mgauss"
         found.append(
-            (scatter.effect, {name: scatter.size}, {}, scatter.size if name == "sigma_mgauss" else 0.0)
+            (
+                scatter.effect,
+                {name: scatter.size},
+                {name: scatter.doubt},
+                scatter.size if name == "sigma_mgauss" else 0.0,
+            )
         )
     if traces.stale_share > 0.0:
         found.append(("stale_samples", {"fraction": traces.stale_share}, {}, 0.0))

@@ -18,13 +18,15 @@ from mavcompass.gap.replay import (
     estimate_noise,
     with_white,
 )
-from mavcompass.gap.traces import neighbours, quiet_scatter
+from mavcompass.gap.traces import neighbours, quiet_doubt, quiet_scatter
 
 _DRIFT_MODES = 80
 # The scatter's own distribution is only known from the recording: be slower to name it.
 _SCATTER_TRIALS = 50
 # Without a baseline, times may scatter by this much and be healthy.
 _DOUBTFUL_JITTER_S = 0.02
+# Two estimates of the same noise agree within so many sigmas.
+_AGREES = 2.0
 # What late readings scatter must be this share of the noise: where the field changes fast at one place only,
 # the model's own error there looks late.
 _LEAST_LATE = 0.1
@@ -33,11 +35,15 @@ _DRIFT_SIZES = (0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 13.0)
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """Hold a named scatter effect, its size in single readings, and the gain of twice the log-likelihood."""
+    """Hold a named scatter effect, its size in single readings, and the gain of twice the log-likelihood.
+
+    `doubt` is the size's standard deviation; 0 where it is not known.
+    """
 
     effect: str
     size: float
     gain: float
+    doubt: float = 0.0
 
     def on_rows_mgauss2(self, replay: Replay) -> float:
         """Return the variance of scattering readings on rows that are means of them."""
@@ -76,7 +82,8 @@ def find_scatter(
     representative = floor.representative
     if representative and "noise_excess" in allowed and even_size > 0.0:
         size = math.sqrt(even_size * width * float(np.mean(noise.rms**2)))
-        candidates.append(Scatter("noise_excess", size, even / inflation))
+        doubt = 0.5 * size * math.sqrt(2.0 * inflation / y.size) * (1.0 + even_size) / even_size
+        candidates.append(Scatter("noise_excess", size, even / inflation, doubt))
     trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
     late_shows = late_size * float(np.mean(x)) > _LEAST_LATE**2
     if "timestamp_jitter" in allowed and trusted and late_shows:
@@ -86,18 +93,36 @@ def find_scatter(
         sigma = quiet_scatter(problem.replay.readings)
         if sigma > WORST_SCATTER_MGAUSS:
             size = math.sqrt(sigma**2 - USUAL_SCATTER_MGAUSS**2)
-            candidates.append(Scatter("noise_excess", size, float(error.size)))
+            doubt = 0.5 * quiet_doubt(problem.replay.readings) * sigma**2 / size
+            candidates.append(Scatter("noise_excess", size, float(error.size), doubt))
     # Less than the floor itself is no gap, however surely neighbours scatter.
     excess_shows = excess_mgauss2 > floor.field_rms_mgauss**2
     if floor.measured and not representative and "noise_excess" in allowed and excess_shows:
-        found = Scatter("noise_excess", math.sqrt(excess_mgauss2), float(error.size))
         left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
-        beyond = float(np.mean(left[rows] ** 2)) - floor.field_rms_mgauss**2
+        left2 = float(np.mean(left[rows] ** 2))
         # Scatter between neighbours is scatter of the readings only if it shows in what is left.
-        if width > 1 or beyond > 0.5 * excess_mgauss2:
-            candidates.append(found)
+        if width > 1 or left2 - floor.field_rms_mgauss**2 > 0.5 * excess_mgauss2:
+            candidates.append(_told_twice(problem.replay, floor, excess_mgauss2, left2, error.size))
     candidates = [c for c in candidates if c.gain > least_gain(1, _SCATTER_TRIALS)]
     return max(candidates, key=lambda c: c.gain) if candidates else None
+
+
+def _told_twice(
+    replay: Replay, floor: Floor, excess_mgauss2: float, left_mgauss2: float, count: int
+) -> Scatter:
+    """Return white noise that neighbours tell by a few quiet readings, and what is left of all by more.
+
+    What is left holds what the floor holds, about half of which is not known of this recording. Rows that
+    are means hold too little of the noise, and too much of what is slow.
+    """
+    doubt, size2, floor2 = quiet_doubt(replay.readings), excess_mgauss2, floor.field_rms_mgauss**2
+    if replay.averaged == 1:
+        apart = (left_mgauss2 - floor2) / excess_mgauss2 - 1.0
+        agrees = abs(apart) <= _AGREES * doubt
+        size2 *= 1.0 + (apart if agrees else math.copysign(_AGREES * doubt, apart))
+        by_all = math.hypot(math.sqrt(2.0 / count), 0.5 * floor2 / size2)
+        doubt = min(doubt, by_all) if agrees else max(doubt, 0.5 * abs(apart))
+    return Scatter("noise_excess", math.sqrt(size2), float(count), 0.5 * doubt * math.sqrt(size2))
 
 
 def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:

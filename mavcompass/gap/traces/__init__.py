@@ -1,7 +1,7 @@
 """What single readings tell before any search: repeats, coarse steps, scatter, what changes each reading."""
 
 from mavcompass.gap.traces.rapid import Rapid
-from mavcompass.gap.traces.scattered import excess_variance, neighbours, quiet_scatter
+from mavcompass.gap.traces.scattered import excess_variance, neighbours, quiet_doubt, quiet_scatter
 from mavcompass.gap.traces.traces import Traces, find_traces, searched
 
 __all__ = [
@@ -10,6 +10,7 @@ __all__ = [
     "excess_variance",
     "find_traces",
     "neighbours",
+    "quiet_doubt",
     "quiet_scatter",
     "searched",
 ]

@@ -17,7 +17,8 @@ _UNLIKE, _SPANS, _UNSTEADY = 2.0, 8, 4.0
 # Second differences of white noise so many readings apart have no reading in common. Their correlation is
 # zero but for chance (within three sigmas), whose variance over their number is 1 + 2 (4/6)^2 + 2 (1/6)^2
 # (Bartlett, Suppl. J. Royal Stat. Soc. 8, 1946).
-_LAGS, _RELATED, _BY_CHANCE = (3, 4, 5), 0.2, 3.0 * math.sqrt(35.0 / 18.0)
+_OF_NEIGHBOURS = 35.0 / 18.0
+_LAGS, _RELATED, _BY_CHANCE = (3, 4, 5), 0.2, 3.0 * math.sqrt(_OF_NEIGHBOURS)
 _FEWEST = 20
 # Noise of a sensor's axes hardly goes together.
 _TOGETHER = 0.8
@@ -48,6 +49,15 @@ def excess_variance(readings: Readings, baseline: Readings, repeats: bool = Fals
     white = excess / _UNLIKE < further < _UNLIKE * excess
     noise = white and _unrelated(readings) and _steady(readings, excess) and _of_each_axis(readings)
     return max(excess, further) if noise else 0.0
+
+
+def quiet_doubt(readings: Readings) -> float:
+    """Return how far the square of `quiet_scatter` may be off, 1 sigma, as a share of it.
+
+    A median tells a normal deviation as well as 0.37 times as many squares would; of second differences.
+    """
+    count = 3.0 * float(readings.quiet.sum())
+    return math.sqrt(2.0 * _OF_NEIGHBOURS / (0.37 * max(count, 1.0)))
 
 
 def quiet_scatter(readings: Readings, apart: int = 1) -> float:
