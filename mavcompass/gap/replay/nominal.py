@@ -77,6 +77,7 @@ class Replay:
         place_curves_m: how the places of the stimulus may wander, (N, 3, k), each with sigma one.
         doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
             noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
+        loads_every_s: how often the loads were recorded.
         notes: what a reader of the result must know.
     """
 
@@ -100,6 +101,7 @@ class Replay:
     place: tuple[float, float, float] | None = None
     place_curves_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
     doubtful: Mapping[Group, SensorNoise] = field(default_factory=dict)
+    loads_every_s: float = 0.0
 
     @property
     def time_s(self) -> FloatArray:
@@ -212,6 +214,14 @@ def replay(
         averaged=rows.width,
         place=_place(track),
         place_curves_m=place_curves(_position(track, reference), track.gps_velocity_mps, time_s),
+        loads_every_s=_every_s(track.current_a, track.throttle),
+    )
+
+
+def _every_s(*series: Series | None) -> float:
+    """Return the usual time between the rows of the slowest of some series; zero where none was recorded."""
+    return max(
+        (float(np.median(np.diff(s.time_s))) for s in series if s is not None and len(s) > 1), default=0.0
     )
 
 

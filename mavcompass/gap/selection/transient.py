@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Mask, Problem
 from mavcompass.gap.replay import TELEMETRY_AGE, Replay
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S
@@ -16,8 +17,13 @@ _LONGEST_S = 3.0
 # How much worse than the rest readings must fit, in mean squares, to be part of a change.
 _WORSE = 4.0
 RELAY = "relay_field"
-# Loads are recorded ten times a second or so; at least a third of the rows must be clear of switching.
+# Loads are recorded ten times a second at best; at least a third of the rows must be clear of switching.
 _LOAD_S, _MOST_SWITCHED = 0.1, 0.67
+# What is switched shows in single rows from so many deviations on. A row is off by this share of it, by
+# little more than all, and across it by less than half of that; a tenth of the rows at most.
+_SEEN_APART, _PART, _ALL, _ASIDE, _BY_CHANCE = 6.0, 0.25, 1.2, 0.5, 0.1
+# The median of the square of a standard normal value.
+_MEDIAN_SQUARE = 0.455
 # The median of a mean of three squares of standard normal values.
 _MEDIAN = 0.789
 
@@ -64,7 +70,7 @@ def switched(problem: Problem, fit: Fit) -> Mask:
     """Tell which rows (N,) something that is switched may share between on and off.
 
     A reading is the mean of some time, and the load is known at some times: when it was switched between
-    two of them nobody recorded. Where hardly a row is clear of that, none is told.
+    two of them, or there and back again, nobody recorded. Where hardly a row is clear of that, none is told.
     """
     time = problem.replay.time_s
     rows: Mask = np.zeros(time.size, dtype=np.bool_)
@@ -74,14 +80,35 @@ def switched(problem: Problem, fit: Fit) -> Mask:
         late += theta[0] if nuisance.effect.id == TELEMETRY_AGE else 0.0
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
         if term.effect.id == RELAY:
-            switched_on = np.abs(term.effect.forward(unread, theta, {}, None).reading.mag_mgauss).max(axis=1)
-            last = np.flatnonzero(np.diff(switched_on))
+            field = term.effect.forward(unread, theta, {}, None).reading.mag_mgauss
+            last = np.flatnonzero(np.diff(np.abs(field).max(axis=1)))
             when = 0.5 * (time[last] + time[last + 1]) + late
-            width = max(float(np.median(np.diff(time))), _LOAD_S)
+            width = max(float(np.median(np.diff(time))), problem.replay.loads_every_s, _LOAD_S)
             at = np.searchsorted(when, time)
             for beside in (np.append(when, np.inf)[at], np.insert(when, 0, -np.inf)[at]):
                 rows |= np.abs(time - beside) < width
+            rows |= _other_way(problem, fit, field, np.asarray(theta[:3]))
     return rows if rows[problem.usable].mean() < _MOST_SWITCHED else np.zeros_like(rows)
+
+
+def _other_way(problem: Problem, fit: Fit, field_mgauss: FloatArray, own: FloatArray) -> Mask:
+    """Tell which rows (N,) were switched the other way, or partly, between two records of the load.
+
+    They are off along the field that is switched, toward where it is not, and hardly across it. More than a
+    few are no chance: then it is not switched by that load.
+    """
+    size = float(np.linalg.norm(own))
+    error = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
+    noise = float(np.sqrt(np.mean(np.nanmedian(error[problem.usable] ** 2, axis=0)) / _MEDIAN_SQUARE))
+    if size < _SEEN_APART * noise:
+        return np.zeros(len(error), dtype=np.bool_)
+    along = error @ own / size**2
+    across = np.linalg.norm(error - along[:, None] * own, axis=1)
+    on = np.abs(field_mgauss).max(axis=1) > 0.0
+    toward = np.where(on, -along, along)
+    with np.errstate(invalid="ignore"):
+        rows: Mask = (toward > _PART) & (toward < _ALL) & (across < _ASIDE * toward * size)
+    return rows if rows[problem.usable].mean() < _BY_CHANCE else np.zeros_like(rows)
 
 
 def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:

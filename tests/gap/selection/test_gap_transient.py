@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -98,7 +99,7 @@ def test_between_fitted_rows_any_moment_fits() -> None:
     assert put.thetas[0][0] == 30.0
 
 
-def switching(load: FloatArray, late_s: float = 0.0) -> FloatArray:
+def switching(load: FloatArray, late_s: float = 0.0, every_s: float = 0.0) -> FloatArray:
     """Return the times that something switched above half of a load leaves out."""
     effect = registry.get("relay_field")
     low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
@@ -114,9 +115,12 @@ def switching(load: FloatArray, late_s: float = 0.0) -> FloatArray:
         def with_mag(self, mag: FloatArray) -> Still:
             return Still(mag)
 
-    replay = SimpleNamespace(time_s=TIME, signals=Still())
+    as_predicted = SimpleNamespace(mag_mgauss=np.zeros((TIME.size, 3)))
+    replay = SimpleNamespace(time_s=TIME, signals=Still(), loads_every_s=every_s, measured=as_predicted)
     usable = np.ones(TIME.size, dtype=np.bool_)
-    problem: Any = SimpleNamespace(replay=replay, nuisances=[age], usable=usable)
+    problem: Any = SimpleNamespace(
+        replay=replay, nuisances=[age], usable=usable, predict=lambda fit: as_predicted
+    )
     return TIME[transient.switched(problem, fit)]
 
 
@@ -125,10 +129,40 @@ def test_readings_about_a_switching_are_set_aside_unless_there_are_too_many() ->
     # Between 9.95 and 10 s; a load is known to a tenth of a second.
     assert switching(once) == pytest.approx([9.9, 9.95, 10.0, 10.05])
     assert switching(once, late_s=0.1) == pytest.approx([10.0, 10.05, 10.1, 10.15])
+    assert switching(once, every_s=0.2) == pytest.approx(np.arange(9.8, 10.16, 0.05))  # or to a fifth
     assert switching(np.zeros(TIME.size)).size == 0
     often = np.where(np.floor(TIME / 0.65) % 2 == 0, 1.0, 0.0)
     assert 0.25 * TIME.size < switching(often).size < 0.4 * TIME.size
     assert switching(np.where(np.floor(TIME / 0.25) % 2 == 0, 1.0, 0.0)).size == 0
+
+
+def other_way(off: FloatArray, rows: Sequence[int], size_mgauss: float = 50.0) -> list[int]:
+    """Return the rows that were switched the other way, of those that are off by `off`, mG."""
+    own = size_mgauss * np.array([0.6, -0.8, 0.0])
+    on = TIME >= 10.0
+    error = np.random.default_rng(4).normal(0.0, 2.0, (TIME.size, 3))
+    error[list(rows)] += off
+    reading = SimpleNamespace(mag_mgauss=np.where(on[:, None], own, 0.0))
+    replay = SimpleNamespace(measured=SimpleNamespace(mag_mgauss=reading.mag_mgauss + error))
+    problem: Any = SimpleNamespace(
+        replay=replay, usable=np.ones(TIME.size, dtype=np.bool_), predict=lambda fit: reading
+    )
+    told = transient._other_way(problem, Fit((), (), (), 0.0), reading.mag_mgauss, own)
+    return np.flatnonzero(told).tolist()
+
+
+def test_a_load_that_comes_and_goes_between_two_records_shows_in_the_readings() -> None:
+    own = 50.0 * np.array([0.6, -0.8, 0.0])
+    late, early = TIME.size - 20, 20  # on, and off
+    assert other_way(-own, [late, late + 7]) == [late, late + 7]
+    assert other_way(0.5 * own, [early]) == [early]  # for half of the reading
+    assert other_way(own, [late]) == [] and other_way(-own, [early]) == []  # more than on, less than off
+    assert other_way(-1.6 * own, [late]) == []
+    assert other_way(np.array([40.0, 30.0, 0.0]), [early]) == []  # across
+    many = list(range(0, 60, 2)) + list(range(60, 150))
+    assert other_way(own, [row for row in many if TIME[row] < 10.0]) == []  # another thing switches it
+    small = 8.0 * np.array([0.6, -0.8, 0.0])
+    assert other_way(small, [early], 8.0) == []  # as noise does
 
 
 def test_what_was_set_aside_is_told_stretch_by_stretch() -> None:
