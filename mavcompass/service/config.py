@@ -152,7 +152,7 @@ class LearningConfig:
 
     enabled: bool = True
     margin_deg: Annotated[float, Meta(ge=0.5, le=90.0)] = 2.0
-    limit_deg: Annotated[float, Meta(ge=0.1, le=5.0)] = 1.0
+    limit_deg: Annotated[float, Meta(ge=0.1, le=5.0)] = 0.5
 
 
 @dataclass(frozen=True, slots=True)

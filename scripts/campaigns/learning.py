@@ -37,7 +37,8 @@ from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 STEP_S, EVERY = 0.04, 2.5
 HOUR_S, SOON_S, LATER_S, EAGER_S = 3600.0, 60.0, 300.0, 600.0
-MARGIN_DEG, LIMIT_DEG = 2.0, 1.0
+# The service's margin_deg and limit_deg; and what an offer may leave.
+MARGIN_DEG, SURE_DEG, LIMIT_DEG = 2.0, 0.5, 1.0
 SOON_ENOUGH_S = 300.0
 KINDS = ("magnets", "moved", "parked", "motors")
 BASE = SCENARIOS["wrong steps"]
@@ -189,7 +190,7 @@ def drive(rng: np.random.Generator, off_deg: float, kind: str, tally: Tally) -> 
         except PoorCalibration:
             continue
         result = learnt.result
-        if learnt.gain_deg < MARGIN_DEG or result.heading_sigma_deg > LIMIT_DEG:
+        if learnt.gain_deg < MARGIN_DEG or result.heading_sigma_deg > SURE_DEG:
             continue
         truth = [one for at, one in truths if at <= now_s][-1]
         old, new = (rms_deg(correction, truth) for correction in (force, result.correction))
