@@ -31,6 +31,8 @@ _BAND = 24
 # are its neighbours. The vehicle's own has this share of its power in the baseline, too, and what its motion
 # makes, as laps do that are driven alike, this share in the nominal field.
 _NO_NOISE, _ITS_OWN, _ITS_MOTION = 100.0, 0.3, 0.05
+# A line's skirts reach so many widths far; another of this share of its power is no part of it.
+_SKIRTS, _ALONE = 10.0, 0.3
 # How much nearer than its width in the spectrum the frequency of a line is sought.
 _STEPS, _ROUNDS = 8, 3
 
@@ -133,8 +135,11 @@ def _line(readings: Readings, fast: FloatArray) -> tuple[Rapid, bool]:
     own, outstanding = motion > _ITS_MOTION * power, power / _neighbours(hertz, power, width)
     loudest = int(np.argmax(np.where(outstanding > _NO_NOISE, power, 0.0)))
     # Beside a line of the motion's, what that makes of other errors has lines at its harmonics.
-    clear = bool(outstanding[loudest] > _NO_NOISE and not own[loudest])
-    at = loudest if clear else int(np.argmax(np.where(own, 0.0, outstanding)))
+    loud = bool(outstanding[loudest] > _NO_NOISE and not own[loudest])
+    at = loudest if loud else int(np.argmax(np.where(own, 0.0, outstanding)))
+    # And a load that comes and goes evenly has several.
+    others = (outstanding > _NO_NOISE) & ~own & (np.abs(hertz - hertz[at]) > _SKIRTS * width)
+    clear = loud and float(power[others].max(initial=0.0)) < _ALONE * power[at]
     best = float(hertz[at])
     for _ in range(_ROUNDS):
         tried = best + width * np.linspace(-1.0, 1.0, 2 * _STEPS + 1)

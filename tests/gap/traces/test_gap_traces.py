@@ -133,6 +133,12 @@ def test_laps_driven_alike_are_no_line() -> None:
     assert found is None or found.parameters["frequency_hz"] == pytest.approx(2.3, abs=1e-3)
 
 
+def test_what_repeats_evenly_has_several_lines_and_is_no_alternating_current() -> None:
+    pulses = np.outer(np.where(np.mod(1.7 * T, 1.0) < 0.25, 1.0, 0.0), 2.0 * B)
+    restless = readings(noisy(T, 9) + swinging(10, 12.0), T)
+    assert find_rapid(readings(noisy(T, 16) + pulses, T), restless, 1.0) is None
+
+
 def test_a_line_of_the_vehicles_own_is_in_its_baseline() -> None:
     line = np.outer(np.sin(2.0 * np.pi * 1.4 * T), B)
     baseline = readings(noisy(T, 14) + line, T)
