@@ -45,7 +45,7 @@ class Found:
     Attributes:
         null: the fit without effects; best: the fit of the best set (perhaps the null).
         explored: every fitted set by its ids; scores: their EBIC.
-        weights: of the sets as large as the best one, sorted, those above 1 %.
+        weights: of the sets as large as the one that is named, sorted, those above 1 %.
     """
 
     null: Fit
@@ -54,11 +54,15 @@ class Found:
     weights: tuple[tuple[frozenset[str], float], ...]
 
 
-def _facing_as_known(yaw: Nuisance, theta: FloatArray) -> FloatArray:
-    """Return the yaw's constant to what is known of it where it was bent far; its curves may wander."""
-    if (theta[0] - yaw.mean[0]) ** 2 * yaw.precision[0, 0] < least_gain(1):
-        return theta
-    return np.concatenate([yaw.mean[:1], theta[1:]])
+def _facing_as_known(yaw: Nuisance, theta: FloatArray, curves: bool) -> FloatArray:
+    """Return the yaw's constant to what is known of it where it was bent far, and the attitude's `curves`
+    where they wandered farther than by chance."""
+    off, out = theta - yaw.mean, theta.copy()
+    if off[0] ** 2 * yaw.precision[0, 0] >= least_gain(1):
+        out[0] = yaw.mean[0]
+    if curves and off[1:] @ yaw.precision[1:, 1:] @ off[1:] >= least_gain(theta.size - 1):
+        out[1:] = yaw.mean[1:]
+    return out
 
 
 class Search:
@@ -140,7 +144,7 @@ class Search:
         best = self.polished(best)
         self.explored[best.ids] = best
         self._remember(self._rivals(best))
-        return Found(self._unbent(null), best, self.explored, self._weights(best))
+        return Found(self._unbent(null), best, self.explored, self.weights(best))
 
     def likeliest(self, size: int) -> frozenset[str]:
         """Return the set of a size that the catalogue, linearised beside nothing, makes likeliest."""
@@ -198,7 +202,7 @@ class Search:
         # How blocks contradict each other beside another start says nothing of this one.
         self._temper = 1.0
         for _ in range(_ROUNDS):
-            candidates = self._linearised(self._unbent(best), held)
+            candidates = self._linearised(self._unbent(best, curves=True), held)
             sets = likeliest_sets(candidates, self._temper, self.cost, most - len(held))
             chosen = self._to_fit(candidates, sets, len(best.terms) - len(held))
             fits = [self._fitted(candidates, c, kept, _SHORT) for c in chosen]
@@ -227,17 +231,22 @@ class Search:
         length = max(_BLOCK_S, float(time[-1] - time[0]) / _MOST_BLOCKS)
         return np.floor((time - time[0]) / length).astype(np.int64)
 
-    def _unbent(self, fit: Fit) -> Fit:
+    def _unbent(self, fit: Fit, curves: bool = False) -> Fit:
         """Return nuisances to their prior where a gap has bent them far: what is wrong must show to be
-        found."""
+        found. How the attitude wanders explains nothing away, but beside bent `curves` no derivative is
+        good."""
         if fit.terms or not self.problem.nuisances:
             return fit
         straight = self.problem.straight(fit)
         kept = tuple(
-            _facing_as_known(n, x) if n.effect.id == REFERENCE_YAW else x if straight else n.mean.copy()
+            _facing_as_known(n, x, curves)
+            if n.effect.id == REFERENCE_YAW
+            else x
+            if straight
+            else n.mean.copy()
             for n, x in zip(self.problem.nuisances, fit.nuisance_thetas, strict=True)
         )
-        same = all(x is y for x, y in zip(kept, fit.nuisance_thetas, strict=True))
+        same = all(np.array_equal(x, y) for x, y in zip(kept, fit.nuisance_thetas, strict=True))
         return fit if same else replace(fit, nuisance_thetas=kept)
 
     def _to_fit(
@@ -325,9 +334,13 @@ class Search:
         of = [c for c in members if c.term.effect.id in more]
         return candidates.contradiction(members, of) if of else 1.0
 
-    def _weights(self, best: Fit) -> tuple[tuple[frozenset[str], float], ...]:
+    def weights(
+        self, best: Fit, refused: frozenset[str] = frozenset()
+    ) -> tuple[tuple[frozenset[str], float], ...]:
+        """Weigh the sets as large as the best one, but those with an effect that is `refused`."""
         if best.terms:
-            rivals = {i: self.score(f) for i, f in self.explored.items() if len(i) == len(best.terms)}
+            as_large = {i: f for i, f in self.explored.items() if len(i) == len(best.terms)}
+            rivals = {i: self.score(f) for i, f in as_large.items() if i == best.ids or not i & refused}
         else:
             # Nothing is named; what it would most likely be is weighed by Akaike's criterion.
             rivals = {

@@ -205,6 +205,11 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
     if found_some and not floor.representative:
         candidate = _simplest(candidate, floor) if floor.measured else _plainer(candidate)
     candidate = replace(candidate, fit=pruned(candidate.search.problem, candidate.fit))
+    if candidate.fit.terms and candidate.fit.ids != candidate.found.best.ids:
+        # What the search was as sure of is no longer what is named.
+        refused_ids = frozenset(dict(candidate.dropped)) - candidate.fit.ids
+        weights = candidate.search.weights(candidate.fit, refused_ids)
+        candidate = replace(candidate, found=replace(candidate.found, weights=weights))
     return replace(candidate, as_good=(*candidate.as_good, *_alike(candidate), *_with_evident(candidate)))
 
 

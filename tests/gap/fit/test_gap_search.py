@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.fit import Fit, Search, Term
+from mavcompass.gap.replay.nuisance import Nuisance, reference_attitude_error
 from mavcompass.simulation.effects import registry
 
 LAG = registry.get("transport_lag")
@@ -57,3 +58,34 @@ def test_what_bends_the_known_to_fit_readings_closer_is_not_needed(monkeypatch: 
     nothing, bent = fit(1000.0, 3.0), fit(800.0, 60.0, LAG)
     assert search(1.0, monkeypatch).grows(nothing, bent)
     assert not search(4.0, monkeypatch).grows(nothing, bent)
+
+
+@pytest.mark.parametrize(
+    ("constant", "curves", "kept"),
+    [
+        # Sigmas of the constant, of each of four curves; which of them keep their value.
+        (1.0, 1.0, (True, True)),
+        (9.0, 1.0, (False, True)),
+        (1.0, 9.0, (True, False)),
+    ],
+)
+def test_an_attitude_that_a_gap_has_bent_is_returned_to_what_is_known(
+    constant: float, curves: float, kept: tuple[bool, bool]
+) -> None:
+    sigma = np.array([0.02, 1.0, 1.0, 1.0, 1.0])
+    yaw = Nuisance.of(reference_attitude_error(np.zeros((3, 3, 4))), np.zeros(5), sigma)
+    bent = sigma * np.array([constant, *[curves] * 4])
+    problem: Any = SimpleNamespace(
+        replay=SimpleNamespace(signals=None),
+        count=500,
+        nuisances=(yaw,),
+        null=lambda: Fit((), (), (bent,), 100.0),
+        straight=lambda fit: False,
+    )
+    one = Search(problem, ())
+    (after,) = one._unbent(problem.null(), curves=True).nuisance_thetas
+    assert after[0] == (bent[0] if kept[0] else 0.0)
+    assert after[1:].tolist() == (bent[1:] if kept[1] else 0.0 * bent[1:]).tolist()
+    # What is left without any effect is left beside the attitude that explains it best.
+    (left,) = one.nothing().null.nuisance_thetas
+    assert left[1:].tolist() == bent[1:].tolist()
