@@ -167,7 +167,13 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     if evidence.traces.step_mgauss > 0.0:
         unrounded = evidence.remainder.problem.replay.measured.mag_mgauss
     explained = (added, evidence.unseen_mgauss2, unrounded)
-    decided, with_names = answer, closings(problem, answer.named, test, floor, *explained)
+
+    def closed(named: Fit) -> tuple[Closing, Closing]:
+        # What readings may have been before they were rounded was drawn about the fit to all of them.
+        drawn = unrounded is not None and named.ids == evidence.remainder.fit.ids
+        return closings(problem, evidence.remainder.fit if drawn else named, test, floor, *explained)
+
+    decided, with_names = answer, closed(answer.named)
     field, heading = with_names
     none = identified.found.null
     where_left = evidence.adequacy.where
@@ -183,7 +189,7 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
         field, heading = (replace(c, after=c.nominal, shrink=0.0) for c in (field, heading))
     elif said.named is not answer.named:
         # Without its names an answer has other figures, which it must not contradict either.
-        field, heading = closings(problem, said.named, test, floor, *explained)
+        field, heading = closed(said.named)
         said = consistent(said, field, heading, *stated, certain)
     answer = said
     if floor.measured and not floor.representative and not evidence.beside:
