@@ -236,9 +236,10 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     left = rms((problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss)[problem.index])
     explained = stated or left < _EXPLAINED * floor.field_rms_mgauss
     part = _MATERIAL_SHARE if explained else _MATERIAL_BESIDE_UNKNOWN
-    # Errors of rounding go with the field, as effects do.
+    # Errors of rounding go with the field, as effects do; and no line is taken out without a rest.
     rounding = _LEAST_OF_ROUNDING * problem.replay.trace.step_mgauss / math.sqrt(12.0)
-    rounded = (rounding, _turned_by(problem, rounding))
+    inexact = max(rounding, _LOST_SHARE * problem.replay.taken_mgauss)
+    lost = (inexact, _turned_by(problem, inexact))
     scatter = rms(problem.noise["mag"].sigma)
     scattered = (scatter, _turned_by(problem, scatter))
     lasting = [
@@ -254,7 +255,7 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
             # What lies far above the floor without it, and at the floor with it, is no error of the rest.
             missed = explained and not stated and removed.without > _MISSED * level
             of_gap = _MATERIAL_IF_MISSED if missed else part
-            least = max(_LEAST_HERE[floor.measured][k], share * hides[k], of_gap * change, rounded[k])
+            least = max(_LEAST_HERE[floor.measured][k], share * hides[k], of_gap * change, lost[k])
             if removed.sure > 0.0 and removed.without > above * level:
                 most = max(most, math.sqrt(removed.square) / least)
         return most

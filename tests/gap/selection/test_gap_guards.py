@@ -43,6 +43,7 @@ class Problem:
     noise_mgauss: float = 0.5
     scatter_mgauss: float = 0.0
     step_mgauss: float = 0.0
+    taken_mgauss: float = 0.0
     bent: float = 0.0
     kind: str = "estimator"
 
@@ -59,6 +60,7 @@ class Problem:
             measured=SimpleNamespace(mag_mgauss=NORTH + BOTH_WAYS[:, None] * self.gap + self.left),
             reference=SimpleNamespace(kind=self.kind),
             trace=SimpleNamespace(step_mgauss=self.step_mgauss),
+            taken_mgauss=self.taken_mgauss,
             signals=SimpleNamespace(stimulus=stimulus),
             doubtful={},
         )
@@ -278,6 +280,9 @@ def test_an_effect_of_one_half_that_the_other_contradicts_is_refused() -> None:
         # Coarse numbers: half of what rounding leaves.
         (1.4 * math.sqrt(3.0), {"step_mgauss": 8.0}, floor(0.8, 9.0), False),
         (1.0 * math.sqrt(3.0), {"step_mgauss": 8.0}, floor(0.8, 9.0), True),
+        # Six hundredths of a line that was taken out.
+        (1.6 * math.sqrt(3.0), {"taken_mgauss": 25.0}, floor(0.8, 9.0), False),
+        (1.4 * math.sqrt(3.0), {"taken_mgauss": 25.0}, floor(0.8, 9.0), True),
     ],
 )  # fmt: skip
 def test_what_removes_too_little_is_not_named(
