@@ -31,7 +31,7 @@ from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
 from mavcompass.gap.replay.readings import Readings
 from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
-from mavcompass.gap.replay.whereabouts import place_curves
+from mavcompass.gap.replay.whereabouts import place_curves, wander_m
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.track import MagSeries, Series, Track
@@ -44,6 +44,7 @@ _TILT_RAD = math.radians(4.0)
 _LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
 # Standard deviations of a path beside which the errors of a position are small.
 _LEAST_PATH_M, _LEAST_RECEIVED_PATH_M, _LEAST_CLIMB_M = 0.05, 1.5, 4.0
+_LEAST_TOLD_PATH_M, _BEYOND_WANDER = 0.5, 3.0
 # Motors that turn both ways stand still at half of their output.
 _NEUTRAL_IN_THE_MIDDLE = frozenset({"rover", "ackermann-rover", "boat", "sub"})
 _NO_TURN = (
@@ -78,6 +79,7 @@ class Replay:
         doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
             noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
         loads_every_s: how often the loads were recorded.
+        taken_mgauss: rms of what was taken out of the rows.
         notes: what a reader of the result must know.
     """
 
@@ -102,6 +104,7 @@ class Replay:
     place_curves_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
     doubtful: Mapping[Group, SensorNoise] = field(default_factory=dict)
     loads_every_s: float = 0.0
+    taken_mgauss: float = 0.0
 
     @property
     def time_s(self) -> FloatArray:
@@ -120,6 +123,7 @@ class Replay:
             measured=replace(self.measured, mag_mgauss=self.measured.mag_mgauss - change),
             corrected_mgauss=corrected,
             readings=self.readings.without(change_mgauss),
+            taken_mgauss=math.hypot(self.taken_mgauss, float(np.sqrt(np.mean(change[self.valid] ** 2)))),
         )
 
 
@@ -308,15 +312,22 @@ def _position(track: Track, reference: Reference) -> Series | None:
     if measured is not None and len(measured) > 1:
         return measured
     received = local_position(track.place)
-    return received if received is not None and _goes_about(received.values, reference) else None
+    return received if received is not None and _goes_about(received, track, reference) else None
 
 
-def _goes_about(position: FloatArray, reference: Reference) -> bool:
-    """Tell whether a path (N, 3) is longer than its errors, which an independent reference does not have."""
-    if not np.isfinite(position).all(axis=1).any():
+def _goes_about(position: Series | None, track: Track, reference: Reference) -> bool:
+    """Tell whether a path is longer than its errors, which an independent reference does not have.
+
+    How far places wander is measured where a velocity is known besides.
+    """
+    if position is None or not np.isfinite(position.values).all(axis=1).any():
         return False
-    least = _LEAST_PATH_M if reference.kind == "columns" else _LEAST_RECEIVED_PATH_M
-    return float(np.nanmax(np.nanstd(position, axis=0))) > least
+    spread = np.nanstd(position.values, axis=0)
+    if reference.kind == "columns":
+        return float(spread.max()) > _LEAST_PATH_M
+    wander = wander_m(position, track.gps_velocity_mps)
+    least = math.inf if wander is None else np.maximum(_BEYOND_WANDER * wander, _LEAST_TOLD_PATH_M)
+    return bool((spread > np.minimum(least, _LEAST_RECEIVED_PATH_M)).any())
 
 
 def _with_linear_acceleration(stimulus: Stimulus, acc: FloatArray, reference: Reference) -> Stimulus:
@@ -375,7 +386,7 @@ def _present(
             present.add(name)
     if stimulus.motors.size and float(np.ptp(stimulus.motors, axis=0).max()) > _LEAST_RANGE["throttle"]:
         present.add("motors")
-    if _goes_about(stimulus.position_ned_m, reference):
+    if _goes_about(_position(track, reference), track, reference):
         present.add("position")
     if float(np.ptp(stimulus.position_ned_m[:, 2])) > _LEAST_CLIMB_M:
         present.add("height")

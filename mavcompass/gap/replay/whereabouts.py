@@ -30,7 +30,8 @@ def place_curves(position_m: Series | None, velocity_mps: Series | None, time_s:
 
     None, k = 0, where nothing tells a velocity besides, and where places do not wander.
     """
-    sigma = _wander_m(position_m, velocity_mps)
+    known = wander_m(position_m, velocity_mps)
+    sigma = np.zeros(3) if known is None else known
     count = max(math.ceil(float(time_s[-1] - time_s[0]) / _KNOTS_S), 2) + 1
     knots = np.linspace(time_s[0], time_s[-1], count)
     covariance = np.exp(-np.abs(knots[:, None] - knots) / _MEMORY_S)
@@ -47,19 +48,19 @@ def place_curves(position_m: Series | None, velocity_mps: Series | None, time_s:
     return np.stack(curves, axis=2) if curves else np.zeros((time_s.size, 3, 0))
 
 
-def _wander_m(position_m: Series | None, velocity_mps: Series | None) -> FloatArray:
-    """Return how far places may wander, (3,), metres; zeros where they do not, or nothing tells."""
+def wander_m(position_m: Series | None, velocity_mps: Series | None) -> FloatArray | None:
+    """Return how far places may wander, (3,), metres; None where nothing tells."""
     if position_m is None or velocity_mps is None:
-        return np.zeros(3)
+        return None
     known = np.isfinite(velocity_mps.values).all(axis=1)
     time_s = velocity_mps.time_s[known]
     if known.sum() < _FEWEST_FIXES or not np.isfinite(position_m.values).all():
-        return np.zeros(3)
+        return None
     way = position_m.at(time_s) - integral(time_s, velocity_mps.values[known])
     later = np.searchsorted(time_s, time_s + _SPAN_S)
     pairs = np.flatnonzero(later < time_s.size)
     if not pairs.size:
-        return np.zeros(3)
+        return None
     moved = way[later[pairs]] - way[pairs]
     square = (1.4826 * np.median(np.abs(moved), axis=0)) ** 2 - 2.0 * white_scatter(way) ** 2
     sigma = np.sqrt(np.maximum(square, 0.0) / (2.0 * (1.0 - math.exp(-_SPAN_S / _MEMORY_S))))

@@ -1,0 +1,55 @@
+"""What a baseline tells of the next recording, and how far two recordings of one vehicle differ."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.gap.left.taught import _waiting_s
+
+PERIOD_S, SPAN_S = 0.1, 120.0
+
+
+def reported(step_s: float, rng: np.random.Generator, lost: float = 0.0) -> tuple[Any, float]:
+    """Read a compass ten times a second and report it with messages that begin anywhere: what a replay traces
+    of it, and how long readings waited for their message on the average."""
+    message_s = rng.uniform(0.0, step_s) + np.arange(0.0, SPAN_S, step_s)
+    message_s = message_s[rng.random(message_s.size) >= lost]
+    reading = np.floor((message_s - 1e-9) / PERIOD_S)
+    first = np.flatnonzero(np.diff(reading, prepend=-1.0) > 0.0)
+    last = np.append(first[1:], message_s.size) - 1
+    logged_s = message_s + 2e-4 * rng.standard_normal(message_s.size)
+    trace = SimpleNamespace(fresh_s=logged_s[first], held_s=logged_s[last] - logged_s[first])
+    return SimpleNamespace(trace=trace), float(np.mean(message_s[first] - PERIOD_S * reading[first]))
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.02])
+@pytest.mark.parametrize(
+    ("step_s", "phases_s"),
+    [
+        (0.02, 0.02),  # in step: the phase of the start stays
+        (0.05, 0.05),
+        (0.1, 0.1),
+        (0.04, 0.02),  # every other message is: two phases, a half of the step apart
+        (0.08, 0.02),  # every fifth
+        (0.0397, 0.0),  # they drift through each other
+    ],
+)
+def test_how_long_readings_wait_differs_by_what_does_not_occur_in_one_recording(
+    step_s: float, phases_s: float, lost: float
+) -> None:
+    rng = np.random.default_rng(5)
+    drawn = [reported(step_s, rng, lost) for _ in range(200)]
+    told = np.array([_waiting_s(replay) for replay, _ in drawn[:20]])
+    assert np.mean(np.abs(told - phases_s / math.sqrt(6.0)) < 0.0022) >= 0.9
+    between_starts = math.sqrt(2.0) * float(np.std([waited for _, waited in drawn]))
+    assert float(np.median(told)) == pytest.approx(between_starts, rel=0.15, abs=0.0015)
+
+
+def test_few_readings_tell_nothing_of_how_they_wait() -> None:
+    trace = SimpleNamespace(fresh_s=np.arange(5.0), held_s=np.zeros(5))
+    assert _waiting_s(SimpleNamespace(trace=trace)) == 0.0  # type: ignore[arg-type]
