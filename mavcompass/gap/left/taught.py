@@ -58,8 +58,7 @@ _REPRESENTATIVE_P = 1e-5
 _FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.007, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
 # A reading of some age waits for its message, for at most about twice that age.
 _MOST_WAITING = 0.5
-_REGULAR_STEPS, _FEWEST_READINGS, _MOST_READINGS = 1.5, 10, 500
-_OFF_PERIOD, _JITTER_S = 0.05, 0.002
+_FEWEST_READINGS = 10
 _SAME_PLACE_M = 1000.0
 DISCREPANCY_MGAUSS = 1.2
 _UNMEASURED, _LEVEL_MORE = 3.0, 1.25
@@ -274,28 +273,14 @@ def _waiting_s(replay: Replay) -> float:
 
     A reading waits between nothing and the messages' step, evenly, and the difference of two such times has a
     variance of a sixth of its square. Where the steps of compass and messages drift through each other all
-    phases occur in one recording, and their mean is always the same; where one is in step with the other, or
-    some of the messages are, that which a recording began with stays.
+    phases occur in one recording, and their mean is always the same; where they are in step, or some of the
+    messages are, that which a recording began with stays.
     """
-    fresh, held = replay.trace.fresh_s, replay.trace.held_s
-    if fresh.size < _FEWEST_READINGS:
+    fresh, read = replay.trace.fresh_s, replay.readings.time_s
+    if fresh.size != read.size or fresh.size < _FEWEST_READINGS:
         return 0.0
-    between, silent = np.diff(fresh), np.diff(fresh) - held[:-1]
-    step = float(np.median(silent))
-    regular = between[between < float(np.median(between)) + _REGULAR_STEPS * step]
-    # After a message that was lost a reading has waited for longer.
-    fresh = fresh[1:][silent < _REGULAR_STEPS * step]
-    # A compass's period is that in which its readings come together best.
-    some = fresh[:: -(-fresh.size // _MOST_READINGS)]
-    finest = float(regular.mean()) ** 2 / (4.0 * float(np.ptp(some)))
-    reach = math.ceil(_OFF_PERIOD * float(regular.mean()) / finest)
-    periods = float(regular.mean()) + finest * np.arange(-reach, reach + 1)
-    together = np.abs(np.exp(2j * np.pi * some / periods[:, None]).mean(axis=1))
-    period = float(periods[np.argmax(together)])
-    turned = np.exp(2j * np.pi * fresh / period)
-    waited = np.angle(turned * np.conj(turned.mean())) * period / (2.0 * np.pi)
-    occurring = float(np.var(waited[np.abs(waited) <= 0.5 * step + _JITTER_S]))
-    return math.sqrt(max(step**2 / 6.0 - 2.0 * occurring, 0.0))
+    step = float(np.median(np.diff(fresh) - replay.trace.held_s[:-1]))
+    return math.sqrt(max(step**2 / 6.0 - 2.0 * float(np.var(fresh - read)), 0.0))
 
 
 def _same_witness(
