@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Problem
-from mavcompass.gap.left import Floor, heading_error_rad, rms
-from mavcompass.gap.replay import level_mgauss
+from mavcompass.gap.left import Floor, heading_error_rad, heading_scatter, rms
 from mavcompass.gap.result import Bar, Closing
 
 _RESAMPLES = 1000
@@ -55,8 +54,7 @@ def closings(
         heading_error_rad(problem.replay, *pair)
         for pair in ((measured, nominal.mag_mgauss), (told, after.mag_mgauss))
     )
-    level = level_mgauss(problem.replay)
-    deg2 = math.degrees(1.0 / level) ** 2
+    deg2 = math.degrees(rms(heading_scatter(problem.replay, after.mag_mgauss)[rows])) ** 2
     heading = _closing(
         np.degrees(h0[rows])[:, None], np.degrees(h1[rows])[:, None], floor.heading_rms_deg,
         deg2 * added_mgauss2, deg2 * unseen_mgauss2, np.zeros((0, 1)), _blocks(problem, rows),

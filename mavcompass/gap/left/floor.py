@@ -160,6 +160,13 @@ def heading_error_rad(replay: Replay, field_mgauss: FloatArray, other_mgauss: Fl
     return np.asarray(-np.arctan2(cross, dot))
 
 
+def heading_scatter(replay: Replay, field_mgauss: FloatArray) -> FloatArray:
+    """Return how a heading scatters, radians, where each axis of a raw field (N, 3) does by a milligauss,
+    (N,)."""
+    moved = [heading_error_rad(replay, field_mgauss + axis, field_mgauss) for axis in np.eye(3)]
+    return np.sqrt(np.sum(np.square(moved), axis=0))
+
+
 def apart(
     replay: Replay, field_mgauss: FloatArray, other_mgauss: FloatArray, rows: NDArray[np.bool_ | np.int64]
 ) -> tuple[float, float]:
