@@ -35,6 +35,8 @@ from mavcompass.gap.selection.transient import (
 from mavcompass.simulation.effects.effect import PLACED, Effect
 
 _PASSES = 2
+# By so much of EBIC's score.
+_FAR_LIKELIER = 40.0
 _CLOSINGS_IN = 6
 _RIVALS = 4
 # Times the floor from which a single row stands out.
@@ -210,7 +212,8 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
         refused_ids = frozenset(dict(candidate.dropped)) - candidate.fit.ids
         weights = candidate.search.weights(candidate.fit, refused_ids)
         candidate = replace(candidate, found=replace(candidate.found, weights=weights))
-    return replace(candidate, as_good=(*candidate.as_good, *_alike(candidate), *_with_evident(candidate)))
+    others = (*_alike(candidate), *_with_evident(candidate), *_likelier(candidate))
+    return replace(candidate, as_good=(*candidate.as_good, *others))
 
 
 def _allowed(candidate: Identified, floor: Floor) -> Identified:
@@ -241,6 +244,16 @@ def _alike(candidate: Identified) -> tuple[frozenset[str], ...]:
     if {"orientation", "hard_iron"} <= ids and _iron_stayed(candidate):
         out.append(ids - {"hard_iron"})
     return tuple(out)
+
+
+def _likelier(candidate: Identified) -> tuple[frozenset[str], ...]:
+    """Return the sets that the search found far likelier than the chosen one, and no guard refuses."""
+    search, chosen = candidate.search, candidate.fit
+    refused_ids = dict(candidate.dropped).keys() - chosen.ids
+    most = search.score(chosen) - _FAR_LIKELIER
+    rivals = {ids: search.score(f) for ids, f in search.explored.items() if not ids & refused_ids}
+    likelier = sorted((ids for ids, score in rivals.items() if score < most), key=rivals.__getitem__)
+    return tuple(ids for ids in likelier[:_RIVALS] if ids not in candidate.as_good) if chosen.terms else ()
 
 
 def _iron_stayed(candidate: Identified) -> bool:
@@ -285,6 +298,10 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
     doubted: tuple[frozenset[str], ...] = ()
     if not (chosen.terms and at_floor(candidate, chosen, floor)):
         allowed = [f for f in good if refused(replace(candidate, fit=f), floor) is None]
+        if not chosen.terms:
+            # Nothing may do it as well, beside what is known of vehicle and place.
+            none = candidate.problem.null()
+            allowed = [f for f in allowed if candidate.search.grows(none, f)]
         if not allowed:
             return replace(candidate, as_good=tuple(f.ids for f in _no_worse(candidate, near)))
         if chosen.terms:

@@ -38,6 +38,9 @@ class Problem:
     def strain(self, fit: Fit) -> float:
         return self.strained.get(fit.ids, 0.0)
 
+    def null(self) -> Fit:
+        return NOTHING
+
 
 def candidate(
     chosen: Fit, *explored: Fit, strained: dict[frozenset[str], float] | None = None, **more: Any
@@ -48,6 +51,7 @@ def candidate(
     search = SimpleNamespace(
         explored={f.ids: f for f in explored},
         score=lambda f: f.sse + 10.0 * len(f.terms),
+        grows=lambda smaller, larger: smaller.sse - larger.sse > 30.0,
         without=without,
         terms=(),
     )
@@ -65,6 +69,7 @@ def candidate(
 
 
 MEASURED: Any = SimpleNamespace(measured=True, representative=False)
+NOTHING = Fit((), (), (), 400.0)
 IRON, SOFT, BOTH = fit_of("hard_iron"), fit_of("soft_iron"), fit_of("hard_iron", "soft_iron", sse=50.0)
 
 
@@ -122,15 +127,28 @@ def test_where_guards_left_nothing_one_effect_may_do_what_several_did(
     good: set[frozenset[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What the vehicle's own freedom reaches by bending counts as nothing reached."""
-    nothing = Fit((), (), (), 400.0)
+    nothing = NOTHING
     good |= {nothing.ids, IRON.ids, SOFT.ids, BOTH.ids}
     monkeypatch.setattr(
         identification, "refused", lambda c, floor: ("soft_iron", "no") if "soft_iron" in c.fit.ids else None
     )
     named = identification._simplest(candidate(nothing, IRON, SOFT, BOTH), MEASURED)
     assert named.fit is IRON and named.as_good == ()
+    hardly = replace(IRON, sse=375.0)
+    assert identification._simplest(candidate(nothing, hardly), MEASURED).fit is nothing, (
+        "nothing does as well"
+    )
     good.remove(IRON.ids)
     assert identification._simplest(candidate(nothing, IRON, SOFT, BOTH), MEASURED).fit is nothing
+
+
+def test_what_the_search_finds_far_likelier_is_an_alternative() -> None:
+    far, near = replace(BOTH, sse=40.0), replace(SOFT, sse=70.0)
+    here = candidate(IRON, IRON, near, far)
+    assert identification._likelier(here) == (far.ids,)
+    assert identification._likelier(replace(here, dropped=(("soft_iron", TOO_SMALL),))) == ()
+    assert identification._likelier(replace(here, as_good=(far.ids,))) == ()
+    assert identification._likelier(candidate(NOTHING, near, far)) == ()
 
 
 def test_where_none_reaches_it_what_leaves_no_more_is_a_rival(
