@@ -24,7 +24,7 @@ from mavcompass.gap.fit.candidates import Candidate, Candidates, misfit_of
 from mavcompass.gap.fit.chance import least_alone, least_gain, least_growth
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.replay import REFERENCE_YAW, Nuisance, yaw_starts
+from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, yaw_starts
 from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
@@ -63,6 +63,12 @@ def _facing_as_known(yaw: Nuisance, theta: FloatArray, curves: bool) -> FloatArr
     if curves and off[1:] @ yaw.precision[1:, 1:] @ off[1:] >= least_gain(theta.size - 1):
         out[1:] = yaw.mean[1:]
     return out
+
+
+def _by_chance(nuisance: Nuisance, theta: FloatArray) -> bool:
+    """Tell whether a nuisance by itself lies no farther from what is known of it than by chance."""
+    off = theta - nuisance.mean
+    return float(off @ nuisance.precision @ off) < least_gain(theta.size)
 
 
 class Search:
@@ -238,14 +244,15 @@ class Search:
         if fit.terms or not self.problem.nuisances:
             return fit
         straight = self.problem.straight(fit)
-        kept = tuple(
-            _facing_as_known(n, x, curves)
-            if n.effect.id == REFERENCE_YAW
-            else x
-            if straight
-            else n.mean.copy()
-            for n, x in zip(self.problem.nuisances, fit.nuisance_thetas, strict=True)
-        )
+
+        def kept_of(n: Nuisance, x: FloatArray) -> FloatArray:
+            if n.effect.id == REFERENCE_YAW:
+                return _facing_as_known(n, x, curves)
+            # How old readings are is another matter than the iron and the place that a gap may bend.
+            aged = n.effect.id == TELEMETRY_AGE and _by_chance(n, x)
+            return x if straight or aged else n.mean.copy()
+
+        kept = tuple(kept_of(n, x) for n, x in zip(self.problem.nuisances, fit.nuisance_thetas, strict=True))
         same = all(np.array_equal(x, y) for x, y in zip(kept, fit.nuisance_thetas, strict=True))
         return fit if same else replace(fit, nuisance_thetas=kept)
 
