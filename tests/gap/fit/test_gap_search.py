@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.fit import Fit, Search, Term
-from mavcompass.gap.replay.nuisance import Nuisance, reference_attitude_error
+from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
 from mavcompass.simulation.effects import registry
 
 LAG = registry.get("transport_lag")
@@ -89,3 +89,20 @@ def test_an_attitude_that_a_gap_has_bent_is_returned_to_what_is_known(
     # What is left without any effect is left beside the attitude that explains it best.
     (left,) = one.nothing().null.nuisance_thetas
     assert left[1:].tolist() == bent[1:].tolist()
+
+
+@pytest.mark.parametrize(("late", "stays"), [(2.0, True), (9.0, False)])
+def test_how_old_readings_are_is_not_bent_back_with_the_rest(late: float, stays: bool) -> None:
+    field = Nuisance.of(WORLD_FIELD, np.zeros(3), np.full(3, 5.0))
+    age = Nuisance.of(AGE, np.array([0.05]), np.array([0.01]))
+    bent = (np.array([40.0, 0.0, 0.0]), np.array([0.05 + 0.01 * late]))
+    problem: Any = SimpleNamespace(
+        replay=SimpleNamespace(signals=None),
+        count=500,
+        nuisances=(field, age),
+        null=lambda: Fit((), (), bent, 100.0),
+        straight=lambda fit: False,
+    )
+    kept = Search(problem, ()).nothing().null.nuisance_thetas
+    assert kept[0].tolist() == [0.0, 0.0, 0.0]
+    assert kept[1].tolist() == (bent[1] if stays else age.mean).tolist()
