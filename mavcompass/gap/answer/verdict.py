@@ -128,16 +128,18 @@ def consistent(
     owned = Answer("named_with_remainder" if traces else "unknown", none, True, coordinate)
     if not answer.named.terms:
         return owned if left else answer
-    if not left:
-        unsure = answer.verdict == "named" and _unsure(answer.named, floor, replay, traces)
-        # Many names, or one that bends to anything beside another, are an explanation but not the only one.
-        return replace(answer, verdict="ambiguous") if unsure else answer
-    explained = min(
+    explained = [
         (c.nominal**2 - c.after**2) / max(c.nominal**2 - c.floor**2, 1e-12)
         for c in (field, heading)
         if _above(c.nominal, c.floor)
-    )
-    if len(answer.named.terms) <= _FEW_NAMES and explained > 1.0 - _REMAINDER_UNTRUSTED:
+    ]
+    little = min(explained, default=1.0) < 1.0 - _REMAINDER_UNTRUSTED
+    if not left:
+        unsure = answer.verdict == "named" and (little or _unsure(answer.named, floor, replay, traces))
+        # Many names, one that bends to anything beside another, and what holds hardly more than half of a
+        # gap, are an explanation but not the only one.
+        return replace(answer, verdict="ambiguous") if unsure else answer
+    if len(answer.named.terms) <= _FEW_NAMES and not little:
         return Answer("named_with_remainder", answer.named, True, coordinate)
     return owned
 

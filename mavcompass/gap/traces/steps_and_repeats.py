@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from mavcompass.frames import FloatArray
 from mavcompass.gap.replay import Replay
 
 # MAVLink's messages and ArduPilot's parameters count whole milligauss.
@@ -18,6 +19,10 @@ _MUCH_COARSER = 14.0
 # While the field changes by this, or the vehicle turns so far, a live sensor changes too.
 _MOVED_MGAUSS, _TURNED_RAD = 5.0, math.radians(2.0)
 _TELEMETRY_HOLDS_S, _FAR_LONGER = 0.3, 1.5
+# New readings come as they do in the baseline: so many of its steps, of as many messages, and what is more.
+_FEWEST_NEW, _SAME_RHYTHM, _LOST, _NEARLY_ALL, _FAR_MORE = 100, 0.1, 1.5, 0.995, 3.0
+# In units of the noise that rounding makes: two whole numbers.
+_CHANGED = 7.0
 # Messages as often as readings fall beside them now and then: one reading in two of them.
 _SEEN_TWICE_S = 0.2
 
@@ -25,7 +30,7 @@ _SEEN_TWICE_S = 0.2
 def names_stale(replay: Replay, baseline: Replay | None) -> bool:
     """Tell whether the repeats are an effect: more than by chance, than the baseline's, than telemetry's."""
     if replay.telemetry:
-        return _frozen_share(replay, baseline) > _REPEATS_WORTH_NAMING
+        return stale_share(replay, baseline) > _REPEATS_WORTH_NAMING
     found, nominal = replay.trace, baseline.trace if baseline is not None else None
     expected = nominal.stale_share if nominal is not None else 0.0
     coarse = found.step_mgauss > 0.0 or replay.resolution_mgauss > 0.0
@@ -39,7 +44,9 @@ def names_stale(replay: Replay, baseline: Replay | None) -> bool:
 
 def stale_share(replay: Replay, baseline: Replay | None) -> float:
     """Return the share of readings that only repeat the one before, beyond what telemetry does by nature."""
-    return _frozen_share(replay, baseline) if replay.telemetry else replay.trace.stale_share
+    if not replay.telemetry:
+        return replay.trace.stale_share
+    return max(_frozen_share(replay, baseline), _overdue_share(replay, baseline))
 
 
 def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
@@ -62,6 +69,40 @@ def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
     held = trace.held_s[missed & (trace.turned_rad > _TURNED_RAD) & (trace.held_s > _FAR_LONGER * usual)]
     span = float((trace.fresh_s + trace.held_s).max(initial=replay.time_s[-1]) - replay.time_s[0])
     return float(held.sum()) / max(span, 1e-9)
+
+
+def _overdue_share(replay: Replay, baseline: Replay | None) -> float:
+    """Return the share of readings that did not come when the baseline's compass always has a new one.
+
+    Of messages in the same rhythm alone, and only where that is far more often than in the baseline.
+    """
+    if baseline is None or not baseline.telemetry or _steps_of(replay) != _steps_of(baseline):
+        return 0.0
+    (now, step), (before, usual_step) = _between_new(replay), _between_new(baseline)
+    if min(now.size, before.size) < _FEWEST_NEW or abs(step / usual_step - 1.0) > _SAME_RHYTHM:
+        return 0.0
+    longest = max(float(np.quantile(before, _NEARLY_ALL)) + 0.5 * usual_step, 1.5 * float(before.mean()))
+    usual = (float(np.sum(before > longest)) + 1.0) / before.size
+    late = float(np.mean(now > longest))
+    if late < _FAR_MORE * usual + 5.0 * math.sqrt(usual / now.size):
+        return 0.0
+    return max(1.0 - float(before.mean()) / float(now.mean()), 0.0)
+
+
+def _between_new(replay: Replay) -> tuple[FloatArray, float]:
+    """Return the times between new readings, before which no message was lost, and between messages.
+
+    Whole numbers repeat by chance where the field hardly changes: there they say nothing.
+    """
+    trace, nominal = replay.trace, replay.readings.nominal_mgauss
+    between = np.diff(trace.fresh_s)
+    if between.size < _FEWEST_NEW or len(nominal) != trace.fresh_s.size:
+        return np.zeros(0), 1.0
+    silent = between - trace.held_s[:-1]
+    step = float(np.median(silent))
+    changed = np.abs(np.diff(nominal, axis=0)).max(axis=1) * float(np.median(between)) / between
+    told = (silent < _LOST * step) & (changed >= _CHANGED * replay.resolution_mgauss)
+    return between[told], step
 
 
 def _steps_of(replay: Replay) -> tuple[float, float]:

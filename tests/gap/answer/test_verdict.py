@@ -286,6 +286,14 @@ def test_names_that_reach_the_floor_may_be_one_explanation_of_several(
     assert said(answer("ambiguous", *effects), **given).verdict == "ambiguous"
 
 
+@pytest.mark.parametrize(("after", "told"), [(1.20, "named"), (1.25, "ambiguous")])
+def test_a_name_that_comes_to_the_floor_must_hold_most_of_a_small_gap(after: float, told: Verdict) -> None:
+    # 1.25 mG^2 above the floor: 60 % of it is 0.75, and 1.5 is the square of 1.22.
+    small = Closing(1.5, after, 1.0, 0.5, (0.4, 0.6))
+    for field, heading in ((small, SILENT), (SILENT, small), (small, CLOSED)):
+        assert said(answer("named", "hard_iron"), field, heading).verdict == told
+
+
 def test_what_passes_has_more_than_a_place_or_a_moment_to_bend_by() -> None:
     def told(effect: str, **when_s: float) -> Verdict:
         return said(Answer("named", fit_of(effect, **when_s), False, None)).verdict

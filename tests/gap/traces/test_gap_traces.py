@@ -20,7 +20,7 @@ from mavcompass.gap.replay import Readings, replay
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.gap.traces import excess_variance, find_traces, quiet_doubt, quiet_scatter
 from mavcompass.gap.traces.rapid import find_rapid
-from mavcompass.gap.traces.steps_and_repeats import names_stale, stale_share
+from mavcompass.gap.traces.steps_and_repeats import _overdue_share, names_stale, stale_share
 from mavcompass.gap.trial.vehicles.cases import make_case
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Misfit, Signals
@@ -335,12 +335,73 @@ def test_a_frozen_compass_misses_a_turn_and_jumps_when_it_wakes(
     turned = np.zeros(time_s.size)
     held[100], jump[100], turned[100] = held_s, jump_mgauss, math.radians(turned_deg)
     trace = Trace(0.0, np.zeros(time_s.size, dtype=np.bool_), held, time_s, jump, turned, step_mgauss)
-    flight: Any = SimpleNamespace(telemetry=True, trace=trace, time_s=time_s)
-    baseline: Any = SimpleNamespace(
-        telemetry=True, trace=replace(trace, held_s=np.zeros(time_s.size)), time_s=time_s
-    )
+    still = SimpleNamespace(nominal_mgauss=np.zeros((time_s.size, 3)))
+    alike = {"telemetry": True, "time_s": time_s, "readings": still, "resolution_mgauss": 0.3}
+    flight: Any = SimpleNamespace(trace=trace, **alike)
+    baseline: Any = SimpleNamespace(trace=replace(trace, held_s=np.zeros(time_s.size)), **alike)
     assert names_stale(flight, baseline) is frozen
     assert stale_share(flight, baseline) == pytest.approx(held_s / 59.8 if frozen else 0.0)
+
+
+def told(
+    stale: float,
+    seed: int,
+    *,
+    reading_s: float = 0.1,
+    lost: float = 0.0,
+    whole: bool = False,
+    turning: bool = True,
+) -> Any:
+    """Read a compass every so often, some readings again, and report it every 40 ms, as a replay sees it."""
+    rng = np.random.default_rng(seed)
+    message_s = rng.uniform(0.0, 0.04) + np.arange(0.0, 120.0, 0.04)
+    message_s = message_s[rng.random(message_s.size) >= lost]
+    field = 200.0 * np.stack([f(0.5 * turning * message_s) for f in (np.cos, np.sin, np.ones_like)], axis=1)
+    tick = np.floor(message_s / reading_s).astype(np.int64)
+    taken = rng.random(tick[-1] + 1) >= stale
+    taken[0] = True
+    of = np.maximum.accumulate(np.where(taken, np.arange(taken.size), 0))[tick]
+    noise = rng.standard_normal((taken.size, 3))
+    first = np.searchsorted(tick, of)
+    seen = field[first] + 0.3 * noise[of]
+    trace = inspect(np.round(seen) if whole else seen, np.ones(message_s.size, dtype=np.bool_), message_s)
+    fresh = np.searchsorted(message_s, trace.fresh_s)
+    return SimpleNamespace(
+        telemetry=True,
+        trace=replace(trace, step_mgauss=float(whole)),
+        time_s=trace.fresh_s,
+        readings=SimpleNamespace(nominal_mgauss=field[fresh]),
+        resolution_mgauss=1.0 / math.sqrt(12.0) if whole else 0.0,
+    )
+
+
+@pytest.mark.parametrize("reading_s", [0.1, 0.04])
+@pytest.mark.parametrize("lost", [0.0, 0.03])
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.3])
+def test_readings_that_do_not_come_are_missed(
+    share: float, whole: bool, lost: float, reading_s: float
+) -> None:
+    """A compass that is read more slowly than it is reported repeats itself, but evenly."""
+    alike: Any = {"reading_s": reading_s, "lost": lost, "whole": whole}
+    baseline = told(0.0, 1, **alike)
+    flight = told(share, 2, **alike)
+    assert names_stale(flight, baseline) is (share > 0.0)
+    found = stale_share(flight, baseline)
+    assert found == pytest.approx(share, abs=0.02, rel=0.25)
+
+
+def test_whole_numbers_of_a_vehicle_that_stands_still_repeat_by_chance() -> None:
+    baseline = told(0.0, 1, reading_s=0.04, whole=True)
+    assert stale_share(told(0.0, 2, reading_s=0.04, whole=True, turning=False), baseline) == 0.0
+
+
+def test_messages_in_another_rhythm_tell_nothing_of_readings_that_do_not_come() -> None:
+    baseline, flight = told(0.0, 1), told(0.3, 2)
+    slower = replace(baseline.trace, fresh_s=2.0 * baseline.trace.fresh_s, held_s=2.0 * baseline.trace.held_s)
+    baseline.trace = slower
+    assert _overdue_share(flight, baseline) == 0.0
+    assert _overdue_share(flight, None) == 0.0
 
 
 # --- how much noise there is -----------------------------------------------------------------------------
