@@ -351,10 +351,16 @@ def told(
     lost: float = 0.0,
     whole: bool = False,
     turning: bool = True,
+    after_s: float | None = None,
 ) -> Any:
-    """Read a compass every so often, some readings again, and report it every 40 ms, as a replay sees it."""
+    """Read a compass every so often, some readings again, and report it every 40 ms, as a replay sees it.
+
+    At any time after a reading, or at one, give or take a millisecond.
+    """
     rng = np.random.default_rng(seed)
-    message_s = rng.uniform(0.0, 0.04) + np.arange(0.0, 120.0, 0.04)
+    message_s = (rng.uniform(0.0, 0.04) if after_s is None else after_s) + np.arange(0.0, 120.0, 0.04)
+    if after_s is not None:
+        message_s = np.maximum(message_s + 1e-3 * rng.standard_normal(message_s.size), 0.0)
     message_s = message_s[rng.random(message_s.size) >= lost]
     field = 200.0 * np.stack([f(0.5 * turning * message_s) for f in (np.cos, np.sin, np.ones_like)], axis=1)
     tick = np.floor(message_s / reading_s).astype(np.int64)
@@ -389,6 +395,14 @@ def test_readings_that_do_not_come_are_missed(
     assert names_stale(flight, baseline) is (share > 0.0)
     found = stale_share(flight, baseline)
     assert found == pytest.approx(share, abs=0.02, rel=0.25)
+
+
+def test_messages_as_often_as_readings_may_fall_on_either_side_of_them() -> None:
+    baseline, flight = told(0.0, 1, reading_s=0.04, after_s=0.02), told(0.0, 2, reading_s=0.04, after_s=0.001)
+    assert np.mean(np.diff(flight.trace.fresh_s) > 0.06) > 0.1
+    assert stale_share(flight, baseline) == 0.0
+    missed = told(0.2, 3, reading_s=0.04, after_s=0.001)
+    assert names_stale(missed, baseline)
 
 
 def test_whole_numbers_of_a_vehicle_that_stands_still_repeat_by_chance() -> None:
