@@ -26,7 +26,7 @@ _LASTING = 0.25
 # No model is exact: what holds less than this share of a gap (4 % of its square) may be the error of the
 # rest.
 _MATERIAL_SHARE, _MATERIAL_BESIDE_UNKNOWN, _EXPLAINED = 0.2, 0.4, 1.25
-_MATERIAL_IF_MISSED, _MISSED = 0.1, 2.0
+_MATERIAL_IF_MISSED, _MISSED = 0.1, 1.4
 # A set that leaves no more than this many floors explains enough.
 _AT_FLOOR = 1.25
 TOO_SMALL = "it removes no more than healthy sensors may be off, or less than a tenth of the gap"

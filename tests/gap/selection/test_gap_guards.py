@@ -346,7 +346,7 @@ def test_what_is_certain_need_not_rise_above_the_floor(
     ("share", "left_mgauss", "floor_mgauss", "refused"),
     [
         (0.21, 0.5, 4.0, False),
-        (0.19, 0.5, 4.0, True),  # 6.6 mG without it, no two floors
+        (0.19, 0.5, 5.0, True),  # 6.6 mG without it: that is near the floor
         (0.19, 0.5, 3.0, False),
         (0.11, 0.5, 1.0, False),
         (0.09, 0.5, 1.0, True),
