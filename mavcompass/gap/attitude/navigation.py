@@ -58,6 +58,7 @@ _VELOCITIES_MPS = (0.2, 0.6, 2.0, 6.0)
 # An autopilot's level is made of the same sensors, and its filter errs as the vehicle turns: it bounds the
 # level, and carries it over what was lost.
 _LEVEL_RAD, _LEVEL_MEMORY_S, _LEVEL_SCATTER_RAD = math.radians(2.0), 20.0, math.radians(0.5)
+_TOLD_TURN_RAD, _TOLD_TURN_SHARE = math.radians(1.0), 0.1
 # A witness is older than the gyro, or younger.
 _WITNESS_LATE_S = 0.03
 _FAST_MEMORY_S, _SLOW_MEMORY_S, _SCATTER_RAD = 8.0, 40.0, math.radians(0.1)
@@ -183,6 +184,14 @@ class _Smoother:
         self._angle = self._walked(self.rate, _WALK, 0.5)
         self._pushed = self._walked(self.force, _PUSH, 0.7)
         self._told = None if witness is None else self.at_knots(witness.rotation)
+        self._linked = self._turned
+        if self._told is not None:
+            # How far it turned while nothing was heard, an autopilot knows, whichever compass steers it.
+            known = self._is_silent & (self._angle > _TOLD_TURN_RAD**2)
+            turn = self._told[:-1].transpose(0, 2, 1) @ self._told[1:]
+            bent = _TOLD_TURN_SHARE * np.linalg.norm(rotation_vectors(turn), axis=1)
+            self._linked = np.where(known[:, None, None], turn, self._turned)
+            self._angle = np.where(known, _TOLD_TURN_RAD**2 + bent**2, self._angle)
 
     def chain(self, rotation: FloatArray, trust: FloatArray | None) -> Chain:
         """Return all equations about a trajectory (N, 3, 3) but those whose size is still to be found."""
@@ -195,7 +204,7 @@ class _Smoother:
         before, after, c = _blank(count, 3), _blank(count, 3), np.zeros((count, 3, _CONSTANTS))
         # phi_1 - phi_0 + integral R b + integral R diag(w) s = what the gyro turns beyond the trajectory
         before[:, :, _PHI], after[:, :, _PHI], before[:, :, _BIAS], c[:, :, _SCALE] = -unit, unit, turn, gain
-        beyond = rotation_vectors(at[:-1] @ self._turned @ at[1:].transpose(0, 2, 1))
+        beyond = rotation_vectors(at[:-1] @ self._linked @ at[1:].transpose(0, 2, 1))
         chain.link(before, after, c, beyond, one / self._angle[:, None])
         before, after = _blank(count, 3), _blank(count, 3)
         before[:, :, _BIAS], after[:, :, _BIAS] = -unit, unit

@@ -253,3 +253,28 @@ def test_receiver_of_what_stands_and_turns_tells_no_yaw(seed: int) -> None:
     found = reference_attitude(track, t)
     assert found.yaw_unknown
     assert rms(tilt_off(found.rotation, rotation)) < math.radians(0.3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_autopilot_tells_how_far_it_turned_while_nothing_was_heard(seed: int) -> None:
+    """Four positions: the gyro says little of a turn that is lost with the telemetry."""
+    rng = np.random.default_rng([seed, 6])
+    t = np.arange(0.0, 240.0, 0.04)
+    yaw = math.radians(90.0) * np.sum(
+        [np.clip((t - s) / 3.0, 0.0, 1.0) for s in (50.0, 110.0, 170.0)], axis=0
+    )
+    rotation = euler_to_matrix(0.05 * np.sin(0.5 * t), 0.04 * np.sin(0.4 * t), yaw)
+    force = rotate_back(rotation, np.tile([0.0, 0.0, -STANDARD_GRAVITY_MPS2], (t.size, 1)))
+    # The compass that steers is bent by as much as a calibration leaves.
+    told = np.stack([0.05 * np.sin(0.5 * t), 0.04 * np.sin(0.4 * t), yaw + 0.03 * np.sin(yaw)], axis=1)
+    heard = (t < 49.8) | (t > 53.3)
+    track = Track(
+        compasses={1: MagSeries(1, Series.of(t, rotate_back(rotation, np.array([200.0, 0.0, 400.0]))))},
+        gyro_radps=Series.of(t[heard], (body_rate(t, rotation) + rng.normal(0.0, 0.002, (t.size, 3)))[heard]),
+        acc_mps2=Series.of(t[heard], (force + rng.normal(0.0, 0.05, force.shape))[heard]),
+        attitude_rad=Series.of(t[heard], told[heard]),
+    )
+    found = reference_attitude(track, t)
+    off = np.degrees(np.unwrap(yaw_off(found.rotation, rotation)))
+    jump = np.mean(off[(t > 53.3) & (t < 57.0)]) - np.mean(off[(t > 46.0) & (t < 49.8)])
+    assert abs(jump) < 4.0
