@@ -65,8 +65,8 @@ def needs_none(candidate: Identified, floor: Floor) -> bool:
     if floor.representative or stated:
         # An exact floor is asked for more than its size, and that of an independent attitude is generous.
         return False
-    if floor.measured and candidate.problem.strain(candidate.problem.null()) > STRAINED:
-        # What a baseline taught of the vehicle was bent to come there.
+    if floor.measured and not candidate.problem.straight(candidate.problem.null()):
+        # What a baseline taught of the vehicle was bent to come there, further than by chance.
         return False
     if floor.measured and max(whitened_left(candidate, candidate.found.null), default=0.0) > _LOUD:
         # Readings that know better than their floor may know an effect below it.

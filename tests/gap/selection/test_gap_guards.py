@@ -185,6 +185,13 @@ def test_readings_that_know_better_than_their_floor_are_searched(left_mgauss: fl
     assert guards.needs_none(here, floor(9.0, 9.0, measured=False))
 
 
+@pytest.mark.parametrize("bent", [0.0, 21.0, 23.0])
+def test_what_is_known_is_searched_where_it_was_bent_further_than_by_chance(bent: float) -> None:
+    here = candidate(explained((0.0, 0.0, 0.0), noise_mgauss=2.0, bent=bent), fit_of())
+    assert guards.needs_none(here, floor(9.0, 9.0)) is (bent < 22.0)
+    assert guards.needs_none(here, floor(9.0, 9.0, measured=False))
+
+
 def test_without_held_out_rows_nothing_lies_at_the_floor() -> None:
     none = replace(split(), test=np.zeros(ROWS, dtype=np.bool_))
     here = candidate(explained((0.0, 0.0, 0.0)), fit_of(), split=none)
