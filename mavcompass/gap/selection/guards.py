@@ -252,10 +252,13 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
         most = 0.0
         for k, removed in enumerate(both):
             change, level = gap[k]
-            # What lies far above the floor without it, and at the floor with it, is no error of the rest.
-            missed = explained and not stated and removed.without > _MISSED * level
-            of_gap = _MATERIAL_IF_MISSED if missed else part
-            least = max(_LEAST_HERE[floor.measured][k], share * hides[k], of_gap * change, lost[k])
+            of_gap = part * change
+            if not stated and removed.without > _MISSED * level:
+                # What lies far above the floor without it is no error of the rest: where it comes to the floor
+                # with it, and where it is a good part of all that the rest leaves.
+                unknown = max(_MATERIAL_SHARE * change, _MATERIAL_BESIDE_UNKNOWN * removed.without)
+                of_gap = _MATERIAL_IF_MISSED * change if explained else min(of_gap, unknown)
+            least = max(_LEAST_HERE[floor.measured][k], share * hides[k], of_gap, lost[k])
             if removed.sure > 0.0 and removed.without > above * level:
                 most = max(most, math.sqrt(removed.square) / least)
         return most
