@@ -254,8 +254,8 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
             change, level = gap[k]
             of_gap = part * change
             if not stated and removed.without > _MISSED * level:
-                # What lies far above the floor without it is no error of the rest: where it comes to the floor
-                # with it, and where it is a good part of all that the rest leaves.
+                # What lies far above the floor without it is no error of the rest where it comes to the
+                # floor with it, and where it is a good part of all that the rest leaves.
                 unknown = max(_MATERIAL_SHARE * change, _MATERIAL_BESIDE_UNKNOWN * removed.without)
                 of_gap = _MATERIAL_IF_MISSED * change if explained else min(of_gap, unknown)
             least = max(_LEAST_HERE[floor.measured][k], share * hides[k], of_gap, lost[k])
