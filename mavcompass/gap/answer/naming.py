@@ -29,14 +29,14 @@ def named_causes(
     measured = replay.measured.mag_mgauss
     after = apart(replay, measured, problem.predict(fit).mag_mgauss, rows)
     out = []
+    covariance = problem.lasting_covariance(fit) if fit.terms else fit.covariance
     at = sum(n.mean.size for n in problem.nuisances)
     for i, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
         index = np.flatnonzero(term.free)
-        block = fit.covariance[at : at + index.size, at : at + index.size]
-        sigma = np.zeros(theta.size)
-        if block.shape == (index.size, index.size):
-            sigma[index] = np.sqrt(np.maximum(np.diag(block), 0.0))
+        place = slice(at, at + index.size)
         at += index.size
+        sigma = np.zeros(theta.size)
+        sigma[index] = np.sqrt(np.maximum(np.diag(covariance[place, place]), 0.0))
         left = apart(replay, measured, problem.predict(fit.without(i)).mag_mgauss, rows)
         field, heading = (math.sqrt(max(a**2 - b**2, 0.0)) for a, b in zip(left, after, strict=True))
         others = sorted({effect for ids in weights if term.effect.id not in ids for effect in ids - fit.ids})

@@ -15,7 +15,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.chance import least_gain
 from mavcompass.gap.fit.composition import Composition
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
-from mavcompass.gap.fit.newton import bridge, invert, moved, room, solve_within
+from mavcompass.gap.fit.newton import bridge, cluster_covariance, invert, moved, room, solve_within
 from mavcompass.gap.replay import (
     WHEREABOUTS,
     Noise,
@@ -31,6 +31,8 @@ _CONVERGED = 0.02
 # The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, and
 # serves to come nearer so far, in natural sizes.
 _NEAR, _FAR = 0.3, 5.0
+# What errs together, in seconds.
+_LASTING_S = 10.0
 
 
 class Problem:
@@ -149,6 +151,21 @@ class Problem:
                 out[:, some] = white.reshape(rows.size * 3, some.size)
             parts.append(out)
         return np.concatenate(parts)
+
+    def lasting_covariance(self, fit: Fit) -> FloatArray:
+        """Return the covariance of a fit's nuisances and free parameters where errors last for seconds.
+
+        An attitude wanders: readings that follow each other err together, which no noise of single readings
+        tells (`cluster_covariance`).
+        """
+        states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
+        n = len(self.nuisances)
+        members = range(n if self._steady else 0, n + len(fit.terms))
+        columns = self.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, members)
+        r = self.residual(states[-1].reading)
+        block = np.floor(self.replay.time_s[self.index] / _LASTING_S).astype(np.int64)
+        label = np.tile(np.repeat(block, 3), len(self.groups))
+        return cluster_covariance(columns, r, label, self._known(weak_precision(fit.terms)))
 
     def strain(self, fit: Fit) -> float:
         """Return how far a fit strains what is known of vehicle and place together, in squared sigmas.
@@ -280,16 +297,20 @@ class Problem:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the normal matrix and the gradient, priors included."""
         n, n_dim = len(self.nuisances), 0 if self._steady else self._prior.size
-        normal, gradient = J.T @ J, J.T @ r
+        normal, gradient = J.T @ J + self._known(weak), J.T @ r
         if n_dim:
-            normal[:n_dim, :n_dim] += self._precision
             gradient[:n_dim] += self._precision @ (self._prior - np.concatenate(x[:n]))
         if weak.size:
             amplitudes = np.concatenate([v[f] for v, f in zip(x[n:], free[n:], strict=True)])
-            place = np.arange(n_dim, len(normal))
-            normal[place, place] += weak
             gradient[n_dim:] -= weak * amplitudes
         return normal, gradient
+
+    def _known(self, weak: FloatArray) -> FloatArray:
+        """Return the precision of nuisances and free parameters before any reading."""
+        n_dim = 0 if self._steady else self._prior.size
+        known = np.diag(np.concatenate([np.zeros(n_dim), weak]))
+        known[:n_dim, :n_dim] = self._precision if n_dim else 0.0
+        return known
 
     def _cost(
         self, r: FloatArray, x: list[FloatArray], free: list[NDArray[np.int64]], weak: FloatArray

@@ -1,4 +1,5 @@
-"""The linear algebra of one step of Gauss and Newton, and of rows without a reading."""
+"""The linear algebra of one step of Gauss and Newton, of what it leaves in doubt, and of rows without a
+reading."""
 
 from __future__ import annotations
 
@@ -78,3 +79,28 @@ def invert(normal: FloatArray) -> FloatArray:
     told = np.diag(normal) > 0.0
     size = np.where(told, np.sqrt(np.maximum(np.diag(normal), 1e-300)), 1.0)
     return np.asarray(np.linalg.pinv(normal / np.outer(size, size), rcond=1e-10) / np.outer(size, size))
+
+
+def cluster_covariance(
+    columns: FloatArray, residual: FloatArray, block: NDArray[np.int64], precision: FloatArray
+) -> FloatArray:
+    """Return the covariance (K, K) of a fit whose whitened errors may last for a block.
+
+    Columns (n, K) and the residual (n,) are of one fit, `block` (n,) labels what may err together, and
+    `precision` (K, K) is what is known beforehand. With A = J^T J + P it is A^-1 (sum_b s_b s_b^T + P) A^-1,
+    s_b being a block's score J_b^T r_b (White, Econometrica 48, 1980; for clusters Liang and Zeger,
+    Biometrika 73, 1986), and never less than A^-1 for any parameter: what errors that last add is told,
+    but not that a few blocks agree by chance.
+    """
+    plain = invert(columns.T @ columns + precision)
+    label = np.unique(block, return_inverse=True)[1]
+    count = int(label.max(initial=0)) + 1
+    if count < 2:
+        return plain
+    order = np.argsort(label, kind="stable")
+    first = np.searchsorted(label[order], np.arange(count))
+    scores = np.add.reduceat(columns[order] * residual[order, None], first, axis=0)
+    lasting = plain @ (count / (count - 1.0) * scores.T @ scores + precision) @ plain
+    sigma, least = (np.sqrt(np.maximum(np.diag(m), 0.0)) for m in (lasting, plain))
+    wider = np.divide(np.maximum(sigma, least), sigma, out=np.ones_like(sigma), where=sigma > 0.0)
+    return np.asarray(lasting * np.outer(wider, wider))

@@ -15,15 +15,18 @@ from mavcompass.gap.trial.vehicles import make_case
 # What a turned compass changes is 293, 470 and 620 mG; the other effects 6, 31 and 50.
 @pytest.mark.parametrize(
     ("seed", "beside", "within"),
-    [(1217082270, "hysteresis", 3.0), (615621390, "cross_axis", 0.015), (1223982451, "field_gradient", 0.1)],
+    [(1217082270, "hysteresis", 3.0), (615621390, "cross_axis", 0.02), (1223982451, "field_gradient", 0.1)],
 )
 def test_small_effect_beside_a_turned_compass_is_named(seed: int, beside: str, within: float) -> None:
     case = make_case(seed, "pair")
     found = diagnose_gap(case.track, case.baseline)
     assert [cause.effect for cause in found.causes] == ["orientation", beside]
-    named = dict(found.causes[1].parameters)
+    named = found.causes[1]
     for name, true in dict(case.effects)[beside].items():
-        assert named[name] == pytest.approx(true, abs=within)
+        assert named.parameters[name] == pytest.approx(true, abs=within)
+        # Its attitude wanders, so that readings of seconds err together: what is stated says so.
+        sigma = (named.ci95[name][1] - named.ci95[name][0]) / 3.92
+        assert abs(named.parameters[name] - true) < 3.0 * sigma
     assert found.verdict in ("named", "ambiguous")
     assert dict(found.ambiguity_set) == {tuple(sorted(("orientation", beside))): 1.0}
     assert found.field.after < found.field.floor
