@@ -7,12 +7,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mavcompass.gap.fit import Fit, Problem, make_term
+from mavcompass.gap.answer.intervals import intervals
+from mavcompass.gap.fit import Fit, make_term
 from mavcompass.gap.left import Scatter, apart
 from mavcompass.gap.result import Cause
-from mavcompass.gap.selection import Identified, between_rows
+from mavcompass.gap.selection import Identified
 from mavcompass.gap.traces import Traces
-from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
 
 
 def named_causes(
@@ -29,28 +29,22 @@ def named_causes(
     measured = replay.measured.mag_mgauss
     after = apart(replay, measured, problem.predict(fit).mag_mgauss, rows)
     out = []
-    covariance = problem.lasting_covariance(fit) if fit.terms else fit.covariance
-    at = sum(n.mean.size for n in problem.nuisances)
+    told = intervals(problem, fit)
     for i, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
-        index = np.flatnonzero(term.free)
-        place = slice(at, at + index.size)
-        at += index.size
-        sigma = np.zeros(theta.size)
-        sigma[index] = np.sqrt(np.maximum(np.diag(covariance[place, place]), 0.0))
         left = apart(replay, measured, problem.predict(fit.without(i)).mag_mgauss, rows)
         field, heading = (math.sqrt(max(a**2 - b**2, 0.0)) for a, b in zip(left, after, strict=True))
         others = sorted({effect for ids in weights if term.effect.id not in ids for effect in ids - fit.ids})
         free = make_term(term.effect, problem.replay.signals).free
-        shown = [
-            (p, float(v), float(s))
-            for p, v, s, f in zip(term.effect.parameters, theta, sigma, free, strict=True)
+        shown = {
+            p.name: float(value)
+            for p, value, f in zip(term.effect.parameters, theta, free, strict=True)
             if f or p.integer or p.scale == 0.0
-        ]
+        }
         out.append(
             Cause(
                 effect=term.effect.id,
-                parameters={p.name: value for p, value, _ in shown},
-                ci95={p.name: _interval(problem, p, value, s) for p, value, s in shown},
+                parameters=shown,
+                ci95={name: told[i][name] for name in shown},
                 probability=sum(w for ids, w in weights.items() if term.effect.id in ids) or own,
                 ambiguous_with=tuple(others),
                 separation=_separation(identified, fit, term.effect.id),
@@ -59,14 +53,6 @@ def named_causes(
             )
         )
     return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
-
-
-def _interval(problem: Problem, parameter: Parameter, value: float, sigma: float) -> tuple[float, float]:
-    low, high = value - 1.96 * sigma, value + 1.96 * sigma
-    if parameter.name in MOMENTS and abs(value) < NEVER_S:
-        before, after = between_rows(problem, value)
-        return min(low, before), max(high, after)
-    return max(low, parameter.low), min(high, parameter.high)
 
 
 def _separation(identified: Identified, fit: Fit, effect_id: str) -> float | None:
@@ -93,10 +79,19 @@ def trace_causes(scatter: Scatter | None, traces: Traces, level_mgauss: float) -
             )
         )
     if traces.stale_share > 0.0:
-        found.append(("stale_samples", {"fraction": traces.stale_share}, {}, 0.0))
+        found.append(
+            ("stale_samples", {"fraction": traces.stale_share}, {"fraction": traces.stale_doubt}, 0.0)
+        )
     if traces.step_mgauss > 0.0:
         step = traces.step_mgauss
-        found.append(("quantisation", {"step_mgauss": step}, {}, step / math.sqrt(12.0)))
+        found.append(
+            (
+                "quantisation",
+                {"step_mgauss": step},
+                {"step_mgauss": traces.step_doubt_mgauss},
+                step / math.sqrt(12.0),
+            )
+        )
     for rapid in traces.rapid:
         found.append((rapid.effect, rapid.parameters, rapid.sigma, math.sqrt(rapid.variance_mgauss2)))
     return tuple(

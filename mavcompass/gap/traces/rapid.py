@@ -147,9 +147,33 @@ def _line(readings: Readings, fast: FloatArray) -> tuple[Rapid, bool]:
         width /= _STEPS
     # The catalogue counts the phase on the recording's own clock.
     columns = _waves(time, best)
-    waves, sigma = _fitted(readings, columns, fast)
-    values, doubt = np.append(waves.ravel(), best), np.append(sigma.ravel(), width)
-    return _rapid("ac_interference", _WAVES, values, doubt, columns @ waves), clear
+    waves, _ = _fitted(readings, columns, fast)
+    doubt = _line_doubt(readings, columns, waves, fast)
+    return _rapid("ac_interference", _WAVES, np.append(waves.ravel(), best), doubt, columns @ waves), clear
+
+
+def _line_doubt(readings: Readings, columns: FloatArray, waves: FloatArray, fast: FloatArray) -> FloatArray:
+    """Return the sigmas of a line's values (7,): what its frequency may be off by turns its phase.
+
+    Of a sine's sums alone the sigma at the clock's zero is half as wide as it ought to be, or less
+    (Rife and Boorstyn, IEEE Trans. Inf. Theory 20, 1974).
+    """
+    rows = readings.valid
+    design = _without_slow(readings, columns)[rows]
+    # The derivative of sin and cos by the frequency; the time is counted from the clock's zero.
+    turning = (
+        2.0 * math.pi * readings.time_s[:, None] * (columns[:, 1:] * waves[0] - columns[:, :1] * waves[1])
+    )
+    turning = _without_slow(readings, turning)[rows]
+    noise = np.maximum(np.std(fast[rows] - design @ waves, axis=0), 1e-9)
+    normal = np.zeros((7, 7))
+    for axis in range(3):
+        own = np.column_stack([design, turning[:, axis]]) / noise[axis]
+        place = np.ix_([axis, 3 + axis, 6], [axis, 3 + axis, 6])
+        normal[place] += own.T @ own
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    covariance = np.linalg.pinv(normal / np.outer(size, size)) / np.outer(size, size)
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
 def _spectrum(readings: Readings, fast: FloatArray) -> tuple[FloatArray, FloatArray]:

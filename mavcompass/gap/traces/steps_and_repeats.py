@@ -113,6 +113,35 @@ def _steps_of(replay: Replay) -> tuple[float, float]:
     return replay.trace.step_mgauss, replay.resolution_mgauss
 
 
+def told_step(replay: Replay) -> tuple[float, float]:
+    """Return the step of the numbers and its sigma, mG: levels against how many steps they are.
+
+    What rounding makes of a level it makes of each reading there: a level counts once.
+    """
+    step, readings = replay.trace.step_mgauss, replay.readings
+    raw = (readings.error_mgauss + readings.nominal_mgauss)[readings.valid]
+    levels, means = [], []
+    for column in raw.T:
+        level, which, size = np.unique(
+            np.round((column - column[0]) / step), return_inverse=True, return_counts=True
+        )
+        mean = np.bincount(which, column) / size
+        levels.append(level - level.mean())
+        means.append(mean - mean.mean())
+    count, field = np.concatenate(levels), np.concatenate(means)
+    square, free = float(count @ count), count.size - 4
+    if free < 1:
+        return step, step
+    fitted = float(field @ count) / square
+    return fitted, math.sqrt(float(np.sum((field - fitted * count) ** 2)) / free / square)
+
+
+def stale_doubt(replay: Replay, share: float) -> float:
+    """Return the sigma of a share of readings that repeat, each by chance."""
+    count = replay.trace.fresh_s.size / max(1.0 - share, 1e-3)
+    return math.sqrt(share * (1.0 - share) / max(count, 1.0))
+
+
 def names_step(replay: Replay, baseline: Replay | None, noise_mgauss: float) -> bool:
     """Tell whether the step of the numbers is an effect: coarse beside the noise, and not nominal."""
     found, nominal = replay.trace, baseline.trace if baseline is not None else None

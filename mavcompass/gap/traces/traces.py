@@ -8,7 +8,13 @@ from dataclasses import dataclass
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.traces.rapid import IDS, Rapid, find_rapid
 from mavcompass.gap.traces.scattered import excess_variance
-from mavcompass.gap.traces.steps_and_repeats import names_stale, names_step, stale_share
+from mavcompass.gap.traces.steps_and_repeats import (
+    names_stale,
+    names_step,
+    stale_doubt,
+    stale_share,
+    told_step,
+)
 from mavcompass.simulation.effects import Effect
 
 # An effect of less than this share of the floor lifts nothing above it.
@@ -24,6 +30,7 @@ class Traces:
 
     Attributes:
         stale_share: the share of repeats; step_mgauss: the step of the numbers; zero where not to be named.
+        stale_doubt, step_doubt_mgauss: their standard deviations.
         rapid: effects that change with every reading, and were taken out.
         excess_mgauss2: the variance of white scatter beyond the baseline's, of single readings.
     """
@@ -32,6 +39,8 @@ class Traces:
     step_mgauss: float = 0.0
     rapid: tuple[Rapid, ...] = ()
     excess_mgauss2: float = 0.0
+    stale_doubt: float = 0.0
+    step_doubt_mgauss: float = 0.0
 
     @property
     def named(self) -> bool:
@@ -53,7 +62,7 @@ def find_traces(
     search finds by itself what changes from reading to reading.
     """
     stale = stale_share(replay, baseline) if names_stale(replay, baseline) else 0.0
-    step = replay.trace.step_mgauss if names_step(replay, baseline, noise_mgauss) else 0.0
+    step, step_doubt = told_step(replay) if names_step(replay, baseline, noise_mgauss) else (0.0, 0.0)
     readings, before = replay.readings, None if baseline is None else baseline.readings
     rapid: tuple[Rapid, ...] = ()
     if step == 0.0 and not (exact and replay.averaged == 1):
@@ -71,7 +80,8 @@ def find_traces(
     for one in rapid:
         replay = replay.without(one.change_mgauss)
     stale = stale if "stale_samples" in names else 0.0
-    return Traces(stale, step if "quantisation" in names else 0.0, rapid, excess), replay
+    step = step if "quantisation" in names else 0.0
+    return Traces(stale, step, rapid, excess, stale_doubt(replay, stale), step_doubt), replay
 
 
 def searched(replay: Replay, effects: Iterable[Effect]) -> list[Effect]:
