@@ -46,10 +46,9 @@ def _belief(problem: Problem, weight: float, fit: Fit) -> Belief:
     for term, start in zip(fit.terms, starts[1:], strict=False):
         rows += (start + np.flatnonzero(term.free)).tolist()
     covariance = np.zeros((mean.size, mean.size))
-    if len(fit.covariance) == len(rows):
-        kept = np.flatnonzero(np.array(rows, dtype=np.int64) >= 0)
-        places = np.array(rows, dtype=np.int64)[kept]
-        covariance[np.ix_(places, places)] = fit.covariance[np.ix_(kept, kept)]
+    kept = np.flatnonzero(np.array(rows, dtype=np.int64) >= 0)
+    places = np.array(rows, dtype=np.int64)[kept]
+    covariance[np.ix_(places, places)] = problem.lasting_covariance(fit)[np.ix_(kept, kept)]
     from_usual = _from_no_load(mean.size, float(problem.replay.iron.load.mean()))
     return Belief(
         weight,

@@ -12,7 +12,7 @@ from mavcompass.gap.fit import Fit, Problem, difference, make_term
 from mavcompass.gap.selection import between_rows
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
 
-_SIGMAS = 1.959964
+_SIGMAS = 1.96
 # Twice the logarithm of the likelihood that a value costs at the end of its interval.
 _COST = _SIGMAS**2
 # A value without a derivative is followed in steps that grow, and its end closed in on by halving.
