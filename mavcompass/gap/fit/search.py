@@ -33,6 +33,8 @@ _CATALOGUE_SIZE = 40
 _SHORT = 3
 _LIKELY_YAWS = 2
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
+# What is so much likelier by EBIC's score is worth another search; seen beside so many effects alone.
+_FAR_LIKELIER, _ALONE = 20.0, 2
 _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
 _HOPEFUL = 0.7
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
@@ -147,10 +149,42 @@ class Search:
                 best = rival
             else:
                 self._temper = before
-        best = self.polished(best)
+        best = self._with_rivals(self.polished(best))
+        for seen in (self._beside_one, self._among_rivals):
+            other = seen(best)
+            if other is not best:
+                other = self._with_rivals(self.polished(self._rounds(null, most, (), other)))
+                best = min(best, other, key=self.score)
+        return Found(self._unbent(null), best, self.explored, self.weights(best))
+
+    def _with_rivals(self, best: Fit) -> Fit:
         self.explored[best.ids] = best
         self._remember(self._rivals(best))
-        return Found(self._unbent(null), best, self.explored, self.weights(best))
+        return best
+
+    def _among_rivals(self, best: Fit) -> Fit:
+        """Return what is as large as the best set and does far better; it was not seen on the way there."""
+        as_large = [fit for fit in self.explored.values() if len(fit.terms) == len(best.terms)]
+        likeliest = min(as_large, key=self.score)
+        return likeliest if self.score(likeliest) < self.score(best) - _FAR_LIKELIER else best
+
+    def _beside_one(self, best: Fit) -> Fit:
+        """Return the best set that is seen beside the one effect that does best alone.
+
+        Beside nothing what limits the readings, or lasts for a moment, hides or bends what others do.
+        """
+        if any(t.effect.kind == "discrete" for t in best.terms) or len(best.terms) < 2:
+            return best
+        ones = [fit for ids, fit in self.explored.items() if len(ids) == 1 and ids <= best.ids]
+        empty, fits = Fit((), (), (), np.inf), [best]
+        for one in sorted(ones, key=self.score)[:_ALONE]:
+            if (one.ids, 0) not in self._candidates:
+                candidates = self._linearised(self.problem.refit(one), ())
+                sets = likeliest_sets(candidates, self._temper, self.cost, 2).get(2, ())
+                fits += [self._fitted(candidates, chosen, empty, _SHORT) for chosen in sets]
+        self._remember(fits)
+        likeliest = min(fits, key=self.score)
+        return likeliest if self.score(likeliest) < self.score(best) - _FAR_LIKELIER else best
 
     def likeliest(self, size: int) -> frozenset[str]:
         """Return the set of a size that the catalogue, linearised beside nothing, makes likeliest."""

@@ -19,6 +19,8 @@ _WORSE = 4.0
 RELAY = "relay_field"
 # Loads are recorded ten times a second at best; at least a third of the rows must be clear of switching.
 _LOAD_S, _MOST_SWITCHED = 0.1, 0.67
+# A low pass has settled after so many of its time constants.
+_SETTLED = 2.0
 # What is switched shows in single rows from so many deviations on. A row is off by this share of it, by
 # little more than all, and across it by less than half of that; a tenth of the rows at most.
 _SEEN_APART, _PART, _ALL, _ASIDE, _BY_CHANCE = 6.0, 0.25, 1.2, 0.5, 0.1
@@ -84,18 +86,20 @@ def switched(problem: Problem, fit: Fit) -> Mask:
             last = np.flatnonzero(np.diff(np.abs(field).max(axis=1)))
             when = 0.5 * (time[last] + time[last + 1]) + late
             width = max(float(np.median(np.diff(time))), problem.replay.loads_every_s, _LOAD_S)
+            # What is smoothed goes on for as long as that takes.
+            width += _SETTLED * (fit.theta("low_pass")[0] if "low_pass" in fit.ids else 0.0)
             at = np.searchsorted(when, time)
             for beside in (np.append(when, np.inf)[at], np.insert(when, 0, -np.inf)[at]):
                 rows |= np.abs(time - beside) < width
-            rows |= _other_way(problem, fit, field, np.asarray(theta[:3]))
+            rows |= _other_way(problem, fit, field, np.asarray(theta[:3]), rows)
     return rows if rows[problem.usable].mean() < _MOST_SWITCHED else np.zeros_like(rows)
 
 
-def _other_way(problem: Problem, fit: Fit, field_mgauss: FloatArray, own: FloatArray) -> Mask:
+def _other_way(problem: Problem, fit: Fit, field_mgauss: FloatArray, own: FloatArray, shared: Mask) -> Mask:
     """Tell which rows (N,) were switched the other way, or partly, between two records of the load.
 
     They are off along the field that is switched, toward where it is not, and hardly across it. More than a
-    few are no chance: then it is not switched by that load.
+    few that are not `shared` (N,) anyhow are no chance: then it is not switched by that load.
     """
     size = float(np.linalg.norm(own))
     error = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
@@ -108,7 +112,8 @@ def _other_way(problem: Problem, fit: Fit, field_mgauss: FloatArray, own: FloatA
     toward = np.where(on, -along, along)
     with np.errstate(invalid="ignore"):
         rows: Mask = (toward > _PART) & (toward < _ALL) & (across < _ASIDE * toward * size)
-    return rows if rows[problem.usable].mean() < _BY_CHANCE else np.zeros_like(rows)
+    clear = problem.usable & ~shared
+    return rows if rows[clear].mean() < _BY_CHANCE else np.zeros_like(rows)
 
 
 def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:

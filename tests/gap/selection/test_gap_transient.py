@@ -99,13 +99,20 @@ def test_between_fitted_rows_any_moment_fits() -> None:
     assert put.thetas[0][0] == 30.0
 
 
-def switching(load: FloatArray, late_s: float = 0.0, every_s: float = 0.0) -> FloatArray:
+def switching(
+    load: FloatArray, late_s: float = 0.0, every_s: float = 0.0, smoothed_s: float = 0.0
+) -> FloatArray:
     """Return the times that something switched above half of a load leaves out."""
     effect = registry.get("relay_field")
     low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
     theta = np.array([30.0, 0.0, 0.0, 0.0, 0.5])
     age = Nuisance.of(AGE, np.array([late_s]), np.ones(1))
-    fit = Fit((Term(effect, np.ones(low.size, dtype=np.bool_), low, high),), (theta,), (age.mean,), 0.0)
+    terms, thetas = [Term(effect, np.ones(low.size, dtype=np.bool_), low, high)], [theta]
+    if smoothed_s:
+        one = np.ones(1)
+        terms.append(Term(registry.get("low_pass"), one > 0.0, one, one))
+        thetas.append(smoothed_s * one)
+    fit = Fit(tuple(terms), tuple(thetas), (age.mean,), 0.0)
     stimulus = SimpleNamespace(throttle=load)
 
     class Still:
@@ -133,10 +140,14 @@ def test_readings_about_a_switching_are_set_aside_unless_there_are_too_many() ->
     assert switching(np.zeros(TIME.size)).size == 0
     often = np.where(np.floor(TIME / 0.65) % 2 == 0, 1.0, 0.0)
     assert 0.25 * TIME.size < switching(often).size < 0.4 * TIME.size
+    # A low pass goes on after each switching.
+    assert switching(once, smoothed_s=0.1) == pytest.approx(np.arange(9.7, 10.26, 0.05))
     assert switching(np.where(np.floor(TIME / 0.25) % 2 == 0, 1.0, 0.0)).size == 0
 
 
-def other_way(off: FloatArray, rows: Sequence[int], size_mgauss: float = 50.0) -> list[int]:
+def other_way(
+    off: FloatArray, rows: Sequence[int], size_mgauss: float = 50.0, shared: Sequence[int] = ()
+) -> list[int]:
     """Return the rows that were switched the other way, of those that are off by `off`, mG."""
     own = size_mgauss * np.array([0.6, -0.8, 0.0])
     on = TIME >= 10.0
@@ -147,7 +158,9 @@ def other_way(off: FloatArray, rows: Sequence[int], size_mgauss: float = 50.0) -
     problem: Any = SimpleNamespace(
         replay=replay, usable=np.ones(TIME.size, dtype=np.bool_), predict=lambda fit: reading
     )
-    told = transient._other_way(problem, Fit((), (), (), 0.0), reading.mag_mgauss, own)
+    told = transient._other_way(
+        problem, Fit((), (), (), 0.0), reading.mag_mgauss, own, np.isin(np.arange(TIME.size), shared)
+    )
     return np.flatnonzero(told).tolist()
 
 
@@ -161,6 +174,8 @@ def test_a_load_that_comes_and_goes_between_two_records_shows_in_the_readings() 
     assert other_way(np.array([40.0, 30.0, 0.0]), [early]) == []  # across
     many = list(range(0, 60, 2)) + list(range(60, 150))
     assert other_way(own, [row for row in many if TIME[row] < 10.0]) == []  # another thing switches it
+    # Beside a switching a reading may lie on either side.
+    assert other_way(own, range(0, 90), shared=range(0, 85)) == list(range(0, 90))
     small = 8.0 * np.array([0.6, -0.8, 0.0])
     assert other_way(small, [early], 8.0) == []  # as noise does
 
