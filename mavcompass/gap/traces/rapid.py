@@ -70,8 +70,8 @@ def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: floa
     line, clear = _line(readings, fast)
     clear = clear and line.variance_mgauss2 > least_mgauss**2 and not _is_in(baseline, line)
     toggling = _toggling(readings, fast)
+    alternates = toggling.variance_mgauss2 > (1.0 - _SIMPLER) * line.variance_mgauss2
     if excess <= least_mgauss**2:  # the baseline is as loud, by something else
-        alternates = toggling.variance_mgauss2 > (1.0 - _SIMPLER) * line.variance_mgauss2
         return None if not clear else toggling if alternates else line
 
     def share(rapid: Rapid) -> float:
@@ -83,8 +83,8 @@ def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: floa
     best = toggling if share(toggling) > max(share(line) - _SIMPLER, 0.0) else line
     if share(best) > _SHARE:
         return best
-    if clear and best is line:
-        return line
+    if clear and (alternates or best is line):
+        return toggling if alternates else line
     if share(best) < _BESIDE_NOISE or baseline is None:
         return None
     return best if excess_variance(readings.without(best.change_mgauss), baseline) > 0.0 else None

@@ -111,6 +111,8 @@ def test_line_is_told_beside_an_error_that_is_far_louder() -> None:
         readings(noisy(T, 8) + toggling, T), restless, 1.0
     )  # as a line of half the rate would be
     assert found is not None and found.effect == "set_reset_offset"
+    found = find_rapid(readings(noisy(T, 8) + wide + toggling, T), HEALTHY, 1.0)
+    assert found is not None and found.effect == "set_reset_offset"
 
 
 def test_the_loudest_line_is_told_not_its_image_in_a_quiet_band() -> None:
