@@ -175,7 +175,10 @@ class Search:
         """
         if any(t.effect.kind == "discrete" for t in best.terms) or len(best.terms) < 2:
             return best
-        ones = [fit for ids, fit in self.explored.items() if len(ids) == 1 and ids <= best.ids]
+        if len(best.terms) == 2:
+            ones = [self.without(best, effect_id) for effect_id in sorted(best.ids)]
+        else:
+            ones = [fit for ids, fit in self.explored.items() if len(ids) == 1 and ids <= best.ids]
         empty, fits = Fit((), (), (), np.inf), [best]
         for one in sorted(ones, key=self.score)[:_ALONE]:
             if (one.ids, 0) not in self._candidates:
