@@ -175,7 +175,7 @@ def owning_up(
         if min(left) > most or problem.strain(fit) > _BENT_UNNAMED:
             quiet = decided.named.terms and max(whitened_left(identified, decided.named)) < _LOUD_BESIDE
             return decided if quiet else Answer("unknown", answer.named, True, adequacy.where)
-        return answer
+        return Answer("unknown", answer.named, True, "frequency") if adequacy.sweeps else answer
     if min(left, default=0.0) > _LOUD_BESIDE:
         return Answer("named_with_remainder", answer.named, True, adequacy.where)
     for test in sorted(adequacy.tests, key=lambda t: -t.excess):

@@ -353,6 +353,7 @@ def beside(
     decided: tuple[str, ...] = (),
     decided_left: float = 1.0,
     rest_at_floor: bool = False,
+    sweeps: bool = False,
 ) -> Answer:
     """Ask what becomes of an answer: `left` of rows that were fitted, and of others, mean squares.
 
@@ -369,7 +370,7 @@ def beside(
     problem = rows(left[0], strain=lambda _: strain, null=fit_of, with_rows=lambda _: held)
     found = SimpleNamespace(problem=problem, split=SimpleNamespace(test=None))
     made = [SimpleNamespace(name=name, excess=excess, coordinate=f"at {name}") for name, excess in tests]
-    adequacy: Any = SimpleNamespace(tests=made, where="somewhere")
+    adequacy: Any = SimpleNamespace(tests=made, where="somewhere", sweeps=sweeps)
     field: Any = SimpleNamespace(nominal=nominal, floor=1.0)
     return owning_up(answer(told, *names), answer("named", *decided), found, field, adequacy, rest_at_floor)
 
@@ -392,6 +393,12 @@ def test_silence_is_given_up_beside_what_is_loud_or_bent(given: dict[str, Any], 
     said = beside(**given)
     assert (said.verdict, said.flagged) == (told, told == "unknown")
     assert said.coordinate == ("somewhere" if told == "unknown" else None)
+
+
+def test_silence_is_given_up_beside_a_line_that_sweeps() -> None:
+    said = beside(sweeps=True)
+    assert (said.verdict, said.flagged, said.coordinate) == ("unknown", True, "frequency")
+    assert beside("named", ("hard_iron",), sweeps=True).verdict == "named"
 
 
 @pytest.mark.parametrize(("decided_left", "told"), [(2.9, "named"), (3.1, "unknown")])
