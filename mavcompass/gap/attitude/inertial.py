@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.frames import FloatArray, rotate_back
+from mavcompass.gap.attitude.kinematics import integral, turned_about_down
 from mavcompass.gap.attitude.rest import Bias
 from mavcompass.gap.attitude.steering import told_rotation
 from mavcompass.gap.result import Cause
@@ -70,15 +71,33 @@ def _accelerometer_bias(track: Track) -> Bias | None:
     if acceleration is None or float(np.median(np.diff(when))) > _SLOWEST_S:
         return None
     told = told_rotation(attitude, when)
-    force = rotate_back(told, acceleration - np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2]))
-    values = track.acc_mps2.at(when) - force
+    values = track.acc_mps2.at(when) - _felt(told, acceleration)
     values = values[np.isfinite(values).all(axis=1)]
     parts = np.array([part.mean(axis=0) for part in np.array_split(values, _BLOCKS) if len(part)])
     # As blocks of the recording contradict each other.
     scatter = parts.std(axis=0) / math.sqrt(max(len(parts) - 1, 1))
     # A filter's level errs as the vehicle accelerates, and a yaw that is off turns the acceleration.
     pushed = math.sqrt(float(np.mean(np.sum(acceleration**2, axis=1))))
-    return Bias(values.mean(axis=0), np.hypot(scatter, _OF_ACCELERATION * pushed))
+    turned = _by_gyro(track, when, told)
+    by_yaw = (_felt(turned, acceleration) - _felt(told, acceleration)).mean(axis=0)
+    sigma = np.sqrt(scatter**2 + (_OF_ACCELERATION * pushed) ** 2 + by_yaw**2)
+    return Bias(values.mean(axis=0), sigma)
+
+
+def _felt(rotation: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """Return what an accelerometer feels in some attitudes, accelerated so in NED, (N, 3)."""
+    return rotate_back(rotation, acceleration - np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2]))
+
+
+def _by_gyro(track: Track, when: FloatArray, told: FloatArray) -> FloatArray:
+    """Return the autopilot's attitude with the yaw of the gyro, its mean and drift as told."""
+    if track.gyro_radps is None:
+        return told
+    rate = np.einsum("nij,nj->ni", told, np.nan_to_num(track.gyro_radps.at(when)))
+    yaw = np.unwrap(np.arctan2(told[:, 1, 0], told[:, 0, 0]))
+    ahead = yaw - integral(when, rate)[:, 2]
+    since = when - when.mean()
+    return turned_about_down(told, np.polyval(np.polyfit(since, ahead, 1), since) - ahead)
 
 
 def _acceleration(track: Track, when: FloatArray) -> FloatArray | None:

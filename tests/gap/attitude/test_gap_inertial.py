@@ -131,6 +131,26 @@ def test_what_cannot_be_compared_is_not_judged(baseline: Track) -> None:
     assert gyro_fault(known, None) == () and gyro_fault(None, known) == ()
 
 
+def bent_by_its_turns(track: Track, times: float) -> Track:
+    """Bend the compass that steers the filter, as motors do that turn a vehicle left and right."""
+    attitude = track.attitude_rad
+    assert attitude is not None and track.acc_mps2 is not None
+    sideways = track.acc_mps2.values[:, 1] / STANDARD_GRAVITY_MPS2 + np.sin(attitude.values[:, 0])
+    yaw = attitude.values[:, 2] + times * np.convolve(sideways, np.full(25, 0.04), mode="same")
+    return replace(track, attitude_rad=Series.of(attitude.time_s, np.c_[attitude.values[:, :2], yaw]))
+
+
+def test_acceleration_that_a_bent_yaw_turns_is_no_fault(baseline: Track) -> None:
+    bent = [
+        bent_by_its_turns(made(seed, USUAL_GYRO, USUAL_ACC), s) for seed in range(20, 24) for s in (-6.0, 6.0)
+    ]
+    for track in bent:
+        assert accelerometer_fault(track, baseline) == ()
+    # Nothing but the gyro tells the one from the other.
+    without = [accelerometer_fault(replace(track, gyro_radps=None), baseline) for track in bent]
+    assert sum(fault != () for fault in without) >= 4
+
+
 def test_change_within_its_own_doubt_is_no_fault() -> None:
     before = Bias(np.zeros(3), np.full(3, 1e-4))
     moved = np.array([2.0 * GYRO, 0.0, 0.0])
