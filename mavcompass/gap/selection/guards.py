@@ -49,7 +49,7 @@ _TOUCHED = 0.05
 _MOST_UNSHOWN = 10.0
 # Squared sigmas by which what is known of the vehicle may give way to a missing effect.
 STRAINED = 30.0
-_NEEDED = 10.0
+_NEEDED, _INSIDE = 10.0, 0.1
 # Readings that an effect changes by less than this (squared sigmas, in all) cannot judge it.
 SILENT = 9.0
 # A half that gains less than this share of what an effect gains in the other half says nothing of it.
@@ -142,12 +142,13 @@ def worthwhile(problem: Problem, floor: Floor, fit: Fit) -> bool:
 
 
 def _needed(candidate: Identified, place: int, parameter: int) -> bool:
-    """Tell whether a fit becomes worse when one parameter is held where its effect is least."""
+    """Tell whether a fit becomes worse when one parameter is held a tenth of the way from the end to where
+    its effect is least."""
     fit = candidate.fit
     term = fit.terms[place]
     free, theta = term.free.copy(), fit.thetas[place].copy()
     free[parameter] = False
-    theta[parameter] = np.clip(term.effect.neutral(), term.lower, term.upper)[parameter]
+    theta[parameter] += _INSIDE * (np.clip(term.effect.neutral(), term.lower, term.upper) - theta)[parameter]
     terms = (*fit.terms[:place], replace(term, free=free), *fit.terms[place + 1 :])
     thetas = (*fit.thetas[:place], theta, *fit.thetas[place + 1 :])
     held = candidate.problem.fit(terms, thetas, fit.nuisance_thetas, iterations=4)
