@@ -74,7 +74,8 @@ def identify(
         changing = changing | transients(result.problem, result.fit, when)
         switching = switching | switched(result.problem, result.fit)
         aside = changing | switching
-        if aside.sum() - known.sum() <= (_FEW * aside.size if known.any() else 0):
+        again = bool(known.any())
+        if aside.sum() - known.sum() <= (_FEW * aside.size if again else 0):
             break
         known = aside
         notes = (*replay.notes, *told(replay, changing, switching))
@@ -87,12 +88,30 @@ def identify(
         calmer, settled = _searched(fewer, start, calm, effects, 1)
         # Under a noise that is known both can be compared.
         still = not moments(calmer.fit) and RELAY not in calmer.fit.ids
-        if still or (floor.measured and _each(calmer) > _each(result)):
+        most = _each(result) * (_NO_WORSE if again else 1.0)
+        if still or (floor.measured and _each(calmer) > most):
             break
         result, own = replace(calmer, fit=with_moments(calmer.problem, calmer.fit, when)), settled
         if RELAY not in result.fit.ids:
             break
-    return result, own
+    calmed = result.problem.replay is not replay
+    return (_clear(result) if calmed and RELAY in result.fit.ids else result), own
+
+
+def _clear(found: Identified) -> Identified:
+    """Return what was found fitted without readings of both on and off as it is switched at last.
+
+    They are few: no search is repeated for them.
+    """
+    before, split = found.problem, found.split
+    clear = ~switched(before, found.fit)
+    if clear[before.usable].all():
+        return found
+    fewer = replace(before.replay, valid=before.replay.valid & clear)
+    calm = replace(split, train=split.train & clear, test=split.test & clear)
+    problem = Problem(fewer, before.noise, calm.train, before.prior)
+    fit, none = problem.refit(found.fit), problem.null(found.found.null)
+    return replace(found, problem=problem, split=calm, fit=fit, found=replace(found.found, null=none))
 
 
 def _each(found: Identified) -> float:

@@ -45,3 +45,11 @@ def test_what_does_far_better_beside_the_other_effect_is_among_the_answers() -> 
     found = diagnose_gap(case.track, case.baseline)
     assert found.verdict == "ambiguous"
     assert ("field_gradient", "relay_field") in dict(found.ambiguity_set)
+
+
+def test_no_reading_of_both_on_and_off_counts_as_it_is_told_at_last() -> None:
+    """One such reading of 200 that were not fitted, off by all of the 57 mG, was a remainder."""
+    case = make_case(1012451560, "single")
+    found = diagnose_gap(case.track, case.baseline)
+    assert [c.effect for c in found.causes] == ["relay_field"] and found.verdict == "named"
+    assert found.field.after < found.field.floor
