@@ -57,7 +57,7 @@ _BORNE_OUT = 2.0
 _VELOCITIES_MPS = (0.2, 0.6, 2.0, 6.0)
 # An autopilot's level is made of the same sensors, and its filter errs as the vehicle turns: it bounds the
 # level, and carries it over what was lost.
-_LEVEL_RAD, _LEVEL_MEMORY_S, _LEVEL_SCATTER_RAD = math.radians(2.0), 20.0, math.radians(0.5)
+LEVEL_RAD, _LEVEL_MEMORY_S, _LEVEL_SCATTER_RAD = math.radians(2.0), 20.0, math.radians(0.5)
 _TOLD_TURN_RAD, _TOLD_TURN_SHARE = math.radians(1.0), 0.1
 # A witness is older than the gyro, or younger.
 _WITNESS_LATE_S = 0.03
@@ -74,12 +74,13 @@ class Witness:
     """Hold an attitude (N, 3, 3) that tells of the yaw, at the gyro's times, or only of the level.
 
     `constant_rad` is the standard deviation of its constant error, `slow_rad` of what wanders for minutes; it
-    tells nothing of the yaw where `constant_rad` is infinite.
+    tells nothing of the yaw where `constant_rad` is infinite. `level_rad` is that of its level's error.
     """
 
     rotation: FloatArray
     constant_rad: float
     slow_rad: float
+    level_rad: float = LEVEL_RAD
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,8 +219,9 @@ class _Smoother:
         self._add_first(chain)
         slow = _SCATTER_RAD if self.witness is None else self.witness.slow_rad
         self._add_lasting(chain, _SLOW, slow, _SLOW_MEMORY_S)
+        level = LEVEL_RAD if self.witness is None else self.witness.level_rad
         for state in _LEVEL:
-            self._add_lasting(chain, state, _LEVEL_RAD, _LEVEL_MEMORY_S)
+            self._add_lasting(chain, state, level, _LEVEL_MEMORY_S)
         if self.seen is not None:
             self._add_velocity(chain, self.seen, trust)
         if self._told is not None and self.witness is not None:

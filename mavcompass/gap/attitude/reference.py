@@ -27,6 +27,7 @@ from mavcompass.gap.attitude.kinematics import (
 )
 from mavcompass.gap.attitude.levelling import sensed_by, started
 from mavcompass.gap.attitude.navigation import (
+    LEVEL_RAD,
     Smoothed,
     Witness,
     believable,
@@ -34,12 +35,13 @@ from mavcompass.gap.attitude.navigation import (
     faulty,
     smoothed_attitude,
 )
-from mavcompass.gap.attitude.receiver import receiver_velocity
+from mavcompass.gap.attitude.receiver import Velocity, receiver_velocity
 from mavcompass.gap.attitude.rest import Bias, bias_at_rest
 from mavcompass.gap.attitude.steering import steered_by, told_rotation
 from mavcompass.gap.attitude.yaw import age_of
 from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.track import Track
+from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 ReferenceKind = Literal["columns", "fused", "gps-yaw", "gyro", "attitude"]
 Choice = Literal["auto", "gyro", "gps-yaw", "attitude", "columns"]
@@ -219,6 +221,11 @@ def _fused(
     smoothed = smoothed_attitude(sensed, rotation, resting, heard, witness)
     if not smoothed.borne_out:
         return _fused(track, time_s, choice, instance, listening=False)
+    if heard is not None and witness is not None and math.isinf(witness.constant_rad):
+        lean = _leaning_rad(heard, clock, smoothed.rotation, witness.rotation)
+        if lean > LEVEL_RAD:
+            witness = replace(witness, level_rad=math.hypot(LEVEL_RAD, lean))
+            smoothed = smoothed_attitude(sensed, smoothed.rotation, resting, heard, witness)
     if not believable(smoothed, resting) and witness is not None and math.isinf(witness.constant_rad):
         # An autopilot that believes a bent compass leans the wrong way when it accelerates.
         alone = started(sensed, resting, velocity, None) if start.bearing else start
@@ -251,6 +258,13 @@ def _fused(
         gyro_bias=smoothed.gyro_bias,
         notes=(f"The attitude is the smoothed gyro and accelerometer{by}.",),
     )
+
+
+def _leaning_rad(heard: Velocity, clock: FloatArray, rotation: FloatArray, autopilot: FloatArray) -> float:
+    """Return how far an autopilot leans that turns what its receiver tells into axes of a bent yaw."""
+    turned = 2.0 * np.sin(0.5 * _ahead(rotation, autopilot))
+    pushed = np.linalg.norm(heard.acceleration(clock)[:, :2], axis=1)
+    return float(np.sqrt(np.mean((turned * pushed) ** 2))) / STANDARD_GRAVITY_MPS2
 
 
 def _unknown(smoothed: Smoothed, time_s: FloatArray) -> tuple[float, FloatArray, FloatArray]:
