@@ -143,12 +143,13 @@ def worthwhile(problem: Problem, floor: Floor, fit: Fit) -> bool:
 
 def _needed(candidate: Identified, place: int, parameter: int) -> bool:
     """Tell whether a fit becomes worse when one parameter is held a tenth of the way from the end to where
-    its effect is least."""
+    its effect is least; under coarse numbers, whose rounding leads anywhere, all of the way."""
     fit = candidate.fit
+    inside = _INSIDE if candidate.problem.replay.trace.step_mgauss == 0.0 else 1.0
     term = fit.terms[place]
     free, theta = term.free.copy(), fit.thetas[place].copy()
     free[parameter] = False
-    theta[parameter] += _INSIDE * (np.clip(term.effect.neutral(), term.lower, term.upper) - theta)[parameter]
+    theta[parameter] += inside * (np.clip(term.effect.neutral(), term.lower, term.upper) - theta)[parameter]
     terms = (*fit.terms[:place], replace(term, free=free), *fit.terms[place + 1 :])
     thetas = (*fit.thetas[:place], theta, *fit.thetas[place + 1 :])
     held = candidate.problem.fit(terms, thetas, fit.nuisance_thetas, iterations=4)

@@ -219,10 +219,15 @@ def test_a_value_at_the_end_of_its_range_is_refused_where_it_is_needed() -> None
     assert refused == ("hard_iron", "its best value lies at the end of the physical range")
     held = replace(at_the_end, terms=(replace(ends, free=np.array([False, True, True])),))
     assert guards.refused(candidate(explained((200.0, 0.0, 0.0)), held), floor()) is None
-    # Ten squared sigmas, 4 N gap^2 of what is predicted, by a tenth of the value.
-    for size, is_needed in ((1.7, False), (1.85, True)):
+    # Ten squared sigmas, 4 N gap^2 of what is predicted, by a tenth of the value; by all under coarse numbers.
+    for size, step_mgauss, is_needed in (
+        (1.7, 0.0, False),
+        (1.85, 0.0, True),
+        (0.17, 5.0, False),
+        (0.185, 5.0, True),
+    ):
         small = fit_of(hard_iron=size)
-        problem = explained((size, 0.0, 0.0), 0.0)
+        problem = explained((size, 0.0, 0.0), 0.0, step_mgauss=step_mgauss)
         assert guards._needed(candidate(problem, small), 0, 0) is is_needed
 
 
