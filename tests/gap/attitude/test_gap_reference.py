@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
+from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, rotate, rotate_back
 from mavcompass.gap.attitude.kinematics import (
     exponentials,
     integrated,
     products,
     rotation_vectors,
+    turned_about_down,
     turned_between,
 )
 from mavcompass.gap.attitude.receiver import local_position
@@ -99,6 +101,28 @@ def test_copter_that_never_rests_is_levelled(seed: int) -> None:
     rotation, acceleration = leaning(t, 18.0)
     track = recorded(t, rotation, acceleration, bias=(0.002, -0.001, 0.001), seed=seed)
     assert tilt_rms_deg(track, rotation) < 0.7
+
+
+@pytest.mark.parametrize("bent_deg", [0.0, 90.0, -135.0])
+def test_autopilot_that_leans_by_a_bent_yaw_does_not_tilt_what_the_receiver_levels(bent_deg: float) -> None:
+    """Its filter turns what the receiver tells into wrong axes, and takes the rest for gravity."""
+    t = times(120.0)
+    rotation, acceleration = leaning(t, 12.0)
+    acceleration = acceleration - acceleration.mean(axis=0)
+    velocity = np.cumsum(acceleration, axis=0) * _STEP_S
+    path = np.cumsum(velocity - velocity.mean(axis=0), axis=0) * _STEP_S
+    bent = np.full(t.size, math.radians(bent_deg))
+    turned = rotate(turned_about_down(np.tile(np.eye(3), (t.size, 1, 1)), bent), acceleration)
+    wrong = (turned - acceleration) / STANDARD_GRAVITY_MPS2
+    wrong = np.stack([np.convolve(w, np.full(100, 0.01), mode="same") for w in wrong.T], axis=1)
+    leaned = exponentials(np.cross(wrong, [0.0, 0.0, 1.0])) @ rotation
+    told = np.stack(matrix_to_euler(turned_about_down(leaned, bent)), axis=1)
+    track = replace(
+        recorded(t, rotation, acceleration, path=path),
+        attitude_rad=Series.of(t, told),
+        gps_velocity_mps=Series.of(t[::5], velocity[::5]),
+    )
+    assert tilt_rms_deg(track, rotation) < 0.4
 
 
 def test_slow_sway_is_no_rest_that_tells_a_bias() -> None:

@@ -219,7 +219,7 @@ def test_a_value_at_the_end_of_its_range_is_refused_where_it_is_needed() -> None
     assert refused == ("hard_iron", "its best value lies at the end of the physical range")
     held = replace(at_the_end, terms=(replace(ends, free=np.array([False, True, True])),))
     assert guards.refused(candidate(explained((200.0, 0.0, 0.0)), held), floor()) is None
-    # Ten squared sigmas, 4 N gap^2 of what is predicted, by a tenth of the value; by all under coarse numbers.
+    # Ten squared sigmas, 4 N gap^2 of what is predicted, by a tenth of it; by all under coarse numbers.
     for size, step_mgauss, is_needed in (
         (1.7, 0.0, False),
         (1.85, 0.0, True),
