@@ -183,14 +183,14 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     shrunk = field.after < field.nominal
     certain = others and shrunk and evident(replace(identified, fit=answer.named), none)
     stated = (where_left, floor, none, evidence.beside, turns, problem.replay)
-    said = consistent(answer, field, heading, *stated, certain)
+    said = consistent(answer, field, heading, *stated, certain, not evidence.faults)
     if said.verdict == "no_gap" and answer.named.terms:
         # Beside the best explanation of the rest (place, calibration, attitude) nothing lies above the floor.
         field, heading = (replace(c, after=c.nominal, shrink=0.0) for c in (field, heading))
     elif said.named is not answer.named:
         # Without its names an answer has other figures, which it must not contradict either.
         field, heading = closed(said.named)
-        said = consistent(said, field, heading, *stated, certain)
+        said = consistent(said, field, heading, *stated, certain, not evidence.faults)
     answer = said
     if floor.measured and not floor.representative and not evidence.beside:
         quiet = at_floor(identified, none, floor, ABOVE)

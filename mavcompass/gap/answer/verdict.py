@@ -100,13 +100,15 @@ def consistent(
     turns: bool,
     replay: Replay,
     certain: bool,
+    level_known: bool = True,
 ) -> Answer:
     """Return an answer that does not contradict its own figures.
 
     Where a vehicle neither turns nor tilts and no baseline tells (not `turns`), silence says nothing. No
     gap only where nothing lies above the floor; named only where what is left does not; beside a remainder
     only causes that hold nearly all of the gap, and few of them, since many together imitate anything
-    unknown. What is `certain` to be there need not lie above the floor.
+    unknown. What is `certain` to be there need not lie above the floor; where the sensors that level the
+    attitude are off (not `level_known`), it may be the attitude's, and must.
     """
     if not turns and answer.verdict == "no_gap":
         return Answer("not_testable", none, False, None)
@@ -120,10 +122,10 @@ def consistent(
         return answer if gap else replace(answer, verdict="no_gap", flagged=False, coordinate=None)
     left = _above(field.after, field.floor) or _above(heading.after, heading.floor)
     shrinks = any(c.shrink_ci95[0] > 0.0 for c in (field, heading))
-    sure = certain or (shrinks and none.sse - answer.named.sse > EVIDENT)
+    sure = level_known and (certain or (shrinks and none.sse - answer.named.sse > EVIDENT))
     if answer.named.terms and not gap and not sure:
         # Below the floor only what surely shrinks, or is certain, is a cause.
-        return replace(answer, verdict="no_gap", named=none) if not traces else replace(answer, named=none)
+        return replace(answer, verdict="named" if traces else "no_gap", named=none)
     # What single readings tell stays told, whatever else there is.
     owned = Answer("named_with_remainder" if traces else "unknown", none, True, coordinate)
     if not answer.named.terms:

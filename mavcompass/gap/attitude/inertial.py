@@ -22,7 +22,8 @@ from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # What differs from one good flight to the next: 0.7 degrees a second, a fortieth of g.
 _LEAST = {"gyro_bias": 0.012, "accel_bias": 0.25}
-_SIGMAS = 6.0
+# Three axes together, in squared sigmas: as improbable as six sigmas on one of three.
+_IMPROBABLE = 41.2
 _FEWEST, _BLOCKS = 200, 12
 _SMOOTHED_S = 0.5
 _OF_ACCELERATION = 0.02
@@ -44,7 +45,7 @@ def _fault(effect: str, now: Bias | None, before: Bias | None) -> tuple[Cause, .
     if now is None or before is None:
         return ()
     change, sigma = now.mean - before.mean, np.hypot(now.sigma, before.sigma)
-    if not (np.abs(change) > np.maximum(_SIGMAS * sigma, _LEAST[effect])).any():
+    if np.abs(change).max() < _LEAST[effect] or float(np.sum((change / sigma) ** 2)) < _IMPROBABLE:
         return ()
     values = dict(zip("xyz", change.tolist(), strict=True))
     ends = {n: (v - 1.96 * s, v + 1.96 * s) for (n, v), s in zip(values.items(), sigma.tolist(), strict=True)}

@@ -225,6 +225,16 @@ def test_what_is_certain_is_named_below_the_floor(nominal: float) -> None:
     assert seen.verdict == "named" and seen.named.terms
 
 
+@pytest.mark.parametrize("told", ["named", "ambiguous"])
+def test_beside_a_faulty_sensor_of_the_attitude_nothing_is_named_below_the_floor(told: Verdict) -> None:
+    surely, fault = Closing(1.2, 0.5, 1.0, 0.9, (0.1, 0.9)), {"traces": True, "certain": True}
+    assert said(answer(told, "hard_iron_step"), surely, **fault).named.terms
+    seen = said(answer(told, "hard_iron_step"), surely, **fault, level_known=False)
+    assert seen == Answer("named", NONE, False, None)
+    above = said(answer(told, "hard_iron_step"), CLOSED, **fault, level_known=False)
+    assert above.named.terms
+
+
 def test_without_a_name_what_is_left_is_unknown() -> None:
     empty = answer("no_gap")
     assert said(empty, CLOSED) is empty

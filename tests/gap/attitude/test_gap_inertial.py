@@ -158,6 +158,17 @@ def test_change_within_its_own_doubt_is_no_fault() -> None:
     assert gyro_fault(Bias(moved, np.full(3, 0.1 * GYRO)), before) != ()
 
 
+@pytest.mark.parametrize(
+    ("sigmas", "is_fault"),
+    [((4.7, 4.4, 0.0), True), ((4.6, 4.4, 0.0), False), ((6.3, 0.0, 0.0), False), ((6.5, 0.0, 0.0), True)],
+)
+def test_three_axes_are_judged_together(sigmas: tuple[float, ...], is_fault: bool) -> None:
+    """Two that are off by less than six sigmas each are as improbable as one that is off by more."""
+    before = Bias(np.zeros(3), np.zeros(3))
+    now = Bias(GYRO * np.array(sigmas), np.full(3, GYRO))
+    assert (gyro_fault(now, before) != ()) is is_fault
+
+
 def test_fault_is_taken_out_with_the_witness_that_was_fed_with_it(baseline: Track) -> None:
     track = made(1, USUAL_GYRO, beside(USUAL_ACC, 0, ACC))
     clean = without_fault(track, accelerometer_fault(track, baseline))
