@@ -12,7 +12,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude import integral
 from mavcompass.track import Series
 
-_FEWEST_LEVELS = 6
+_FEWEST_LEVELS, _FEWEST_TOGETHER = 6, 10
 # Steps that are looked for behind a calibration: finer ones drown in the messages' own rounding.
 _FINEST_MGAUSS, _COARSEST_MGAUSS = 4.0, 100.0
 _IN_STEP, _AS_GOOD, _WORTH_A_LEVEL = 0.85, 0.97, 0.005
@@ -103,7 +103,8 @@ def coarse_step(raw_mgauss: FloatArray, valid: NDArray[np.bool_]) -> float:
 
     A calibration and the messages' rounding blur what was a lattice: for the right step q the mean of
     exp(2 pi i raw / q), the characteristic function of the readings, stays near 1 on every axis. Some axis
-    must go over many steps: readings that stand still lie on multiples of anything.
+    must go over many steps, or all together over more: readings that stand still lie on multiples of
+    anything, and those of four positions on eight levels or so.
     """
     field = raw_mgauss[valid]
     if len(field) < 10 * _FEWEST_LEVELS:
@@ -131,8 +132,8 @@ def coarse_step(raw_mgauss: FloatArray, valid: NDArray[np.bool_]) -> float:
     while last + 1 < inside.size and inside[last + 1] >= _IN_STEP:
         last += 1
     step = 1.0 / float(frequency[first + int(np.argmax(inside[first : last + 1]))])
-    levels = max(_levels(column, step) for column in field.T)
-    return step if levels >= _FEWEST_LEVELS else 0.0
+    levels = [_levels(column, step) for column in field.T]
+    return step if max(levels) >= _FEWEST_LEVELS or sum(levels) >= _FEWEST_TOGETHER else 0.0
 
 
 def _levels(column: FloatArray, step_mgauss: float) -> int:

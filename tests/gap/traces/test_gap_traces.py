@@ -247,6 +247,24 @@ def test_readings_that_stand_still_lie_on_no_step() -> None:
     assert coarse_step(still, everything) == coarse_step(dwells, everything) == 0.0
 
 
+def test_a_step_that_no_axis_shows_often_is_seen_on_all_together() -> None:
+    """A rover turns on the level, and stands for two thirds of the time: five levels, four and two."""
+    rng = np.random.default_rng(9)
+    yaw = np.concatenate([np.linspace(0.0, 2.0 * np.pi, 1000), np.zeros(2000)])
+    field = np.stack([134.0 * np.cos(yaw), -100.0 * np.sin(yaw), 265.0 + 20.0 * np.sin(yaw)], axis=1)
+    fine = field + 2.0 * rng.standard_normal(field.shape)
+    everything = np.ones(len(fine), dtype=np.bool_)
+    assert coarse_step(np.round(60.0 * np.round(fine / 60.0) + 0.3), everything) == pytest.approx(
+        60.0, rel=0.01
+    )
+    assert coarse_step(np.round(fine), everything) == 0.0
+    # Places to stand are no levels.
+    for _ in range(30):
+        places = np.repeat(rng.uniform(-300.0, 300.0, (6, 3)), 400, axis=0)
+        still = np.round(places + 0.5 * rng.standard_normal(places.shape))
+        assert coarse_step(still, np.ones(len(still), dtype=np.bool_)) == 0.0
+
+
 def test_step_is_looked_for_beside_a_constant() -> None:
     # What is there all the time must not hide when something more came.
     time = np.arange(0.0, 60.0, 0.1)
