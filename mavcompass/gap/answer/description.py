@@ -17,12 +17,12 @@ from mavcompass.gap.answer.locate import where
 from mavcompass.gap.answer.naming import named_causes, trace_causes
 from mavcompass.gap.answer.picture import picture
 from mavcompass.gap.answer.shrink import closings, waterfall
-from mavcompass.gap.answer.verdict import ABOVE, LINE, Answer, consistent, keeps_step, line_hz, owning_up
+from mavcompass.gap.answer.verdict import LINE, Answer, consistent, keeps_step, line_hz, owning_up
 from mavcompass.gap.fit import Fit, Problem, difference
 from mavcompass.gap.left import Adequacy, Floor, Scatter
 from mavcompass.gap.replay import Replay, level_mgauss
 from mavcompass.gap.result import Bar, Cause, Closing, Diagnosis
-from mavcompass.gap.selection import SILENT, Identified, Remainder, at_floor, evident
+from mavcompass.gap.selection import ABOVE, SILENT, Identified, Remainder, at_floor, evident
 from mavcompass.gap.traces import Traces
 from mavcompass.track import Track
 

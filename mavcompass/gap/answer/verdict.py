@@ -12,16 +12,22 @@ from mavcompass.gap.fit import Fit, Problem, least_gain
 from mavcompass.gap.left import Adequacy, Floor, drift_gain, rms
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.result import Closing, Verdict
-from mavcompass.gap.selection import EVIDENT, NEEDED_ABOVE, Identified, Remainder, moments, whitened_left
+from mavcompass.gap.selection import (
+    ABOVE,
+    EVIDENT,
+    FEW_NAMES,
+    NEEDED_ABOVE,
+    Identified,
+    Remainder,
+    moments,
+    whitened_left,
+)
 
 LINE = "ac_interference"
 _SURE = 0.90
 _REMAINDER = 0.05
 # Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
 _REMAINDER_UNTRUSTED = 0.4
-# What lies above the floor by less may be the floor's own uncertainty.
-ABOVE = 1.3
-_FEW_NAMES = 2
 # Effects that follow one moment, one place or one load, and so fit much that they did not make.
 _PLIANT = frozenset(
     {
@@ -80,7 +86,8 @@ def decide(
     if not fit.terms and not traces:
         return Answer("unknown" if flagged else "no_gap", none, flagged, coordinate)
     if flagged:
-        if not fit.terms or _confirmed(remainder.problem, remainder.fit, floor):
+        few = len(fit.terms) <= FEW_NAMES
+        if not fit.terms or (few and _confirmed(remainder.problem, remainder.fit, floor)):
             return Answer("named_with_remainder", fit, True, coordinate)
         return Answer("unknown", none, True, coordinate)
     weight = dict(identified.found.weights).get(fit.ids, 1.0)
@@ -141,7 +148,7 @@ def consistent(
         # Many names, one that bends to anything beside another, and what holds hardly more than half of a
         # gap, are an explanation but not the only one.
         return replace(answer, verdict="ambiguous") if unsure else answer
-    if len(answer.named.terms) <= _FEW_NAMES and not little:
+    if len(answer.named.terms) <= FEW_NAMES and not little:
         return Answer("named_with_remainder", answer.named, True, coordinate)
     return owned
 
@@ -195,7 +202,7 @@ def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:
     fixes the yaw; and a line at half the sampling rate, where a sensor that sets and resets alternates.
     """
     alone = not floor.measured and replay.reference.kind != "columns"
-    many = len(named.terms) > _FEW_NAMES or (alone and traces and bool(named.terms))
+    many = len(named.terms) > FEW_NAMES or (alone and traces and bool(named.terms))
     pliant = bool(named.ids & _PLIANT) and (alone or len(named.terms) > 1)
     passes = any(len(moments(named, effect)) > most for effect, most in _STAYING.items())
     turned = alone and replay.reference.yaw_unknown and bool(named.ids & _TURNS)

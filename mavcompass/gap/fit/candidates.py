@@ -80,9 +80,14 @@ class Candidates:
         base: Fit,
         block: NDArray[np.int64],
         held: Sequence[Term] = (),
+        bent: Fit | None = None,
     ) -> None:
-        """Linearise `terms` beside `base`; what is in `held` stays in the base whatever is chosen."""
-        self.problem, self.base = problem, base
+        """Linearise `terms` beside `base`; what is in `held` stays in the base whatever is chosen.
+
+        `bent` is the base as a gap has bent what is known. That explains away what is like a field or an
+        iron, and so shows moments, loads and places which these would hide: guesses are made beside both.
+        """
+        self.problem, self.base, self._bent = problem, base, bent
         self.list: list[Candidate] = []
         self._columns = 0
         n = len(problem.nuisances)
@@ -135,6 +140,8 @@ class Candidates:
         if term.effect.starts is not None:
             misfit = misfit_of(problem, before[-1])
             guesses = term.effect.starts(misfit)
+            if self._bent is not None:
+                guesses = guesses + term.effect.starts(misfit_of(problem, problem.signals(self._bent)))
         iron = problem.replay.iron.offset_mgauss
         for guess in [placed for g in guesses for placed in placements(term.effect, g, iron)]:
             if misfit is None and known is not None and not _elsewhere(term.effect, guess, known):

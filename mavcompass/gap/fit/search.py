@@ -37,6 +37,11 @@ _LIKELY_YAWS = 2
 _FAR_LIKELIER, _ALONE = 20.0, 2
 _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
 _HOPEFUL = 0.7
+# What leaves so many times the noise is not all.
+_UNEXPLAINED = 1.3
+# What makes readings late by times of its own, and from which age of telemetry on, in natural sizes, it is
+# looked for beside the known one.
+_LATE, _LATE_SIZES = frozenset({"transport_lag", "low_pass", "eddy_current"}), 1.0
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
 
 
@@ -137,14 +142,17 @@ class Search:
         """Search up to `most` effects, from the best of sets that are `likely` on."""
         null = self._null()
         self._remember(likely)
-        best = self._rounds(null, most, (), self._largest_needed(null, likely))
+        late = self._late(null)
+        self._remember(late)
+        best = self._rounds(null, most, (), self._largest_needed(null, [*likely, *late]))
         if best.terms and self.problem.again(best).sse < null.sse - _AS_GOOD:
             # Nothing was the best of its neighbourhood only: what helps must do so beside the better one.
             null = self.explored[frozenset()] = self.problem.null()
             best = self._rounds(null, most, ())
         for turned in self._turned(null, best):
             before = self._temper
-            rival = self._rounds(turned, most, turned.terms)
+            alone = self._turn_alone(turned) if len(turned.terms) > 1 else turned
+            rival = self._rounds(alone, most, alone.terms, turned)
             if self.score(rival) < self.score(best):
                 best = rival
             else:
@@ -156,6 +164,29 @@ class Search:
                 other = self._with_rivals(self.polished(self._rounds(null, most, (), other)))
                 best = min(best, other, key=self.score)
         return Found(self._unbent(null), best, self.explored, self.weights(best))
+
+    def _late(self, null: Fit) -> list[Fit]:
+        """Fit what makes readings late, from where their age is as it is known.
+
+        Without effects the age is bent instead, and beside a bent age no derivative leads back.
+        """
+        nuisances = self.problem.nuisances
+        age = next((i for i, n in enumerate(nuisances) if n.effect.id == TELEMETRY_AGE), None)
+        if age is None:
+            return []
+        known = nuisances[age].mean
+        late_s = float(null.nuisance_thetas[age][0] - known[0])
+        if late_s < _LATE_SIZES * float(nuisances[age].effect.scale[0]):
+            return []
+        start = list(self._unbent(null, curves=True).nuisance_thetas)
+        start[age] = known.copy()
+        fits = []
+        for term in self.terms:
+            if term.effect.id in _LATE:
+                times = [p.unit == "s" and p.low >= 0.0 for p in term.effect.parameters]
+                theta = np.clip(np.where(times, late_s, term.effect.neutral()), term.lower, term.upper)
+                fits.append(self.problem.fit((term,), (theta,), start, _SHORT))
+        return fits
 
     def _with_rivals(self, best: Fit) -> Fit:
         self.explored[best.ids] = best
@@ -215,28 +246,45 @@ class Search:
         return best
 
     def _turned(self, null: Fit, best: Fit) -> list[Fit]:
-        """Fit a compass in another orientation, where one would explain most of what there is to explain."""
+        """Fit a compass in another orientation, where one would explain most of what there is to explain.
+
+        Where the best set leaves much, what it has that is no map of the field may hide a turn: one is tried
+        beside that, too.
+        """
+        means = tuple(n.mean for n in self.problem.nuisances)
+        out = [
+            fit
+            for fit in self._facing(Fit((), (), means, np.inf))
+            if null.sse - fit.sse > 0.5 * (null.sse - best.sse) and self.grows(null, fit)
+        ]
+        beside = best
+        for place in reversed(range(len(best.terms))):
+            beside = beside.without(place) if best.terms[place].effect.affine else beside
+        if not out and beside.terms and best.sse > _UNEXPLAINED * 3 * self.problem.count:
+            out = [f for f in self._facing(replace(beside, nuisance_thetas=means)) if f.sse < best.sse]
+        self._remember(out)
+        return sorted(out, key=lambda f: f.sse)[:2]
+
+    def _turn_alone(self, turned: Fit) -> Fit:
+        """Fit the turn of a set by itself."""
+        place = next(i for i, t in enumerate(turned.terms) if t.effect.kind == "discrete")
+        return self.problem.fit((turned.terms[place],), (turned.thetas[place],), turned.nuisance_thetas)
+
+    def _facing(self, beside: Fit) -> list[Fit]:
+        """Fit each likely orientation beside the effects of a fit."""
         out: list[Fit] = []
         for term in self.terms:
             if term.effect.kind != "discrete" or term.effect.starts is None:
                 continue
-            means = tuple(n.mean for n in self.problem.nuisances)
-            for guess in term.effect.starts(
-                misfit_of(self.problem, self.problem.signals(Fit((), (), means, np.inf)))
-            ):
-                starts = yaw_starts(self.problem.nuisances)
-                fits = sorted(
-                    (self.problem.fit((term,), (guess,), s, 1) for s in starts), key=lambda f: f.sse
-                )
+            terms = (*beside.terms, term)
+            for guess in term.effect.starts(misfit_of(self.problem, self.problem.signals(beside))):
+                thetas, starts = (*beside.thetas, guess), yaw_starts(self.problem.nuisances)
+                fits = sorted((self.problem.fit(terms, thetas, s, 1) for s in starts), key=lambda f: f.sse)
                 # One step is enough to see that a compass is not mounted so.
-                likely = [fit for fit in fits[:_LIKELY_YAWS] if fit.sse < null.sse]
-                if not likely:
-                    continue
-                fit = min(map(self.problem.refit, likely), key=lambda f: f.sse)
-                if null.sse - fit.sse > 0.5 * (null.sse - best.sse) and self.grows(null, fit):
-                    out.append(fit)
-        self._remember(out)
-        return sorted(out, key=lambda f: f.sse)[:2]
+                likely = [f for f in fits[:_LIKELY_YAWS] if f.sse < self._null().sse]
+                if likely:
+                    out.append(min(map(self.problem.refit, likely), key=lambda f: f.sse))
+        return out
 
     def _rounds(self, first: Fit, most: int, held: Sequence[Term], best: Fit | None = None) -> Fit:
         """Linearise beside the best set, weigh all sets, fit the likeliest; again until nothing changes."""
@@ -245,7 +293,8 @@ class Search:
         # How blocks contradict each other beside another start says nothing of this one.
         self._temper = 1.0
         for _ in range(_ROUNDS):
-            candidates = self._linearised(self._unbent(best, curves=True), held)
+            base = self._unbent(best, curves=True)
+            candidates = self._linearised(base, held, None if base is best else best)
             sets = likeliest_sets(candidates, self._temper, self.cost, most - len(held))
             chosen = self._to_fit(candidates, sets, len(best.terms) - len(held))
             fits = [self._fitted(candidates, c, kept, _SHORT) for c in chosen]
@@ -260,12 +309,12 @@ class Search:
                 break
         return best
 
-    def _linearised(self, base: Fit, held: Sequence[Term]) -> Candidates:
+    def _linearised(self, base: Fit, held: Sequence[Term], bent: Fit | None = None) -> Candidates:
         """Linearise the catalogue beside a fit, once for fits of the same set that are as good."""
         key = (base.ids, len(held))
         known = self._candidates.get(key)
         if known is None or abs(known.base.sse - base.sse) > max(_AS_GOOD, _AS_GOOD_SHARE * base.sse):
-            known = Candidates(self.problem, self.terms, base, self._blocks(), held)
+            known = Candidates(self.problem, self.terms, base, self._blocks(), held, bent)
             self._candidates[key] = known
         return known
 
@@ -326,6 +375,9 @@ class Search:
     ) -> Fit:
         start = candidates.start(chosen, held)
         fit = self.problem.fit(start.terms, start.thetas, start.nuisance_thetas, iterations)
+        if any(fit.sse > known.sse for ids, known in self.explored.items() if ids < fit.ids):
+            # More effects leave no more: it has not come to its end yet.
+            fit = self.problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas, _SHORT)
         known = self.explored.get(fit.ids)
         return fit if known is None or fit.sse < known.sse else known
 

@@ -1,7 +1,9 @@
 """Choose the effects: held-out blocks, search, guards, and the choice fitted again on all rows."""
 
 from mavcompass.gap.selection.guards import (
+    ABOVE,
     EVIDENT,
+    FEW_NAMES,
     NEEDED_ABOVE,
     SILENT,
     at_floor,
@@ -15,7 +17,9 @@ from mavcompass.gap.selection.split import split_blocks
 from mavcompass.gap.selection.transient import between_rows, moments
 
 __all__ = [
+    "ABOVE",
     "EVIDENT",
+    "FEW_NAMES",
     "NEEDED_ABOVE",
     "SILENT",
     "Identified",

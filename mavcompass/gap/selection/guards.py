@@ -29,6 +29,10 @@ _MATERIAL_SHARE, _MATERIAL_BESIDE_UNKNOWN, _EXPLAINED = 0.2, 0.4, 1.25
 _MATERIAL_IF_MISSED, _MISSED = 0.1, 1.4
 # A set that leaves no more than this many floors explains enough.
 _AT_FLOOR = 1.25
+# What lies above the floor by less may be the floor's own uncertainty.
+ABOVE = 1.3
+# So many names stand beside something that is left.
+FEW_NAMES = 2
 TOO_SMALL = "it removes no more than healthy sensors may be off, or less than a tenth of the gap"
 # Squared sigmas that an effect must be worth, once blocks agree, and on rows that were not fitted.
 EVIDENT, _EVIDENT_HELD_OUT = 81.0, 25.0

@@ -14,6 +14,8 @@ from mavcompass.gap.fit import Fit, Found, Mask, Problem, Search, placements, pr
 from mavcompass.gap.left import Floor, apart, foreseen_places, rms, widened
 from mavcompass.gap.replay import IRON_OFFSET, WHEREABOUTS, Replay, level_mgauss, whereabouts
 from mavcompass.gap.selection.guards import (
+    ABOVE,
+    FEW_NAMES,
     STRAINED,
     TOO_SMALL,
     at_floor,
@@ -49,6 +51,8 @@ _PASSING = 0.25
 _NO_WORSE = 1.05
 # A gap so many floors high, of whose square the best set explains no more than this share, stays unknown.
 _FAR_ABOVE, _HOPEFUL = 2.0, 0.3
+# Few effects are named in the place of many where they hold so much of the square above the floor.
+_NEARLY_ALL = 0.9
 # Places may wander where so much is left of each reading, and must leave no more than this share of it; so
 # many smaller sets are fitted with them.
 _UNEXPLAINED, _WANDERED, _LIKELY = 1.3, 0.7, 3
@@ -186,11 +190,20 @@ def _hopeless(candidate: Identified, floor: Floor) -> bool:
     """Tell whether the best set explains so little of field or heading that nothing in it will be named."""
     if floor.representative or not candidate.found.best.terms:
         return False
+    return any(
+        before > _FAR_ABOVE * least and before**2 - after**2 < _HOPEFUL * (before**2 - least**2)
+        for before, after, least in _closed(candidate, candidate.found.best, floor)
+    )
+
+
+def _closed(candidate: Identified, fit: Fit, floor: Floor) -> list[tuple[float, float, float]]:
+    """Return what is there without effects, what a fit leaves, and the floor: for field (mG) and heading
+    (deg)."""
     problem = candidate.problem
     replay, rows = problem.replay, candidate.split.train | candidate.split.test
-    none, best = (
-        apart(replay, replay.measured.mag_mgauss, problem.predict(fit).mag_mgauss, rows & problem.usable)
-        for fit in (candidate.found.null, candidate.found.best)
+    none, left = (
+        apart(replay, replay.measured.mag_mgauss, problem.predict(one).mag_mgauss, rows & problem.usable)
+        for one in (candidate.found.null, fit)
     )
     # Scatter is explained by no set, and counts against none.
     scatter = rms(problem.sigma_mgauss)
@@ -198,10 +211,7 @@ def _hopeless(candidate: Identified, floor: Floor) -> bool:
         max(floor.field_rms_mgauss, scatter),
         max(floor.heading_rms_deg, math.degrees(scatter / level_mgauss(replay))),
     )
-    return any(
-        before > _FAR_ABOVE * least and before**2 - after**2 < _HOPEFUL * (before**2 - least**2)
-        for before, after, least in zip(none, best, floors, strict=True)
-    )
+    return list(zip(none, left, floors, strict=True))
 
 
 def _parted(problem: Problem, nothing: Fit, floor: Floor, split: Split) -> Split:
@@ -235,6 +245,7 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
     found_some = bool(candidate.fit.terms or candidate.dropped)
     if found_some and not floor.representative:
         candidate = _simplest(candidate, floor) if floor.measured else _plainer(candidate)
+    candidate = _few_beside_unknown(candidate, floor)
     candidate = replace(candidate, fit=pruned(candidate.search.problem, candidate.fit))
     if candidate.fit.terms and candidate.fit.ids != candidate.found.best.ids:
         # What the search was as sure of is no longer what is named.
@@ -243,6 +254,22 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
         candidate = replace(candidate, found=replace(candidate.found, weights=weights))
     others = (*_alike(candidate), *_with_evident(candidate), *_likelier(candidate))
     return replace(candidate, as_good=(*candidate.as_good, *others))
+
+
+def _few_beside_unknown(candidate: Identified, floor: Floor) -> Identified:
+    """Where something is left, keep two effects that hold nearly all: many together imitate what nobody
+    knows."""
+    fit = candidate.fit
+    if floor.representative or len(fit.terms) <= FEW_NAMES or at_floor(candidate, fit, floor, ABOVE):
+        return candidate
+    while len(fit.terms) > FEW_NAMES:
+        fit = min((candidate.search.without(fit, term.effect.id) for term in fit.terms), key=lambda f: f.sse)
+    little = any(
+        before > ABOVE * least and before**2 - after**2 < _NEARLY_ALL * (before**2 - least**2)
+        for before, after, least in _closed(candidate, fit, floor)
+    )
+    fewer = replace(candidate, fit=fit)
+    return candidate if little or refused(fewer, floor) else fewer
 
 
 def _allowed(candidate: Identified, floor: Floor) -> Identified:
@@ -337,7 +364,10 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
             # What the search preferred fits the rest better.
             doubted = (chosen.ids,)
         else:
-            # Guards took everything: what they refuse by itself is no rival either.
+            # Guards took everything: what they refuse by itself is no rival either, unless it looks alike and
+            # fits better.
+            best = min(allowed, key=candidate.search.score)
+            doubted = tuple(f.ids for f in good if _is_better_alias(candidate.search, f, best))
             good = allowed
         chosen = min(allowed, key=candidate.search.score)
         good = [f for f in good if f is not chosen]
@@ -349,6 +379,14 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
     best = min(simpler, key=lambda f: (f.dimension, f.sse), default=chosen)
     others = tuple(f.ids for f in [chosen, *good] if f.ids != best.ids)
     return replace(candidate, fit=best, as_good=others + doubted)
+
+
+def _is_better_alias(search: Search, other: Fit, chosen: Fit) -> bool:
+    """Tell whether a set has an alias in the place of one effect of the chosen one, and is likelier."""
+    mine, its = chosen.ids - other.ids, other.ids - chosen.ids
+    if len(mine) != 1 or len(its) != 1 or search.score(other) >= search.score(chosen):
+        return False
+    return any(term.effect.id in mine and its <= set(term.effect.aliases) for term in chosen.terms)
 
 
 def _plainer(candidate: Identified) -> Identified:

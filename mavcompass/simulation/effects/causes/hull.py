@@ -23,8 +23,8 @@ EFFECTS = (
         title="eddy currents in a metal hull oppose changes of the field",
         stage=Stage.HULL,
         parameters=(
-            *axes(0.0, 0.2, (0.02, 0.008, 0.03), 0.005, "s"),
-            *axes(-0.2, 0.2, (0.0, 0.0, 0.0), 0.005, "s", ("xy", "xz", "yz")),
+            *axes(0.0, 0.3, (0.02, 0.008, 0.03), 0.005, "s"),
+            *axes(-0.3, 0.3, (0.0, 0.0, 0.0), 0.005, "s", ("xy", "xz", "yz")),
         ),
         forward=_eddy,
         needs=frozenset({"turning"}),
