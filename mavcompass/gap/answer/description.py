@@ -17,7 +17,15 @@ from mavcompass.gap.answer.locate import where
 from mavcompass.gap.answer.naming import named_causes, trace_causes
 from mavcompass.gap.answer.picture import picture
 from mavcompass.gap.answer.shrink import closings, waterfall
-from mavcompass.gap.answer.verdict import LINE, Answer, consistent, keeps_step, line_hz, owning_up
+from mavcompass.gap.answer.verdict import (
+    LINE,
+    Answer,
+    consistent,
+    hold_little,
+    keeps_step,
+    line_hz,
+    owning_up,
+)
 from mavcompass.gap.fit import Fit, Problem, difference
 from mavcompass.gap.left import Adequacy, Floor, Scatter
 from mavcompass.gap.replay import Replay, level_mgauss
@@ -182,16 +190,25 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     others = any(not term.effect.affine for term in answer.named.terms)
     shrunk = field.after < field.nominal
     certain = others and shrunk and evident(replace(identified, fit=answer.named), none)
+    # Beside the best explanation of the rest a constant offset of what hardly turns is none.
+    varies = not (turns or at_floor(identified, none, floor, ABOVE))
     stated = (where_left, floor, none, evidence.beside, turns, problem.replay)
-    said = consistent(answer, field, heading, *stated, certain, not evidence.faults)
+    weighed = (certain, not evidence.faults, varies)
+    said = consistent(answer, field, heading, *stated, *weighed)
     if said.verdict == "no_gap" and answer.named.terms:
         # Beside the best explanation of the rest (place, calibration, attitude) nothing lies above the floor.
         field, heading = (replace(c, after=c.nominal, shrink=0.0) for c in (field, heading))
     elif said.named is not answer.named:
         # Without its names an answer has other figures, which it must not contradict either.
         field, heading = closed(said.named)
-        said = consistent(said, field, heading, *stated, certain, not evidence.faults)
+        said = consistent(said, field, heading, *stated, *weighed)
     answer = said
+    by_scatter = scatter is not None and not (evidence.faults or evidence.traces.named)
+    alone = by_scatter and answer.verdict == "named_with_remainder" and not answer.named.terms
+    if alone and not floor.measured and hold_little(field, heading):
+        # What nobody knows scatters, too: without a baseline that is no cause of it.
+        answer = Answer("unknown", none, True, answer.coordinate)
+        field, heading = closings(problem, none, test, floor)
     if floor.measured and not floor.representative and not evidence.beside:
         quiet = at_floor(identified, none, floor, ABOVE)
         answer = owning_up(said, decided, identified, field, evidence.adequacy, quiet)

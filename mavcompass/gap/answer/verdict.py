@@ -108,16 +108,20 @@ def consistent(
     replay: Replay,
     certain: bool,
     level_known: bool = True,
+    varies: bool = False,
 ) -> Answer:
     """Return an answer that does not contradict its own figures.
 
-    Where a vehicle neither turns nor tilts and no baseline tells (not `turns`), silence says nothing. No
-    gap only where nothing lies above the floor; named only where what is left does not; beside a remainder
-    only causes that hold nearly all of the gap, and few of them, since many together imitate anything
-    unknown. What is `certain` to be there need not lie above the floor; where the sensors that level the
-    attitude are off (not `level_known`), it may be the attitude's, and must.
+    Where a vehicle neither turns nor tilts and no baseline tells (not `turns`), silence says nothing, and a
+    constant offset is no gap; what `varies` by more than the floor is one all the same. No gap only where
+    nothing lies above the floor; named only where what is left does not; beside a remainder only causes that
+    hold nearly all of the gap, and few of them, since many together imitate anything unknown. What is
+    `certain` to be there need not lie above the floor; where the sensors that level the attitude are off (not
+    `level_known`), it may be the attitude's, and must.
     """
     if not turns and answer.verdict == "no_gap":
+        if varies:
+            return Answer("unknown", none, True, coordinate)
         return Answer("not_testable", none, False, None)
     if floor.representative:
         return answer
@@ -137,12 +141,7 @@ def consistent(
     owned = Answer("named_with_remainder" if traces else "unknown", none, True, coordinate)
     if not answer.named.terms:
         return owned if left else answer
-    explained = [
-        (c.nominal**2 - c.after**2) / max(c.nominal**2 - c.floor**2, 1e-12)
-        for c in (field, heading)
-        if _above(c.nominal, c.floor)
-    ]
-    little = min(explained, default=1.0) < 1.0 - _REMAINDER_UNTRUSTED
+    little = hold_little(field, heading)
     if not left:
         unsure = answer.verdict == "named" and (little or _unsure(answer.named, floor, replay, traces))
         # Many names, one that bends to anything beside another, and what holds hardly more than half of a
@@ -151,6 +150,16 @@ def consistent(
     if len(answer.named.terms) <= FEW_NAMES and not little:
         return Answer("named_with_remainder", answer.named, True, coordinate)
     return owned
+
+
+def hold_little(field: Closing, heading: Closing) -> bool:
+    """Tell whether what is named holds less than six tenths of what lay above the floor."""
+    explained = [
+        (c.nominal**2 - c.after**2) / max(c.nominal**2 - c.floor**2, 1e-12)
+        for c in (field, heading)
+        if _above(c.nominal, c.floor)
+    ]
+    return min(explained, default=1.0) < 1.0 - _REMAINDER_UNTRUSTED
 
 
 def owning_up(

@@ -25,7 +25,7 @@ from mavcompass.gap.fit.chance import least_alone, least_gain, least_growth
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, yaw_starts
-from mavcompass.simulation.effects.effect import Effect
+from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Effect
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
@@ -41,7 +41,8 @@ _HOPEFUL = 0.7
 _UNEXPLAINED = 1.3
 # What makes readings late by times of its own, and from which age of telemetry on, in natural sizes, it is
 # looked for beside the known one.
-_LATE, _LATE_SIZES = frozenset({"transport_lag", "low_pass", "eddy_current"}), 1.0
+_DELAYS = "transport_lag"
+_LATE, _LATE_SIZES = frozenset({_DELAYS, "low_pass", "eddy_current"}), 1.0
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
 
 
@@ -70,6 +71,22 @@ def _facing_as_known(yaw: Nuisance, theta: FloatArray, curves: bool) -> FloatArr
     if curves and off[1:] @ yaw.precision[1:, 1:] @ off[1:] >= least_gain(theta.size - 1):
         out[1:] = yaw.mean[1:]
     return out
+
+
+def _times(effect: Effect) -> NDArray[np.bool_]:
+    """Tell which parameters of an effect that makes readings late are its times, (k,)."""
+    return np.array([p.unit == "s" and p.low >= 0.0 for p in effect.parameters])
+
+
+def _as_late(term: Term, late_s: float) -> FloatArray:
+    """Return the parameters with which an effect makes readings so late."""
+    return np.clip(np.where(_times(term.effect), late_s, term.effect.neutral()), term.lower, term.upper)
+
+
+def _moved_moments(term: Term, theta: FloatArray, by_s: float) -> FloatArray:
+    """Move the moments of change of an effect, those that never come aside."""
+    moments = np.array([p.name in MOMENTS for p in term.effect.parameters]) & (np.abs(theta) < NEVER_S)
+    return np.where(moments, theta + by_s, theta)
 
 
 def _by_chance(nuisance: Nuisance, theta: FloatArray) -> bool:
@@ -180,15 +197,38 @@ class Search:
             return []
         start = list(self._unbent(null, curves=True).nuisance_thetas)
         start[age] = known.copy()
-        fits = []
-        for term in self.terms:
-            if term.effect.id in _LATE:
-                times = [p.unit == "s" and p.low >= 0.0 for p in term.effect.parameters]
-                theta = np.clip(np.where(times, late_s, term.effect.neutral()), term.lower, term.upper)
-                fits.append(self.problem.fit((term,), (theta,), start, _SHORT))
-        return fits
+        return [
+            self.problem.fit((term,), (_as_late(term, late_s),), start, _SHORT)
+            for term in self.terms
+            if term.effect.id in _LATE
+        ]
+
+    def _otherwise_late(self, best: Fit) -> Fit:
+        """Fit what makes readings late in the place of another such effect; return the likeliest.
+
+        What changes at a moment is seen when a late reading comes: the moment moves with the effect.
+        """
+        fits = [best]
+        for place, term in enumerate(best.terms):
+            if term.effect.id not in _LATE:
+                continue
+            own = best.thetas[place][_times(term.effect)]
+            late_s = float(own.mean())
+            rest = best.without(place)
+            for other in self.terms:
+                if other.effect.id in _LATE - best.ids:
+                    moved_s = late_s * ((term.effect.id == _DELAYS) - (other.effect.id == _DELAYS))
+                    thetas = [
+                        _moved_moments(t, theta, moved_s)
+                        for t, theta in zip(rest.terms, rest.thetas, strict=True)
+                    ]
+                    start = (*thetas, _as_late(other, late_s))
+                    fits.append(self.problem.fit((*rest.terms, other), start, best.nuisance_thetas, _SHORT))
+        self._remember(fits)
+        return self.problem.refit(min(fits, key=self.score)) if len(fits) > 1 else best
 
     def _with_rivals(self, best: Fit) -> Fit:
+        best = self._otherwise_late(best)
         self.explored[best.ids] = best
         self._remember(self._rivals(best))
         return best

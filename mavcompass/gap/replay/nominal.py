@@ -32,6 +32,7 @@ from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference
 from mavcompass.gap.replay.readings import Readings
 from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
 from mavcompass.gap.replay.whereabouts import place_curves, wander_m
+from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.track import MagSeries, Series, Track
@@ -61,7 +62,7 @@ class Replay:
         signals: the inputs, and what ideal sensors would have said.
         measured: what the sensors said, the calibration in force undone, (N, 3) each.
         corrected_mgauss: the compass with the calibration in force, (N, 3); None where none is known.
-        valid: rows with a reading and a reference, (N,).
+        valid: rows with a reading and a reference, from as late on as a reading may be late, (N,).
         groups: the sensors that can be compared: the compass always, accelerometer and gyro where the
             reference did not come from them.
         nuisances: what must be solved for besides any effect.
@@ -186,7 +187,8 @@ def replay(
         sigma = np.maximum(sigma, UNKNOWN_SIGMA_MGAUSS)
         field_notes = (*field_notes, _NO_TURN)
     groups: tuple[Group, ...] = ("mag",)
-    valid = reference.known & usable
+    # What was before the recording is not known, and what is late or smoothed says it at first.
+    valid = reference.known & usable & (time_s - time_s[0] >= LONGEST_LAG_S)
     inertial: tuple[tuple[Group, FloatArray], ...] = (("acc", acc), ("gyro", gyro))
     motion_note: tuple[str, ...] = ()
     for name, values in inertial:

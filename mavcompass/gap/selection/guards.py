@@ -12,7 +12,9 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import Floor, apart, heading_error_rad, rms
 from mavcompass.gap.replay import group_values, level_mgauss
+from mavcompass.gap.selection.direct import STEP, goes_with_a_load, unswitched
 from mavcompass.gap.selection.identified import Identified
+from mavcompass.gap.selection.transient import RELAY
 from mavcompass.simulation.effects.effect import NEVER_S, Group
 
 # What healthy sensors may be off by, in mG, m/s^2 and rad/s.
@@ -111,6 +113,10 @@ def refused(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
         return "clipping", "numbers as coarse as these end at one of their own steps"
     if _passed(candidate):
         return "clipping", "readings pass the limit"
+    if unswitched(candidate.problem, fit):
+        return RELAY, "readings stay as they are where it is switched"
+    if goes_with_a_load(candidate.problem, fit):
+        return STEP, "it comes and goes with a load, whose field it is"
     if (worse := _vetoed(candidate)) is not None:
         return worse, "one half of the training data does not confirm what the other half says"
     if (small := _immaterial(candidate, floor)) is not None:

@@ -142,7 +142,8 @@ def _turned(label: Label, search: Search, removed: str) -> Fit | None:
     """Return the turn of the mounting by right angles that a pair keeps: no search goes from one to the
     next."""
     terms = {term.effect.id: term for term in search.terms if term.effect.kind == "discrete"}
-    kept = [s for s in map(parse, label.effects) if s.effect.id in terms and s.effect.id != removed]
+    turns = [text for text in label.effects if text.partition(":")[0] in terms.keys() - {removed}]
+    kept = [parse(text) for text in turns]
     known = tuple(n.mean for n in search.problem.nuisances)
     return (
         Fit(tuple(terms[s.effect.id] for s in kept), tuple(s.theta for s in kept), known, math.inf)

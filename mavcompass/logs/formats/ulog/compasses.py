@@ -33,7 +33,7 @@ _SLOTS = 4
 _NO_NEW_SAMPLE = 0x7FFFFFFF
 _MICRO = 1.0e-6
 # So many times as many readings make the corrected field the better one to begin with.
-_DENSER = 3.0
+_DENSER = 1.5
 
 
 def compasses(
@@ -56,9 +56,11 @@ def compasses(
             continue
         reported = finite_series(time_s(data), field @ rotation.T)
         if reported is not None:
+            steps, known = px4_steps(history, instance)
             found[instance] = MagSeries(
-                instance, reported, (InForce(-np.inf, IDENTITY),), True, device_id=device_id
-            )
+                instance, reported, (InForce(-np.inf, IDENTITY),), True, device_id=device_id,
+                not_applied=steps[-1].correction if known else None,
+            )  # fmt: skip
     for data in topics.get("vehicle_magnetometer", ()):
         if has(data, *_FIELD):
             for device_id in _device_ids(data):
