@@ -139,6 +139,9 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
         floor = from_recording(replayed)
 
     # 6. Split, 7. Search, 8. What is left
+    if traces.stale_share > 0.0 and replayed.trace.frozen:
+        # A compass that says one thing tells of nothing else.
+        testable = []
     how.progress(f"weighing {len(testable)} effects")
     identified, remainder, floor = _explained(replayed, before, floor, testable, traces)
     if "orientation" in identified.fit.ids and steered_by(track, how.compass) != "other":

@@ -18,6 +18,8 @@ _FINEST_MGAUSS, _COARSEST_MGAUSS = 4.0, 100.0
 _IN_STEP, _AS_GOOD, _WORTH_A_LEVEL = 0.85, 0.97, 0.005
 # What a gyro at rest may tell; readings stay for a shorter time by nature.
 _RESTING_RADPS, _WORTH_A_LOOK_S = 0.01, 0.25
+# An autopilot repeats nine of ten readings by nature, and a compass on a vehicle that turns does not stay.
+_ALWAYS, _TURNED_RAD = 0.97, math.radians(10.0)
 _BIN_MGAUSS, _MOST_BINS = 0.25, 1 << 18
 
 
@@ -38,6 +40,12 @@ class Trace:
     jump_mgauss: FloatArray
     turned_rad: FloatArray
     step_mgauss: float
+
+    @property
+    def frozen(self) -> bool:
+        """Tell whether nearly all is one reading, under which a gyro turned."""
+        turned = float(self.turned_rad[np.isfinite(self.turned_rad)].max(initial=0.0))
+        return self.stale_share > _ALWAYS and turned > _TURNED_RAD
 
 
 def inspect(

@@ -31,7 +31,7 @@ from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
 from mavcompass.gap.replay.readings import Readings
 from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
-from mavcompass.gap.replay.whereabouts import place_curves, wander_m
+from mavcompass.gap.replay.whereabouts import place_curves, place_scatter_m, wander_m
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
@@ -77,6 +77,7 @@ class Replay:
         readings: every reading, of which the rows are means; averaged: of how many neighbours each.
         place: latitude, longitude in degrees, altitude in metres; None where unknown.
         place_curves_m: how the places of the stimulus may wander, (N, 3, k), each with sigma one.
+        place_scatter_m: how far each place is off by itself, (3,).
         doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
             noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
         loads_every_s: how often the loads were recorded.
@@ -103,6 +104,7 @@ class Replay:
     averaged: int = 1
     place: tuple[float, float, float] | None = None
     place_curves_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
+    place_scatter_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     doubtful: Mapping[Group, SensorNoise] = field(default_factory=dict)
     loads_every_s: float = 0.0
     taken_mgauss: float = 0.0
@@ -191,6 +193,7 @@ def replay(
     valid = reference.known & usable & (time_s - time_s[0] >= LONGEST_LAG_S)
     inertial: tuple[tuple[Group, FloatArray], ...] = (("acc", acc), ("gyro", gyro))
     motion_note: tuple[str, ...] = ()
+    position = _position(track, reference)
     for name, values in inertial:
         if independent and np.isfinite(values[valid]).all() and np.abs(values).sum() > 0.0:
             off = np.median(np.abs(values - (ideal.acc_mps2 if name == "acc" else ideal.gyro_radps))[valid])
@@ -219,7 +222,8 @@ def replay(
         readings=readings,
         averaged=rows.width,
         place=_place(track),
-        place_curves_m=place_curves(_position(track, reference), track.gps_velocity_mps, time_s),
+        place_curves_m=place_curves(position, track.gps_velocity_mps, time_s),
+        place_scatter_m=place_scatter_m(position),
         loads_every_s=_every_s(track.current_a, track.throttle),
     )
 

@@ -71,6 +71,9 @@ def compass_rows(
             # A reading that is sent again says nothing new; one that is frozen for longer is a finding of its
             # own. Coarse numbers repeat by chance.
             fresh = _fresh(reported)
+            if fresh.sum() < FEWEST_NEW and fresh.size >= FEWEST_ROWS and logged.frozen:
+                # What says one thing as long as it is asked is frozen: that is the finding.
+                fresh = np.ones_like(fresh)
             keep, raw = keep[fresh], raw[fresh]
         time_s = compass.time_s[keep]
         if step == 0.0 and 0 < fresh.sum() < _BROUGHT_NEW * fresh.size:

@@ -65,7 +65,8 @@ def untestable_effects(
         if len(effect.groups) == 1 and effect.groups[0] in replayed.doubtful:
             # What is not known of the motion looks like any fault of the sensor that feels it.
             out[effect.id] = _NO_SENSOR
-        taught = age_known and effect.id in _LATE
+        frozen = replayed.trace.frozen and effect.id == "stale_samples"
+        taught = (age_known and effect.id in _LATE) or frozen
         if replayed.telemetry and effect.id in _TIMING and not taught:
             out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"
         if replayed.averaged > 1 and effect.id == "timestamp_jitter":

@@ -48,6 +48,13 @@ def place_curves(position_m: Series | None, velocity_mps: Series | None, time_s:
     return np.stack(curves, axis=2) if curves else np.zeros((time_s.size, 3, 0))
 
 
+def place_scatter_m(position_m: Series | None) -> FloatArray:
+    """Return how far neighbouring places scatter by themselves, (3,), metres; zero where nothing tells."""
+    if position_m is None or len(position_m) < _FEWEST_FIXES or not np.isfinite(position_m.values).all():
+        return np.zeros(3)
+    return white_scatter(position_m.values)
+
+
 def wander_m(position_m: Series | None, velocity_mps: Series | None) -> FloatArray | None:
     """Return how far places may wander, (3,), metres; None where nothing tells."""
     if position_m is None or velocity_mps is None:

@@ -124,18 +124,20 @@ def refused(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
     return None
 
 
-def evident(candidate: Identified, rest: Fit) -> bool:
+def evident(
+    candidate: Identified, rest: Fit, least: float = EVIDENT, held_out: float = _EVIDENT_HELD_OUT
+) -> bool:
     """Tell whether readings that were fitted, and those that were not, know an effect that is too small to
-    be named: what is left without it is `rest`."""
+    be named: what is left without it is `rest`. It must be worth `least` squared sigmas, and `held_out`."""
     problem = candidate.problem
     gain = rest.sse - candidate.fit.sse
-    if gain < EVIDENT or not candidate.split.test.any():
+    if gain < least or not candidate.split.test.any():
         return False
     held = problem.with_rows(candidate.split.test)
     without, beside = (float(np.sum(held.residual(held.predict(f)) ** 2)) for f in (rest, candidate.fit))
-    if without - beside < _EVIDENT_HELD_OUT:
+    if without - beside < held_out:
         return False
-    return gain > EVIDENT * candidate.search.contradiction(rest, candidate.fit)
+    return gain > least * candidate.search.contradiction(rest, candidate.fit)
 
 
 def worthwhile(problem: Problem, floor: Floor, fit: Fit) -> bool:

@@ -29,6 +29,7 @@ from mavcompass.gap.selection.split import Split, probe, with_parts, with_window
 from mavcompass.gap.selection.transient import (
     RELAY,
     moments,
+    near_places,
     switched,
     told,
     transients,
@@ -51,6 +52,9 @@ _PASSING = 0.25
 _NO_WORSE = 1.05
 # A gap so many floors high, of whose square the best set explains no more than this share, stays unknown.
 _FAR_ABOVE, _HOPEFUL = 2.0, 0.3
+# What is too small to be named beside others is another possibility from so many squared sigmas on, of all
+# readings and of those that were not fitted.
+_LISTED = (36.0, 16.0)
 # Few effects are named in the place of many where they hold so much of the square above the floor.
 _NEARLY_ALL = 0.9
 # Places may wander where so much is left of each reading, and must leave no more than this share of it; so
@@ -72,17 +76,18 @@ def identify(
     """
     result, own = _searched(replay, floor, split, effects, 1 if noise_known else _PASSES)
     none: Mask = np.zeros(replay.time_s.size, dtype=np.bool_)
-    changing, switching, known = none, none, none
+    changing, switching, near, known = none, none, none, none
     for _ in range(_CALMINGS):
         when = moments(result.fit)
         changing = changing | transients(result.problem, result.fit, when)
         switching = switching | switched(result.problem, result.fit)
-        aside = changing | switching
+        near = near | near_places(result.problem, result.fit)
+        aside = changing | switching | near
         again = bool(known.any())
         if aside.sum() - known.sum() <= (_FEW * aside.size if again else 0):
             break
         known = aside
-        notes = (*replay.notes, *told(replay, changing, switching))
+        notes = (*replay.notes, *told(replay, changing, switching, near))
         fewer = replace(replay, valid=replay.valid & ~aside, notes=notes)
         calm = replace(split, train=split.train & ~aside, test=split.test & ~aside)
         start = floor
@@ -91,7 +96,7 @@ def identify(
             start = widened(floor, kept, kept.refit(result.fit))
         calmer, settled = _searched(fewer, start, calm, effects, 1)
         # Under a noise that is known both can be compared.
-        still = not moments(calmer.fit) and RELAY not in calmer.fit.ids
+        still = not (moments(calmer.fit) or RELAY in calmer.fit.ids or _placed(calmer.fit))
         most = _each(result) * (_NO_WORSE if again else 1.0)
         if still or (floor.measured and _each(calmer) > most):
             break
@@ -278,7 +283,7 @@ def _allowed(candidate: Identified, floor: Floor) -> Identified:
         rest = candidate.search.without(candidate.fit, reason[0])
         dropped = tuple({**dict(candidate.dropped), reason[0]: reason[1]}.items())
         beside = candidate.evident
-        if reason[1] is TOO_SMALL and not floor.representative and evident(candidate, rest):
+        if reason[1] is TOO_SMALL and not floor.representative and evident(candidate, rest, *_LISTED):
             beside |= {reason[0]}
         candidate = replace(candidate, fit=rest, dropped=dropped, evident=beside)
     return candidate

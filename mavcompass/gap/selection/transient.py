@@ -10,7 +10,7 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Mask, Problem, Term
 from mavcompass.gap.replay import TELEMETRY_AGE, Replay
-from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S
+from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, PLACED, Effect
 
 _BIN_S = 0.25
 _LONGEST_S = 3.0
@@ -24,6 +24,8 @@ _SETTLED = 2.0
 # What is switched shows in single rows from so many deviations on. A row is off by this share of it, by
 # little more than all, and across it by less than half of that; a tenth of the rows at most.
 _SEEN_APART, _PART, _ALL, _ASIDE, _BY_CHANCE = 6.0, 0.25, 1.2, 0.5, 0.1
+# What scattering places make counts from this share of the noise on; so many rows are set aside at most.
+_COUNTS, _MOST_NEAR = 0.3, 0.3
 # The median of the square of a standard normal value.
 _MEDIAN_SQUARE = 0.455
 # The median of a mean of three squares of standard normal values.
@@ -130,6 +132,29 @@ def _other_way(problem: Problem, fit: Fit, field_mgauss: FloatArray, own: FloatA
     return rows if rows[clear].mean() < _BY_CHANCE else np.zeros_like(rows)
 
 
+def near_places(problem: Problem, fit: Fit) -> Mask:
+    """Tell which rows (N,) lie so near to something at a place that the places' own scatter counts.
+
+    A receiver's places scatter by centimetres, and the field of a magnet close by changes by as much as the
+    noise over these. Where a vehicle is never far away none is told.
+    """
+    replay = problem.replay
+    rows: Mask = np.zeros(replay.time_s.size, dtype=np.bool_)
+    signals, place = replay.signals, replay.signals.stimulus.position_ned_m
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        if not (term.effect.needs & PLACED) or not replay.place_scatter_m.any():
+            continue
+
+        def field(off_m: FloatArray, effect: Effect = term.effect, at: FloatArray = theta) -> FloatArray:
+            moved = replace(signals.stimulus, position_ned_m=place + off_m)
+            return effect.forward(replace(signals, stimulus=moved), at, {}, None).reading.mag_mgauss
+
+        offs = np.diag(replay.place_scatter_m)
+        square = sum(np.sum((field(off) - field(-off)) ** 2, axis=1) / 4.0 for off in offs)
+        rows |= np.sqrt(np.nan_to_num(square) / 3.0) > _COUNTS * float(problem.sigma_mgauss.mean())
+    return rows if rows[problem.usable].mean() < _MOST_NEAR else np.zeros_like(rows)
+
+
 def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:
     """Return the fitted rows before and after a moment: anywhere between them it fits as well."""
     time = problem.replay.time_s[problem.index]
@@ -138,17 +163,25 @@ def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:
     return low, float(time[place]) if place < time.size else moment_s
 
 
-def told(replay: Replay, aside: Mask, switching: Mask) -> tuple[str, ...]:
-    """Say in words which stretches were set aside because something was changing, or was switched."""
+def told(replay: Replay, aside: Mask, switching: Mask, near: Mask) -> tuple[str, ...]:
+    """Say in words which stretches were set aside because something was changing, switched, or too near."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], aside.astype(np.int8), [0]])))
     often = (
         f"While something is switched, a reading is of both: {switching.sum()} of {switching.size} were not"
         " fitted.",
     )
-    return (often if switching.any() else ()) + tuple(
-        f"From {replay.time_s[first]:.1f} to {replay.time_s[end - 1]:.1f} s something changes faster than the"
-        " model can follow: these readings were not fitted."
-        for first, end in zip(edges[::2], edges[1::2], strict=True)
+    close = (
+        f"So near to something at a place that a step aside counts: {near.sum()} of {near.size} readings were"
+        " not fitted.",
+    )
+    return (
+        (often if switching.any() else ())
+        + (close if near.any() else ())
+        + tuple(
+            f"From {replay.time_s[first]:.1f} to {replay.time_s[end - 1]:.1f} s something changes faster than the"
+            " model can follow: these readings were not fitted."
+            for first, end in zip(edges[::2], edges[1::2], strict=True)
+        )
     )
 
 

@@ -69,7 +69,7 @@ def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
         missed &= np.isfinite(trace.jump_mgauss)
     held = trace.held_s[missed & (trace.turned_rad > _TURNED_RAD) & (trace.held_s > _FAR_LONGER * usual)]
     span = float((trace.fresh_s + trace.held_s).max(initial=replay.time_s[-1]) - replay.time_s[0])
-    return float(held.sum()) / max(span, 1e-9)
+    return min(float(held.sum()) / max(span, 1e-9), 1.0)
 
 
 def _overdue_share(replay: Replay, baseline: Replay | None) -> float:
