@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from mavcompass.blas import single_thread
 from mavcompass.errors import UsageError
-from mavcompass.gap.answer import Evidence, decide, describe
+from mavcompass.gap.answer import Answer, Evidence, decide, describe
 from mavcompass.gap.attitude import Choice, accelerometer_fault, gyro_fault, steered_by, without_fault
 from mavcompass.gap.left import (
     Floor,
@@ -139,7 +139,8 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
         floor = from_recording(replayed)
 
     # 6. Split, 7. Search, 8. What is left
-    if traces.stale_share > 0.0 and replayed.trace.frozen:
+    frozen = traces.stale_share > 0.0 and replayed.trace.frozen
+    if frozen:
         # A compass that says one thing tells of nothing else.
         testable = []
     how.progress(f"weighing {len(testable)} effects")
@@ -156,7 +157,10 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
         track, how.compass, replayed, floor, identified, remainder, adequacy, traces, untestable,
         withheld, faults,
     )  # fmt: skip
-    return describe(evidence, decide(identified, floor, remainder, adequacy, evidence.beside, half))
+    answer = decide(identified, floor, remainder, adequacy, evidence.beside, half)
+    if frozen:
+        answer = Answer("named_with_remainder", identified.found.null, True, adequacy.where)
+    return describe(evidence, answer)
 
 
 def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, Replay | None]:

@@ -3,9 +3,10 @@
 from mavcompass.gap.answer.description import Evidence, describe
 from mavcompass.gap.answer.locate import bin_means
 from mavcompass.gap.answer.several import together
-from mavcompass.gap.answer.verdict import decide
+from mavcompass.gap.answer.verdict import Answer, decide
 
 __all__ = [
+    "Answer",
     "Evidence",
     "bin_means",
     "decide",

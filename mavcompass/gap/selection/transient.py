@@ -174,15 +174,12 @@ def told(replay: Replay, aside: Mask, switching: Mask, near: Mask) -> tuple[str,
         f"So near to something at a place that a step aside counts: {near.sum()} of {near.size} readings were"
         " not fitted.",
     )
-    return (
-        (often if switching.any() else ())
-        + (close if near.any() else ())
-        + tuple(
-            f"From {replay.time_s[first]:.1f} to {replay.time_s[end - 1]:.1f} s something changes faster than the"
-            " model can follow: these readings were not fitted."
-            for first, end in zip(edges[::2], edges[1::2], strict=True)
-        )
+    fast = tuple(
+        f"From {replay.time_s[first]:.1f} to {replay.time_s[end - 1]:.1f} s something changes faster than the"
+        " model can follow: these readings were not fitted."
+        for first, end in zip(edges[::2], edges[1::2], strict=True)
     )
+    return (often if switching.any() else ()) + (close if near.any() else ()) + fast
 
 
 def with_moments(problem: Problem, fit: Fit, seen_s: Sequence[float]) -> Fit:

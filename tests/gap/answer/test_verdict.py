@@ -169,6 +169,36 @@ def test_silence_of_a_vehicle_that_neither_turns_nor_tilts_says_nothing() -> Non
     assert said(answer("named", "hard_iron"), turns=False).verdict == "named"
 
 
+def test_what_varies_is_a_gap_though_a_constant_would_be_none() -> None:
+    assert said(answer("no_gap"), SILENT, turns=False, varies=True) == Answer("unknown", NONE, True, "speed")
+    # Of a vehicle that turns the figures speak.
+    assert said(answer("no_gap"), SILENT, varies=True).verdict == "no_gap"
+
+
+@pytest.mark.parametrize(
+    ("field", "heading", "little"),
+    [
+        (CLOSED, SILENT, False),
+        (OPEN, SILENT, False),
+        (Closing(4.0, 2.8, 1.0, 0.5, (0.4, 0.6)), SILENT, True),  # 8.16 of 15
+        (CLOSED, Closing(4.0, 3.9, 1.0, 0.1, (0.0, 0.2)), True),
+        (SILENT, SILENT, False),
+    ],
+)
+def test_names_hold_little_where_less_than_six_tenths_of_a_gap_close(
+    field: Closing, heading: Closing, little: bool
+) -> None:
+    assert verdict.hold_little(field, heading) is little
+
+
+def test_many_names_and_a_remainder_are_unknown_beside_an_exact_floor_too() -> None:
+    problem = SimpleNamespace()
+    ids = ("hard_iron", "soft_iron", "spatial_dipole")
+    remainder = SimpleNamespace(problem=problem, fit=fit_of(*ids))
+    seen = decided(identified(*ids), floor(representative=True), flagged=True, remainder=remainder)
+    assert seen == Answer("unknown", NONE, True, "yaw")
+
+
 def test_a_floor_that_holds_in_detail_has_judged_already() -> None:
     first = answer("named", "hard_iron")
     assert said(first, SILENT, over=floor(representative=True)) is first

@@ -106,3 +106,79 @@ def test_how_old_readings_are_is_not_bent_back_with_the_rest(late: float, stays:
     kept = Search(problem, ()).nothing().null.nuisance_thetas
     assert kept[0].tolist() == [0.0, 0.0, 0.0]
     assert kept[1].tolist() == (bent[1] if stays else age.mean).tolist()
+
+
+# --- what the age of telemetry hides -------------------------------------------------------------------
+
+
+def aged(bent_s: float, fitted: list[tuple[str, list[float], float]]) -> Search:
+    """Return a search whose null has an age of telemetry that is bent; its fits are written down."""
+    age = Nuisance.of(AGE, np.array([0.05]), np.array([0.01]))
+    signals: Any = SimpleNamespace()
+
+    def fit(terms: Any, thetas: Any, known: Any, iterations: int) -> Fit:
+        fitted.append((terms[0].effect.id, [round(float(x), 6) for x in thetas[0]], float(known[0][0])))
+        return Fit(tuple(terms), tuple(thetas), tuple(known), 50.0)
+
+    problem: Any = SimpleNamespace(
+        replay=SimpleNamespace(signals=signals),
+        count=500,
+        nuisances=(age,),
+        null=lambda: Fit((), (), (np.array([0.05 + bent_s]),), 100.0),
+        straight=lambda fit: True,
+        fit=fit,
+    )
+    found = Search(problem, ())
+    effects = [registry.get(name) for name in ("transport_lag", "low_pass", "eddy_current", "hard_iron")]
+    found.terms = [
+        Term(
+            e,
+            np.ones(len(e.parameters), dtype=np.bool_),
+            *np.array([(p.low, p.high) for p in e.parameters]).T,
+        )
+        for e in effects
+    ]
+    return found
+
+
+def test_what_makes_readings_late_is_fitted_from_their_known_age() -> None:
+    fitted: list[tuple[str, list[float], float]] = []
+    search = aged(0.08, fitted)
+    assert len(search._late(search._null())) == 3
+    assert fitted == [
+        ("transport_lag", [0.08], 0.05),
+        ("low_pass", [0.08], 0.05),
+        # A loop of metal in all three axes alike, and nothing between them.
+        ("eddy_current", [0.08, 0.08, 0.08, 0.0, 0.0, 0.0], 0.05),
+    ]
+
+
+@pytest.mark.parametrize("bent_s", [0.002, -0.08])
+def test_an_age_as_it_is_known_hides_nothing(bent_s: float) -> None:
+    fitted: list[tuple[str, list[float], float]] = []
+    search = aged(bent_s, fitted)
+    assert search._late(search._null()) == [] and fitted == []
+
+
+def test_a_moment_moves_with_what_makes_readings_late() -> None:
+    """A step that is seen at 30 s under a loop of metal was 0.08 s earlier, if readings are late instead."""
+    fitted: list[tuple[str, list[float], float]] = []
+    search = aged(0.0, fitted)
+    lag, _, eddy, _ = search.terms
+    step = registry.get("hard_iron_step")
+    term = Term(step, np.ones(5, dtype=np.bool_), np.full(5, -1e7), np.full(5, 1e7))
+    theta = np.array([9.0, 0.0, 0.0, 30.0, 1e7])
+    seen = Fit((eddy, term), (np.array([0.07, 0.08, 0.09, 0, 0, 0.0]), theta), (np.array([0.05]),), 100.0)
+    moments: list[list[float]] = []
+
+    def fit(terms: Any, thetas: Any, known: Any, iterations: int = 12) -> Fit:
+        moments.append([terms[1].effect.id == "transport_lag", *thetas[0][3:], thetas[1][0]])
+        return Fit(tuple(terms), tuple(thetas), tuple(known), 40.0 if terms[1].effect is lag.effect else 90.0)
+
+    search.problem.fit = fit  # type: ignore[method-assign]
+    search.problem.refit = lambda fit: fit  # type: ignore[method-assign]
+    search.problem.strain = lambda fit: 0.0  # type: ignore[method-assign]
+    assert search._otherwise_late(seen).ids == {"hard_iron_step", "transport_lag"}
+    assert moments[0] == [True, pytest.approx(29.92), 1e7, pytest.approx(0.08)]
+    assert moments[1] == [False, 30.0, 1e7, pytest.approx(0.08)]
+    assert search._otherwise_late(seen.without(0)).ids == {"hard_iron_step"}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.replay.nominal import _goes_about
-from mavcompass.gap.replay.whereabouts import place_curves, wander_m
+from mavcompass.gap.replay.whereabouts import place_curves, place_scatter_m, wander_m
 from mavcompass.track import Series
 
 _TIME_S = np.arange(0.0, 300.0, 0.2)
@@ -43,6 +43,14 @@ def test_the_curves_hold_the_wander_that_there_is() -> None:
 def test_places_that_agree_with_the_velocities_do_not_wander() -> None:
     place, velocity = _receiver(0.0)
     assert place_curves(place, velocity, _TIME_S).shape == (_TIME_S.size, 3, 0)
+
+
+@pytest.mark.parametrize("wander", [0.0, 0.8])
+def test_how_far_places_scatter_is_told_beside_their_way_and_wander(wander: float) -> None:
+    place, _ = _receiver(wander)
+    # What wanders for a minute steps by a few centimetres in a fifth of a second, which is scatter, too.
+    assert place_scatter_m(place) == pytest.approx(np.hypot(0.02, 0.8 * wander * 0.05), rel=0.25)
+    assert place_scatter_m(None).tolist() == place_scatter_m(place.between(0.0, 5.0)).tolist() == [0.0] * 3
 
 
 def test_without_velocities_of_its_own_nothing_tells() -> None:

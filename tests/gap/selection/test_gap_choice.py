@@ -211,7 +211,7 @@ def test_what_a_guard_refuses_is_taken_out_one_after_the_other(monkeypatch: pyte
 
     monkeypatch.setattr(identification, "refused", refuse)
     for certain in (True, False):
-        monkeypatch.setattr(identification, "evident", lambda here, rest, c=certain: c)
+        monkeypatch.setattr(identification, "evident", lambda here, rest, *least, c=certain: c)
         left = identification._allowed(candidate(whole), MEASURED)
         assert left.fit.ids == {"hard_iron"} and left.dropped == (
             ("declination", "it is torn"),
@@ -220,7 +220,7 @@ def test_what_a_guard_refuses_is_taken_out_one_after_the_other(monkeypatch: pyte
         # What is certain and too small to be named is remembered; what is torn is not.
         assert left.evident == (frozenset({"soft_iron"}) if certain else frozenset())
     exact: Any = SimpleNamespace(measured=True, representative=True)
-    monkeypatch.setattr(identification, "evident", lambda here, rest: True)
+    monkeypatch.setattr(identification, "evident", lambda here, rest, *least: True)
     assert identification._allowed(candidate(whole), exact).evident == frozenset()
 
 
@@ -389,6 +389,7 @@ def test_rows_while_something_changes_are_set_aside_where_that_explains_the_rest
     )
     monkeypatch.setattr(identification, "transients", lambda problem, fit, when: while_it_changes)
     monkeypatch.setattr(identification, "switched", lambda problem, fit: np.zeros_like(while_it_changes))
+    monkeypatch.setattr(identification, "near_places", lambda problem, fit: np.zeros_like(while_it_changes))
     monkeypatch.setattr(identification, "told", lambda *of: ("something changes",))
     monkeypatch.setattr(identification, "with_moments", lambda problem, fit, when: fit)
     monkeypatch.setattr(identification, "widened", lambda floor, problem, fit: floor)
@@ -401,6 +402,52 @@ def test_rows_while_something_changes_are_set_aside_where_that_explains_the_rest
     np.testing.assert_array_equal(parts.train, split.train & ~while_it_changes)
     np.testing.assert_array_equal(parts.test, split.test & ~while_it_changes)
     assert calm.notes == ("something changes",)
+
+
+@pytest.mark.parametrize(
+    ("named", "after", "refuses", "left"),
+    [
+        # Of three the least is given up, where the two hold nearly all: 1 - 2^2 / 10^2 and more.
+        (("hard_iron", "soft_iron", "spatial_dipole"), 2.0, False, {"hard_iron", "spatial_dipole"}),
+        (
+            ("hard_iron", "soft_iron", "spatial_dipole"),
+            5.0,
+            False,
+            {"hard_iron", "soft_iron", "spatial_dipole"},
+        ),
+        (
+            ("hard_iron", "soft_iron", "spatial_dipole"),
+            2.0,
+            True,
+            {"hard_iron", "soft_iron", "spatial_dipole"},
+        ),
+        (("hard_iron", "soft_iron"), 2.0, False, {"hard_iron", "soft_iron"}),
+    ],
+)
+def test_beside_something_unknown_the_few_that_hold_nearly_all_are_kept(
+    named: tuple[str, ...], after: float, refuses: bool, left: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worth = {"hard_iron": 300.0, "soft_iron": 20.0, "spatial_dipole": 100.0}
+
+    def without(fit: Fit, effect_id: str) -> Fit:
+        kept = fit.without([t.effect.id for t in fit.terms].index(effect_id))
+        return replace(kept, sse=fit.sse + worth[effect_id])
+
+    monkeypatch.setattr(identification, "at_floor", lambda here, fit, floor, within: False)
+    monkeypatch.setattr(identification, "_closed", lambda here, fit, floor: [(10.0, after, 1.0)])
+    monkeypatch.setattr(identification, "refused", lambda here, floor: ("x", "y") if refuses else None)
+    here = candidate(fit_of(*named), search=SimpleNamespace(without=without))
+    assert identification._few_beside_unknown(here, MEASURED).fit.ids == left
+
+
+def test_what_looks_alike_and_fits_better_is_no_worse_a_name() -> None:
+    scores = {"low_pass": 600.0, "transport_lag": 640.0, "hard_iron": 500.0}
+    search: Any = SimpleNamespace(score=lambda fit: scores[next(iter(fit.ids))])
+    lag, low_pass, iron = (fit_of(name) for name in ("transport_lag", "low_pass", "hard_iron"))
+    assert identification._is_better_alias(search, low_pass, lag)
+    assert not identification._is_better_alias(search, lag, low_pass)
+    assert not identification._is_better_alias(search, iron, lag)  # better, and nothing like it
+    assert not identification._is_better_alias(search, fit_of(), lag)
 
 
 def test_what_a_fit_leaves_is_counted_by_its_rows() -> None:

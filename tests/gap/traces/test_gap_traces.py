@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.correction import FieldCorrection
+from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.left.scatter import _told_twice
@@ -21,6 +22,7 @@ from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.gap.traces import excess_variance, find_traces, quiet_doubt, quiet_scatter
 from mavcompass.gap.traces.rapid import find_rapid
 from mavcompass.gap.traces.steps_and_repeats import _overdue_share, names_stale, stale_share
+from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.gap.trial.vehicles.cases import make_case
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Misfit, Signals
@@ -465,3 +467,27 @@ def test_noise_is_told_by_quiet_readings_and_by_what_is_left_of_all(more: float,
         assert size_doubt == pytest.approx(math.hypot(math.sqrt(2.0 / 9000.0), 0.5 / found.size**2))
     else:
         assert size_doubt == pytest.approx(0.5 * more * doubt)
+
+
+@pytest.mark.parametrize("beside_a_baseline", [True, False])
+def test_a_compass_that_says_the_same_throughout_is_frozen(beside_a_baseline: bool) -> None:
+    """It was refused for too few readings, which a person would answer by recording once more."""
+    recipe = Recipe("figure-8", duration_s=60.0, rate_hz=10.0, seed=2)
+    live = replace(make_track(recipe), autopilot="ardupilot")
+    stuck = np.tile(live.compasses[1].reported.values[:1], (600, 1))
+    compass = replace(live.compasses[1], reported=Series.of(live.compasses[1].time_s, stuck))
+    frozen = replace(live, compasses={1: compass})
+    diagnosis = diagnose_gap(frozen, live if beside_a_baseline else None)
+    assert diagnosis.effects == {"stale_samples"} and diagnosis.verdict == "named_with_remainder"
+    assert diagnosis.causes[0].parameters["fraction"] > 0.97
+
+
+def test_a_compass_of_a_vehicle_that_stands_still_may_say_the_same() -> None:
+    recipe = Recipe("figure-8", duration_s=60.0, rate_hz=10.0, seed=2)
+    live = replace(make_track(recipe), autopilot="ardupilot")
+    stuck = np.tile(live.compasses[1].reported.values[:1], (600, 1))
+    compass = replace(live.compasses[1], reported=Series.of(live.compasses[1].time_s, stuck))
+    assert live.gyro_radps is not None
+    resting = Series.of(live.gyro_radps.time_s, np.zeros_like(live.gyro_radps.values))
+    with pytest.raises(BadRecording, match="too few"):
+        diagnose_gap(replace(live, compasses={1: compass}, gyro_radps=resting))

@@ -54,6 +54,21 @@ def test_raw_sensor_is_turned_into_body_axes_and_found_by_its_id(tmp_path: Path)
     np.testing.assert_allclose(compass.time_s, 2.0 + 0.02 * np.arange(10))
 
 
+def test_raw_readings_know_the_calibration_that_is_kept_out_of_them(tmp_path: Path) -> None:
+    """The gap of such a recording once was the iron that the vehicle's own calibration cures."""
+    log = ULogFile()
+    log.topic("sensor_mag", "uint32_t device_id", "float x", "float y", "float z")
+    for axis, offset in zip("XYZ", (0.1, -0.02, 0.03), strict=True):
+        log.parameter(f"CAL_MAG0_{axis}OFF", offset)
+    log.parameter("CAL_MAG0_ID", 55)
+    for n in range(10):
+        log.add("sensor_mag", 2_000_000 + n * 20_000, 55, 0.1, 0.02, -0.4)
+    compass = read_track(log.write(tmp_path / "a.ulg")).compasses[1]
+    assert compass.not_applied is not None
+    assert compass.not_applied.offsets_mgauss == pytest.approx((-100.0, 20.0, -30.0))
+    assert [step.correction.offsets_mgauss for step in compass.in_force] == [(0.0, 0.0, 0.0)]
+
+
 def test_other_columns_are_in_the_units_used_inside(tmp_path: Path) -> None:
     track = read_track(modern(tmp_path / "a.ulg"))
     assert track.attitude_rad is not None and track.current_a is not None and track.motors is not None

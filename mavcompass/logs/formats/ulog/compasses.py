@@ -33,7 +33,7 @@ _SLOTS = 4
 _NO_NEW_SAMPLE = 0x7FFFFFFF
 _MICRO = 1.0e-6
 # So many times as many readings make the corrected field the better one to begin with.
-_DENSER = 1.5
+_DENSER = 3.0
 
 
 def compasses(
