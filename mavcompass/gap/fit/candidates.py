@@ -15,7 +15,7 @@ from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, placement
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.normal import BlockNormal
 from mavcompass.gap.replay import REFERENCE_YAW, WHEREABOUTS, WORLD_FIELD, group_values, yaw_starts
-from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
+from mavcompass.simulation.effects.effect import MOMENTS, PLACED, Effect, Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading
 
 # A shift that the derivatives make themselves to this share is no column of its own.
@@ -66,6 +66,18 @@ def misfit_of(problem: Problem, signals: Signals) -> Misfit:
     return Misfit(signals, residual, rows, problem.sigma_mgauss, len(yaw_starts(problem.nuisances)) > 1)
 
 
+def _hidden(effect: Effect) -> bool:
+    """Tell whether an effect belongs to a moment, a switch or a place, which another iron hides."""
+    moments = any(p.name in MOMENTS for p in effect.parameters)
+    return moments or effect.id == "relay_field" or bool(effect.needs & PLACED)
+
+
+def _nearly(one: FloatArray, other: FloatArray, scale: FloatArray) -> bool:
+    """Tell whether two guesses are within some natural sizes of each other: derivatives lead from one to
+    the other."""
+    return bool((np.abs(one - other) <= _MOST_SIZES * scale).all())
+
+
 def _elsewhere(effect: Effect, guess: FloatArray, known: FloatArray) -> bool:
     return effect.stage_at(guess) is not effect.stage_at(known)
 
@@ -108,12 +120,13 @@ class Candidates:
             if term.effect.id not in kept and term.effect.kind != "discrete":
                 parts += self._begin(term, states)
         offset = problem.prior.mean - np.concatenate(base.nuisance_thetas) if n else np.zeros(0)
-        columns = np.hstack(parts)
+        columns, known_count = np.hstack(parts), known.shape[1]
+        del parts, known
         usual = np.concatenate([c.usual for c in self.list]) if self.list else np.zeros(0)
         labels = np.tile(np.repeat(block[problem.index], 3), len(problem.groups))
         order = np.argsort(labels, kind="stable") if len(problem.groups) > 1 else slice(None)
         self.normal = BlockNormal(
-            columns[order], residual[order], labels[order], known.shape[1], problem.prior.precision,
+            columns[order], residual[order], labels[order], known_count, problem.prior.precision,
             offset, usual, self._loose(),
         )  # fmt: skip
         self.constant = float(residual @ residual + offset @ problem.prior.precision @ offset)
@@ -140,8 +153,9 @@ class Candidates:
         if term.effect.starts is not None:
             misfit = misfit_of(problem, before[-1])
             guesses = term.effect.starts(misfit)
-            if self._bent is not None:
-                guesses = guesses + term.effect.starts(misfit_of(problem, problem.signals(self._bent)))
+            if self._bent is not None and _hidden(term.effect):
+                more = term.effect.starts(misfit_of(problem, problem.signals(self._bent)))
+                guesses += [m for m in more if not any(_nearly(m, g, term.effect.scale) for g in guesses)]
         iron = problem.replay.iron.offset_mgauss
         for guess in [placed for g in guesses for placed in placements(term.effect, g, iron)]:
             if misfit is None and known is not None and not _elsewhere(term.effect, guess, known):
