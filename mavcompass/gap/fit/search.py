@@ -23,15 +23,16 @@ from mavcompass.gap.fit.beam import likeliest_sets
 from mavcompass.gap.fit.candidates import Candidate, Candidates, misfit_of
 from mavcompass.gap.fit.chance import least_alone, least_gain, least_growth
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
+from mavcompass.gap.fit.lateness import beside_known_age, in_place_of_each_other
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, yaw_starts
-from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Effect
+from mavcompass.gap.fit.turns import facing, turn_alone
+from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance
+from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
 _CATALOGUE_SIZE = 40
 _SHORT = 3
-_LIKELY_YAWS = 2
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
 # What is so much likelier by EBIC's score is worth another search; seen beside so many effects alone.
 _FAR_LIKELIER, _ALONE = 20.0, 2
@@ -39,10 +40,6 @@ _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
 _HOPEFUL = 0.7
 # What leaves so many times the noise is not all.
 _UNEXPLAINED = 1.3
-# What makes readings late by times of its own, and from which age of telemetry on, in natural sizes, it is
-# looked for beside the known one.
-_DELAYS = "transport_lag"
-_LATE, _LATE_SIZES = frozenset({_DELAYS, "low_pass", "eddy_current"}), 1.0
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
 
 
@@ -71,22 +68,6 @@ def _facing_as_known(yaw: Nuisance, theta: FloatArray, curves: bool) -> FloatArr
     if curves and off[1:] @ yaw.precision[1:, 1:] @ off[1:] >= least_gain(theta.size - 1):
         out[1:] = yaw.mean[1:]
     return out
-
-
-def _times(effect: Effect) -> NDArray[np.bool_]:
-    """Tell which parameters of an effect that makes readings late are its times, (k,)."""
-    return np.array([p.unit == "s" and p.low >= 0.0 for p in effect.parameters])
-
-
-def _as_late(term: Term, late_s: float) -> FloatArray:
-    """Return the parameters with which an effect makes readings so late."""
-    return np.clip(np.where(_times(term.effect), late_s, term.effect.neutral()), term.lower, term.upper)
-
-
-def _moved_moments(term: Term, theta: FloatArray, by_s: float) -> FloatArray:
-    """Move the moments of change of an effect, those that never come aside."""
-    moments = np.array([p.name in MOMENTS for p in term.effect.parameters]) & (np.abs(theta) < NEVER_S)
-    return np.where(moments, theta + by_s, theta)
 
 
 def _by_chance(nuisance: Nuisance, theta: FloatArray) -> bool:
@@ -158,9 +139,9 @@ class Search:
     def run(self, most: int = MOST_EFFECTS, likely: Sequence[Fit] = ()) -> Found:
         """Search up to `most` effects, from the best of sets that are `likely` on."""
         null = self._null()
-        self._remember(likely)
-        late = self._late(null)
-        self._remember(late)
+        known = self._unbent(null, curves=True).nuisance_thetas
+        late = beside_known_age(self.problem, self.terms, null, known)
+        self._remember([*likely, *late])
         best = self._rounds(null, most, (), self._largest_needed(null, [*likely, *late]))
         if best.terms and self.problem.again(best).sse < null.sse - _AS_GOOD:
             # Nothing was the best of its neighbourhood only: what helps must do so beside the better one.
@@ -168,7 +149,7 @@ class Search:
             best = self._rounds(null, most, ())
         for turned in self._turned(null, best):
             before = self._temper
-            alone = self._turn_alone(turned) if len(turned.terms) > 1 else turned
+            alone = turn_alone(self.problem, turned)
             rival = self._rounds(alone, most, alone.terms, turned)
             if self.score(rival) < self.score(best):
                 best = rival
@@ -182,53 +163,11 @@ class Search:
                 best = min(best, other, key=self.score)
         return Found(self._unbent(null), best, self.explored, self.weights(best))
 
-    def _late(self, null: Fit) -> list[Fit]:
-        """Fit what makes readings late, from where their age is as it is known.
-
-        Without effects the age is bent instead, and beside a bent age no derivative leads back.
-        """
-        nuisances = self.problem.nuisances
-        age = next((i for i, n in enumerate(nuisances) if n.effect.id == TELEMETRY_AGE), None)
-        if age is None:
-            return []
-        known = nuisances[age].mean
-        late_s = float(null.nuisance_thetas[age][0] - known[0])
-        if late_s < _LATE_SIZES * float(nuisances[age].effect.scale[0]):
-            return []
-        start = list(self._unbent(null, curves=True).nuisance_thetas)
-        start[age] = known.copy()
-        return [
-            self.problem.fit((term,), (_as_late(term, late_s),), start, _SHORT)
-            for term in self.terms
-            if term.effect.id in _LATE
-        ]
-
-    def _otherwise_late(self, best: Fit) -> Fit:
-        """Fit what makes readings late in the place of another such effect; return the likeliest.
-
-        What changes at a moment is seen when a late reading comes: the moment moves with the effect.
-        """
-        fits = [best]
-        for place, term in enumerate(best.terms):
-            if term.effect.id not in _LATE:
-                continue
-            own = best.thetas[place][_times(term.effect)]
-            late_s = float(own.mean())
-            rest = best.without(place)
-            for other in self.terms:
-                if other.effect.id in _LATE - best.ids:
-                    moved_s = late_s * ((term.effect.id == _DELAYS) - (other.effect.id == _DELAYS))
-                    thetas = [
-                        _moved_moments(t, theta, moved_s)
-                        for t, theta in zip(rest.terms, rest.thetas, strict=True)
-                    ]
-                    start = (*thetas, _as_late(other, late_s))
-                    fits.append(self.problem.fit((*rest.terms, other), start, best.nuisance_thetas, _SHORT))
-        self._remember(fits)
-        return self.problem.refit(min(fits, key=self.score)) if len(fits) > 1 else best
-
     def _with_rivals(self, best: Fit) -> Fit:
-        best = self._otherwise_late(best)
+        late = in_place_of_each_other(self.problem, self.terms, best)
+        if late:
+            self._remember(late)
+            best = self.problem.refit(min([best, *late], key=self.score))
         self.explored[best.ids] = best
         self._remember(self._rivals(best))
         return best
@@ -294,37 +233,17 @@ class Search:
         means = tuple(n.mean for n in self.problem.nuisances)
         out = [
             fit
-            for fit in self._facing(Fit((), (), means, np.inf))
+            for fit in facing(self.problem, self.terms, Fit((), (), means, np.inf), null.sse)
             if null.sse - fit.sse > 0.5 * (null.sse - best.sse) and self.grows(null, fit)
         ]
         beside = best
         for place in reversed(range(len(best.terms))):
             beside = beside.without(place) if best.terms[place].effect.affine else beside
         if not out and beside.terms and best.sse > _UNEXPLAINED * 3 * self.problem.count:
-            out = [f for f in self._facing(replace(beside, nuisance_thetas=means)) if f.sse < best.sse]
+            fits = facing(self.problem, self.terms, replace(beside, nuisance_thetas=means), null.sse)
+            out = [fit for fit in fits if fit.sse < best.sse]
         self._remember(out)
         return sorted(out, key=lambda f: f.sse)[:2]
-
-    def _turn_alone(self, turned: Fit) -> Fit:
-        """Fit the turn of a set by itself."""
-        place = next(i for i, t in enumerate(turned.terms) if t.effect.kind == "discrete")
-        return self.problem.fit((turned.terms[place],), (turned.thetas[place],), turned.nuisance_thetas)
-
-    def _facing(self, beside: Fit) -> list[Fit]:
-        """Fit each likely orientation beside the effects of a fit."""
-        out: list[Fit] = []
-        for term in self.terms:
-            if term.effect.kind != "discrete" or term.effect.starts is None:
-                continue
-            terms = (*beside.terms, term)
-            for guess in term.effect.starts(misfit_of(self.problem, self.problem.signals(beside))):
-                thetas, starts = (*beside.thetas, guess), yaw_starts(self.problem.nuisances)
-                fits = sorted((self.problem.fit(terms, thetas, s, 1) for s in starts), key=lambda f: f.sse)
-                # One step is enough to see that a compass is not mounted so.
-                likely = [f for f in fits[:_LIKELY_YAWS] if f.sse < self._null().sse]
-                if likely:
-                    out.append(min(map(self.problem.refit, likely), key=lambda f: f.sse))
-        return out
 
     def _rounds(self, first: Fit, most: int, held: Sequence[Term], best: Fit | None = None) -> Fit:
         """Linearise beside the best set, weigh all sets, fit the likeliest; again until nothing changes."""

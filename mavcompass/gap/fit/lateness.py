@@ -1,0 +1,75 @@
+"""What makes readings late, looked for where the age of telemetry would hide it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit.hypothesis import Fit, Term
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.replay import TELEMETRY_AGE
+from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Effect
+
+_DELAYS = "transport_lag"
+_LATE = frozenset({_DELAYS, "low_pass", "eddy_current"})
+# An age of telemetry that is bent by so many natural sizes may hide such an effect.
+_BENT = 1.0
+_ITERATIONS = 3
+
+
+def beside_known_age(
+    problem: Problem, terms: Sequence[Term], null: Fit, nuisance_thetas: Sequence[FloatArray]
+) -> list[Fit]:
+    """Fit each effect that makes readings late, from where their age is as it is known.
+
+    Without effects (`null`) the age is bent instead, and beside a bent age no derivative leads back. The
+    other nuisances begin where `nuisance_thetas` has them.
+    """
+    age = next((i for i, n in enumerate(problem.nuisances) if n.effect.id == TELEMETRY_AGE), None)
+    if age is None:
+        return []
+    nuisance = problem.nuisances[age]
+    late_s = float(null.nuisance_thetas[age][0] - nuisance.mean[0])
+    if late_s < _BENT * float(nuisance.effect.scale[0]):
+        return []
+    start = [*nuisance_thetas[:age], nuisance.mean.copy(), *nuisance_thetas[age + 1 :]]
+    late = [term for term in terms if term.effect.id in _LATE]
+    return [problem.fit((term,), (_as_late(term, late_s),), start, _ITERATIONS) for term in late]
+
+
+def in_place_of_each_other(problem: Problem, terms: Sequence[Term], fit: Fit) -> list[Fit]:
+    """Fit every other effect that makes readings late in the place of one that a fit has.
+
+    What changes at a moment is seen when a late reading comes: the moment moves with the effect.
+    """
+    out = []
+    for place, term in enumerate(fit.terms):
+        if term.effect.id not in _LATE:
+            continue
+        late_s = float(fit.thetas[place][_times(term.effect)].mean())
+        rest = fit.without(place)
+        for other in (t for t in terms if t.effect.id in _LATE - fit.ids):
+            later_s = late_s * ((term.effect.id == _DELAYS) - (other.effect.id == _DELAYS))
+            members = zip(rest.terms, rest.thetas, strict=True)
+            thetas = (*(_moved(*member, later_s) for member in members), _as_late(other, late_s))
+            out.append(problem.fit((*rest.terms, other), thetas, fit.nuisance_thetas, _ITERATIONS))
+    return out
+
+
+def _times(effect: Effect) -> NDArray[np.bool_]:
+    """Tell which parameters of an effect that makes readings late are its times, (k,)."""
+    return np.array([p.unit == "s" and p.low >= 0.0 for p in effect.parameters])
+
+
+def _as_late(term: Term, late_s: float) -> FloatArray:
+    """Return the parameters with which an effect makes readings so late."""
+    return np.clip(np.where(_times(term.effect), late_s, term.effect.neutral()), term.lower, term.upper)
+
+
+def _moved(term: Term, theta: FloatArray, by_s: float) -> FloatArray:
+    """Move the moments of change of an effect, but those that never come."""
+    moments = np.array([p.name in MOMENTS for p in term.effect.parameters]) & (np.abs(theta) < NEVER_S)
+    return np.where(moments, theta + by_s, theta)
