@@ -239,7 +239,8 @@ class Search:
         beside = best
         for place in reversed(range(len(best.terms))):
             beside = beside.without(place) if best.terms[place].effect.affine else beside
-        if not out and beside.terms and best.sse > _UNEXPLAINED * 3 * self.problem.count:
+        noise = 3 * len(self.problem.groups) * self.problem.count
+        if not out and beside.terms and best.sse > _UNEXPLAINED * noise:
             fits = facing(self.problem, self.terms, replace(beside, nuisance_thetas=means), null.sse)
             out = [fit for fit in fits if fit.sse < best.sse]
         self._remember(out)
