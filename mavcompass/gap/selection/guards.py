@@ -29,6 +29,8 @@ _LASTING = 0.25
 # rest.
 _MATERIAL_SHARE, _MATERIAL_BESIDE_UNKNOWN, _EXPLAINED = 0.2, 0.4, 1.25
 _MATERIAL_IF_MISSED, _MISSED = 0.1, 1.4
+# No simulation is exact to a twentieth of what it leaves: not even beside an exact floor.
+_MODEL_SHARE = 0.05
 # A set that leaves no more than this many floors explains enough.
 _AT_FLOOR = 1.25
 # What lies above the floor by less may be the floor's own uncertainty.
@@ -239,7 +241,7 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
     doubtful = problem.replay.doubtful.keys()
     asked = [not floor.representative or bool(doubtful & set(t.effect.groups)) for t in fit.terms]
     if floor.representative:
-        return _too_small(candidate, floor, asked)
+        return _within_the_model(candidate, floor) or _too_small(candidate, floor, asked)
     gap = _gap(candidate, floor)
     # A floor that was only stated for an independent attitude is generous.
     stated = not floor.measured and problem.replay.reference.kind == "columns"
@@ -292,6 +294,19 @@ def _immaterial(candidate: Identified, floor: Floor) -> str | None:
             costs[term.effect.id] = both[0].cost
     # Of two that do the same the one that is missed least.
     return min(costs, key=costs.__getitem__, default=None)
+
+
+def _within_the_model(candidate: Identified, floor: Floor) -> str | None:
+    """Name an effect of the compass alone that changes it by less than a simulation may be off, whatever its
+    readings know."""
+    fit, problem = candidate.fit, candidate.problem
+    whole = problem.predict(fit).mag_mgauss
+    for place, term in enumerate(fit.terms):
+        if term.effect.groups == ("mag",):
+            change = rms((whole - problem.predict(fit.without(place)).mag_mgauss)[problem.index])
+            if change < _MODEL_SHARE * floor.field_rms_mgauss:
+                return term.effect.id
+    return None
 
 
 def _turned_by(problem: Problem, field_mgauss: float) -> float:

@@ -588,3 +588,25 @@ def test_a_magnet_nearer_than_three_centimetres_lies_on_the_path(away_m: float, 
     made = candidate(explained((0.0, 0.0, 30.0)), fit_of(spatial_dipole=away_m))
     assert (guards._touched(made) == "spatial_dipole") is touches
     assert guards._touched(candidate(made.problem, fit_of(hard_iron=away_m))) is None
+
+
+@pytest.mark.parametrize(
+    ("size_mgauss", "floor_mgauss", "refused"),
+    [
+        # On one axis of three: 0.2 mG change 0.115 in all.
+        (0.2, 2.0, False),
+        (0.2, 2.5, True),
+        (-0.2, 2.5, True),
+        (2.0, 2.5, False),
+    ],
+)
+def test_beside_an_exact_floor_too_a_twentieth_of_it_is_the_models_own_error(
+    size_mgauss: float, floor_mgauss: float, refused: bool
+) -> None:
+    """A declination of two hundredths of a degree was named, at a hundred per cent, in a healthy vehicle."""
+    here = candidate(explained((size_mgauss, 0.0, 0.0)), fit_of(hard_iron=size_mgauss))
+    over = floor(floor_mgauss, 9.0, representative=True)
+    assert guards._within_the_model(here, over) == ("hard_iron" if refused else None)
+    # Of other sensors the compass says nothing.
+    gyro = candidate(explained((0.0, 0.0, 0.0)), fit_of(gyro_bias=size_mgauss))
+    assert guards._within_the_model(gyro, over) is None
