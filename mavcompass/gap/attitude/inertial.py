@@ -28,7 +28,7 @@ _FEWEST, _BLOCKS = 200, 12
 _SMOOTHED_S = 0.5
 _OF_ACCELERATION = 0.02
 # Between attitudes farther apart a tilting vehicle turns in ways that their difference does not show.
-_SLOWEST_S = 0.11
+_SLOWEST_S = 0.125
 
 
 def gyro_fault(now: Bias | None, before: Bias | None) -> tuple[Cause, ...]:
