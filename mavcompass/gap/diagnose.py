@@ -138,11 +138,12 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     if before is None and traces.rapid:
         floor = from_recording(replayed)
 
-    # 6. Split, 7. Search, 8. What is left
     frozen = traces.stale_share > 0.0 and replayed.trace.frozen
     if frozen:
         # A compass that says one thing tells of nothing else.
         testable = []
+
+    # 6. Split, 7. Search, 8. What is left
     how.progress(f"weighing {len(testable)} effects")
     identified, remainder, floor = _explained(replayed, before, floor, testable, traces)
     if "orientation" in identified.fit.ids and steered_by(track, how.compass) != "other":
@@ -157,10 +158,9 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
         track, how.compass, replayed, floor, identified, remainder, adequacy, traces, untestable,
         withheld, faults,
     )  # fmt: skip
-    answer = decide(identified, floor, remainder, adequacy, evidence.beside, half)
     if frozen:
-        answer = Answer("named_with_remainder", identified.found.null, True, adequacy.where)
-    return describe(evidence, answer)
+        return describe(evidence, Answer("named_with_remainder", identified.found.null, True, adequacy.where))
+    return describe(evidence, decide(identified, floor, remainder, adequacy, evidence.beside, half))
 
 
 def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, Replay | None]:

@@ -99,7 +99,8 @@ class Candidates:
         `bent` is the base as a gap has bent what is known. That explains away what is like a field or an
         iron, and so shows moments, loads and places which these would hide: guesses are made beside both.
         """
-        self.problem, self.base, self._bent = problem, base, bent
+        self.problem, self.base = problem, base
+        self._bent = None if bent is None else misfit_of(problem, problem.signals(bent))
         self.list: list[Candidate] = []
         self._columns = 0
         n = len(problem.nuisances)
@@ -121,6 +122,7 @@ class Candidates:
                 parts += self._begin(term, states)
         offset = problem.prior.mean - np.concatenate(base.nuisance_thetas) if n else np.zeros(0)
         columns, known_count = np.hstack(parts), known.shape[1]
+        # The equations copy the columns once more: these need not stay meanwhile.
         del parts, known
         usual = np.concatenate([c.usual for c in self.list]) if self.list else np.zeros(0)
         labels = np.tile(np.repeat(block[problem.index], 3), len(problem.groups))
@@ -154,7 +156,7 @@ class Candidates:
             misfit = misfit_of(problem, before[-1])
             guesses = term.effect.starts(misfit)
             if self._bent is not None and _hidden(term.effect):
-                more = term.effect.starts(misfit_of(problem, problem.signals(self._bent)))
+                more = term.effect.starts(self._bent)
                 guesses += [m for m in more if not any(_nearly(m, g, term.effect.scale) for g in guesses)]
         iron = problem.replay.iron.offset_mgauss
         for guess in [placed for g in guesses for placed in placements(term.effect, g, iron)]:

@@ -335,7 +335,7 @@ class Search:
     ) -> Fit:
         start = candidates.start(chosen, held)
         fit = self.problem.fit(start.terms, start.thetas, start.nuisance_thetas, iterations)
-        if any(fit.sse > known.sse for ids, known in self.explored.items() if ids < fit.ids):
+        if any(fit.sse > smaller.sse for ids, smaller in self.explored.items() if ids < fit.ids):
             # More effects leave no more: it has not come to its end yet.
             fit = self.problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas, _SHORT)
         known = self.explored.get(fit.ids)

@@ -6,10 +6,8 @@ import math
 
 import numpy as np
 
-from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Mask, Problem
 from mavcompass.gap.selection.transient import RELAY, between, switched_field
-from mavcompass.simulation.effects.effect import NEVER_S
 
 STEP = "hard_iron_step"
 # Readings so near to a switching, on either side, tell what it changes: less than half is nothing.
@@ -37,19 +35,16 @@ def unswitched(problem: Problem, fit: Fit) -> bool:
     error = problem.replay.measured.mag_mgauss - problem.predict(fit.without(place)).mag_mgauss
     along = error @ own / size**2
     time, clear = problem.replay.time_s, problem.usable & ~between(problem, fit)
+    row = np.arange(time.size)
     total = weights = 0.0
-    changes = np.flatnonzero(np.diff(on.astype(np.int8)))
-    for change in changes:
-        sides: list[FloatArray] = []
-        for side in (on == on[change], on == on[change + 1]):
-            near = np.abs(time - 0.5 * (time[change] + time[change + 1])) < _NEAR_S
-            before = np.arange(time.size) <= change
-            rows = near & clear & side & (before if not sides else ~before)
-            sides.append(along[rows])
-        if all(values.size for values in sides):
-            weight = 1.0 / sum(1.0 / values.size for values in sides)
-            sign = 1.0 if on[change + 1] else -1.0
-            total += weight * sign * float(sides[1].mean() - sides[0].mean())
+    for last in np.flatnonzero(np.diff(on.astype(np.int8))):
+        near = clear & (np.abs(time - 0.5 * (time[last] + time[last + 1])) < _NEAR_S)
+        before = along[near & (row <= last) & (on == on[last])]
+        after = along[near & (row > last) & (on != on[last])]
+        if before.size and after.size:
+            weight = 1.0 / (1.0 / before.size + 1.0 / after.size)
+            change = float(after.mean() - before.mean())
+            total += weight * (-change if on[last] else change)
             weights += weight
     if weights == 0.0:
         return False
@@ -69,7 +64,7 @@ def goes_with_a_load(problem: Problem, fit: Fit) -> bool:
     rows = problem.usable & clear
     time = stimulus.time_s[rows]
     there: Mask = (time >= at["on_s"]) & (time < at["off_s"])
-    if there.all() or not there.any() or abs(at["on_s"]) > NEVER_S:
+    if there.all() or not there.any():
         return False
     loads = [stimulus.throttle, stimulus.current_a, *np.abs(stimulus.motors.T)]
     for load in (load[rows] for load in loads if np.isfinite(load[rows]).all()):

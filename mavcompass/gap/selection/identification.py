@@ -365,16 +365,16 @@ def _simplest(candidate: Identified, floor: Floor) -> Identified:
             allowed = [f for f in allowed if candidate.search.grows(none, f)]
         if not allowed:
             return replace(candidate, as_good=tuple(f.ids for f in _no_worse(candidate, near)))
+        likeliest = min(allowed, key=candidate.search.score)
         if chosen.terms:
             # What the search preferred fits the rest better.
             doubted = (chosen.ids,)
         else:
             # Guards took everything: what they refuse by itself is no rival either, unless it looks alike and
             # fits better.
-            best = min(allowed, key=candidate.search.score)
-            doubted = tuple(f.ids for f in good if _is_better_alias(candidate.search, f, best))
+            doubted = tuple(f.ids for f in good if _is_better_alias(candidate.search, f, likeliest))
             good = allowed
-        chosen = min(allowed, key=candidate.search.score)
+        chosen = likeliest
         good = [f for f in good if f is not chosen]
     # An alias that the search passed over is a rival, but no reason to change the name.
     simpler = [f for f in good if f.dimension < chosen.dimension and f.ids in candidate.search.explored]

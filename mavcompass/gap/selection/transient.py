@@ -10,7 +10,7 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Mask, Problem, Term
 from mavcompass.gap.replay import TELEMETRY_AGE, Replay
-from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, PLACED, Effect
+from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, PLACED
 
 _BIN_S = 0.25
 _LONGEST_S = 3.0
@@ -140,19 +140,22 @@ def near_places(problem: Problem, fit: Fit) -> Mask:
     """
     replay = problem.replay
     rows: Mask = np.zeros(replay.time_s.size, dtype=np.bool_)
-    signals, place = replay.signals, replay.signals.stimulus.position_ned_m
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
         if not (term.effect.needs & PLACED) or not replay.place_scatter_m.any():
             continue
-
-        def field(off_m: FloatArray, effect: Effect = term.effect, at: FloatArray = theta) -> FloatArray:
-            moved = replace(signals.stimulus, position_ned_m=place + off_m)
-            return effect.forward(replace(signals, stimulus=moved), at, {}, None).reading.mag_mgauss
-
-        offs = np.diag(replay.place_scatter_m)
-        square = sum(np.sum((field(off) - field(-off)) ** 2, axis=1) / 4.0 for off in offs)
+        square = np.zeros(rows.size)
+        for off_m in np.diag(replay.place_scatter_m):
+            one, other = (_field_elsewhere(replay, term, theta, side * off_m) for side in (1.0, -1.0))
+            square += np.sum((one - other) ** 2, axis=1) / 4.0
         rows |= np.sqrt(np.nan_to_num(square) / 3.0) > _COUNTS * float(problem.sigma_mgauss.mean())
     return rows if rows[problem.usable].mean() < _MOST_NEAR else np.zeros_like(rows)
+
+
+def _field_elsewhere(replay: Replay, term: Term, theta: FloatArray, off_m: FloatArray) -> FloatArray:
+    """Return what an effect makes of the readings (N, 3) if all places are off by as much, (3,)."""
+    stimulus = replay.signals.stimulus
+    moved = replace(stimulus, position_ned_m=stimulus.position_ned_m + off_m)
+    return term.effect.forward(replace(replay.signals, stimulus=moved), theta, {}, None).reading.mag_mgauss
 
 
 def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:
