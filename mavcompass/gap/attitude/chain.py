@@ -34,15 +34,16 @@ class Solved:
 
     def covariance(self, which: NDArray[np.int64], count: int) -> FloatArray:
         """Return the joint covariance of the first elements of some states (M,), (M count, M count)."""
-        from scipy.linalg import cho_solve_banded
+        from scipy.linalg.lapack import dtbtrs
 
         width = self.states.shape[1]
         rows = (which[:, None] * width + np.arange(count)).ravel()
-        unit = np.zeros((self.states.size, rows.size))
+        unit = np.zeros((self.states.size, rows.size), order="F")
         unit[rows, np.arange(rows.size)] = 1.0
-        own = cho_solve_banded((self._factor, True), unit, check_finite=False)[rows]
+        # With the factor L of the normal matrix its inverse is that of L, times its transpose.
+        root = dtbtrs(self._factor, unit, uplo="L", overwrite_b=True)[0]
         bent = self._bent[rows]
-        return np.asarray(own + bent @ self._constants_covariance @ bent.T)
+        return np.asarray(root.T @ root + bent @ self._constants_covariance @ bent.T)
 
 
 class Chain:

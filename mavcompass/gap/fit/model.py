@@ -31,6 +31,8 @@ _CONVERGED = 0.02
 # The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, and
 # serves to come nearer so far, in natural sizes.
 _NEAR, _FAR = 0.3, 5.0
+# Derivatives of so many fits are kept for others.
+_LENT = 4
 # What errs together, in seconds.
 _LASTING_S = 10.0
 
@@ -64,7 +66,7 @@ class Problem:
         self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
         self._precision = prior.precision
         self._bridge = bridge(replay.valid) if any(noise[g].moving.any() for g in self.groups) else None
-        self._lent: tuple[FloatArray, list[FloatArray]] | None = None
+        self._lent: list[tuple[FloatArray, list[FloatArray]]] = []
         self._null: Fit | None = None
         self._prior = prior.mean
 
@@ -144,13 +146,17 @@ class Problem:
         parts = []
         for g in self.groups:
             values = np.stack([group_values(change, g) for change in changes], axis=2)
-            out = np.zeros((rows.size * 3, len(changes)))
             some = np.flatnonzero(values.any(axis=(0, 1)))
+            if some.size == len(changes):
+                white = self.noise[g].whiten_many(self._bridged(values))[rows]
+                parts.append(white.reshape(rows.size * 3, some.size))
+                continue
+            out = np.zeros((rows.size * 3, len(changes)))
             if some.size:
                 white = self.noise[g].whiten_many(self._bridged(values[:, :, some]))[rows]
                 out[:, some] = white.reshape(rows.size * 3, some.size)
             parts.append(out)
-        return np.concatenate(parts)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def lasting_covariance(self, fit: Fit) -> FloatArray:
         """Return the covariance of a fit's nuisances and free parameters where errors last for seconds.
@@ -238,7 +244,7 @@ class Problem:
         first, made_at = self._borrowed(terms, x[:n])
         borrowed = first is not None
         for _ in range(iterations):
-            if first is None or self._moved(x[:n], made_at, _FAR):
+            if first is None or self._away(x[:n], made_at) > _FAR:
                 fitted = range(0 if self._steady else lasting)
                 first, made_at, borrowed = self.columns(terms, x[n:], x[:n], states, fitted), x[:n], False
                 self._lend(terms, first, made_at)
@@ -268,7 +274,7 @@ class Problem:
             x, states, r, cost = trial, trial_states, trial_r, trial_cost
             damping *= 0.03
             if gained < _CONVERGED:
-                if not self._moved(x[:n], made_at, _NEAR):
+                if self._away(x[:n], made_at) <= _NEAR:
                     break
                 first = None
         covariance = invert(normal) if normal.size else normal
@@ -278,14 +284,18 @@ class Problem:
         self, terms: tuple[Term, ...], thetas: list[FloatArray]
     ) -> tuple[FloatArray | None, list[FloatArray]]:
         """Return the derivatives by the nuisances that an earlier fit made nearby, or None."""
-        if self._lent is None or any(t.effect.kind == "discrete" for t in terms):
+        if any(t.effect.kind == "discrete" for t in terms):
             return None, thetas
-        columns, made_at = self._lent
-        return (columns, made_at) if not self._moved(thetas, made_at, _FAR) else (None, thetas)
+        away, nearest = min(
+            ((self._away(thetas, made_at), i) for i, (_, made_at) in enumerate(self._lent)),
+            default=(np.inf, 0),
+        )
+        return self._lent[nearest] if away <= _FAR else (None, thetas)
 
     def _lend(self, terms: tuple[Term, ...], columns: FloatArray, made_at: list[FloatArray]) -> None:
         if not any(t.effect.kind == "discrete" for t in terms):
-            self._lent = (columns, made_at)
+            near = [one for one in self._lent if self._away(made_at, one[1]) > _NEAR]
+            self._lent = [*near, (columns, made_at)][-_LENT:]
 
     def _equations(
         self,
@@ -318,13 +328,15 @@ class Problem:
         n = len(self.nuisances)
         return float(r @ r) + self._prior_cost(x[:n]) + weak_cost(x[n:], free[n:], weak)
 
-    def _moved(self, thetas: Sequence[FloatArray], made_at: Sequence[FloatArray], sizes: float) -> bool:
-        """Tell whether nuisances moved by more than so many natural sizes since their derivatives were
-        made."""
-        return any(
-            bool((np.abs(now - then) > sizes * nuisance.effect.scale).any())
-            for nuisance, now, then in zip(self.nuisances, thetas, made_at, strict=True)
-            if nuisance.effect is not self.nuisances[0].effect
+    def _away(self, thetas: Sequence[FloatArray], made_at: Sequence[FloatArray]) -> float:
+        """Return by how many natural sizes nuisances moved at most since their derivatives were made."""
+        return max(
+            (
+                float(np.max(np.abs(now - then) / nuisance.effect.scale, initial=0.0))
+                for nuisance, now, then in zip(self.nuisances, thetas, made_at, strict=True)
+                if nuisance.effect is not self.nuisances[0].effect
+            ),
+            default=0.0,
         )
 
     def _prior_cost(self, thetas: Sequence[FloatArray]) -> float:

@@ -70,6 +70,11 @@ def _facing_as_known(yaw: Nuisance, theta: FloatArray, curves: bool) -> FloatArr
     return out
 
 
+def _is_turned(fit: Fit) -> bool:
+    """Tell whether a set has the compass in another orientation."""
+    return any(term.effect.kind == "discrete" for term in fit.terms)
+
+
 def _by_chance(nuisance: Nuisance, theta: FloatArray) -> bool:
     """Tell whether a nuisance by itself lies no farther from what is known of it than by chance."""
     off = theta - nuisance.mean
@@ -142,12 +147,22 @@ class Search:
         known = self._unbent(null, curves=True).nuisance_thetas
         late = beside_known_age(self.problem, self.terms, null, known)
         self._remember([*likely, *late])
-        best = self._rounds(null, most, (), self._largest_needed(null, [*likely, *late]))
-        if best.terms and self.problem.again(best).sse < null.sse - _AS_GOOD:
-            # Nothing was the best of its neighbourhood only: what helps must do so beside the better one.
-            null = self.explored[frozenset()] = self.problem.null()
-            best = self._rounds(null, most, ())
-        for turned in self._turned(null, best):
+        best = self._largest_needed(null, [*likely, *late], most)
+        means = tuple(n.mean for n in self.problem.nuisances)
+        turns = facing(self.problem, self.terms, Fit((), (), means, np.inf), null.sse)
+        noise = 3 * len(self.problem.groups) * self.problem.count
+        explained = min((fit.sse for fit in turns), default=np.inf)
+        if explained < _UNEXPLAINED * noise:
+            best = self._rounds(null, most, (), best, 1)
+        nearest = np.inf if _is_turned(best) else best.sse
+        # A turn that leaves nothing, where nothing else comes near at once, needs no second look at others.
+        if explained > min(_UNEXPLAINED * noise, _HOPEFUL * nearest):
+            best = self._rounds(null, most, (), best)
+            if best.terms and self.problem.again(best).sse < null.sse - _AS_GOOD:
+                # Nothing was the best of its neighbourhood only: what helps must do so beside the better one.
+                null = self.explored[frozenset()] = self.problem.null()
+                best = self._rounds(null, most, ())
+        for turned in self._turned(null, best, turns):
             before = self._temper
             alone = turn_alone(self.problem, turned)
             rival = self._rounds(alone, most, alone.terms, turned)
@@ -183,7 +198,7 @@ class Search:
 
         Beside nothing what limits the readings, or lasts for a moment, hides or bends what others do.
         """
-        if any(t.effect.kind == "discrete" for t in best.terms) or len(best.terms) < 2:
+        if _is_turned(best) or len(best.terms) < 2:
             return best
         if len(best.terms) == 2:
             ones = [self.without(best, effect_id) for effect_id in sorted(best.ids)]
@@ -224,35 +239,33 @@ class Search:
             best = better
         return best
 
-    def _turned(self, null: Fit, best: Fit) -> list[Fit]:
-        """Fit a compass in another orientation, where one would explain most of what there is to explain.
+    def _turned(self, null: Fit, best: Fit, turns: Sequence[Fit]) -> list[Fit]:
+        """Choose of fitted `turns` of the compass those that explain most of what there is to explain.
 
         Where the best set leaves much, what it has that is no map of the field may hide a turn: one is tried
         beside that, too.
         """
-        means = tuple(n.mean for n in self.problem.nuisances)
-        out = [
-            fit
-            for fit in facing(self.problem, self.terms, Fit((), (), means, np.inf), null.sse)
-            if null.sse - fit.sse > 0.5 * (null.sse - best.sse) and self.grows(null, fit)
-        ]
+        out = [f for f in turns if null.sse - f.sse > 0.5 * (null.sse - best.sse) and self.grows(null, f)]
         beside = best
         for place in reversed(range(len(best.terms))):
             beside = beside.without(place) if best.terms[place].effect.affine else beside
         noise = 3 * len(self.problem.groups) * self.problem.count
         if not out and beside.terms and best.sse > _UNEXPLAINED * noise:
+            means = tuple(n.mean for n in self.problem.nuisances)
             fits = facing(self.problem, self.terms, replace(beside, nuisance_thetas=means), null.sse)
             out = [fit for fit in fits if fit.sse < best.sse]
         self._remember(out)
         return sorted(out, key=lambda f: f.sse)[:2]
 
-    def _rounds(self, first: Fit, most: int, held: Sequence[Term], best: Fit | None = None) -> Fit:
+    def _rounds(
+        self, first: Fit, most: int, held: Sequence[Term], best: Fit | None = None, rounds: int = _ROUNDS
+    ) -> Fit:
         """Linearise beside the best set, weigh all sets, fit the likeliest; again until nothing changes."""
         kept = Fit(first.terms, first.thetas, (), np.inf) if held else Fit((), (), (), np.inf)
         smallest, best = first, first if best is None else best
         # How blocks contradict each other beside another start says nothing of this one.
         self._temper = 1.0
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             base = self._unbent(best, curves=True)
             candidates = self._linearised(base, held, None if base is best else best)
             sets = likeliest_sets(candidates, self._temper, self.cost, most - len(held))
@@ -262,7 +275,7 @@ class Search:
             if not self.exact and fits:
                 likeliest = min(fits, key=lambda f: f.sse)
                 self._temper = max(1.0, self.contradiction(smallest, likeliest))
-            better = self._largest_needed(smallest, [best, *fits])
+            better = self._largest_needed(smallest, [best, *fits], most)
             same = better.ids == best.ids and better.sse > best.sse - _AS_GOOD
             best = min(better, best, key=lambda f: f.sse) if same else better
             if same or not self.worthwhile(best):
@@ -341,12 +354,12 @@ class Search:
         known = self.explored.get(fit.ids)
         return fit if known is None or fit.sse < known.sse else known
 
-    def _largest_needed(self, smallest: Fit, fits: Sequence[Fit]) -> Fit:
-        """Return the best set of the largest size whose growth is needed, size after size or two at a
-        time."""
+    def _largest_needed(self, smallest: Fit, fits: Sequence[Fit], most: int) -> Fit:
+        """Return the best set of the largest size, `most` at most, whose growth is needed, size after size or
+        two at a time."""
         by_size: dict[int, Fit] = {}
         for fit in [smallest, *fits, *self.explored.values()]:
-            if not smallest.ids <= fit.ids:
+            if not smallest.ids <= fit.ids or len(fit.terms) > most:
                 continue
             size = len(fit.terms)
             if size not in by_size or self.score(fit) < self.score(by_size[size]):
@@ -359,7 +372,7 @@ class Search:
 
     def _rivals(self, best: Fit) -> list[Fit]:
         """Fit what else could explain as much with as many effects, for the weights."""
-        if any(t.effect.kind == "discrete" for t in best.terms):
+        if _is_turned(best):
             return []
         candidates = self._linearised(self._unbent(best), ())
         size = max(len(best.terms), 1)

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.fit import Fit, Search, Term
+from mavcompass.gap.fit import Fit, Problem, Search, Term
+from mavcompass.gap.replay import Prior, replay
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
-from mavcompass.simulation.effects import registry
+from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track
+from mavcompass.simulation.effects import parse, registry
 
 LAG = registry.get("transport_lag")
 
@@ -106,3 +108,36 @@ def test_how_old_readings_are_is_not_bent_back_with_the_rest(late: float, stays:
     kept = Search(problem, ()).nothing().null.nuisance_thetas
     assert kept[0].tolist() == [0.0, 0.0, 0.0]
     assert kept[1].tolist() == (bent[1] if stays else age.mean).tolist()
+
+
+def test_a_search_of_few_effects_names_no_more_whatever_was_explored(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = search(1.0, monkeypatch)
+    nothing, lag = fit(1000.0, 0.0), fit(700.0, 0.0, LAG)
+    both = fit(300.0, 0.0, LAG, registry.get("low_pass"))
+    one.explored = {f.ids: f for f in (lag, both)}
+    assert one._largest_needed(nothing, [], 2) is both
+    assert one._largest_needed(nothing, [], 1) is lag
+    assert one._largest_needed(nothing, [], 0) is nothing
+
+
+@pytest.mark.parametrize("beside", ["", "transport_lag:lag_s=0.1"])
+def test_a_turn_that_leaves_nothing_is_found_without_a_second_look_at_others(
+    beside: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    effects = [parse("orientation:orientation=10"), *([parse(beside)] if beside else [])]
+    replayed = replay(make_track(Recipe("rich", duration_s=60.0, rate_hz=8.0, seed=6), effects))
+    problem = Problem(replayed, CASE_NOISE, replayed.valid, Prior.of(replayed.nuisances))
+    one = Search(
+        problem, [registry.get(e) for e in ("orientation", "hard_iron", "soft_iron", "transport_lag")]
+    )
+    looks: list[tuple[frozenset[str], int]] = []
+    rounds = one._rounds
+
+    def counted(first: Fit, most: int, held: Any, best: Any = None, times: int = 4) -> Fit:
+        looks.append((first.ids, times))
+        return rounds(first, most, held, best, times)
+
+    monkeypatch.setattr(one, "_rounds", counted)
+    assert one.run().best.ids == {e.effect.id for e in effects}
+    # A lag hides how well a turn does by itself: others are looked at to the end.
+    assert [times for first, times in looks if not first] == [4 if beside else 1]
