@@ -72,6 +72,7 @@ class Checkout:
         return running.returncode, out, err
 
     def write(self, name: str, text: str) -> None:
+        (self.folder / name).parent.mkdir(exist_ok=True)
         (self.folder / name).write_text(text)
 
     @property
@@ -94,6 +95,18 @@ def test_first_start_makes_the_environment_and_keeps_standard_output_clean(check
     assert (code, out) == (0, "program: --json - two words\n")
     assert [line.split(":")[0] for line in err.splitlines()] == ["mavcompass", "mavcompass"]
     assert "pip talks" in (checkout.folder / ".venv-setup.log").read_text()
+
+
+def test_what_most_commands_load_is_compiled_once(checkout: Checkout) -> None:
+    """Where a start may write nothing it would compile them each time, for half a second."""
+    checkout.write("mavcompass/__init__.py", "")
+    package = checkout.venv / "lib" / "python3.11" / "site-packages" / "numpy"
+    (package / "tests").mkdir(parents=True)
+    for file in (package / "core.py", package / "tests" / "test_core.py"):
+        file.write_text("")
+    checkout.run()
+    compiled = [file.parent.parent.name for file in checkout.folder.rglob("*.pyc")]
+    assert sorted(compiled) == ["mavcompass", "numpy"]
 
 
 def test_second_start_is_silent_and_quick(checkout: Checkout) -> None:
