@@ -30,7 +30,15 @@ from mavcompass.gap.fit import Fit, Problem, difference
 from mavcompass.gap.left import Adequacy, Floor, Scatter
 from mavcompass.gap.replay import Replay, level_mgauss
 from mavcompass.gap.result import Bar, Cause, Closing, Diagnosis
-from mavcompass.gap.selection import ABOVE, SILENT, Identified, Remainder, at_floor, evident
+from mavcompass.gap.selection import (
+    ABOVE,
+    SILENT,
+    Identified,
+    Remainder,
+    at_floor,
+    evident,
+    lost_in_the_floor,
+)
 from mavcompass.gap.traces import Traces
 from mavcompass.track import Track
 
@@ -194,7 +202,13 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
     varies = not (turns or at_floor(identified, none, floor, ABOVE))
     stated = (where_left, floor, none, evidence.beside, turns, problem.replay)
     weighed = (certain, not evidence.faults, varies)
-    said = consistent(answer, field, heading, *stated, *weighed)
+    below = floor.measured and not (floor.representative or evidence.beside)
+    below = below and all(c.nominal < c.floor for c in (field, heading))
+    if below and lost_in_the_floor(problem, answer.named, floor):
+        # Whatever single readings know.
+        said = Answer("no_gap", none, False, None)
+    else:
+        said = consistent(answer, field, heading, *stated, *weighed)
     if said.verdict == "no_gap" and answer.named.terms:
         # Beside the best explanation of the rest (place, calibration, attitude) nothing lies above the floor.
         field, heading = (replace(c, after=c.nominal, shrink=0.0) for c in (field, heading))

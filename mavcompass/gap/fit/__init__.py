@@ -1,5 +1,6 @@
 """Fit hypotheses to a replay, and search the set of effects that explains it best."""
 
+from mavcompass.gap.fit.candidates import is_local
 from mavcompass.gap.fit.chance import least_gain
 from mavcompass.gap.fit.composition import difference
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, make_term, placements
@@ -15,6 +16,7 @@ __all__ = [
     "Search",
     "Term",
     "difference",
+    "is_local",
     "least_gain",
     "make_term",
     "placements",

@@ -66,8 +66,8 @@ def misfit_of(problem: Problem, signals: Signals) -> Misfit:
     return Misfit(signals, residual, rows, problem.sigma_mgauss, len(yaw_starts(problem.nuisances)) > 1)
 
 
-def _hidden(effect: Effect) -> bool:
-    """Tell whether an effect belongs to a moment, a switch or a place, which another iron hides."""
+def is_local(effect: Effect) -> bool:
+    """Tell whether an effect belongs to a moment, a switch or a place."""
     moments = any(p.name in MOMENTS for p in effect.parameters)
     return moments or effect.id == "relay_field" or bool(effect.needs & PLACED)
 
@@ -155,7 +155,7 @@ class Candidates:
         if term.effect.starts is not None:
             misfit = misfit_of(problem, before[-1])
             guesses = term.effect.starts(misfit)
-            if self._bent is not None and _hidden(term.effect):
+            if self._bent is not None and is_local(term.effect):
                 more = term.effect.starts(self._bent)
                 guesses += [m for m in more if not any(_nearly(m, g, term.effect.scale) for g in guesses)]
         iron = problem.replay.iron.offset_mgauss

@@ -8,6 +8,7 @@ from mavcompass.gap.selection.guards import (
     SILENT,
     at_floor,
     evident,
+    lost_in_the_floor,
     whitened_left,
 )
 from mavcompass.gap.selection.identification import identify
@@ -29,6 +30,7 @@ __all__ = [
     "evident",
     "floor_to_start",
     "identify",
+    "lost_in_the_floor",
     "moments",
     "split_blocks",
     "what_is_left",

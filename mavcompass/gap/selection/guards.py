@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Problem
+from mavcompass.gap.fit import Fit, Problem, is_local
 from mavcompass.gap.left import Floor, apart, heading_error_rad, rms
 from mavcompass.gap.replay import group_values, level_mgauss
 from mavcompass.gap.selection.direct import STEP, goes_with_a_load, unswitched
@@ -46,6 +46,8 @@ NEEDED_ABOVE = {True: 0.9, False: 1.25}
 _ABOVE_STATED, _LEAST_OF_STATED = 0.5, 0.1
 # The mean square of whitened readings above which they are searched though they lie at their floor.
 _LOUD = 1.25
+# An effect acts where it changes readings by more than this share of its most.
+_ACTS = 0.5
 _AT_THE_END = 1e-3
 # What is less than these shares of the floor, and of another effect, may be the error of that one.
 _LOST_OF_FLOOR, _LOST_SHARE = 0.35, 0.06
@@ -80,6 +82,23 @@ def needs_none(candidate: Identified, floor: Floor) -> bool:
         # Readings that know better than their floor may know an effect below it.
         return False
     return at_floor(candidate, candidate.found.null, floor, NEEDED_ABOVE[floor.measured])
+
+
+def lost_in_the_floor(problem: Problem, fit: Fit, floor: Floor) -> bool:
+    """Tell whether effects are no larger than what two flights of a healthy vehicle differ by, in readings
+    that lie below the floor without them: all but those of a moment, a switch or a place which lift the
+    readings above it where they act."""
+    whole, replay = problem.predict(fit).mag_mgauss, problem.replay
+    for place, term in enumerate(fit.terms):
+        if not is_local(term.effect):
+            continue
+        without = problem.predict(fit.without(place)).mag_mgauss
+        change = np.linalg.norm(whole - without, axis=1)
+        acts = problem.usable & (change > _ACTS * change[problem.usable].max())
+        field, heading = apart(replay, replay.measured.mag_mgauss, without, acts)
+        if field > floor.field_rms_mgauss or heading > floor.heading_rms_deg:
+            return False
+    return True
 
 
 def whitened_left(candidate: Identified, fit: Fit) -> list[float]:

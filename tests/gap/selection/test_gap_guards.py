@@ -192,6 +192,36 @@ def test_what_is_known_is_searched_where_it_was_bent_further_than_by_chance(bent
     assert guards.needs_none(here, floor(9.0, 9.0, measured=False))
 
 
+@pytest.mark.parametrize(
+    ("effect", "left_mgauss", "heading_deg", "lost"),
+    [
+        ("soft_iron", 9.0, 9.0, True),  # acts everywhere: only in the mean it could be more
+        ("spatial_dipole", 0.5, 9.0, True),
+        ("spatial_dipole", 1.1, 9.0, False),
+        ("spatial_dipole", 0.5, 0.1, False),  # it turns the heading
+    ],
+)
+def test_below_the_floor_only_what_passes_is_told_from_another_flight(
+    effect: str, left_mgauss: float, heading_deg: float, lost: bool
+) -> None:
+    """Where a magnet is passed readings may lie above the floor that they keep in the mean."""
+    passed = np.where(np.arange(ROWS) < 10, 1.0, 0.0)
+
+    class Passing(Problem):
+        def predict(self, fit: Fit, effects: bool = True) -> Any:
+            out = NORTH + sum(
+                (passed * theta[0] if term.effect.id == "spatial_dipole" else BOTH_WAYS * theta[0])[:, None]
+                * np.ones(3)
+                for term, theta in zip(fit.terms, fit.thetas, strict=True)
+            )
+            return SimpleNamespace(mag_mgauss=out)
+
+    problem: Any = Passing((passed * left_mgauss)[:, None] * np.ones(3))
+    limits = floor(1.0, heading_deg)
+    assert guards.lost_in_the_floor(problem, fit_of(**{effect: 1.0}), limits) is lost
+    assert guards.lost_in_the_floor(problem, fit_of(), limits)
+
+
 def test_without_held_out_rows_nothing_lies_at_the_floor() -> None:
     none = replace(split(), test=np.zeros(ROWS, dtype=np.bool_))
     here = candidate(explained((0.0, 0.0, 0.0)), fit_of(), split=none)
