@@ -1,18 +1,16 @@
-"""Normal equations by block: every candidate's derivatives go through the simulation once, sets are small
-algebra.
+"""Normal equations of all candidates: derivatives go through the simulation once, sets are small algebra.
 
 With columns J of all candidates beside the nuisances and the whitened residual r, a set S of them takes
 
     c_S^T A_SS^-1 c_S
 
 off the sum of squares, A and c being J^T J and J^T r with the nuisances eliminated (their prior included).
-Sums are kept block by block, so that how far blocks contradict each other costs no new pass either.
+The columns are kept, so that how far blocks contradict each other costs no new pass either.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,13 +33,13 @@ class Solution:
 
 
 class BlockNormal:
-    """Hold the normal equations of columns (nuisances first) in each block of a recording."""
+    """Hold the normal equations of columns (nuisances first) of a recording in blocks."""
 
     def __init__(
         self, columns: FloatArray, residual: FloatArray, block: NDArray[np.int64], nuisances: int,
         precision: FloatArray, offset: FloatArray, usual: FloatArray, loose: NDArray[np.bool_],
     ) -> None:  # fmt: skip
-        """Sum up columns (n, P) and a residual (n,) in blocks (n,) that do not decrease.
+        """Sum up columns (n, P) and a residual (n,); keep both, and the blocks (n,), which do not decrease.
 
         `precision` (K, K) is the nuisances' prior, `offset` (K,) its mean less where they stand. `usual` (P
         - K,) are sizes that the other columns' values have at most: what the recording does not tell stays
@@ -51,14 +49,13 @@ class BlockNormal:
         self._loose = np.flatnonzero(loose)
         length = np.sqrt(np.einsum("np,np->p", columns, columns))
         self.size = np.where(length > _NOTHING, length, 1.0)
-        scaled = columns / self.size
-        edges = np.flatnonzero(np.diff(block, prepend=-1, append=block[-1] + 1 if block.size else 0))
-        parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
-        self.normal = np.stack([scaled[rows].T @ scaled[rows] for rows in parts])
-        self.right = np.stack([scaled[rows].T @ residual[rows] for rows in parts])
+        # Sums block by block of all pairs would take more than the columns themselves; a ratio of scatters
+        # needs no sixteen digits.
+        self._columns, self._residual = columns.astype(np.float32), residual
+        self._starts = np.flatnonzero(np.diff(block, prepend=block[:1] - 1))
         scale = self.size[:nuisances]
-        total = self.normal.sum(axis=0)
-        self._right = self.right.sum(axis=0)
+        total = columns.T @ columns / np.outer(self.size, self.size)
+        self._right = columns.T @ residual / self.size
         total[:nuisances, :nuisances] += precision / np.outer(scale, scale)
         self._right[:nuisances] += precision @ offset / scale
         n = nuisances
@@ -105,7 +102,11 @@ class BlockNormal:
         A = self._total
         through = np.linalg.solve(A[np.ix_(beside, beside)], A[np.ix_(beside, n + of)])
         inner = A[np.ix_(n + of, n + of)] - A[np.ix_(n + of, beside)] @ through
-        scores = self.right - self.normal @ values
-        own_scores = scores[:, n + of] - scores[:, beside] @ through
+        left = self._residual - self._columns @ (values / self.size)
+
+        def scores(some: NDArray[np.int64]) -> FloatArray:
+            return np.add.reduceat(self._columns[:, some] * left[:, None], self._starts) / self.size[some]
+
+        own_scores = scores(n + of) - scores(beside) @ through
         scatter = np.einsum("bi,ij,bj->", own_scores, np.linalg.inv(inner), own_scores)
         return max(float(scatter) / of.size, 1.0)
