@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -201,6 +202,22 @@ def owning_up(
         if test.excess > most * max(*left, 1.0):
             return Answer("named_with_remainder", answer.named, True, test.coordinate)
     return answer
+
+
+def with_sure_names(
+    answer: Answer, sets: Sequence[tuple[frozenset[str], float]], floor: Floor, none: Fit, traces: bool
+) -> Answer:
+    """Return an answer whose names beside a remainder are sure, each of them, or are taken back.
+
+    `sets` are what could explain the gap, with their weights: beside something that nobody knows a name that
+    may be another one is none.
+    """
+    if answer.verdict != "named_with_remainder" or floor.representative:
+        return answer
+    held = (sum(weight for ids, weight in sets if effect in ids) for effect in answer.named.ids)
+    if all(weight >= _SURE for weight in held):
+        return answer
+    return Answer("named_with_remainder" if traces else "unknown", none, True, answer.coordinate)
 
 
 def _unsure(named: Fit, floor: Floor, replay: Replay, traces: bool) -> bool:

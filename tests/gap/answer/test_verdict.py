@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.answer import verdict
-from mavcompass.gap.answer.verdict import Answer, consistent, decide, keeps_step, owning_up
+from mavcompass.gap.answer.verdict import (
+    Answer,
+    consistent,
+    decide,
+    keeps_step,
+    owning_up,
+    with_sure_names,
+)
 from mavcompass.gap.fit import Fit, Term
 from mavcompass.gap.left import Adequacy
 from mavcompass.gap.result import Closing, Verdict
@@ -488,3 +495,25 @@ def test_who_is_not_sure_already_stays_so() -> None:
     for told in ("ambiguous", "unknown", "named_with_remainder", "not_testable"):
         said = beside(told, ("hard_iron",), strain=1e3, left=(9.0, 9.0), tests=(("mag: rate", 99.0),))  # type: ignore[arg-type]
         assert said.verdict == told
+
+
+@pytest.mark.parametrize(
+    ("sets", "traces", "told"),
+    [
+        ({"hard_iron": 1.0}, False, "named_with_remainder"),
+        ({"hard_iron": 0.6, "hard_iron+soft_iron": 0.35, "soft_iron": 0.05}, False, "named_with_remainder"),
+        ({"hard_iron": 0.5, "soft_iron": 0.5}, False, "unknown"),
+        ({"hard_iron": 0.5, "soft_iron": 0.5}, True, "named_with_remainder"),
+    ],
+)
+def test_beside_a_remainder_a_name_that_may_be_another_one_is_none(
+    sets: dict[str, float], traces: bool, told: Verdict
+) -> None:
+    weights = [(frozenset(ids.split("+")), weight) for ids, weight in sets.items()]
+    given = answer("named_with_remainder", "hard_iron", flagged=True)
+    after = with_sure_names(given, weights, floor(), NONE, traces)
+    assert (after.verdict, after.flagged, after.coordinate) == (told, True, "yaw")
+    assert bool(after.named.terms) is (told == "named_with_remainder" and not traces)
+    assert with_sure_names(given, weights, floor(representative=True), NONE, traces) is given
+    other = answer("ambiguous", "hard_iron")
+    assert with_sure_names(other, weights, floor(), NONE, traces) is other
