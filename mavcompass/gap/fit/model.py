@@ -242,7 +242,7 @@ class Problem:
         damping = 1e-6
         normal = np.zeros((0, 0))
         first, made_at = self._borrowed(terms, x[:n])
-        borrowed = first is not None
+        borrowed, squared = first is not None, None
         for _ in range(iterations):
             if first is None or self._away(x[:n], made_at) > _FAR:
                 fitted = range(0 if self._steady else lasting)
@@ -250,7 +250,9 @@ class Problem:
                 self._lend(terms, first, made_at)
             other = range(n if self._steady else lasting, n + len(terms))
             own = self.columns(terms, x[n:], x[:n], states, other)
-            normal, gradient = self._equations(np.hstack([first, own]), r, x, free, weak)
+            if squared is None or squared[0] is not first:
+                squared = first, first.T @ first
+            normal, gradient = self._equations(*squared, own, r, x, free, weak)
             if not normal.size:
                 break
             improved = False
@@ -299,15 +301,20 @@ class Problem:
 
     def _equations(
         self,
-        J: FloatArray,
+        first: FloatArray,
+        squared: FloatArray,
+        own: FloatArray,
         r: FloatArray,
         x: list[FloatArray],
         free: list[NDArray[np.int64]],
         weak: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the normal matrix and the gradient, priors included."""
+        """Return the normal matrix and the gradient, priors included, of derivatives whose first part is
+        `squared` already."""
         n, n_dim = len(self.nuisances), 0 if self._steady else self._prior.size
-        normal, gradient = J.T @ J + self._known(weak), J.T @ r
+        across = first.T @ own
+        normal = np.block([[squared, across], [across.T, own.T @ own]]) + self._known(weak)
+        gradient = np.concatenate([first.T @ r, own.T @ r])
         if n_dim:
             gradient[:n_dim] += self._precision @ (self._prior - np.concatenate(x[:n]))
         if weak.size:

@@ -59,10 +59,16 @@ class SensorNoise:
 
     def whiten_many(self, errors: FloatArray) -> FloatArray:
         """Return innovations in sigmas of many errors at once, (N, 3, K)."""
-        turned = errors if self.channels is None else np.matmul(self.channels, errors)
-        out = self.decorrelated(turned / self.sigma[:, None])
-        # What scatters more has no part in what wanders: only the innovations are scaled.
-        return out if self.row_scale is None else out / self.row_scale[:, :, None]
+        if self.channels is None:
+            scaled = errors / self.sigma[:, None]
+        else:
+            scaled = np.matmul(self.channels, errors)
+            scaled /= self.sigma[:, None]
+        out = self.decorrelated(scaled)
+        if self.row_scale is not None:
+            # What scatters more has no part in what wanders: only the innovations are scaled.
+            out /= self.row_scale[:, :, None]
+        return out
 
     def decorrelated(self, columns: FloatArray) -> FloatArray:
         """Take each channel's correlation out of its columns (N, 3, K), whose scale stays.
