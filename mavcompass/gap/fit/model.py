@@ -275,7 +275,8 @@ class Problem:
             gained = cost - trial_cost
             x, states, r, cost = trial, trial_states, trial_r, trial_cost
             damping *= 0.03
-            if gained < _CONVERGED:
+            # Where much is left, the noise is larger than stated, and so is what chance gains.
+            if gained < _CONVERGED * max(1.0, cost / max(r.size, 1)):
                 if self._away(x[:n], made_at) <= _NEAR:
                     break
                 first = None

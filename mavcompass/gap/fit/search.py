@@ -110,6 +110,8 @@ class Search:
         self.explored: dict[frozenset[str], Fit] = {}
         # By the set that they stand beside, and how much of it is held.
         self._candidates: dict[tuple[frozenset[str], int], Candidates] = {}
+        # By what a fit has more than another one, and by the fit.
+        self._contradictions: dict[tuple[frozenset[str], frozenset[str], float], float] = {}
         # By how much errors that last for seconds make sums of squares larger than they should be.
         self._temper = 1.0
 
@@ -398,10 +400,13 @@ class Search:
         more = larger.ids - smaller.ids
         if not more:
             return 1.0
-        candidates = Candidates(self.problem, (), larger, self._blocks())
-        members = candidates.list
-        of = [c for c in members if c.term.effect.id in more]
-        return candidates.contradiction(members, of) if of else 1.0
+        key = (more, larger.ids, larger.sse)
+        if key not in self._contradictions:
+            candidates = Candidates(self.problem, (), larger, self._blocks())
+            members = candidates.list
+            of = [c for c in members if c.term.effect.id in more]
+            self._contradictions[key] = candidates.contradiction(members, of) if of else 1.0
+        return self._contradictions[key]
 
     def weights(
         self, best: Fit, refused: frozenset[str] = frozenset()

@@ -133,7 +133,6 @@ def _searched(
 ) -> tuple[Identified, Floor]:
     # An independent attitude has no errors that last for seconds.
     exact = floor.representative or replay.reference.kind == "columns"
-    previous: frozenset[str] | None = None
     whole = Problem(replay, floor.noise, split.train | split.test, floor.prior)
     nothing = whole.null()
     split = _parted(whole, nothing, floor, split)
@@ -143,7 +142,8 @@ def _searched(
         search = Search(problem, effects, partial(worthwhile, problem, floor), exact)
         none = search.nothing()
         result = Identified(problem, split, none, none.best, (), search, problem)
-        if not needs_none(result, floor):
+        names = not needs_none(result, floor)
+        if names:
             found = search.run()
             wandering = _with_wander(problem, floor, found)
             if wandering is not None:
@@ -153,16 +153,14 @@ def _searched(
                 result = replace(result, problem=problem, search=search, first=problem)
             result = replace(result, found=found)
             floor = foreseen_places(floor, problem, found.best, split.test)
-            if not (floor.measured and _hopeless(result, floor)):
-                result = _guarded(replace(result, fit=found.best), floor)
-        if turn + 1 == passes or (previous is not None and result.fit.ids == previous):
-            break
-        previous = result.fit.ids
+            names = not (floor.measured and _hopeless(result, floor))
+        if names:
+            result = _allowed(_moments_in_training(replace(result, fit=found.best)), floor)
         before = floor
-        floor = widened(floor, result.problem, result.fit)
+        floor = floor if turn + 1 == passes else widened(floor, result.problem, result.fit)
         if floor is before:
             break
-    return result, floor
+    return _guarded(result, floor) if names else result, floor
 
 
 def _with_wander(problem: Problem, floor: Floor, found: Found) -> tuple[Floor, Problem, list[Fit]] | None:
@@ -236,7 +234,7 @@ def _parted(problem: Problem, nothing: Fit, floor: Floor, split: Split) -> Split
 
 
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
-    candidate = _allowed(_moments_in_training(candidate), floor)
+    """Choose among what no guard refuses, and name what is as good."""
     search, fewest = candidate.search, max(len(candidate.fit.terms), 1)
     fell = candidate.dropped and not search.exact and fewest < len(candidate.found.best.terms)
     if fell and search.likeliest(fewest) != candidate.fit.ids:
