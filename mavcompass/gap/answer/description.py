@@ -25,7 +25,7 @@ from mavcompass.gap.answer.verdict import (
     keeps_step,
     line_hz,
     owning_up,
-    with_sure_names,
+    with_likely_names,
 )
 from mavcompass.gap.fit import Fit, Problem, difference
 from mavcompass.gap.left import Adequacy, Floor, Scatter
@@ -233,9 +233,9 @@ def _closed(evidence: Evidence, answer: Answer) -> tuple[Answer, Closing, Closin
         # A name that makes held-out data worse is no explanation.
         answer = Answer("unknown", none, True, where_left)
         field, heading = closings(problem, none, test, floor)
-    surer = with_sure_names(answer, _ambiguity_set(identified), floor, none, evidence.beside)
-    if surer is not answer:
-        answer, (field, heading) = surer, closed(none)
+    likely = with_likely_names(answer, _ambiguity_set(identified), floor, none, evidence.beside)
+    if likely is not answer:
+        answer, (field, heading) = likely, closed(none)
     shrinks = floor.representative or any(c.shrink_ci95[0] > 0.0 for c in (field, heading))
     if answer.verdict == "named" and answer.named.terms and not (shrinks or evidence.beside):
         # What is certain by its shape alone, and does not surely shrink the mean, may be something else.

@@ -25,7 +25,8 @@ from mavcompass.gap.selection import (
 )
 
 LINE = "ac_interference"
-_SURE = 0.90
+# What a set holds of the probability where it is sure, and each name beside a remainder.
+_SURE, _HELD = 0.90, 0.80
 _REMAINDER = 0.05
 # Where even the baseline is not explained in detail, more may be left beside a name, and is flagged.
 _REMAINDER_UNTRUSTED = 0.4
@@ -204,10 +205,10 @@ def owning_up(
     return answer
 
 
-def with_sure_names(
+def with_likely_names(
     answer: Answer, sets: Sequence[tuple[frozenset[str], float]], floor: Floor, none: Fit, traces: bool
 ) -> Answer:
-    """Return an answer whose names beside a remainder are sure, each of them, or are taken back.
+    """Return an answer whose names beside a remainder are likely, each of them, or are taken back.
 
     `sets` are what could explain the gap, with their weights: beside something that nobody knows a name that
     may be another one is none.
@@ -215,7 +216,7 @@ def with_sure_names(
     if answer.verdict != "named_with_remainder" or floor.representative:
         return answer
     held = (sum(weight for ids, weight in sets if effect in ids) for effect in answer.named.ids)
-    if all(weight >= _SURE for weight in held):
+    if all(weight >= _HELD for weight in held):
         return answer
     return Answer("named_with_remainder" if traces else "unknown", none, True, answer.coordinate)
 

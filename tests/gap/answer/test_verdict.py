@@ -17,7 +17,7 @@ from mavcompass.gap.answer.verdict import (
     decide,
     keeps_step,
     owning_up,
-    with_sure_names,
+    with_likely_names,
 )
 from mavcompass.gap.fit import Fit, Term
 from mavcompass.gap.left import Adequacy
@@ -502,7 +502,8 @@ def test_who_is_not_sure_already_stays_so() -> None:
     [
         ({"hard_iron": 1.0}, False, "named_with_remainder"),
         ({"hard_iron": 0.6, "hard_iron+soft_iron": 0.35, "soft_iron": 0.05}, False, "named_with_remainder"),
-        ({"hard_iron": 0.5, "soft_iron": 0.5}, False, "unknown"),
+        ({"hard_iron": 0.45, "hard_iron+soft_iron": 0.36, "soft_iron": 0.19}, False, "named_with_remainder"),
+        ({"hard_iron": 0.45, "hard_iron+soft_iron": 0.34, "soft_iron": 0.21}, False, "unknown"),
         ({"hard_iron": 0.5, "soft_iron": 0.5}, True, "named_with_remainder"),
     ],
 )
@@ -511,9 +512,9 @@ def test_beside_a_remainder_a_name_that_may_be_another_one_is_none(
 ) -> None:
     weights = [(frozenset(ids.split("+")), weight) for ids, weight in sets.items()]
     given = answer("named_with_remainder", "hard_iron", flagged=True)
-    after = with_sure_names(given, weights, floor(), NONE, traces)
+    after = with_likely_names(given, weights, floor(), NONE, traces)
     assert (after.verdict, after.flagged, after.coordinate) == (told, True, "yaw")
     assert bool(after.named.terms) is (told == "named_with_remainder" and not traces)
-    assert with_sure_names(given, weights, floor(representative=True), NONE, traces) is given
+    assert with_likely_names(given, weights, floor(representative=True), NONE, traces) is given
     other = answer("ambiguous", "hard_iron")
-    assert with_sure_names(other, weights, floor(), NONE, traces) is other
+    assert with_likely_names(other, weights, floor(), NONE, traces) is other
