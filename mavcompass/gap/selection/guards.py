@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Problem, is_local
+from mavcompass.gap.fit import Fit, Problem, is_local, least_gain
 from mavcompass.gap.left import Floor, apart, heading_error_rad, rms
 from mavcompass.gap.replay import group_values, level_mgauss
 from mavcompass.gap.selection.direct import STEP, goes_with_a_load, unswitched
@@ -140,6 +140,8 @@ def refused(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
         return STEP, "it comes and goes with a load, whose field it is"
     if (worse := _vetoed(candidate)) is not None:
         return worse, "one half of the training data does not confirm what the other half says"
+    if floor.measured and not floor.representative and _within_the_known(candidate.problem, fit):
+        return fit.terms[-1].effect.id, "what is known of vehicle and place may be off by as much by chance"
     if (small := _immaterial(candidate, floor)) is not None:
         return small, TOO_SMALL
     return None
@@ -172,6 +174,12 @@ def worthwhile(problem: Problem, floor: Floor, fit: Fit) -> bool:
     least = _least(problem, fit, after)
     noise: dict[Group, float] = {g: float(rms(problem.noise[g].rms)) for g in problem.groups}
     return any(after[g] ** 2 - noise[g] ** 2 > least[g] ** 2 for g in problem.groups)
+
+
+def _within_the_known(problem: Problem, fit: Fit) -> bool:
+    """Tell whether effects gain no more than what is known of vehicle and place may be off by, by chance."""
+    known = sum(nuisance.known for nuisance in problem.nuisances)
+    return problem.null().sse - fit.sse < least_gain(known)
 
 
 def _needed(candidate: Identified, place: int, parameter: int) -> bool:

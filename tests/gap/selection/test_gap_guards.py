@@ -48,6 +48,7 @@ class Problem:
     kind: str = "estimator"
 
     groups = ("mag",)
+    nuisances = (SimpleNamespace(known=1),)
 
     def __post_init__(self) -> None:
         self.noise = {
@@ -91,7 +92,7 @@ class Problem:
         return self
 
     def null(self) -> Fit:
-        return fit_of()
+        return self.refit(fit_of())
 
     def strain(self, fit: Fit) -> float:
         return 0.0 if fit.terms else self.bent
@@ -576,6 +577,23 @@ def test_guards_are_asked_in_their_order_and_say_why(first: str, monkeypatch: py
         monkeypatch.setattr(guards, name, lambda *_, said=said: said)
     made = candidate(explained((30.0, 0.0, 0.0)), fit_of(hard_iron=30.0))
     assert guards.refused(made, floor()) == REASONS[first]
+
+
+@pytest.mark.parametrize(
+    ("measured", "representative", "refuses"),
+    [(True, False, True), (False, False, False), (True, True, False)],
+)
+def test_what_gains_no_more_than_the_known_may_be_off_by_is_none(
+    measured: bool, representative: bool, refuses: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of one number that is known chance makes 18 squared sigmas once in 50 000."""
+    limits = floor(measured=measured, representative=representative)
+    monkeypatch.setattr(guards, "_immaterial", lambda *_: None)
+    # 80 readings of noise 1 mG: so much in one axis gains 17.7 and 19.2.
+    for size, less in ((0.47, True), (0.49, False)):
+        problem = explained((size, 0.0, 0.0), 0.0, noise_mgauss=1.0)
+        said = guards.refused(candidate(problem, problem.refit(fit_of(hard_iron=size))), limits)
+        assert (said is not None and "by chance" in said[1]) is (less and refuses)
 
 
 def test_a_veto_looks_at_rows_that_are_fitted_alone() -> None:
