@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.fit import Fit, Term
-from mavcompass.gap.selection import identification
+from mavcompass.gap.selection import identification, rivals
 from mavcompass.gap.selection.guards import TOO_SMALL
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.split import probe, split_blocks
@@ -77,19 +77,19 @@ IRON, SOFT, BOTH = fit_of("hard_iron"), fit_of("soft_iron"), fit_of("hard_iron",
 def good(monkeypatch: pytest.MonkeyPatch) -> set[frozenset[str]]:
     """The sets that reach the floor; no alias, and no guard that refuses."""
     reach: set[frozenset[str]] = set()
-    monkeypatch.setattr(identification, "at_floor", lambda candidate, fit, floor: fit.ids in reach)
-    monkeypatch.setattr(identification, "_substitutes", lambda candidate: [])
-    monkeypatch.setattr(identification, "refused", lambda candidate, floor: None)
-    monkeypatch.setattr(identification, "_no_worse", lambda candidate, rivals: [])
+    monkeypatch.setattr(rivals, "at_floor", lambda candidate, fit, floor: fit.ids in reach)
+    monkeypatch.setattr(rivals, "_substitutes", lambda candidate: [])
+    monkeypatch.setattr(rivals, "refused", lambda candidate, floor: None)
+    monkeypatch.setattr(rivals, "_no_worse", lambda candidate, rivals: [])
     return reach
 
 
 def test_of_the_sets_that_reach_the_floor_the_smallest_is_named(good: set[frozenset[str]]) -> None:
     good |= {BOTH.ids, IRON.ids}
-    named = identification._simplest(candidate(BOTH, IRON, SOFT, BOTH), MEASURED)
+    named = rivals.simplest(candidate(BOTH, IRON, SOFT, BOTH), MEASURED)
     assert named.fit is IRON and named.as_good == (BOTH.ids,)
     good.add(SOFT.ids)
-    named = identification._simplest(candidate(BOTH, IRON, SOFT, BOTH), MEASURED)
+    named = rivals.simplest(candidate(BOTH, IRON, SOFT, BOTH), MEASURED)
     fewest = min((IRON, SOFT), key=lambda f: (f.dimension, f.sse))
     assert named.fit is fewest and set(named.as_good) == {BOTH.ids, IRON.ids, SOFT.ids} - {fewest.ids}
 
@@ -101,24 +101,24 @@ def test_what_is_certain_is_named_though_fewer_reach_the_floor(
     """Of another iron, by which a calibration may be off, the simplest is taken all the same."""
     both = fit_of("hard_iron", more, sse=50.0)
     good |= {both.ids, IRON.ids}
-    monkeypatch.setattr(identification, "evident", lambda here, rest: here.fit is both and rest is IRON)
-    named = identification._simplest(candidate(both, IRON), MEASURED)
+    monkeypatch.setattr(rivals, "evident", lambda here, rest: here.fit is both and rest is IRON)
+    named = rivals.simplest(candidate(both, IRON), MEASURED)
     assert named.fit is (both if kept else IRON)
     assert named.as_good == ((IRON if kept else both).ids,)
 
 
 def test_what_does_not_reach_the_floor_is_no_rival(good: set[frozenset[str]]) -> None:
     good.add(BOTH.ids)
-    named = identification._simplest(candidate(BOTH, IRON, SOFT), MEASURED)
+    named = rivals.simplest(candidate(BOTH, IRON, SOFT), MEASURED)
     assert named.fit is BOTH and named.as_good == ()
     good.clear()
-    assert identification._simplest(candidate(BOTH, IRON, SOFT), MEASURED).fit is BOTH
+    assert rivals.simplest(candidate(BOTH, IRON, SOFT), MEASURED).fit is BOTH
 
 
 def test_where_the_chosen_does_not_reach_it_the_best_that_does_is_taken(good: set[frozenset[str]]) -> None:
     good |= {IRON.ids, SOFT.ids}
     better = replace(SOFT, sse=70.0)
-    named = identification._simplest(candidate(BOTH, IRON, better), MEASURED)
+    named = rivals.simplest(candidate(BOTH, IRON, better), MEASURED)
     assert named.fit.dimension == min(IRON.dimension, better.dimension)
     assert BOTH.ids in named.as_good and named.fit.ids not in named.as_good, "the search preferred it"
 
@@ -130,34 +130,32 @@ def test_where_guards_left_nothing_one_effect_may_do_what_several_did(
     nothing = NOTHING
     good |= {nothing.ids, IRON.ids, SOFT.ids, BOTH.ids}
     monkeypatch.setattr(
-        identification, "refused", lambda c, floor: ("soft_iron", "no") if "soft_iron" in c.fit.ids else None
+        rivals, "refused", lambda c, floor: ("soft_iron", "no") if "soft_iron" in c.fit.ids else None
     )
-    named = identification._simplest(candidate(nothing, IRON, SOFT, BOTH), MEASURED)
+    named = rivals.simplest(candidate(nothing, IRON, SOFT, BOTH), MEASURED)
     assert named.fit is IRON and named.as_good == ()
     hardly = replace(IRON, sse=375.0)
-    assert identification._simplest(candidate(nothing, hardly), MEASURED).fit is nothing, (
-        "nothing does as well"
-    )
+    assert rivals.simplest(candidate(nothing, hardly), MEASURED).fit is nothing, "nothing does as well"
     good.remove(IRON.ids)
-    assert identification._simplest(candidate(nothing, IRON, SOFT, BOTH), MEASURED).fit is nothing
+    assert rivals.simplest(candidate(nothing, IRON, SOFT, BOTH), MEASURED).fit is nothing
 
 
 def test_what_the_search_finds_far_likelier_is_an_alternative() -> None:
     far, near = replace(BOTH, sse=40.0), replace(SOFT, sse=70.0)
     here = candidate(IRON, IRON, near, far)
-    assert identification._likelier(here) == (far.ids,)
-    assert identification._likelier(replace(here, dropped=(("soft_iron", TOO_SMALL),))) == ()
-    assert identification._likelier(replace(here, as_good=(far.ids,))) == ()
-    assert identification._likelier(candidate(NOTHING, near, far)) == ()
+    assert rivals.likelier(here) == (far.ids,)
+    assert rivals.likelier(replace(here, dropped=(("soft_iron", TOO_SMALL),))) == ()
+    assert rivals.likelier(replace(here, as_good=(far.ids,))) == ()
+    assert rivals.likelier(candidate(NOTHING, near, far)) == ()
 
 
 def test_where_none_reaches_it_what_leaves_no_more_is_a_rival(
     good: set[frozenset[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        identification, "_no_worse", lambda candidate, rivals: [f for f in rivals if f.ids == SOFT.ids]
+        rivals, "_no_worse", lambda candidate, rivals: [f for f in rivals if f.ids == SOFT.ids]
     )
-    named = identification._simplest(candidate(BOTH, IRON, SOFT), MEASURED)
+    named = rivals.simplest(candidate(BOTH, IRON, SOFT), MEASURED)
     assert named.fit is BOTH and named.as_good == (SOFT.ids,)
 
 
@@ -166,14 +164,11 @@ def test_what_a_guard_refuses_is_not_taken(
 ) -> None:
     good |= {IRON.ids, SOFT.ids}
     monkeypatch.setattr(
-        identification, "refused", lambda c, floor: ("soft_iron", "no") if c.fit.ids == SOFT.ids else None
+        rivals, "refused", lambda c, floor: ("soft_iron", "no") if c.fit.ids == SOFT.ids else None
     )
-    assert (
-        identification._simplest(candidate(BOTH, replace(IRON, sse=900.0), SOFT), MEASURED).fit.ids
-        == IRON.ids
-    )
-    monkeypatch.setattr(identification, "refused", lambda c, floor: ("x", "no"))
-    assert identification._simplest(candidate(BOTH, IRON, SOFT), MEASURED).fit is BOTH
+    assert rivals.simplest(candidate(BOTH, replace(IRON, sse=900.0), SOFT), MEASURED).fit.ids == IRON.ids
+    monkeypatch.setattr(rivals, "refused", lambda c, floor: ("x", "no"))
+    assert rivals.simplest(candidate(BOTH, IRON, SOFT), MEASURED).fit is BOTH
 
 
 @pytest.mark.parametrize(("strain", "is_rival"), [(29.0, True), (31.0, False)])
@@ -182,23 +177,23 @@ def test_what_bends_the_vehicle_by_force_is_no_rival(
 ) -> None:
     good |= {BOTH.ids, IRON.ids}
     here = candidate(BOTH, IRON, strained={IRON.ids: strain + 5.0, BOTH.ids: 5.0})
-    assert (identification._simplest(here, MEASURED).fit is IRON) is is_rival
+    assert (rivals.simplest(here, MEASURED).fit is IRON) is is_rival
 
 
 def test_four_rivals_are_looked_at(good: set[frozenset[str]]) -> None:
     names = ("hard_iron", "soft_iron", "declination", "transport_lag", "misalignment")
     sets = [fit_of(name, sse=10.0 * k) for k, name in enumerate(names)]
     good |= {f.ids for f in sets} | {BOTH.ids}
-    named = identification._simplest(candidate(BOTH, *sets), MEASURED)
+    named = rivals.simplest(candidate(BOTH, *sets), MEASURED)
     assert {*named.as_good, named.fit.ids} == {f.ids for f in sets[:4]} | {BOTH.ids}
 
 
 def test_an_alias_that_was_not_searched_is_a_rival_and_no_name(
     good: set[frozenset[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(identification, "_substitutes", lambda candidate: [IRON])
+    monkeypatch.setattr(rivals, "_substitutes", lambda candidate: [IRON])
     good |= {BOTH.ids, IRON.ids}
-    named = identification._simplest(candidate(BOTH), MEASURED)
+    named = rivals.simplest(candidate(BOTH), MEASURED)
     assert named.fit is BOTH and named.as_good == (IRON.ids,)
 
 
@@ -226,11 +221,11 @@ def test_what_a_guard_refuses_is_taken_out_one_after_the_other(monkeypatch: pyte
 
 def test_what_is_certain_beside_a_name_makes_other_sets() -> None:
     here = candidate(IRON, evident=frozenset({"soft_iron", "declination", "hard_iron"}))
-    assert {frozenset(s) for s in identification._with_evident(here)} == {
+    assert {frozenset(s) for s in rivals.with_evident(here)} == {
         frozenset({"hard_iron", "soft_iron"}), frozenset({"hard_iron", "declination"}),
         frozenset({"hard_iron", "soft_iron", "declination"}),
     }  # fmt: skip
-    assert identification._with_evident(candidate(fit_of(), evident=frozenset({"soft_iron"}))) == []
+    assert rivals.with_evident(candidate(fit_of(), evident=frozenset({"soft_iron"}))) == []
 
 
 def tried(*names: str) -> Any:
@@ -252,7 +247,7 @@ def test_what_no_recording_tells_from_the_chosen_is_said(
 ) -> None:
     here = candidate(fit_of(*chosen))
     here = replace(here, search=tried(*searched))
-    assert [set(s) for s in identification._alike(here)] == other
+    assert [set(s) for s in rivals.alike(here)] == other
 
 
 @pytest.mark.parametrize(
@@ -444,10 +439,10 @@ def test_what_looks_alike_and_fits_better_is_no_worse_a_name() -> None:
     scores = {"low_pass": 600.0, "transport_lag": 640.0, "hard_iron": 500.0}
     search: Any = SimpleNamespace(score=lambda fit: scores[next(iter(fit.ids))])
     lag, low_pass, iron = (fit_of(name) for name in ("transport_lag", "low_pass", "hard_iron"))
-    assert identification._is_better_alias(search, low_pass, lag)
-    assert not identification._is_better_alias(search, lag, low_pass)
-    assert not identification._is_better_alias(search, iron, lag)  # better, and nothing like it
-    assert not identification._is_better_alias(search, fit_of(), lag)
+    assert rivals._is_better_alias(search, low_pass, lag)
+    assert not rivals._is_better_alias(search, lag, low_pass)
+    assert not rivals._is_better_alias(search, iron, lag)  # better, and nothing like it
+    assert not rivals._is_better_alias(search, fit_of(), lag)
 
 
 def test_what_a_fit_leaves_is_counted_by_its_rows() -> None:
@@ -471,7 +466,7 @@ def test_what_a_fit_leaves_is_counted_by_its_rows() -> None:
 def test_sets_that_look_the_same_by_nature(
     ids: tuple[str, ...], tried: tuple[str, ...], alike: list[set[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(identification, "_iron_stayed", lambda candidate: True)
+    monkeypatch.setattr(rivals, "_iron_stayed", lambda candidate: True)
     made = candidate(fit_of(*ids))
     made.search.terms = tuple(SimpleNamespace(effect=SimpleNamespace(id=name)) for name in tried)
-    assert [set(other) for other in identification._alike(made)] == alike
+    assert [set(other) for other in rivals.alike(made)] == alike
