@@ -12,17 +12,10 @@ import numpy as np
 from mavcompass.gap.fit import Fit, Found, Mask, Problem, Search, pruned
 from mavcompass.gap.left import Floor, apart, foreseen_places, rms, widened
 from mavcompass.gap.replay import WHEREABOUTS, Replay, level_mgauss, whereabouts
-from mavcompass.gap.selection.guards import (
-    ABOVE,
-    FEW_NAMES,
-    TOO_SMALL,
-    at_floor,
-    evident,
-    needs_none,
-    refused,
-    worthwhile,
-)
+from mavcompass.gap.selection.guards import TOO_SMALL, refused
 from mavcompass.gap.selection.identified import Identified
+from mavcompass.gap.selection.levels import ABOVE, FEW_NAMES, at_floor, evident, needs_none
+from mavcompass.gap.selection.materiality import worthwhile
 from mavcompass.gap.selection.rivals import NO_WORSE, alike, likelier, plainer, simplest, with_evident
 from mavcompass.gap.selection.split import Split, probe, with_parts, with_windows
 from mavcompass.gap.selection.transient import (

@@ -11,8 +11,10 @@ import numpy as np
 from mavcompass.gap.fit import Fit, Search, placements
 from mavcompass.gap.left import Floor, apart
 from mavcompass.gap.replay import IRON_OFFSET
-from mavcompass.gap.selection.guards import STRAINED, at_floor, evident, refused
+from mavcompass.gap.selection.guards import refused
 from mavcompass.gap.selection.identified import Identified
+from mavcompass.gap.selection.levels import at_floor, evident
+from mavcompass.gap.selection.materiality import STRAINED
 from mavcompass.simulation.effects.effect import Effect
 
 # So many rivals are looked at, and told.

@@ -12,7 +12,7 @@ import pytest
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Term
-from mavcompass.gap.selection import guards
+from mavcompass.gap.selection import guards, levels, materiality
 from mavcompass.gap.selection.split import Split
 from mavcompass.simulation.effects import registry
 
@@ -119,8 +119,9 @@ def plain_errors(monkeypatch: pytest.MonkeyPatch) -> None:
         off = (one - other)[rows]
         return math.sqrt((off**2).mean()), math.degrees(math.sqrt((off[:, 1] ** 2).mean()) / 200.0)
 
-    monkeypatch.setattr(guards, "heading_error_rad", heading)
-    monkeypatch.setattr(guards, "apart", apart)
+    monkeypatch.setattr(materiality, "heading_error_rad", heading)
+    for module in (levels, materiality):
+        monkeypatch.setattr(module, "apart", apart)
 
 
 def candidate(problem: Problem, fit: Fit, **changed: Any) -> Any:
@@ -169,28 +170,28 @@ def explained(gap: tuple[float, float, float], left_mgauss: float = 0.5, **chang
 )
 def test_a_gap_at_the_floor_needs_no_effect(left_mgauss: float, measured: bool, silent: bool) -> None:
     here = candidate(explained((0.0, 0.0, 0.0), left_mgauss, noise_mgauss=2.0), fit_of())
-    assert guards.needs_none(here, floor(heading_deg=9.0, measured=measured)) is silent
+    assert levels.needs_none(here, floor(heading_deg=9.0, measured=measured)) is silent
     assert (
-        guards.needs_none(here, floor(9.0, math.degrees(1.0 / 200.0), measured)) is silent
+        levels.needs_none(here, floor(9.0, math.degrees(1.0 / 200.0), measured)) is silent
     )  # by the heading
-    assert not guards.needs_none(here, floor(9.0, 9.0, measured, representative=True))
+    assert not levels.needs_none(here, floor(9.0, 9.0, measured, representative=True))
     stated = candidate(explained((0.0, 0.0, 0.0), left_mgauss, noise_mgauss=2.0, kind="columns"), fit_of())
-    assert guards.needs_none(stated, floor(9.0, 9.0, measured)) is measured
+    assert levels.needs_none(stated, floor(9.0, 9.0, measured)) is measured
 
 
 @pytest.mark.parametrize(("left_mgauss", "searched"), [(1.11, False), (1.13, True)])
 def test_readings_that_know_better_than_their_floor_are_searched(left_mgauss: float, searched: bool) -> None:
     """Their noise is 1 mG: a quarter more than its square is the most that needs nothing."""
     here = candidate(explained((0.0, 0.0, 0.0), left_mgauss, noise_mgauss=1.0), fit_of())
-    assert guards.needs_none(here, floor(9.0, 9.0)) is not searched
-    assert guards.needs_none(here, floor(9.0, 9.0, measured=False))
+    assert levels.needs_none(here, floor(9.0, 9.0)) is not searched
+    assert levels.needs_none(here, floor(9.0, 9.0, measured=False))
 
 
 @pytest.mark.parametrize("bent", [0.0, 21.0, 23.0])
 def test_what_is_known_is_searched_where_it_was_bent_further_than_by_chance(bent: float) -> None:
     here = candidate(explained((0.0, 0.0, 0.0), noise_mgauss=2.0, bent=bent), fit_of())
-    assert guards.needs_none(here, floor(9.0, 9.0)) is (bent < 22.0)
-    assert guards.needs_none(here, floor(9.0, 9.0, measured=False))
+    assert levels.needs_none(here, floor(9.0, 9.0)) is (bent < 22.0)
+    assert levels.needs_none(here, floor(9.0, 9.0, measured=False))
 
 
 @pytest.mark.parametrize(
@@ -219,16 +220,16 @@ def test_below_the_floor_only_what_passes_is_told_from_another_flight(
 
     problem: Any = Passing((passed * left_mgauss)[:, None] * np.ones(3))
     limits = floor(1.0, heading_deg)
-    assert guards.lost_in_the_floor(problem, fit_of(**{effect: 1.0}), limits) is lost
-    assert guards.lost_in_the_floor(problem, fit_of(), limits)
+    assert levels.lost_in_the_floor(problem, fit_of(**{effect: 1.0}), limits) is lost
+    assert levels.lost_in_the_floor(problem, fit_of(), limits)
 
 
 def test_without_held_out_rows_nothing_lies_at_the_floor() -> None:
     none = replace(split(), test=np.zeros(ROWS, dtype=np.bool_))
     here = candidate(explained((0.0, 0.0, 0.0)), fit_of(), split=none)
-    assert not guards.at_floor(here, fit_of(), floor(9.0, 9.0))
-    assert guards.at_floor(candidate(explained((0.0, 0.0, 0.0), 1.2), fit_of()), fit_of(), floor(1.0, 9.0))
-    assert not guards.at_floor(
+    assert not levels.at_floor(here, fit_of(), floor(9.0, 9.0))
+    assert levels.at_floor(candidate(explained((0.0, 0.0, 0.0), 1.2), fit_of()), fit_of(), floor(1.0, 9.0))
+    assert not levels.at_floor(
         candidate(explained((0.0, 0.0, 0.0), 1.3), fit_of()), fit_of(), floor(1.0, 9.0)
     )
 
@@ -360,7 +361,7 @@ def test_scatter_hides_nothing_but_another_iron(
     left[:, axis] = 0.0
     problem = Problem(left, gap=gap, scatter_mgauss=scatter_mgauss, noise_mgauss=4.0)
     here = candidate(problem, fit_of(**{effect: size}))
-    assert guards._immaterial(here, floor(4.0, 90.0)) == (effect if refused else None)
+    assert materiality.immaterial(here, floor(4.0, 90.0)) == (effect if refused else None)
 
 
 @pytest.mark.parametrize(
@@ -382,7 +383,7 @@ def test_what_is_certain_need_not_rise_above_the_floor(
     gap = size * np.eye(3)[Problem.axes.index(effect)]
     x, y, z = gap.tolist()
     here = candidate(explained((x, y, z), 0.3, noise_mgauss=noise_mgauss), fit_of(**{effect: size}))
-    assert guards._immaterial(here, floor(8.0, 90.0)) == (effect if refused else None)
+    assert materiality.immaterial(here, floor(8.0, 90.0)) == (effect if refused else None)
 
 
 @pytest.mark.parametrize(
@@ -406,14 +407,14 @@ def test_beside_another_a_material_share_is_asked_for(
     other = 60.0
     size = share * other / math.sqrt(1.0 - share**2)
     here = candidate(explained((other, 0.0, size), left_mgauss), fit_of(hard_iron=other, spatial_dipole=size))
-    assert guards._immaterial(here, floor(floor_mgauss, 90.0)) == ("spatial_dipole" if refused else None)
+    assert materiality.immaterial(here, floor(floor_mgauss, 90.0)) == ("spatial_dipole" if refused else None)
 
 
 def test_the_heading_alone_makes_an_effect_matter() -> None:
     size = 0.45 * math.sqrt(3.0)  # too little of the field; of the heading 0.22 degrees
     here = candidate(explained((0.0, size, 0.0), 0.1), fit_of(soft_iron=size))
-    assert guards._immaterial(here, floor(0.8, 0.2)) is None
-    assert guards._immaterial(here, floor(0.8, 0.46)) == "soft_iron"
+    assert materiality.immaterial(here, floor(0.8, 0.2)) is None
+    assert materiality.immaterial(here, floor(0.8, 0.46)) == "soft_iron"
 
 
 def test_an_independent_attitudes_floor_is_generous() -> None:
@@ -421,28 +422,28 @@ def test_an_independent_attitudes_floor_is_generous() -> None:
     for kind, refused in (("columns", False), ("estimator", True)):
         here = candidate(explained((size, 0.0, 0.0), 0.3, kind=kind), fit_of(hard_iron=size))
         assert (
-            guards._immaterial(here, floor(1.1, 9.0, measured=False)) is not None
+            materiality.immaterial(here, floor(1.1, 9.0, measured=False)) is not None
         ) is refused or kind == "columns"
     large = candidate(explained((3.0, 0.0, 0.0), 0.3, kind="columns"), fit_of(hard_iron=3.0))
-    assert guards._immaterial(large, floor(3.0, 9.0, measured=False)) is None
-    assert guards._immaterial(large, floor(4.0, 9.0, measured=False)) == "hard_iron"  # below half of it
+    assert materiality.immaterial(large, floor(3.0, 9.0, measured=False)) is None
+    assert materiality.immaterial(large, floor(4.0, 9.0, measured=False)) == "hard_iron"  # below half of it
 
 
 def test_what_is_removed_is_told_on_rows_that_were_not_fitted() -> None:
     problem = explained((0.0, 6.0, 0.0), 0.0)
     problem.replay.measured.mag_mgauss[split().train, 1] += 1.0
-    field, heading = guards.removed_by(candidate(problem, fit_of(soft_iron=6.0)), 0)
+    field, heading = materiality.removed_by(candidate(problem, fit_of(soft_iron=6.0)), 0)
     assert field.square == pytest.approx(12.0) and field.without == pytest.approx(math.sqrt(12.0 + 0.25))
     degree = math.degrees(1.0 / 200.0)
     assert heading.square == pytest.approx(36.0 * degree**2)
     assert field.sure == pytest.approx(12.0)  # all blocks agree
     # A block in which it changes nothing says nothing; one that contradicts does.
     problem.replay.measured.mag_mgauss[split().block == 0, 1] -= 6.0 * BOTH_WAYS[:10]
-    torn, _ = guards.removed_by(candidate(problem, fit_of(soft_iron=6.0)), 0)
+    torn, _ = materiality.removed_by(candidate(problem, fit_of(soft_iron=6.0)), 0)
     blocks = np.array([-12.0] + [12.0] * 7)
     assert torn.sure == pytest.approx(blocks.mean() - 1.7 * blocks.std() / math.sqrt(7.0))
     none = replace(split(), test=np.zeros(ROWS, dtype=np.bool_))
-    whole, _ = guards.removed_by(candidate(problem, fit_of(soft_iron=6.0), split=none), 0)
+    whole, _ = materiality.removed_by(candidate(problem, fit_of(soft_iron=6.0), split=none), 0)
     assert whole.square == pytest.approx(0.75 * 12.0 - 0.25 * 12.0 + 2.0, abs=3.0) and whole.square > 0.0
 
 
@@ -460,7 +461,7 @@ def test_what_shows_in_few_held_out_rows_is_told_for_all() -> None:
     problem = Passed(made.left, made.rows, made.gap)
     fit = fit_of(soft_iron=6.0)
     problem.replay.measured.mag_mgauss[:] = problem.predict(fit).mag_mgauss
-    field, _ = guards.removed_by(candidate(problem, fit), 0)
+    field, _ = materiality.removed_by(candidate(problem, fit), 0)
     there = 20 / 80 * 6 / 20 + 60 / 80  # six of twenty held-out rows, all others
     assert field.square == pytest.approx(12.0 * there)
 
@@ -484,7 +485,7 @@ class Yielding(Problem):
 def test_what_is_known_does_not_give_way_by_more_than_chance(bent: float, square: float) -> None:
     problem = explained((0.0, 6.0, 0.0), 0.0)
     yielding = Yielding(problem.left, problem.rows, problem.gap, bent=bent)
-    field, _ = guards.removed_by(candidate(yielding, fit_of(soft_iron=6.0)), 0)
+    field, _ = materiality.removed_by(candidate(yielding, fit_of(soft_iron=6.0)), 0)
     assert field.square == pytest.approx(square, abs=1e-9)
 
 
@@ -504,32 +505,32 @@ def test_what_is_certain_is_so_on_both_kinds_of_rows(
     problem = explained((size, 0.0, 0.0), 0.0)
     search = SimpleNamespace(contradiction=lambda without, fit: contradiction)
     here = candidate(problem, replace(fit_of(hard_iron=size), sse=100.0), search=search)
-    assert guards.evident(here, rest) is told
+    assert levels.evident(here, rest) is told
     nothing = replace(split(), test=np.zeros(ROWS, dtype=np.bool_))
-    assert not guards.evident(candidate(problem, here.fit, search=search, split=nothing), rest)
+    assert not levels.evident(candidate(problem, here.fit, search=search, split=nothing), rest)
 
 
 @pytest.mark.parametrize(("left_mgauss", "worth"), [(1.10, False), (1.14, True)])
 def test_one_more_effect_is_worth_while_above_the_noise(left_mgauss: float, worth: bool) -> None:
     problem = explained((0.0, 0.0, 0.0), left_mgauss)  # noise 0.5, least 1 mG: 1.118 in all
-    assert guards.worthwhile(problem, floor(), fit_of()) is worth  # type: ignore[arg-type]
-    assert guards.worthwhile(problem, floor(representative=True), fit_of())  # type: ignore[arg-type]
-    assert guards.worthwhile(replace(problem, bent=23.0), floor(), fit_of())  # type: ignore[arg-type]
+    assert materiality.worthwhile(problem, floor(), fit_of()) is worth  # type: ignore[arg-type]
+    assert materiality.worthwhile(problem, floor(representative=True), fit_of())  # type: ignore[arg-type]
+    assert materiality.worthwhile(replace(problem, bent=23.0), floor(), fit_of())  # type: ignore[arg-type]
 
 
 def test_a_tenth_of_the_gap_is_the_least() -> None:
     problem = explained((60.0, 0.0, 0.0), 0.3)
     fit = fit_of(hard_iron=60.0)
-    after = guards._left(problem, fit, effects=True)  # type: ignore[arg-type]
+    after = materiality._left(problem, fit, effects=True)  # type: ignore[arg-type]
     assert after["mag"] == pytest.approx(0.3)
-    least = guards._least(problem, fit, after)  # type: ignore[arg-type]
+    least = materiality._least(problem, fit, after)  # type: ignore[arg-type]
     assert (
         least["mag"] == pytest.approx(0.1 * 60.0 / math.sqrt(3.0))
         and least["acc"] == 0.1
         and least["gyro"] == 0.004
     )
     small = explained((5.0, 0.0, 0.0), 0.3)
-    assert guards._least(small, fit_of(hard_iron=5.0), {"mag": 0.3})["mag"] == 1.0  # type: ignore[arg-type]
+    assert materiality._least(small, fit_of(hard_iron=5.0), {"mag": 0.3})["mag"] == 1.0  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -543,8 +544,8 @@ def test_beside_an_exact_floor_small_errors_of_another_are_not_named(
     fit = fit_of(hard_iron=beside, spatial_dipole=size)
     here = candidate(explained((beside, 0.0, size), 0.3), fit)
     over = floor(floor_mgauss, 9.0, representative=True)
-    assert guards._immaterial(here, over) == ("spatial_dipole" if lost else None)
-    assert guards._lost_beside(here, over, {}) is None
+    assert materiality.immaterial(here, over) == ("spatial_dipole" if lost else None)
+    assert materiality._lost_beside(here, over, {}) is None
 
 
 def test_beside_an_exact_floor_a_doubtful_sensors_effects_have_its_tolerance() -> None:
@@ -553,9 +554,9 @@ def test_beside_an_exact_floor_a_doubtful_sensors_effects_have_its_tolerance() -
         problem = explained((size, 0.0, 0.0), 0.1)
         problem.replay.doubtful = {"mag": "x"}
         here = candidate(problem, fit_of(hard_iron=size))
-        assert guards._immaterial(here, floor(representative=True)) == ("hard_iron" if refused else None)
+        assert materiality.immaterial(here, floor(representative=True)) == ("hard_iron" if refused else None)
     sure = candidate(explained((1.5, 0.0, 0.0), 0.1), fit)
-    assert guards._immaterial(sure, floor(representative=True)) is None
+    assert materiality.immaterial(sure, floor(representative=True)) is None
 
 
 REASONS = {
@@ -563,7 +564,7 @@ REASONS = {
     "_ends_on_a_step": ("clipping", "numbers as coarse as these end at one of their own steps"),
     "_passed": ("clipping", "readings pass the limit"),
     "_vetoed": ("soft_iron", "one half of the training data does not confirm what the other half says"),
-    "_immaterial": ("hard_iron", guards.TOO_SMALL),
+    "immaterial": ("hard_iron", guards.TOO_SMALL),
 }
 
 
@@ -588,7 +589,7 @@ def test_what_gains_no_more_than_the_known_may_be_off_by_is_none(
 ) -> None:
     """Of one number that is known chance makes 18 squared sigmas once in 50 000."""
     limits = floor(measured=measured, representative=representative)
-    monkeypatch.setattr(guards, "_immaterial", lambda *_: None)
+    monkeypatch.setattr(guards, "immaterial", lambda *_: None)
     # 80 readings of noise 1 mG: so much in one axis gains 17.7 and 19.2.
     for size, less in ((0.47, True), (0.49, False)):
         problem = explained((size, 0.0, 0.0), 0.0, noise_mgauss=1.0)
@@ -626,9 +627,9 @@ def test_a_veto_looks_at_rows_that_are_fitted_alone() -> None:
 def test_the_floor_is_reached_below_a_quarter_more(
     field: float, heading: float, lies: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(guards, "apart", lambda *_: (field, heading))
+    monkeypatch.setattr(levels, "apart", lambda *_: (field, heading))
     made = candidate(explained((30.0, 0.0, 0.0)), fit_of())
-    assert guards.at_floor(made, made.fit, floor(2.0, 0.6)) is lies
+    assert levels.at_floor(made, made.fit, floor(2.0, 0.6)) is lies
 
 
 @pytest.mark.parametrize(("away_m", "touches"), [(0.03, False), (0.0299, True), (-0.031, False)])
@@ -654,7 +655,7 @@ def test_beside_an_exact_floor_too_a_twentieth_of_it_is_the_models_own_error(
     """A declination of two hundredths of a degree was named, at a hundred per cent, in a healthy vehicle."""
     here = candidate(explained((size_mgauss, 0.0, 0.0)), fit_of(hard_iron=size_mgauss))
     over = floor(floor_mgauss, 9.0, representative=True)
-    assert guards._within_the_model(here, over) == ("hard_iron" if refused else None)
+    assert materiality._within_the_model(here, over) == ("hard_iron" if refused else None)
     # Of other sensors the compass says nothing.
     gyro = candidate(explained((0.0, 0.0, 0.0)), fit_of(gyro_bias=size_mgauss))
-    assert guards._within_the_model(gyro, over) is None
+    assert materiality._within_the_model(gyro, over) is None
