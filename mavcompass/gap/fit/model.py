@@ -201,6 +201,10 @@ class Problem:
         together = self.strain(fit) < least_gain(known)
         return together and all(cost < least_gain(size) for cost, size in self.strains(fit))
 
+    def forget(self) -> None:
+        """Let go of the derivatives that fits lend each other."""
+        self._lent.clear()
+
     def null(self, near: Fit | None = None) -> Fit:
         """Fit the nuisances alone, from their means or from where another problem has them."""
         if self._null is None:

@@ -121,6 +121,11 @@ class Search:
         other.terms, other._temper = self.terms, self._temper
         return other
 
+    def forget(self) -> None:
+        """Let go of all derivatives: what was explored stays."""
+        self._candidates.clear()
+        self.problem.forget()
+
     def score(self, fit: Fit) -> float:
         """Return the EBIC of a fit.
 

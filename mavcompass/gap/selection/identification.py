@@ -145,7 +145,9 @@ def _searched(
         floor = floor if turn + 1 == passes else widened(floor, result.problem, result.fit)
         if floor is before:
             break
-    return _guarded(result, floor) if names else result, floor
+    chosen = _guarded(result, floor) if names else result
+    chosen.search.forget()
+    return chosen, floor
 
 
 def _with_wander(problem: Problem, floor: Floor, found: Found) -> tuple[Floor, Problem, list[Fit]] | None:
