@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.gap.fit import Fit, Problem, least_gain
+from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import Floor
 from mavcompass.gap.selection.direct import STEP, goes_with_a_load, unswitched
 from mavcompass.gap.selection.identified import Identified
@@ -48,17 +48,9 @@ def refused(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
         return STEP, "it comes and goes with a load, whose field it is"
     if (worse := _vetoed(candidate)) is not None:
         return worse, "one half of the training data does not confirm what the other half says"
-    if floor.measured and not floor.representative and _within_the_known(candidate.problem, fit):
-        return fit.terms[-1].effect.id, "what is known of vehicle and place may be off by as much by chance"
     if (small := immaterial(candidate, floor)) is not None:
         return small, TOO_SMALL
     return None
-
-
-def _within_the_known(problem: Problem, fit: Fit) -> bool:
-    """Tell whether effects gain no more than what is known of vehicle and place may be off by, by chance."""
-    known = sum(nuisance.known for nuisance in problem.nuisances)
-    return problem.null().sse - fit.sse < least_gain(known)
 
 
 def _needed(candidate: Identified, place: int, parameter: int) -> bool:
