@@ -15,7 +15,7 @@ from mavcompass.gap.replay import WHEREABOUTS, Replay, level_mgauss, whereabouts
 from mavcompass.gap.selection.guards import TOO_SMALL, refused
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.levels import ABOVE, FEW_NAMES, at_floor, evident, needs_none
-from mavcompass.gap.selection.materiality import worthwhile
+from mavcompass.gap.selection.materiality import STRAINED, worthwhile
 from mavcompass.gap.selection.rivals import NO_WORSE, alike, likelier, plainer, simplest, with_evident
 from mavcompass.gap.selection.split import Split, probe, with_parts, with_windows
 from mavcompass.gap.selection.transient import (
@@ -227,7 +227,9 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
     if fell and search.likeliest(fewest) != candidate.fit.ids:
         # What was needed beside a refused effect need not be what does best without it.
         fewer = search.run(fewest).best
-        if fewer.ids != candidate.fit.ids and search.score(fewer) < search.score(candidate.fit):
+        # Bent by force, what is known of the vehicle would imitate nearly anything.
+        bent = search.problem.strain(fewer) > search.problem.strain(candidate.fit) + STRAINED
+        if fewer.ids != candidate.fit.ids and not bent and search.score(fewer) < search.score(candidate.fit):
             rival = _allowed(_moments_in_training(replace(candidate, fit=fewer)), floor)
             fuller = len(rival.fit.terms) - len(candidate.fit.terms)
             better = fuller > 0 or (fuller == 0 and search.score(rival.fit) <= search.score(candidate.fit))
