@@ -81,7 +81,8 @@ make_environment() { # EXTRA
         mkdir -p "$venv" && : >"$venv/.unfinished"
     fi
     trap 'exit 130' INT
-    if ! (cd "$root" && { install_with_uv "$1" || install_with_pip "$1"; } && compile_often_used) >>"$setup_log" 2>&1 </dev/null; then
+    if ! (cd "$root" && { install_with_uv "$1" || install_with_pip "$1"; } && compile_often_used) \
+        >>"$setup_log" 2>&1 </dev/null; then
         explain_failure
         if [ -e "$venv/.unfinished" ]; then
             rm -rf "$venv"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -13,6 +13,11 @@ from mavcompass.gap.left import Scatter, apart
 from mavcompass.gap.result import Cause
 from mavcompass.gap.selection import Identified
 from mavcompass.gap.traces import Traces
+
+
+def held_by(effect_id: str, sets: Iterable[tuple[frozenset[str], float]]) -> float:
+    """Return the weight of all sets that an effect belongs to."""
+    return sum(weight for ids, weight in sets if effect_id in ids)
 
 
 def named_causes(
@@ -45,7 +50,7 @@ def named_causes(
                 effect=term.effect.id,
                 parameters=shown,
                 ci95={name: told[i][name] for name in shown},
-                probability=sum(w for ids, w in weights.items() if term.effect.id in ids) or own,
+                probability=held_by(term.effect.id, weights.items()) or own,
                 ambiguous_with=tuple(others),
                 separation=_separation(identified, fit, term.effect.id),
                 removes_mgauss=field,

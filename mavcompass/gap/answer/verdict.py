@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcompass.gap.answer.naming import held_by
 from mavcompass.gap.attitude import integral
 from mavcompass.gap.fit import Fit, Problem, least_gain
 from mavcompass.gap.left import Adequacy, Floor, drift_gain, rms
@@ -215,8 +216,7 @@ def with_likely_names(
     """
     if answer.verdict != "named_with_remainder" or floor.representative:
         return answer
-    held = (sum(weight for ids, weight in sets if effect in ids) for effect in answer.named.ids)
-    if all(weight >= _HELD for weight in held):
+    if all(held_by(effect, sets) >= _HELD for effect in answer.named.ids):
         return answer
     return Answer("named_with_remainder" if traces else "unknown", none, True, answer.coordinate)
 

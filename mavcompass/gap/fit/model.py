@@ -23,7 +23,7 @@ from mavcompass.gap.replay import (
     Replay,
     group_values,
 )
-from mavcompass.simulation.effects.effect import Signals
+from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading
 
 _ITERATIONS = 12
@@ -148,15 +148,18 @@ class Problem:
             values = np.stack([group_values(change, g) for change in changes], axis=2)
             some = np.flatnonzero(values.any(axis=(0, 1)))
             if some.size == len(changes):
-                white = self.noise[g].whiten_many(self._bridged(values))[rows]
-                parts.append(white.reshape(rows.size * 3, some.size))
+                parts.append(self._whitened(g, values))
                 continue
             out = np.zeros((rows.size * 3, len(changes)))
             if some.size:
-                white = self.noise[g].whiten_many(self._bridged(values[:, :, some]))[rows]
-                out[:, some] = white.reshape(rows.size * 3, some.size)
+                out[:, some] = self._whitened(g, values[:, :, some])
             parts.append(out)
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def _whitened(self, group: Group, values: FloatArray) -> FloatArray:
+        """Return changes of one sensor (N, 3, k) whitened, on the fitted rows, (3 n, k)."""
+        white = self.noise[group].whiten_many(self._bridged(values))[self.index]
+        return np.asarray(white.reshape(-1, values.shape[2]))
 
     def lasting_covariance(self, fit: Fit) -> FloatArray:
         """Return the covariance of a fit's nuisances and free parameters where errors last for seconds.

@@ -76,8 +76,8 @@ def simplest(candidate: Identified, floor: Floor) -> Identified:
 def plainer(candidate: Identified) -> Identified:
     """Take an alias with fewer parameters that leaves no more of field and heading on rows that were not
     fitted."""
-    plainer = [f for f in _substitutes(candidate) if f.dimension < candidate.fit.dimension]
-    good = _no_worse(candidate, plainer)
+    smaller = [f for f in _substitutes(candidate) if f.dimension < candidate.fit.dimension]
+    good = _no_worse(candidate, smaller)
     return replace(candidate, fit=min(good, key=lambda f: f.sse)) if good else candidate
 
 
@@ -105,8 +105,8 @@ def likelier(candidate: Identified) -> tuple[frozenset[str], ...]:
     refused_ids = dict(candidate.dropped).keys() - chosen.ids
     most = search.score(chosen) - _FAR_LIKELIER
     rivals = {ids: search.score(f) for ids, f in search.explored.items() if not ids & refused_ids}
-    likelier = sorted((ids for ids, score in rivals.items() if score < most), key=rivals.__getitem__)
-    return tuple(ids for ids in likelier[:_RIVALS] if ids not in candidate.as_good) if chosen.terms else ()
+    ranked = sorted((ids for ids, score in rivals.items() if score < most), key=rivals.__getitem__)
+    return tuple(ids for ids in ranked[:_RIVALS] if ids not in candidate.as_good) if chosen.terms else ()
 
 
 def with_evident(candidate: Identified) -> list[frozenset[str]]:
