@@ -272,14 +272,14 @@ def wanders(identified: Identified) -> bool:
     It may stand beside any explored set that is smaller than the best one.
     """
     best, problem = identified.found.best, identified.first
-    search = identified.search.on(problem)
-    own = search.score(best)
+    criteria = identified.search.on(problem).criteria
+    own = criteria.score(best)
     rivals = [f for f in identified.found.explored.values() if len(f.terms) <= len(best.terms)]
-    rivals = sorted({f.ids: f for f in [*rivals, best]}.values(), key=search.score)[:_DRIFT_RIVALS]
-    cost = search.cost(1)
+    rivals = sorted({f.ids: f for f in [*rivals, best]}.values(), key=criteria.score)[:_DRIFT_RIVALS]
+    cost = criteria.cost(1)
     for fit in rivals:
         gain, size = drift_gain(problem, fit)
-        if size > 0.0 and gain > least_gain(4) and search.score(fit) - gain + cost < own - _DRIFT_MARGIN:
+        if size > 0.0 and gain > least_gain(4) and criteria.score(fit) - gain + cost < own - _DRIFT_MARGIN:
             return True
     return False
 

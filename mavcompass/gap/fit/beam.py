@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from mavcompass.gap.fit.candidates import Candidate, Candidates
+from mavcompass.gap.fit.criteria import Criteria
 
 _BEAM = 5
 # Sets that come so near to the best one of their size are fitted through the simulation, so many at most.
@@ -12,13 +11,9 @@ _NEAR, _FITTED = 40.0, 4
 
 
 def likeliest_sets(
-    candidates: Candidates, temper: float, cost: Callable[[int, int], float], most: int
+    candidates: Candidates, criteria: Criteria, most: int
 ) -> dict[int, list[tuple[Candidate, ...]]]:
-    """Return the likeliest sets of each size up to `most`, the best first.
-
-    `temper` divides sums of squares that errors of some seconds make too large; `cost` is the penalty for so
-    many parameters and effects.
-    """
+    """Return the likeliest sets of each size up to `most`, the best first."""
     every = candidates.list
     if not every:
         return {}
@@ -29,7 +24,9 @@ def likeliest_sets(
         if members not in scores:
             chosen = [every[i] for i in members]
             parameters = sum(dimension[i] for i in members)
-            scores[members] = candidates.expected(chosen) / temper + cost(parameters, len(chosen))
+            scores[members] = candidates.expected(chosen) / criteria.temper + criteria.cost(
+                parameters, len(chosen)
+            )
         return scores[members]
 
     def grown(parent: tuple[int, ...]) -> set[tuple[int, ...]]:
@@ -53,6 +50,6 @@ def likeliest_sets(
             seen.setdefault(frozenset(effect[i] for i in members), members)
         near = [m for m in seen.values() if score(m) < lowest + _NEAR]
         out[size] = [tuple(every[i] for i in members) for members in near[:_FITTED]]
-        if size > 1 and lowest > min(score(m) for m in scores if len(m) == size - 1) + cost(2, 1):
+        if size > 1 and lowest > min(score(m) for m in scores if len(m) == size - 1) + criteria.cost(2):
             break
     return out

@@ -2,26 +2,21 @@
 
 The catalogue is linearised once beside what is known, and sets are weighed by their normal equations; only
 the few that could win are fitted through the simulation. Beside the best one the catalogue is linearised
-again, until nothing changes. Two questions have two criteria. *How many* effects: one more is taken only
-where the whitened sum of squares falls by more than chance allows once in 50 000 (chi-squared tail,
-corrected for the moments of change and frequencies that were tried), and where the noise is not exact, by as
-much again as blocks contradict each other. *Which*: sets of equal size compete by EBIC, SSE + k ln n + 2 m
-ln C, and the weights exp(-EBIC / 2) tell how sure that is.
+again, until nothing changes. How many effects are needed, and which, `criteria` tell.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.beam import likeliest_sets
 from mavcompass.gap.fit.candidates import Candidate, Candidates, misfit_of
-from mavcompass.gap.fit.chance import least_alone, least_gain, least_growth
+from mavcompass.gap.fit.chance import least_gain
+from mavcompass.gap.fit.criteria import Criteria
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.lateness import beside_known_age, in_place_of_each_other
 from mavcompass.gap.fit.model import Problem
@@ -31,7 +26,6 @@ from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
-_CATALOGUE_SIZE = 40
 _SHORT = 3
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
 # What is so much likelier by EBIC's score is worth another search; seen beside so many effects alone.
@@ -40,7 +34,6 @@ _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
 _HOPEFUL = 0.7
 # What leaves so many times the noise is not all.
 _UNEXPLAINED = 1.3
-_BLOCK_S, _MOST_BLOCKS = 5.0, 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,8 +78,7 @@ class Search:
     """Search sets of effects on one problem.
 
     `worthwhile` tells whether what a fit leaves could still hold an effect that may be named; the search
-    goes on only then. `exact` says that the noise is known in detail; otherwise gains are held against how
-    far blocks contradict each other.
+    goes on only then. `exact` says that the noise is known in detail.
     """
 
     def __init__(
@@ -98,45 +90,28 @@ class Search:
     ) -> None:
         self.problem = problem
         self.worthwhile = worthwhile
-        self.exact = exact
+        self.criteria = Criteria(problem, exact)
         signals = problem.replay.signals
         self.terms = [
             term
             for effect in effects
             if effect.kind in ("mean", "discrete") and (term := make_term(effect, signals)).dimension >= 0
         ]
-        self._log_n = math.log(max(problem.count, 2))
-        self._log_c = math.log(_CATALOGUE_SIZE)
         self.explored: dict[frozenset[str], Fit] = {}
         # By the set that they stand beside, and how much of it is held.
         self._candidates: dict[tuple[frozenset[str], int], Candidates] = {}
-        # By what a fit has more than another one, and by the fit.
-        self._contradictions: dict[tuple[frozenset[str], frozenset[str], float], float] = {}
-        # By how much errors that last for seconds make sums of squares larger than they should be.
-        self._temper = 1.0
 
     def on(self, problem: Problem) -> Search:
         """Return a search of the same terms on other rows or under another noise, nothing explored yet."""
-        other = Search(problem, (), self.worthwhile, self.exact)
-        other.terms, other._temper = self.terms, self._temper
+        other = Search(problem, (), self.worthwhile)
+        other.terms = self.terms
+        other.criteria = Criteria(problem, self.criteria.exact, self.criteria.temper)
         return other
 
     def forget(self) -> None:
         """Let go of all derivatives: what was explored stays."""
         self._candidates.clear()
         self.problem.forget()
-
-    def score(self, fit: Fit) -> float:
-        """Return the EBIC of a fit.
-
-        Errors that last for seconds are the readings': what is known of vehicle and place keeps its weight.
-        """
-        strain = self.problem.strain(fit)
-        return (fit.sse - strain) / self._temper + strain + self.cost(fit.dimension, len(fit.terms))
-
-    def cost(self, dimension: int, effects: int = 1) -> float:
-        """Return EBIC's penalty for so many parameters and effects."""
-        return dimension * self._log_n + 2.0 * effects * self._log_c
 
     def nothing(self) -> Found:
         """Return the fit without any effect, as if nothing else had been tried."""
@@ -170,26 +145,26 @@ class Search:
                 null = self.explored[frozenset()] = self.problem.null()
                 best = self._rounds(null, most, ())
         for turned in self._turned(null, best, turns):
-            before = self._temper
+            before = self.criteria.temper
             alone = turn_alone(self.problem, turned)
             rival = self._rounds(alone, most, alone.terms, turned)
-            if self.score(rival) < self.score(best):
+            if self.criteria.score(rival) < self.criteria.score(best):
                 best = rival
             else:
-                self._temper = before
+                self.criteria.temper = before
         best = self._with_rivals(self.polished(best))
         for seen in (self._beside_one, self._among_rivals):
             other = seen(best)
             if other is not best:
                 other = self._with_rivals(self.polished(self._rounds(null, most, (), other)))
-                best = min(best, other, key=self.score)
-        return Found(self._unbent(null), best, self.explored, self.weights(best))
+                best = min(best, other, key=self.criteria.score)
+        return Found(self._unbent(null), best, self.explored, self.criteria.weights(best, self.explored))
 
     def _with_rivals(self, best: Fit) -> Fit:
         late = in_place_of_each_other(self.problem, self.terms, best)
         if late:
             self._remember(late)
-            best = self.problem.refit(min([best, *late], key=self.score))
+            best = self.problem.refit(min([best, *late], key=self.criteria.score))
         self.explored[best.ids] = best
         self._remember(self._rivals(best))
         return best
@@ -197,8 +172,10 @@ class Search:
     def _among_rivals(self, best: Fit) -> Fit:
         """Return what is as large as the best set and does far better; it was not seen on the way there."""
         as_large = [fit for fit in self.explored.values() if len(fit.terms) == len(best.terms)]
-        likeliest = min(as_large, key=self.score)
-        return likeliest if self.score(likeliest) < self.score(best) - _FAR_LIKELIER else best
+        likeliest = min(as_large, key=self.criteria.score)
+        return (
+            likeliest if self.criteria.score(likeliest) < self.criteria.score(best) - _FAR_LIKELIER else best
+        )
 
     def _beside_one(self, best: Fit) -> Fit:
         """Return the best set that is seen beside the one effect that does best alone.
@@ -212,19 +189,21 @@ class Search:
         else:
             ones = [fit for ids, fit in self.explored.items() if len(ids) == 1 and ids <= best.ids]
         empty, fits = Fit((), (), (), np.inf), [best]
-        for one in sorted(ones, key=self.score)[:_ALONE]:
+        for one in sorted(ones, key=self.criteria.score)[:_ALONE]:
             if (one.ids, 0) not in self._candidates:
                 candidates = self._linearised(self.problem.refit(one), ())
-                sets = likeliest_sets(candidates, self._temper, self.cost, 2).get(2, ())
+                sets = likeliest_sets(candidates, self.criteria, 2).get(2, ())
                 fits += [self._fitted(candidates, chosen, empty, _SHORT) for chosen in sets]
         self._remember(fits)
-        likeliest = min(fits, key=self.score)
-        return likeliest if self.score(likeliest) < self.score(best) - _FAR_LIKELIER else best
+        likeliest = min(fits, key=self.criteria.score)
+        return (
+            likeliest if self.criteria.score(likeliest) < self.criteria.score(best) - _FAR_LIKELIER else best
+        )
 
     def likeliest(self, size: int) -> frozenset[str]:
         """Return the set of a size that the catalogue, linearised beside nothing, makes likeliest."""
         candidates = self._linearised(self._unbent(self._null()), ())
-        sets = likeliest_sets(candidates, self._temper, self.cost, size).get(size)
+        sets = likeliest_sets(candidates, self.criteria, size).get(size)
         return frozenset(c.term.effect.id for c in sets[0]) if sets else frozenset()
 
     def nearest(self, most: int, held: Fit | None = None) -> Fit:
@@ -236,7 +215,7 @@ class Search:
         best = self.problem.null() if held is None else self.problem.refit(held)
         for _ in range(_ROUNDS):
             candidates = self._linearised(best, kept.terms)
-            sets = likeliest_sets(candidates, self._temper, self.cost, most)
+            sets = likeliest_sets(candidates, self.criteria, most)
             trials = [s for size in sorted(sets) for s in sets[size][: 2 if size == max(sets) else 1]]
             fits = [self._fitted(candidates, chosen, kept, 8) for chosen in trials]
             better = min([best, *fits], key=lambda f: f.sse)
@@ -252,7 +231,11 @@ class Search:
         Where the best set leaves much, what it has that is no map of the field may hide a turn: one is tried
         beside that, too.
         """
-        out = [f for f in turns if null.sse - f.sse > 0.5 * (null.sse - best.sse) and self.grows(null, f)]
+        out = [
+            f
+            for f in turns
+            if null.sse - f.sse > 0.5 * (null.sse - best.sse) and self.criteria.grows(null, f)
+        ]
         beside = best
         for place in reversed(range(len(best.terms))):
             beside = beside.without(place) if best.terms[place].effect.affine else beside
@@ -271,17 +254,17 @@ class Search:
         kept = Fit(first.terms, first.thetas, (), np.inf) if held else Fit((), (), (), np.inf)
         smallest, best = first, first if best is None else best
         # How blocks contradict each other beside another start says nothing of this one.
-        self._temper = 1.0
+        self.criteria.temper = 1.0
         for _ in range(rounds):
             base = self._unbent(best, curves=True)
             candidates = self._linearised(base, held, None if base is best else best)
-            sets = likeliest_sets(candidates, self._temper, self.cost, most - len(held))
+            sets = likeliest_sets(candidates, self.criteria, most - len(held))
             chosen = self._to_fit(candidates, sets, len(best.terms) - len(held))
             fits = [self._fitted(candidates, c, kept, _SHORT) for c in chosen]
             self._remember(fits)
-            if not self.exact and fits:
+            if not self.criteria.exact and fits:
                 likeliest = min(fits, key=lambda f: f.sse)
-                self._temper = max(1.0, self.contradiction(smallest, likeliest))
+                self.criteria.temper = max(1.0, self.criteria.contradiction(smallest, likeliest))
             better = self._largest_needed(smallest, [best, *fits], most)
             same = better.ids == best.ids and better.sse > best.sse - _AS_GOOD
             best = min(better, best, key=lambda f: f.sse) if same else better
@@ -294,14 +277,9 @@ class Search:
         key = (base.ids, len(held))
         known = self._candidates.get(key)
         if known is None or abs(known.base.sse - base.sse) > max(_AS_GOOD, _AS_GOOD_SHARE * base.sse):
-            known = Candidates(self.problem, self.terms, base, self._blocks(), held, bent)
+            known = Candidates(self.problem, self.terms, base, self.criteria.blocks(), held, bent)
             self._candidates[key] = known
         return known
-
-    def _blocks(self) -> NDArray[np.int64]:
-        time = self.problem.replay.time_s
-        length = max(_BLOCK_S, float(time[-1] - time[0]) / _MOST_BLOCKS)
-        return np.floor((time - time[0]) / length).astype(np.int64)
 
     def _unbent(self, fit: Fit, curves: bool = False) -> Fit:
         """Return nuisances to their prior where a gap has bent them far: what is wrong must show to be
@@ -332,23 +310,13 @@ class Search:
         needed, before = 0, candidates.expected(())
         for size, ranked in sets.items():
             after = candidates.expected(ranked[0])
-            if before - after > _HOPEFUL * self._least(candidates, ranked[0]):
+            if before - after > _HOPEFUL * self.criteria.least(candidates, ranked[0]):
                 needed, before = size, after
         chosen: list[tuple[Candidate, ...]] = list(sets.get(needed, ()))
         for size in sets:
             if size != needed and (size <= needed + 1 or size == now):
                 chosen += sets[size][:1]
         return chosen
-
-    def _least(self, candidates: Candidates, chosen: tuple[Candidate, ...]) -> float:
-        """Return the least gain of the member of a set that needs least."""
-        least = math.inf
-        for candidate in chosen:
-            gain = least_alone(candidate.term, candidate.dimension, self.problem.count)
-            if not self.exact:
-                gain *= candidates.contradiction(chosen, [candidate])
-            least = min(least, gain)
-        return least
 
     def _fitted(
         self, candidates: Candidates, chosen: tuple[Candidate, ...], held: Fit, iterations: int
@@ -369,11 +337,11 @@ class Search:
             if not smallest.ids <= fit.ids or len(fit.terms) > most:
                 continue
             size = len(fit.terms)
-            if size not in by_size or self.score(fit) < self.score(by_size[size]):
+            if size not in by_size or self.criteria.score(fit) < self.criteria.score(by_size[size]):
                 by_size[size] = fit
         best = smallest
         for size in sorted(by_size):
-            if size > len(best.terms) and self.grows(best, by_size[size]):
+            if size > len(best.terms) and self.criteria.grows(best, by_size[size]):
                 best = by_size[size]
         return best
 
@@ -383,55 +351,13 @@ class Search:
             return []
         candidates = self._linearised(self._unbent(best), ())
         size = max(len(best.terms), 1)
-        sets = likeliest_sets(candidates, self._temper, self.cost, size).get(size, [])
+        sets = likeliest_sets(candidates, self.criteria, size).get(size, [])
         empty = Fit((), (), (), np.inf)
         return [
             self._fitted(candidates, chosen, empty, _SHORT)
             for chosen in sets
             if frozenset(c.term.effect.id for c in chosen) != best.ids
         ]
-
-    def grows(self, smaller: Fit, larger: Fit) -> bool:
-        """Tell whether the larger set is needed."""
-        least, gain = least_growth(smaller, larger, self.problem.count), smaller.sse - larger.sse
-        if gain <= least or self.exact:
-            return gain > least
-        eased = self.problem.strain(smaller) - self.problem.strain(larger)
-        return (gain - eased) / self.contradiction(smaller, larger) + eased > least
-
-    def contradiction(self, smaller: Fit, larger: Fit) -> float:
-        """Return by how much blocks contradict each other about what a larger set has more, 1 where they do
-        not."""
-        more = larger.ids - smaller.ids
-        if not more:
-            return 1.0
-        key = (more, larger.ids, larger.sse)
-        if key not in self._contradictions:
-            candidates = Candidates(self.problem, (), larger, self._blocks())
-            members = candidates.list
-            of = [c for c in members if c.term.effect.id in more]
-            self._contradictions[key] = candidates.contradiction(members, of) if of else 1.0
-        return self._contradictions[key]
-
-    def weights(
-        self, best: Fit, refused: frozenset[str] = frozenset()
-    ) -> tuple[tuple[frozenset[str], float], ...]:
-        """Weigh the sets as large as the best one, but those with an effect that is `refused`."""
-        if best.terms:
-            as_large = {i: f for i, f in self.explored.items() if len(i) == len(best.terms)}
-            rivals = {i: self.score(f) for i, f in as_large.items() if i == best.ids or not i & refused}
-        else:
-            # Nothing is named; what it would most likely be is weighed by Akaike's criterion.
-            rivals = {
-                i: f.sse + 2.0 * f.dimension + self.cost(0, len(i))
-                for i, f in self.explored.items()
-                if len(i) <= 1
-            }
-        lowest = min(rivals.values())
-        raw = {ids: math.exp(-0.5 * min(score - lowest, 1400.0)) for ids, score in rivals.items()}
-        total = sum(raw.values())
-        ranked = sorted(((ids, w / total) for ids, w in raw.items()), key=lambda item: -item[1])
-        return tuple(item for item in ranked if item[1] > 0.01)
 
     def _remember(self, fits: Iterable[Fit]) -> None:
         for fit in fits:
@@ -463,7 +389,7 @@ class Search:
             for start in term.effect.starts(misfit_of(self.problem, self.problem.signals(rest))):
                 terms = (*rest.terms, term)
                 trial = self.problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas, _SHORT)
-                if self.score(trial) < self.score(best) - 1e-6:
+                if self.criteria.score(trial) < self.criteria.score(best) - 1e-6:
                     best = _in_order(self.problem.refit(trial), best)
         return self._settled(best)
 
@@ -479,7 +405,7 @@ class Search:
                 never[j] = term.effect.neutral()[j]
                 thetas = (*fit.thetas[:i], never, *fit.thetas[i + 1 :])
                 always = self.problem.fit(fit.terms, thetas, fit.nuisance_thetas)
-                if not self.grows(always, fit):
+                if not self.criteria.grows(always, fit):
                     fit = always
         return fit
 

@@ -223,16 +223,17 @@ def _parted(problem: Problem, nothing: Fit, floor: Floor, split: Split) -> Split
 def _guarded(candidate: Identified, floor: Floor) -> Identified:
     """Choose among what no guard refuses, and name what is as good."""
     search, fewest = candidate.search, max(len(candidate.fit.terms), 1)
-    fell = candidate.dropped and not search.exact and fewest < len(candidate.found.best.terms)
+    score = search.criteria.score
+    fell = candidate.dropped and not search.criteria.exact and fewest < len(candidate.found.best.terms)
     if fell and search.likeliest(fewest) != candidate.fit.ids:
         # What was needed beside a refused effect need not be what does best without it.
         fewer = search.run(fewest).best
         # Bent by force, what is known of the vehicle would imitate nearly anything.
         bent = search.problem.strain(fewer) > search.problem.strain(candidate.fit) + STRAINED
-        if fewer.ids != candidate.fit.ids and not bent and search.score(fewer) < search.score(candidate.fit):
+        if fewer.ids != candidate.fit.ids and not bent and score(fewer) < score(candidate.fit):
             rival = _allowed(_moments_in_training(replace(candidate, fit=fewer)), floor)
             fuller = len(rival.fit.terms) - len(candidate.fit.terms)
-            better = fuller > 0 or (fuller == 0 and search.score(rival.fit) <= search.score(candidate.fit))
+            better = fuller > 0 or (fuller == 0 and score(rival.fit) <= score(candidate.fit))
             candidate = rival if better else candidate
     found_some = bool(candidate.fit.terms or candidate.dropped)
     if found_some and not floor.representative:
@@ -242,7 +243,8 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
     if candidate.fit.terms and candidate.fit.ids != candidate.found.best.ids:
         # What the search was as sure of is no longer what is named.
         refused_ids = frozenset(dict(candidate.dropped)) - candidate.fit.ids
-        weights = candidate.search.weights(candidate.fit, refused_ids)
+        search = candidate.search
+        weights = search.criteria.weights(candidate.fit, search.explored, refused_ids)
         candidate = replace(candidate, found=replace(candidate.found, weights=weights))
     others = (*alike(candidate), *with_evident(candidate), *likelier(candidate))
     return replace(candidate, as_good=(*candidate.as_good, *others))

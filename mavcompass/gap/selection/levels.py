@@ -87,4 +87,4 @@ def evident(
     without, beside = (float(np.sum(held.residual(held.predict(f)) ** 2)) for f in (rest, candidate.fit))
     if without - beside < held_out:
         return False
-    return gain > least * candidate.search.contradiction(rest, candidate.fit)
+    return gain > least * candidate.search.criteria.contradiction(rest, candidate.fit)

@@ -49,10 +49,10 @@ def simplest(candidate: Identified, floor: Floor) -> Identified:
         if not chosen.terms:
             # Nothing may do it as well, beside what is known of vehicle and place.
             none = candidate.problem.null()
-            allowed = [f for f in allowed if candidate.search.grows(none, f)]
+            allowed = [f for f in allowed if candidate.search.criteria.grows(none, f)]
         if not allowed:
             return replace(candidate, as_good=tuple(f.ids for f in _no_worse(candidate, near)))
-        likeliest = min(allowed, key=candidate.search.score)
+        likeliest = min(allowed, key=candidate.search.criteria.score)
         if chosen.terms:
             # What the search preferred fits the rest better.
             doubted = (chosen.ids,)
@@ -103,8 +103,8 @@ def likelier(candidate: Identified) -> tuple[frozenset[str], ...]:
     """Return the sets that the search found far likelier than the chosen one, and no guard refuses."""
     search, chosen = candidate.search, candidate.fit
     refused_ids = dict(candidate.dropped).keys() - chosen.ids
-    most = search.score(chosen) - _FAR_LIKELIER
-    rivals = {ids: search.score(f) for ids, f in search.explored.items() if not ids & refused_ids}
+    most = search.criteria.score(chosen) - _FAR_LIKELIER
+    rivals = {ids: search.criteria.score(f) for ids, f in search.explored.items() if not ids & refused_ids}
     ranked = sorted((ids for ids, score in rivals.items() if score < most), key=rivals.__getitem__)
     return tuple(ids for ids in ranked[:_RIVALS] if ids not in candidate.as_good) if chosen.terms else ()
 
@@ -120,7 +120,7 @@ def with_evident(candidate: Identified) -> list[frozenset[str]]:
 def _is_better_alias(search: Search, other: Fit, chosen: Fit) -> bool:
     """Tell whether a set has an alias in the place of one effect of the chosen one, and is likelier."""
     mine, its = chosen.ids - other.ids, other.ids - chosen.ids
-    if len(mine) != 1 or len(its) != 1 or search.score(other) >= search.score(chosen):
+    if len(mine) != 1 or len(its) != 1 or search.criteria.score(other) >= search.criteria.score(chosen):
         return False
     return any(term.effect.id in mine and its <= set(term.effect.aliases) for term in chosen.terms)
 

@@ -1,4 +1,4 @@
-"""How much a set of effects is worth beside another one: on sets without any data."""
+"""How sets of effects are looked for: what is returned to the known, how many, and when it ends."""
 
 from __future__ import annotations
 
@@ -13,53 +13,6 @@ from mavcompass.gap.replay import Prior, replay
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track
 from mavcompass.simulation.effects import parse, registry
-
-LAG = registry.get("transport_lag")
-
-
-def search(contradiction: float, monkeypatch: pytest.MonkeyPatch) -> Search:
-    """Return a search of which each fit's one number is what it strains; blocks contradict each other."""
-    problem: Any = SimpleNamespace(
-        replay=SimpleNamespace(signals=None), count=500, strain=lambda fit: float(fit.nuisance_thetas[0][0])
-    )
-    found = Search(problem, (), exact=False)
-    found._temper = contradiction
-    monkeypatch.setattr(found, "contradiction", lambda smaller, larger: contradiction)
-    return found
-
-
-def fit(left: float, strain: float, *effects: Any) -> Fit:
-    """Return a fit that leaves so much of the readings, and bends what is known by so much."""
-    one = np.ones(1, dtype=np.bool_)
-    terms = tuple(Term(e, one, np.zeros(1), np.ones(1)) for e in effects)
-    return Fit(terms, tuple(np.array([0.25]) for _ in terms), (np.array([strain]),), left + strain)
-
-
-@pytest.mark.parametrize("contradiction", [1.0, 5.0, 84.0])
-def test_what_is_known_keeps_its_weight_however_blocks_contradict_each_other(
-    contradiction: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Real errors last for seconds: they weaken what readings say, not what was measured of the vehicle."""
-    one = search(contradiction, monkeypatch)
-    bent, straight = fit(7444.0, 1188.0), fit(7418.0, 32.0, LAG)
-    assert one.grows(bent, straight)
-    assert one.score(bent) - one.score(straight) > 1000.0
-    assert one.score(bent) == pytest.approx(7444.0 / contradiction + 1188.0)
-
-
-def test_what_readings_gain_is_held_against_how_blocks_contradict_each_other(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    nothing, lag = fit(1000.0, 3.0), fit(900.0, 3.0, LAG)
-    assert search(1.0, monkeypatch).grows(nothing, lag)
-    assert not search(20.0, monkeypatch).grows(nothing, lag)
-    assert not search(1.0, monkeypatch).grows(nothing, fit(995.0, 3.0, LAG))
-
-
-def test_what_bends_the_known_to_fit_readings_closer_is_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing, bent = fit(1000.0, 3.0), fit(800.0, 60.0, LAG)
-    assert search(1.0, monkeypatch).grows(nothing, bent)
-    assert not search(4.0, monkeypatch).grows(nothing, bent)
 
 
 @pytest.mark.parametrize(
@@ -110,10 +63,16 @@ def test_how_old_readings_are_is_not_bent_back_with_the_rest(late: float, stays:
     assert kept[1].tolist() == (bent[1] if stays else age.mean).tolist()
 
 
-def test_a_search_of_few_effects_names_no_more_whatever_was_explored(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = search(1.0, monkeypatch)
-    nothing, lag = fit(1000.0, 0.0), fit(700.0, 0.0, LAG)
-    both = fit(300.0, 0.0, LAG, registry.get("low_pass"))
+def test_a_search_of_few_effects_names_no_more_whatever_was_explored() -> None:
+    problem: Any = SimpleNamespace(replay=SimpleNamespace(signals=None), count=500, strain=lambda fit: 0.0)
+
+    def fit(left: float, *ids: str) -> Fit:
+        one = np.ones(1, dtype=np.bool_)
+        terms = tuple(Term(registry.get(e), one, np.zeros(1), np.ones(1)) for e in ids)
+        return Fit(terms, tuple(np.array([0.25]) for _ in terms), (), left)
+
+    one = Search(problem, ())
+    nothing, lag, both = fit(1000.0), fit(700.0, "transport_lag"), fit(300.0, "transport_lag", "low_pass")
     one.explored = {f.ids: f for f in (lag, both)}
     assert one._largest_needed(nothing, [], 2) is both
     assert one._largest_needed(nothing, [], 1) is lag

@@ -50,8 +50,11 @@ def candidate(
 
     search = SimpleNamespace(
         explored={f.ids: f for f in explored},
-        score=lambda f: f.sse + 10.0 * len(f.terms),
-        grows=lambda smaller, larger: smaller.sse - larger.sse > 30.0,
+        criteria=SimpleNamespace(
+            exact=True,
+            score=lambda f: f.sse + 10.0 * len(f.terms),
+            grows=lambda smaller, larger: smaller.sse - larger.sse > 30.0,
+        ),
         without=without,
         terms=(),
     )
@@ -437,7 +440,7 @@ def test_beside_something_unknown_the_few_that_hold_nearly_all_are_kept(
 
 def test_what_looks_alike_and_fits_better_is_no_worse_a_name() -> None:
     scores = {"low_pass": 600.0, "transport_lag": 640.0, "hard_iron": 500.0}
-    search: Any = SimpleNamespace(score=lambda fit: scores[next(iter(fit.ids))])
+    search: Any = SimpleNamespace(criteria=SimpleNamespace(score=lambda fit: scores[next(iter(fit.ids))]))
     lag, low_pass, iron = (fit_of(name) for name in ("transport_lag", "low_pass", "hard_iron"))
     assert rivals._is_better_alias(search, low_pass, lag)
     assert not rivals._is_better_alias(search, lag, low_pass)

@@ -131,7 +131,8 @@ def candidate(problem: Problem, fit: Fit, **changed: Any) -> Any:
         return problem.refit(fit.without([term.effect.id for term in fit.terms].index(effect)))
 
     search = SimpleNamespace(
-        contradiction=lambda rest, fit: changed.pop("contradiction", 0.0), without=without
+        criteria=SimpleNamespace(contradiction=lambda rest, fit: changed.pop("contradiction", 0.0)),
+        without=without,
     )
     values = {
         "problem": problem,
@@ -503,7 +504,7 @@ def test_what_is_certain_is_so_on_both_kinds_of_rows(
     rest = replace(fit_of(), sse=100.0 + gain)
     size = math.sqrt(held_gain / 20.0) * 0.5  # of twenty held-out rows
     problem = explained((size, 0.0, 0.0), 0.0)
-    search = SimpleNamespace(contradiction=lambda without, fit: contradiction)
+    search = SimpleNamespace(criteria=SimpleNamespace(contradiction=lambda without, fit: contradiction))
     here = candidate(problem, replace(fit_of(hard_iron=size), sse=100.0), search=search)
     assert levels.evident(here, rest) is told
     nothing = replace(split(), test=np.zeros(ROWS, dtype=np.bool_))

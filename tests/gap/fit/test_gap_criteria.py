@@ -1,0 +1,57 @@
+"""How much a set of effects is worth beside another one: on sets without any data."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.gap.fit import Fit, Term
+from mavcompass.gap.fit.criteria import Criteria
+from mavcompass.simulation.effects import registry
+
+LAG = registry.get("transport_lag")
+
+
+def criteria(contradiction: float, monkeypatch: pytest.MonkeyPatch) -> Criteria:
+    """Return criteria of fits whose one number is what they strain; blocks contradict each other."""
+    problem: Any = SimpleNamespace(count=500, strain=lambda fit: float(fit.nuisance_thetas[0][0]))
+    found = Criteria(problem, exact=False, temper=contradiction)
+    monkeypatch.setattr(found, "contradiction", lambda smaller, larger: contradiction)
+    return found
+
+
+def fit(left: float, strain: float, *effects: Any) -> Fit:
+    """Return a fit that leaves so much of the readings, and bends what is known by so much."""
+    one = np.ones(1, dtype=np.bool_)
+    terms = tuple(Term(e, one, np.zeros(1), np.ones(1)) for e in effects)
+    return Fit(terms, tuple(np.array([0.25]) for _ in terms), (np.array([strain]),), left + strain)
+
+
+@pytest.mark.parametrize("contradiction", [1.0, 5.0, 84.0])
+def test_what_is_known_keeps_its_weight_however_blocks_contradict_each_other(
+    contradiction: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Real errors last for seconds: they weaken what readings say, not what was measured of the vehicle."""
+    one = criteria(contradiction, monkeypatch)
+    bent, straight = fit(7444.0, 1188.0), fit(7418.0, 32.0, LAG)
+    assert one.grows(bent, straight)
+    assert one.score(bent) - one.score(straight) > 1000.0
+    assert one.score(bent) == pytest.approx(7444.0 / contradiction + 1188.0)
+
+
+def test_what_readings_gain_is_held_against_how_blocks_contradict_each_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    nothing, lag = fit(1000.0, 3.0), fit(900.0, 3.0, LAG)
+    assert criteria(1.0, monkeypatch).grows(nothing, lag)
+    assert not criteria(20.0, monkeypatch).grows(nothing, lag)
+    assert not criteria(1.0, monkeypatch).grows(nothing, fit(995.0, 3.0, LAG))
+
+
+def test_what_bends_the_known_to_fit_readings_closer_is_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing, bent = fit(1000.0, 3.0), fit(800.0, 60.0, LAG)
+    assert criteria(1.0, monkeypatch).grows(nothing, bent)
+    assert not criteria(4.0, monkeypatch).grows(nothing, bent)
