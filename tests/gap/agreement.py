@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from mavcompass.gap import Diagnosis
-from mavcompass.gap.answer.description import Evidence
+from mavcompass.gap.answer.evidence import Evidence
 
 ABOVE = 1.3
 

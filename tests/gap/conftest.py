@@ -8,7 +8,8 @@ import pytest
 from agreement import check
 
 from mavcompass.gap import Diagnosis, diagnose
-from mavcompass.gap.answer.description import Evidence, describe
+from mavcompass.gap.answer.description import describe
+from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.answer.verdict import Answer
 
 

@@ -11,7 +11,8 @@ import pytest
 from agreement import check
 
 from mavcompass.gap import diagnose, diagnose_gap
-from mavcompass.gap.answer.description import Evidence, describe
+from mavcompass.gap.answer.description import describe
+from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.answer.verdict import Answer
 from mavcompass.gap.trial.cases import Motion, Recipe, ideal, make_track, stimulus_of, to_track
 from mavcompass.gap.trial.vehicles.cases import Tier, VehicleCase, make_case

@@ -1,6 +1,7 @@
 """Put the answer together: verdict, names, how far the gap closes, where it lies, what to do next."""
 
-from mavcompass.gap.answer.description import Evidence, describe
+from mavcompass.gap.answer.description import describe
+from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.answer.locate import bin_means
 from mavcompass.gap.answer.several import together
 from mavcompass.gap.answer.verdict import Answer, decide
