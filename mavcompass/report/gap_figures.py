@@ -15,6 +15,8 @@ from mavcompass.report.svg import Plot, limits
 
 _MOST_POINTS = 1500
 _AXES = "xyz"
+# Pixels: a letter, and the height of words with what is free above a bar.
+_LETTER, _WORDS = 9.0, 14.0
 
 
 def heading_tilt_map(picture: Picture, axis: int, after: bool) -> str:
@@ -72,12 +74,17 @@ def strip(picture: Picture, coordinate: str) -> str:
         f"mean residual along {coordinate}, before and after",
         height=220.0,
     )
+    ends: list[float] = []
     for axis in range(3):
         plot.line(means[axis][0], curves[axis], "old")
         plot.line(left[axis][0], curves[3 + axis], "new")
         known = np.flatnonzero(np.isfinite(curves[axis]))
         if known.size:
-            plot.text(means[axis][0][known[-1]], curves[axis][known[-1]], _AXES[axis], dx=3.0, dy=3.0)
+            end = float(curves[axis][known[-1]])
+            # Lines that end together have their letters side by side.
+            beside = sum(abs(plot.y(end) - plot.y(other)) < _LETTER for other in ends)
+            plot.text(means[axis][0][known[-1]], end, _AXES[axis], dx=3.0 + 9.0 * beside, dy=3.0)
+            ends.append(end)
     return plot.render()
 
 
@@ -117,7 +124,7 @@ def waterfall_figure(closing: Closing, steps: Sequence[Bar]) -> str:
     def y(rms: float) -> float:
         return base - rms / top * (base - 14.0)
 
-    pieces, level = [], closing.nominal**2
+    pieces, level, floor = [], closing.nominal**2, y(closing.floor)
     for k, (name, part, low, high) in enumerate(levels):
         x = start + k * width
         if k in (0, len(levels) - 1):
@@ -133,9 +140,10 @@ def waterfall_figure(closing: Closing, steps: Sequence[Bar]) -> str:
             if high - low > 1e-9:
                 words += f" ({math.sqrt(max(low, 0.0)):.1f} to {math.sqrt(max(high, 0.0)):.1f})"
             level, above = after, y(upper)
-        pieces.append(f'<text class="mark mid" x="{x + 38}" y="{above - 4:.1f}">{escape(words)}</text>')
+        pieces.append(
+            f'<text class="mark mid" x="{x + 38}" y="{_clear_of(floor, above):.1f}">{escape(words)}</text>'
+        )
         pieces.append(f'<text class="tick" x="{x + 38}" y="{base + 14}">{escape(name)}</text>')
-    floor = y(closing.floor)
     pieces.append(
         f'<line class="floor" x1="{start - 8:.0f}" x2="{total - start:.0f}"'
         f' y1="{floor:.1f}" y2="{floor:.1f}"/>'
@@ -147,6 +155,11 @@ def waterfall_figure(closing: Closing, steps: Sequence[Bar]) -> str:
     )
 
 
+def _clear_of(floor: float, top: float) -> float:
+    """Return where words above a bar stand, so that the line of the floor does not go through them."""
+    return (floor if 0.0 < top - floor < _WORDS else top) - 4.0
+
+
 def _bar(x: float, top: float, height: float, css: str) -> str:
     return f'<rect class="fall {css}" x="{x}" y="{top:.1f}" width="76" height="{height:.1f}" rx="3"/>'
 
@@ -155,15 +168,17 @@ def levels_figure(levels: Sequence[tuple[str, float, str]], floor: float, unit: 
     """Draw named levels (name, rms, class) as bars on one scale, and the floor as a line."""
     top = max([level for _, level, _ in levels] + [floor, 1e-9]) * 1.12
     width, base = 128.0, 170.0
+    at = base - floor / top * (base - 14.0)
     pieces = []
     for k, (name, level, css) in enumerate(levels):
         x, y = 60.0 + k * width, base - level / top * (base - 14.0)
         pieces.append(_bar(x, y, base - y, css))
-        pieces.append(f'<text class="mark mid" x="{x + 38}" y="{y - 4:.1f}">{level:.2f} {unit}</text>')
+        words = f"{level:.2f} {unit}"
+        pieces.append(f'<text class="mark mid" x="{x + 38}" y="{_clear_of(at, y):.1f}">{words}</text>')
         pieces.append(f'<text class="tick" x="{x + 38}" y="{base + 14}">{escape(name)}</text>')
-    y, end = base - floor / top * (base - 14.0), 40.0 + width * len(levels)
-    pieces.append(f'<line class="floor" x1="52" x2="{end}" y1="{y:.1f}" y2="{y:.1f}"/>')
-    pieces.append(f'<text class="tick side" x="48" y="{y:.1f}" dy="0.32em">floor</text>')
+    end = 40.0 + width * len(levels)
+    pieces.append(f'<line class="floor" x1="52" x2="{end}" y1="{at:.1f}" y2="{at:.1f}"/>')
+    pieces.append(f'<text class="tick side" x="48" y="{at:.1f}" dy="0.32em">floor</text>')
     return (
         f'<svg viewBox="0 0 {end + 10} 196" role="img" aria-label="the gap, {unit}">{"".join(pieces)}</svg>'
     )
