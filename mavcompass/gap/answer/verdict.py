@@ -47,10 +47,11 @@ _NEARLY_ALTERNATING = 0.85
 _IN_STEP, _DRIVING_MPS, _UNKNOWN_SHARE = 0.25, 0.3, 0.1
 _RECEIVER_MPS, _RECEIVER_S = 0.1, 1.0
 # More than healthy vehicles leave of a model that is never exact: squared sigmas by which what is known is
-# bent, beside names and without any; structure that is left beside names over what is left in all, along the
-# motion and along anything; and the mean square of whitened readings, of fitted ones and others, where the
-# field lies above its floor, anywhere, and beside names (which leave 1 to 2 where they are right).
-_BENT, _BENT_UNNAMED = 60.0, 120.0
+# bent beside names, and how seldom chance bends it so far without any; structure that is left beside names
+# over what is left in all, along the motion and along anything; and the mean square of whitened readings, of
+# fitted ones and others, where the field lies above its floor, anywhere, and beside names (which leave 1 to 2
+# where they are right).
+_BENT, _BENT_UNNAMED = 60.0, 1e-3
 _STRUCTURED_ALONG, _STRUCTURED = 12.0, 20.0
 _LOUD, _LOUD_ABOVE, _LOUD_ALONE, _LOUD_BESIDE = 2.0, 1.15, 8.0, 3.0
 _ALONG = frozenset({"mag: heading harmonics", "mag: direction, cubic", "mag: rate"})
@@ -179,7 +180,8 @@ def owning_up(
     vehicle and place are an explanation, but not the only one; nor are those that follow anything where the
     field without them comes to the floor, or the rest does, fitted alone (`rest_at_floor`). Where silence
     would leave what is loud, and the names that were `decided` do not, they stand: a magnet that is passed
-    once hardly lifts the field's mean.
+    once hardly lifts the field's mean. Where it bends the known farther than chance does, they are one
+    explanation, but not the only one.
     """
     problem = identified.problem
     if answer.verdict == "named" and answer.named.terms:
@@ -193,9 +195,11 @@ def owning_up(
     left = whitened_left(identified, fit)
     if answer.verdict == "no_gap":
         most = _LOUD if field.nominal > _LOUD_ABOVE * field.floor else _LOUD_ALONE
-        if min(left) > most or problem.strain(fit) > _BENT_UNNAMED:
-            quiet = decided.named.terms and max(whitened_left(identified, decided.named)) < _LOUD_BESIDE
-            return decided if quiet else Answer("unknown", answer.named, True, adequacy.where)
+        loud, bent = min(left) > most, problem.strained_by_chance(fit) < _BENT_UNNAMED
+        if loud or bent:
+            if not decided.named.terms or max(whitened_left(identified, decided.named)) >= _LOUD_BESIDE:
+                return Answer("unknown", answer.named, True, adequacy.where)
+            return decided if loud else replace(decided, verdict="ambiguous")
         return Answer("unknown", answer.named, True, "frequency") if adequacy.sweeps else answer
     if min(left, default=0.0) > _LOUD_BESIDE:
         return Answer("named_with_remainder", answer.named, True, adequacy.where)

@@ -186,6 +186,13 @@ class Problem:
         off = (np.concatenate([*fit.nuisance_thetas, np.zeros(0)]) - self._prior)[rows]
         return float(off @ self._precision[np.ix_(rows, rows)] @ off)
 
+    def strained_by_chance(self, fit: Fit) -> float:
+        """Return the probability that what is known of vehicle and place is off by so much, by chance."""
+        from scipy.special import chdtrc
+
+        known = sum(n.known for n in self.nuisances)
+        return float(chdtrc(known, self.strain(fit))) if known else 1.0
+
     def strains(self, fit: Fit) -> list[tuple[float, int]]:
         """Return how far a fit strains each nuisance that does not wander, in squared sigmas of so many."""
         covariance = np.linalg.pinv(self._precision) if self.nuisances else self._precision

@@ -394,6 +394,7 @@ def beside(
     told: Verdict = "no_gap",
     names: tuple[str, ...] = (),
     strain: float = 0.0,
+    chance: float = 1.0,
     left: tuple[float, float] = (1.0, 1.0),
     nominal: float = 2.0,
     tests: tuple[tuple[str, float], ...] = (),
@@ -404,7 +405,8 @@ def beside(
 ) -> Answer:
     """Ask what becomes of an answer: `left` of rows that were fitted, and of others, mean squares.
 
-    The names that were decided first leave `decided_left`.
+    `chance` is how seldom the known is off by so much; the names that were decided first leave
+    `decided_left`.
     """
 
     def rows(mean_square: float, **more: Any) -> Any:
@@ -414,7 +416,8 @@ def beside(
         return SimpleNamespace(residual=residual, predict=lambda fit: fit, **more)
 
     held = rows(left[1])
-    problem = rows(left[0], strain=lambda _: strain, null=fit_of, with_rows=lambda _: held)
+    bent: Any = {"strain": lambda _: strain, "strained_by_chance": lambda _: chance}
+    problem = rows(left[0], null=fit_of, with_rows=lambda _: held, **bent)
     found = SimpleNamespace(problem=problem, split=SimpleNamespace(test=None))
     made = [SimpleNamespace(name=name, excess=excess, coordinate=f"at {name}") for name, excess in tests]
     adequacy: Any = SimpleNamespace(tests=made, where="somewhere", sweeps=sweeps)
@@ -432,14 +435,20 @@ def beside(
         ({"left": (2.1, 2.1), "nominal": 1.14}, "no_gap"),  # at the floor
         ({"left": (7.9, 7.9), "nominal": 0.9}, "no_gap"),
         ({"left": (8.1, 8.1), "nominal": 0.9}, "unknown"),  # far louder than any healthy vehicle
-        ({"strain": 121.0}, "unknown"),
-        ({"strain": 119.0}, "no_gap"),
+        ({"chance": 0.9e-3}, "unknown"),  # the known gives way by more than it may be off by
+        ({"chance": 1.1e-3}, "no_gap"),
     ],
 )
 def test_silence_is_given_up_beside_what_is_loud_or_bent(given: dict[str, Any], told: Verdict) -> None:
     said = beside(**given)
     assert (said.verdict, said.flagged) == (told, told == "unknown")
     assert said.coordinate == ("somewhere" if told == "unknown" else None)
+
+
+@pytest.mark.parametrize(("decided_left", "told"), [(2.9, "ambiguous"), (3.1, "unknown")])
+def test_a_name_that_only_spares_the_known_is_not_the_only_one(decided_left: float, told: Verdict) -> None:
+    said = beside(chance=1e-9, decided=("axis_scale",), decided_left=decided_left)
+    assert said.verdict == told and said.named.ids == ({"axis_scale"} if told == "ambiguous" else set())
 
 
 def test_silence_is_given_up_beside_a_line_that_sweeps() -> None:
