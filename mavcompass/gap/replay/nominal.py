@@ -20,7 +20,6 @@ from mavcompass.gap.attitude import (
     UNKNOWN_YAW_RAD,
     Choice,
     Reference,
-    local_position,
     reference_attitude,
     second_derivative,
 )
@@ -29,9 +28,10 @@ from mavcompass.gap.replay.integrity import Trace
 from mavcompass.gap.replay.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
 from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
+from mavcompass.gap.replay.present import present_in
 from mavcompass.gap.replay.readings import Readings
 from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
-from mavcompass.gap.replay.whereabouts import place_curves, place_scatter_m, wander_m
+from mavcompass.gap.replay.whereabouts import goes_about, place_curves, place_scatter_m, position_of
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
@@ -39,13 +39,6 @@ from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 _UNKNOWN_MOTION_MPS2 = 0.3
-_TURNING_RAD = math.radians(25.0)
-_TILT_RAD = math.radians(4.0)
-# What a load must at least vary by to be told from everything else that happens meanwhile.
-_LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
-# Standard deviations of a path beside which the errors of a position are small.
-_LEAST_PATH_M, _LEAST_RECEIVED_PATH_M, _LEAST_CLIMB_M = 0.05, 1.5, 4.0
-_LEAST_TOLD_PATH_M, _BEYOND_WANDER = 0.5, 3.0
 # Motors that turn both ways stand still at half of their output.
 _NEUTRAL_IN_THE_MIDDLE = frozenset({"rover", "ackermann-rover", "boat", "sub"})
 _NO_TURN = (
@@ -159,7 +152,8 @@ def replay(
     time_s, usable = rows.time_s[picked], rows.usable
     # Readings that are averaged were turned by the mean of the rates meanwhile.
     reference = replace(whole.at(picked), rate_radps=averaged(whole.rate_radps, rows.width)[picked])
-    stimulus = _stimulus(track, time_s, reference, field)
+    position = position_of(track, reference)
+    stimulus = _stimulus(track, position, time_s, reference, field)
     load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
     iron = known_iron(correction, load, source)
     raw, corrected = rows.raw_mgauss, rows.corrected_mgauss
@@ -183,7 +177,8 @@ def replay(
         stimulus.rate_radps,
     )
     independent = reference.kind == "columns"
-    present = _present(track, stimulus, reference, reference.known & usable)
+    about = goes_about(position, track, reference)
+    present = present_in(stimulus, reference, about, reference.known & usable)
     if not present & {"turning", "tilt"}:
         # A constant offset in body axes is then a constant field: its size can be anything.
         sigma = np.maximum(sigma, UNKNOWN_SIGMA_MGAUSS)
@@ -193,7 +188,6 @@ def replay(
     valid = reference.known & usable & (time_s - time_s[0] >= LONGEST_LAG_S)
     inertial: tuple[tuple[Group, FloatArray], ...] = (("acc", acc), ("gyro", gyro))
     motion_note: tuple[str, ...] = ()
-    position = _position(track, reference)
     for name, values in inertial:
         if independent and np.isfinite(values[valid]).all() and np.abs(values).sum() > 0.0:
             off = np.median(np.abs(values - (ideal.acc_mps2 if name == "acc" else ideal.gyro_radps))[valid])
@@ -290,7 +284,9 @@ def level_mgauss(replay: Replay) -> float:
     return max(float(np.hypot(north, east)), 1.0)
 
 
-def _stimulus(track: Track, time_s: FloatArray, reference: Reference, field: FloatArray) -> Stimulus:
+def _stimulus(
+    track: Track, position: Series | None, time_s: FloatArray, reference: Reference, field: FloatArray
+) -> Stimulus:
     n = time_s.size
     motors = np.empty((n, 0))
     if track.motors is not None and len(track.motors) > 1:
@@ -303,37 +299,13 @@ def _stimulus(track: Track, time_s: FloatArray, reference: Reference, field: Flo
         field_ned_mgauss=np.tile(field, (n, 1)),
         rate_radps=reference.rate_radps,
         specific_force_mps2=reference.rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2,
-        position_ned_m=_column(_position(track, reference), time_s),
+        position_ned_m=_column(position, time_s),
         velocity_ned_mps=_column(track.gps_velocity_mps, time_s),
         current_a=_scalar(track.current_a, time_s),
         throttle=_scalar(track.throttle, time_s),
         temperature_degc=_scalar(track.temperature_degc, time_s),
         motors=motors,
     )
-
-
-def _position(track: Track, reference: Reference) -> Series | None:
-    """Return the best position there is: measured, or the receiver's where the vehicle goes far enough."""
-    measured = track.position_ned_m
-    if measured is not None and len(measured) > 1:
-        return measured
-    received = local_position(track.place)
-    return received if received is not None and _goes_about(received, track, reference) else None
-
-
-def _goes_about(position: Series | None, track: Track, reference: Reference) -> bool:
-    """Tell whether a path is longer than its errors, which an independent reference does not have.
-
-    How far places wander is measured where a velocity is known besides.
-    """
-    if position is None or not np.isfinite(position.values).all(axis=1).any():
-        return False
-    spread = np.nanstd(position.values, axis=0)
-    if reference.kind == "columns":
-        return float(spread.max()) > _LEAST_PATH_M
-    wander = wander_m(position, track.gps_velocity_mps)
-    least = math.inf if wander is None else np.maximum(_BEYOND_WANDER * wander, _LEAST_TOLD_PATH_M)
-    return bool((spread > np.minimum(least, _LEAST_RECEIVED_PATH_M)).any())
 
 
 def _with_linear_acceleration(stimulus: Stimulus, acc: FloatArray, reference: Reference) -> Stimulus:
@@ -377,33 +349,3 @@ def _nuisances(
     if telemetry:
         found.append(Nuisance.of(AGE, np.array([0.06]), np.array([0.05])))
     return tuple(found)
-
-
-def _present(
-    track: Track, stimulus: Stimulus, reference: Reference, valid: NDArray[np.bool_]
-) -> frozenset[str]:
-    present = set()
-    for name, values in (
-        ("current", stimulus.current_a),
-        ("throttle", stimulus.throttle),
-        ("temperature", stimulus.temperature_degc),
-    ):
-        if np.isfinite(values).any() and float(np.ptp(values[np.isfinite(values)])) > _LEAST_RANGE[name]:
-            present.add(name)
-    if stimulus.motors.size and float(np.ptp(stimulus.motors, axis=0).max()) > _LEAST_RANGE["throttle"]:
-        present.add("motors")
-    if _goes_about(_position(track, reference), track, reference):
-        present.add("position")
-    if float(np.ptp(stimulus.position_ned_m[:, 2])) > _LEAST_CLIMB_M:
-        present.add("height")
-    rotation = stimulus.rotation[valid]
-    if len(rotation):
-        ahead = rotation[:, :2, 0] / np.maximum(np.linalg.norm(rotation[:, :2, 0], axis=1), 1e-9)[:, None]
-        if float(np.hypot(*np.mean(ahead, axis=0))) < math.cos(_TURNING_RAD):
-            present.add("turning")
-        spread = np.sqrt(np.var(rotation[:, 2, 0]) + np.var(rotation[:, 2, 1]))
-        if spread > math.sin(_TILT_RAD):
-            present.add("tilt")
-    if reference.kind == "columns":
-        present.add("reference")
-    return frozenset(present)

@@ -12,9 +12,9 @@ import math
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude import integral
+from mavcompass.gap.attitude import Reference, integral, local_position
 from mavcompass.gap.attitude.receiver import white_scatter
-from mavcompass.track import Series
+from mavcompass.track import Series, Track
 
 _MEMORY_S = 60.0
 # How long places are compared with the way of the velocities, whose own errors would take over.
@@ -23,6 +23,9 @@ _FEWEST_FIXES = 60
 _LEAST_M, _MOST_M = 0.05, 3.0
 # The wander's largest modes, until the others are smaller than this, so many at most.
 _KNOTS_S, _LEAST_MODE_M, _MOST_MODES = 10.0, 0.05, 12
+# Standard deviations of a path beside which the errors of a position are small.
+_LEAST_PATH_M, _LEAST_RECEIVED_PATH_M = 0.05, 1.5
+_LEAST_TOLD_PATH_M, _BEYOND_WANDER = 0.5, 3.0
 
 
 def place_curves(position_m: Series | None, velocity_mps: Series | None, time_s: FloatArray) -> FloatArray:
@@ -72,3 +75,27 @@ def wander_m(position_m: Series | None, velocity_mps: Series | None) -> FloatArr
     square = (1.4826 * np.median(np.abs(moved), axis=0)) ** 2 - 2.0 * white_scatter(way) ** 2
     sigma = np.sqrt(np.maximum(square, 0.0) / (2.0 * (1.0 - math.exp(-_SPAN_S / _MEMORY_S))))
     return np.asarray(np.where(sigma < _LEAST_M, 0.0, np.minimum(sigma, _MOST_M)))
+
+
+def position_of(track: Track, reference: Reference) -> Series | None:
+    """Return the best position there is: measured, or the receiver's where the vehicle goes far enough."""
+    measured = track.position_ned_m
+    if measured is not None and len(measured) > 1:
+        return measured
+    received = local_position(track.place)
+    return received if received is not None and goes_about(received, track, reference) else None
+
+
+def goes_about(position: Series | None, track: Track, reference: Reference) -> bool:
+    """Tell whether a path is longer than its errors, which an independent reference does not have.
+
+    How far places wander is measured where a velocity is known besides.
+    """
+    if position is None or not np.isfinite(position.values).all(axis=1).any():
+        return False
+    spread = np.nanstd(position.values, axis=0)
+    if reference.kind == "columns":
+        return float(spread.max()) > _LEAST_PATH_M
+    wander = wander_m(position, track.gps_velocity_mps)
+    least = math.inf if wander is None else np.maximum(_BEYOND_WANDER * wander, _LEAST_TOLD_PATH_M)
+    return bool((spread > np.minimum(least, _LEAST_RECEIVED_PATH_M)).any())

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.replay.nominal import _goes_about
-from mavcompass.gap.replay.whereabouts import place_curves, place_scatter_m, wander_m
+from mavcompass.gap.replay.whereabouts import goes_about, place_curves, place_scatter_m, wander_m
 from mavcompass.track import Series
 
 _TIME_S = np.arange(0.0, 300.0, 0.2)
@@ -61,7 +60,7 @@ def test_without_velocities_of_its_own_nothing_tells() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wander", "radius_m", "hears_velocity", "goes_about"),
+    ("wander", "radius_m", "hears_velocity", "about"),
     [
         # The spread of a circle is its radius over the square root of two.
         (0.0, 1.7, True, True),
@@ -73,9 +72,9 @@ def test_without_velocities_of_its_own_nothing_tells() -> None:
     ],
 )
 def test_a_path_counts_where_it_is_longer_than_its_places_wander(
-    wander: float, radius_m: float, hears_velocity: bool, goes_about: bool
+    wander: float, radius_m: float, hears_velocity: bool, about: bool
 ) -> None:
     place, velocity = _receiver(wander, radius_m=radius_m)
     track: Any = SimpleNamespace(gps_velocity_mps=velocity if hears_velocity else None)
     reference: Any = SimpleNamespace(kind="fused")
-    assert _goes_about(place, track, reference) == goes_about
+    assert goes_about(place, track, reference) == about
