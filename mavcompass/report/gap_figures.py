@@ -83,7 +83,7 @@ def strip(picture: Picture, coordinate: str) -> str:
             end = float(curves[axis][known[-1]])
             # Lines that end together have their letters side by side.
             beside = sum(abs(plot.y(end) - plot.y(other)) < _LETTER for other in ends)
-            plot.text(means[axis][0][known[-1]], end, _AXES[axis], dx=3.0 + 9.0 * beside, dy=3.0)
+            plot.text(means[axis][0][known[-1]], end, _AXES[axis], dx=3.0 + _LETTER * beside, dy=3.0)
             ends.append(end)
     return plot.render()
 
@@ -140,24 +140,29 @@ def waterfall_figure(closing: Closing, steps: Sequence[Bar]) -> str:
             if high - low > 1e-9:
                 words += f" ({math.sqrt(max(low, 0.0)):.1f} to {math.sqrt(max(high, 0.0)):.1f})"
             level, above = after, y(upper)
-        pieces.append(
-            f'<text class="mark mid" x="{x + 38}" y="{_clear_of(floor, above):.1f}">{escape(words)}</text>'
-        )
-        pieces.append(f'<text class="tick" x="{x + 38}" y="{base + 14}">{escape(name)}</text>')
-    pieces.append(
-        f'<line class="floor" x1="{start - 8:.0f}" x2="{total - start:.0f}"'
-        f' y1="{floor:.1f}" y2="{floor:.1f}"/>'
-    )
-    pieces.append(f'<text class="tick side" x="{start - 12:.0f}" y="{floor:.1f}" dy="0.32em">floor</text>')
+        pieces.append(_labels(x, words, above, name, base, floor))
+    pieces.append(_floor_line(floor, start - 8.0, total - start))
     return (
         f'<svg viewBox="0 0 {total:.0f} {height:.0f}" role="img" aria-label="waterfall of the gap">'
         f"{''.join(pieces)}</svg>"
     )
 
 
-def _clear_of(floor: float, top: float) -> float:
-    """Return where words above a bar stand, so that the line of the floor does not go through them."""
-    return (floor if 0.0 < top - floor < _WORDS else top) - 4.0
+def _labels(x: float, words: str, top: float, name: str, base: float, floor: float) -> str:
+    """Write words above a bar, where the line of the floor does not go through them, and its name below."""
+    above = (floor if 0.0 < top - floor < _WORDS else top) - 4.0
+    return (
+        f'<text class="mark mid" x="{x + 38}" y="{above:.1f}">{escape(words)}</text>'
+        f'<text class="tick" x="{x + 38}" y="{base + 14}">{escape(name)}</text>'
+    )
+
+
+def _floor_line(y: float, start: float, end: float) -> str:
+    """Draw the line of the floor, and say so before it."""
+    return (
+        f'<line class="floor" x1="{start:.0f}" x2="{end:.0f}" y1="{y:.1f}" y2="{y:.1f}"/>'
+        f'<text class="tick side" x="{start - 4:.0f}" y="{y:.1f}" dy="0.32em">floor</text>'
+    )
 
 
 def _bar(x: float, top: float, height: float, css: str) -> str:
@@ -173,12 +178,9 @@ def levels_figure(levels: Sequence[tuple[str, float, str]], floor: float, unit: 
     for k, (name, level, css) in enumerate(levels):
         x, y = 60.0 + k * width, base - level / top * (base - 14.0)
         pieces.append(_bar(x, y, base - y, css))
-        words = f"{level:.2f} {unit}"
-        pieces.append(f'<text class="mark mid" x="{x + 38}" y="{_clear_of(at, y):.1f}">{words}</text>')
-        pieces.append(f'<text class="tick" x="{x + 38}" y="{base + 14}">{escape(name)}</text>')
+        pieces.append(_labels(x, f"{level:.2f} {unit}", y, name, base, at))
     end = 40.0 + width * len(levels)
-    pieces.append(f'<line class="floor" x1="52" x2="{end}" y1="{at:.1f}" y2="{at:.1f}"/>')
-    pieces.append(f'<text class="tick side" x="48" y="{at:.1f}" dy="0.32em">floor</text>')
+    pieces.append(_floor_line(at, 52.0, end))
     return (
         f'<svg viewBox="0 0 {end + 10} 196" role="img" aria-label="the gap, {unit}">{"".join(pieces)}</svg>'
     )

@@ -45,7 +45,7 @@ def settled(evidence: Evidence, decided: Answer, sets: Sequence[tuple[frozenset[
     said = settling.without_mere_scatter(said)
     said = settling.owned_up(said)
     said = settling.no_worse(said)
-    said = settling.with_likely_names(said, sets)
+    said = settling.without_unlikely_names(said, sets)
     said = settling.sure_by_its_shrink(said)
     return Settled(said.answer, *map(_never_worse, said.closings))
 
@@ -136,7 +136,7 @@ class _Settling:
         worse = said.answer.named.terms and _worse_on(self._problem, said.answer.named, self._test)
         return self._unknown(self._evidence.adequacy.where) if worse else said
 
-    def with_likely_names(self, said: Settled, sets: Sequence[tuple[frozenset[str], float]]) -> Settled:
+    def without_unlikely_names(self, said: Settled, sets: Sequence[tuple[frozenset[str], float]]) -> Settled:
         """Take names beside a remainder back that may be others."""
         beside = self._evidence.beside
         answer = with_likely_names(said.answer, sets, self._floor, self._none, beside)
@@ -169,9 +169,11 @@ def shows(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
 
 def _worse_on(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
     """Tell whether the effects make held-out readings of all sensors less likely."""
+    if not shows(problem, fit, test):
+        return False
     held = problem.with_rows(test)
     before, after = held.residual(held.predict(fit, effects=False)), held.residual(held.predict(fit))
-    return shows(problem, fit, test) and float(after @ after) > float(before @ before)
+    return float(after @ after) > float(before @ before)
 
 
 def _never_worse(closing: Closing) -> Closing:

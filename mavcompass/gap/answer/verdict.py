@@ -195,7 +195,7 @@ def owning_up(
     left = whitened_left(identified, fit)
     if answer.verdict == "no_gap":
         most = _LOUD if field.nominal > _LOUD_ABOVE * field.floor else _LOUD_ALONE
-        loud, bent = min(left) > most, problem.strained_by_chance(fit) < _BENT_UNNAMED
+        loud, bent = min(left) > most, problem.chance_of_strain(fit) < _BENT_UNNAMED
         if loud or bent:
             if not decided.named.terms or max(whitened_left(identified, decided.named)) >= _LOUD_BESIDE:
                 return Answer("unknown", answer.named, True, adequacy.where)

@@ -34,9 +34,9 @@ class Criteria:
     should be.
     """
 
-    def __init__(self, problem: Problem, exact: bool = True, temper: float = 1.0) -> None:
+    def __init__(self, problem: Problem, exact: bool = True) -> None:
         self.exact = exact
-        self.temper = temper
+        self.temper = 1.0
         self._problem = problem
         self._log_n = math.log(max(problem.count, 2))
         self._log_c = math.log(_CATALOGUE_SIZE)

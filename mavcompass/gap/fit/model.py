@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.chance import least_gain
+from mavcompass.gap.fit.chance import CHANCE, least_gain
 from mavcompass.gap.fit.composition import Composition
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
 from mavcompass.gap.fit.newton import bridge, cluster_covariance, invert, moved, room, solve_within
@@ -186,7 +186,7 @@ class Problem:
         off = (np.concatenate([*fit.nuisance_thetas, np.zeros(0)]) - self._prior)[rows]
         return float(off @ self._precision[np.ix_(rows, rows)] @ off)
 
-    def strained_by_chance(self, fit: Fit) -> float:
+    def chance_of_strain(self, fit: Fit) -> float:
         """Return the probability that what is known of vehicle and place is off by so much, by chance."""
         from scipy.special import chdtrc
 
@@ -207,8 +207,7 @@ class Problem:
 
     def straight(self, fit: Fit) -> bool:
         """Tell whether a fit bends what is known of vehicle and place no further than by chance."""
-        known = sum(n.known for n in self.nuisances)
-        together = self.strain(fit) < least_gain(known)
+        together = self.chance_of_strain(fit) > CHANCE
         return together and all(cost < least_gain(size) for cost, size in self.strains(fit))
 
     def forget(self) -> None:

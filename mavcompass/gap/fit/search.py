@@ -12,24 +12,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.beam import likeliest_sets
 from mavcompass.gap.fit.candidates import Candidate, Candidates, misfit_of
-from mavcompass.gap.fit.chance import least_gain
 from mavcompass.gap.fit.criteria import Criteria
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
-from mavcompass.gap.fit.lateness import beside_known_age, in_place_of_each_other
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.turns import facing, turn_alone
-from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance
+from mavcompass.gap.fit.starts import beside_known_age, facing, in_place_of_each_other, turn_alone
+from mavcompass.gap.fit.unbent import unbent
 from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
 _SHORT = 3
-# Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
 # What is so much likelier by EBIC's score is worth another search; seen beside so many effects alone.
 _FAR_LIKELIER, _ALONE = 20.0, 2
+# Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
 _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
 _HOPEFUL = 0.7
 # What leaves so many times the noise is not all.
@@ -42,7 +39,7 @@ class Found:
 
     Attributes:
         null: the fit without effects; best: the fit of the best set (perhaps the null).
-        explored: every fitted set by its ids; scores: their EBIC.
+        explored: every fitted set by its ids.
         weights: of the sets as large as the one that is named, sorted, those above 1 %.
     """
 
@@ -52,26 +49,9 @@ class Found:
     weights: tuple[tuple[frozenset[str], float], ...]
 
 
-def _facing_as_known(yaw: Nuisance, theta: FloatArray, curves: bool) -> FloatArray:
-    """Return the yaw's constant to what is known of it where it was bent far, and the attitude's `curves`
-    where they wandered farther than by chance."""
-    off, out = theta - yaw.mean, theta.copy()
-    if off[0] ** 2 * yaw.precision[0, 0] >= least_gain(1):
-        out[0] = yaw.mean[0]
-    if curves and off[1:] @ yaw.precision[1:, 1:] @ off[1:] >= least_gain(theta.size - 1):
-        out[1:] = yaw.mean[1:]
-    return out
-
-
 def _is_turned(fit: Fit) -> bool:
     """Tell whether a set has the compass in another orientation."""
     return any(term.effect.kind == "discrete" for term in fit.terms)
-
-
-def _by_chance(nuisance: Nuisance, theta: FloatArray) -> bool:
-    """Tell whether a nuisance by itself lies no farther from what is known of it than by chance."""
-    off = theta - nuisance.mean
-    return float(off @ nuisance.precision @ off) < least_gain(theta.size)
 
 
 class Search:
@@ -103,9 +83,8 @@ class Search:
 
     def on(self, problem: Problem) -> Search:
         """Return a search of the same terms on other rows or under another noise, nothing explored yet."""
-        other = Search(problem, (), self.worthwhile)
-        other.terms = self.terms
-        other.criteria = Criteria(problem, self.criteria.exact, self.criteria.temper)
+        other = Search(problem, (), self.worthwhile, self.criteria.exact)
+        other.terms, other.criteria.temper = self.terms, self.criteria.temper
         return other
 
     def forget(self) -> None:
@@ -115,7 +94,7 @@ class Search:
 
     def nothing(self) -> Found:
         """Return the fit without any effect, as if nothing else had been tried."""
-        null = self._unbent(self._null())
+        null = unbent(self.problem, self._null())
         return Found(null, null, {null.ids: null}, ((null.ids, 1.0),))
 
     def _null(self) -> Fit:
@@ -126,7 +105,7 @@ class Search:
     def run(self, most: int = MOST_EFFECTS, likely: Sequence[Fit] = ()) -> Found:
         """Search up to `most` effects, from the best of sets that are `likely` on."""
         null = self._null()
-        known = self._unbent(null, curves=True).nuisance_thetas
+        known = unbent(self.problem, null, curves=True).nuisance_thetas
         late = beside_known_age(self.problem, self.terms, null, known)
         self._remember([*likely, *late])
         best = self._largest_needed(null, [*likely, *late], most)
@@ -158,7 +137,9 @@ class Search:
             if other is not best:
                 other = self._with_rivals(self.polished(self._rounds(null, most, (), other)))
                 best = min(best, other, key=self.criteria.score)
-        return Found(self._unbent(null), best, self.explored, self.criteria.weights(best, self.explored))
+        return Found(
+            unbent(self.problem, null), best, self.explored, self.criteria.weights(best, self.explored)
+        )
 
     def _with_rivals(self, best: Fit) -> Fit:
         late = in_place_of_each_other(self.problem, self.terms, best)
@@ -202,7 +183,7 @@ class Search:
 
     def likeliest(self, size: int) -> frozenset[str]:
         """Return the set of a size that the catalogue, linearised beside nothing, makes likeliest."""
-        candidates = self._linearised(self._unbent(self._null()), ())
+        candidates = self._linearised(unbent(self.problem, self._null()), ())
         sets = likeliest_sets(candidates, self.criteria, size).get(size)
         return frozenset(c.term.effect.id for c in sets[0]) if sets else frozenset()
 
@@ -256,7 +237,7 @@ class Search:
         # How blocks contradict each other beside another start says nothing of this one.
         self.criteria.temper = 1.0
         for _ in range(rounds):
-            base = self._unbent(best, curves=True)
+            base = unbent(self.problem, best, curves=True)
             candidates = self._linearised(base, held, None if base is best else best)
             sets = likeliest_sets(candidates, self.criteria, most - len(held))
             chosen = self._to_fit(candidates, sets, len(best.terms) - len(held))
@@ -280,25 +261,6 @@ class Search:
             known = Candidates(self.problem, self.terms, base, self.criteria.blocks(), held, bent)
             self._candidates[key] = known
         return known
-
-    def _unbent(self, fit: Fit, curves: bool = False) -> Fit:
-        """Return nuisances to their prior where a gap has bent them far: what is wrong must show to be
-        found. How the attitude wanders explains nothing away, but beside bent `curves` no derivative is
-        good."""
-        if fit.terms or not self.problem.nuisances:
-            return fit
-        straight = self.problem.straight(fit)
-
-        def kept_of(n: Nuisance, x: FloatArray) -> FloatArray:
-            if n.effect.id == REFERENCE_YAW:
-                return _facing_as_known(n, x, curves)
-            # How old readings are is another matter than the iron and the place that a gap may bend.
-            aged = n.effect.id == TELEMETRY_AGE and _by_chance(n, x)
-            return x if straight or aged else n.mean.copy()
-
-        kept = tuple(kept_of(n, x) for n, x in zip(self.problem.nuisances, fit.nuisance_thetas, strict=True))
-        same = all(np.array_equal(x, y) for x, y in zip(kept, fit.nuisance_thetas, strict=True))
-        return fit if same else replace(fit, nuisance_thetas=kept)
 
     def _to_fit(
         self, candidates: Candidates, sets: dict[int, list[tuple[Candidate, ...]]], now: int
@@ -349,7 +311,7 @@ class Search:
         """Fit what else could explain as much with as many effects, for the weights."""
         if _is_turned(best):
             return []
-        candidates = self._linearised(self._unbent(best), ())
+        candidates = self._linearised(unbent(self.problem, best), ())
         size = max(len(best.terms), 1)
         sets = likeliest_sets(candidates, self.criteria, size).get(size, [])
         empty = Fit((), (), (), np.inf)

@@ -243,8 +243,8 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
     if candidate.fit.terms and candidate.fit.ids != candidate.found.best.ids:
         # What the search was as sure of is no longer what is named.
         refused_ids = frozenset(dict(candidate.dropped)) - candidate.fit.ids
-        search = candidate.search
-        weights = search.criteria.weights(candidate.fit, search.explored, refused_ids)
+        explored = candidate.search.explored
+        weights = candidate.search.criteria.weights(candidate.fit, explored, refused_ids)
         candidate = replace(candidate, found=replace(candidate.found, weights=weights))
     others = (*alike(candidate), *with_evident(candidate), *likelier(candidate))
     return replace(candidate, as_good=(*candidate.as_good, *others))

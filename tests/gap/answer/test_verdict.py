@@ -416,7 +416,7 @@ def beside(
         return SimpleNamespace(residual=residual, predict=lambda fit: fit, **more)
 
     held = rows(left[1])
-    bent: Any = {"strain": lambda _: strain, "strained_by_chance": lambda _: chance}
+    bent: Any = {"strain": lambda _: strain, "chance_of_strain": lambda _: chance}
     problem = rows(left[0], null=fit_of, with_rows=lambda _: held, **bent)
     found = SimpleNamespace(problem=problem, split=SimpleNamespace(test=None))
     made = [SimpleNamespace(name=name, excess=excess, coordinate=f"at {name}") for name, excess in tests]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.fit import Fit, Problem, Search, Term
+from mavcompass.gap.fit.unbent import unbent
 from mavcompass.gap.replay import Prior, replay
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track
@@ -38,7 +39,7 @@ def test_an_attitude_that_a_gap_has_bent_is_returned_to_what_is_known(
         straight=lambda fit: False,
     )
     one = Search(problem, ())
-    (after,) = one._unbent(problem.null(), curves=True).nuisance_thetas
+    (after,) = unbent(problem, problem.null(), curves=True).nuisance_thetas
     assert after[0] == (bent[0] if kept[0] else 0.0)
     assert after[1:].tolist() == (bent[1:] if kept[1] else 0.0 * bent[1:]).tolist()
     # What is left without any effect is left beside the attitude that explains it best.

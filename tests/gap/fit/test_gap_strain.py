@@ -31,13 +31,13 @@ def bent(problem: Problem, sigmas: float, first: int) -> Fit:
 
 
 def test_what_is_where_it_is_known_to_be_is_no_surprise(problem: Problem) -> None:
-    assert problem.strained_by_chance(bent(problem, 0.0, 0)) == 1.0
+    assert problem.chance_of_strain(bent(problem, 0.0, 0)) == 1.0
 
 
 def test_chance_bends_as_the_chi_squared_law_says(problem: Problem) -> None:
     known = sum(nuisance.known for nuisance in problem.nuisances)
     assert known > 0
-    chances = [problem.strained_by_chance(bent(problem, sigmas, 0)) for sigmas in (0.5, 1.0, 2.0, 4.0)]
+    chances = [problem.chance_of_strain(bent(problem, sigmas, 0)) for sigmas in (0.5, 1.0, 2.0, 4.0)]
     assert chances == sorted(chances, reverse=True)
     # A draw of independent errors exceeds its own strain as often as it says.
     rng = np.random.default_rng(5)

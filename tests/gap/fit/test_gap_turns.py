@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.fit import Fit, Problem, make_term
-from mavcompass.gap.fit.turns import facing, turn_alone
+from mavcompass.gap.fit.starts import facing, turn_alone
 from mavcompass.gap.replay import Prior, replay
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track
 from mavcompass.simulation.effects import parse, registry

@@ -1,4 +1,8 @@
-"""What makes readings late, looked for where the age of telemetry would hide it."""
+"""Fits from starts that no derivative leads to.
+
+What makes readings late is hidden by the age of telemetry; a compass in another orientation is turned by
+right angles.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.fit.candidates import misfit_of
 from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.replay import TELEMETRY_AGE
+from mavcompass.gap.replay import TELEMETRY_AGE, yaw_starts
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Effect
 
 _DELAYS = "transport_lag"
@@ -18,6 +23,7 @@ _LATE = frozenset({_DELAYS, "low_pass", "eddy_current"})
 # An age of telemetry that is bent by so many natural sizes may hide such an effect.
 _BENT = 1.0
 _ITERATIONS = 3
+_LIKELY_YAWS = 2
 
 
 def beside_known_age(
@@ -73,3 +79,28 @@ def _moved(term: Term, theta: FloatArray, by_s: float) -> FloatArray:
     """Move the moments of change of an effect, but those that never come."""
     moments = np.array([p.name in MOMENTS for p in term.effect.parameters]) & (np.abs(theta) < NEVER_S)
     return np.where(moments, theta + by_s, theta)
+
+
+def facing(problem: Problem, terms: Sequence[Term], beside: Fit, most_sse: float) -> list[Fit]:
+    """Fit each likely orientation beside the effects of a fit, where it may leave less than `most_sse`."""
+    out: list[Fit] = []
+    for term in terms:
+        if term.effect.kind != "discrete" or term.effect.starts is None:
+            continue
+        together = (*beside.terms, term)
+        for guess in term.effect.starts(misfit_of(problem, problem.signals(beside))):
+            thetas, starts = (*beside.thetas, guess), yaw_starts(problem.nuisances)
+            fits = sorted((problem.fit(together, thetas, start, 1) for start in starts), key=lambda f: f.sse)
+            # One step is enough to see that a compass is not mounted so.
+            likely = [fit for fit in fits[:_LIKELY_YAWS] if fit.sse < most_sse]
+            if likely:
+                out.append(min(map(problem.refit, likely), key=lambda f: f.sse))
+    return out
+
+
+def turn_alone(problem: Problem, fit: Fit) -> Fit:
+    """Fit the turn of a set by itself."""
+    if len(fit.terms) == 1:
+        return fit
+    place = next(i for i, term in enumerate(fit.terms) if term.effect.kind == "discrete")
+    return problem.fit((fit.terms[place],), (fit.thetas[place],), fit.nuisance_thetas)
