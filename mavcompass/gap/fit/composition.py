@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray, rotate, rotate_back
+from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude import cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, WHEREABOUTS, Nuisance, Replay, turned
@@ -197,12 +197,13 @@ class Composition:
                 matrix = between.slope_s[:, side, None, None] * crossed[there]
                 matrix[:, (0, 1, 2), (0, 1, 2)] += between.share[:, side, None]
                 turned += matrix @ stacked[there]
-            late = {i: turned[:, :, n] for n, i in enumerate(turning)}
-        for i in turning:
-            if early[i] is Stage.WORLD:
+            if moving := [n for n, i in enumerate(turning) if early[i] is Stage.WORLD]:
                 # What differs from place to place changes as the vehicle moves, besides.
-                slopes = central_differences(s.time_s, rotate(s.rotation, changes[i].mag_mgauss))
-                late[i] = late[i] + between.of(rotate_back(s.rotation, slopes), between.slope_s)
+                world = s.rotation @ stacked[:, :, moving]
+                slopes = central_differences(s.time_s, world.reshape(len(world), -1)).reshape(world.shape)
+                back = s.rotation.transpose(0, 2, 1) @ slopes
+                turned[:, :, moving] += between.of(back, between.slope_s)
+            late = {i: turned[:, :, n] for n, i in enumerate(turning)}
         rest = [i for i in early if i not in late]
         if rest:
             flat = np.hstack([changes[i].mag_mgauss for i in rest])
@@ -251,8 +252,9 @@ class _After:
     def changes(self, at: int, moved: Sequence[Signals], steps: Sequence[float]) -> list[Reading]:
         """Return the changes of the prediction when the signals before member `at` are moved by steps."""
         before, rest = self._states[at], self._order[at:]
-        in_body = all(one.stimulus is before.stimulus for one in moved)
-        if in_body and all(effect.stage in EACH_BY_ITSELF for effect, _ in rest):
+        # What comes after asks the world for its attitude at most, and the compass for the rest.
+        same = all(one.stimulus.rotation is before.stimulus.rotation for one in moved)
+        if same and all(effect.stage in EACH_BY_ITSELF for effect, _ in rest):
             own = [difference(m.reading, before.reading, s) for m, s in zip(moved, steps, strict=True)]
             if not rest or not own:
                 return own

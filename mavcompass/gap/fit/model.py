@@ -28,6 +28,8 @@ from mavcompass.simulation.physics.signals import Reading
 
 _ITERATIONS = 12
 _CONVERGED = 0.02
+# Steps tried at a place, each shorter; and the share of the expected gain that lets the next be longer.
+_TRIALS, _AS_EXPECTED = 6, 0.5
 # The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, and
 # serves to come nearer so far, in natural sizes.
 _NEAR, _FAR = 0.3, 5.0
@@ -68,6 +70,7 @@ class Problem:
         self._bridge = bridge(replay.valid) if any(noise[g].moving.any() for g in self.groups) else None
         self._lent: list[tuple[FloatArray, list[FloatArray]]] = []
         self._null: Fit | None = None
+        self._ended: set[Fit] = set()
         self._prior = prior.mean
 
     @property
@@ -229,8 +232,9 @@ class Problem:
         return self.null()
 
     def refit(self, fit: Fit) -> Fit:
-        """Fit the same hypothesis to the rows of this problem, from the values that it has."""
-        return self.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+        """Fit the same hypothesis to the rows of this problem, from the values that it has; what came to its
+        end here stays."""
+        return fit if fit in self._ended else self.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
 
     def fit(
         self,
@@ -255,7 +259,7 @@ class Problem:
         damping = 1e-6
         normal = np.zeros((0, 0))
         first, made_at = self._borrowed(terms, x[:n])
-        borrowed, squared = first is not None, None
+        borrowed, squared, ended = first is not None, None, False
         for _ in range(iterations):
             if first is None or self._away(x[:n], made_at) > _FAR:
                 fitted = range(0 if self._steady else lasting)
@@ -268,9 +272,13 @@ class Problem:
             normal, gradient = self._equations(*squared, own, r, x, free, weak)
             if not normal.size:
                 break
-            improved = False
-            for _ in range(6):
+            # Where much is left, the noise is larger than stated, and so is what chance gains.
+            improved, least = False, _CONVERGED * max(1.0, cost / max(r.size, 1))
+            for _ in range(_TRIALS):
                 step = solve_within(normal, gradient, damping, *room(x, free, bounds))
+                expected = float(step @ (2.0 * gradient - normal @ step))
+                if expected < least:
+                    break
                 trial = moved(x, step, free, bounds)
                 trial_states = self.composition.states(terms, trial[n:], trial[:n])
                 trial_r = self.residual(trial_states[-1].reading)
@@ -279,22 +287,23 @@ class Problem:
                     improved = True
                     break
                 damping = max(damping, 1e-7) * 30.0
-            if not improved:
-                if not borrowed:
-                    break
-                # Perhaps the fault of another hypothesis's derivatives: once more with its own.
-                first, damping = None, 1e-6
+            gained = 0.0
+            if improved:
+                gained = cost - trial_cost
+                x, states, r, cost = trial, trial_states, trial_r, trial_cost
+                damping *= 0.03 if gained > _AS_EXPECTED * expected else 1.0
+            if gained >= least:
                 continue
-            gained = cost - trial_cost
-            x, states, r, cost = trial, trial_states, trial_r, trial_cost
-            damping *= 0.03
-            # Where much is left, the noise is larger than stated, and so is what chance gains.
-            if gained < _CONVERGED * max(1.0, cost / max(r.size, 1)):
-                if self._away(x[:n], made_at) <= _NEAR:
-                    break
-                first = None
+            if self._away(x[:n], made_at) <= _NEAR and (improved or not borrowed):
+                ended = True
+                break
+            # Perhaps the fault of derivatives made elsewhere: once more with its own.
+            first, damping = None, damping if improved else 1e-6
         covariance = invert(normal) if normal.size else normal
-        return Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
+        fit = Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
+        if ended:
+            self._ended.add(fit)
+        return fit
 
     def _borrowed(
         self, terms: tuple[Term, ...], thetas: list[FloatArray]

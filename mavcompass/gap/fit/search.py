@@ -19,7 +19,7 @@ from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.starts import beside_known_age, facing, in_place_of_each_other, turn_alone
 from mavcompass.gap.fit.unbent import unbent
-from mavcompass.simulation.effects.effect import Effect
+from mavcompass.simulation.effects.effect import MOMENTS, Effect
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
@@ -29,6 +29,8 @@ _FAR_LIKELIER, _ALONE = 20.0, 2
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
 _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
 _HOPEFUL = 0.7
+# A start so near, in natural sizes, leads to where a fit is.
+_SAME = 0.1
 # What leaves so many times the noise is not all.
 _UNEXPLAINED = 1.3
 
@@ -80,6 +82,8 @@ class Search:
         self.explored: dict[frozenset[str], Fit] = {}
         # By the set that they stand beside, and how much of it is held.
         self._candidates: dict[tuple[frozenset[str], int], Candidates] = {}
+        # Fits of candidates, by how many effects are held beside them, and of how many steps.
+        self._fits: dict[tuple[int, int, tuple[Candidate, ...]], Fit] = {}
 
     def on(self, problem: Problem) -> Search:
         """Return a search of the same terms on other rows or under another noise, nothing explored yet."""
@@ -90,6 +94,7 @@ class Search:
     def forget(self) -> None:
         """Let go of all derivatives: what was explored stays."""
         self._candidates.clear()
+        self._fits.clear()
         self.problem.forget()
 
     def nothing(self) -> Found:
@@ -106,7 +111,8 @@ class Search:
         """Search up to `most` effects, from the best of sets that are `likely` on."""
         null = self._null()
         known = unbent(self.problem, null, curves=True).nuisance_thetas
-        late = beside_known_age(self.problem, self.terms, null, known)
+        untried = [term for term in self.terms if frozenset({term.effect.id}) not in self.explored]
+        late = beside_known_age(self.problem, untried, null, known)
         self._remember([*likely, *late])
         best = self._largest_needed(null, [*likely, *late], most)
         means = tuple(n.mean for n in self.problem.nuisances)
@@ -283,13 +289,17 @@ class Search:
     def _fitted(
         self, candidates: Candidates, chosen: tuple[Candidate, ...], held: Fit, iterations: int
     ) -> Fit:
+        key = len(held.terms), iterations, chosen
+        if key in self._fits:
+            return self._fits[key]
         start = candidates.start(chosen, held)
         fit = self.problem.fit(start.terms, start.thetas, start.nuisance_thetas, iterations)
         if any(fit.sse > smaller.sse for ids, smaller in self.explored.items() if ids < fit.ids):
             # More effects leave no more: it has not come to its end yet.
             fit = self.problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas, _SHORT)
         known = self.explored.get(fit.ids)
-        return fit if known is None or fit.sse < known.sse else known
+        self._fits[key] = fit if known is None or fit.sse < known.sse else known
+        return self._fits[key]
 
     def _largest_needed(self, smallest: Fit, fits: Sequence[Fit], most: int) -> Fit:
         """Return the best set of the largest size, `most` at most, whose growth is needed, size after size or
@@ -339,16 +349,21 @@ class Search:
         self.explored[refitted.ids] = refitted
         return refitted
 
-    def polished(self, fit: Fit) -> Fit:
-        """Fit to convergence; look again for moments, places and frequencies beside the other effects."""
+    def polished(self, fit: Fit, moments: bool = False) -> Fit:
+        """Fit to convergence; look again for moments, places and frequencies beside the other effects, or for
+        `moments` only."""
         if not fit.terms:
             return fit
         best = self.problem.refit(fit)
         for i, term in enumerate(best.terms):
             if term.effect.starts is None or term.effect.kind == "discrete":
                 continue
+            if moments and MOMENTS.isdisjoint(term.effect.names):
+                continue
             rest = best.without(i)
             for start in term.effect.starts(misfit_of(self.problem, self.problem.signals(rest))):
+                if (np.abs(start - best.thetas[i]) <= _SAME * term.effect.scale).all():
+                    continue
                 terms = (*rest.terms, term)
                 trial = self.problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas, _SHORT)
                 if self.criteria.score(trial) < self.criteria.score(best) - 1e-6:

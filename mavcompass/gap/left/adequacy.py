@@ -254,7 +254,6 @@ def _sweep(z: FloatArray) -> float:
     Each rate of change that the length can tell from its neighbour is taken out of z (N, 3) before the
     transform: a motor that speeds up makes such a line, and no line of one frequency.
     """
-    from scipy.fft import fft
     from scipy.special import chdtrc
 
     n = len(z)
@@ -265,7 +264,7 @@ def _sweep(z: FloatArray) -> float:
     highest = 0.0
     for rate in step * np.arange(1, count + 1):
         # Falling ones are the negative frequencies.
-        turned = fft(z * np.exp(-1j * np.pi * rate * t * t)[:, None], axis=0)
+        turned = np.fft.fft(z * np.exp(-1j * np.pi * rate * t * t)[:, None], axis=0)
         highest = max(highest, float((np.abs(turned) ** 2).sum(axis=1).max()))
     return min(1.0, float(chdtrc(6, 2.0 * highest / n)) * n * count)
 

@@ -291,7 +291,7 @@ def _moments_in_training(candidate: Identified) -> Identified:
             break
         problem = candidate.problem.with_rows(split.train)
         search = candidate.search.on(problem)
-        fit = search.polished(problem.refit(candidate.fit))
+        fit = search.polished(problem.refit(candidate.fit), moments=True)
         search.explored = {fit.ids: fit}
         candidate = replace(candidate, problem=problem, split=split, fit=fit, search=search)
     return candidate

@@ -19,6 +19,8 @@ from mavcompass.simulation.effects.effect import Effect
 
 # So many rivals are looked at, and told.
 _RIVALS = 4
+# What still leaves so many times as much as the chosen set after some steps comes nowhere near by more.
+_ITERATIONS, _BEYOND = 3, 10.0
 # By so much of EBIC's score.
 _FAR_LIKELIER = 40.0
 # What leaves no more than this many times as much is no worse.
@@ -36,7 +38,7 @@ def simplest(candidate: Identified, floor: Floor) -> Identified:
     # Where guards left nothing, one effect may still do what several did between them.
     most_terms = max(len(chosen.terms), 1)
     known = [f for f in explored if 0 < len(f.terms) <= most_terms and f.ids != chosen.ids]
-    known = sorted(known, key=lambda f: f.sse)[:_RIVALS]
+    known = sorted((f for f in known if f.sse < _BEYOND * chosen.sse), key=lambda f: f.sse)[:_RIVALS]
     rivals = {f.ids: candidate.problem.refit(f) for f in known}
     rivals |= {f.ids: f for f in _substitutes(candidate) if f.ids not in rivals}
     # Bent by force, what is known of the vehicle would imitate nearly anything.
@@ -169,12 +171,12 @@ def _substitutes(candidate: Identified) -> list[Fit]:
             if other.effect.starts is not None:
                 # A time for a time; what else needs a start of its own is for the search.
                 guesses = [chosen.thetas[place]] if _of_one_kind(term.effect, other.effect) else []
+            members = (*rest.terms, other)
             fits = [
-                problem.refit(
-                    problem.fit((*rest.terms, other), (*rest.thetas, guess), chosen.nuisance_thetas)
-                )
+                problem.fit(members, (*rest.thetas, guess), chosen.nuisance_thetas, _ITERATIONS)
                 for guess in guesses
             ]
+            fits = [problem.refit(f) for f in fits if f.sse < _BEYOND * chosen.sse]
             out += sorted(fits, key=lambda f: f.sse)[:1]
     return out
 

@@ -169,7 +169,7 @@ def test_what_a_guard_refuses_is_not_taken(
     monkeypatch.setattr(
         rivals, "refused", lambda c, floor: ("soft_iron", "no") if c.fit.ids == SOFT.ids else None
     )
-    assert rivals.simplest(candidate(BOTH, replace(IRON, sse=900.0), SOFT), MEASURED).fit.ids == IRON.ids
+    assert rivals.simplest(candidate(BOTH, replace(IRON, sse=450.0), SOFT), MEASURED).fit.ids == IRON.ids
     monkeypatch.setattr(rivals, "refused", lambda c, floor: ("x", "no"))
     assert rivals.simplest(candidate(BOTH, IRON, SOFT), MEASURED).fit is BOTH
 
@@ -342,7 +342,7 @@ def test_a_change_inside_a_held_out_block_comes_between_training_rows() -> None:
         float(np.median(rows.time_s[split.block == split.block[rows_in][0]]))
         for rows_in in (split.test, split.train)
     )
-    search = SimpleNamespace(explored={}, polished=lambda fit: fit)
+    search = SimpleNamespace(explored={}, polished=lambda fit, moments: fit)
     search.on = lambda problem: search
     problem = Fitted({}, rows, split.train)
 

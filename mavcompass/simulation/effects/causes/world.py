@@ -24,6 +24,8 @@ _NEAREST_M = 0.05
 _NEAR_PEAK_M = 0.4
 _FAR_PATHS = 3.0
 _DEPTHS_M, _STRONGEST = (2.0, 5.0, 10.0, 20.0, 50.0), 1000.0
+_CLOSE_M, _CLOSE_SHARE, _MOST_CLIMBS = 0.01, 1.0 / 32.0, 12
+_ROWS, _APART = 200, 0.05
 _PLACES_AT_ONCE = 16  # whose rows together stay in the processor's cache
 _MOMENT = ("moment_north", "moment_east", "moment_down")
 
@@ -166,8 +168,8 @@ def _placed(misfit: Misfit, everywhere: NDArray[np.int64], on_s: float) -> list[
         return []
     size = np.linalg.norm(misfit.residual.mag_mgauss[everywhere], axis=1)
     # A short passage must not slip through: half of the rows are those with the largest residuals.
-    strongest = everywhere[np.argsort(-size)[:200]]
-    rows = np.union1d(everywhere[:: max(1, everywhere.size // 200)], strongest)
+    strongest = everywhere[np.argsort(-size)[:_ROWS]]
+    rows = np.union1d(everywhere[:: max(1, everywhere.size // _ROWS)], strongest)
     position = np.nan_to_num(misfit.signals.stimulus.position_ned_m[rows])
     residual = rotate(misfit.signals.stimulus.rotation[rows], misfit.residual.mag_mgauss[rows])
     low, high = position.min(axis=0), position.max(axis=0)
@@ -180,29 +182,40 @@ def _placed(misfit: Misfit, everywhere: NDArray[np.int64], on_s: float) -> list[
     gains, _ = _dipoles(position, residual, grid)
     sources = _polished(position, residual, grid[np.argsort(-gains)[:3]], reach / 3.0)
     gains, moments = _dipoles(position, residual, sources)
-    starts = [
-        np.array([*source, *np.clip(moment, -1e4, 1e4), on_s, NEVER_S])
-        for gain, source, moment in zip(gains, sources, moments, strict=True)
-        if gain > 0.0
-    ]
+    starts: list[FloatArray] = []
+    for gain, source, moment in zip(gains, sources, moments, strict=True):
+        # Two that climbed to the same place are one.
+        if gain > 0.0 and all(np.linalg.norm(source - s[:3]) > _APART * reach for s in starts):
+            starts.append(np.array([*source, *np.clip(moment, -1e4, 1e4), on_s, NEVER_S]))
     return starts[:2]
 
 
 def _polished(position: FloatArray, residual: FloatArray, sources: FloatArray, step_m: float) -> FloatArray:
-    """Walk from places (M, 3) to better ones by pattern search, all of them abreast, as near as a fit needs
-    to begin."""
+    """Climb from places (M, 3) to better ones, all of them abreast, as near as a fit needs to begin.
+
+    Each goes to the top of parabolas through its neighbours, or to the best of these, and looks nearer once
+    the top is among them.
+    """
     gains, _ = _dipoles(position, residual, sources)
-    steps = np.full(len(sources), step_m)
-    while (walking := steps > max(0.01, step_m / 32.0)).any():
-        before = sources
-        for axis in np.eye(3):
-            trials = np.stack([sources - steps[:, None] * axis, sources + steps[:, None] * axis])
-            trial_gains = _dipoles(position, residual, trials.reshape(-1, 3))[0].reshape(2, -1)
-            back, on = (trial_gains > gains) & walking
-            sources = np.where(back[:, None], trials[0], np.where(on[:, None], trials[1], sources))
-            gains = np.where(back, trial_gains[0], np.where(on, trial_gains[1], gains))
-        stayed = (sources == before).all(axis=1)
-        steps[walking & stayed] *= 0.5
+    steps, several = np.full(len(sources), step_m), np.arange(len(sources))
+    sides = np.concatenate([-np.eye(3), np.eye(3)])[:, None]
+    for _ in range(_MOST_CLIMBS):
+        climbing = steps > max(_CLOSE_M, _CLOSE_SHARE * step_m)
+        if not climbing.any():
+            break
+        around = sources + steps[:, None] * sides
+        beside = _dipoles(position, residual, around.reshape(-1, 3))[0].reshape(6, -1)
+        slope, bend = beside[3:] - beside[:3], beside[3:] + beside[:3] - 2.0 * gains
+        top = np.where(bend < 0.0, -0.5 * slope / np.where(bend < 0.0, bend, 1.0), np.sign(slope)).T
+        shift = np.clip(top, -1.0, 1.0)
+        there = sources + steps[:, None] * shift
+        trials = np.concatenate([sources[None], around, there[None]])
+        all_gains = np.vstack([gains, beside, _dipoles(position, residual, there)[0]])
+        best = np.where(climbing, np.argmax(all_gains, axis=0), 0)
+        sources, gains = trials[best, several], all_gains[best, several]
+        at_top, far = best == len(trials) - 1, np.abs(shift).max(axis=1)
+        near = (best == 0) | (at_top & (far < 0.5))
+        steps *= np.where(near, 0.5, np.where(at_top & (far == 1.0), 2.0, 1.0))
     return sources
 
 
