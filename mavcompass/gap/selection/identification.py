@@ -139,12 +139,16 @@ def _searched(
             result = replace(result, found=found)
             floor = foreseen_places(floor, problem, found.best, split.test)
             names = not (floor.measured and _hopeless(result, floor))
-        if names:
-            result = _allowed(_moments_in_training(replace(result, fit=found.best)), floor)
-        before = floor
-        floor = floor if turn + 1 == passes else widened(floor, result.problem, result.fit)
-        if floor is before:
-            break
+        best = replace(result, fit=found.best) if names else result
+        if turn + 1 < passes:
+            # Where the noise is only to be learnt, moments need be no nearer.
+            allowed = _allowed(best, floor) if names else result
+            wider = widened(floor, allowed.problem, allowed.fit)
+            if wider is not floor:
+                floor = wider
+                continue
+        result = _allowed(_moments_in_training(best), floor) if names else result
+        break
     chosen = _guarded(result, floor) if names else result
     chosen.search.forget()
     return chosen, floor
