@@ -39,7 +39,7 @@ from mavcompass.gap.traces import Traces, find_traces, searched
 from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.track import Track
 
-Replayed = dict[tuple[int, int, float], tuple[Track, Replay]]
+Replayed = dict[tuple[int, int, float, bool], tuple[Track, Replay]]
 
 _WITHOUT_WITNESS = 1.5
 _THOROUGH = 3.0
@@ -167,7 +167,7 @@ def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, R
     """Replay the recording and its baseline, with rows that follow each other alike."""
     tracks = [track] if baseline is None else [track, baseline]
     period_s = shared_period_s(tracks, how.compass) / (_THOROUGH if how.thorough else 1.0)
-    replayed = _replayed(track, how.compass, period_s, how)
+    replayed = _replayed(track, how.compass, period_s, how, alone=baseline is None)
     if baseline is None:
         return replayed, None
     compass = how.compass if how.compass in baseline.compasses else 1
@@ -178,11 +178,11 @@ def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, R
     return replayed, before
 
 
-def _replayed(track: Track, compass: int, period_s: float, how: _How) -> Replay:
+def _replayed(track: Track, compass: int, period_s: float, how: _How, alone: bool = False) -> Replay:
     """Replay a recording, once for all who keep the replays."""
-    key = (id(track), compass, period_s)
+    key = (id(track), compass, period_s, alone)
     if key not in how.replayed:
-        how.replayed[key] = (track, replay(track, compass, how.reference, period_s))
+        how.replayed[key] = (track, replay(track, compass, how.reference, period_s, alone=alone))
     return how.replayed[key][1]
 
 

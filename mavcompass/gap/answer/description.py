@@ -14,7 +14,7 @@ from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.answer.locate import where
 from mavcompass.gap.answer.naming import named_causes, trace_causes
 from mavcompass.gap.answer.picture import picture
-from mavcompass.gap.answer.settled import settled, shows
+from mavcompass.gap.answer.settled import settled, shows, yaw_wander_deg
 from mavcompass.gap.answer.shrink import waterfall
 from mavcompass.gap.answer.verdict import LINE, Answer, keeps_step, line_hz
 from mavcompass.gap.fit import Fit
@@ -27,6 +27,11 @@ _IN_STEP = (
     "The line keeps step with the way driven: a magnet on something that turns with the wheels would look "
     "the same. Record the vehicle at another speed."
 )
+_WANDERS = (
+    "The yaw of the attitude, which only the compass itself tells, has to wander by {:.0f} deg: field and "
+    "dip were compared, but the heading hardly. A recording of the vehicle in a good state (--baseline) "
+    "would tell."
+)
 _UNSEEN = "No held-out part shows what is named: its shrink is not measured. Record it again."
 
 
@@ -37,6 +42,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     likely = _ambiguity_set(identified)
     said = settled(evidence, answer, likely)
     answer, named = said.answer, said.answer.named
+    wander_deg = yaw_wander_deg(problem, named)
     in_step = answer.verdict == "named" and _in_step(evidence, named)
     if in_step:
         answer = replace(answer, verdict="ambiguous")
@@ -81,6 +87,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         notes=(
             *problem.replay.notes,
             *((_IN_STEP,) if in_step else ()),
+            *((_WANDERS.format(wander_deg),) if wander_deg > said.heading.floor else ()),
             *((_UNSEEN,) if named.terms and not shows(problem, named, test) else ()),
             *(f"{e} was considered and dropped: {why}." for e, why in identified.dropped),
         ),

@@ -6,6 +6,7 @@ A name changes the figures, and figures may take a name back: neither may contra
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,7 +17,8 @@ from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.answer.shrink import closings
 from mavcompass.gap.answer.verdict import Answer, consistent, hold_little, owning_up, with_likely_names
 from mavcompass.gap.fit import Fit, Problem, difference
-from mavcompass.gap.left import Scatter
+from mavcompass.gap.left import Scatter, rms
+from mavcompass.gap.replay import REFERENCE_YAW
 from mavcompass.gap.result import Closing
 from mavcompass.gap.selection import ABOVE, SILENT, at_floor, evident, lost_in_the_floor
 
@@ -47,6 +49,7 @@ def settled(evidence: Evidence, decided: Answer, sets: Sequence[tuple[frozenset[
     said = settling.no_worse(said)
     said = settling.without_unlikely_names(said, sets)
     said = settling.sure_by_its_shrink(said)
+    said = settling.beside_its_attitude(said)
     return Settled(said.answer, *map(_never_worse, said.closings))
 
 
@@ -150,6 +153,16 @@ class _Settling:
             return replace(said, answer=replace(answer, verdict="ambiguous"))
         return said
 
+    def beside_its_attitude(self, said: Settled) -> Settled:
+        """Leave a remainder beside names where the yaw has to wander by more than the floor: field and dip
+        bear them out, but no heading does."""
+        answer, wander_deg = said.answer, yaw_wander_deg(self._problem, said.answer.named)
+        sure = answer.verdict == "named" and bool(answer.named.terms) and not self._floor.measured
+        if not sure or wander_deg <= ABOVE * said.heading.floor:
+            return said
+        left = replace(answer, verdict="named_with_remainder", flagged=True, coordinate="time")
+        return replace(said, answer=left)
+
     def _unknown(self, coordinate: str | None) -> Settled:
         """Return that nothing explains the gap, single readings included."""
         figures = closings(self._problem, self._none, self._test, self._floor)
@@ -158,6 +171,19 @@ class _Settling:
     def _is_quiet(self) -> bool:
         """Tell whether nothing lies above the floor beside the best explanation of the rest."""
         return at_floor(self._evidence.identified, self._none, self._floor, ABOVE)
+
+
+def yaw_wander_deg(problem: Problem, fit: Fit) -> float:
+    """Return by how much a yaw without a witness has to wander beside a fit, rms over time; 0 with one."""
+    reference = problem.replay.reference
+    if reference.witnessed:
+        return 0.0
+    turned = [
+        rms(reference.wander_rad(theta[1:])[problem.usable])
+        for nuisance, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True)
+        if nuisance.effect.id == REFERENCE_YAW
+    ]
+    return math.degrees(max(turned, default=0.0))
 
 
 def shows(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:

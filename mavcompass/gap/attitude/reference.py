@@ -38,6 +38,7 @@ from mavcompass.gap.attitude.navigation import (
 from mavcompass.gap.attitude.receiver import Velocity, receiver_velocity
 from mavcompass.gap.attitude.rest import Bias, bias_at_rest
 from mavcompass.gap.attitude.steering import steered_by, told_rotation
+from mavcompass.gap.attitude.wander import wandering_yaw
 from mavcompass.gap.attitude.yaw import age_of
 from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.track import Track
@@ -78,6 +79,7 @@ class Reference:
         rest_rad2: covariance of what no curve holds, about the world's axes, mean over time, (3, 3).
         tilt_sigma_rad: what roll and pitch show themselves to be off by; 0 where nothing tells.
         gyro_bias: what the gyro says when nothing turns; None where that was not estimated.
+        witnessed: whether anything but the compass under test tells the yaw.
         notes: what a reader of the result must know.
     """
 
@@ -90,12 +92,25 @@ class Reference:
     rest_rad2: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     tilt_sigma_rad: float = 0.0
     gyro_bias: Bias | None = None
+    witnessed: bool = True
     notes: tuple[str, ...] = ()
 
     @property
     def yaw_unknown(self) -> bool:
         """Tell whether nothing but the compass itself fixes the constant of the yaw."""
         return self.yaw_sigma_rad > UNKNOWN_YAW_RAD
+
+    def wander_rad(self, amplitudes: FloatArray) -> FloatArray:
+        """Return what curves with some amplitudes (k,) turn the yaw by, (N,), radians."""
+        return np.asarray(self.curves_rad[:, 2] @ amplitudes)
+
+    def wandering(self, time_s: FloatArray) -> Reference:
+        """Let a yaw without a witness wander, at the reference's own times (N,)."""
+        if self.witnessed:
+            return self
+        more = wandering_yaw(time_s)
+        known = self.curves_rad if self.curves_rad.size else more[:, :, :0]
+        return replace(self, curves_rad=np.concatenate([known, more], axis=2))
 
     def at(self, rows: slice) -> Reference:
         """Return the reference at some of its times."""
@@ -256,6 +271,7 @@ def _fused(
         rest_rad2=rest,
         tilt_sigma_rad=float(np.sqrt(np.mean(np.diag(smoothed.covariance).reshape(-1, 3)[:, :2]))),
         gyro_bias=smoothed.gyro_bias,
+        witnessed=bool(told),
         notes=(f"The attitude is the smoothed gyro and accelerometer{by}.",),
     )
 
@@ -356,5 +372,6 @@ def _attitude(track: Track, time_s: FloatArray, instance: int) -> Reference | No
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
         yaw_sigma_rad=math.radians(5.0 if other else 10.0),
         curves_rad=curves,
+        witnessed=other,
         notes=(note,),
     )

@@ -129,10 +129,12 @@ def replay(
     choice: Choice = "auto",
     period_s: float | None = None,
     most_averaged: int | None = None,
+    alone: bool = False,
 ) -> Replay:
     """Build the nominal simulation of one compass of a recording, averaged to rows of a period.
 
-    Beside a recording with fewer readings, a baseline's rows are means of no more than its.
+    Beside a recording with fewer readings, a baseline's rows are means of no more than its. Where no baseline
+    tells how good the attitude is (`alone`), a yaw without a witness may wander.
 
     Raises BadRecording where there is no such compass, or too little to compare.
     """
@@ -152,6 +154,8 @@ def replay(
     time_s, usable = rows.time_s[picked], rows.usable
     # Readings that are averaged were turned by the mean of the rates meanwhile.
     reference = replace(whole.at(picked), rate_radps=averaged(whole.rate_radps, rows.width)[picked])
+    if alone:
+        reference = reference.wandering(time_s)
     position = position_of(track, reference)
     stimulus = _stimulus(track, position, time_s, reference, field)
     load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
