@@ -42,7 +42,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     likely = _ambiguity_set(identified)
     said = settled(evidence, answer, likely)
     answer, named = said.answer, said.answer.named
-    wander_deg = yaw_wander_deg(problem, named)
+    wander_deg = yaw_wander_deg(problem, named, floor, said.heading)
     in_step = answer.verdict == "named" and _in_step(evidence, named)
     if in_step:
         answer = replace(answer, verdict="ambiguous")
@@ -87,7 +87,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         notes=(
             *problem.replay.notes,
             *((_IN_STEP,) if in_step else ()),
-            *((_WANDERS.format(wander_deg),) if wander_deg > said.heading.floor else ()),
+            *((_WANDERS.format(wander_deg),) if wander_deg else ()),
             *((_UNSEEN,) if named.terms and not shows(problem, named, test) else ()),
             *(f"{e} was considered and dropped: {why}." for e, why in identified.dropped),
         ),

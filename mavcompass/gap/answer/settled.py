@@ -17,7 +17,7 @@ from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.answer.shrink import closings
 from mavcompass.gap.answer.verdict import Answer, consistent, hold_little, owning_up, with_likely_names
 from mavcompass.gap.fit import Fit, Problem, difference
-from mavcompass.gap.left import Scatter, rms
+from mavcompass.gap.left import Floor, Scatter, rms
 from mavcompass.gap.replay import REFERENCE_YAW
 from mavcompass.gap.result import Closing
 from mavcompass.gap.selection import ABOVE, SILENT, at_floor, evident, lost_in_the_floor
@@ -156,9 +156,9 @@ class _Settling:
     def beside_its_attitude(self, said: Settled) -> Settled:
         """Leave a remainder beside names where the yaw has to wander by more than the floor: field and dip
         bear them out, but no heading does."""
-        answer, wander_deg = said.answer, yaw_wander_deg(self._problem, said.answer.named)
-        sure = answer.verdict == "named" and bool(answer.named.terms) and not self._floor.measured
-        if not sure or wander_deg <= ABOVE * said.heading.floor:
+        answer = said.answer
+        sure = answer.verdict == "named" and bool(answer.named.terms)
+        if not sure or not yaw_wander_deg(self._problem, answer.named, self._floor, said.heading):
             return said
         left = replace(answer, verdict="named_with_remainder", flagged=True, coordinate="time")
         return replace(said, answer=left)
@@ -173,17 +173,19 @@ class _Settling:
         return at_floor(self._evidence.identified, self._none, self._floor, ABOVE)
 
 
-def yaw_wander_deg(problem: Problem, fit: Fit) -> float:
-    """Return by how much a yaw without a witness has to wander beside a fit, rms over time; 0 with one."""
+def yaw_wander_deg(problem: Problem, fit: Fit, floor: Floor, heading: Closing) -> float:
+    """Return by how much a yaw that neither witness nor baseline tells has to wander beside a fit, rms over
+    time; 0 where that is no more than the heading's floor."""
     reference = problem.replay.reference
-    if reference.witnessed:
+    if reference.witnessed or floor.measured:
         return 0.0
     turned = [
         rms(reference.wander_rad(theta[1:])[problem.usable])
         for nuisance, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True)
         if nuisance.effect.id == REFERENCE_YAW
     ]
-    return math.degrees(max(turned, default=0.0))
+    wander = math.degrees(max(turned, default=0.0))
+    return wander if wander > ABOVE * heading.floor else 0.0
 
 
 def shows(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:

@@ -27,11 +27,14 @@ def wandering_yaw(time_s: FloatArray) -> FloatArray:
     length_s = max(_LENGTH_S, span_s / _MOST_LENGTHS)
     count = max(math.ceil(2.0 * span_s / length_s), 3) + 1
     knots = np.linspace(time_s[0], time_s[-1], count)
-    covariance = _WANDER_RAD**2 * np.exp(-0.5 * ((knots[:, None] - knots) / length_s) ** 2)
-    values, vectors = np.linalg.eigh(covariance)
+
+    def covariance(at_s: FloatArray) -> FloatArray:
+        """Return the covariance of the yaw at some times (M,) with that at the knots, (M, K)."""
+        return np.asarray(_WANDER_RAD**2 * np.exp(-0.5 * ((at_s[:, None] - knots) / length_s) ** 2))
+
+    values, vectors = np.linalg.eigh(covariance(knots))
     keep = np.flatnonzero(values > count * _LEAST_RAD**2)[::-1]
     # Between the knots the process is what it is expected to be beside them.
-    across = _WANDER_RAD**2 * np.exp(-0.5 * ((time_s[:, None] - knots) / length_s) ** 2)
     curves = np.zeros((time_s.size, 3, keep.size))
-    curves[:, 2] = across @ vectors[:, keep] / np.sqrt(values[keep])
+    curves[:, 2] = covariance(time_s) @ vectors[:, keep] / np.sqrt(values[keep])
     return curves

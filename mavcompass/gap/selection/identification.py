@@ -142,12 +142,12 @@ def _searched(
         best = replace(result, fit=found.best) if names else result
         if turn + 1 < passes:
             # Where the noise is only to be learnt, moments need be no nearer.
-            allowed = _allowed(best, floor) if names else result
+            allowed = _allowed(best, floor)
             wider = widened(floor, allowed.problem, allowed.fit)
             if wider is not floor:
                 floor = wider
                 continue
-        result = _allowed(_moments_in_training(best), floor) if names else result
+        result = _allowed(_moments_in_training(best), floor)
         break
     chosen = _guarded(result, floor) if names else result
     chosen.search.forget()

@@ -71,5 +71,13 @@ def test_who_is_not_sure_of_a_name_says_the_same_beside_a_yaw_that_wanders(verdi
 
 
 def test_the_yaw_wanders_as_its_curves_say() -> None:
-    assert yaw_wander_deg(problem(False), fit(9.0)) == pytest.approx(9.0)
-    assert yaw_wander_deg(problem(True), fit(9.0)) == 0.0
+    heading = said("named", fit(9.0)).heading
+
+    def wander_deg(witnessed: bool, measured: bool, wander: float = 9.0) -> float:
+        floor: Any = SimpleNamespace(measured=measured)
+        return yaw_wander_deg(problem(witnessed), fit(wander), floor, heading)
+
+    assert wander_deg(witnessed=False, measured=False) == pytest.approx(9.0)
+    assert wander_deg(witnessed=True, measured=False) == 0.0
+    assert wander_deg(witnessed=False, measured=True) == 0.0, "a baseline tells"
+    assert wander_deg(witnessed=False, measured=False, wander=1.0) == 0.0, "no more than the floor"
