@@ -52,7 +52,7 @@ def named_causes(
                 ci95={name: told[i][name] for name in shown},
                 probability=held_by(term.effect.id, weights.items()) or own,
                 ambiguous_with=tuple(others),
-                separation=_separation(identified, fit, term.effect.id),
+                separation=_separation(identified, fit, term.effect.id, weights),
                 removes_mgauss=field,
                 removes_deg=heading,
             )
@@ -60,14 +60,30 @@ def named_causes(
     return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
 
 
-def _separation(identified: Identified, fit: Fit, effect_id: str) -> float | None:
-    """Return how far, in sigmas, the best explored set without the effect falls short."""
+def _separation(
+    identified: Identified, fit: Fit, effect_id: str, weights: Mapping[frozenset[str], float]
+) -> float | None:
+    """Return how far, in sigmas, the best rival without the effect falls short; None where there is none.
+
+    Of what no guard refused, as it was explored; no farther than the weights of the sets that are told say.
+    """
+    refused, explored = dict(identified.dropped).keys() - fit.ids, identified.found.explored
+    # What was explored was fitted to the rows of the search.
+    same_rows = identified.problem is identified.first
+    own = fit if same_rows else explored.get(fit.ids, fit)
     rivals = [
-        f.sse
-        for ids, f in identified.found.explored.items()
-        if effect_id not in ids and len(ids) <= len(fit.ids)
+        f
+        for ids, f in explored.items()
+        if effect_id not in ids and len(ids) <= len(fit.ids) and not ids & refused
     ]
-    return float(np.sqrt(max(min(rivals) - fit.sse, 0.0))) if rivals else None
+    leads = []
+    if rivals:
+        leads.append(identified.search.on(identified.first).criteria.lead(own, rivals))
+    held = held_by(effect_id, weights.items())
+    other = sum(weights.values()) - held
+    if 0.0 < other and 0.0 < held:
+        leads.append(math.sqrt(2.0 * max(math.log(held / other), 0.0)))
+    return min(leads, default=None)
 
 
 def trace_causes(scatter: Scatter | None, traces: Traces, level_mgauss: float) -> tuple[Cause, ...]:

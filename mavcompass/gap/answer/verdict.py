@@ -51,7 +51,7 @@ _RECEIVER_MPS, _RECEIVER_S = 0.1, 1.0
 # over what is left in all, along the motion and along anything; and the mean square of whitened readings, of
 # fitted ones and others, where the field lies above its floor, anywhere, and beside names (which leave 1 to 2
 # where they are right).
-_BENT, _BENT_UNNAMED = 60.0, 1e-3
+_BENT, _BENT_UNNAMED = 60.0, 1e-5
 _STRUCTURED_ALONG, _STRUCTURED = 12.0, 20.0
 _LOUD, _LOUD_ABOVE, _LOUD_ALONE, _LOUD_BESIDE = 2.0, 1.15, 8.0, 3.0
 _ALONG = frozenset({"mag: heading harmonics", "mag: direction, cubic", "mag: rate"})

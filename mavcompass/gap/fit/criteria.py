@@ -10,7 +10,7 @@ other. *Which*: sets of equal size compete by EBIC, SSE + k ln n + 2 m ln C (Che
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,17 @@ class Criteria:
         """
         strain = self._problem.strain(fit)
         return (fit.sse - strain) / self.temper + strain + self.cost(fit.dimension, len(fit.terms))
+
+    def lead(self, fit: Fit, rivals: Iterable[Fit]) -> float:
+        """Return by how many sigmas the best of the rivals falls short of a fit.
+
+        By the same criterion as their weights: parameters that a rival has more count against it. What has
+        fewer gets nothing for that: whether more are needed is the other question.
+        """
+        own = self.score(fit)
+        paid = self.cost(fit.dimension, len(fit.terms))
+        least = min(self.score(f) + max(paid - self.cost(f.dimension, len(f.terms)), 0.0) for f in rivals)
+        return math.sqrt(max(least - own, 0.0))
 
     def cost(self, dimension: int, effects: int = 1) -> float:
         """Return EBIC's penalty for so many parameters and effects."""

@@ -247,7 +247,7 @@ def _guarded(candidate: Identified, floor: Floor) -> Identified:
     if candidate.fit.terms and candidate.fit.ids != candidate.found.best.ids:
         # What the search was as sure of is no longer what is named.
         refused_ids = frozenset(dict(candidate.dropped)) - candidate.fit.ids
-        explored = candidate.search.explored
+        explored = {**candidate.search.explored, candidate.fit.ids: candidate.fit}
         weights = candidate.search.criteria.weights(candidate.fit, explored, refused_ids)
         candidate = replace(candidate, found=replace(candidate.found, weights=weights))
     others = (*alike(candidate), *with_evident(candidate), *likelier(candidate))

@@ -77,10 +77,18 @@ def simplest(candidate: Identified, floor: Floor) -> Identified:
 
 def plainer(candidate: Identified) -> Identified:
     """Take an alias with fewer parameters that leaves no more of field and heading on rows that were not
-    fitted."""
-    smaller = [f for f in _substitutes(candidate) if f.dimension < candidate.fit.dimension]
+    fitted.
+
+    What the search chose stays a rival where it is the likelier by its own rows.
+    """
+    chosen, score = candidate.fit, candidate.search.criteria.score
+    smaller = [f for f in _substitutes(candidate) if f.dimension < chosen.dimension]
     good = _no_worse(candidate, smaller)
-    return replace(candidate, fit=min(good, key=lambda f: f.sse)) if good else candidate
+    if not good:
+        return candidate
+    best = min(good, key=lambda f: f.sse)
+    likelier = (chosen.ids,) if score(chosen) < score(best) else ()
+    return replace(candidate, fit=best, as_good=(*candidate.as_good, *likelier))
 
 
 def alike(candidate: Identified) -> tuple[frozenset[str], ...]:

@@ -435,8 +435,8 @@ def beside(
         ({"left": (2.1, 2.1), "nominal": 1.14}, "no_gap"),  # at the floor
         ({"left": (7.9, 7.9), "nominal": 0.9}, "no_gap"),
         ({"left": (8.1, 8.1), "nominal": 0.9}, "unknown"),  # far louder than any healthy vehicle
-        ({"chance": 0.9e-3}, "unknown"),  # the known gives way by more than it may be off by
-        ({"chance": 1.1e-3}, "no_gap"),
+        ({"chance": 0.9e-5}, "unknown"),  # the known gives way by more than it may be off by
+        ({"chance": 1.1e-5}, "no_gap"),
     ],
 )
 def test_silence_is_given_up_beside_what_is_loud_or_bent(given: dict[str, Any], told: Verdict) -> None:

@@ -12,7 +12,7 @@ from mavcompass.gap.fit import Fit, Term
 from mavcompass.gap.fit.criteria import Criteria
 from mavcompass.simulation.effects import registry
 
-LAG = registry.get("transport_lag")
+LAG, LOW_PASS, HARD_IRON = (registry.get(name) for name in ("transport_lag", "low_pass", "hard_iron"))
 
 
 def criteria(contradiction: float, monkeypatch: pytest.MonkeyPatch) -> Criteria:
@@ -26,9 +26,12 @@ def criteria(contradiction: float, monkeypatch: pytest.MonkeyPatch) -> Criteria:
 
 def fit(left: float, strain: float, *effects: Any) -> Fit:
     """Return a fit that leaves so much of the readings, and bends what is known by so much."""
-    one = np.ones(1, dtype=np.bool_)
-    terms = tuple(Term(e, one, np.zeros(1), np.ones(1)) for e in effects)
-    return Fit(terms, tuple(np.array([0.25]) for _ in terms), (np.array([strain]),), left + strain)
+    sizes = [len(e.parameters) for e in effects]
+    free = [np.ones(size, dtype=np.bool_) for size in sizes]
+    terms = tuple(
+        Term(e, f, np.zeros(n), np.ones(n)) for e, f, n in zip(effects, free, sizes, strict=True)
+    )
+    return Fit(terms, tuple(np.full(n, 0.25) for n in sizes), (np.array([strain]),), left + strain)
 
 
 @pytest.mark.parametrize("contradiction", [1.0, 5.0, 84.0])
@@ -56,3 +59,20 @@ def test_what_bends_the_known_to_fit_readings_closer_is_not_needed(monkeypatch: 
     nothing, bent = fit(1000.0, 3.0), fit(800.0, 60.0, LAG)
     assert criteria(1.0, monkeypatch).grows(nothing, bent)
     assert not criteria(4.0, monkeypatch).grows(nothing, bent)
+
+
+def test_a_rival_falls_short_by_what_it_leaves_more_and_by_the_parameters_it_needs_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    one = criteria(1.0, monkeypatch)
+    chosen, other, fuller = fit(900.0, 3.0, LAG), fit(925.0, 3.0, LOW_PASS), fit(900.0, 3.0, HARD_IRON)
+    assert one.lead(chosen, [other]) == pytest.approx(5.0)
+    # As close with two parameters more is no better: it is as likely as its weight says.
+    more = one.cost(3) - one.cost(1)
+    assert one.lead(chosen, [other, fuller]) == pytest.approx(min(5.0, np.sqrt(more)))
+    assert one.lead(chosen, [other, fit(880.0, 3.0, LOW_PASS)]) == 0.0
+    # That nothing has fewer parameters is no merit of it.
+    assert one.lead(chosen, [fit(925.0, 3.0)]) == pytest.approx(5.0)
+    (first, weight), *_ = one.weights(chosen, {f.ids: f for f in (chosen, fuller)})
+    assert first == chosen.ids
+    assert weight == pytest.approx(1.0 / (1.0 + np.exp(-0.5 * one.lead(chosen, [fuller]) ** 2)))
