@@ -28,9 +28,7 @@ def fit(left: float, strain: float, *effects: Any) -> Fit:
     """Return a fit that leaves so much of the readings, and bends what is known by so much."""
     sizes = [len(e.parameters) for e in effects]
     free = [np.ones(size, dtype=np.bool_) for size in sizes]
-    terms = tuple(
-        Term(e, f, np.zeros(n), np.ones(n)) for e, f, n in zip(effects, free, sizes, strict=True)
-    )
+    terms = tuple(Term(e, f, np.zeros(n), np.ones(n)) for e, f, n in zip(effects, free, sizes, strict=True))
     return Fit(terms, tuple(np.full(n, 0.25) for n in sizes), (np.array([strain]),), left + strain)
 
 
