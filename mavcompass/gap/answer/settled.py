@@ -130,7 +130,10 @@ class _Settling:
             return said
         identified, adequacy = evidence.identified, evidence.adequacy
         decided = self.decided.answer
-        answer = owning_up(said.answer, decided, identified, said.field, adequacy, self._is_quiet())
+        answer = owning_up(
+            said.answer, decided, identified, said.field, adequacy, self._is_quiet(),
+            evidence.traces.burst_mgauss > 0.0,
+        )  # fmt: skip
         # Where what was decided stands again, so do its figures.
         return self.decided if answer is decided else replace(said, answer=answer)
 

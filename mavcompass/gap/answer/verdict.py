@@ -173,6 +173,7 @@ def owning_up(
     field: Closing,
     adequacy: Adequacy,
     rest_at_floor: bool,
+    bursts: bool = False,
 ) -> Answer:
     """Return an answer that is neither silent nor sure beside what healthy vehicles do not leave.
 
@@ -181,7 +182,7 @@ def owning_up(
     field without them comes to the floor, or the rest does, fitted alone (`rest_at_floor`). Where silence
     would leave what is loud, and the names that were `decided` do not, they stand: a magnet that is passed
     once hardly lifts the field's mean. Where it bends the known farther than chance does, they are one
-    explanation, but not the only one.
+    explanation, but not the only one. Single readings that come in `bursts` no silence leaves.
     """
     problem = identified.problem
     if answer.verdict == "named" and answer.named.terms:
@@ -200,7 +201,9 @@ def owning_up(
             if not decided.named.terms or max(whitened_left(identified, decided.named)) >= _LOUD_BESIDE:
                 return Answer("unknown", answer.named, True, adequacy.where)
             return decided if loud else replace(decided, verdict="ambiguous")
-        return Answer("unknown", answer.named, True, "frequency") if adequacy.sweeps else answer
+        if adequacy.sweeps or bursts:
+            return Answer("unknown", answer.named, True, "frequency" if adequacy.sweeps else "time")
+        return answer
     if min(left, default=0.0) > _LOUD_BESIDE:
         return Answer("named_with_remainder", answer.named, True, adequacy.where)
     for test in sorted(adequacy.tests, key=lambda t: -t.excess):

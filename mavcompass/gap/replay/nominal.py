@@ -30,7 +30,7 @@ from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
 from mavcompass.gap.replay.present import present_in
 from mavcompass.gap.replay.readings import Readings
-from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
+from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing_mgauss
 from mavcompass.gap.replay.whereabouts import goes_about, place_curves, place_scatter_m, position_of
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
@@ -109,7 +109,7 @@ class Replay:
 
     def without(self, change_mgauss: FloatArray) -> Replay:
         """Take what an effect adds to every raw reading (M, 3) out of readings and rows."""
-        picked = _middles(len(change_mgauss), self.averaged)
+        picked = middles(len(change_mgauss), self.averaged)
         change = averaged(change_mgauss, self.averaged)[picked]
         corrected = self.corrected_mgauss
         if corrected is not None:
@@ -150,10 +150,9 @@ def replay(
         rows.raw_mgauss if rows.corrected_mgauss is None else rows.corrected_mgauss,
     )
     correction = calibration_in_force(compass)
-    picked = _middles(rows.time_s.size, rows.width)
+    picked = middles(rows.time_s.size, rows.width)
     time_s, usable = rows.time_s[picked], rows.usable
-    # Readings that are averaged were turned by the mean of the rates meanwhile.
-    reference = replace(whole.at(picked), rate_radps=averaged(whole.rate_radps, rows.width)[picked])
+    reference = whole.at(picked)
     if alone:
         reference = reference.wandering(time_s)
     position = position_of(track, reference)
@@ -166,7 +165,8 @@ def replay(
     steady = iron.offset_mgauss + np.interp(rows.time_s, time_s, iron.load)[:, None] * iron.motor_mgauss
     readings = Readings.of(rows.time_s, raw, turning + steady, whole.known & rows.usable)
     if rows.width > 1:
-        swing = _swing(raw, ideal_all, whole.known & rows.usable, rows.width)[picked]
+        known = whole.known & rows.usable
+        swing = swing_mgauss(rows.time_s, raw, ideal_all, known, rows.width)[picked]
         raw = averaged(raw, rows.width)[picked] + swing
         if corrected is not None:
             corrected = averaged(corrected, rows.width)[picked] + swing @ np.linalg.inv(iron.matrix).T
@@ -238,23 +238,6 @@ def _place(track: Track) -> tuple[float, float, float] | None:
     if track.place is None or not np.isfinite(track.place.values).all(axis=1).any():
         return None
     return middle_place(track.place.values)
-
-
-def _swing(raw: FloatArray, ideal: FloatArray, usable: NDArray[np.bool_], width: int) -> FloatArray:
-    """Return how far readings (N, 3) stand off the mean of their neighbours because the field turns.
-
-    Readings follow the field that an upright compass would see by some matrix: that of the calibration, of
-    another iron, or of a compass that was turned. The readings tell which, by how they swing themselves.
-    """
-    turns = ideal - averaged(ideal, width)
-    rows = usable & np.isfinite(raw).all(axis=1) & np.isfinite(turns).all(axis=1)
-    follows = np.linalg.lstsq(turns[rows], (raw - averaged(raw, width))[rows], rcond=None)[0]
-    return np.asarray(turns @ follows)
-
-
-def _middles(count: int, width: int) -> slice:
-    """Return the middles of averages over an odd number of neighbours."""
-    return slice(None) if width == 1 else slice(width // 2, count - width // 2, width)
 
 
 def _compass(track: Track, instance: int) -> MagSeries:

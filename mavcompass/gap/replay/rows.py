@@ -14,16 +14,22 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.clock import reading_times
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
+from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
+from mavcompass.simulation.effects.sampling import at_times, central_differences
 from mavcompass.track import MagSeries, Series, Track, uncut
 
 FEWEST_ROWS, FEWEST_NEW = 60, 30
-_MOST_ROWS, _MOST_ROWS_IN_FLIGHT = 3_000, 1_600
+# Beside a laboratory's attitude single readings tell more than beside one that wanders itself. In flight
+# fewer are enough, where each recording keeps so many and loads do not change much meanwhile.
+_MOST_ROWS, _MOST_ROWS_IN_FLIGHT, _ENOUGH, _KEPT, _LONGEST_S = 3_000, 1_600, 800, 250, 0.3
 _SLOWER_SHARE = 0.3
 # Messages so much further apart have lost some between them.
 _LOST = 1.5
 # Where fewer messages bring a new reading, they come more often than readings.
 _BROUGHT_NEW = 0.9
 _EVEN_RHYTHM = 0.4
+# How late readings may be when their means are made, in seconds.
+_LATE_S = np.arange(0.0, LONGEST_LAG_S, 0.04)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,15 +131,25 @@ def shared_period_s(tracks: Sequence[Track], instance: int) -> float:
 
     A recording and its baseline are averaged alike: noise and its correlation are then the same in both.
     """
-    longest = 0.0
-    for track in tracks:
-        if instance in track.compasses and len(track.compasses[instance].reported) > 1:
-            time_s = track.compasses[instance].time_s
-            # Beside a laboratory's attitude single readings tell more than beside one that wanders itself.
-            most = _MOST_ROWS if track.reference_q is not None else _MOST_ROWS_IN_FLIGHT
-            if time_s.size > most:
-                longest = max(longest, float(time_s[-1] - time_s[0]) / most)
-    return longest
+    recorded = [
+        (track.compasses[instance].time_s, track.reference_q is not None)
+        for track in tracks
+        if instance in track.compasses and len(track.compasses[instance].reported) > 1
+    ]
+    needed_s = max(
+        (_period_s(t, _MOST_ROWS if lab else _MOST_ROWS_IN_FLIGHT) for t, lab in recorded), default=0.0
+    )
+    if any(lab for _, lab in recorded):
+        return needed_s
+    enough_s = max((_period_s(time_s, _ENOUGH) for time_s, _ in recorded), default=0.0)
+    enough_s = max(needed_s, min(enough_s, _LONGEST_S))
+    kept = min((time_s.size / _odd_width(time_s, enough_s) for time_s, _ in recorded), default=0.0)
+    return enough_s if kept >= _KEPT else needed_s
+
+
+def _period_s(time_s: FloatArray, most: int) -> float:
+    """Return the time between so many rows at most; 0 where there are no more."""
+    return float(time_s[-1] - time_s[0]) / most if time_s.size > most else 0.0
 
 
 def _odd_width(time_s: FloatArray, period_s: float) -> int:
@@ -149,6 +165,38 @@ def averaged(values: FloatArray, width: int) -> FloatArray:
     padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
     total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(padded, axis=0)])
     return np.asarray((total[width:] - total[:-width]) / width)
+
+
+def middles(count: int, width: int) -> slice:
+    """Return the middles of averages over an odd number of neighbours."""
+    return slice(None) if width == 1 else slice(width // 2, count - width // 2, width)
+
+
+def swing_mgauss(
+    time_s: FloatArray,
+    raw_mgauss: FloatArray,
+    ideal_mgauss: FloatArray,
+    usable: NDArray[np.bool_],
+    width: int,
+) -> FloatArray:
+    """Return how far readings (N, 3) stand off the mean of their neighbours because the field turns.
+
+    Readings follow the `ideal_mgauss` field (N, 3) that an upright compass would see by some matrix: that of
+    the calibration, of another iron, of a compass that was turned; and they are late. The `usable` ones tell
+    which, and how late, by how they swing themselves. With it, a mean of readings is a reading of its middle.
+    """
+    swings = raw_mgauss - averaged(raw_mgauss, width)
+    slopes = central_differences(time_s, ideal_mgauss)
+    found, least = np.zeros_like(raw_mgauss), math.inf
+    for late_s in _LATE_S:
+        late = at_times(time_s, ideal_mgauss, time_s - late_s, slopes)
+        turns = late - averaged(late, width)
+        rows = usable & np.isfinite(swings).all(axis=1) & np.isfinite(turns).all(axis=1)
+        follows = np.linalg.lstsq(turns[rows], swings[rows], rcond=None)[0]
+        left = float(np.sum((swings[rows] - turns[rows] @ follows) ** 2))
+        if left < least:
+            found, least = np.asarray(turns @ follows), left
+    return found
 
 
 def _fresh(reported: FloatArray) -> NDArray[np.bool_]:

@@ -22,6 +22,9 @@ _LAGS, _RELATED, _BY_CHANCE = (3, 4, 5), 0.2, 3.0 * math.sqrt(_OF_NEIGHBOURS)
 _FEWEST = 20
 # Noise of a sensor's axes hardly goes together.
 _TOGETHER = 0.8
+# How many times the usual a reading must stand off its neighbours to be one of a burst, which share of all
+# must, and how many times the baseline's: of 120 healthy vehicles at most 0.6 % do.
+_FAR_OFF, _FEW_WRONG, _MORE_BURSTS = 6.0, 0.015, 4.0
 # Where a vehicle is now quieter, now faster, a third of the readings is quiet, and so are their neighbours.
 _LEAST_QUIET = 0.15
 
@@ -49,6 +52,30 @@ def excess_variance(readings: Readings, baseline: Readings, repeats: bool = Fals
     white = excess / _UNLIKE < further < _UNLIKE * excess
     noise = white and _unrelated(readings) and _steady(readings, excess) and _of_each_axis(readings)
     return max(excess, further) if noise else 0.0
+
+
+def burst_mgauss(readings: Readings, baseline: Readings) -> float:
+    """Return what readings that stand far off both neighbours add to the rms of all, in mG.
+
+    0 where there are not far more of them than in the baseline, or than a few that went wrong.
+    """
+    share, size = _standing_off(readings)
+    return size if share > max(_FEW_WRONG, _MORE_BURSTS * _standing_off(baseline)[0]) else 0.0
+
+
+def _standing_off(readings: Readings) -> tuple[float, float]:
+    """Return the share of readings off both neighbours by many times what most are, on any axis, and what
+    they add to the rms of all, in mG."""
+    both = readings.valid.copy()
+    both[1:-1] &= readings.valid[:-2] & readings.valid[2:]
+    both[[0, -1]] = False
+    off = np.abs(neighbours(readings.error_mgauss)[both])
+    if len(off) <= _FEWEST:
+        return 0.0, 0.0
+    usual = 1.4826 * np.median(off, axis=0)
+    # Of coarse numbers most differ by nothing.
+    far = np.any(off > np.where(usual > 0.0, _FAR_OFF * usual, np.inf), axis=1)
+    return float(far.mean()), float(np.sqrt(np.mean((off * far[:, None]) ** 2)))
 
 
 def quiet_doubt(readings: Readings) -> float:

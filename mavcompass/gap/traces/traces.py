@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from mavcompass.gap.replay import Replay
 from mavcompass.gap.traces.rapid import IDS, Rapid, find_rapid
-from mavcompass.gap.traces.scattered import excess_variance
+from mavcompass.gap.traces.scattered import burst_mgauss, excess_variance
 from mavcompass.gap.traces.steps_and_repeats import (
     names_stale,
     names_step,
@@ -33,6 +33,8 @@ class Traces:
         stale_doubt, step_doubt_mgauss: their standard deviations.
         rapid: effects that change with every reading, and were taken out.
         excess_mgauss2: the variance of white scatter beyond the baseline's, of single readings.
+        burst_mgauss: what readings that stand far off both neighbours add to the rms of all, where they are
+            far more than the baseline's, and lift it above the floor.
     """
 
     stale_share: float = 0.0
@@ -41,6 +43,7 @@ class Traces:
     excess_mgauss2: float = 0.0
     stale_doubt: float = 0.0
     step_doubt_mgauss: float = 0.0
+    burst_mgauss: float = 0.0
 
     @property
     def named(self) -> bool:
@@ -81,7 +84,9 @@ def find_traces(
         replay = replay.without(one.change_mgauss)
     stale = stale if "stale_samples" in names else 0.0
     step = step if "quantisation" in names else 0.0
-    return Traces(stale, step, rapid, excess, stale_doubt(replay, stale), step_doubt), replay
+    bursts = 0.0 if before is None else burst_mgauss(readings, before)
+    bursts = bursts if bursts > _MATERIAL * floor_mgauss else 0.0
+    return Traces(stale, step, rapid, excess, stale_doubt(replay, stale), step_doubt, bursts), replay
 
 
 def searched(replay: Replay, effects: Iterable[Effect]) -> list[Effect]:

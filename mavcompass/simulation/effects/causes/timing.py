@@ -9,6 +9,8 @@ from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Paramet
 from mavcompass.simulation.effects.sampling import at_times, central_differences, first_order_lag
 
 LONGEST_LAG_S = 0.5
+# A direction of the field is told where it holds more than this share of its square.
+_UNTOLD = 1e-4
 # Times, readings, the world's field in the body's axes and its slopes, as far as they are remembered.
 _Past = tuple[FloatArray, ...]
 
@@ -17,7 +19,8 @@ def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = N
     """Return the reading at other times, (M, 3), mG.
 
     The world's field turns with the vehicle, which may turn faster than the readings follow each other: its
-    slopes come from the body's rate, those of the rest from its neighbours.
+    slopes come from the body's rate. What readings are of it by a matrix that holds for all of them (iron, a
+    compass that is mounted in another way) turns as it does; the slopes of the rest come from its neighbours.
     """
     s = signals.stimulus
     world = rotate_back(s.rotation, s.field_ned_mgauss)
@@ -33,7 +36,17 @@ def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = N
         first = min(keep, max(parts[0].size - 4, 0))
         memory["past"] = tuple(part[first:] for part in parts)
     time, field, world, turning = parts
-    return at_times(time, field, wanted_s, turning + central_differences(time, field - world))
+    matrix = _follows(world, field)
+    slopes = turning @ matrix + central_differences(time, field - world @ matrix)
+    return at_times(time, field, wanted_s, slopes)
+
+
+def _follows(world: FloatArray, field: FloatArray) -> FloatArray:
+    """Return the matrix (3, 3) by which readings (N, 3) follow the world's field, row by row; that of an
+    upright compass where the field does not tell another."""
+    square = world.T @ world
+    least = _UNTOLD * float(np.trace(square)) + 1e-9
+    return np.asarray(np.eye(3) + np.linalg.solve(square + least * np.eye(3), world.T @ (field - world)))
 
 
 def _lag(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
