@@ -10,6 +10,7 @@ from mavcompass.gap.attitude.kinematics import (
 )
 from mavcompass.gap.attitude.receiver import local_position, north_east_m
 from mavcompass.gap.attitude.reference import (
+    SLOWEST_GYRO_S,
     UNKNOWN_YAW_RAD,
     Choice,
     Reference,
@@ -19,6 +20,7 @@ from mavcompass.gap.attitude.reference import (
 from mavcompass.gap.attitude.steering import steered_by
 
 __all__ = [
+    "SLOWEST_GYRO_S",
     "UNKNOWN_YAW_RAD",
     "Choice",
     "Reference",

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix
 from mavcompass.gap.attitude.kinematics import (
+    exponentials,
     integral,
     interpolated,
     turned_about_down,
@@ -52,6 +53,8 @@ SLOWEST_GYRO_S = 0.15
 # A constant of the yaw that may be off by more has no witness.
 UNKNOWN_YAW_RAD = 0.3
 _FEWEST = 20
+# Between readings further apart a rate is not known.
+_SILENCE_S = 0.6
 _UNKNOWN_YAW_RAD = math.radians(60.0)
 # Constant and slow errors of a yaw's witnesses.
 _AUTOPILOT_RAD, _AUTOPILOT_SLOW_RAD = math.radians(3.0), math.radians(0.7)
@@ -111,6 +114,14 @@ class Reference:
         more = wandering_yaw(time_s)
         known = self.curves_rad if self.curves_rad.size else more[:, :, :0]
         return replace(self, curves_rad=np.concatenate([known, more], axis=2))
+
+    def earlier(self, time_s: FloatArray, by_s: float) -> Reference:
+        """Return the reference some seconds before its own times (N,)."""
+        middle, rate = (at_times(time_s, self.rate_radps, time_s - s) for s in (0.5 * by_s, by_s))
+        # After a silence nobody knows how it turned before.
+        silent = np.diff(time_s, prepend=time_s[0]) > _SILENCE_S
+        middle[silent] = rate[silent] = self.rate_radps[silent]
+        return replace(self, rotation=self.rotation @ exponentials(-by_s * middle), rate_radps=rate)
 
     def at(self, rows: slice) -> Reference:
         """Return the reference at some of its times."""

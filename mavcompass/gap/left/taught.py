@@ -214,6 +214,8 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
             _, theta, first = there[nuisance.effect.id]
             if theta.size == nuisance.mean.size:
                 mean = theta.copy()
+                if nuisance.effect.id == TELEMETRY_AGE:
+                    mean += baseline.late_s - replay.late_s
                 if nuisance.effect is WORLD_FIELD:
                     mean = _field_here(replay, baseline, theta) + _from_start_to_start(replay, baseline, fit)
                 nuisance = replace(nuisance, mean=mean)
@@ -235,7 +237,7 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
     stated = np.concatenate([n.mean for n in own]) if own else np.zeros(0)
     if source:
         waiting_s = max(_waiting_s(replay), _waiting_s(baseline))
-        daily = np.concatenate([_daily(n, waiting_s) for n in taught])
+        daily = np.concatenate([_daily(n, waiting_s, replay.late_s) for n in taught])
         if replay.reference.kind == "columns":
             daily = np.zeros(daily.size)
         elif trust is ANOTHER_IRON:
@@ -260,11 +262,11 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
     return prior
 
 
-def _daily(taught: Nuisance, waiting_s: float) -> FloatArray:
+def _daily(taught: Nuisance, waiting_s: float, late_s: float) -> FloatArray:
     """Say how much each parameter of a nuisance differs from one recording to the next."""
     daily = np.full(taught.mean.size, _FROM_DAY_TO_DAY.get(taught.effect.id, 0.0))
     if taught.effect.id == TELEMETRY_AGE:
-        daily = np.hypot(daily, np.minimum(waiting_s, _MOST_WAITING * np.abs(taught.mean)))
+        daily = np.hypot(daily, np.minimum(waiting_s, _MOST_WAITING * np.abs(taught.mean + late_s)))
     return daily
 
 

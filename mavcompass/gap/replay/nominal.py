@@ -17,6 +17,7 @@ from mavcompass.earth_field import middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
 from mavcompass.gap.attitude import (
+    SLOWEST_GYRO_S,
     UNKNOWN_YAW_RAD,
     Choice,
     Reference,
@@ -27,10 +28,17 @@ from mavcompass.gap.replay.in_force import KnownIron, calibration_in_force, know
 from mavcompass.gap.replay.integrity import Trace
 from mavcompass.gap.replay.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
 from mavcompass.gap.replay.noise import SensorNoise
-from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
+from mavcompass.gap.replay.nuisance import (
+    AGE,
+    AGE_SIGMA_S,
+    USUAL_AGE_S,
+    WORLD_FIELD,
+    Nuisance,
+    reference_attitude_error,
+)
 from mavcompass.gap.replay.present import present_in
 from mavcompass.gap.replay.readings import Readings
-from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing_mgauss
+from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing
 from mavcompass.gap.replay.whereabouts import goes_about, place_curves, place_scatter_m, position_of
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
@@ -67,7 +75,8 @@ class Replay:
         trace: repeats and steps of the numbers, as they were logged.
         iron: what the calibration in force says of the raw sensor.
         nominal_mgauss: what the raw sensor says if that is right and nothing else is wrong, (N, 3).
-        readings: every reading, of which the rows are means; averaged: of how many neighbours each.
+        readings: every reading, of which the rows are means; averaged: of how many neighbours each;
+            late_s: by how much the rows are earlier than their readings came.
         place: latitude, longitude in degrees, altitude in metres; None where unknown.
         place_curves_m: how the places of the stimulus may wander, (N, 3, k), each with sigma one.
         place_scatter_m: how far each place is off by itself, (3,).
@@ -95,6 +104,7 @@ class Replay:
     readings: Readings
     corrected_mgauss: FloatArray | None = None
     averaged: int = 1
+    late_s: float = 0.0
     place: tuple[float, float, float] | None = None
     place_curves_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
     place_scatter_m: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -150,26 +160,33 @@ def replay(
         rows.raw_mgauss if rows.corrected_mgauss is None else rows.corrected_mgauss,
     )
     correction = calibration_in_force(compass)
-    picked = middles(rows.time_s.size, rows.width)
-    time_s, usable = rows.time_s[picked], rows.usable
-    reference = whole.at(picked)
+    picked, known = middles(rows.time_s.size, rows.width), whole.known & rows.usable
+    raw, corrected, usable, late_s = rows.raw_mgauss, rows.corrected_mgauss, rows.usable, 0.0
+    swings = np.zeros_like(raw)
+    if rows.width > 1:
+        upright = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape))
+        swings, late_s = swing(rows.time_s, raw, upright, known, rows.width)
+        # Between means far apart nobody knows how it turned: they are put to the time when they were taken,
+        # if readings come often enough to know it.
+        often = float(np.median(np.diff(rows.time_s))) <= SLOWEST_GYRO_S
+        late_s = late_s if rows.telemetry and often else 0.0
+        whole = whole.earlier(rows.time_s, late_s)
+    taken_s = rows.time_s - late_s
+    time_s, reference = taken_s[picked], whole.at(picked)
     if alone:
         reference = reference.wandering(time_s)
     position = position_of(track, reference)
     stimulus = _stimulus(track, position, time_s, reference, field)
     load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
     iron = known_iron(correction, load, source)
-    raw, corrected = rows.raw_mgauss, rows.corrected_mgauss
-    ideal_all = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape))
-    turning = ideal_all @ iron.matrix.T
-    steady = iron.offset_mgauss + np.interp(rows.time_s, time_s, iron.load)[:, None] * iron.motor_mgauss
-    readings = Readings.of(rows.time_s, raw, turning + steady, whole.known & rows.usable)
+    turning = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape)) @ iron.matrix.T
+    steady = iron.offset_mgauss + np.interp(taken_s, time_s, iron.load)[:, None] * iron.motor_mgauss
+    readings = Readings.of(rows.time_s, raw, turning + steady, known)
     if rows.width > 1:
-        known = whole.known & rows.usable
-        swing = swing_mgauss(rows.time_s, raw, ideal_all, known, rows.width)[picked]
-        raw = averaged(raw, rows.width)[picked] + swing
+        raw = averaged(raw, rows.width)[picked] + swings[picked]
         if corrected is not None:
-            corrected = averaged(corrected, rows.width)[picked] + swing @ np.linalg.inv(iron.matrix).T
+            swings = swings[picked] @ np.linalg.inv(iron.matrix).T
+            corrected = averaged(corrected, rows.width)[picked] + swings
         usable = np.asarray(np.isfinite(raw).all(axis=1))
     acc = _column(track.acc_mps2, time_s, rows.width)
     gyro = _column(track.gyro_radps, time_s, rows.width)
@@ -205,7 +222,13 @@ def replay(
         valid=valid,
         groups=groups,
         nuisances=_nuisances(
-            reference, stimulus, raw if corrected is None else corrected, sigma, rows.telemetry, valid
+            reference,
+            stimulus,
+            raw if corrected is None else corrected,
+            sigma,
+            rows.telemetry,
+            valid,
+            late_s,
         ),
         present=present,
         reference=reference,
@@ -219,6 +242,7 @@ def replay(
         nominal_mgauss=iron.raw(ideal.mag_mgauss),
         readings=readings,
         averaged=rows.width,
+        late_s=late_s,
         place=_place(track),
         place_curves_m=place_curves(position, track.gps_velocity_mps, time_s),
         place_scatter_m=place_scatter_m(position),
@@ -320,6 +344,7 @@ def _nuisances(
     field_sigma: FloatArray,
     telemetry: bool,
     valid: NDArray[np.bool_],
+    late_s: float,
 ) -> tuple[Nuisance, ...]:
     field_unknown = bool(field_sigma[0] >= UNKNOWN_SIGMA_MGAUSS)
     found = [Nuisance.of(WORLD_FIELD, np.zeros(3), field_sigma)]
@@ -334,5 +359,5 @@ def _nuisances(
         sigma[:], sigma[0] = 1.0, max(constant, 1e-9)
         found.append(Nuisance.of(reference_attitude_error(reference.curves_rad), mean, sigma))
     if telemetry:
-        found.append(Nuisance.of(AGE, np.array([0.06]), np.array([0.05])))
+        found.append(Nuisance.of(AGE, np.array([USUAL_AGE_S - late_s]), np.array([AGE_SIGMA_S])))
     return tuple(found)

@@ -18,6 +18,8 @@ from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Sign
 
 _Rng = np.random.Generator | None
 _TURNS = 6
+# How old a reading usually is when an autopilot reports it, and how much that differs.
+USUAL_AGE_S, AGE_SIGMA_S = 0.06, 0.05
 REFERENCE_YAW, TELEMETRY_AGE, WHEREABOUTS = "reference yaw", "telemetry age", "whereabouts"
 
 
@@ -159,8 +161,8 @@ def _telemetry_age(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rn
 
 AGE = Effect(
     id=TELEMETRY_AGE,
-    title="how old a reading is when the autopilot reports it",
+    title="how old a reading is when the autopilot reports it, beyond what its time allows for",
     stage=Stage.TIMING,
-    parameters=(Parameter("age", "s", -0.2, LONGEST_LAG_S, 0.08, 0.005),),
+    parameters=(Parameter("age", "s", -LONGEST_LAG_S, LONGEST_LAG_S, 0.08, 0.005),),
     forward=_telemetry_age,
 )

@@ -14,6 +14,7 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.clock import reading_times
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
+from mavcompass.gap.replay.nuisance import AGE_SIGMA_S, USUAL_AGE_S
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.sampling import at_times, central_differences
 from mavcompass.track import MagSeries, Series, Track, uncut
@@ -29,7 +30,7 @@ _LOST = 1.5
 _BROUGHT_NEW = 0.9
 _EVEN_RHYTHM = 0.4
 # How late readings may be when their means are made, in seconds.
-_LATE_S = np.arange(0.0, LONGEST_LAG_S, 0.04)
+_LATE_S = np.arange(0.0, LONGEST_LAG_S, 0.02)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +91,7 @@ def compass_rows(
         raise BadRecording(
             f"{track.source or 'The recording'} has {time_s.size} readings of compass {compass.instance},"
             " too few.",
-            "Record at least half a minute of turning.",
+            _more_readings(track, time_s.size),
         )
     corrected = _corrected(track, restored)
     corrected = None if corrected is None else corrected[keep]
@@ -104,6 +105,14 @@ def compass_rows(
     if most_averaged is not None:
         width = min(width, most_averaged)
     return Rows(time_s, keep, raw, corrected, telemetry, width, trace, usable)
+
+
+def _more_readings(track: Track, few: int) -> str:
+    """Say what would have more readings."""
+    most, instance = max((len(compass.reported), i) for i, compass in track.compasses.items())
+    if most > max(few, FEWEST_ROWS):
+        return f"Compass {instance} has {most}: choose it with --compass {instance}, or record for longer."
+    return "Record at least half a minute of turning."
 
 
 def _restored(compass: MagSeries) -> MagSeries:
@@ -172,31 +181,35 @@ def middles(count: int, width: int) -> slice:
     return slice(None) if width == 1 else slice(width // 2, count - width // 2, width)
 
 
-def swing_mgauss(
+def swing(
     time_s: FloatArray,
     raw_mgauss: FloatArray,
     ideal_mgauss: FloatArray,
     usable: NDArray[np.bool_],
     width: int,
-) -> FloatArray:
-    """Return how far readings (N, 3) stand off the mean of their neighbours because the field turns.
+) -> tuple[FloatArray, float]:
+    """Return how far readings (N, 3) stand off the mean of their neighbours because the field turns, in mG,
+    and how late they are, in seconds.
 
     Readings follow the `ideal_mgauss` field (N, 3) that an upright compass would see by some matrix: that of
-    the calibration, of another iron, of a compass that was turned; and they are late. The `usable` ones tell
-    which, and how late, by how they swing themselves. With it, a mean of readings is a reading of its middle.
+    the calibration, of another iron, of a compass that was turned. The `usable` ones tell which, and how
+    late, by how they swing themselves. With it, a mean of readings is a reading of its middle.
     """
     swings = raw_mgauss - averaged(raw_mgauss, width)
     slopes = central_differences(time_s, ideal_mgauss)
-    found, least = np.zeros_like(raw_mgauss), math.inf
-    for late_s in _LATE_S:
-        late = at_times(time_s, ideal_mgauss, time_s - late_s, slopes)
+    usable = usable & np.isfinite(swings).all(axis=1) & np.isfinite(ideal_mgauss).all(axis=1)
+    found, least, late_s = np.zeros_like(raw_mgauss), math.inf, 0.0
+    for tried_s in _LATE_S.tolist():
+        late = at_times(time_s, ideal_mgauss, time_s - tried_s, slopes)
         turns = late - averaged(late, width)
-        rows = usable & np.isfinite(swings).all(axis=1) & np.isfinite(turns).all(axis=1)
-        follows = np.linalg.lstsq(turns[rows], swings[rows], rcond=None)[0]
-        left = float(np.sum((swings[rows] - turns[rows] @ follows) ** 2))
-        if left < least:
-            found, least = np.asarray(turns @ follows), left
-    return found
+        follows = np.linalg.lstsq(turns[usable], swings[usable], rcond=None)[0]
+        left = float(np.sum((swings[usable] - turns[usable] @ follows) ** 2))
+        unlikely = (
+            3.0 * usable.sum() * math.log(max(left, 1e-12)) + ((tried_s - USUAL_AGE_S) / AGE_SIGMA_S) ** 2
+        )
+        if unlikely < least:
+            found, least, late_s = np.asarray(turns @ follows), unlikely, tried_s
+    return found, late_s
 
 
 def _fresh(reported: FloatArray) -> NDArray[np.bool_]:

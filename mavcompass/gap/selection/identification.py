@@ -9,7 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from mavcompass.gap.fit import Fit, Found, Mask, Problem, Search, pruned
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit import Fit, Found, Mask, Problem, Search, Term, pruned
 from mavcompass.gap.left import Floor, apart, foreseen_places, rms, widened
 from mavcompass.gap.replay import WHEREABOUTS, Replay, level_mgauss, whereabouts
 from mavcompass.gap.selection.guards import TOO_SMALL, refused
@@ -79,7 +80,7 @@ def identify(
         if not floor.measured:
             kept = Problem(fewer, result.problem.noise, calm.train, result.problem.prior)
             start = widened(floor, kept, kept.refit(result.fit))
-        calmer, settled = _searched(fewer, start, calm, effects, 1)
+        calmer, settled = _searched(fewer, start, calm, effects, 1, (result.fit.terms, result.fit.thetas))
         # Under a noise that is known both can be compared.
         still = not (moments(calmer.fit) or RELAY in calmer.fit.ids or _placed(calmer.fit))
         most = _each(result) * (NO_WORSE if again else 1.0)
@@ -114,8 +115,14 @@ def _each(found: Identified) -> float:
 
 
 def _searched(
-    replay: Replay, floor: Floor, split: Split, effects: Sequence[Effect], passes: int
+    replay: Replay,
+    floor: Floor,
+    split: Split,
+    effects: Sequence[Effect],
+    passes: int,
+    likely: tuple[Sequence[Term], Sequence[FloatArray]] | None = None,
 ) -> tuple[Identified, Floor]:
+    """Search and guard, under a noise that is learnt in passes; what was `likely` with other rows is tried."""
     # An independent attitude has no errors that last for seconds.
     exact = floor.representative or replay.reference.kind == "columns"
     whole = Problem(replay, floor.noise, split.train | split.test, floor.prior)
@@ -129,12 +136,12 @@ def _searched(
         result = Identified(problem, split, none, none.best, (), search, problem)
         names = not needs_none(result, floor)
         if names:
-            found = search.run()
+            found = search.run(likely=[problem.fit(*likely, nothing.nuisance_thetas)] if likely else ())
             wandering = _with_wander(problem, floor, found)
             if wandering is not None:
-                floor, problem, likely = wandering
+                floor, problem, placed = wandering
                 search = Search(problem, effects, partial(worthwhile, problem, floor), exact)
-                found = search.run(likely=likely)
+                found = search.run(likely=placed)
                 result = replace(result, problem=problem, search=search, first=problem)
             result = replace(result, found=found)
             floor = foreseen_places(floor, problem, found.best, split.test)

@@ -23,8 +23,8 @@ _FEWEST = 20
 # Noise of a sensor's axes hardly goes together.
 _TOGETHER = 0.8
 # How many times the usual a reading must stand off its neighbours to be one of a burst, which share of all
-# must, and how many times the baseline's: of 120 healthy vehicles at most 0.6 % do.
-_FAR_OFF, _FEW_WRONG, _MORE_BURSTS = 6.0, 0.015, 4.0
+# must, and how many times the baseline's; so many readings beside a swing of the vehicle may be of it.
+_FAR_OFF, _FEW_WRONG, _MORE_BURSTS, _BESIDE = 6.0, 0.015, 4.0, 3
 # Where a vehicle is now quieter, now faster, a third of the readings is quiet, and so are their neighbours.
 _LEAST_QUIET = 0.15
 
@@ -65,11 +65,18 @@ def burst_mgauss(readings: Readings, baseline: Readings) -> float:
 
 def _standing_off(readings: Readings) -> tuple[float, float]:
     """Return the share of readings off both neighbours by many times what most are, on any axis, and what
-    they add to the rms of all, in mG."""
+    they add to the rms of all, in mG.
+
+    Only those while the field turns evenly: late readings stand off where a turn begins and ends.
+    """
     both = readings.valid.copy()
     both[1:-1] &= readings.valid[:-2] & readings.valid[2:]
     both[[0, -1]] = False
-    off = np.abs(neighbours(readings.error_mgauss)[both])
+    off = np.abs(neighbours(readings.error_mgauss))
+    swings = np.linalg.norm(neighbours(readings.nominal_mgauss), axis=1)
+    beside = np.max([np.roll(swings, shift) for shift in range(-_BESIDE, _BESIDE + 1)], axis=0)
+    both &= beside < 1.4826 * float(np.linalg.norm(np.median(off[both], axis=0))) if both.any() else both
+    off = off[both]
     if len(off) <= _FEWEST:
         return 0.0, 0.0
     usual = 1.4826 * np.median(off, axis=0)

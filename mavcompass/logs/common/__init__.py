@@ -14,8 +14,8 @@ from mavcompass.logs.common.chunks import (
 )
 from mavcompass.logs.common.growing import GrowingArray
 from mavcompass.logs.common.motors import motor_outputs
-from mavcompass.logs.common.notes import damage, restarts, unknown_correction
-from mavcompass.logs.common.ordering import finite_series, in_order
+from mavcompass.logs.common.notes import damage, restarts, said_nothing, unknown_correction
+from mavcompass.logs.common.ordering import finite_series, in_order, spoken
 from mavcompass.logs.common.parameter_steps import Change, Seen, ardupilot_steps, changes, px4_steps
 
 __all__ = [
@@ -39,6 +39,8 @@ __all__ = [
     "px4_steps",
     "read_chunks",
     "restarts",
+    "said_nothing",
+    "spoken",
     "unknown_correction",
     "windows",
 ]

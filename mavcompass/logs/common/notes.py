@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sized
+
 from mavcompass.logs.common.boot_clock import BootClock
 
 
@@ -21,6 +23,14 @@ def damage(skipped_bytes: int, stretches: int, read: str, at_the_end: bool = Fal
     places = "1 place" if stretches == 1 else f"{stretches} places"
     where = "its end" if at_the_end and stretches == 1 else places
     return [f"The recording is damaged at {where}: {skipped_bytes} bytes were left out, {read} were read."]
+
+
+def said_nothing(instance: int, silent: int, field: Sized) -> list[str]:
+    """Tell that a compass was read in vain now and then; `field` is what it said otherwise."""
+    if not silent:
+        return []
+    of = f"{silent} of {silent + len(field)} readings"
+    return [f"Compass {instance} said nothing (zero on every axis) in {of}: left out."]
 
 
 def unknown_correction(instance: int) -> str:

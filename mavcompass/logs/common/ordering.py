@@ -29,6 +29,20 @@ def finite_series(time_s: FloatArray, values: FloatArray) -> Series | None:
     return Series.of(time_s, values)
 
 
+def spoken(field: Series | None) -> tuple[Series | None, int]:
+    """Leave out readings of a field that are zero on every axis, as none is: the compass said nothing then.
+
+    Return the others, None where there is none, and how many were left out.
+    """
+    if field is None:
+        return None, 0
+    said = field.values.any(axis=1)
+    silent = int(said.size - np.count_nonzero(said))
+    if not silent:
+        return field, 0
+    return (Series.of(field.time_s[said], field.values[said]) if silent < said.size else None), silent
+
+
 def in_order(time_s: FloatArray, rows: Any, *, own_time: bool = True) -> tuple[FloatArray, Any, int]:
     """Sort times and record rows by time; leave out repeats (same time, same bytes), and count them.
 

@@ -33,7 +33,7 @@ def test_values_end_where_the_parameter_does() -> None:
 @pytest.mark.parametrize("seed", [152412, 151054, 152425])
 def test_interval_of_what_is_named_holds_what_was_put_in(seed: int) -> None:
     """Angles that are hardly there; a switch, whose load is recorded otherwise; a gradient in a flight
-    whose attitude wanders, which was four sigmas off."""
+    whose attitude wanders."""
     case = make_case(seed, "single")
     ((effect, true),) = case.effects
     found = {cause.effect: cause for cause in diagnose_gap(case.track, case.baseline).causes}[effect]

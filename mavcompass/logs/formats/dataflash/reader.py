@@ -15,6 +15,8 @@ from mavcompass.logs.common import (
     changes,
     damage,
     restarts,
+    said_nothing,
+    spoken,
     unknown_correction,
 )
 from mavcompass.logs.formats.dataflash.clock import clock_of, leave_out_impossible_times
@@ -80,7 +82,8 @@ def read_dataflash(path: Path, *, text: bool = False) -> Track:
     notes += restarts(clock)
     history = changes(parameters_seen(logs, clock), clock.start_s.tolist())
     parameters = {change.name: change.value for change in history}
-    compasses = _compasses(logs, clock, history)
+    compasses, silences = _compasses(logs, clock, history)
+    notes += silences
     notes += [unknown_correction(i) for i, compass in compasses.items() if not compass.correction_known]
     if not compasses:
         raise BadRecording(
@@ -119,15 +122,20 @@ _OF_PARAMETERS = {
 }
 
 
-def _compasses(logs: Sequence[Log], clock: BootClock, history: Sequence[Change]) -> dict[int, MagSeries]:
-    """Build all compasses: MAG's instances count from 0, MAG2 of old firmware is the second."""
+def _compasses(
+    logs: Sequence[Log], clock: BootClock, history: Sequence[Change]
+) -> tuple[dict[int, MagSeries], list[str]]:
+    """Build all compasses, and notes on them: MAG's instances count from 0, MAG2 of old firmware is the
+    second."""
     out: dict[int, MagSeries] = {}
+    notes: list[str] = []
     for name, base in (("MAG", 1), ("MAG2", 2), ("MAG3", 3)):
         for number, placed in take(logs, clock, name):
             instance = base + number
-            reported = placed.series("MagX", "MagY", "MagZ")
-            if reported is None or not bool(reported.values.any()) or instance in out:
+            reported, silent = spoken(placed.series("MagX", "MagY", "MagZ"))
+            if reported is None or instance in out:
                 continue
+            notes += said_nothing(instance, silent, reported)
             steps, known = ardupilot_steps(history, instance)
             names = ardupilot_name("DEV_ID", instance)
             ids = [int(change.value) for change in history if change.name == names]
@@ -141,7 +149,7 @@ def _compasses(logs: Sequence[Log], clock: BootClock, history: Sequence[Change])
                 truncated=whole,
                 device_id=ids[-1] if ids else None,
             )
-    return dict(sorted(out.items()))
+    return dict(sorted(out.items())), notes
 
 
 def _vehicle(logs: Sequence[Log], frame_class: float | None) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from mavcompass.compass_parameters import ardupilot_name, px4_name, px4_rotation
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray
-from mavcompass.logs.common import Change, ardupilot_steps, finite_series, px4_steps
+from mavcompass.logs.common import Change, ardupilot_steps, finite_series, px4_steps, said_nothing, spoken
 from mavcompass.logs.formats.tlog.clock import Samples
 from mavcompass.messages import telemetry
 from mavcompass.track import InForce, MagSeries
@@ -77,9 +77,10 @@ def compass_of(
             notes += more
     else:
         known = False
-    series = finite_series(samples.time_s, reported)
-    if series is None or not bool(series.values.any()):
+    series, silent = spoken(finite_series(samples.time_s, reported))
+    if series is None:
         return None, (f"{samples.name} carries no magnetic field: there is no compass {instance}.",)
+    notes += said_nothing(instance, silent, series)
     compass = MagSeries(
         instance=instance,
         reported=series,

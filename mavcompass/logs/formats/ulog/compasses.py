@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 from mavcompass.compass_parameters import px4_name, px4_rotation
 from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
-from mavcompass.logs.common import Change, finite_series, px4_steps, unknown_correction
+from mavcompass.logs.common import (
+    Change,
+    finite_series,
+    px4_steps,
+    said_nothing,
+    spoken,
+    unknown_correction,
+)
 from mavcompass.logs.formats.ulog.in_force import estimated_bias_mgauss, taken_over
 from mavcompass.logs.formats.ulog.topics import has, indexed, time_s, vector
 from mavcompass.track import InForce, MagSeries
@@ -32,8 +39,9 @@ _FIELD = indexed("magnetometer_ga")
 _SLOTS = 4
 _NO_NEW_SAMPLE = 0x7FFFFFFF
 _MICRO = 1.0e-6
-# So many times as many readings make the corrected field the better one to begin with.
-_DENSER = 3.0
+# So many times as many readings make the corrected field the better one to begin with; fewer do where raw
+# ones come more slowly than a vehicle turns.
+_DENSER, _DENSER_THAN_SLOW, _SLOW_S = 3.0, 1.5, 0.5
 
 
 def compasses(
@@ -54,8 +62,9 @@ def compasses(
                 f"{px4_name('ROT', instance)} is no known rotation: compass {instance} was left out."
             )
             continue
-        reported = finite_series(time_s(data), field @ rotation.T)
+        reported, silent = spoken(finite_series(time_s(data), field @ rotation.T))
         if reported is not None:
+            notes += said_nothing(instance, silent, reported)
             steps, known = px4_steps(history, instance)
             found[instance] = MagSeries(
                 instance, reported, (InForce(-np.inf, IDENTITY),), True, device_id=device_id,
@@ -98,7 +107,7 @@ def _add_denser(
     instance = next((i for i, compass in found.items() if compass.device_id == device_id), None)
     if instance is None:
         instance = _instance(device_id, parameters, found)
-    elif np.count_nonzero(rows) < _DENSER * len(found[instance].reported):
+    elif np.count_nonzero(rows) < _denser(found[instance].time_s) * len(found[instance].reported):
         return
     times = time_s(data)[rows]
     taken = history
@@ -111,6 +120,12 @@ def _add_denser(
     if reported is not None:
         steps, known = px4_steps(taken, instance)
         found[instance] = MagSeries(instance, reported, steps, known, device_id=device_id)
+
+
+def _denser(raw_s: FloatArray) -> float:
+    """Return how many times as many corrected readings are better than raw ones at some times (N,)."""
+    slow = raw_s.size > 1 and float(np.median(np.diff(raw_s))) > _SLOW_S
+    return _DENSER_THAN_SLOW if slow else _DENSER
 
 
 def _device_ids(data: Any) -> list[int | None]:
