@@ -63,22 +63,20 @@ def named_causes(
 def _separation(
     identified: Identified, fit: Fit, effect_id: str, weights: Mapping[frozenset[str], float]
 ) -> float | None:
-    """Return how far, in sigmas, the best rival without the effect falls short; None where there is none.
+    """Return how far, in sigmas, the best set without the effect falls short of the best with it; None where
+    there is none.
 
     Of what no guard refused, as it was explored; no farther than the weights of the sets that are told say.
     """
-    refused, explored = dict(identified.dropped).keys() - fit.ids, identified.found.explored
-    # What was explored was fitted to the rows of the search.
-    same_rows = identified.problem is identified.first
-    own = fit if same_rows else explored.get(fit.ids, fit)
-    rivals = [
-        f
-        for ids, f in explored.items()
-        if effect_id not in ids and len(ids) <= len(fit.ids) and not ids & refused
-    ]
-    leads = []
-    if rivals:
-        leads.append(identified.search.on(identified.first).criteria.lead(own, rivals))
+    refused = dict(identified.dropped).keys() - fit.ids
+    criteria = identified.search.on(identified.first).criteria
+    explored = dict(identified.found.explored)
+    if identified.problem is identified.first:
+        # What was explored was fitted to the rows of the search.
+        explored[fit.ids] = fit
+    as_large = [f for ids, f in explored.items() if len(ids) <= len(fit.ids) and not ids & refused]
+    having, rivals = ([f for f in as_large if (effect_id in f.ids) is wanted] for wanted in (True, False))
+    leads = [criteria.lead(min(having, key=criteria.score), rivals)] if having and rivals else []
     held = held_by(effect_id, weights.items())
     other = sum(weights.values()) - held
     if 0.0 < other and 0.0 < held:

@@ -176,7 +176,7 @@ def replay(
     if alone:
         reference = reference.wandering(time_s)
     position = position_of(track, reference)
-    stimulus = _stimulus(track, position, time_s, reference, field)
+    stimulus = _stimulus(track, position, taken_s, rows.width, reference, field)
     load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
     iron = known_iron(correction, load, source)
     turning = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape)) @ iron.matrix.T
@@ -296,12 +296,19 @@ def level_mgauss(replay: Replay) -> float:
 
 
 def _stimulus(
-    track: Track, position: Series | None, time_s: FloatArray, reference: Reference, field: FloatArray
+    track: Track,
+    position: Series | None,
+    taken_s: FloatArray,
+    width: int,
+    reference: Reference,
+    field: FloatArray,
 ) -> Stimulus:
+    picked = middles(taken_s.size, width)
+    time_s = taken_s[picked]
     n = time_s.size
     motors = np.empty((n, 0))
     if track.motors is not None and len(track.motors) > 1:
-        motors = np.nan_to_num(track.motors.at(time_s))
+        motors = averaged(np.nan_to_num(track.motors.at(taken_s)), width)[picked]
         if track.vehicle in _NEUTRAL_IN_THE_MIDDLE:
             motors = 2.0 * motors - 1.0
     return Stimulus(
@@ -312,8 +319,9 @@ def _stimulus(
         specific_force_mps2=reference.rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2,
         position_ned_m=_column(position, time_s),
         velocity_ned_mps=_column(track.gps_velocity_mps, time_s),
-        current_a=_scalar(track.current_a, time_s),
-        throttle=_scalar(track.throttle, time_s),
+        # What a load adds is averaged as the readings are.
+        current_a=averaged(_scalar(track.current_a, taken_s)[:, None], width)[picked, 0],
+        throttle=averaged(_scalar(track.throttle, taken_s)[:, None], width)[picked, 0],
         temperature_degc=_scalar(track.temperature_degc, time_s),
         motors=motors,
     )

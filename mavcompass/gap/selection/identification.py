@@ -122,7 +122,7 @@ def _searched(
     passes: int,
     likely: tuple[Sequence[Term], Sequence[FloatArray]] | None = None,
 ) -> tuple[Identified, Floor]:
-    """Search and guard, under a noise that is learnt in passes; what was `likely` with other rows is tried."""
+    """Search and guard, under a noise learnt in passes; what was `likely` with other rows is tried first."""
     # An independent attitude has no errors that last for seconds.
     exact = floor.representative or replay.reference.kind == "columns"
     whole = Problem(replay, floor.noise, split.train | split.test, floor.prior)

@@ -11,6 +11,8 @@ from mavcompass.simulation.effects.sampling import at_times, central_differences
 LONGEST_LAG_S = 0.5
 # A direction of the field is told where it holds more than this share of its square.
 _UNTOLD = 1e-4
+# Any matrix will do, so that some of the readings are enough for it.
+_ENOUGH = 100
 # Times, readings, the world's field in the body's axes and its slopes, as far as they are remembered.
 _Past = tuple[FloatArray, ...]
 
@@ -42,11 +44,14 @@ def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = N
 
 
 def _follows(world: FloatArray, field: FloatArray) -> FloatArray:
-    """Return the matrix (3, 3) by which readings (N, 3) follow the world's field, row by row; that of an
+    """Return the matrix (3, 3) by which readings (N, 3) follow the world's field beside an offset; that of an
     upright compass where the field does not tell another."""
-    square = world.T @ world
-    least = _UNTOLD * float(np.trace(square)) + 1e-9
-    return np.asarray(np.eye(3) + np.linalg.solve(square + least * np.eye(3), world.T @ (field - world)))
+    some = slice(None, None, max(len(world) // _ENOUGH, 1))
+    world, field = world[some], field[some]
+    varies, rest = world - world.mean(axis=0), field - world
+    square = varies.T @ varies
+    least = _UNTOLD * float(np.sum(world**2)) + 1e-9
+    return np.asarray(np.eye(3) + np.linalg.solve(square + least * np.eye(3), varies.T @ rest))
 
 
 def _lag(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
