@@ -165,7 +165,8 @@ def replay(
     swings = np.zeros_like(raw)
     if rows.width > 1:
         upright = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape))
-        swings, late_s = swing(rows.time_s, raw, upright, known, rows.width)
+        slopes = np.cross(upright, whole.rate_radps)
+        swings, late_s = swing(rows.time_s, raw, upright, slopes, known, rows.width)
         # Between means far apart nobody knows how it turned: they are put to the time when they were taken,
         # if readings come often enough to know it.
         often = float(np.median(np.diff(rows.time_s))) <= SLOWEST_GYRO_S

@@ -16,7 +16,7 @@ from mavcompass.gap.replay.clock import reading_times
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.gap.replay.nuisance import AGE_SIGMA_S, USUAL_AGE_S
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
-from mavcompass.simulation.effects.sampling import at_times, central_differences
+from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.track import MagSeries, Series, Track, uncut
 
 FEWEST_ROWS, FEWEST_NEW = 60, 30
@@ -31,6 +31,10 @@ _BROUGHT_NEW = 0.9
 _EVEN_RHYTHM = 0.4
 # How late readings may be when their means are made, in seconds.
 _LATE_S = np.arange(0.0, LONGEST_LAG_S, 0.02)
+# A swing of less tells nothing.
+_LEAST_SWING_MGAUSS = 0.01
+# So many steps without a reading are a silence.
+_SILENCE = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,31 +188,37 @@ def middles(count: int, width: int) -> slice:
 def swing(
     time_s: FloatArray,
     raw_mgauss: FloatArray,
-    ideal_mgauss: FloatArray,
+    upright_mgauss: FloatArray,
+    slopes_mgauss_per_s: FloatArray,
     usable: NDArray[np.bool_],
     width: int,
 ) -> tuple[FloatArray, float]:
     """Return how far readings (N, 3) stand off the mean of their neighbours because the field turns, in mG,
     and how late they are, in seconds.
 
-    Readings follow the `ideal_mgauss` field (N, 3) that an upright compass would see by some matrix: that of
-    the calibration, of another iron, of a compass that was turned. The `usable` ones tell which, and how
+    Readings follow the field that an upright compass would see, (N, 3) with its slopes, by some matrix: that
+    of the calibration, of another iron, of a compass that was turned. The `usable` ones tell which, and how
     late, by how they swing themselves. With it, a mean of readings is a reading of its middle.
     """
     swings = raw_mgauss - averaged(raw_mgauss, width)
-    slopes = central_differences(time_s, ideal_mgauss)
-    usable = usable & np.isfinite(swings).all(axis=1) & np.isfinite(ideal_mgauss).all(axis=1)
-    found, least, late_s = np.zeros_like(raw_mgauss), math.inf, 0.0
+    usable = usable & np.isfinite(swings).all(axis=1) & np.isfinite(upright_mgauss).all(axis=1)
+    # What was before the first reading, and in a silence, is not known.
+    steps = np.diff(time_s, prepend=-np.inf)
+    silent = steps > max(LONGEST_LAG_S, _SILENCE * float(np.median(steps)))
+    begins = time_s[np.maximum.accumulate(np.where(silent, np.arange(time_s.size), 0))]
+    usable &= time_s - begins >= LONGEST_LAG_S
+    least = max(usable.sum(), 1) * _LEAST_SWING_MGAUSS**2 * np.eye(3)
+    found, likeliest, late_s = np.zeros_like(raw_mgauss), math.inf, 0.0
     for tried_s in _LATE_S.tolist():
-        late = at_times(time_s, ideal_mgauss, time_s - tried_s, slopes)
+        late = at_times(time_s, upright_mgauss, time_s - tried_s, slopes_mgauss_per_s)
         turns = late - averaged(late, width)
-        follows = np.linalg.lstsq(turns[usable], swings[usable], rcond=None)[0]
-        left = float(np.sum((swings[usable] - turns[usable] @ follows) ** 2))
-        unlikely = (
-            3.0 * usable.sum() * math.log(max(left, 1e-12)) + ((tried_s - USUAL_AGE_S) / AGE_SIGMA_S) ** 2
-        )
-        if unlikely < least:
-            found, least, late_s = np.asarray(turns @ follows), unlikely, tried_s
+        some = turns[usable]
+        follows = np.linalg.solve(some.T @ some + least, some.T @ swings[usable])
+        left = float(np.sum((swings[usable] - some @ follows) ** 2))
+        unlikely = 3.0 * usable.sum() * math.log(max(left, 1e-12))
+        unlikely += ((tried_s - USUAL_AGE_S) / AGE_SIGMA_S) ** 2
+        if unlikely < likeliest:
+            found, likeliest, late_s = np.asarray(turns @ follows), unlikely, tried_s
     return found, late_s
 
 

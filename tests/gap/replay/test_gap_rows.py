@@ -1,0 +1,124 @@
+"""Readings that are averaged to rows: how many are enough, and when a mean is a reading of its middle."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mavcompass.errors import BadRecording
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
+from mavcompass.gap.attitude.reference import Reference, body_rate
+from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing
+from mavcompass.gap.trial.vehicles import make_case
+from mavcompass.track import MagSeries, Series, Track
+
+T = np.arange(0.0, 60.0, 0.1)
+FIELD = np.array([220.0, 30.0, 430.0])
+TURNED = np.array([[0.0, 1.1, 0.05], [-0.9, 0.0, 0.0], [0.02, 0.1, 1.0]])
+OFFSET = np.array([300.0, -150.0, 80.0])
+
+
+def attitude(t: FloatArray) -> FloatArray:
+    """Turn, stop, turn back, and swing meanwhile."""
+    yaw = 0.9 * np.tanh(2.0 * np.sin(0.35 * t)) + 0.4 * np.sin(1.1 * t)
+    return euler_to_matrix(0.15 * np.sin(1.7 * t), 0.1 * np.sin(1.3 * t), yaw)
+
+
+def seen(t: FloatArray) -> FloatArray:
+    return rotate_back(attitude(t), np.tile(FIELD, (t.size, 1)))
+
+
+def slopes(t: FloatArray) -> FloatArray:
+    return np.cross(seen(t), body_rate(t, attitude(t)))
+
+
+def recorded(count: int, step_s: float, reference: bool = False) -> Track:
+    t = step_s * np.arange(count)
+    attitudes = Series.of(t, np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))) if reference else None
+    return Track(compasses={1: MagSeries(1, Series.of(t, seen(t)))}, reference_q=attitudes)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.06, 0.14])
+@pytest.mark.parametrize("width", [3, 5])
+@pytest.mark.parametrize(("matrix", "offset"), [(np.eye(3), 0.0 * OFFSET), (TURNED, OFFSET)])
+def test_a_mean_with_its_swing_is_a_reading_of_its_middle(
+    late_s: float, width: int, matrix: FloatArray, offset: FloatArray
+) -> None:
+    """However the compass is mounted, and however late it is."""
+    raw = seen(T - late_s) @ matrix.T + offset
+    swings, told_s = swing(T, raw, seen(T), slopes(T), np.ones(T.size, dtype=np.bool_), width)
+    picked = middles(T.size, width)
+    mean = averaged(raw, width)
+    inner = slice(10, -10)
+    off = np.abs(mean + swings - raw)[picked][inner]
+    assert float(np.sqrt(np.mean(off**2))) < 0.06 * float(np.sqrt(np.mean((mean - raw)[picked][inner] ** 2)))
+    assert told_s == pytest.approx(late_s, abs=0.011)
+
+
+def test_how_late_is_what_is_usual_where_nothing_swings() -> None:
+    still = np.tile([200.0, 10.0, 400.0], (T.size, 1))
+    raw = still + np.random.default_rng(3).standard_normal(still.shape)
+    swings, late_s = swing(T, raw, still, 0.0 * still, np.ones(T.size, dtype=np.bool_), 3)
+    assert np.abs(swings).max() < 1e-6 and late_s == pytest.approx(0.06)
+
+
+def test_a_reference_is_known_as_it_was_before_but_not_through_a_silence() -> None:
+    t = np.concatenate([T[:300], T[300:] + 5.0])
+    rotation = attitude(t)
+    reference = Reference("fused", rotation, body_rate(t, rotation), np.ones(t.size, dtype=np.bool_))
+    earlier = reference.earlier(t, 0.08)
+    off = np.abs(earlier.rotation - attitude(t - 0.08)).max(axis=(1, 2))
+    # The two rates beside the silence, and at the ends, are not known either.
+    beside = np.r_[0:3, 297:303, t.size - 3 : t.size]
+    assert np.delete(off, beside).max() < 2e-3
+    assert off[300] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("counts", "step_s", "period_s"),
+    [
+        ([700], 0.1, 0.0),  # few enough
+        ([1000], 0.1, 0.125),  # half of them are enough
+        ([1000, 800], 0.1, 0.125),
+        ([1000, 700], 0.1, 0.0),  # of which the shorter one would keep too few
+        ([1900, 600], 0.1, 0.119),  # but no more than so many in any case
+        ([4800], 0.1, 0.3),  # and nothing slower than loads change, while there is room
+        ([9600], 0.1, 0.6),
+    ],
+)
+def test_rows_are_as_few_as_each_recording_can_spare(
+    counts: list[int], step_s: float, period_s: float
+) -> None:
+    tracks = [recorded(count, step_s) for count in counts]
+    assert shared_period_s(tracks, 1) == pytest.approx(period_s, rel=0.01, abs=1e-9)
+
+
+def test_a_laboratorys_readings_are_kept() -> None:
+    assert shared_period_s([recorded(2900, 0.02, reference=True)], 1) == 0.0
+
+
+def test_rows_of_a_flight_are_earlier_than_their_readings_by_how_late_these_are() -> None:
+    """What moves or is switched does so when the field is measured, not when its reading comes."""
+    case = make_case(23, "none")
+    assert case.baseline is not None
+    replayed = replay(case.track, period_s=0.3)
+    assert replayed.averaged > 1 and replayed.late_s > 0.0
+    rows = compass_rows(case.track, case.track.compasses[1], 0.3)
+    came = rows.time_s[middles(rows.time_s.size, rows.width)]
+    np.testing.assert_allclose(came - replayed.time_s, replayed.late_s, atol=1e-9)
+    assert replay(case.track, period_s=0.0).late_s == 0.0
+
+
+def test_too_few_readings_name_the_compass_that_has_more() -> None:
+    few, many = (Series.of(t, seen(t)) for t in (T[:40], T))
+    track = Track(compasses={1: MagSeries(1, few), 2: MagSeries(2, many)})
+    with pytest.raises(BadRecording, match="40 readings of compass 1") as caught:
+        compass_rows(track, track.compasses[1])
+    assert "Compass 2 has 600: choose it with --compass 2" in caught.value.remedy
+    alone: Any = Track(compasses={1: MagSeries(1, few)})
+    with pytest.raises(BadRecording) as caught:
+        compass_rows(alone, alone.compasses[1])
+    assert "half a minute" in caught.value.remedy
