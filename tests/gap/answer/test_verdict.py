@@ -402,6 +402,7 @@ def beside(
     decided_left: float = 1.0,
     rest_at_floor: bool = False,
     sweeps: bool = False,
+    bursts: bool = False,
 ) -> Answer:
     """Ask what becomes of an answer: `left` of rows that were fitted, and of others, mean squares.
 
@@ -422,7 +423,8 @@ def beside(
     made = [SimpleNamespace(name=name, excess=excess, coordinate=f"at {name}") for name, excess in tests]
     adequacy: Any = SimpleNamespace(tests=made, where="somewhere", sweeps=sweeps)
     field: Any = SimpleNamespace(nominal=nominal, floor=1.0)
-    return owning_up(answer(told, *names), answer("named", *decided), found, field, adequacy, rest_at_floor)
+    own, first = answer(told, *names), answer("named", *decided)
+    return owning_up(own, first, found, field, adequacy, rest_at_floor, bursts)
 
 
 @pytest.mark.parametrize(
@@ -527,3 +529,9 @@ def test_beside_a_remainder_a_name_that_may_be_another_one_is_none(
     assert with_likely_names(given, weights, floor(representative=True), NONE, traces) is given
     other = answer("ambiguous", "hard_iron")
     assert with_likely_names(other, weights, floor(), NONE, traces) is other
+
+
+def test_bursts_of_single_readings_are_no_silence() -> None:
+    said = beside(bursts=True)
+    assert (said.verdict, said.flagged, said.coordinate) == ("unknown", True, "time")
+    assert beside().verdict == "no_gap"

@@ -11,6 +11,7 @@ import pytest
 
 from mavcompass.gap.replay import Readings
 from mavcompass.gap.traces.rapid import find_rapid
+from mavcompass.gap.traces.scattered import burst_mgauss
 from mavcompass.gap.traces.steps_and_repeats import stale_doubt, told_step
 
 B, NOISE = np.array([6.0, -9.0, 4.0]), 2.0
@@ -75,3 +76,34 @@ def test_share_of_repeats_scatters_as_chance_has_it() -> None:
         replay: Any = SimpleNamespace(trace=SimpleNamespace(fresh_s=np.zeros(round(600 * (1.0 - share)))))
         assert float(stale.mean(axis=1).std()) == pytest.approx(stale_doubt(replay, share), rel=0.15)
     assert stale_doubt(replay, 0.0) == 0.0
+
+
+def scattered(seed: int, bursts_mgauss: float, turns: bool = False, late_s: float = 0.0) -> Readings:
+    """Return readings with noise, that scatter far more for a second of every ten."""
+    rng = np.random.default_rng(seed)
+    nominal = np.tile([200.0, 0.0, 400.0], (T.size, 1))
+    if turns:
+        # A quarter turn in half a second, every eight.
+        yaw = 0.5 * np.pi * np.clip(T % 8.0 / 0.5, 0.0, 1.0) + 0.5 * np.pi * (T // 8.0)
+        earlier = np.interp(T - late_s, T, yaw)
+        nominal = 200.0 * np.stack([np.cos(yaw), -np.sin(yaw), 2.0 + 0.0 * yaw], axis=1)
+        seen = 200.0 * np.stack([np.cos(earlier), -np.sin(earlier), 2.0 + 0.0 * yaw], axis=1)
+    else:
+        seen = nominal
+    loud = bursts_mgauss * (T % 10.0 < 1.0)[:, None] * rng.standard_normal(nominal.shape)
+    raw = seen + NOISE * rng.standard_normal(nominal.shape) + loud
+    return Readings.of(T, raw, nominal, np.ones(T.size, dtype=np.bool_))
+
+
+def test_bursts_of_single_readings_are_told_by_how_they_stand_off_their_neighbours() -> None:
+    healthy = scattered(1, 0.0)
+    assert burst_mgauss(scattered(2, 0.0), healthy) == 0.0
+    # A tenth of the readings scatters by 40 mG.
+    assert burst_mgauss(scattered(3, 40.0), healthy) == pytest.approx(40.0 * math.sqrt(0.1), rel=0.25)
+    assert burst_mgauss(scattered(3, 40.0), scattered(4, 40.0)) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_late_readings_of_a_vehicle_that_turns_now_and_then_are_no_bursts(seed: int) -> None:
+    healthy = scattered(1, 0.0)
+    assert burst_mgauss(scattered(seed, 0.0, turns=True, late_s=0.1), healthy) == 0.0

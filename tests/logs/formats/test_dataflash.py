@@ -263,3 +263,13 @@ def test_a_compass_of_zeros_is_no_compass(tmp_path: Path) -> None:
     log = Log(MAG).add("MAG", 1, 0, 0, 0, 0, 0, 0, 0)
     with pytest.raises(BadRecording, match="only zeros"):
         read_track(log.write(tmp_path / "a.bin"))
+
+
+def test_readings_of_zeros_among_others_are_left_out_and_said(tmp_path: Path) -> None:
+    """A firmware whose motor compensation was no number logged zeros while the motors ran."""
+    log = Log(MAG).mags(20)
+    for n in range(5):
+        log.add("MAG", 3_000_000 + n * 100_000, 0, 0, 0, 0, 5, 13, -18)
+    track = read_track(log.write(tmp_path / "a.bin"))
+    assert len(track.compasses[1].reported) == 20
+    assert any("said nothing (zero on every axis) in 5 of 25 readings" in note for note in track.notes)

@@ -105,7 +105,7 @@ def test_a_rotation_that_nobody_knows_falls_back_to_the_corrected_field(tmp_path
     assert not track.compasses[2].correction_known
 
 
-def flight(path: Path, raw_every: int = 14, learnt_gauss: float = 0.0) -> Path:
+def flight(path: Path, raw_every: int = 14, learnt_gauss: float = 0.0, step_us: int = 71_429) -> Path:
     """Log a compass whose calibration is written at 7 s and loaded at 8 s; what was written at 1 s never is.
 
     One of its values was written at 1 s already.
@@ -134,7 +134,7 @@ def flight(path: Path, raw_every: int = 14, learnt_gauss: float = 0.0) -> Path:
     if learnt_gauss:
         log.add("magnetometer_bias_estimate", 900_000, *[learnt_gauss] * 4, *[0.0] * 8, *[1] * 4)
     for n in range(126):
-        now = 1_000_000 + n * 71_429
+        now = 1_000_000 + n * step_us
         if n == 1:
             log.parameter("CAL_MAG0_ZOFF", 0.7).parameter("CAL_MAG0_XOFF", 0.3)
         if n == 84:
@@ -164,6 +164,12 @@ def test_where_raw_readings_are_sparse_the_corrected_ones_are_undone(
 def test_raw_readings_that_are_dense_enough_are_taken_as_they_are(tmp_path: Path) -> None:
     track = read_track(flight(tmp_path / "a.ulg", raw_every=2))
     assert len(track.compasses[1].reported) == 63 and len(track.compasses[1].in_force) == 1
+
+
+def test_raw_readings_that_come_more_slowly_than_a_vehicle_turns_are_not(tmp_path: Path) -> None:
+    """Half as many as corrected ones, one a second: what PX4 1.13 logs by default."""
+    track = read_track(flight(tmp_path / "a.ulg", raw_every=2, step_us=500_000))
+    assert len(track.compasses[1].reported) == 126
 
 
 def test_the_recorded_hover_gives_what_was_found_live(shared_data: Path) -> None:

@@ -57,6 +57,26 @@ def test_late_readings_follow_the_bodys_rate_and_not_their_neighbours() -> None:
     assert off < 1.5 and usual > 5.0 * off
 
 
+@pytest.mark.parametrize("offset_mgauss", [0.0, 300.0])
+def test_late_readings_of_a_turned_compass_turn_as_the_field_does(offset_mgauss: float) -> None:
+    """A quarter turn of the mounting, gains of 0.8 and 1.1, and iron that never turns."""
+    matrix = np.array([[0.0, 1.1, 0.0], [-0.8, 0.0, 0.0], [0.0, 0.05, 1.0]])
+    time, late_s = np.arange(0.0, 30.0, 0.27), 0.04
+
+    def seen(when_s: np.ndarray) -> np.ndarray:
+        return swinging(when_s).reading.mag_mgauss @ matrix.T + offset_mgauss
+
+    upright = swinging(time)
+    off, usual = (
+        np.sqrt(np.mean((found - seen(time - late_s))[2:-2] ** 2))
+        for found in (
+            late_field(upright.with_mag(seen(time)), time - late_s),
+            at_times(time, seen(time), time - late_s),
+        )
+    )
+    assert off < 1.5 and usual > 5.0 * off
+
+
 def test_late_readings_are_the_same_however_time_is_cut() -> None:
     time = np.arange(0.0, 20.0, 0.05)
     lag = catalogue()["transport_lag"]
