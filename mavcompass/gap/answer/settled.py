@@ -23,6 +23,10 @@ from mavcompass.gap.result import Closing
 from mavcompass.gap.selection import ABOVE, SILENT, at_floor, evident, lost_in_the_floor
 
 
+# Where a heading is told no better, a recording tells nothing.
+_COARSEST_DEG = 15.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
     """Hold an answer, and how far it closes the gap of field and heading on held-out readings."""
@@ -50,6 +54,7 @@ def settled(evidence: Evidence, decided: Answer, sets: Sequence[tuple[frozenset[
     said = settling.without_unlikely_names(said, sets)
     said = settling.sure_by_its_shrink(said)
     said = settling.beside_its_attitude(said)
+    said = settling.as_far_as_it_shows(said)
     return Settled(said.answer, *map(_never_worse, said.closings))
 
 
@@ -165,6 +170,13 @@ class _Settling:
             return said
         left = replace(answer, verdict="named_with_remainder", flagged=True, coordinate="time")
         return replace(said, answer=left)
+
+    def as_far_as_it_shows(self, said: Settled) -> Settled:
+        """Say that nothing could show where the attitude is known so badly that hardly any heading does."""
+        coarse = not self._floor.measured and said.heading.floor > _COARSEST_DEG
+        if not coarse or said.answer.verdict != "no_gap":
+            return said
+        return replace(said, answer=replace(said.answer, verdict="not_testable"))
 
     def _unknown(self, coordinate: str | None) -> Settled:
         """Return that nothing explains the gap, single readings included."""

@@ -81,3 +81,22 @@ def test_the_yaw_wanders_as_its_curves_say() -> None:
     assert wander_deg(witnessed=True, measured=False) == 0.0
     assert wander_deg(witnessed=False, measured=True) == 0.0, "a baseline tells"
     assert wander_deg(witnessed=False, measured=False, wander=1.0) == 0.0, "no more than the floor"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "floor_deg", "measured", "told"),
+    [
+        ("no_gap", 15.1, False, "not_testable"),
+        ("no_gap", 14.9, False, "no_gap"),
+        ("no_gap", 25.0, True, "no_gap"),
+        ("unknown", 25.0, False, "unknown"),
+    ],
+)
+def test_silence_tells_nothing_where_hardly_any_heading_shows(
+    verdict: Verdict, floor_deg: float, measured: bool, told: Verdict
+) -> None:
+    settling: Any = object.__new__(_Settling)
+    settling._floor = SimpleNamespace(measured=measured)
+    heading = Closing(1.0, 1.0, floor_deg, 0.0, (0.0, 0.0))
+    one = Settled(Answer(verdict, fit(0.0, named=False), False, None), heading, heading)
+    assert settling.as_far_as_it_shows(one).answer.verdict == told
