@@ -22,7 +22,6 @@ from mavcompass.gap.replay import REFERENCE_YAW
 from mavcompass.gap.result import Closing
 from mavcompass.gap.selection import ABOVE, SILENT, at_floor, evident, lost_in_the_floor
 
-
 # Where a heading is told no better, a recording tells nothing.
 _COARSEST_DEG = 15.0
 
