@@ -16,11 +16,12 @@ from mavcompass.gap.answer.naming import named_causes, trace_causes
 from mavcompass.gap.answer.picture import picture
 from mavcompass.gap.answer.settled import settled, shows, yaw_wander_deg
 from mavcompass.gap.answer.shrink import waterfall
-from mavcompass.gap.answer.verdict import LINE, Answer, keeps_step, line_hz
+from mavcompass.gap.answer.verdict import LINE, Answer, line_hz
 from mavcompass.gap.fit import Fit
 from mavcompass.gap.replay import level_mgauss
 from mavcompass.gap.result import Bar, Diagnosis
 from mavcompass.gap.selection import Identified
+from mavcompass.gap.traces import follows_way, keeps_step
 
 _MOST_SHAPLEY = 4
 _IN_STEP = (
@@ -100,12 +101,16 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
 
 def _in_step(evidence: Evidence, named: Fit) -> bool:
     """Tell whether a named line is one of something that may turn as the vehicle drives."""
-    lines_hz = [r.parameters["frequency_hz"] for r in evidence.traces.rapid if r.effect == LINE]
+    if evidence.track.vehicle == "copter":
+        # What flies has nothing that turns with its way.
+        return False
+    replayed, taken = evidence.replay, [r for r in evidence.traces.rapid if r.effect == LINE]
+    lines_hz = [r.parameters["frequency_hz"] for r in taken]
     if LINE in named.ids:
         lines_hz.append(line_hz(named))
-    # What flies has nothing that turns with its way.
-    drives = evidence.track.vehicle != "copter"
-    return drives and any(keeps_step(evidence.replay, hertz) for hertz in lines_hz)
+    return any(keeps_step(replayed, hertz) for hertz in lines_hz) or any(
+        follows_way(replayed, r.change_mgauss, hertz) for r, hertz in zip(taken, lines_hz, strict=False)
+    )
 
 
 def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:

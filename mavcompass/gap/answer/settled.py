@@ -136,7 +136,7 @@ class _Settling:
         decided = self.decided.answer
         answer = owning_up(
             said.answer, decided, identified, said.field, adequacy, self._is_quiet(),
-            evidence.traces.burst_mgauss > 0.0,
+            evidence.traces.unexplained,
         )  # fmt: skip
         # Where what was decided stands again, so do its figures.
         return self.decided if answer is decided else replace(said, answer=answer)

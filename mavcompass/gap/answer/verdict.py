@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mavcompass.gap.answer.naming import held_by
-from mavcompass.gap.attitude import integral
 from mavcompass.gap.fit import Fit, Problem, least_gain
 from mavcompass.gap.left import Adequacy, Floor, drift_gain, rms
 from mavcompass.gap.replay import Replay
@@ -42,10 +40,6 @@ _TURNS = frozenset({"misalignment", "orientation", "declination"})
 # How many moments of change these have where they are there to stay.
 _STAYING = {"spatial_dipole": 0, "hard_iron_step": 1}
 _NEARLY_ALTERNATING = 0.85
-# A line keeps step with a way that is within so much of a turn of an even one, as far as that is known: a
-# receiver's velocity errs by so much for a second, and its sum, less a straight line, by root of time / 15.
-_IN_STEP, _DRIVING_MPS, _UNKNOWN_SHARE = 0.25, 0.3, 0.1
-_RECEIVER_MPS, _RECEIVER_S = 0.1, 1.0
 # More than healthy vehicles leave of a model that is never exact: squared sigmas by which what is known is
 # bent beside names, and how seldom chance bends it so far without any; structure that is left beside names
 # over what is left in all, along the motion and along anything; and the mean square of whitened readings, of
@@ -173,7 +167,7 @@ def owning_up(
     field: Closing,
     adequacy: Adequacy,
     rest_at_floor: bool,
-    bursts: bool = False,
+    unexplained: str = "",
 ) -> Answer:
     """Return an answer that is neither silent nor sure beside what healthy vehicles do not leave.
 
@@ -182,7 +176,8 @@ def owning_up(
     field without them comes to the floor, or the rest does, fitted alone (`rest_at_floor`). Where silence
     would leave what is loud, and the names that were `decided` do not, they stand: a magnet that is passed
     once hardly lifts the field's mean. Where it bends the known farther than chance does, they are one
-    explanation, but not the only one. Single readings that come in `bursts` no silence leaves.
+    explanation, but not the only one. What single readings show and no name is for is no silence
+    either: `unexplained` is its coordinate.
     """
     problem = identified.problem
     if answer.verdict == "named" and answer.named.terms:
@@ -201,9 +196,8 @@ def owning_up(
             if not decided.named.terms or max(whitened_left(identified, decided.named)) >= _LOUD_BESIDE:
                 return Answer("unknown", answer.named, True, adequacy.where)
             return decided if loud else replace(decided, verdict="ambiguous")
-        if adequacy.sweeps or bursts:
-            return Answer("unknown", answer.named, True, "frequency" if adequacy.sweeps else "time")
-        return answer
+        shows = "frequency" if adequacy.sweeps else unexplained
+        return Answer("unknown", answer.named, True, shows) if shows else answer
     if min(left, default=0.0) > _LOUD_BESIDE:
         return Answer("named_with_remainder", answer.named, True, adequacy.where)
     for test in sorted(adequacy.tests, key=lambda t: -t.excess):
@@ -250,23 +244,6 @@ def line_hz(named: Fit) -> float:
     """Return the frequency of a named line."""
     effect = next(term.effect for term in named.terms if term.effect.id == LINE)
     return float(named.theta(LINE)[effect.names.index("frequency_hz")])
-
-
-def keeps_step(replay: Replay, frequency_hz: float) -> bool:
-    """Tell whether a line goes with the way of a vehicle as well as with the time: it drives evenly."""
-    stimulus = replay.signals.stimulus
-    time, velocity = stimulus.time_s, stimulus.velocity_ned_mps
-    if not np.isfinite(velocity).any():
-        velocity = np.gradient(stimulus.position_ned_m, time, axis=0)
-    speed = np.linalg.norm(velocity[:, :2], axis=1)
-    known = np.isfinite(speed)
-    if known.mean() < 1.0 - _UNKNOWN_SHARE or float(speed[known].mean()) < _DRIVING_MPS:
-        return False
-    speed = np.interp(time, time[known], speed[known])
-    way = integral(time, speed[:, None])[:, 0]
-    off = way - np.polyval(np.polyfit(time, way, 1), time)
-    known_m = _RECEIVER_MPS * math.sqrt(_RECEIVER_S * float(np.ptp(time)) / 15.0)
-    return rms(off) < math.hypot(_IN_STEP * float(speed.mean()) / frequency_hz, known_m)
 
 
 def _above(value: float, floor: float) -> bool:

@@ -33,8 +33,8 @@ class Traces:
         stale_doubt, step_doubt_mgauss: their standard deviations.
         rapid: effects that change with every reading, and were taken out.
         excess_mgauss2: the variance of white scatter beyond the baseline's, of single readings.
-        burst_mgauss: what readings that stand far off both neighbours add to the rms of all, where they are
-            far more than the baseline's, and lift it above the floor.
+        unexplained: the coordinate of what single readings show beyond the baseline's and the floor, and what
+            no name is for: "time" of bursts, "frequency" of a line that may not be named, or none.
     """
 
     stale_share: float = 0.0
@@ -43,7 +43,7 @@ class Traces:
     excess_mgauss2: float = 0.0
     stale_doubt: float = 0.0
     step_doubt_mgauss: float = 0.0
-    burst_mgauss: float = 0.0
+    unexplained: str = ""
 
     @property
     def named(self) -> bool:
@@ -79,14 +79,16 @@ def find_traces(
     # Where nobody says when a reading was taken, what a line leaves may be the times.
     if replay.telemetry and excess < _OF_RAPID * sum(one.variance_mgauss2 for one in rapid):
         excess = 0.0
-    rapid = tuple(one for one in rapid if one.effect in names)
+    named = tuple(one for one in rapid if one.effect in names)
+    unexplained = "frequency" if len(named) < len(rapid) else ""
+    rapid = named
     for one in rapid:
         replay = replay.without(one.change_mgauss)
     stale = stale if "stale_samples" in names else 0.0
     step = step if "quantisation" in names else 0.0
-    bursts = 0.0 if before is None else burst_mgauss(readings, before)
-    bursts = bursts if bursts > _MATERIAL * floor_mgauss else 0.0
-    return Traces(stale, step, rapid, excess, stale_doubt(replay, stale), step_doubt, bursts), replay
+    if before is not None and burst_mgauss(readings, before) > _MATERIAL * floor_mgauss:
+        unexplained = "time"
+    return Traces(stale, step, rapid, excess, stale_doubt(replay, stale), step_doubt, unexplained), replay
 
 
 def searched(replay: Replay, effects: Iterable[Effect]) -> list[Effect]:

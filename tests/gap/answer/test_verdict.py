@@ -15,7 +15,6 @@ from mavcompass.gap.answer.verdict import (
     Answer,
     consistent,
     decide,
-    keeps_step,
     owning_up,
     with_likely_names,
 )
@@ -362,34 +361,6 @@ def test_a_line_at_half_the_sampling_rate_may_be_a_sensor_that_alternates(hz: fl
 # --- beside what healthy vehicles do not leave -----------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("speed_mps", "hertz", "by_position", "in_step"),
-    [
-        (2.0 + 0.0 * TIME, 1.3, False, True),
-        (2.0 + 0.0 * TIME, 1.3, True, True),
-        (2.0 + 0.2 * np.sin(0.1 * TIME), 1.3, False, False),  # by 2 m: more than a turn
-        (2.0 + 0.02 * np.sin(0.1 * TIME), 1.3, False, True),
-        (2.0 + 0.02 * np.sin(0.1 * TIME), 13.0, False, True),  # by a turn, which no receiver tells
-        (2.0 + 0.08 * np.sin(0.1 * TIME), 13.0, False, False),
-        (0.1 + 0.0 * TIME, 1.3, False, False),  # it stands
-        (np.where(TIME < 30.0, 2.0, 0.0), 1.3, False, False),
-        (np.where(TIME < 30.0, 2.0, np.nan), 1.3, False, False),
-    ],
-)
-def test_a_line_may_be_of_something_that_turns_as_the_vehicle_drives_evenly(
-    speed_mps: Any, hertz: float, by_position: bool, in_step: bool
-) -> None:
-    velocity = np.stack([0.6 * speed_mps, -0.8 * speed_mps, 0.0 * speed_mps], axis=1)
-    position = np.cumsum(velocity, axis=0) * 0.1
-    stimulus = SimpleNamespace(
-        time_s=TIME,
-        velocity_ned_mps=np.full_like(velocity, np.nan) if by_position else velocity,
-        position_ned_m=position,
-    )
-    driven: Any = SimpleNamespace(signals=SimpleNamespace(stimulus=stimulus))
-    assert keeps_step(driven, hertz) == in_step
-
-
 def beside(
     told: Verdict = "no_gap",
     names: tuple[str, ...] = (),
@@ -402,7 +373,7 @@ def beside(
     decided_left: float = 1.0,
     rest_at_floor: bool = False,
     sweeps: bool = False,
-    bursts: bool = False,
+    unexplained: str = "",
 ) -> Answer:
     """Ask what becomes of an answer: `left` of rows that were fitted, and of others, mean squares.
 
@@ -424,7 +395,7 @@ def beside(
     adequacy: Any = SimpleNamespace(tests=made, where="somewhere", sweeps=sweeps)
     field: Any = SimpleNamespace(nominal=nominal, floor=1.0)
     own, first = answer(told, *names), answer("named", *decided)
-    return owning_up(own, first, found, field, adequacy, rest_at_floor, bursts)
+    return owning_up(own, first, found, field, adequacy, rest_at_floor, unexplained)
 
 
 @pytest.mark.parametrize(
@@ -531,7 +502,8 @@ def test_beside_a_remainder_a_name_that_may_be_another_one_is_none(
     assert with_likely_names(other, weights, floor(), NONE, traces) is other
 
 
-def test_bursts_of_single_readings_are_no_silence() -> None:
-    said = beside(bursts=True)
-    assert (said.verdict, said.flagged, said.coordinate) == ("unknown", True, "time")
+@pytest.mark.parametrize("coordinate", ["time", "frequency"])
+def test_what_single_readings_show_and_no_name_is_for_is_no_silence(coordinate: str) -> None:
+    said = beside(unexplained=coordinate)
+    assert (said.verdict, said.flagged, said.coordinate) == ("unknown", True, coordinate)
     assert beside().verdict == "no_gap"
