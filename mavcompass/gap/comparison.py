@@ -180,7 +180,8 @@ def _by_what_it_has(
     among = forth.effects | _SCATTER
     has = diagnose_gap(track, simulator, instance=forth.compass, progress=progress, among=among)
     period_s = shared_period_s([vehicle, simulator], forth.compass)
-    replayed, drawn = replay(vehicle, forth.compass, period_s=period_s), forth.picture
+    late_s = replay(simulator, forth.compass, period_s=period_s).late_s
+    replayed, drawn = replay(vehicle, forth.compass, period_s=period_s, late_s=late_s), forth.picture
     assert drawn is not None
 
     left = drawn.after_mgauss + _made(forth, replayed) - _made(has, replayed)

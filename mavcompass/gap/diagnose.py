@@ -167,22 +167,31 @@ def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, R
     """Replay the recording and its baseline, with rows that follow each other alike."""
     tracks = [track] if baseline is None else [track, baseline]
     period_s = shared_period_s(tracks, how.compass) / (_THOROUGH if how.thorough else 1.0)
-    replayed = _replayed(track, how.compass, period_s, how, alone=baseline is None)
     if baseline is None:
-        return replayed, None
+        return _replayed(track, how.compass, period_s, how, alone=True), None
     compass = how.compass if how.compass in baseline.compasses else 1
     before = _replayed(baseline, compass, period_s, how)
+    # What is late in the recording alone is a gap: its rows are no earlier than the baseline's.
+    replayed = _replayed(track, how.compass, period_s, how, late_s=before.late_s)
     if before.averaged > replayed.averaged:
         # Means of fewer readings scatter more: a recording that lacks readings is held against the like.
-        before = replay(baseline, compass, how.reference, period_s, replayed.averaged)
+        before = replay(baseline, compass, how.reference, period_s, replayed.averaged, late_s=before.late_s)
     return replayed, before
 
 
-def _replayed(track: Track, compass: int, period_s: float, how: _How, alone: bool = False) -> Replay:
+def _replayed(
+    track: Track,
+    compass: int,
+    period_s: float,
+    how: _How,
+    alone: bool = False,
+    late_s: float | None = None,
+) -> Replay:
     """Replay a recording, once for all who keep the replays."""
     key = (id(track), compass, period_s, alone)
     if key not in how.replayed:
-        how.replayed[key] = (track, replay(track, compass, how.reference, period_s, alone=alone))
+        made = replay(track, compass, how.reference, period_s, alone=alone, late_s=late_s)
+        how.replayed[key] = (track, made)
     return how.replayed[key][1]
 
 

@@ -140,11 +140,13 @@ def replay(
     period_s: float | None = None,
     most_averaged: int | None = None,
     alone: bool = False,
+    late_s: float | None = None,
 ) -> Replay:
     """Build the nominal simulation of one compass of a recording, averaged to rows of a period.
 
     Beside a recording with fewer readings, a baseline's rows are means of no more than its. Where no baseline
-    tells how good the attitude is (`alone`), a yaw without a witness may wander.
+    tells how good the attitude is (`alone`), a yaw without a witness may wander. Means are put to when they
+    were taken: by how late the readings are themselves, or by `late_s`, where a baseline tells.
 
     Raises BadRecording where there is no such compass, or too little to compare.
     """
@@ -161,18 +163,18 @@ def replay(
     )
     correction = calibration_in_force(compass)
     picked, known = middles(rows.time_s.size, rows.width), whole.known & rows.usable
-    raw, corrected, usable, late_s = rows.raw_mgauss, rows.corrected_mgauss, rows.usable, 0.0
+    raw, corrected, usable, told_s = rows.raw_mgauss, rows.corrected_mgauss, rows.usable, 0.0
     swings = np.zeros_like(raw)
     if rows.width > 1:
         upright = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape))
         slopes = np.cross(upright, whole.rate_radps)
-        swings, late_s = swing(rows.time_s, raw, upright, slopes, known, rows.width)
+        swings, told_s = swing(rows.time_s, raw, upright, slopes, known, rows.width)
         # Between means far apart nobody knows how it turned: they are put to the time when they were taken,
         # if readings come often enough to know it.
         often = float(np.median(np.diff(rows.time_s))) <= SLOWEST_GYRO_S
-        late_s = late_s if rows.telemetry and often else 0.0
-        whole = whole.earlier(rows.time_s, late_s)
-    taken_s = rows.time_s - late_s
+        told_s = (told_s if late_s is None else late_s) if rows.telemetry and often else 0.0
+        whole = whole.earlier(rows.time_s, told_s)
+    taken_s = rows.time_s - told_s
     time_s, reference = taken_s[picked], whole.at(picked)
     if alone:
         reference = reference.wandering(time_s)
@@ -229,7 +231,7 @@ def replay(
             sigma,
             rows.telemetry,
             valid,
-            late_s,
+            told_s,
         ),
         present=present,
         reference=reference,
@@ -243,7 +245,7 @@ def replay(
         nominal_mgauss=iron.raw(ideal.mag_mgauss),
         readings=readings,
         averaged=rows.width,
-        late_s=late_s,
+        late_s=told_s,
         place=_place(track),
         place_curves_m=place_curves(position, track.gps_velocity_mps, time_s),
         place_scatter_m=place_scatter_m(position),

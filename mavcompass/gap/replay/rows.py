@@ -22,7 +22,7 @@ from mavcompass.track import MagSeries, Series, Track, uncut
 FEWEST_ROWS, FEWEST_NEW = 60, 30
 # Beside a laboratory's attitude single readings tell more than beside one that wanders itself. In flight
 # fewer are enough, where each recording keeps so many and loads do not change much meanwhile.
-_MOST_ROWS, _MOST_ROWS_IN_FLIGHT, _ENOUGH, _KEPT, _LONGEST_S = 3_000, 1_600, 800, 250, 0.3
+_MOST_ROWS, _MOST_ROWS_IN_FLIGHT, _ENOUGH, _KEPT, _LONGEST_S = 3_000, 1_600, 800, 250, 0.2
 _SLOWER_SHARE = 0.3
 # Messages so much further apart have lost some between them.
 _LOST = 1.5
@@ -198,7 +198,7 @@ def swing(
 
     Readings follow the field that an upright compass would see, (N, 3) with its slopes, by some matrix: that
     of the calibration, of another iron, of a compass that was turned. The `usable` ones tell which, and how
-    late, by how they swing themselves. With it, a mean of readings is a reading of its middle.
+    late each axis is, by how they swing themselves. With it, a mean of readings is a reading of its middle.
     """
     swings = raw_mgauss - averaged(raw_mgauss, width)
     usable = usable & np.isfinite(swings).all(axis=1) & np.isfinite(upright_mgauss).all(axis=1)
@@ -208,17 +208,21 @@ def swing(
     begins = time_s[np.maximum.accumulate(np.where(silent, np.arange(time_s.size), 0))]
     usable &= time_s - begins >= LONGEST_LAG_S
     least = max(usable.sum(), 1) * _LEAST_SWING_MGAUSS**2 * np.eye(3)
-    found, likeliest, late_s = np.zeros_like(raw_mgauss), math.inf, 0.0
+    found, likeliest = np.zeros_like(raw_mgauss), np.full(3, np.inf)
+    together, late_s = math.inf, 0.0
     for tried_s in _LATE_S.tolist():
         late = at_times(time_s, upright_mgauss, time_s - tried_s, slopes_mgauss_per_s)
         turns = late - averaged(late, width)
         some = turns[usable]
         follows = np.linalg.solve(some.T @ some + least, some.T @ swings[usable])
-        left = float(np.sum((swings[usable] - some @ follows) ** 2))
-        unlikely = 3.0 * usable.sum() * math.log(max(left, 1e-12))
-        unlikely += ((tried_s - USUAL_AGE_S) / AGE_SIGMA_S) ** 2
-        if unlikely < likeliest:
-            found, likeliest, late_s = np.asarray(turns @ follows), unlikely, tried_s
+        left = np.sum((swings[usable] - some @ follows) ** 2, axis=0)
+        unlikely = usable.sum() * np.log(np.maximum(left, 1e-12))
+        unlikely += ((tried_s - USUAL_AGE_S) / AGE_SIGMA_S) ** 2 / 3.0
+        # An eddy current makes each axis late by its own time.
+        better = unlikely < likeliest
+        found[:, better], likeliest[better] = (turns @ follows)[:, better], unlikely[better]
+        if unlikely.sum() < together:
+            together, late_s = float(unlikely.sum()), tried_s
     return found, late_s
 
 
