@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from mavcompass.cli.gap import command
 from mavcompass.frames import FloatArray, quaternion_to_matrix
 from mavcompass.gap.comparison import SCHEMA, compare
+from mavcompass.gap.diagnose import Replayed, diagnose_gap
 from mavcompass.gap.trial.vehicles.cases import make_case
 from mavcompass.report.compare_words import compare_summary
 from mavcompass.track import Track
@@ -114,3 +115,15 @@ def test_what_goes_with_height_is_judged_by_what_the_simulator_has_of_it() -> No
     nearly, not_at_all = comparison.achieved
     assert nearly.shrink == pytest.approx(comparison.told.field.shrink, abs=0.05)
     assert not_at_all.shrink < 0.1
+
+
+def test_a_recording_is_replayed_once_whichever_side_it_is_on() -> None:
+    """What a comparison gives its simulator must be there when the two change places."""
+    case = make_case(23, "none")
+    replayed: Replayed = {}
+    assert case.baseline is not None
+    diagnose_gap(case.track, case.baseline, replayed=replayed)
+    first = {id(track): kept for track, kept in replayed.values()}
+    diagnose_gap(case.baseline, case.track, replayed=replayed)
+    assert all(kept.averaged > 1 and kept.late_s > 0.0 for kept in first.values())
+    assert len(replayed) == 2 and all(first[id(track)] is kept for track, kept in replayed.values())
