@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, rotate_back
 from mavcompass.gap.attitude import cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, WHEREABOUTS, Nuisance, Replay, turned
-from mavcompass.simulation.effects.causes.timing import late_field
+from mavcompass.simulation.effects.causes.timing import late_field, slopes_beside
 from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, PLACED, Effect, Signals, Stage
 from mavcompass.simulation.effects.sampling import Between, at_times, central_differences, first_order_lag
 from mavcompass.simulation.physics.signals import Reading
@@ -25,6 +25,8 @@ from mavcompass.simulation.physics.signals import Reading
 _STEP = 1e-3
 _NUDGE_RAD, _NUDGE_M = 1e-5, 1e-4
 _NUDGE_MGAUSS = 1.0
+# Between rows further apart neighbours do not tell how a change goes on.
+_FAR_APART_S = 0.12
 # Stages whose changes turn with the vehicle.
 _TURNING = frozenset({Stage.ATTITUDE, Stage.WORLD})
 _SMOOTHING = "low_pass"
@@ -207,7 +209,11 @@ class Composition:
         rest = [i for i in early if i not in late]
         if rest:
             flat = np.hstack([changes[i].mag_mgauss for i in rest])
-            flat = at_times(s.time_s, flat, s.time_s - delay_s)
+            going_on: FloatArray | None = None
+            if float(np.median(np.diff(s.time_s))) > _FAR_APART_S:
+                world = rotate_back(s.rotation, s.field_ned_mgauss)
+                going_on = slopes_beside(s.time_s, world, np.cross(world, s.rate_radps), flat)
+            flat = at_times(s.time_s, flat, s.time_s - delay_s, going_on)
             late |= {i: flat[:, 3 * n : 3 * n + 3] for n, i in enumerate(rest)}
         for i, mag in late.items():
             changes[i] = Reading(mag, changes[i].acc_mps2, changes[i].gyro_radps)

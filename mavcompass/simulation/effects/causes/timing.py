@@ -38,20 +38,22 @@ def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = N
         first = min(keep, max(parts[0].size - 4, 0))
         memory["past"] = tuple(part[first:] for part in parts)
     time, field, world, turning = parts
-    matrix = _follows(world, field)
-    slopes = turning @ matrix + central_differences(time, field - world @ matrix)
+    slopes = turning + slopes_beside(time, world, turning, field - world)
     return at_times(time, field, wanted_s, slopes)
 
 
-def _follows(world: FloatArray, field: FloatArray) -> FloatArray:
-    """Return the matrix (3, 3) by which readings (N, 3) follow the world's field beside an offset; that of an
-    upright compass where the field does not tell another."""
+def slopes_beside(
+    time_s: FloatArray, world: FloatArray, turning: FloatArray, columns: FloatArray
+) -> FloatArray:
+    """Return the slopes of columns (N, k) beside the world's field in the body's axes and its slopes, (N, 3).
+
+    What they are of it, by a matrix that holds for all rows and beside an offset, turns as it does.
+    """
     some = slice(None, None, max(len(world) // _ENOUGH, 1))
-    world, field = world[some], field[some]
-    varies, rest = world - world.mean(axis=0), field - world
-    square = varies.T @ varies
-    least = _UNTOLD * float(np.sum(world**2)) + 1e-9
-    return np.asarray(np.eye(3) + np.linalg.solve(square + least * np.eye(3), varies.T @ rest))
+    varies = world[some] - world[some].mean(axis=0)
+    least = _UNTOLD * float(np.sum(world[some] ** 2)) + 1e-9
+    matrix = np.linalg.solve(varies.T @ varies + least * np.eye(3), varies.T @ columns[some])
+    return np.asarray(turning @ matrix + central_differences(time_s, columns - world @ matrix))
 
 
 def _lag(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
