@@ -12,7 +12,7 @@ from mavcompass.gap.trial.vehicles import make_case
 def told(seed: int) -> tuple[dict[str, Cause], dict[str, dict[str, float]], str]:
     case = make_case(seed, "pair")
     found = diagnose_gap(case.track, case.baseline)
-    assert found.field.after < 1.3 * found.field.floor
+    assert found.field.after < 1.05 * found.field.floor
     return {c.effect: c for c in found.causes}, {n: dict(v) for n, v in case.effects}, found.verdict
 
 
