@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,15 @@ def test_nothing_wrong_is_called_no_gap(baseline: Track) -> None:
     assert "estimator" in dict(diagnosis.not_testable)["hard_iron"]
     assert diagnosis.verdict == "no_gap" and not diagnosis.causes and not diagnosis.unknown
     assert diagnosis.field.nominal == pytest.approx(3.0, rel=0.15)
+
+
+def test_a_diagnosis_does_not_wait_for_a_library(baseline: Track, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loading scipy takes longer than all else that a healthy flight needs."""
+    tracks = [make_track(RICH), make_track(RICH, [effects.parse("hard_iron:x=40,y=-25,z=10")])]
+    monkeypatch.delitem(sys.modules, "scipy.linalg.lapack", raising=False)
+    for name in ("scipy", "scipy.linalg", "scipy.special", "scipy.signal"):
+        monkeypatch.setitem(sys.modules, name, None)
+    assert [diagnose_gap(t, baseline).verdict for t in tracks] == ["no_gap", "named"]
 
 
 def test_hard_iron_is_named_with_its_values_and_closes_the_gap(baseline: Track) -> None:

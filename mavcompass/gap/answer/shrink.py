@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.chance import students_t
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import Floor, heading_error_rad, heading_scatter, rms
@@ -149,9 +150,7 @@ def _interval(
 
 def _student(count: int) -> float:
     """Return the 97.5 % point of Student's t with count - 1 degrees of freedom over that of the normal."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(count - 1, 0.975)) / 1.959964
+    return students_t(0.975, count - 1) / 1.959964
 
 
 def waterfall(

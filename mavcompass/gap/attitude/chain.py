@@ -1,7 +1,7 @@
 """Weighted least squares over a chain of states and a few constants: what a smoother solves.
 
 Each state x_k knows only its neighbours, every one the constants c. The normal matrix is block tridiagonal
-with a border: a banded Cholesky factor and Schur's complement solve it, and give the covariance of any
+with a border: odd-even reduction (`Reduced`) and Schur's complement solve it, and give the covariance of any
 states. With normal errors the solution is that of Rauch, Tung and Striebel's smoother.
 """
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude.tridiagonal import Reduced
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,22 +29,19 @@ class Solved:
     states: FloatArray
     constants: FloatArray
     deviance: float
-    _factor: FloatArray
+    _reduced: Reduced
     _bent: FloatArray
     _constants_covariance: FloatArray
 
     def covariance(self, which: NDArray[np.int64], count: int) -> FloatArray:
         """Return the joint covariance of the first elements of some states (M,), (M count, M count)."""
-        from scipy.linalg.lapack import dtbtrs
-
-        width = self.states.shape[1]
+        length, width = self.states.shape
         rows = (which[:, None] * width + np.arange(count)).ravel()
-        unit = np.zeros((self.states.size, rows.size), order="F")
+        unit = np.zeros((length * width, rows.size))
         unit[rows, np.arange(rows.size)] = 1.0
-        # With the factor L of the normal matrix its inverse is that of L, times its transpose.
-        root = dtbtrs(self._factor, unit, uplo="L", overwrite_b=True)[0]
         bent = self._bent[rows]
-        return np.asarray(root.T @ root + bent @ self._constants_covariance @ bent.T)
+        alone = self._reduced.products(unit.reshape(length, width, rows.size))
+        return np.asarray(alone + bent @ self._constants_covariance @ bent.T)
 
 
 class Chain:
@@ -114,29 +112,19 @@ class Chain:
 
     def solve(self) -> Solved:
         """Solve for states and constants."""
-        from scipy.linalg import cho_solve_banded, cholesky_banded
-
         length, width, constants = self._border.shape
-        size = length * width
-        band = np.zeros((2 * width, size))
-        for i in range(width):
-            for j in range(i + 1):
-                band[i - j, j::width] = self._diagonal[:, i, j]
-            for j in range(width):
-                band[width + i - j, j : size - width : width] = self._beside[:, j, i]
-        factor = cholesky_banded(band, lower=True, check_finite=False)
-        border = self._border.reshape(size, constants)
-        both = cho_solve_banded(
-            (factor, True), np.column_stack([self._right.ravel(), border]), check_finite=False
-        )
+        reduced = Reduced(self._diagonal, self._beside)
+        both = reduced.solve(np.concatenate([self._right[:, :, None], self._border], axis=2))
+        both = both.reshape(length * width, 1 + constants)
         bent = both[:, 1:]
+        border = self._border.reshape(length * width, constants)
         schur = self._corner - border.T @ bent
-        covariance = np.linalg.inv(schur)
+        covariance = np.asarray(np.linalg.inv(schur))
         found = covariance @ (self._corner_right - border.T @ both[:, 0])
         states = both[:, 0] - bent @ found
         misfit = self._squares - float(self._right.ravel() @ states) - float(self._corner_right @ found)
-        determinants = 2.0 * float(np.log(factor[0]).sum()) + float(np.linalg.slogdet(schur)[1])
+        determinants = reduced.log_determinant + float(np.linalg.slogdet(schur)[1])
         return Solved(
-            states.reshape(length, width), found, misfit + determinants - self._log_weights, factor, bent,
+            states.reshape(length, width), found, misfit + determinants - self._log_weights, reduced, bent,
             covariance,
         )  # fmt: skip

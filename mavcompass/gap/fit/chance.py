@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 
+from mavcompass.chance import chi_square_of
 from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension
 from mavcompass.simulation.effects.effect import MOMENTS
 
@@ -22,9 +23,7 @@ def least_gain(dimension: int, trials: int = 1) -> float:
 
     `trials` is how many places (moments, frequencies, thresholds) were tried for it.
     """
-    from scipy.special import chdtri
-
-    return float(chdtri(max(dimension, 1), CHANCE / max(trials, 1)))
+    return chi_square_of(CHANCE / max(trials, 1), max(dimension, 1))
 
 
 def least_growth(smaller: Fit, larger: Fit, rows: int) -> float:

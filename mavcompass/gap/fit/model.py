@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.chance import chance_of_more
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.chance import CHANCE, least_gain
 from mavcompass.gap.fit.composition import Composition
@@ -191,10 +192,8 @@ class Problem:
 
     def chance_of_strain(self, fit: Fit) -> float:
         """Return the probability that what is known of vehicle and place is off by so much, by chance."""
-        from scipy.special import chdtrc
-
         known = sum(n.known for n in self.nuisances)
-        return float(chdtrc(known, self.strain(fit))) if known else 1.0
+        return chance_of_more(self.strain(fit), known) if known else 1.0
 
     def strains(self, fit: Fit) -> list[tuple[float, int]]:
         """Return how far a fit strains each nuisance that does not wander, in squared sigmas of so many."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavcompass.chance import chance_above, chance_of_more
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.replay import block_diagonal, group_values
@@ -117,8 +118,6 @@ def _score_test(
 ) -> Test:
     """Return the p-value of the score of regressors (n, q), one for each channel, beside the model's
     columns."""
-    from scipy.special import chdtrc
-
     T = [t / np.sqrt(np.maximum((t**2).sum(axis=0), 1e-300)) for t in T]
     score = np.concatenate([t.T @ z[:, c] for c, t in enumerate(T)])
     V = block_diagonal([t.T @ t for t in T])
@@ -132,7 +131,7 @@ def _score_test(
     rotated = vectors[:, keep].T @ score
     statistic = float(np.sum(rotated**2 / values[keep]))
     freedom = int(keep.sum())
-    return Test(name, coordinate, float(chdtrc(freedom, statistic)), statistic / freedom)
+    return Test(name, coordinate, chance_of_more(statistic, freedom), statistic / freedom)
 
 
 def _blocks(group: Group, signals: Signals) -> Iterator[tuple[str, str, FloatArray]]:
@@ -212,8 +211,6 @@ def _loads(load: FloatArray, u: FloatArray) -> FloatArray:
 
 def _scatter(problem: Problem, fit: Fit, compare: bool, thorough: bool) -> Iterator[Test]:
     """Test lines, correlation, bursts and the amount of scatter."""
-    from scipy.special import chdtrc
-
     innovations = problem.innovations(problem.predict(fit))
     signals = problem.signals(fit)
     for group in problem.groups:
@@ -230,7 +227,7 @@ def _scatter(problem: Problem, fit: Fit, compare: bool, thorough: bool) -> Itera
         rho = np.stack([(z[lag:] * z[:-lag]).mean(axis=0) for lag in range(1, lags + 1)])
         # Their estimate has used up a correlation coefficient or so per lag of the floor's model.
         portmanteau = float((rho**2).sum()) * len(z)
-        yield Test(f"{group}: correlation", "frequency", float(chdtrc(3 * lags, portmanteau)))
+        yield Test(f"{group}: correlation", "frequency", chance_of_more(portmanteau, 3 * lags))
         yield from _variance_tests(group, z, signals, problem)
         if compare and math.isfinite(problem.noise[group].samples):
             yield Test(f"{group}: amount of scatter", "time", _variance_ratio(scale, len(z), problem, group))
@@ -238,13 +235,11 @@ def _scatter(problem: Problem, fit: Fit, compare: bool, thorough: bool) -> Itera
 
 def _line(z: FloatArray) -> float:
     """Return the p-value of the highest line of the periodogram, over axes together and alone."""
-    from scipy.special import chdtrc
-
     power = np.abs(np.fft.rfft(z, axis=0)[1:-1]) ** 2 * 2.0 / len(z)
     together = float(power.sum(axis=1).max())
     alone = float(power.max())
     count = len(power)
-    p = min(float(chdtrc(6, together)) * count, float(chdtrc(2, alone)) * 3 * count)
+    p = min(chance_of_more(together, 6) * count, chance_of_more(alone, 2) * 3 * count)
     return min(1.0, 2.0 * p)
 
 
@@ -254,8 +249,6 @@ def _sweep(z: FloatArray) -> float:
     Each rate of change that the length can tell from its neighbour is taken out of z (N, 3) before the
     transform: a motor that speeds up makes such a line, and no line of one frequency.
     """
-    from scipy.special import chdtrc
-
     n = len(z)
     t = np.arange(n) - 0.5 * (n - 1)
     # Neighbours differ by a third of a turn at the ends; the fastest goes from zero to Nyquist's frequency.
@@ -266,7 +259,7 @@ def _sweep(z: FloatArray) -> float:
         # Falling ones are the negative frequencies.
         turned = np.fft.fft(z * np.exp(-1j * np.pi * rate * t * t)[:, None], axis=0)
         highest = max(highest, float((np.abs(turned) ** 2).sum(axis=1).max()))
-    return min(1.0, float(chdtrc(6, 2.0 * highest / n)) * n * count)
+    return min(1.0, chance_of_more(2.0 * highest / n, 6) * n * count)
 
 
 def _kurtosis_factor(z: FloatArray) -> float:
@@ -275,8 +268,6 @@ def _kurtosis_factor(z: FloatArray) -> float:
 
 
 def _variance_tests(group: Group, z: FloatArray, signals: Signals, problem: Problem) -> Iterator[Test]:
-    from scipy.special import chdtrc, ndtr
-
     power = (z**2).mean(axis=1) - 1.0
     step_s = float(np.median(np.diff(signals.stimulus.time_s)))
     factor = _kurtosis_factor(z)
@@ -295,7 +286,7 @@ def _variance_tests(group: Group, z: FloatArray, signals: Signals, problem: Prob
         ratio = np.maximum(1.0 + excess * deviation / math.sqrt(width), 1e-9)
         normal = (ratio ** (1.0 / 3.0) - (1.0 - 2.0 / (9.0 * nu))) / math.sqrt(2.0 / (9.0 * nu))
         shift = ((means[starts + width] - means[starts]) ** 2).sum(axis=1) / width
-        lowest = min(lowest, float(ndtr(-normal.max())), float(chdtrc(3, shift.max())))
+        lowest = min(lowest, chance_above(float(normal.max())), chance_of_more(float(shift.max()), 3))
         tried += 2 * starts.size
     yield Test(f"{group}: bursts", "time", min(1.0, lowest * tried))
     yield Test(f"{group}: scatter that comes and goes", "time", _recurring(power / deviation, step_s))
@@ -303,7 +294,7 @@ def _variance_tests(group: Group, z: FloatArray, signals: Signals, problem: Prob
     for name, x in coordinates:
         x = (x - x.mean()) / max(float(x.std()), 1e-12)
         statistic = float(power @ x) / (deviation * math.sqrt(float(x @ x)))
-        yield Test(f"{group}: scatter with {name}", name, float(chdtrc(1, statistic**2)))
+        yield Test(f"{group}: scatter with {name}", name, chance_of_more(statistic**2, 1))
 
 
 def _recurring(power: FloatArray, step_s: float) -> float:
@@ -329,8 +320,6 @@ def _scatter_coordinates(group: Group, signals: Signals, problem: Problem) -> li
 
 def _variance_ratio(scale: FloatArray, count: int, problem: Problem, group: Group) -> float:
     """Return the two-sided p-value of the scatter against the floor's, normal for the log ratio."""
-    from scipy.special import ndtr
-
     log_ratio = 2.0 * float(np.log(np.maximum(scale, 1e-9)).sum())
     sigma = math.sqrt(3.0 * (2.0 / count + 2.0 / problem.noise[group].samples))
-    return float(2.0 * ndtr(-abs(log_ratio) / sigma))
+    return 2.0 * chance_above(abs(log_ratio) / sigma)

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy
 from calibration_worlds import FIELD, Iron, four_positions, heading_errors, iron_of, rms
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,7 +17,6 @@ from mavcompass.calibration.model import heading_gradient
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.observation.wire import unquantise
 from mavcompass.calibration.positions import DEFAULT_PRIOR, PositionProblem
-from mavcompass.calibration.positions.chance import chance_of_more
 from mavcompass.calibration.positions.fit import _evaluate
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import PoorCalibration
@@ -226,14 +224,6 @@ def test_too_little_turning_is_refused(turns: list[float]) -> None:
     data = four_positions(iron_of(STRONG), turns=np.radians(turns))
     with pytest.raises(PoorCalibration):
         solve_four_positions(data)
-
-
-@pytest.mark.parametrize("freedom", [1, 2, 3, 8, 21])
-def test_the_chance_of_a_larger_chi_square_is_the_incomplete_gamma_function(freedom: int) -> None:
-    for chi_square in (0.0, 0.3, 4.0, 30.0, 2000.0):
-        wanted = scipy.special.gammaincc(0.5 * freedom, 0.5 * chi_square)
-        assert chance_of_more(chi_square, freedom) == pytest.approx(wanted, abs=1e-12)
-    assert chance_of_more(3.0, 0) == 1.0
 
 
 def test_a_vehicle_that_waits_for_its_solution_does_not_wait_for_a_library(

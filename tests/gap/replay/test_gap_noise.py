@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay.noise import SensorNoise, estimate_noise, rough_sigma, white, with_white
+from mavcompass.gap.replay.noise import SensorNoise, estimate_noise, recursive, rough_sigma, white, with_white
 
 
 def wandering(seed: int, n: int = 3000, share: float = 0.45, memory: float = 60.0) -> FloatArray:
@@ -27,6 +27,16 @@ def slow_gain(noise: SensorNoise, error: FloatArray) -> float:
     white, target = noise.decorrelated(columns[:, None])[:, 0], noise.whiten(error)
     left = target - white @ np.linalg.lstsq(white, target, rcond=None)[0]
     return float(np.sum(target**2) - np.sum(left**2))
+
+
+@pytest.mark.parametrize("count", [1, 31, 32, 33, 1000])
+def test_recursion_is_that_of_a_filter_for_each_channel_whatever_the_length(count: int) -> None:
+    columns = np.random.default_rng(count).standard_normal((count, 4, 2))
+    factors = np.array([0.0, 0.6, -0.4, 0.999])
+    found = recursive(factors, columns)
+    for channel, factor in enumerate(factors):
+        wanted = scipy.signal.lfilter([1.0], [1.0, -factor], columns[:, channel], axis=0)
+        np.testing.assert_allclose(found[:, channel], wanted, atol=1e-11)
 
 
 def test_slow_error_under_scatter_is_no_cause() -> None:
