@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray, rotate_back
+from mavcompass.frames import FloatArray, cross, rotate_back
 from mavcompass.gap.attitude import cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, WHEREABOUTS, Nuisance, Replay, turned
@@ -38,7 +39,7 @@ def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
     """Return the change of a reading, over a step."""
     return Reading(
         *(
-            np.zeros_like(b) if a is b else (a - b) / step
+            _nothing(b.shape) if a is b else (a - b) / step
             for a, b in (
                 (after.mag_mgauss, before.mag_mgauss),
                 (after.acc_mps2, before.acc_mps2),
@@ -46,6 +47,14 @@ def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
             )
         )
     )
+
+
+@lru_cache(maxsize=8)
+def _nothing(shape: tuple[int, ...]) -> FloatArray:
+    """Return zeros that all share."""
+    zeros = np.zeros(shape)
+    zeros.flags.writeable = False
+    return zeros
 
 
 def _nudged(signals: Signals) -> list[Signals]:
@@ -212,7 +221,7 @@ class Composition:
             going_on: FloatArray | None = None
             if float(np.median(np.diff(s.time_s))) > _FAR_APART_S:
                 world = rotate_back(s.rotation, s.field_ned_mgauss)
-                going_on = slopes_beside(s.time_s, world, np.cross(world, s.rate_radps), flat)
+                going_on = slopes_beside(s.time_s, world, cross(world, s.rate_radps), flat)
             flat = at_times(s.time_s, flat, s.time_s - delay_s, going_on)
             late |= {i: flat[:, 3 * n : 3 * n + 3] for n, i in enumerate(rest)}
         for i, mag in late.items():

@@ -32,9 +32,10 @@ class Between:
         u = (wanted - time_s[left]) / width
         rise = u * u * (3.0 - 2.0 * u)
         slope = width * u * (1.0 - u)
-        return cls(
-            left, np.stack([1.0 - rise, rise], axis=1), np.stack([slope * (1.0 - u), -slope * u], axis=1)
-        )
+        share, slopes = np.empty((2, *u.shape, 2))
+        share[..., 0], share[..., 1] = 1.0 - rise, rise
+        slopes[..., 0], slopes[..., 1] = slope * (1.0 - u), -slope * u
+        return cls(left, share, slopes)
 
     def of(self, columns: FloatArray, weights: FloatArray) -> FloatArray:
         """Add up both neighbours of columns (N, ...) with weights (M, 2), (M, ...)."""
@@ -104,6 +105,11 @@ def _recursion(decay: FloatArray, drive: FloatArray) -> FloatArray:
         factor[:reach] = 0.0
         reach *= 2
     return out
+
+
+def or_zero(values: FloatArray) -> FloatArray:
+    """Return values with zeros where nothing is known."""
+    return np.where(np.isnan(values), 0.0, values)
 
 
 def spread(values: FloatArray) -> FloatArray:

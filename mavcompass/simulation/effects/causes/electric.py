@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage, axes
-from mavcompass.simulation.effects.sampling import spread
+from mavcompass.simulation.effects.sampling import or_zero, spread
 
 # Lines of rotors and mains, aliased by the sampling; what is slower is drift, and a load of its own.
 SLOWEST_LINE_HZ = 0.3
@@ -19,12 +19,12 @@ _FEWEST_SWITCHED = 8
 
 
 def _motor_current(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    current = np.nan_to_num(signals.stimulus.current_a)
+    current = or_zero(signals.stimulus.current_a)
     return signals.with_mag(signals.reading.mag_mgauss + current[:, None] * theta)
 
 
 def _per_motor(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    motors = np.abs(np.nan_to_num(signals.stimulus.motors[:, :_MOTORS]))
+    motors = np.abs(or_zero(signals.stimulus.motors[:, :_MOTORS]))
     return signals.with_mag(
         signals.reading.mag_mgauss + motors @ theta.reshape(_MOTORS, 3)[: motors.shape[1]]
     )
@@ -88,7 +88,7 @@ def _relay(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Sig
     load = _load(signals, round(float(theta[3])))
     if load is None:
         return signals
-    on = (np.nan_to_num(load) > theta[4]).astype(np.float64)
+    on = (or_zero(load) > theta[4]).astype(np.float64)
     return signals.with_mag(signals.reading.mag_mgauss + on[:, None] * theta[:3])
 
 
@@ -108,7 +108,7 @@ def _relay_starts(misfit: Misfit) -> list[FloatArray]:
         load = _load(misfit.signals, source)
         if load is None or float(spread(load)) <= 1e-3:
             continue
-        known = np.nan_to_num(load)[misfit.rows]
+        known = or_zero(load)[misfit.rows]
         order = np.argsort(-known, kind="stable")
         known, total = known[order], np.cumsum(y[order], axis=0)
         count = np.arange(1, known.size + 1)

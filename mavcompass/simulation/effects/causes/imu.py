@@ -6,6 +6,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects.effect import Effect, Memory, Rng, Signals, Stage, axes, on_acc, on_gyro
+from mavcompass.simulation.effects.sampling import or_zero
 
 _REFERENCE = frozenset({"reference"})
 
@@ -27,7 +28,7 @@ def _lever_arm(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) ->
 
 
 def _vibration(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    load = np.nan_to_num(signals.stimulus.throttle) ** 2
+    load = or_zero(signals.stimulus.throttle) ** 2
     return signals.with_acc(signals.reading.acc_mps2 + load[:, None] * theta)
 
 

@@ -16,25 +16,26 @@ from mavcompass.simulation.effects.effect import (
     axes,
     on_iron,
 )
+from mavcompass.simulation.effects.sampling import or_zero
 
 _REFERENCE = Parameter("reference_degc", "degC", -40.0, 85.0, 25.0, 2.0)
 _ROOM_DEGC, _NEAR_DEGC = 25.0, 5.0
 
 
 def _bias(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    above = np.nan_to_num(signals.stimulus.temperature_degc - theta[3])
+    above = or_zero(signals.stimulus.temperature_degc - theta[3])
     return signals.with_mag(signals.reading.mag_mgauss + above[:, None] * theta[:3])
 
 
 def _sensitivity(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    above = np.nan_to_num(signals.stimulus.temperature_degc - theta[3])
+    above = or_zero(signals.stimulus.temperature_degc - theta[3])
     return signals.with_mag(signals.reading.mag_mgauss * (1.0 + above[:, None] * theta[:3]))
 
 
 def _starts(misfit: Misfit, carrier: FloatArray, limit: float) -> list[FloatArray]:
     """Fit slope and intercept per axis; the reference is where the fitted lines come nearest to zero."""
     rows = misfit.rows
-    temperature = np.nan_to_num(misfit.signals.stimulus.temperature_degc[rows])
+    temperature = or_zero(misfit.signals.stimulus.temperature_degc[rows])
     middle = float(temperature.mean())
     y, c = misfit.residual.mag_mgauss[rows], carrier[rows]
     design = np.stack([c * (temperature - middle)[:, None], c], axis=2)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-from mavcompass.frames import FloatArray, rotate_back
+from mavcompass.frames import FloatArray, cross, rotate_back
 from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage
 from mavcompass.simulation.effects.sampling import at_times, central_differences, first_order_lag
+from mavcompass.simulation.physics.signals import Stimulus
 
 LONGEST_LAG_S = 0.5
 # A direction of the field is told where it holds more than this share of its square.
@@ -24,12 +27,8 @@ def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = N
     slopes come from the body's rate. What readings are of it by a matrix that holds for all of them (iron, a
     compass that is mounted in another way) turns as it does; the slopes of the rest come from its neighbours.
     """
-    s = signals.stimulus
-    world = rotate_back(s.rotation, s.field_ned_mgauss)
-    turning = np.cross(world, s.rate_radps)
-    if (s.field_ned_mgauss != s.field_ned_mgauss[0]).any():
-        turning += rotate_back(s.rotation, central_differences(s.time_s, s.field_ned_mgauss))
-    parts: _Past = (s.time_s, signals.reading.mag_mgauss, world, turning)
+    world, turning = _turning(signals.stimulus)
+    parts: _Past = (signals.stimulus.time_s, signals.reading.mag_mgauss, world, turning)
     if memory is not None:
         past: _Past | None = memory.get("past")
         if past is not None:
@@ -40,6 +39,19 @@ def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = N
     time, field, world, turning = parts
     slopes = turning + slopes_beside(time, world, turning, field - world)
     return at_times(time, field, wanted_s, slopes)
+
+
+@lru_cache(maxsize=1)
+def _turning(s: Stimulus) -> tuple[FloatArray, FloatArray]:
+    """Return the world's field in the body's axes and its slopes, (N, 3) each.
+
+    Derivatives ask again and again in one state of the world.
+    """
+    world = rotate_back(s.rotation, s.field_ned_mgauss)
+    turning = cross(world, s.rate_radps)
+    if (s.field_ned_mgauss != s.field_ned_mgauss[0]).any():
+        turning += rotate_back(s.rotation, central_differences(s.time_s, s.field_ned_mgauss))
+    return world, turning
 
 
 def slopes_beside(

@@ -19,6 +19,7 @@ from mavcompass.simulation.effects.effect import (
     Stage,
     axes,
 )
+from mavcompass.simulation.effects.sampling import or_zero
 
 _NEAREST_M = 0.05
 _NEAR_PEAK_M = 0.4
@@ -71,12 +72,12 @@ def _gradient(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> 
     position = signals.stimulus.position_ned_m
     if "origin" not in memory:
         memory["origin"] = gradient_origin(position)
-    away = np.nan_to_num(position - memory["origin"])
+    away = or_zero(position - memory["origin"])
     return signals.in_field(signals.stimulus.field_ned_mgauss + away @ gradient_matrix(theta))
 
 
 def _height_anomaly(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    height = np.maximum(-np.nan_to_num(signals.stimulus.position_ned_m[:, 2]), 0.0)
+    height = np.maximum(-or_zero(signals.stimulus.position_ned_m[:, 2]), 0.0)
     share = (theta[3] / (height + theta[3])) ** 3
     return signals.in_field(signals.stimulus.field_ned_mgauss + share[:, None] * theta[:3])
 
@@ -86,7 +87,7 @@ def _height_starts(misfit: Misfit) -> list[FloatArray]:
     rows = np.flatnonzero(misfit.rows)
     if rows.size < 40:
         return []
-    height = np.maximum(-np.nan_to_num(misfit.signals.stimulus.position_ned_m[rows, 2]), 0.0)
+    height = np.maximum(-or_zero(misfit.signals.stimulus.position_ned_m[rows, 2]), 0.0)
     residual = rotate(misfit.signals.stimulus.rotation[rows], misfit.residual.mag_mgauss[rows])
     found = []
     for depth in _DEPTHS_M:
@@ -107,7 +108,7 @@ def dipole_field(position_m: FloatArray, source_m: FloatArray, moment_mgauss_m3:
 
 
 def _dipole(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    position = np.nan_to_num(signals.stimulus.position_ned_m)
+    position = or_zero(signals.stimulus.position_ned_m)
     field = dipole_field(position, theta[:3], theta[3:6])
     time = signals.stimulus.time_s
     if theta[6] > -NEVER_S or theta[7] < NEVER_S:
@@ -170,13 +171,13 @@ def _placed(misfit: Misfit, everywhere: NDArray[np.int64], on_s: float) -> list[
     # A short passage must not slip through: half of the rows are those with the largest residuals.
     strongest = everywhere[np.argsort(-size)[:_ROWS]]
     rows = np.union1d(everywhere[:: max(1, everywhere.size // _ROWS)], strongest)
-    position = np.nan_to_num(misfit.signals.stimulus.position_ned_m[rows])
+    position = or_zero(misfit.signals.stimulus.position_ned_m[rows])
     residual = rotate(misfit.signals.stimulus.rotation[rows], misfit.residual.mag_mgauss[rows])
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(0.5 * float((high - low).max()), 0.3)
     axes = [np.linspace(a - reach, b + reach, 7) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    peak = np.nan_to_num(misfit.signals.stimulus.position_ned_m[strongest[:40]]).mean(axis=0)
+    peak = or_zero(misfit.signals.stimulus.position_ned_m[strongest[:40]]).mean(axis=0)
     near = np.linspace(-_NEAR_PEAK_M, _NEAR_PEAK_M, 5)
     grid = np.vstack([grid, peak + np.stack(np.meshgrid(near, near, near), axis=-1).reshape(-1, 3)])
     gains, _ = _dipoles(position, residual, grid)
