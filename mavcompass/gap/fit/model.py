@@ -35,7 +35,7 @@ _TRIALS, _AS_EXPECTED = 6, 0.5
 # serves to come nearer so far, in natural sizes.
 _NEAR, _FAR = 0.3, 5.0
 # Derivatives of so many fits are kept for others.
-_LENT = 4
+_LENT = 8
 # What errs together, in seconds.
 _LASTING_S = 10.0
 
