@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix
 from mavcompass.gap.attitude.kinematics import (
-    exponentials,
     integral,
     interpolated,
     turned_about_down,
@@ -41,7 +40,8 @@ from mavcompass.gap.attitude.rest import Bias, bias_at_rest
 from mavcompass.gap.attitude.steering import steered_by, told_rotation
 from mavcompass.gap.attitude.wander import wandering_yaw
 from mavcompass.gap.attitude.yaw import age_of
-from mavcompass.simulation.effects.sampling import at_times
+from mavcompass.simulation.effects.sampling import at_times, rotation_at
+from mavcompass.simulation.physics.signals import Turning
 from mavcompass.track import Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -53,8 +53,6 @@ SLOWEST_GYRO_S = 0.15
 # A constant of the yaw that may be off by more has no witness.
 UNKNOWN_YAW_RAD = 0.3
 _FEWEST = 20
-# Between readings further apart a rate is not known.
-_SILENCE_S = 0.6
 _UNKNOWN_YAW_RAD = math.radians(60.0)
 # Constant and slow errors of a yaw's witnesses.
 _AUTOPILOT_RAD, _AUTOPILOT_SLOW_RAD = math.radians(3.0), math.radians(0.7)
@@ -117,11 +115,11 @@ class Reference:
 
     def earlier(self, time_s: FloatArray, by_s: float) -> Reference:
         """Return the reference some seconds before its own times (N,)."""
-        middle, rate = (at_times(time_s, self.rate_radps, time_s - s) for s in (0.5 * by_s, by_s))
-        # After a silence nobody knows how it turned before.
-        silent = np.diff(time_s, prepend=time_s[0]) > _SILENCE_S
-        middle[silent] = rate[silent] = self.rate_radps[silent]
-        return replace(self, rotation=self.rotation @ exponentials(-by_s * middle), rate_radps=rate)
+        if by_s == 0.0:
+            return self
+        turning = Turning(time_s, self.rotation, self.rate_radps, self.rotation)
+        rate = at_times(time_s, self.rate_radps, time_s - by_s)
+        return replace(self, rotation=rotation_at(turning, time_s - by_s), rate_radps=rate)
 
     def at(self, rows: slice) -> Reference:
         """Return the reference at some of its times."""

@@ -14,20 +14,20 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray, cross, rotate_back
+from mavcompass.frames import FloatArray, rotate_back
 from mavcompass.gap.attitude import cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, WHEREABOUTS, Nuisance, Replay, turned
-from mavcompass.simulation.effects.causes.timing import late_field, slopes_beside
+from mavcompass.simulation.effects.causes.timing import followed, late_field, turned_since
 from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, PLACED, Effect, Signals, Stage
-from mavcompass.simulation.effects.sampling import Between, at_times, central_differences, first_order_lag
-from mavcompass.simulation.physics.signals import Reading
+from mavcompass.simulation.effects.sampling import at_times, first_order_lag
+from mavcompass.simulation.physics.signals import Reading, RecordedStimulus
 
 _STEP = 1e-3
 _NUDGE_RAD, _NUDGE_M = 1e-5, 1e-4
 _NUDGE_MGAUSS = 1.0
-# Between rows further apart neighbours do not tell how a change goes on.
-_FAR_APART_S = 0.12
+# Matrices that differ by so little are alike; by so much they count.
+_ALIKE, _APART = 1e-9, 0.03
 # Stages whose changes turn with the vehicle.
 _TURNING = frozenset({Stage.ATTITUDE, Stage.WORLD})
 _SMOOTHING = "low_pass"
@@ -181,7 +181,8 @@ class Composition:
             if last.id == _SMOOTHING:
                 self._smooth(changes, early, float(everything[place][0]))
             else:
-                self._delay(changes, early, sum(float(everything[order[i][1]][0]) for i in together))
+                delay_s = sum(float(everything[order[i][1]][0]) for i in together)
+                self._delay(changes, early, delay_s, states[together[0]], after)
         return changes
 
     def _smooth(self, changes: list[Reading], early: Collection[int], time_constant_s: float) -> None:
@@ -191,41 +192,54 @@ class Composition:
         for n, i in enumerate(early):
             changes[i] = Reading(flat[:, 3 * n : 3 * n + 3], changes[i].acc_mps2, changes[i].gyro_radps)
 
-    def _delay(self, changes: list[Reading], early: Mapping[int, Stage], delay_s: float) -> None:
-        """Delay changes, by their places and stages: of attitude and world's field they turn with the
-        vehicle."""
-        s = self.replay.signals.stimulus
-        between = Between.find(s.time_s, s.time_s - delay_s)
-        turning = [i for i, stage in early.items() if stage in _TURNING]
+    def _delay(
+        self,
+        changes: list[Reading],
+        early: Mapping[int, Stage],
+        delay_s: float,
+        before: Signals,
+        after: _After,
+    ) -> None:
+        """Delay changes of the reading `before`, by their places and stages.
+
+        Those of attitude and world's field turn with the vehicle, as the compass sees them.
+        """
+        s = before.stimulus
+        assert isinstance(s, RecordedStimulus)
+        wanted_s = s.time_s - delay_s
+        back = turned_since(s.turning, wanted_s).transpose(0, 2, 1)
+        world = rotate_back(s.rotation, s.field_ned_mgauss)
         late: dict[int, FloatArray] = {}
-        if turning:
-            # What turns with the body has the slope v x w: being late is a matrix of each neighbour.
-            stacked = np.stack([changes[i].mag_mgauss for i in turning], axis=2)
-            crossed = cross_matrices(-s.rate_radps)
-            turned = np.zeros_like(stacked)
-            for side in (0, 1):
-                there = between.left + side
-                matrix = between.slope_s[:, side, None, None] * crossed[there]
-                matrix[:, (0, 1, 2), (0, 1, 2)] += between.share[:, side, None]
-                turned += matrix @ stacked[there]
+        if turning := [i for i, stage in early.items() if stage in _TURNING]:
+            follows = np.eye(3) + followed(world, before.reading.mag_mgauss - world).T
+            seen = after.seen(follows)
+            stacked = np.linalg.inv(seen) @ np.stack([changes[i].mag_mgauss for i in turning], axis=2)
+            apart = (seen - follows) @ stacked if np.abs(seen - follows).max() > _APART else None
             if moving := [n for n, i in enumerate(turning) if early[i] is Stage.WORLD]:
                 # What differs from place to place changes as the vehicle moves, besides.
-                world = s.rotation @ stacked[:, :, moving]
-                slopes = central_differences(s.time_s, world.reshape(len(world), -1)).reshape(world.shape)
-                back = s.rotation.transpose(0, 2, 1) @ slopes
-                turned[:, :, moving] += between.of(back, between.slope_s)
-            late = {i: turned[:, :, n] for n, i in enumerate(turning)}
-        rest = [i for i in early if i not in late]
-        if rest:
+                placed = _at_times(s.time_s, s.rotation @ stacked[:, :, moving], wanted_s)
+                stacked[:, :, moving] = s.rotation.transpose(0, 2, 1) @ placed
+            stacked = back @ stacked
+            # What does not follow the world's field by one matrix does not turn with it, but is interpolated.
+            stacked = (
+                seen @ stacked if apart is None else follows @ stacked + _at_times(s.time_s, apart, wanted_s)
+            )
+            late = {i: np.asarray(stacked[:, :, n]) for n, i in enumerate(turning)}
+        if rest := [i for i in early if i not in late]:
             flat = np.hstack([changes[i].mag_mgauss for i in rest])
-            going_on: FloatArray | None = None
-            if float(np.median(np.diff(s.time_s))) > _FAR_APART_S:
-                world = rotate_back(s.rotation, s.field_ned_mgauss)
-                going_on = slopes_beside(s.time_s, world, cross(world, s.rate_radps), flat)
-            flat = at_times(s.time_s, flat, s.time_s - delay_s, going_on)
+            follows = followed(world, flat)
+            late_ned = at_times(s.time_s, s.field_ned_mgauss, wanted_s)
+            then = np.matmul(back, rotate_back(s.rotation, late_ned)[:, :, None])[:, :, 0]
+            flat = then @ follows + at_times(s.time_s, flat - world @ follows, wanted_s)
             late |= {i: flat[:, 3 * n : 3 * n + 3] for n, i in enumerate(rest)}
         for i, mag in late.items():
             changes[i] = Reading(mag, changes[i].acc_mps2, changes[i].gyro_radps)
+
+
+def _at_times(time_s: FloatArray, columns: FloatArray, wanted_s: FloatArray) -> FloatArray:
+    """Interpolate columns (N, 3, k)."""
+    flat = columns.reshape(len(columns), -1)
+    return at_times(time_s, flat, wanted_s).reshape(columns.shape)
 
 
 def _together(order: Sequence[tuple[Effect, int]], at: int) -> range:
@@ -310,6 +324,18 @@ class _After:
         by_axis = self.changes(at, nudged, [_NUDGE_M] * 3)
         slopes = np.stack([one.mag_mgauss for one in by_axis], axis=2)
         return _of_the_compass(slopes @ shifts_m, state.reading)
+
+    def seen(self, roughly: FloatArray) -> FloatArray:
+        """Return how the compass sees a small change of the world's field at last, (3, 3) or (N, 3, 3).
+
+        Where no matrix of each row tells, that is what is `roughly` known, (3, 3).
+        """
+        first = sum(effect.stage in _TURNING for effect, _ in self._order)
+        rest = self._order[first:]
+        if not rest or any(effect.stage not in EACH_BY_ITSELF for effect, _ in rest):
+            return np.eye(3) if not rest else roughly
+        matrix = self._matrix(first)
+        return matrix[0] if np.abs(matrix - matrix[0]).max() < _ALIKE else matrix
 
     def _matrix(self, at: int) -> FloatArray:
         """Return the derivative of the prediction by the compass's reading before member `at`, (N, 3, 3)."""

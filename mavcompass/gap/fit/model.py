@@ -34,8 +34,9 @@ _TRIALS, _AS_EXPECTED = 6, 0.5
 # The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, and
 # serves to come nearer so far, in natural sizes.
 _NEAR, _FAR = 0.3, 5.0
-# Derivatives of so many fits are kept for others.
-_LENT = 8
+# Derivatives of so many fits are kept for others, for so many ways in which the compass may be mounted.
+_LENT, _MOUNTINGS = 8, 3
+_Mounting = tuple[float, ...]
 # What errs together, in seconds.
 _LASTING_S = 10.0
 
@@ -69,7 +70,8 @@ class Problem:
         self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
         self._precision = prior.precision
         self._bridge = bridge(replay.valid) if any(noise[g].moving.any() for g in self.groups) else None
-        self._lent: list[tuple[FloatArray, list[FloatArray]]] = []
+        # By how the compass is mounted, which turns all of them.
+        self._lent: dict[_Mounting, list[tuple[FloatArray, list[FloatArray]]]] = {}
         self._null: Fit | None = None
         self._ended: set[Fit] = set()
         self._prior = prior.mean
@@ -257,13 +259,14 @@ class Problem:
         cost = self._cost(r, x, free, weak)
         damping = 1e-6
         normal = np.zeros((0, 0))
-        first, made_at = self._borrowed(terms, x[:n])
+        mounting = _mounting(terms, x[n:])
+        first, made_at = self._borrowed(mounting, x[:n])
         borrowed, squared, ended = first is not None, None, False
         for _ in range(iterations):
             if first is None or self._away(x[:n], made_at) > _FAR:
                 fitted = range(0 if self._steady else lasting)
                 first, made_at, borrowed = self.columns(terms, x[n:], x[:n], states, fitted), x[:n], False
-                self._lend(terms, first, made_at)
+                self._lend(mounting, first, made_at)
             other = range(n if self._steady else lasting, n + len(terms))
             own = self.columns(terms, x[n:], x[:n], states, other)
             if squared is None or squared[0] is not first:
@@ -305,21 +308,20 @@ class Problem:
         return fit
 
     def _borrowed(
-        self, terms: tuple[Term, ...], thetas: list[FloatArray]
+        self, mounting: _Mounting, thetas: list[FloatArray]
     ) -> tuple[FloatArray | None, list[FloatArray]]:
         """Return the derivatives by the nuisances that an earlier fit made nearby, or None."""
-        if any(t.effect.kind == "discrete" for t in terms):
-            return None, thetas
+        lent = self._lent.get(mounting, [])
         away, nearest = min(
-            ((self._away(thetas, made_at), i) for i, (_, made_at) in enumerate(self._lent)),
-            default=(np.inf, 0),
+            ((self._away(thetas, made_at), i) for i, (_, made_at) in enumerate(lent)), default=(np.inf, 0)
         )
-        return self._lent[nearest] if away <= _FAR else (None, thetas)
+        return lent[nearest] if away <= _FAR else (None, thetas)
 
-    def _lend(self, terms: tuple[Term, ...], columns: FloatArray, made_at: list[FloatArray]) -> None:
-        if not any(t.effect.kind == "discrete" for t in terms):
-            near = [one for one in self._lent if self._away(made_at, one[1]) > _NEAR]
-            self._lent = [*near, (columns, made_at)][-_LENT:]
+    def _lend(self, mounting: _Mounting, columns: FloatArray, made_at: list[FloatArray]) -> None:
+        near = [one for one in self._lent.pop(mounting, []) if self._away(made_at, one[1]) > _NEAR]
+        self._lent[mounting] = [*near, (columns, made_at)][-_LENT:]
+        if len(self._lent) > _MOUNTINGS:
+            self._lent.pop(next(iter(self._lent)))
 
     def _equations(
         self,
@@ -377,3 +379,9 @@ class Problem:
     def _bounds(self, terms: Sequence[Term]) -> list[tuple[FloatArray, FloatArray]]:
         known = [(n.effect.lower, n.effect.upper) for n in self.nuisances]
         return [*known, *((t.lower, t.upper) for t in terms)]
+
+
+def _mounting(terms: Sequence[Term], thetas: Sequence[FloatArray]) -> _Mounting:
+    """Return what of a hypothesis has no derivative."""
+    discrete = (theta for t, theta in zip(terms, thetas, strict=True) if t.effect.kind == "discrete")
+    return tuple(float(value) for theta in discrete for value in theta)

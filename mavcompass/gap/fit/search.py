@@ -17,7 +17,7 @@ from mavcompass.gap.fit.candidates import Candidate, Candidates, misfit_of
 from mavcompass.gap.fit.criteria import Criteria
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.starts import beside_known_age, facing, in_place_of_each_other, turn_alone
+from mavcompass.gap.fit.starts import beside_known_age, facing, in_place_of_each_other, steadied, turn_alone
 from mavcompass.gap.fit.unbent import unbent
 from mavcompass.simulation.effects.effect import MOMENTS, Effect
 
@@ -154,6 +154,7 @@ class Search:
             best = self.problem.refit(min([best, *late], key=self.criteria.score))
         self.explored[best.ids] = best
         self._remember(self._rivals(best))
+        self._remember(steadied(self.problem, self.explored.values(), best))
         return best
 
     def _among_rivals(self, best: Fit) -> Fit:
@@ -391,10 +392,5 @@ def _in_order(fit: Fit, like: Fit) -> Fit:
     """Put the terms of a fit in the order of another fit of the same set."""
     place = {t.effect.id: i for i, t in enumerate(fit.terms)}
     order = [place[t.effect.id] for t in like.terms]
-    return Fit(
-        tuple(fit.terms[i] for i in order),
-        tuple(fit.thetas[i] for i in order),
-        fit.nuisance_thetas,
-        fit.sse,
-        fit.covariance,
-    )
+    terms, thetas = tuple(fit.terms[i] for i in order), tuple(fit.thetas[i] for i in order)
+    return replace(fit, terms=terms, thetas=thetas)

@@ -1,12 +1,12 @@
 """Fits from starts that no derivative leads to.
 
 What makes readings late is hidden by the age of telemetry; a compass in another orientation is turned by
-right angles.
+right angles; out of a moment of change no fit comes again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,30 @@ def in_place_of_each_other(problem: Problem, terms: Sequence[Term], fit: Fit) ->
     return out
 
 
+def steadied(problem: Problem, fits: Iterable[Fit], best: Fit) -> list[Fit]:
+    """Fit sets that differ from the best one by one effect, and use moments of change where it does without,
+    from its values."""
+    out = []
+    for fit in fits:
+        if len(fit.terms) != len(best.terms) or len(fit.ids - best.ids) != 1:
+            continue
+        thetas = [
+            best.theta(term.effect.id) if term.effect.id in best.ids else theta
+            for term, theta in zip(fit.terms, fit.thetas, strict=True)
+        ]
+        if any(
+            _changes(term, own).any() and not _changes(term, other).any()
+            for term, own, other in zip(fit.terms, fit.thetas, thetas, strict=True)
+        ):
+            out.append(problem.fit(fit.terms, thetas, best.nuisance_thetas, _ITERATIONS))
+    return out
+
+
+def _changes(term: Term, theta: FloatArray) -> NDArray[np.bool_]:
+    """Tell which parameters are moments of change that come, (k,)."""
+    return np.array([p.name in MOMENTS for p in term.effect.parameters]) & (np.abs(theta) < NEVER_S)
+
+
 def _times(effect: Effect) -> NDArray[np.bool_]:
     """Tell which parameters of an effect that makes readings late are its times, (k,)."""
     return np.array([p.unit == "s" and p.low >= 0.0 for p in effect.parameters])
@@ -77,7 +101,7 @@ def _as_late(term: Term, late_s: float) -> FloatArray:
 
 def _moved(term: Term, theta: FloatArray, by_s: float) -> FloatArray:
     """Move the moments of change of an effect, but those that never come."""
-    moments = np.array([p.name in MOMENTS for p in term.effect.parameters]) & (np.abs(theta) < NEVER_S)
+    moments = _changes(term, theta)
     return np.where(moments, theta + by_s, theta)
 
 

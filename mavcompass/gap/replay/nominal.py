@@ -42,7 +42,7 @@ from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_p
 from mavcompass.gap.replay.whereabouts import goes_about, place_curves, place_scatter_m, position_of
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -173,13 +173,14 @@ def replay(
         # if readings come often enough to know it.
         often = float(np.median(np.diff(rows.time_s))) <= SLOWEST_GYRO_S
         told_s = (told_s if late_s is None else late_s) if rows.telemetry and often else 0.0
-        whole = whole.earlier(rows.time_s, told_s)
-    taken_s = rows.time_s - told_s
+    told, taken_s = whole, rows.time_s - told_s
+    whole = told.earlier(rows.time_s, told_s)
     time_s, reference = taken_s[picked], whole.at(picked)
     if alone:
         reference = reference.wandering(time_s)
     position = position_of(track, reference)
-    stimulus = _stimulus(track, position, taken_s, rows.width, reference, field)
+    turns = Turning(rows.time_s, told.rotation, told.rate_radps, reference.rotation)
+    stimulus = _stimulus(track, position, taken_s, rows.width, reference, field, turns)
     load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
     iron = known_iron(correction, load, source)
     turning = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape)) @ iron.matrix.T
@@ -305,6 +306,7 @@ def _stimulus(
     width: int,
     reference: Reference,
     field: FloatArray,
+    turning: Turning,
 ) -> Stimulus:
     picked = middles(taken_s.size, width)
     time_s = taken_s[picked]
@@ -314,7 +316,7 @@ def _stimulus(
         motors = averaged(np.nan_to_num(track.motors.at(taken_s)), width)[picked]
         if track.vehicle in _NEUTRAL_IN_THE_MIDDLE:
             motors = 2.0 * motors - 1.0
-    return Stimulus(
+    return RecordedStimulus(
         time_s=time_s,
         rotation=reference.rotation,
         field_ned_mgauss=np.tile(field, (n, 1)),
@@ -327,6 +329,7 @@ def _stimulus(
         throttle=averaged(_scalar(track.throttle, taken_s)[:, None], width)[picked, 0],
         temperature_degc=_scalar(track.temperature_degc, time_s),
         motors=motors,
+        turning=turning,
     )
 
 

@@ -2,47 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, cross
+from mavcompass.simulation.physics.signals import Turning
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Between:
-    """Hold where wanted times lie between samples, and what cubic Hermite pieces take of both neighbours.
+@lru_cache(maxsize=8)
+def _hermite(samples: bytes, wanted: bytes) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Find wanted times (M,) among samples (N,), two at least, once for all columns that are late alike.
 
-    A value is `share` (M, 2) of the neighbours at `left` (M,) and `left` + 1, and `slope_s` (M, 2) of their
-    slopes.
+    A value of a cubic Hermite piece is the shares (2, M, 1) of the neighbours at `left` (M,) and `left` + 1,
+    and of their slopes those in seconds, (2, M, 1). Outside the ends are held.
     """
-
-    left: NDArray[np.int64]
-    share: FloatArray
-    slope_s: FloatArray
-
-    @classmethod
-    def find(cls, time_s: FloatArray, wanted_s: FloatArray) -> Between:
-        """Find the neighbours of wanted times (M,) among samples (N,), two at least; outside the ends are
-        held."""
-        wanted = np.minimum(np.maximum(wanted_s, time_s[0]), time_s[-1])
-        left = np.minimum(np.maximum(time_s.searchsorted(wanted, side="right") - 1, 0), time_s.size - 2)
-        width = time_s[left + 1] - time_s[left]
-        u = (wanted - time_s[left]) / width
-        rise = u * u * (3.0 - 2.0 * u)
-        slope = width * u * (1.0 - u)
-        share, slopes = np.empty((2, *u.shape, 2))
-        share[..., 0], share[..., 1] = 1.0 - rise, rise
-        slopes[..., 0], slopes[..., 1] = slope * (1.0 - u), -slope * u
-        return cls(left, share, slopes)
-
-    def of(self, columns: FloatArray, weights: FloatArray) -> FloatArray:
-        """Add up both neighbours of columns (N, ...) with weights (M, 2), (M, ...)."""
-        each = weights.reshape(*weights.shape, *(1 for _ in columns.shape[1:]))
-        return np.asarray(
-            columns.take(self.left, axis=0) * each[:, 0] + columns.take(self.left + 1, axis=0) * each[:, 1]
-        )
+    time_s, wanted_s = np.frombuffer(samples), np.frombuffer(wanted)
+    wanted_s = np.minimum(np.maximum(wanted_s, time_s[0]), time_s[-1])
+    left = np.minimum(np.maximum(time_s.searchsorted(wanted_s, side="right") - 1, 0), time_s.size - 2)
+    width = time_s[left + 1] - time_s[left]
+    u = (wanted_s - time_s[left]) / width
+    rise = u * u * (3.0 - 2.0 * u)
+    slope = width * u * (1.0 - u)
+    shares, shares_s = np.stack([1.0 - rise, rise]), np.stack([slope * (1.0 - u), -slope * u])
+    return left, shares[:, :, None], shares_s[:, :, None]
 
 
 def at_times(
@@ -56,8 +40,26 @@ def at_times(
     if time_s.size < 2:
         return np.repeat(values[:1], wanted_s.size, axis=0)
     slopes = central_differences(time_s, values) if slopes is None else slopes
-    between = Between.find(time_s, wanted_s)
-    return between.of(values, between.share) + between.of(slopes, between.slope_s)
+    left, shares, shares_s = _hermite(time_s.tobytes(), wanted_s.tobytes())
+    out = np.zeros((wanted_s.size, values.shape[1]))
+    for side in (0, 1):
+        out += values.take(left + side, axis=0) * shares[side]
+        out += slopes.take(left + side, axis=0) * shares_s[side]
+    return out
+
+
+def rotation_at(turning: Turning, wanted_s: FloatArray) -> FloatArray:
+    """Return rotations (N, 3, 3) at other times; what is left of their length is the interpolation's."""
+    flat, slopes = _flat_and_slopes(turning)
+    return at_times(turning.time_s, flat, wanted_s, slopes).reshape(-1, 3, 3)
+
+
+@lru_cache(maxsize=2)
+def _flat_and_slopes(turning: Turning) -> tuple[FloatArray, FloatArray]:
+    """Return rotations and their slopes, (M, 9) each: a row of R has its product with the rate as slope."""
+    rows = turning.rotation.transpose(1, 0, 2)
+    slopes = np.concatenate([cross(row, turning.rate_radps) for row in rows], axis=1)
+    return turning.rotation.reshape(-1, 9), slopes
 
 
 def central_differences(time_s: FloatArray, values: FloatArray) -> FloatArray:

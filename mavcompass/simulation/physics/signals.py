@@ -39,6 +39,26 @@ class Stimulus:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Turning:
+    """Hold how a vehicle turns: body-to-NED rotation matrices (M, 3, 3) and angular rates (M, 3).
+
+    `at_samples` are the rotation matrices at the samples of a stimulus, (N, 3, 3), where these are others.
+    """
+
+    time_s: FloatArray
+    rotation: FloatArray
+    rate_radps: FloatArray
+    at_samples: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedStimulus(Stimulus):
+    """Hold the state of the world at samples of a recording, and how its vehicle turned between them."""
+
+    turning: Turning
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Reading:
     """Hold what magnetometer, accelerometer and gyro say, body FRD, raw, each (N, 3)."""
 

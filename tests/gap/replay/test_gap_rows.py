@@ -10,6 +10,10 @@ import pytest
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap.attitude.reference import Reference, body_rate
+from mavcompass.gap.fit import Problem
+from mavcompass.gap.left.stated import STATED
+from mavcompass.gap.left.taught import prior_of
+from mavcompass.gap.replay.noise import white
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing
 from mavcompass.gap.trial.vehicles import make_case
@@ -110,6 +114,19 @@ def test_rows_of_a_flight_are_earlier_than_their_readings_by_how_late_these_are(
     came = rows.time_s[middles(rows.time_s.size, rows.width)]
     np.testing.assert_allclose(came - replayed.time_s, replayed.late_s, atol=1e-9)
     assert replay(case.track, period_s=0.0).late_s == 0.0
+
+
+def test_what_a_flight_leaves_is_the_same_whenever_its_rows_are_taken() -> None:
+    """Readings are as late as they are: between rows far apart the vehicle turns as its attitude tells."""
+    track = make_case(5, "none", baseline=False).track
+    left = []
+    for late_s in (0.0, 0.05, 0.1):
+        replayed = replay(track, period_s=0.3, late_s=late_s)
+        prior = prior_of(replayed, STATED)
+        problem = Problem(replayed, {"mag": white(np.full(3, 3.0))}, replayed.valid, prior)
+        left.append(problem.null().sse)
+    assert replayed.averaged > 1
+    assert max(left) < 1.02 * min(left)
 
 
 def test_too_few_readings_name_the_compass_that_has_more() -> None:

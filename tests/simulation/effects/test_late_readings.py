@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.causes.timing import late_field
 from mavcompass.simulation.effects.effect import Misfit, Signals
 from mavcompass.simulation.effects.sampling import at_times
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning
 
 FIELD = np.array([220.0, 15.0, 430.0])
 
@@ -55,6 +55,34 @@ def test_late_readings_follow_the_bodys_rate_and_not_their_neighbours() -> None:
     by_neighbours = at_times(time, signals.reading.mag_mgauss, time - late_s)
     off, usual = (np.sqrt(np.mean((a - true)[2:-2] ** 2)) for a in (by_rate, by_neighbours))
     assert off < 1.5 and usual > 5.0 * off
+
+
+@pytest.mark.parametrize("late_s", [0.04, 0.15, 0.2])
+@pytest.mark.parametrize("yaw_off_rad", [0.0, 0.3])
+def test_late_readings_of_a_recording_turn_as_it_tells_between_them(
+    late_s: float, yaw_off_rad: float
+) -> None:
+    """Readings far apart beside an attitude that is known more finely, whose yaw is off besides."""
+    matrix = np.array([[0.0, 1.1, 0.0], [-0.8, 0.0, 0.0], [0.0, 0.05, 1.0]])
+    fine, picked = np.arange(0.0, 30.0, 0.05), slice(2, None, 6)
+    told, time = swinging(fine).stimulus, fine[picked]
+    off = about_down(np.full(time.size, yaw_off_rad))
+
+    def seen(when_s: np.ndarray) -> np.ndarray:
+        rotation = off[: when_s.size] @ swinging(when_s).stimulus.rotation
+        return rotate_back(rotation, np.tile(FIELD, (when_s.size, 1))) @ matrix.T + 40.0
+
+    plain = swinging(time).stimulus
+    moved = {**{f.name: getattr(plain, f.name) for f in fields(plain)}, "rotation": off @ plain.rotation}
+    turning = Turning(fine, told.rotation, told.rate_radps, plain.rotation)
+    recorded = RecordedStimulus(**moved, turning=turning)
+    reading = Reading(seen(time), np.zeros((time.size, 3)), np.zeros((time.size, 3)))
+    true = seen(time - late_s)
+    finely, coarsely = (
+        np.sqrt(np.mean((late_field(Signals(stimulus, reading), time - late_s) - true)[2:-2] ** 2))
+        for stimulus in (recorded, Stimulus(**moved))
+    )
+    assert finely < 0.1 and (late_s < 0.1 or coarsely > 20.0 * finely)
 
 
 @pytest.mark.parametrize("offset_mgauss", [0.0, 300.0])

@@ -6,29 +6,27 @@ from functools import lru_cache
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, cross, rotate_back
+from mavcompass.frames import FloatArray, rotate_back
 from mavcompass.simulation.effects.effect import Effect, Memory, Misfit, Parameter, Rng, Signals, Stage
-from mavcompass.simulation.effects.sampling import at_times, central_differences, first_order_lag
-from mavcompass.simulation.physics.signals import Stimulus
+from mavcompass.simulation.effects.sampling import at_times, first_order_lag, rotation_at
+from mavcompass.simulation.physics.signals import RecordedStimulus, Turning
 
 LONGEST_LAG_S = 0.5
 # A direction of the field is told where it holds more than this share of its square.
-_UNTOLD = 1e-4
-# Any matrix will do, so that some of the readings are enough for it.
-_ENOUGH = 100
-# Times, readings, the world's field in the body's axes and its slopes, as far as they are remembered.
+_UNTOLD = 1e-5
+# Times, readings, rotations, the world's field and rates, as far as they are remembered.
 _Past = tuple[FloatArray, ...]
 
 
 def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = None) -> FloatArray:
     """Return the reading at other times, (M, 3), mG.
 
-    The world's field turns with the vehicle, which may turn faster than the readings follow each other: its
-    slopes come from the body's rate. What readings are of it by a matrix that holds for all of them (iron, a
-    compass that is mounted in another way) turns as it does; the slopes of the rest come from its neighbours.
+    The world's field turns with the vehicle, which may turn faster than the readings follow each other. What
+    readings are of it by a matrix that holds for all of them (iron, a compass that is mounted in another way)
+    turns as it does; the rest is interpolated.
     """
-    world, turning = _turning(signals.stimulus)
-    parts: _Past = (signals.stimulus.time_s, signals.reading.mag_mgauss, world, turning)
+    s = signals.stimulus
+    parts: _Past = (s.time_s, signals.reading.mag_mgauss, s.rotation, s.field_ned_mgauss, s.rate_radps)
     if memory is not None:
         past: _Past | None = memory.get("past")
         if past is not None:
@@ -36,36 +34,42 @@ def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = N
         keep = int(np.searchsorted(parts[0], parts[0][-1] - LONGEST_LAG_S - 0.1))
         first = min(keep, max(parts[0].size - 4, 0))
         memory["past"] = tuple(part[first:] for part in parts)
-    time, field, world, turning = parts
-    slopes = turning + slopes_beside(time, world, turning, field - world)
-    return at_times(time, field, wanted_s, slopes)
+    time, field, rotation, field_ned, rate = parts
+    late_ned = field_ned[: wanted_s.size]
+    if (field_ned != field_ned[0]).any():
+        late_ned = at_times(time, field_ned, wanted_s)
+    if isinstance(s, RecordedStimulus):
+        then = rotate_back(turned_since(s.turning, wanted_s), rotate_back(rotation, late_ned))
+    else:
+        then = rotate_back(rotation_at(Turning(time, rotation, rate, rotation), wanted_s), late_ned)
+    world = rotate_back(rotation, field_ned)
+    columns = field - world
+    follows = followed(world, columns)
+    return then + then @ follows + at_times(time, columns - world @ follows, wanted_s)
 
 
-@lru_cache(maxsize=1)
-def _turning(s: Stimulus) -> tuple[FloatArray, FloatArray]:
-    """Return the world's field in the body's axes and its slopes, (N, 3) each.
+def turned_since(turning: Turning, wanted_s: FloatArray) -> FloatArray:
+    """Return the turns (N, 3, 3) of the body from other times to those of the samples.
 
-    Derivatives ask again and again in one state of the world.
+    Whatever the attitude is off by at a sample, it is off by just before.
     """
-    world = rotate_back(s.rotation, s.field_ned_mgauss)
-    turning = cross(world, s.rate_radps)
-    if (s.field_ned_mgauss != s.field_ned_mgauss[0]).any():
-        turning += rotate_back(s.rotation, central_differences(s.time_s, s.field_ned_mgauss))
-    return world, turning
+    return _turned_since(turning, wanted_s.tobytes())
 
 
-def slopes_beside(
-    time_s: FloatArray, world: FloatArray, turning: FloatArray, columns: FloatArray
-) -> FloatArray:
-    """Return the slopes of columns (N, k) beside the world's field in the body's axes and its slopes, (N, 3).
+@lru_cache(maxsize=4)
+def _turned_since(turning: Turning, wanted: bytes) -> FloatArray:
+    """Do so once for a prediction and all of its derivatives."""
+    return turning.at_samples.transpose(0, 2, 1) @ rotation_at(turning, np.frombuffer(wanted))
 
-    What they are of it, by a matrix that holds for all rows and beside an offset, turns as it does.
+
+def followed(world: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return by which matrix (3, k) columns (N, k) follow the world's field in the body's axes (N, 3).
+
+    It holds for all rows, beside an offset.
     """
-    some = slice(None, None, max(len(world) // _ENOUGH, 1))
-    varies = world[some] - world[some].mean(axis=0)
-    least = _UNTOLD * float(np.sum(world[some] ** 2)) + 1e-9
-    matrix = np.linalg.solve(varies.T @ varies + least * np.eye(3), varies.T @ columns[some])
-    return np.asarray(turning @ matrix + central_differences(time_s, columns - world @ matrix))
+    varies = world - world.mean(axis=0)
+    least = _UNTOLD * float(np.sum(world**2)) + 1e-9
+    return np.asarray(np.linalg.solve(varies.T @ varies + least * np.eye(3), varies.T @ columns))
 
 
 def _lag(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
