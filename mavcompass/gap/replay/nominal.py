@@ -169,8 +169,8 @@ def replay(
         upright = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape))
         slopes = np.cross(upright, whole.rate_radps)
         swings, told_s = swing(rows.time_s, raw, upright, slopes, known, rows.width)
-        # Between means far apart nobody knows how it turned: they are put to the time when they were taken,
-        # if readings come often enough to know it.
+        # What moves or is switched does so when readings are taken: means are put there, if these come often
+        # enough to tell it.
         often = float(np.median(np.diff(rows.time_s))) <= SLOWEST_GYRO_S
         told_s = (told_s if late_s is None else late_s) if rows.telemetry and often else 0.0
     told, taken_s = whole, rows.time_s - told_s
