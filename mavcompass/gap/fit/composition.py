@@ -18,7 +18,7 @@ from mavcompass.frames import FloatArray, rotate_back
 from mavcompass.gap.attitude import cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, WHEREABOUTS, Nuisance, Replay, turned
-from mavcompass.simulation.effects.causes.timing import followed, late_field, turned_since
+from mavcompass.simulation.effects.causes.timing import followed, late_beside, late_field, turned_since
 from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, PLACED, Effect, Signals, Stage
 from mavcompass.simulation.effects.sampling import at_times, first_order_lag
 from mavcompass.simulation.physics.signals import Reading, RecordedStimulus
@@ -227,10 +227,9 @@ class Composition:
             late = {i: np.asarray(stacked[:, :, n]) for n, i in enumerate(turning)}
         if rest := [i for i in early if i not in late]:
             flat = np.hstack([changes[i].mag_mgauss for i in rest])
-            follows = followed(world, flat)
             late_ned = at_times(s.time_s, s.field_ned_mgauss, wanted_s)
             then = np.matmul(back, rotate_back(s.rotation, late_ned)[:, :, None])[:, :, 0]
-            flat = then @ follows + at_times(s.time_s, flat - world @ follows, wanted_s)
+            flat = late_beside(s.time_s, world, then, flat, wanted_s)
             late |= {i: flat[:, 3 * n : 3 * n + 3] for n, i in enumerate(rest)}
         for i, mag in late.items():
             changes[i] = Reading(mag, changes[i].acc_mps2, changes[i].gyro_radps)
@@ -332,8 +331,10 @@ class _After:
         """
         first = sum(effect.stage in _TURNING for effect, _ in self._order)
         rest = self._order[first:]
-        if not rest or any(effect.stage not in EACH_BY_ITSELF for effect, _ in rest):
-            return np.eye(3) if not rest else roughly
+        if not rest:
+            return np.eye(3)
+        if any(effect.stage not in EACH_BY_ITSELF for effect, _ in rest):
+            return roughly
         matrix = self._matrix(first)
         return matrix[0] if np.abs(matrix - matrix[0]).max() < _ALIKE else matrix
 

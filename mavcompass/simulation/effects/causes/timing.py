@@ -43,9 +43,15 @@ def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = N
     else:
         then = rotate_back(rotation_at(Turning(time, rotation, rate, rotation), wanted_s), late_ned)
     world = rotate_back(rotation, field_ned)
-    columns = field - world
+    return then + late_beside(time, world, then, field - world, wanted_s)
+
+
+def late_beside(
+    time_s: FloatArray, world: FloatArray, then: FloatArray, columns: FloatArray, wanted_s: FloatArray
+) -> FloatArray:
+    """Return columns (N, k) at other times, beside the world's field in the body's axes now and then."""
     follows = followed(world, columns)
-    return then + then @ follows + at_times(time, columns - world @ follows, wanted_s)
+    return np.asarray(then @ follows + at_times(time_s, columns - world @ follows, wanted_s))
 
 
 def turned_since(turning: Turning, wanted_s: FloatArray) -> FloatArray:
