@@ -15,6 +15,7 @@ from mavcompass.gap.replay import (
     Prior,
     averaged,
     compass_rows,
+    half_testable,
     replay,
     shared_period_s,
     untestable_effects,
@@ -102,5 +103,5 @@ def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
     )
     made: FloatArray = as_known[-1].reading.mag_mgauss + change[middles]
     exact = replace(exact, measured=replace(exact.measured, mag_mgauss=made))
-    unable = untestable_effects(exact, every, before.telemetry)
+    unable = untestable_effects(exact, every, before.telemetry).keys() - half_testable(exact, every)
     return Problem(exact, floor.noise, exact.valid, prior), [e for e in every if e.id not in unable]

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,10 +54,12 @@ class Case:
     Attributes:
         label: the truth; answer: with the whole catalogue; withheld: without the truth and its aliases.
         separation: d_sep in sigmas (single, pair) or d_perp (withheld, outside); nan where an effect only
-            scatters or leaves traces. In vehicles, beside the noise and priors of the diagnosis.
+            scatters or leaves traces, 0 where the flight cannot test it. In vehicles, beside the noise and
+            priors of the diagnosis, from what the catalogue's own model makes of the truth: by what another
+            make's model differs from that, no other effect is farther.
         own_separation: of a withheld case, d_sep from all others once it is restored.
-        truth_distance: how far the catalogue's model of the truth itself stays from it (of vehicles): beside
-            a distance that is no greater no diagnosis can name it. nan where the flight cannot test it.
+        truth_distance: how far the catalogue's model of the truth stays from what another make's has done
+            (of vehicles). nan where the flight cannot test it.
         exact, in_set: whether the answer names the truth, alone or among its set.
         true_shrink: what the named effects take away of the true gap, free of noise; nan where none is named.
         oracle_shrink: shrink of the answer over that of the true effect, on the same held-out rows. Both need
@@ -111,11 +114,13 @@ def score(label: Label, answer: Answer, withheld: Answer | None) -> Case:
             else:
                 oracle, true_shrink = closing_of_the_truth(label, answer)
             if foreign.shifts(truth):
-                near = Search(problem, others)
-                separation = _separation(label, near)
-                truth_distance = _truth_distance(label, near) if of_vehicles else 0.0
-                if label.tier == "withheld":
-                    own = _distance(near, frozenset(truth), most=1)
+                seen: Search | None = Search(problem, others)
+                truth_distance = 0.0
+                if of_vehicles and label.tier != "outside":
+                    seen, truth_distance = _as_modelled(label, Search(problem, others))
+                separation = 0.0 if seen is None else _separation(label, seen)
+                if seen is not None:
+                    own = _distance(seen, frozenset(truth), most=1) if label.tier == "withheld" else own
     return Case(label, answer, withheld, separation, exact, in_set, oracle, true_shrink, own, truth_distance)
 
 
@@ -166,21 +171,28 @@ def _distance(search: Search, removed: frozenset[str], most: int, held: Fit | No
     return math.sqrt(max(least, 0.0))
 
 
-def _truth_distance(label: Label, search: Search) -> float:
-    """Return how far the catalogue's own model of the truth stays from it; nan where it has none."""
+def _as_modelled(label: Label, search: Search) -> tuple[Search | None, float]:
+    """Return a search of what the catalogue's own model makes of the truth, and how far that stays from it.
+
+    There is none where the flight cannot test the truth.
+    """
     terms = {term.effect.id: term for term in search.terms}
     if not terms.keys() >= set(label.ids):
-        return math.nan
+        return None, math.nan
     try:
         settings = [parse(text) for text in label.effects]
     except UsageError:
         # Another make's effect may be larger than the catalogue calls physical.
-        return math.nan
+        return search, math.nan
     problem = search.problem
     known = [n.mean for n in problem.nuisances]
+    named = [terms[s.effect.id] for s in settings]
     placed = product(*(placements(s.effect, s.theta, problem.replay.iron.offset_mgauss) for s in settings))
-    fits = (problem.fit([terms[s.effect.id] for s in settings], thetas, known) for thetas in placed)
-    return math.sqrt(max(min(fit.sse for fit in fits), 0.0))
+    nearest = min(((problem.fit(named, thetas, known).sse, thetas) for thetas in placed), key=itemgetter(0))
+    made = problem.composition.states(named, nearest[1], known)[-1].reading.mag_mgauss
+    replayed = replace(problem.replay, measured=replace(problem.replay.measured, mag_mgauss=made))
+    modelled = search.on(Problem(replayed, problem.noise, problem.rows, problem.prior))
+    return modelled, math.sqrt(max(nearest[0], 0.0))
 
 
 def _size(problem: Problem) -> float:

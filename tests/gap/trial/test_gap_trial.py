@@ -11,8 +11,8 @@ import pytest
 
 from mavcompass.errors import UsageError
 from mavcompass.gap.trial.bench import draw_label
-from mavcompass.gap.trial.label import Label
-from mavcompass.gap.trial.score import Answer, Case, wilson
+from mavcompass.gap.trial.label import Label, Tier
+from mavcompass.gap.trial.score import Answer, Case, score, wilson
 from mavcompass.gap.trial.sealed import read_case, seal, write_case
 from mavcompass.gap.trial.trial import run_trial
 from mavcompass.gap.trial.vehicles import make_case
@@ -86,3 +86,33 @@ def test_a_name_is_wrong_if_it_is_neither_the_truth_nor_like_it() -> None:
 def test_a_tier_that_a_generator_does_not_have_is_refused() -> None:
     with pytest.raises(UsageError, match="no tier"):
         run_trial(1, 1, "outside")
+
+
+def _scored(tier: Tier, motion: str, seed: int) -> Case:
+    effects = tuple(
+        f"{name}:" + ",".join(f"{key}={value:.9g}" for key, value in values.items())
+        for name, values in make_case(seed, "pair" if tier == "pair" else "single").effects
+    )
+    nothing = Answer("unknown", (), (), 1.0, 1.0, 0.0, (0.0, 0.0), 1.0)
+    return score(Label(tier, motion, seed, effects, generator="vehicles"), nothing, None)
+
+
+def test_distance_is_not_what_another_makes_model_differs_by() -> None:
+    """A current of 3 mG beside a switched field of 22: when it is switched telemetry tells badly, and no name
+    explains that, the right one neither. What the current makes is what the calibration is known to."""
+    scored = _scored("pair", "ackermann-rover figure_eight", 126177429)
+    assert scored.truth_distance > 100.0
+    assert scored.separation < 5.0
+
+
+def test_effect_that_shows_a_part_of_itself_has_a_distance() -> None:
+    scored = _scored("single", "rover circles", 968557406)
+    assert scored.label.ids == ("non_orthogonality",) and scored.separation > 20.0
+
+
+def test_effect_that_a_flight_cannot_test_has_none() -> None:
+    label = Label(
+        "single", "rover circles", 968557406, ("platform_tilt:about_north=0.05",), generator="vehicles"
+    )
+    scored = score(label, Answer("unknown", (), (), 1.0, 1.0, 0.0, (0.0, 0.0), 1.0), None)
+    assert scored.separation == 0.0 and math.isnan(scored.truth_distance)
