@@ -7,7 +7,7 @@ stage on. What an attitude may be off by, and a common delay, are reckoned once 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -18,9 +18,8 @@ from mavcompass.frames import FloatArray, rotate_back
 from mavcompass.gap.attitude import cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, WHEREABOUTS, Nuisance, Replay, turned
-from mavcompass.simulation.effects.causes.timing import followed, late_beside, late_field, turned_since
+from mavcompass.simulation.effects.causes.timing import followed, late, late_beside, late_field, turned_since
 from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, PLACED, Effect, Signals, Stage
-from mavcompass.simulation.effects.sampling import at_times, first_order_lag
 from mavcompass.simulation.physics.signals import Reading, RecordedStimulus
 
 _STEP = 1e-3
@@ -30,9 +29,9 @@ _NUDGE_MGAUSS = 1.0
 _ALIKE, _APART = 1e-9, 0.03
 # Stages whose changes turn with the vehicle.
 _TURNING = frozenset({Stage.ATTITUDE, Stage.WORLD})
+# What makes readings late.
 _SMOOTHING = "low_pass"
-_DELAYS = frozenset({"transport_lag", TELEMETRY_AGE})
-_LAST = _DELAYS | {_SMOOTHING}
+_LATE = frozenset({"transport_lag", TELEMETRY_AGE, _SMOOTHING})
 
 
 def difference(after: Reading, before: Reading, step: float = 1.0) -> Reading:
@@ -121,9 +120,11 @@ class Composition:
             if len(together) == 1:
                 states.append(effect.forward(states[-1], everything[place], {}, None))
             else:
-                # A delay that is followed by another one waits for it.
+                # What is late and is made later waits for that.
                 last = at == together[-1]
-                states.append(_late(states[together[0]], order, everything, together) if last else states[-1])
+                members = [order[i] for i in together]
+                before = states[together[0]]
+                states.append(_made_late(before, members, everything) if last else states[-1])
         return states
 
     def changes(
@@ -134,9 +135,9 @@ class Composition:
         everything = [*nuisance_thetas, *thetas]
         order = self._ordered(terms, everything)
         places = {place: at for at, (_, place) in enumerate(order)}
-        # What delays and smooths comes last, the same for all that comes before it: once for all columns.
+        # What makes late comes last, the same for all that comes before it: once for all columns.
         end = len(order)
-        while end and order[end - 1][0].id in _LAST:
+        while end and order[end - 1][0].id in _LATE:
             end -= 1
         after = _After(order[:end], everything, states[: end + 1])
         changes: list[Reading] = []
@@ -155,8 +156,9 @@ class Composition:
                 changes += after.shifted(at + 1, self.replay.place_curves_m)
             elif len(together) > 1:
                 step, at = _STEP * float(effect.parameters[0].scale), together[-1]
-                late = _late(states[together[0]], order, everything, together, step)
-                changes.append(difference(late.reading, states[at + 1].reading, step))
+                later = [*everything[:place], everything[place] + step, *everything[place + 1 :]]
+                then = _made_late(states[together[0]], [order[i] for i in together], later)
+                changes.append(difference(then.reading, states[at + 1].reading, step))
             else:
                 moved, steps = [], []
                 for j in free:
@@ -173,43 +175,30 @@ class Composition:
                     own = states[at + 1].reading
                     changes += [difference(m.reading, own, s) for m, s in zip(moved, steps, strict=True)]
             made_by += [(at, effect.stage)] * (len(changes) - len(made_by))
-        for at, (last, place) in enumerate(order[end:], end):
-            early = {i: stage for i, (by, stage) in enumerate(made_by) if by < at}
-            together = _together(order, at)
-            if not early or at != together[-1]:
-                continue
-            if last.id == _SMOOTHING:
-                self._smooth(changes, early, float(everything[place][0]))
-            else:
-                delay_s = sum(float(everything[order[i][1]][0]) for i in together)
-                self._delay(changes, early, delay_s, states[together[0]], after)
+        early = {i: stage for i, (by, stage) in enumerate(made_by) if by < end}
+        if early and end < len(order):
+            self._make_late(changes, early, _lateness(order[end:], everything), states[end], after)
         return changes
 
-    def _smooth(self, changes: list[Reading], early: Collection[int], time_constant_s: float) -> None:
-        """Smooth changes, by their places."""
-        flat = np.hstack([changes[i].mag_mgauss for i in early])
-        flat, _ = first_order_lag(self.replay.time_s, flat, time_constant_s)
-        for n, i in enumerate(early):
-            changes[i] = Reading(flat[:, 3 * n : 3 * n + 3], changes[i].acc_mps2, changes[i].gyro_radps)
-
-    def _delay(
+    def _make_late(
         self,
         changes: list[Reading],
         early: Mapping[int, Stage],
-        delay_s: float,
+        lateness: tuple[float, float],
         before: Signals,
         after: _After,
     ) -> None:
-        """Delay changes of the reading `before`, by their places and stages.
+        """Delay and smooth changes of the reading `before`, by their places and stages.
 
         Those of attitude and world's field turn with the vehicle, as the compass sees them.
         """
         s = before.stimulus
         assert isinstance(s, RecordedStimulus)
+        delay_s, time_constant_s = lateness
         wanted_s = s.time_s - delay_s
-        back = turned_since(s.turning, wanted_s).transpose(0, 2, 1)
+        back = turned_since(s.turning, wanted_s, time_constant_s).transpose(0, 2, 1)
         world = rotate_back(s.rotation, s.field_ned_mgauss)
-        late: dict[int, FloatArray] = {}
+        changed: dict[int, FloatArray] = {}
         if turning := [i for i, stage in early.items() if stage in _TURNING]:
             follows = np.eye(3) + followed(world, before.reading.mag_mgauss - world).T
             seen = after.seen(follows)
@@ -217,54 +206,60 @@ class Composition:
             apart = (seen - follows) @ stacked if np.abs(seen - follows).max() > _APART else None
             if moving := [n for n, i in enumerate(turning) if early[i] is Stage.WORLD]:
                 # What differs from place to place changes as the vehicle moves, besides.
-                placed = _at_times(s.time_s, s.rotation @ stacked[:, :, moving], wanted_s)
+                placed = s.rotation @ stacked[:, :, moving]
+                placed = _late_columns(s.time_s, placed, wanted_s, time_constant_s)
                 stacked[:, :, moving] = s.rotation.transpose(0, 2, 1) @ placed
             stacked = back @ stacked
             # What does not follow the world's field by one matrix does not turn with it, but is interpolated.
-            stacked = (
-                seen @ stacked if apart is None else follows @ stacked + _at_times(s.time_s, apart, wanted_s)
-            )
-            late = {i: np.asarray(stacked[:, :, n]) for n, i in enumerate(turning)}
-        if rest := [i for i in early if i not in late]:
+            if apart is None:
+                stacked = seen @ stacked
+            else:
+                stacked = follows @ stacked + _late_columns(s.time_s, apart, wanted_s, time_constant_s)
+            changed = {i: np.asarray(stacked[:, :, n]) for n, i in enumerate(turning)}
+        if rest := [i for i in early if i not in changed]:
             flat = np.hstack([changes[i].mag_mgauss for i in rest])
-            late_ned = at_times(s.time_s, s.field_ned_mgauss, wanted_s)
+            late_ned = late(s.time_s, s.field_ned_mgauss, wanted_s, time_constant_s)
             then = np.matmul(back, rotate_back(s.rotation, late_ned)[:, :, None])[:, :, 0]
-            flat = late_beside(s.time_s, world, then, flat, wanted_s)
-            late |= {i: flat[:, 3 * n : 3 * n + 3] for n, i in enumerate(rest)}
-        for i, mag in late.items():
+            flat = late_beside(s.time_s, world, then, flat, wanted_s, time_constant_s)
+            changed |= {i: flat[:, 3 * n : 3 * n + 3] for n, i in enumerate(rest)}
+        for i, mag in changed.items():
             changes[i] = Reading(mag, changes[i].acc_mps2, changes[i].gyro_radps)
 
 
-def _at_times(time_s: FloatArray, columns: FloatArray, wanted_s: FloatArray) -> FloatArray:
-    """Interpolate columns (N, 3, k)."""
-    flat = columns.reshape(len(columns), -1)
-    return at_times(time_s, flat, wanted_s).reshape(columns.shape)
+def _late_columns(
+    time_s: FloatArray, columns: FloatArray, wanted_s: FloatArray, time_constant_s: float
+) -> FloatArray:
+    """Return columns (N, 3, k) at other times, and smoothed."""
+    return late(time_s, columns.reshape(len(columns), -1), wanted_s, time_constant_s).reshape(columns.shape)
 
 
 def _together(order: Sequence[tuple[Effect, int]], at: int) -> range:
-    """Return the members that are reckoned with member `at`: delays that follow each other are one.
+    """Return the members that are reckoned with member `at`: those that make readings late are one.
 
     One after the other they would interpolate what was interpolated, and a fit between them would stick.
     """
     first, end = at, at + 1
-    if order[at][0].id in _DELAYS:
-        while first and order[first - 1][0].id in _DELAYS:
+    if order[at][0].id in _LATE:
+        while first and order[first - 1][0].id in _LATE:
             first -= 1
-        while end < len(order) and order[end][0].id in _DELAYS:
+        while end < len(order) and order[end][0].id in _LATE:
             end += 1
     return range(first, end)
 
 
-def _late(
-    before: Signals,
-    order: Sequence[tuple[Effect, int]],
-    thetas: Sequence[FloatArray],
-    together: range,
-    more_s: float = 0.0,
+def _lateness(members: Sequence[tuple[Effect, int]], everything: Sequence[FloatArray]) -> tuple[float, float]:
+    """Return by how many seconds members delay readings, and the time constant by which they smooth them."""
+    each = [(effect.id == _SMOOTHING, float(everything[place][0])) for effect, place in members]
+    return sum(s for smooths, s in each if not smooths), sum(s for smooths, s in each if smooths)
+
+
+def _made_late(
+    before: Signals, members: Sequence[tuple[Effect, int]], everything: Sequence[FloatArray]
 ) -> Signals:
-    """Return signals as several members delay them together, and by some seconds more."""
-    delay_s = sum(float(thetas[order[at][1]][0]) for at in together) + more_s
-    return before.with_mag(late_field(before, before.stimulus.time_s - delay_s))
+    """Return signals as several members make them late together."""
+    delay_s, time_constant_s = _lateness(members, everything)
+    wanted_s = before.stimulus.time_s - delay_s
+    return before.with_mag(late_field(before, wanted_s, time_constant_s=time_constant_s))
 
 
 class _After:

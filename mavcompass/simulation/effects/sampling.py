@@ -48,9 +48,14 @@ def at_times(
     return out
 
 
-def rotation_at(turning: Turning, wanted_s: FloatArray) -> FloatArray:
-    """Return rotations (N, 3, 3) at other times; what is left of their length is the interpolation's."""
+def rotation_at(turning: Turning, wanted_s: FloatArray, time_constant_s: float = 0.0) -> FloatArray:
+    """Return rotations (N, 3, 3) at other times, or what a first-order low pass makes of them.
+
+    What is left of their length is the interpolation's, or the smoothing's.
+    """
     flat, slopes = _flat_and_slopes(turning)
+    if time_constant_s:
+        return smoothed_at(turning.time_s, flat, wanted_s, slopes, time_constant_s).reshape(-1, 3, 3)
     return at_times(turning.time_s, flat, wanted_s, slopes).reshape(-1, 3, 3)
 
 
@@ -60,6 +65,41 @@ def _flat_and_slopes(turning: Turning) -> tuple[FloatArray, FloatArray]:
     rows = turning.rotation.transpose(1, 0, 2)
     slopes = np.concatenate([cross(row, turning.rate_radps) for row in rows], axis=1)
     return turning.rotation.reshape(-1, 9), slopes
+
+
+def smoothed_at(
+    time_s: FloatArray,
+    values: FloatArray,
+    wanted_s: FloatArray,
+    slopes: FloatArray,
+    time_constant_s: float,
+) -> FloatArray:
+    """Low-pass columns (N, k) with tau dy/dt + y = x and return them at wanted times, (M, k).
+
+    Exact for x of cubic Hermite pieces. It starts settled on its first sample; outside the ends are held.
+    """
+    if time_s.size < 2:
+        return at_times(time_s, values, wanted_s, slopes)
+    tau, width = max(time_constant_s, 1e-9), np.diff(time_s)[:, None]
+    rise = np.diff(values, axis=0) / width
+    second = 2.0 * (3.0 * rise - 2.0 * slopes[:-1] - slopes[1:]) / width
+    third = 6.0 * (slopes[:-1] + slopes[1:] - 2.0 * rise) / width**2
+    # Where it has forgotten how it began, y is x - tau dx + tau^2 d2x - tau^3 d3x, piece by piece.
+    steepness = slopes[:-1] - tau * (second - tau * third)
+    settled = values[:-1] - tau * steepness
+
+    def within(piece: NDArray[np.int64] | slice, u: FloatArray) -> FloatArray:
+        """Return that at `u` seconds into pieces."""
+        bend = (second[piece] - tau * third[piece]) / 2.0 + u * third[piece] / 6.0
+        return np.asarray(settled[piece] + u * (steepness[piece] + u * bend))
+
+    decay = np.exp(-width / tau)
+    drive = np.concatenate([values[:1], within(slice(None), width) - decay * settled])
+    out = _recursion(np.concatenate([[0.0], decay[:, 0]]), drive)
+    wanted = np.minimum(np.maximum(wanted_s, time_s[0]), time_s[-1])
+    left = np.minimum(np.maximum(time_s.searchsorted(wanted, side="right") - 1, 0), time_s.size - 2)
+    u = (wanted - time_s[left])[:, None]
+    return within(left, u) + np.exp(-u / tau) * (out[left] - settled[left])
 
 
 def central_differences(time_s: FloatArray, values: FloatArray) -> FloatArray:

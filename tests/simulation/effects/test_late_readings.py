@@ -11,7 +11,7 @@ from mavcompass.frames import rotate_back
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.causes.timing import late_field
 from mavcompass.simulation.effects.effect import Misfit, Signals
-from mavcompass.simulation.effects.sampling import at_times
+from mavcompass.simulation.effects.sampling import at_times, first_order_lag, smoothed_at
 from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning
 
 FIELD = np.array([220.0, 15.0, 430.0])
@@ -83,6 +83,60 @@ def test_late_readings_of_a_recording_turn_as_it_tells_between_them(
         for stimulus in (recorded, Stimulus(**moved))
     )
     assert finely < 0.1 and (late_s < 0.1 or coarsely > 20.0 * finely)
+
+
+@pytest.mark.parametrize("time_constant_s", [0.01, 0.06, 0.4])
+@pytest.mark.parametrize("late_s", [0.0, 0.07])
+def test_smoothed_readings_of_a_recording_turn_as_it_tells_between_them(
+    time_constant_s: float, late_s: float
+) -> None:
+    """Readings three a swing beside an attitude of eight times as many, and what a low pass makes of a
+    thousand a second."""
+    every, fine, picked = np.arange(0.0, 30.0, 0.001), np.arange(0.0, 30.0, 0.03), slice(2, None, 9)
+    matrix = np.array([[0.0, 1.1, 0.0], [-0.8, 0.0, 0.0], [0.0, 0.05, 1.0]])
+    told, time = swinging(fine).stimulus, fine[picked]
+    seen = swinging(every).reading.mag_mgauss @ matrix.T + 40.0
+    low_passed, _ = first_order_lag(every, seen, time_constant_s)
+    true = at_times(every, low_passed, time - late_s)
+    plain = swinging(time)
+    now = {f.name: getattr(plain.stimulus, f.name) for f in fields(plain.stimulus)}
+    turning = Turning(fine, told.rotation, told.rate_radps, plain.stimulus.rotation)
+    reading = replace(plain.reading, mag_mgauss=plain.reading.mag_mgauss @ matrix.T + 40.0)
+    recorded = Signals(RecordedStimulus(**now, turning=turning), reading)
+    made = late_field(recorded, time - late_s, time_constant_s=time_constant_s)
+    rows = time > 8.0 * time_constant_s + 0.2
+    off, coarsely = (
+        np.sqrt(np.mean((found - true)[rows] ** 2))
+        for found in (
+            made,
+            first_order_lag(time, at_times(time, reading.mag_mgauss, time - late_s), time_constant_s)[0],
+        )
+    )
+    assert off < 0.05 and coarsely > 20.0 * off
+    if not late_s:
+        low_pass = catalogue()["low_pass"].forward(recorded, np.array([time_constant_s]), {}, None)
+        np.testing.assert_array_equal(low_pass.reading.mag_mgauss, made)
+
+
+@pytest.mark.parametrize("time_constant_s", [1e-6, 0.02, 0.3, 20.0])
+def test_low_pass_of_cubic_pieces_is_exact(time_constant_s: float) -> None:
+    """Of x = t^3 beside x = 1 it is x - tau dx + tau^2 d2x - tau^3 d3x, and what it began with fades."""
+    time = np.array([0.0, 0.03, 0.2, 0.24, 0.9, 1.0, 1.7, 2.0])
+    values = np.stack([time**3, np.ones(time.size)], axis=1)
+    slopes = np.stack([3.0 * time**2, np.zeros(time.size)], axis=1)
+    wanted, tau = np.linspace(0.0, 2.0, 41), time_constant_s
+    settled = wanted**3 - 3.0 * tau * wanted**2 + 6.0 * tau**2 * wanted - 6.0 * tau**3
+    true = settled + 6.0 * tau**3 * np.exp(-wanted / tau)
+    found = smoothed_at(time, values, wanted, slopes, tau)
+    np.testing.assert_allclose(found[:, 0], true, atol=1e-9)
+    np.testing.assert_allclose(found[:, 1], 1.0, atol=1e-9)
+
+
+def test_low_pass_holds_its_input_outside() -> None:
+    time = np.array([0.0, 0.1, 0.2])
+    values, flat = np.array([[5.0], [5.0], [5.0]]), np.zeros((3, 1))
+    assert smoothed_at(time, values, np.array([-1.0, 0.15, 9.0]), flat, 0.05) == pytest.approx(5.0)
+    assert smoothed_at(time[:1], values[:1], np.array([3.0]), flat[:1], 0.05) == pytest.approx(5.0)
 
 
 @pytest.mark.parametrize("offset_mgauss", [0.0, 300.0])

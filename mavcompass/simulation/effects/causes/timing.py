@@ -18,8 +18,10 @@ _UNTOLD = 1e-5
 _Past = tuple[FloatArray, ...]
 
 
-def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = None) -> FloatArray:
-    """Return the reading at other times, (M, 3), mG.
+def late_field(
+    signals: Signals, wanted_s: FloatArray, memory: Memory | None = None, time_constant_s: float = 0.0
+) -> FloatArray:
+    """Return the reading at other times, (M, 3), mG; of a recording also as a first-order low pass has it.
 
     The world's field turns with the vehicle, which may turn faster than the readings follow each other. What
     readings are of it by a matrix that holds for all of them (iron, a compass that is mounted in another way)
@@ -37,35 +39,51 @@ def late_field(signals: Signals, wanted_s: FloatArray, memory: Memory | None = N
     time, field, rotation, field_ned, rate = parts
     late_ned = field_ned[: wanted_s.size]
     if (field_ned != field_ned[0]).any():
-        late_ned = at_times(time, field_ned, wanted_s)
+        late_ned = late(time, field_ned, wanted_s, time_constant_s)
     if isinstance(s, RecordedStimulus):
-        then = rotate_back(turned_since(s.turning, wanted_s), rotate_back(rotation, late_ned))
+        since = turned_since(s.turning, wanted_s, time_constant_s)
+        then = rotate_back(since, rotate_back(rotation, late_ned))
     else:
         then = rotate_back(rotation_at(Turning(time, rotation, rate, rotation), wanted_s), late_ned)
     world = rotate_back(rotation, field_ned)
-    return then + late_beside(time, world, then, field - world, wanted_s)
+    return then + late_beside(time, world, then, field - world, wanted_s, time_constant_s)
 
 
 def late_beside(
-    time_s: FloatArray, world: FloatArray, then: FloatArray, columns: FloatArray, wanted_s: FloatArray
+    time_s: FloatArray,
+    world: FloatArray,
+    then: FloatArray,
+    columns: FloatArray,
+    wanted_s: FloatArray,
+    time_constant_s: float = 0.0,
 ) -> FloatArray:
     """Return columns (N, k) at other times, beside the world's field in the body's axes now and then."""
     follows = followed(world, columns)
-    return np.asarray(then @ follows + at_times(time_s, columns - world @ follows, wanted_s))
+    return np.asarray(then @ follows + late(time_s, columns - world @ follows, wanted_s, time_constant_s))
 
 
-def turned_since(turning: Turning, wanted_s: FloatArray) -> FloatArray:
-    """Return the turns (N, 3, 3) of the body from other times to those of the samples.
+def late(
+    time_s: FloatArray, columns: FloatArray, wanted_s: FloatArray, time_constant_s: float = 0.0
+) -> FloatArray:
+    """Return columns (N, k) at other times, interpolated, and as a first-order low pass has them."""
+    columns = at_times(time_s, columns, wanted_s)
+    return first_order_lag(wanted_s, columns, time_constant_s)[0] if time_constant_s else columns
+
+
+def turned_since(turning: Turning, wanted_s: FloatArray, time_constant_s: float = 0.0) -> FloatArray:
+    """Return the turns (N, 3, 3) of the body from other times to those of the samples, or their mean as a
+    first-order low pass weighs it.
 
     Whatever the attitude is off by at a sample, it is off by just before.
     """
-    return _turned_since(turning, wanted_s.tobytes())
+    return _turned_since(turning, wanted_s.tobytes(), time_constant_s)
 
 
 @lru_cache(maxsize=4)
-def _turned_since(turning: Turning, wanted: bytes) -> FloatArray:
+def _turned_since(turning: Turning, wanted: bytes, time_constant_s: float) -> FloatArray:
     """Do so once for a prediction and all of its derivatives."""
-    return turning.at_samples.transpose(0, 2, 1) @ rotation_at(turning, np.frombuffer(wanted))
+    then = rotation_at(turning, np.frombuffer(wanted), time_constant_s)
+    return turning.at_samples.transpose(0, 2, 1) @ then
 
 
 def followed(world: FloatArray, columns: FloatArray) -> FloatArray:
@@ -84,6 +102,8 @@ def _lag(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signa
 
 def _low_pass(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
     time, field = signals.stimulus.time_s, signals.reading.mag_mgauss
+    if isinstance(signals.stimulus, RecordedStimulus):
+        return signals.with_mag(late_field(signals, time, time_constant_s=float(theta[0])))
     smoothed, memory["state"] = first_order_lag(time, field, float(theta[0]), memory.get("state"))
     return signals.with_mag(smoothed)
 
