@@ -7,7 +7,7 @@ Inertial Navigation, section 14.2):
     phi'  = -R (b + diag(w) s)             gyro: bias b, which walks, and scale s
     v'    = R (f - a) + g + phi x R f      accelerometer: bias a, velocity v
     v_receiver = v - late v'               a receiver's velocity is late
-    yaw witness = phi_z + c + e_fast + e_slow
+    yaw witness = phi_z + c + e_fast + e_slow + a_1 e_1 + a_2 e_2 ...   its turns (steering.py)
 
 What turns forces into velocities is the yaw, too: where a vehicle accelerates, its receiver tells the yaw
 without any compass. Without a receiver the velocity stays within bounds. The whole is linear and normal, is
@@ -35,14 +35,15 @@ from mavcompass.gap.attitude.kinematics import (
 )
 from mavcompass.gap.attitude.receiver import Velocity, white_scatter
 from mavcompass.gap.attitude.rest import Bias
+from mavcompass.gap.attitude.steering import TURN_MEMORIES_S, remembered_turns
 from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 # States: rotation, gyro bias, velocity; what a witness is off by: yaw for seconds and for minutes, level.
 _PHI, _BIAS, _V, _FAST, _SLOW, _LEVEL, _STATES = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, (11, 12), 13
-# Constants: gyro scale, accelerometer bias, the receiver's delay, the witness's constant.
-_SCALE, _ACC, _LATE, _OFFSET, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, 8
+# Constants: gyro scale, accelerometer bias, the receiver's delay, the witness's constant and its turns.
+_SCALE, _ACC, _LATE, _OFFSET, _TURNS, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, slice(8, 11), 11
 _KNOT_S, _MOST_KNOTS, _FEWEST_KNOTS = 0.2, 600, 8
 _PASSES, _SETTLED_RAD = 10, math.radians(0.05)
 # Angle and bias walk, rad and rad/s per root second; velocity, m/s per root second.
@@ -225,7 +226,8 @@ class _Smoother:
         if self.seen is not None:
             self._add_velocity(chain, self.seen, trust)
         if self._told is not None and self.witness is not None:
-            self._add_witness(chain, at, self._told, self.witness)
+            turned = np.concatenate([[0.0], np.cumsum(gain[:, 2].sum(axis=1))])
+            self._add_witness(chain, at, self._told, self.witness, turned)
         return chain
 
     def with_sizes(self, chain: Chain, sizes: _Sizes) -> Chain:
@@ -301,8 +303,9 @@ class _Smoother:
         none = np.zeros((1, sigma.size))
         chain.add(slice(1), np.eye(_STATES)[None, : sigma.size], None, none, none + sigma**-2.0)
         offset = _UNKNOWN_YAW_RAD if self.witness is None else self.witness.constant_rad
-        known = np.repeat([_SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S, 0.0], [3, 3, 1, 1])
+        known = np.repeat([_SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S, 0.0], [3, 3, 1, 4])
         known[_OFFSET] = min(offset, _UNKNOWN_YAW_RAD)
+        known[_TURNS] = np.hypot(_SCALE_SIGMA, _WITNESS_LATE_S / TURN_MEMORIES_S)
         chain.know(np.zeros(_CONSTANTS), known)
 
     def _add_velocity(self, chain: Chain, seen: Velocity, trust: FloatArray | None) -> None:
@@ -312,7 +315,9 @@ class _Smoother:
         weights = np.broadcast_to(weight, seen.mean_mps.shape)
         chain.add(slice(None), J, c, seen.mean_mps, weights if trust is None else weights * trust)
 
-    def _add_witness(self, chain: Chain, at: FloatArray, told: FloatArray, witness: Witness) -> None:
+    def _add_witness(
+        self, chain: Chain, at: FloatArray, told: FloatArray, witness: Witness, turned_rad: FloatArray
+    ) -> None:
         apart = rotation_vectors(told @ at.transpose(0, 2, 1))
         # Of the level alone, whatever the yaw: down there less down here, in world axes.
         down = np.cross(at[:, 2], told[:, 2])
@@ -326,6 +331,7 @@ class _Smoother:
         J[:, 0, _LEVEL[0]] = J[:, 1, _LEVEL[1]] = 1.0
         if math.isfinite(witness.constant_rad):
             J[:, 2, _FAST] = J[:, 2, _SLOW] = c[:, 2, _OFFSET] = 1.0
+            c[:, 2, _TURNS] = remembered_turns(self.knots, turned_rad)
         else:
             weights[:, 2] = 0.0
         chain.add(slice(None), J, c, apart, weights)

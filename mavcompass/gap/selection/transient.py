@@ -19,8 +19,8 @@ _WORSE = 4.0
 RELAY = "relay_field"
 # Loads are recorded ten times a second at best; at least a third of the rows must be clear of switching.
 _LOAD_S, _MOST_SWITCHED = 0.1, 0.67
-# A low pass has settled after so many of its time constants.
-_SETTLED = 2.0
+# A low pass has settled to a twentieth after so many of its time constants.
+_SETTLED = 3.0
 # What is switched shows in single rows from so many deviations on. A row is off by this share of it, by
 # little more than all, and across it by less than half of that; a tenth of the rows at most.
 _SEEN_APART, _PART, _ALL, _ASIDE, _BY_CHANCE = 6.0, 0.25, 1.2, 0.5, 0.1

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from mavcompass.frames import FloatArray, euler_to_matrix, quaternion_to_matrix, rotate_back
 from mavcompass.gap.attitude.receiver import white_scatter
 from mavcompass.gap.attitude.reference import Reference, body_rate, reference_attitude
+from mavcompass.gap.attitude.steering import remembered_turns
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -278,3 +279,55 @@ def test_autopilot_tells_how_far_it_turned_while_nothing_was_heard(seed: int) ->
     off = np.degrees(np.unwrap(yaw_off(found.rotation, rotation)))
     jump = np.mean(off[(t > 53.3) & (t < 57.0)]) - np.mean(off[(t > 46.0) & (t < 49.8)])
     assert abs(jump) < 4.0
+
+
+@pytest.mark.parametrize("forgets_s", [2.5, 6.0, 20.0])
+@pytest.mark.parametrize("scale_off", [-0.004, 0.006])
+def test_autopilot_that_integrates_the_same_gyro_does_not_bear_its_scale_out(
+    forgets_s: float, scale_off: float
+) -> None:
+    """To and fro on the spot, ten seconds each way: its yaw goes with the gyro, and is pulled back slowly by
+    a compass that is late."""
+    rng, step, late_s = np.random.default_rng(8), 0.04, 0.02
+    t = np.arange(0.0, 240.0, step)
+    speed = np.repeat([0.8, 0.0, -0.8, 0.0], [250, 50, 250, 50])
+    rate = np.convolve(np.resize(speed, t.size), np.ones(20) / 20.0, "same")
+    yaw = np.cumsum(rate) * step
+    rotation = euler_to_matrix(np.zeros(t.size), np.zeros(t.size), yaw)
+    off = np.zeros(t.size)
+    for k in range(1, t.size):
+        pulled = off[k - 1] + late_s * rate[k - 1]
+        off[k] = off[k - 1] + step * (scale_off * rate[k - 1] - pulled / forgets_s)
+    gyro = np.stack([0.0 * t, 0.0 * t, (1.0 + scale_off) * rate], axis=1)
+    force = np.tile([0.0, 0.0, -STANDARD_GRAVITY_MPS2], (t.size, 1))
+    track = Track(
+        compasses={1: MagSeries(1, Series.of(t, rotate_back(rotation, np.array([200.0, 0.0, 400.0]))))},
+        gyro_radps=Series.of(t, gyro + rng.normal(0.0, 0.002, gyro.shape)),
+        acc_mps2=Series.of(t, force + rng.normal(0.0, 0.05, force.shape)),
+        attitude_rad=Series.of(t, np.stack([0.0 * t, 0.0 * t, yaw + off], axis=1)),
+        parameters={"COMPASS_USE": 0.0, "COMPASS_USE2": 1.0},
+    )
+    found = reference_attitude(track, t)
+    assert found.witnessed
+    error = yaw_off(found.rotation, rotation)
+    # How old the gyro is beside the autopilot is told to a hundredth of a second.
+    known = np.stack([np.ones(t.size), rate], axis=1)
+    error -= known @ np.linalg.lstsq(known, error, rcond=None)[0]
+    # What is left of it beside the curves, each within what is stated.
+    curves = found.curves_rad[:, 2] - found.curves_rad[:, 2].mean(axis=0)
+    sigma = math.radians(0.1)
+    design = np.vstack([curves / sigma, np.eye(curves.shape[1])])
+    wanted = np.concatenate([error / sigma, np.zeros(curves.shape[1])])
+    amplitudes = np.linalg.lstsq(design, wanted, rcond=None)[0]
+    assert rms(error - curves @ amplitudes) < math.radians(0.2)
+    assert np.abs(amplitudes).max() < 3.5
+
+
+def test_turn_is_remembered_as_long_as_a_filter_remembers() -> None:
+    """Of an even turn e' = w - e / T makes w T (1 - exp(-t / T)); after it exp(-t / T) of that is left."""
+    t = np.arange(0.0, 60.0, 0.05)
+    remembered = remembered_turns(t, 0.3 * np.minimum(t, 20.0))
+    memories = np.array([2.0, 8.0, 32.0])
+    grown = 0.3 * memories * (1.0 - np.exp(-np.minimum(t, 20.0)[:, None] / memories))
+    fading = np.exp(-np.maximum(t - 20.0, 0.0)[:, None] / memories)
+    np.testing.assert_allclose(remembered, grown * fading, atol=2e-5)
