@@ -47,7 +47,9 @@ _NEARLY_ALTERNATING = 0.85
 # where they are right).
 _BENT, _BENT_UNNAMED = 60.0, 1e-5
 _STRUCTURED_ALONG, _STRUCTURED = 12.0, 20.0
-_LOUD, _LOUD_ABOVE, _LOUD_ALONE, _LOUD_BESIDE = 2.0, 1.15, 8.0, 3.0
+_LOUD, _LOUD_ABOVE, _LOUD_ALONE, _LOUD_BESIDE = 2.0, 1.15, 4.0, 3.0
+# A line that sweeps is one of readings which scatter by this share of their noise at least, as a square.
+_SCATTERS = 0.8
 _ALONG = frozenset({"mag: heading harmonics", "mag: direction, cubic", "mag: rate"})
 _DRIFT_RIVALS = 6
 _DRIFT_MARGIN = 6.0
@@ -196,7 +198,8 @@ def owning_up(
             if not decided.named.terms or max(whitened_left(identified, decided.named)) >= _LOUD_BESIDE:
                 return Answer("unknown", answer.named, True, adequacy.where)
             return decided if loud else replace(decided, verdict="ambiguous")
-        shows = "frequency" if adequacy.sweeps else unexplained
+        sweeps = adequacy.sweeps and max(left) > _SCATTERS
+        shows = "frequency" if sweeps else unexplained
         return Answer("unknown", answer.named, True, shows) if shows else answer
     if min(left, default=0.0) > _LOUD_BESIDE:
         return Answer("named_with_remainder", answer.named, True, adequacy.where)

@@ -406,8 +406,8 @@ def beside(
         ({"left": (9.0, 1.9)}, "no_gap"),
         ({"left": (2.1, 2.1), "nominal": 1.16}, "unknown"),
         ({"left": (2.1, 2.1), "nominal": 1.14}, "no_gap"),  # at the floor
-        ({"left": (7.9, 7.9), "nominal": 0.9}, "no_gap"),
-        ({"left": (8.1, 8.1), "nominal": 0.9}, "unknown"),  # far louder than any healthy vehicle
+        ({"left": (3.9, 3.9), "nominal": 0.9}, "no_gap"),
+        ({"left": (4.1, 4.1), "nominal": 0.9}, "unknown"),  # far louder than any healthy vehicle
         ({"chance": 0.9e-5}, "unknown"),  # the known gives way by more than it may be off by
         ({"chance": 1.1e-5}, "no_gap"),
     ],
@@ -428,6 +428,9 @@ def test_silence_is_given_up_beside_a_line_that_sweeps() -> None:
     said = beside(sweeps=True)
     assert (said.verdict, said.flagged, said.coordinate) == ("unknown", True, "frequency")
     assert beside("named", ("hard_iron",), sweeps=True).verdict == "named"
+    # Nor is there one of readings that scatter less than their noise.
+    assert beside(sweeps=True, left=(0.7, 0.7)).verdict == "no_gap"
+    assert beside(sweeps=True, left=(0.7, 0.9)).verdict == "unknown"
 
 
 @pytest.mark.parametrize(("decided_left", "told"), [(2.9, "named"), (3.1, "unknown")])
