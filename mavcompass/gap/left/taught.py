@@ -58,6 +58,9 @@ _REPRESENTATIVE_P = 1e-5
 _FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.007, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
 # A reading of some age waits for its message, for at most about twice that age.
 _MOST_WAITING = 0.5
+# Two waits never differ by more than a step of the messages: a normal of half their variance reaches that at
+# 3.5 sigma, one of all of it at 2.4, and would take a lag of two steps for a wait.
+_BOUNDED = math.sqrt(0.5)
 _FEWEST_READINGS = 10
 _SAME_PLACE_M = 1000.0
 DISCREPANCY_MGAUSS = 1.2
@@ -236,7 +239,7 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
     prior = Prior.of(taught)
     stated = np.concatenate([n.mean for n in own]) if own else np.zeros(0)
     if source:
-        waiting_s = max(_waiting_s(replay), _waiting_s(baseline))
+        waiting_s = _BOUNDED * max(_waiting_s(replay), _waiting_s(baseline))
         daily = np.concatenate([_daily(n, waiting_s, replay.late_s) for n in taught])
         if replay.reference.kind == "columns":
             daily = np.zeros(daily.size)
