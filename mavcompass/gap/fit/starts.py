@@ -115,7 +115,10 @@ def facing(problem: Problem, terms: Sequence[Term], beside: Fit, most_sse: float
         for guess in term.effect.starts(misfit_of(problem, problem.signals(beside))):
             thetas, starts = (*beside.thetas, guess), yaw_starts(problem.nuisances)
             fits = sorted((problem.fit(together, thetas, start, 1) for start in starts), key=lambda f: f.sse)
-            # One step is enough to see that a compass is not mounted so.
+            if len(starts) > 1 and fits[0].sse >= most_sse:
+                # Where the yaw may be anything, one of six is off by so much that it takes a few steps more.
+                fits = [problem.fit(together, f.thetas, f.nuisance_thetas, _ITERATIONS) for f in fits[:1]]
+            # Elsewhere one step is enough to see that a compass is not mounted so.
             likely = [fit for fit in fits[:_LIKELY_YAWS] if fit.sse < most_sse]
             if likely:
                 out.append(min(map(problem.refit, likely), key=lambda f: f.sse))

@@ -44,8 +44,10 @@ def test_distance_of_a_pair_keeps_its_turn_of_the_mounting() -> None:
     assert 5.0 < scored.separation < 50.0  # without the turn 856
 
 
-def test_autopilot_that_steers_by_a_turned_compass_accuses_no_gyro() -> None:
-    case = make_case(1023359753, "single")
+@pytest.mark.parametrize("seed", [1023359753, 702557232])
+def test_autopilot_that_steers_by_a_turned_compass_accuses_no_gyro(seed: int) -> None:
+    """The other is a level rover that stands and turns: of its yaw nothing tells but the compass itself."""
+    case = make_case(seed, "single")
     found = diagnose_gap(case.track, case.baseline)
     assert found.verdict == "named"
     assert [cause.effect for cause in found.causes] == ["orientation"]
