@@ -43,6 +43,19 @@ class Solved:
         alone = self._reduced.products(unit.reshape(length, width, rows.size))
         return np.asarray(alone + bent @ self._constants_covariance @ bent.T)
 
+    def covariance_with(self, which: NDArray[np.int64], sums: FloatArray) -> FloatArray:
+        """Return the covariance of all states with sums of the first elements of some, (K, n, k).
+
+        The sums have weights (M, count, k).
+        """
+        length, width = self.states.shape
+        right = np.zeros((length, width, sums.shape[2]))
+        right[which, : sums.shape[1]] = sums
+        alone = self._reduced.solve(right)
+        bent = self._bent.reshape(length, width, -1)
+        shared = np.tensordot(bent[which, : sums.shape[1]], sums, ((0, 1), (0, 1)))
+        return np.asarray(alone + bent @ (self._constants_covariance @ shared))
+
 
 class Chain:
     """Collect equations J x = y of weight w, and solve them.

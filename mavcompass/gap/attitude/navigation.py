@@ -104,7 +104,8 @@ class Smoothed:
     Attributes:
         rotation: body to NED, (N, 3, 3). rate_radps: without the gyro's bias and scale error, (N, 3).
         gyro_bias: mean over the recording, and its standard deviation.
-        knots_s: some of the times, (M,). covariance: of the rotation vectors in world axes there, (3 M, 3 M).
+        knots_s: the smoother's times, (K,). some: those that tell how the error goes, (M,).
+        covariance: of the rotation vectors in world axes there, (3 M, 3 M).
         borne_out: False where a receiver's velocity is contradicted.
     """
 
@@ -112,8 +113,19 @@ class Smoothed:
     rate_radps: FloatArray
     gyro_bias: Bias
     knots_s: FloatArray
+    some: NDArray[np.int64]
     covariance: FloatArray
     borne_out: bool
+    _solved: Solved
+    _excess: float
+
+    def covariance_with(self, sums: FloatArray) -> FloatArray:
+        """Return the covariance of the rotation vectors at all knots with sums of those at some, (K, 3, k).
+
+        The sums have weights (3 M, k).
+        """
+        weights = sums.reshape(self.some.size, 3, -1)
+        return self._excess * self._solved.covariance_with(self.some, weights)[:, _PHI]
 
 
 def smoothed_attitude(
@@ -141,11 +153,12 @@ def smoothed_attitude(
     rate = (
         smoother.rate - smoother.between(solved.states[:, _BIAS]) - smoother.rate * solved.constants[_SCALE]
     )
-    covariance = solved.covariance(some, 3) * smoother.excess(solved)
+    excess = smoother.excess(solved)
     middle = np.array([smoother.knots.size // 2])
     sigma = np.sqrt(np.diag(solved.covariance(middle, _BIAS.stop))[_BIAS])
     found = Bias(bias.mean + change, sigma)
-    return Smoothed(rotation, rate, found, smoother.knots[some], covariance, smoother.bears_out(solved))
+    covariance, borne_out = solved.covariance(some, 3) * excess, smoother.bears_out(solved)
+    return Smoothed(rotation, rate, found, smoother.knots, some, covariance, borne_out, solved, excess)
 
 
 def believable(smoothed: Smoothed, bias: Bias) -> bool:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,8 @@ class Reference:
         rotation: body to NED, (N, 3, 3); rate_radps: its body rate, (N, 3).
         known: where there is one, (N,).
         yaw_sigma_rad: a priori standard deviation of a constant yaw error (0: none is solved for).
+        with_yaw: what else turns with that constant, per radian, rotation vectors in world axes, (N, 3) or
+            (1, 3): a yaw that is off turns what the receiver says of the acceleration, and so the level.
         curves_rad: what else it may be off by, rotation vectors in world axes, (N, 3, k): each curve has
             a standard normal amplitude.
         rest_rad2: covariance of what no curve holds, about the world's axes, mean over time, (3, 3).
@@ -89,6 +91,7 @@ class Reference:
     rate_radps: FloatArray
     known: NDArray[np.bool_]
     yaw_sigma_rad: float = 0.0
+    with_yaw: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
     curves_rad: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
     rest_rad2: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     tilt_sigma_rad: float = 0.0
@@ -124,9 +127,10 @@ class Reference:
     def at(self, rows: slice) -> Reference:
         """Return the reference at some of its times."""
         curves = self.curves_rad[rows] if self.curves_rad.size else self.curves_rad
+        beside = self.with_yaw[rows] if len(self.with_yaw) == len(self.rotation) else self.with_yaw
         return replace(
             self, rotation=self.rotation[rows], rate_radps=self.rate_radps[rows], known=self.known[rows],
-            curves_rad=curves,
+            with_yaw=beside, curves_rad=curves,
         )  # fmt: skip
 
 
@@ -266,18 +270,17 @@ def _fused(
         turning = np.einsum("ni,ni->n", smoothed.rate_radps, smoothed.rotation[:, 2])
         yaw = integral(clock, turning[:, None])[:, 0] + _ahead(smoothed.rotation, autopilot)
         age = age_of(clock, turning, clock, yaw) or 0.0
-    constant, curves, rest = _unknown(smoothed, time_s)
-    if choice == "gyro" or not told or constant > _MOST_LINEAR_RAD:
-        constant = _UNKNOWN_YAW_RAD
+    unknown = _unknown(smoothed, time_s, bool(told) and choice != "gyro")
     by = f"; its yaw follows {' and '.join(told)}" if told else "; its initial yaw is solved with the field"
     return Reference(
         "fused" if choice == "auto" else choice,
         carried(clock, smoothed.rotation, smoothed.rate_radps, time_s + age),
         at_times(clock, smoothed.rate_radps, time_s + age),
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
-        yaw_sigma_rad=constant,
-        curves_rad=curves,
-        rest_rad2=rest,
+        yaw_sigma_rad=unknown.yaw_sigma_rad,
+        with_yaw=unknown.with_yaw,
+        curves_rad=unknown.curves_rad,
+        rest_rad2=unknown.rest_rad2,
         tilt_sigma_rad=float(np.sqrt(np.mean(np.diag(smoothed.covariance).reshape(-1, 3)[:, :2]))),
         gyro_bias=smoothed.gyro_bias,
         witnessed=bool(told),
@@ -292,24 +295,45 @@ def _leaning_rad(heard: Velocity, clock: FloatArray, rotation: FloatArray, autop
     return float(np.sqrt(np.mean((turned * pushed) ** 2))) / STANDARD_GRAVITY_MPS2
 
 
-def _unknown(smoothed: Smoothed, time_s: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Return the sigma of a constant of the yaw, the largest curves (N, 3, k), and the rest, (3, 3)."""
-    covariance, knots = smoothed.covariance, smoothed.knots_s
+class _Unknown(NamedTuple):
+    """Hold what a smoothed attitude may be off by: fields of `Reference`."""
+
+    yaw_sigma_rad: float
+    with_yaw: FloatArray
+    curves_rad: FloatArray
+    rest_rad2: FloatArray
+
+
+def _unknown(smoothed: Smoothed, time_s: FloatArray, told: bool) -> _Unknown:
+    """Part an attitude's error into a constant of the yaw, the largest curves, and the rest."""
+    covariance, some = smoothed.covariance, smoothed.knots_s[smoothed.some]
     # Knots stand closer where readings were lost: each counts by the time about it.
-    share = np.gradient(knots) / float(knots[-1] - knots[0])
+    share = np.gradient(some) / float(some[-1] - some[0])
     share /= share.sum()
-    constant = math.sqrt(float(share @ covariance[2::3, 2::3] @ share))
-    varying = np.eye(3 * knots.size)
-    varying[2::3, 2::3] -= share
+    mean = np.zeros(3 * some.size)
+    mean[2::3] = share
+    constant = math.sqrt(float(mean @ covariance @ mean))
+    told = told and math.hypot(constant, _LEAST_CONSTANT_RAD) <= _MOST_LINEAR_RAD
+    # What goes with the constant; one that nothing tells is no small turn, and takes nothing along.
+    beside = np.tile([0.0, 0.0, 1.0], (smoothed.knots_s.size, 1))
+    if told:
+        beside = smoothed.covariance_with(mean[:, None])[:, :, 0] / constant**2
+    varying = np.eye(mean.size) - np.outer(beside[smoothed.some].ravel(), mean)
     weight = np.sqrt(np.repeat(share, 3))
     values, vectors = np.linalg.eigh(weight[:, None] * (varying @ covariance @ varying.T) * weight)
     size = np.sqrt(np.maximum(values, 0.0))
     keep = np.flatnonzero(size > _LEAST_CURVE_RAD)[::-1][:_MOST_CURVES]
-    small = np.delete(vectors * size, keep, axis=1).reshape(knots.size, 3, -1)
+    small = np.delete(vectors * size, keep, axis=1).reshape(some.size, 3, -1)
     rest = np.einsum("kim,kjm->ij", small, small)
-    curves = (vectors[:, keep] * size[keep] / weight[:, None]).reshape(knots.size, 3 * keep.size)
-    spread = interpolated(knots, curves, time_s) if keep.size else np.zeros((time_s.size, 0))
-    return math.hypot(constant, _LEAST_CONSTANT_RAD), spread.reshape(time_s.size, 3, keep.size), rest
+    # Between those knots an error is what it is expected to be beside them: a level that is off by what
+    # turns with the vehicle goes round in world axes, which straight lines would not see.
+    amplitudes = varying.T @ (weight[:, None] * vectors[:, keep]) / size[keep]
+    curves = smoothed.covariance_with(amplitudes) - beside[:, :, None] * (mean @ covariance @ amplitudes)
+    at_all = np.concatenate([beside[:, :, None] - [[0.0], [0.0], [1.0]], curves], axis=2)
+    spread = interpolated(smoothed.knots_s, at_all.reshape(len(at_all), -1), time_s)
+    spread = spread.reshape(time_s.size, 3, -1)
+    sigma = math.hypot(constant, _LEAST_CONSTANT_RAD) if told else _UNKNOWN_YAW_RAD
+    return _Unknown(sigma, spread[:, :, 0], spread[:, :, 1:], rest)
 
 
 def _autopilot_rotation(track: Track, clock: FloatArray) -> FloatArray | None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, rotate_back
-from mavcompass.gap.attitude import cross_matrices
+from mavcompass.gap.attitude import Reference, cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, WHEREABOUTS, Nuisance, Replay, turned
 from mavcompass.simulation.effects.causes.timing import followed, late, late_beside, late_field, turned_since
@@ -64,15 +64,17 @@ def _nudged(signals: Signals) -> list[Signals]:
     ]
 
 
-def _turns(curves_rad: FloatArray, yaw_rad: float) -> FloatArray:
+def _turns(reference: Reference, yaw_rad: float) -> FloatArray:
     """Return the turns in world axes, (N, 3, 1 + k), by a constant of the yaw and by curves.
 
     The curves' frame is turned by that yaw.
     """
     c, d = math.cos(yaw_rad), math.sin(yaw_rad)
-    constant = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (len(curves_rad), 3, 1))
-    turned = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]]) @ curves_rad
-    return np.concatenate([constant, turned], axis=2)
+    curves = reference.curves_rad
+    beside = np.broadcast_to(reference.with_yaw, (len(curves), 3))[:, :, None]
+    turns = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]]) @ np.concatenate([beside, curves], axis=2)
+    turns[:, 2, 0] += 1.0
+    return turns
 
 
 def _of_the_compass(mag_mgauss: FloatArray, like: Reading) -> list[Reading]:
@@ -150,7 +152,7 @@ class Composition:
             effect = order[at][0]
             together = _together(order, at)
             if effect.id == REFERENCE_YAW:
-                turns = _turns(self.replay.reference.curves_rad, float(everything[place][0]))
+                turns = _turns(self.replay.reference, float(everything[place][0]))
                 changes += after.turned(at + 1, turns)
             elif effect.id == WHEREABOUTS:
                 changes += after.shifted(at + 1, self.replay.place_curves_m)

@@ -371,7 +371,8 @@ def _nuisances(
         mean, sigma = np.zeros((2, 1 + reference.curves_rad.shape[2]))
         mean[0] = float(wrap_pi(offset)) if constant > UNKNOWN_YAW_RAD else 0.0
         sigma[:], sigma[0] = 1.0, max(constant, 1e-9)
-        found.append(Nuisance.of(reference_attitude_error(reference.curves_rad), mean, sigma))
+        effect = reference_attitude_error(reference.curves_rad, reference.with_yaw)
+        found.append(Nuisance.of(effect, mean, sigma))
     if telemetry:
         found.append(Nuisance.of(AGE, np.array([USUAL_AGE_S - late_s]), np.array([AGE_SIGMA_S])))
     return tuple(found)

@@ -107,11 +107,15 @@ def turned(signals: Signals, vectors_rad: FloatArray, yaw_rad: float = 0.0) -> S
     return moved.with_mag(signals.reading.mag_mgauss + change)
 
 
-def reference_attitude_error(curves_rad: FloatArray) -> Effect:
-    """Build what a reference does not know: a constant of the yaw, and curves (N, 3, k) over time."""
+def reference_attitude_error(curves_rad: FloatArray, with_yaw: FloatArray | None = None) -> Effect:
+    """Build what a reference does not know: a constant of the yaw, and curves (N, 3, k) over time.
+
+    With each radian of the constant other turns go, (N, 3) or (1, 3), if any.
+    """
+    beside = np.zeros((1, 3)) if with_yaw is None else with_yaw
 
     def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
-        return turned(signals, curves_rad @ theta[1:], float(theta[0]))
+        return turned(signals, curves_rad @ theta[1:] + theta[0] * beside, float(theta[0]))
 
     amplitudes = (Parameter(f"curve {i + 1}", "1", -30.0, 30.0, 0.0, 1.0) for i in range(curves_rad.shape[2]))
     return Effect(

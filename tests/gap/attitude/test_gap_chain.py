@@ -140,6 +140,19 @@ def test_covariance_of_some_states_is_a_block_of_the_dense_inverse(seed: int) ->
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+def test_covariance_with_sums_of_some_states_is_that_of_the_dense_inverse(seed: int) -> None:
+    both = some_chain(seed)
+    length, width, _ = both.shape
+    dense, solved = both.dense.covariance(), both.chain.solve()
+    which, count = np.array([0, length - 1]), max(width - 1, 1)
+    sums = np.random.default_rng(seed).normal(size=(which.size, count, 3))
+    rows = (which[:, None] * width + np.arange(count)).ravel()
+    wanted = dense[: length * width, rows] @ sums.reshape(rows.size, 3)
+    found = solved.covariance_with(which, sums)
+    np.testing.assert_allclose(found, wanted.reshape(length, width, 3), rtol=1e-7, atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_deviance_differs_between_equations_as_the_dense_likelihood_does(seed: int) -> None:
     # Other values and other weights of as many equations: what remains is one constant for all.
     apart = []

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.frames import FloatArray, euler_to_matrix, quaternion_to_matrix, rotate_back
+from mavcompass.gap.attitude.kinematics import integral
 from mavcompass.gap.attitude.receiver import white_scatter
 from mavcompass.gap.attitude.reference import Reference, body_rate, reference_attitude
 from mavcompass.gap.attitude.steering import remembered_turns
@@ -321,6 +322,33 @@ def test_autopilot_that_integrates_the_same_gyro_does_not_bear_its_scale_out(
     amplitudes = np.linalg.lstsq(design, wanted, rcond=None)[0]
     assert rms(error - curves @ amplitudes) < math.radians(0.2)
     assert np.abs(amplitudes).max() < 3.5
+
+
+def test_yaw_of_a_circling_vehicle_that_is_off_takes_its_level_along() -> None:
+    """A yaw that is off by c turns an acceleration a to the left into c a ahead, which is a pitch of c a / g:
+    left and right in turn it changes sides, but for what the gyro knows better."""
+    rng, step, speed = np.random.default_rng(8), 0.05, 5.0
+    t = np.arange(0.0, 240.0, step)
+    rate = np.convolve(np.resize(np.repeat([0.6, -0.6], 1000), t.size), np.ones(20) / 20.0, "same")
+    yaw = integral(t, rate[:, None])[:, 0]
+    rotation = euler_to_matrix(np.zeros(t.size), np.zeros(t.size), yaw)
+    velocity = speed * np.stack([np.cos(yaw), np.sin(yaw), 0.0 * t], axis=1)
+    pushed = np.gradient(velocity, step, axis=0) - [0.0, 0.0, STANDARD_GRAVITY_MPS2]
+    gyro = np.stack([0.0 * t, 0.0 * t, rate], axis=1) + rng.normal(0.0, 0.02, (t.size, 3))
+    force = rotate_back(rotation, pushed) + rng.normal(0.0, 0.1, (t.size, 3))
+    track = Track(
+        compasses={1: MagSeries(1, Series.of(t, rotate_back(rotation, np.array([200.0, 0.0, 400.0]))))},
+        gyro_radps=Series.of(t, gyro),
+        acc_mps2=Series.of(t, force),
+        gps_velocity_mps=Series.of(t[::4], velocity[::4] + rng.normal(0.0, 0.1, (len(t[::4]), 3))),
+    )
+    found = reference_attitude(track, t)
+    pitch = rotate_back(rotation, found.with_yaw)[:, 1]
+    whole = 0.6 * speed / STANDARD_GRAVITY_MPS2
+    for side in (-1.0, 1.0):
+        even = (rate * side > 0.59) & (t > 20.0) & (t < 220.0)
+        assert -1.0 < side * pitch[even].mean() / whole < -0.8
+    assert abs(found.with_yaw[:, 2].mean()) < 0.02
 
 
 def test_turn_is_remembered_as_long_as_a_filter_remembers() -> None:

@@ -176,11 +176,12 @@ def whole_chain(
     """Return a problem with every kind of nuisance, and values for them away from zero."""
     rotation = replayed.reference.rotation
     curves = drawn(replayed.time_s, np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
+    with_yaw = 0.006 * np.stack([np.cos(0.3 * replayed.time_s + k) for k in range(3)], axis=1)
     iron = known_iron(FULL, replayed.signals.stimulus.current_a, "current")
     matrix, offset = iron.nuisances(STATED)
     nuisances = (
         Nuisance.of(WORLD_FIELD, np.zeros(3), np.full(3, 5.0)),
-        Nuisance.of(reference_attitude_error(curves), np.zeros(3), np.array([0.1, 1.0, 1.0])),
+        Nuisance.of(reference_attitude_error(curves, with_yaw), np.zeros(3), np.array([0.1, 1.0, 1.0])),
         matrix,
         offset,
         Nuisance.of(AGE, np.array([0.06]), np.array([0.05])),
@@ -193,7 +194,8 @@ def whole_chain(
         rng.normal(0.0, 2.0, 6),
         np.array([0.0837]),
     ]
-    bent = replace(replayed, reference=replace(replayed.reference, curves_rad=curves), groups=("mag",))
+    reference = replace(replayed.reference, with_yaw=with_yaw, curves_rad=curves)
+    bent = replace(replayed, reference=reference, groups=("mag",))
     return Problem(bent, {"mag": noise}, bent.valid, Prior.of(nuisances)), thetas
 
 
