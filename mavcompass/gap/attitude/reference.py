@@ -270,7 +270,8 @@ def _fused(
         turning = np.einsum("ni,ni->n", smoothed.rate_radps, smoothed.rotation[:, 2])
         yaw = integral(clock, turning[:, None])[:, 0] + _ahead(smoothed.rotation, autopilot)
         age = age_of(clock, turning, clock, yaw) or 0.0
-    unknown = _unknown(smoothed, time_s, bool(told) and choice != "gyro")
+    healthy = believable(smoothed, resting)
+    unknown = _unknown(smoothed, time_s, bool(told) and choice != "gyro", healthy)
     by = f"; its yaw follows {' and '.join(told)}" if told else "; its initial yaw is solved with the field"
     return Reference(
         "fused" if choice == "auto" else choice,
@@ -304,7 +305,7 @@ class _Unknown(NamedTuple):
     rest_rad2: FloatArray
 
 
-def _unknown(smoothed: Smoothed, time_s: FloatArray, told: bool) -> _Unknown:
+def _unknown(smoothed: Smoothed, time_s: FloatArray, told: bool, healthy: bool) -> _Unknown:
     """Part an attitude's error into a constant of the yaw, the largest curves, and the rest."""
     covariance, some = smoothed.covariance, smoothed.knots_s[smoothed.some]
     # Knots stand closer where readings were lost: each counts by the time about it.
@@ -314,9 +315,10 @@ def _unknown(smoothed: Smoothed, time_s: FloatArray, told: bool) -> _Unknown:
     mean[2::3] = share
     constant = math.sqrt(float(mean @ covariance @ mean))
     told = told and math.hypot(constant, _LEAST_CONSTANT_RAD) <= _MOST_LINEAR_RAD
-    # What goes with the constant; one that nothing tells is no small turn, and takes nothing along.
+    # What goes with the constant: one that nothing tells is no small turn, and takes nothing along; nor does
+    # one beside a gyro that is off by degrees a second, of which the smoother's models hold less well.
     beside = np.tile([0.0, 0.0, 1.0], (smoothed.knots_s.size, 1))
-    if told:
+    if told and healthy:
         beside = smoothed.covariance_with(mean[:, None])[:, :, 0] / constant**2
     varying = np.eye(mean.size) - np.outer(beside[smoothed.some].ravel(), mean)
     weight = np.sqrt(np.repeat(share, 3))
