@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from mavcompass.frames import FloatArray, euler_to_matrix
+from mavcompass.simulation.effects.sampling import at_times
 
 _EVEN = 0.05
 
@@ -151,3 +152,10 @@ def turned_about_down(rotation: FloatArray, angle: FloatArray) -> FloatArray:
     out[:, 0] = c * rotation[:, 0] - d * rotation[:, 1]
     out[:, 1] = d * rotation[:, 0] + c * rotation[:, 1]
     return out
+
+
+def carried(clock: FloatArray, rotation: FloatArray, rate: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Carry rotations (N, 3, 3) to other times with the rates (N, 3) from the sample before."""
+    left = np.clip(np.searchsorted(clock, time_s, side="right") - 1, 0, clock.size - 1)
+    middle_rate = at_times(clock, rate, 0.5 * (time_s + clock[left]))
+    return np.asarray(rotation[left] @ exponentials(middle_rate * (time_s - clock[left])[:, None]))

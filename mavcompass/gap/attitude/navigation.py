@@ -24,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude.chain import Chain, Solved
+from mavcompass.gap.attitude.chain import KNOT_S, Chain, Solved, knots_of, silences
 from mavcompass.gap.attitude.kinematics import (
+    carried,
     cross_matrices,
     exponentials,
     integral,
@@ -36,7 +37,6 @@ from mavcompass.gap.attitude.kinematics import (
 from mavcompass.gap.attitude.receiver import Velocity, white_scatter
 from mavcompass.gap.attitude.rest import Bias
 from mavcompass.gap.attitude.steering import TURN_MEMORIES_S, remembered_turns
-from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
@@ -44,7 +44,6 @@ _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 _PHI, _BIAS, _V, _FAST, _SLOW, _LEVEL, _STATES = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, (11, 12), 13
 # Constants: gyro scale, accelerometer bias, the receiver's delay, the witness's constant and its turns.
 _SCALE, _ACC, _LATE, _OFFSET, _TURNS, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, slice(8, 11), 11
-_KNOT_S, _MOST_KNOTS, _FEWEST_KNOTS = 0.2, 600, 8
 _PASSES, _SETTLED_RAD = 10, math.radians(0.05)
 # Angle and bias walk, rad and rad/s per root second; velocity, m/s per root second.
 _WALK, _WANDER, _PUSH = math.radians(0.03), math.radians(0.01), 0.02
@@ -66,7 +65,6 @@ _FAST_MEMORY_S, _SLOW_MEMORY_S, _SCATTER_RAD = 8.0, 40.0, math.radians(0.1)
 # A filter that has just begun has the yaw of its first reading, and needs seconds to come from there.
 _BEGINS_RAD = math.radians(5.0)
 _FAST_RAD = np.radians([0.2, 0.4, 0.8, 1.6, 3.2, 6.4])
-_SILENCE = 2.5
 _COVARIANCES, _MOST_SILENCES = 64, 32
 
 
@@ -105,7 +103,6 @@ class Smoothed:
         rotation: body to NED, (N, 3, 3). rate_radps: without the gyro's bias and scale error, (N, 3).
         gyro_bias: mean over the recording, and its standard deviation.
         knots_s: the smoother's times, (K,). some: those that tell how the error goes, (M,).
-        covariance: of the rotation vectors in world axes there, (3 M, 3 M).
         borne_out: False where a receiver's velocity is contradicted.
     """
 
@@ -114,13 +111,16 @@ class Smoothed:
     gyro_bias: Bias
     knots_s: FloatArray
     some: NDArray[np.int64]
-    covariance: FloatArray
     borne_out: bool
     _solved: Solved
     _excess: float
 
+    def covariance(self) -> FloatArray:
+        """Return that of the rotation vectors in world axes at some knots, (3 M, 3 M)."""
+        return self._excess * self._solved.covariance(self.some, _PHI.stop)
+
     def covariance_with(self, sums: FloatArray) -> FloatArray:
-        """Return the covariance of the rotation vectors at all knots with sums of those at some, (K, 3, k).
+        """Return that of the rotation vectors at all knots with sums of those at some, (K, 3, k).
 
         The sums have weights (3 M, k).
         """
@@ -149,16 +149,16 @@ def smoothed_attitude(
             break
     assert solved is not None
     change = solved.states[:, _BIAS].mean(axis=0)
-    some = smoother.telling()
     rate = (
         smoother.rate - smoother.between(solved.states[:, _BIAS]) - smoother.rate * solved.constants[_SCALE]
     )
-    excess = smoother.excess(solved)
     middle = np.array([smoother.knots.size // 2])
     sigma = np.sqrt(np.diag(solved.covariance(middle, _BIAS.stop))[_BIAS])
     found = Bias(bias.mean + change, sigma)
-    covariance, borne_out = solved.covariance(some, 3) * excess, smoother.bears_out(solved)
-    return Smoothed(rotation, rate, found, smoother.knots, some, covariance, borne_out, solved, excess)
+    return Smoothed(
+        rotation, rate, found, smoother.knots, smoother.telling(), smoother.bears_out(solved), solved,
+        smoother.excess(solved),
+    )  # fmt: skip
 
 
 def believable(smoothed: Smoothed, bias: Bias) -> bool:
@@ -186,7 +186,7 @@ class _Smoother:
         self, sensed: Sensed, bias: Bias, velocity: Velocity | None, witness: Witness | None
     ) -> None:
         clock = sensed.time_s
-        self.clock, self.knots = clock, _knots(clock)
+        self.clock, self.knots = clock, knots_of(clock)
         self.step = np.diff(self.knots)
         self._is_silent = np.isin(self.knots[:-1], clock[:-1][silences(clock)])
         self.news_s = float(np.median(self.step))
@@ -340,7 +340,7 @@ class _Smoother:
         turning = interpolated(self.clock, self.rate, self.knots)
         late = _WITNESS_LATE_S * np.linalg.norm(turning, axis=1)
         scatter = np.hypot(np.array([_LEVEL_SCATTER_RAD, _LEVEL_SCATTER_RAD, _SCATTER_RAD]), late[:, None])
-        weights = min(1.0, self.news_s / _KNOT_S) / scatter**2
+        weights = min(1.0, self.news_s / KNOT_S) / scatter**2
         J[:, 0, _LEVEL[0]] = J[:, 1, _LEVEL[1]] = 1.0
         if math.isfinite(witness.constant_rad):
             J[:, 2, _FAST] = J[:, 2, _SLOW] = c[:, 2, _OFFSET] = 1.0
@@ -381,33 +381,6 @@ class _Smoother:
         size = share * float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
         silent = np.where(self._is_silent, (size * self.step) ** 2, 0.0)
         return np.asarray(math.hypot(scatter * each, walk) ** 2 * self.step + silent)
-
-
-def silences(clock: FloatArray) -> NDArray[np.bool_]:
-    """Tell which of the steps between times (N,) are far longer than usual, (N - 1,)."""
-    step = np.diff(clock)
-    return np.asarray(step > _SILENCE * np.median(step))
-
-
-def _knots(clock: FloatArray) -> FloatArray:
-    """Return even knots, with one on each side of every silence and none in it."""
-    span = float(clock[-1] - clock[0])
-    count = max(round(span / max(_KNOT_S, span / _MOST_KNOTS)), _FEWEST_KNOTS) + 1
-    even = np.linspace(clock[0], clock[-1], count)
-    silent = np.flatnonzero(silences(clock))
-    first, last = clock[silent], clock[silent + 1]
-    # Not beside an edge either: neighbours must not be too alike.
-    near = 0.25 * (even[1] - even[0])
-    for begin, end in zip(first, last, strict=True):
-        even = even[(even < begin - near) | (even > end + near)]
-    return np.unique(np.concatenate([clock[:1], even, first, last, clock[-1:]]))
-
-
-def carried(clock: FloatArray, rotation: FloatArray, rate: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Carry rotations (N, 3, 3) to other times with the rates (N, 3) from the sample before."""
-    left = np.clip(np.searchsorted(clock, time_s, side="right") - 1, 0, clock.size - 1)
-    middle_rate = at_times(clock, rate, 0.5 * (time_s + clock[left]))
-    return np.asarray(rotation[left] @ exponentials(middle_rate * (time_s - clock[left])[:, None]))
 
 
 def _blank(count: int, rows: int) -> FloatArray:

@@ -12,26 +12,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix
-from mavcompass.gap.attitude.kinematics import (
-    integral,
-    interpolated,
-    turned_about_down,
-    turned_between,
-)
+from mavcompass.gap.attitude.doubt import doubt_of
+from mavcompass.gap.attitude.kinematics import carried, integral, turned_about_down, turned_between
 from mavcompass.gap.attitude.levelling import sensed_by, started
 from mavcompass.gap.attitude.navigation import (
     LEVEL_RAD,
-    Smoothed,
     Witness,
     believable,
-    carried,
     faulty,
     smoothed_attitude,
 )
@@ -53,14 +47,9 @@ SLOWEST_GYRO_S = 0.15
 # A constant of the yaw that may be off by more has no witness.
 UNKNOWN_YAW_RAD = 0.3
 _FEWEST = 20
-_UNKNOWN_YAW_RAD = math.radians(60.0)
 # Constant and slow errors of a yaw's witnesses.
 _AUTOPILOT_RAD, _AUTOPILOT_SLOW_RAD = math.radians(3.0), math.radians(0.7)
 _ANTENNAS_RAD, _ANTENNAS_SLOW_RAD = math.radians(1.0), math.radians(0.1)
-# Curves smaller than this are of no consequence: a few tenths of a milligauss.
-_LEAST_CURVE_RAD, _MOST_CURVES, _LEAST_CONSTANT_RAD = math.radians(0.04), 48, math.radians(0.5)
-# A yaw that is told no better may lie on the wrong side altogether.
-_MOST_LINEAR_RAD = math.radians(5.0)
 # Farther over, a bent yaw tilts the autopilot's attitude too, and looks like an age.
 _UPRIGHT = math.cos(math.radians(30.0))
 _REMEDY = "Record RAW_IMU or IMU messages at 10 Hz or more, or an attitude (ATTITUDE, ATT)."
@@ -270,19 +259,18 @@ def _fused(
         turning = np.einsum("ni,ni->n", smoothed.rate_radps, smoothed.rotation[:, 2])
         yaw = integral(clock, turning[:, None])[:, 0] + _ahead(smoothed.rotation, autopilot)
         age = age_of(clock, turning, clock, yaw) or 0.0
-    healthy = believable(smoothed, resting)
-    unknown = _unknown(smoothed, time_s, bool(told) and choice != "gyro", healthy)
+    doubt = doubt_of(smoothed, time_s, bool(told) and choice != "gyro", believable(smoothed, resting))
     by = f"; its yaw follows {' and '.join(told)}" if told else "; its initial yaw is solved with the field"
     return Reference(
         "fused" if choice == "auto" else choice,
         carried(clock, smoothed.rotation, smoothed.rate_radps, time_s + age),
         at_times(clock, smoothed.rate_radps, time_s + age),
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
-        yaw_sigma_rad=unknown.yaw_sigma_rad,
-        with_yaw=unknown.with_yaw,
-        curves_rad=unknown.curves_rad,
-        rest_rad2=unknown.rest_rad2,
-        tilt_sigma_rad=float(np.sqrt(np.mean(np.diag(smoothed.covariance).reshape(-1, 3)[:, :2]))),
+        yaw_sigma_rad=doubt.yaw_sigma_rad,
+        with_yaw=doubt.with_yaw,
+        curves_rad=doubt.curves_rad,
+        rest_rad2=doubt.rest_rad2,
+        tilt_sigma_rad=doubt.tilt_sigma_rad,
         gyro_bias=smoothed.gyro_bias,
         witnessed=bool(told),
         notes=(f"The attitude is the smoothed gyro and accelerometer{by}.",),
@@ -294,48 +282,6 @@ def _leaning_rad(heard: Velocity, clock: FloatArray, rotation: FloatArray, autop
     turned = 2.0 * np.sin(0.5 * _ahead(rotation, autopilot))
     pushed = np.linalg.norm(heard.acceleration(clock)[:, :2], axis=1)
     return float(np.sqrt(np.mean((turned * pushed) ** 2))) / STANDARD_GRAVITY_MPS2
-
-
-class _Unknown(NamedTuple):
-    """Hold what a smoothed attitude may be off by: fields of `Reference`."""
-
-    yaw_sigma_rad: float
-    with_yaw: FloatArray
-    curves_rad: FloatArray
-    rest_rad2: FloatArray
-
-
-def _unknown(smoothed: Smoothed, time_s: FloatArray, told: bool, healthy: bool) -> _Unknown:
-    """Part an attitude's error into a constant of the yaw, the largest curves, and the rest."""
-    covariance, some = smoothed.covariance, smoothed.knots_s[smoothed.some]
-    # Knots stand closer where readings were lost: each counts by the time about it.
-    share = np.gradient(some) / float(some[-1] - some[0])
-    share /= share.sum()
-    mean = np.zeros(3 * some.size)
-    mean[2::3] = share
-    constant = math.sqrt(float(mean @ covariance @ mean))
-    told = told and math.hypot(constant, _LEAST_CONSTANT_RAD) <= _MOST_LINEAR_RAD
-    # What goes with the constant: one that nothing tells is no small turn, and takes nothing along; nor does
-    # one beside a gyro that is off by degrees a second, of which the smoother's models hold less well.
-    beside = np.tile([0.0, 0.0, 1.0], (smoothed.knots_s.size, 1))
-    if told and healthy:
-        beside = smoothed.covariance_with(mean[:, None])[:, :, 0] / constant**2
-    varying = np.eye(mean.size) - np.outer(beside[smoothed.some].ravel(), mean)
-    weight = np.sqrt(np.repeat(share, 3))
-    values, vectors = np.linalg.eigh(weight[:, None] * (varying @ covariance @ varying.T) * weight)
-    size = np.sqrt(np.maximum(values, 0.0))
-    keep = np.flatnonzero(size > _LEAST_CURVE_RAD)[::-1][:_MOST_CURVES]
-    small = np.delete(vectors * size, keep, axis=1).reshape(some.size, 3, -1)
-    rest = np.einsum("kim,kjm->ij", small, small)
-    # Between those knots an error is what it is expected to be beside them: a level that is off by what
-    # turns with the vehicle goes round in world axes, which straight lines would not see.
-    amplitudes = varying.T @ (weight[:, None] * vectors[:, keep]) / size[keep]
-    curves = smoothed.covariance_with(amplitudes) - beside[:, :, None] * (mean @ covariance @ amplitudes)
-    at_all = np.concatenate([beside[:, :, None] - [[0.0], [0.0], [1.0]], curves], axis=2)
-    spread = interpolated(smoothed.knots_s, at_all.reshape(len(at_all), -1), time_s)
-    spread = spread.reshape(time_s.size, 3, -1)
-    sigma = math.hypot(constant, _LEAST_CONSTANT_RAD) if told else _UNKNOWN_YAW_RAD
-    return _Unknown(sigma, spread[:, :, 0], spread[:, :, 1:], rest)
 
 
 def _autopilot_rotation(track: Track, clock: FloatArray) -> FloatArray | None:

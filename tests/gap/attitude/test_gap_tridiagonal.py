@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude.tridiagonal import Reduced
+from mavcompass.gap.attitude.chain import Reduced
 
 
 def drawn(length: int, width: int, seed: int = 4) -> tuple[FloatArray, FloatArray]:

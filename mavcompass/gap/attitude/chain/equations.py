@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude.tridiagonal import Reduced
+from mavcompass.gap.attitude.chain.tridiagonal import Reduced
 
 
 @dataclass(frozen=True, slots=True, eq=False)
