@@ -12,8 +12,9 @@ from mavcompass.gap.attitude.kinematics import interpolated
 from mavcompass.gap.attitude.navigation import Smoothed
 
 _UNKNOWN_YAW_RAD = math.radians(60.0)
-# Curves smaller than this are of no consequence: a few tenths of a milligauss.
-_LEAST_CURVE_RAD, _MOST_CURVES, _LEAST_CONSTANT_RAD = math.radians(0.04), 48, math.radians(0.5)
+# Curves smaller than this over all are of no consequence: a tenth of a milligauss. Larger ones may last for
+# the seconds between two silences, and leave tens of sigmas there.
+_LEAST_CURVE_RAD, _MOST_CURVES, _LEAST_CONSTANT_RAD = math.radians(0.015), 200, math.radians(0.5)
 # A yaw that is told no better may lie on the wrong side altogether.
 _MOST_LINEAR_RAD = math.radians(5.0)
 _DOWN = np.array([0.0, 0.0, 1.0])

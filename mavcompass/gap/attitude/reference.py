@@ -47,6 +47,9 @@ SLOWEST_GYRO_S = 0.15
 # A constant of the yaw that may be off by more has no witness.
 UNKNOWN_YAW_RAD = 0.3
 _FEWEST = 20
+_EVERY = slice(None)
+# Curves of an attitude that no baseline tells of: more cost time, and no answer on recordings of others.
+_MOST_ALONE = 48
 # Constant and slow errors of a yaw's witnesses.
 _AUTOPILOT_RAD, _AUTOPILOT_SLOW_RAD = math.radians(3.0), math.radians(0.7)
 _ANTENNAS_RAD, _ANTENNAS_SLOW_RAD = math.radians(1.0), math.radians(0.1)
@@ -64,10 +67,11 @@ class Reference:
         rotation: body to NED, (N, 3, 3); rate_radps: its body rate, (N, 3).
         known: where there is one, (N,).
         yaw_sigma_rad: a priori standard deviation of a constant yaw error (0: none is solved for).
-        with_yaw: what else turns with that constant, per radian, rotation vectors in world axes, (N, 3) or
+        doubted: the times, of all (N,), at which the two that follow stand, (M,).
+        with_yaw: what else turns with that constant, per radian, rotation vectors in world axes, (M, 3) or
             (1, 3): a yaw that is off turns what the receiver says of the acceleration, and so the level.
-        curves_rad: what else it may be off by, rotation vectors in world axes, (N, 3, k): each curve has
-            a standard normal amplitude.
+        curves_rad: what else it may be off by, rotation vectors in world axes, (M, 3, k), the largest first:
+            each curve has a standard normal amplitude.
         rest_rad2: covariance of what no curve holds, about the world's axes, mean over time, (3, 3).
         tilt_sigma_rad: what roll and pitch show themselves to be off by; 0 where nothing tells.
         gyro_bias: what the gyro says when nothing turns; None where that was not estimated.
@@ -80,6 +84,7 @@ class Reference:
     rate_radps: FloatArray
     known: NDArray[np.bool_]
     yaw_sigma_rad: float = 0.0
+    doubted: slice = field(default_factory=lambda: _EVERY)
     with_yaw: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
     curves_rad: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
     rest_rad2: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
@@ -97,13 +102,19 @@ class Reference:
         """Return what curves with some amplitudes (k,) turn the yaw by, (N,), radians."""
         return np.asarray(self.curves_rad[:, 2] @ amplitudes)
 
-    def wandering(self, time_s: FloatArray) -> Reference:
-        """Let a yaw without a witness wander, at the reference's own times (N,)."""
-        if self.witnessed:
-            return self
-        more = wandering_yaw(time_s)
-        known = self.curves_rad if self.curves_rad.size else more[:, :, :0]
-        return replace(self, curves_rad=np.concatenate([known, more], axis=2))
+    def alone(self, time_s: FloatArray) -> Reference:
+        """Return the reference of a recording that has no baseline, at its own times (N,).
+
+        What such a recording is held against holds more than an attitude leaves: only the largest curves
+        count. A yaw without a witness may wander.
+        """
+        small = self.curves_rad[:, :, _MOST_ALONE:]
+        rest = np.einsum("nik,njk->ij", small, small) / max(len(small), 1)
+        curves = self.curves_rad[:, :, :_MOST_ALONE]
+        if not self.witnessed:
+            more = wandering_yaw(time_s)
+            curves = np.concatenate([curves if curves.size else more[:, :, :0], more], axis=2)
+        return replace(self, curves_rad=curves, rest_rad2=self.rest_rad2 + rest)
 
     def earlier(self, time_s: FloatArray, by_s: float) -> Reference:
         """Return the reference some seconds before its own times (N,)."""
@@ -113,20 +124,23 @@ class Reference:
         rate = at_times(time_s, self.rate_radps, time_s - by_s)
         return replace(self, rotation=rotation_at(turning, time_s - by_s), rate_radps=rate)
 
-    def at(self, rows: slice) -> Reference:
-        """Return the reference at some of its times."""
-        curves = self.curves_rad[rows] if self.curves_rad.size else self.curves_rad
-        beside = self.with_yaw[rows] if len(self.with_yaw) == len(self.rotation) else self.with_yaw
+    def thinned(self) -> Reference:
+        """Return the reference at those times only at which it is doubted."""
+        rows = self.doubted
         return replace(
             self, rotation=self.rotation[rows], rate_radps=self.rate_radps[rows], known=self.known[rows],
-            with_yaw=beside, curves_rad=curves,
+            doubted=_EVERY,
         )  # fmt: skip
 
 
 def reference_attitude(
-    track: Track, time_s: FloatArray, choice: Choice = "auto", instance: int = 1
+    track: Track,
+    time_s: FloatArray,
+    choice: Choice = "auto",
+    instance: int = 1,
+    doubted: slice = _EVERY,
 ) -> Reference:
-    """Choose and build the attitude reference of one compass at some times.
+    """Choose and build the attitude reference of one compass at some times, and at some of these its doubt.
 
     Raises BadRecording where the recording does not hold what the choice needs.
     """
@@ -135,12 +149,12 @@ def reference_attitude(
     ):
         reference = _columns(track, time_s)
     elif choice == "attitude" or (choice == "auto" and not _gyro_is_fast(track)):
-        reference = _attitude(track, time_s, instance)
+        reference = _attitude(track, time_s, instance, doubted)
     else:
-        reference = _fused(track, time_s, choice, instance)
+        reference = _fused(track, time_s, choice, instance, doubted)
     if reference is None:
         raise BadRecording(f"The recording has nothing for the attitude reference {choice!r}.", _REMEDY)
-    return reference
+    return replace(reference, doubted=doubted)
 
 
 def _gyro_is_fast(track: Track) -> bool:
@@ -199,7 +213,12 @@ def body_rate(time_s: FloatArray, rotation: FloatArray) -> FloatArray:
 
 
 def _fused(
-    track: Track, time_s: FloatArray, choice: Choice, instance: int, listening: bool = True
+    track: Track,
+    time_s: FloatArray,
+    choice: Choice,
+    instance: int,
+    doubted: slice,
+    listening: bool = True,
 ) -> Reference | None:
     """Smooth gyro and accelerometer with the receiver and the witnesses that the choice allows.
 
@@ -237,7 +256,7 @@ def _fused(
     heard = velocity if start.bearing else None
     smoothed = smoothed_attitude(sensed, rotation, resting, heard, witness)
     if not smoothed.borne_out:
-        return _fused(track, time_s, choice, instance, listening=False)
+        return _fused(track, time_s, choice, instance, doubted, listening=False)
     if heard is not None and witness is not None and math.isinf(witness.constant_rad):
         lean = _leaning_rad(heard, clock, smoothed.rotation, witness.rotation)
         if lean > LEVEL_RAD:
@@ -259,7 +278,8 @@ def _fused(
         turning = np.einsum("ni,ni->n", smoothed.rate_radps, smoothed.rotation[:, 2])
         yaw = integral(clock, turning[:, None])[:, 0] + _ahead(smoothed.rotation, autopilot)
         age = age_of(clock, turning, clock, yaw) or 0.0
-    doubt = doubt_of(smoothed, time_s, bool(told) and choice != "gyro", believable(smoothed, resting))
+    is_told, healthy = bool(told) and choice != "gyro", believable(smoothed, resting)
+    doubt = doubt_of(smoothed, time_s[doubted], is_told, healthy)
     by = f"; its yaw follows {' and '.join(told)}" if told else "; its initial yaw is solved with the field"
     return Reference(
         "fused" if choice == "auto" else choice,
@@ -326,7 +346,7 @@ def _facing(rotation: FloatArray, yaw: FloatArray) -> FloatArray:
     return turned_about_down(rotation, yaw - matrix_to_euler(rotation)[2])
 
 
-def _attitude(track: Track, time_s: FloatArray, instance: int) -> Reference | None:
+def _attitude(track: Track, time_s: FloatArray, instance: int, doubted: slice) -> Reference | None:
     if track.attitude_rad is None or len(track.attitude_rad) < 8:
         return None
     clock = np.unique(track.attitude_rad.time_s)
@@ -352,7 +372,7 @@ def _attitude(track: Track, time_s: FloatArray, instance: int) -> Reference | No
         rate,
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
         yaw_sigma_rad=math.radians(5.0 if other else 10.0),
-        curves_rad=curves,
+        curves_rad=curves[doubted],
         witnessed=other,
         notes=(note,),
     )

@@ -153,7 +153,8 @@ def replay(
     compass = _compass(track, instance)
     period_s = shared_period_s([track], instance) if period_s is None else period_s
     rows = compass_rows(track, compass, period_s, most_averaged)
-    whole = reference_attitude(track, rows.time_s, choice, instance)
+    picked = middles(rows.time_s.size, rows.width)
+    whole = reference_attitude(track, rows.time_s, choice, instance, picked)
     field, sigma, field_notes = world_field(
         track,
         instance,
@@ -162,7 +163,7 @@ def replay(
         rows.raw_mgauss if rows.corrected_mgauss is None else rows.corrected_mgauss,
     )
     correction = calibration_in_force(compass)
-    picked, known = middles(rows.time_s.size, rows.width), whole.known & rows.usable
+    known = whole.known & rows.usable
     raw, corrected, usable, told_s = rows.raw_mgauss, rows.corrected_mgauss, rows.usable, 0.0
     swings = np.zeros_like(raw)
     if rows.width > 1:
@@ -175,9 +176,9 @@ def replay(
         told_s = (told_s if late_s is None else late_s) if rows.telemetry and often else 0.0
     told, taken_s = whole, rows.time_s - told_s
     whole = told.earlier(rows.time_s, told_s)
-    time_s, reference = taken_s[picked], whole.at(picked)
+    time_s, reference = taken_s[picked], whole.thinned()
     if alone:
-        reference = reference.wandering(time_s)
+        reference = reference.alone(time_s)
     position = position_of(track, reference)
     turns = Turning(rows.time_s, told.rotation, told.rate_radps, reference.rotation)
     stimulus = _stimulus(track, position, taken_s, rows.width, reference, field, turns)

@@ -282,6 +282,31 @@ def test_autopilot_tells_how_far_it_turned_while_nothing_was_heard(seed: int) ->
     assert abs(jump) < 4.0
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_what_the_level_errs_by_within_seconds_is_told(seed: int) -> None:
+    """A tenth of a degree that comes and goes with the accelerometer's scatter: a milligauss of the field."""
+    rng = np.random.default_rng([seed, 9])
+    t = np.arange(0.0, 600.0, 0.1)
+    yaw = integral(t, (0.4 * np.sin(0.21 * t) + 0.3 * np.sin(0.093 * t + 1.0))[:, None])[:, 0]
+    roll, pitch = 0.1 * np.sin(0.5 * t), 0.08 * np.sin(0.4 * t)
+    rotation = euler_to_matrix(roll, pitch, yaw)
+    force = rotate_back(rotation, np.tile([0.0, 0.0, -STANDARD_GRAVITY_MPS2], (t.size, 1)))
+    track = Track(
+        compasses={1: MagSeries(1, Series.of(t, rotate_back(rotation, np.array([200.0, 0.0, 400.0]))))},
+        gyro_radps=Series.of(t, body_rate(t, rotation) + rng.normal(0.0, 0.004, (t.size, 3))),
+        acc_mps2=Series.of(t, force + rng.normal(0.0, 0.1, force.shape)),
+        attitude_rad=Series.of(t, np.stack([roll, pitch, yaw + 0.03 * np.sin(yaw)], axis=1)),
+        parameters={"COMPASS_USE": 0.0, "COMPASS_USE2": 1.0},
+    )
+    # Told at every seventh reading, as at all of them.
+    found, some = reference_attitude(track, t), slice(3, None, 7)
+    thinned = reference_attitude(track, t, doubted=some).thinned()
+    np.testing.assert_allclose(thinned.rotation, found.rotation[some])
+    np.testing.assert_allclose((thinned.curves_rad**2).sum(axis=2), stated(found)[some] ** 2, atol=1e-12)
+    off = tilt_off(found.rotation, rotation)
+    assert 0.6 < rms(off) / rms(stated(found)[:, :2]) < 1.4
+
+
 @pytest.mark.parametrize("forgets_s", [2.5, 6.0, 20.0])
 @pytest.mark.parametrize("scale_off", [-0.004, 0.006])
 def test_autopilot_that_integrates_the_same_gyro_does_not_bear_its_scale_out(

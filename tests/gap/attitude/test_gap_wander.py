@@ -44,8 +44,8 @@ def test_what_takes_minutes_is_followed_and_what_goes_with_a_turn_is_not(
 
 def test_only_a_yaw_without_a_witness_wanders() -> None:
     time_s = np.linspace(0.0, 60.0, 300)
-    assert reference(True).wandering(time_s).curves_rad.shape[2] == 2
-    doubted = reference(False).wandering(time_s)
+    assert reference(True).alone(time_s).curves_rad.shape[2] == 2
+    doubted = reference(False).alone(time_s)
     assert doubted.curves_rad.shape[2] > 4
     # Rolling curves turn no yaw.
     amplitudes = np.zeros(doubted.curves_rad.shape[2])
@@ -53,3 +53,14 @@ def test_only_a_yaw_without_a_witness_wanders() -> None:
     assert not doubted.wander_rad(amplitudes).any()
     amplitudes[2] = 1.0
     assert doubted.wander_rad(amplitudes) == pytest.approx(doubted.curves_rad[:, 2, 2])
+
+
+def test_without_a_baseline_small_curves_are_part_of_the_rest() -> None:
+    rng, n = np.random.default_rng(4), 40
+    curves = rng.normal(size=(n, 3, 70)) * np.linspace(0.02, 0.001, 70)
+    still, known = np.tile(np.eye(3), (n, 1, 1)), np.ones(n, dtype=np.bool_)
+    whole = Reference("fused", still, np.zeros((n, 3)), known, curves_rad=curves, rest_rad2=1e-4 * np.eye(3))
+    alone = whole.alone(np.linspace(0.0, 8.0, n))
+    assert np.array_equal(alone.curves_rad, curves[:, :, :48])
+    told = [np.einsum("nik,njk->ij", r.curves_rad, r.curves_rad) / n + r.rest_rad2 for r in (whole, alone)]
+    np.testing.assert_allclose(told[1], told[0])
