@@ -1,6 +1,6 @@
 """What a fit leaves: the floor where nothing is wrong, and tests whether the rest is chance."""
 
-from mavcompass.gap.left.adequacy import Adequacy, judge
+from mavcompass.gap.left.adequacy import Adequacy, judge, most_structured
 from mavcompass.gap.left.doubtful import doubting
 from mavcompass.gap.left.floor import (
     Floor,
@@ -42,6 +42,7 @@ __all__ = [
     "heading_scatter",
     "judge",
     "measured_noise",
+    "most_structured",
     "noise_with",
     "rms",
     "rms_deg",

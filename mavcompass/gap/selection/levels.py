@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.gap.fit import Fit, Problem, is_local
-from mavcompass.gap.left import Floor, apart
+from mavcompass.gap.left import Floor, apart, most_structured
 from mavcompass.gap.selection.identified import Identified
 
 # A set that leaves no more than this many floors explains enough.
@@ -19,8 +19,9 @@ EVIDENT, _EVIDENT_HELD_OUT = 81.0, 25.0
 # A gap that is no larger than this many floors without an effect needs no such effect: a floor that was
 # measured, and one that was stated. A baseline's floor holds what another flight may add to it.
 NEEDED_ABOVE = {True: 0.9, False: 1.25}
-# The mean square of whitened readings above which they are searched though they lie at their floor.
-_LOUD = 1.25
+# The mean square of whitened readings, and the excess of what is smooth in one coordinate, above which they
+# are searched though they lie at their floor.
+_LOUD, _STRUCTURED = 1.25, 8.0
 # An effect acts where it changes readings by more than this share of its most.
 _ACTS = 0.5
 
@@ -37,7 +38,9 @@ def needs_none(candidate: Identified, floor: Floor) -> bool:
     if floor.measured and max(whitened_left(candidate, candidate.found.null), default=0.0) > _LOUD:
         # Readings that know better than their floor may know an effect below it.
         return False
-    return at_floor(candidate, candidate.found.null, floor, NEEDED_ABOVE[floor.measured])
+    if not at_floor(candidate, candidate.found.null, floor, NEEDED_ABOVE[floor.measured]):
+        return False
+    return not (floor.measured and most_structured(candidate.problem, candidate.found.null) > _STRUCTURED)
 
 
 def lost_in_the_floor(problem: Problem, fit: Fit, floor: Floor) -> bool:

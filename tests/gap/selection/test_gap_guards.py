@@ -45,6 +45,7 @@ class Problem:
     step_mgauss: float = 0.0
     taken_mgauss: float = 0.0
     bent: float = 0.0
+    structured: float = 1.0
     kind: str = "estimator"
 
     groups = ("mag",)
@@ -122,6 +123,7 @@ def plain_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(materiality, "heading_error_rad", heading)
     for module in (levels, materiality):
         monkeypatch.setattr(module, "apart", apart)
+    monkeypatch.setattr(levels, "most_structured", lambda problem, fit: problem.structured)
 
 
 def candidate(problem: Problem, fit: Fit, **changed: Any) -> Any:
@@ -185,6 +187,13 @@ def test_readings_that_know_better_than_their_floor_are_searched(left_mgauss: fl
     """Their noise is 1 mG: a quarter more than its square is the most that needs nothing."""
     here = candidate(explained((0.0, 0.0, 0.0), left_mgauss, noise_mgauss=1.0), fit_of())
     assert levels.needs_none(here, floor(9.0, 9.0)) is not searched
+    assert levels.needs_none(here, floor(9.0, 9.0, measured=False))
+
+
+@pytest.mark.parametrize("structured", [7.9, 8.1])
+def test_what_goes_with_the_motion_is_searched_below_a_measured_floor(structured: float) -> None:
+    here = candidate(explained((0.0, 0.0, 0.0), noise_mgauss=2.0, structured=structured), fit_of())
+    assert levels.needs_none(here, floor(9.0, 9.0)) is (structured < 8.0)
     assert levels.needs_none(here, floor(9.0, 9.0, measured=False))
 
 
