@@ -34,7 +34,7 @@ from mavcompass.gap.attitude.kinematics import (
     interpolated,
     rotation_vectors,
 )
-from mavcompass.gap.attitude.receiver import Velocity, white_scatter
+from mavcompass.gap.attitude.receiver import Velocity, white_floor
 from mavcompass.gap.attitude.rest import Bias
 from mavcompass.gap.attitude.steering import TURN_MEMORIES_S, remembered_turns
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -196,17 +196,17 @@ class _Smoother:
         self._still = integrated(clock, self.rate)
         self._still_knots = self.at_knots(self._still)
         self._turned = self._still_knots[:-1].transpose(0, 2, 1) @ self._still_knots[1:]
-        self._angle = self._walked(self.rate, _WALK, 0.5)
-        self._pushed = self._walked(self.force, _PUSH, 0.7)
+        self._walk, self._unturned = self._walked(self.rate, _WALK, 0.5)
+        self._push, self._unpushed = self._walked(self.force, _PUSH, 0.7)
         self._told = None if witness is None else self.at_knots(witness.rotation)
         self._linked = self._turned
         if self._told is not None:
             # How far it turned while nothing was heard, an autopilot knows, whichever compass steers it.
-            known = self._is_silent & (self._angle > _TOLD_TURN_RAD**2)
+            known = self._is_silent & (self._unturned > _TOLD_TURN_RAD**2)
             turn = self._told[:-1].transpose(0, 2, 1) @ self._told[1:]
             bent = _TOLD_TURN_SHARE * np.linalg.norm(rotation_vectors(turn), axis=1)
             self._linked = np.where(known[:, None, None], turn, self._turned)
-            self._angle = np.where(known, _TOLD_TURN_RAD**2 + bent**2, self._angle)
+            self._unturned = np.where(known, _TOLD_TURN_RAD**2 + bent**2, self._unturned)
 
     def chain(self, rotation: FloatArray, trust: FloatArray | None) -> Chain:
         """Return all equations about a trajectory (N, 3, 3) but those whose size is still to be found."""
@@ -215,12 +215,16 @@ class _Smoother:
         force = np.einsum("nij,nj->ni", rotation, self.force)
         pushed = self._between_knots(force)
         count = len(turn)
+        # Scatter of body axes in those of the world, along each of them.
+        seen_by, time = at[:-1] ** 2, self.step[:, None]
+        angle = time * (seen_by @ self._walk) + self._unturned[:, None]
+        push = time * (seen_by @ self._push) + self._unpushed[:, None]
         one, unit = np.ones((count, 3)), np.tile(np.eye(3), (count, 1, 1))
         before, after, c = _blank(count, 3), _blank(count, 3), np.zeros((count, 3, _CONSTANTS))
         # phi_1 - phi_0 + integral R b + integral R diag(w) s = what the gyro turns beyond the trajectory
         before[:, :, _PHI], after[:, :, _PHI], before[:, :, _BIAS], c[:, :, _SCALE] = -unit, unit, turn, gain
         beyond = rotation_vectors(at[:-1] @ self._linked @ at[1:].transpose(0, 2, 1))
-        chain.link(before, after, c, beyond, one / self._angle[:, None])
+        chain.link(before, after, c, beyond, 1.0 / angle)
         before, after = _blank(count, 3), _blank(count, 3)
         before[:, :, _BIAS], after[:, :, _BIAS] = -unit, unit
         chain.link(before, after, None, 0.0 * one, one / (_WANDER**2 * self.step[:, None]))
@@ -229,7 +233,7 @@ class _Smoother:
         leaning = 0.5 * cross_matrices(pushed)
         before[:, :, _V], after[:, :, _V], c[:, :, _ACC] = -unit, unit, turn
         before[:, :, _PHI] = after[:, :, _PHI] = leaning
-        chain.link(before, after, c, pushed + self.step[:, None] * _GRAVITY, one / self._pushed[:, None])
+        chain.link(before, after, c, pushed + time * _GRAVITY, 1.0 / push)
         self._add_first(chain)
         slow = _SCATTER_RAD if self.witness is None else self.witness.slow_rad
         self._add_lasting(chain, _SLOW, slow, _SLOW_MEMORY_S)
@@ -374,13 +378,13 @@ class _Smoother:
         """Integrate values (N, n) between the knots, (K - 1, n)."""
         return np.diff(interpolated(self.clock, integral(self.clock, values), self.knots), axis=0)
 
-    def _walked(self, values: FloatArray, walk: float, share: float) -> FloatArray:
-        """Return the variance of integrals between knots, (K - 1,): white scatter, a walk, and silence."""
-        scatter = float(np.sqrt(np.mean(white_scatter(values) ** 2)))
-        each = math.sqrt(float(np.median(np.diff(self.clock))))
+    def _walked(self, values: FloatArray, walk: float, share: float) -> tuple[FloatArray, FloatArray]:
+        """Return the variances of integrals: of scatter and a walk, per second, (3,), and of each silence
+        between knots, (K - 1,)."""
+        each_s = float(np.median(np.diff(self.clock)))
         size = share * float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
         silent = np.where(self._is_silent, (size * self.step) ** 2, 0.0)
-        return np.asarray(math.hypot(scatter * each, walk) ** 2 * self.step + silent)
+        return white_floor(values) ** 2 * each_s + walk**2, silent
 
 
 def _blank(count: int, rows: int) -> FloatArray:

@@ -22,6 +22,8 @@ _SMOOTHED, _LEAST_SCATTER_MPS = 3, 0.1
 _FEWEST_FIXES = 50
 # The order of the differences that noise is told from.
 _ORDER = 6
+# Readings of a window that a spectrum is taken of, and frequencies that a window spreads a constant over.
+_WINDOW, _WINDOWED = 32, 3
 _LONGEST_GAP_S = 3.0
 # The receiver is believed where it explains this share of what is felt, and more than chance would, with a
 # yaw that drifts by less.
@@ -140,6 +142,23 @@ def white_scatter(values: FloatArray) -> FloatArray:
     """
     sixth = np.abs(np.diff(values, _ORDER, axis=0))
     return np.asarray(1.4826 * np.median(sixth, axis=0) / math.sqrt(math.comb(2 * _ORDER, _ORDER)))
+
+
+def white_floor(values: FloatArray) -> FloatArray:
+    """Return the standard deviation of what is white in columns (N, k), (k,): the floor of their spectrum.
+
+    The lower quartile over frequencies of the median over Hann windows (Welch 1967). A vehicle that rocks or
+    shakes does so in a band, which may lie at the end of the spectrum, where differences look.
+    """
+    size = min(_WINDOW, len(values))
+    window = np.sin(np.pi * (np.arange(size) + 0.5) / size) ** 2
+    window /= math.sqrt(float(window @ window))
+    starts = np.arange(0, len(values) - size + 1, max(size // 2, 1))
+    pieces = values[starts[:, None] + np.arange(size)]
+    pieces = (pieces - pieces.mean(axis=1, keepdims=True)) * window[:, None]
+    power = np.median(np.abs(np.fft.rfft(pieces, axis=1)) ** 2, axis=0) / math.log(2.0)
+    # The window spreads a constant and a slow turn over the lowest ones.
+    return np.asarray(np.sqrt(np.quantile(power[_WINDOWED : size // 2], 0.25, axis=0)))
 
 
 def local_position(place: Series | None) -> Series | None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from mavcompass.frames import FloatArray, euler_to_matrix, quaternion_to_matrix, rotate_back
 from mavcompass.gap.attitude.kinematics import integral
-from mavcompass.gap.attitude.receiver import white_scatter
+from mavcompass.gap.attitude.receiver import white_floor, white_scatter
 from mavcompass.gap.attitude.reference import Reference, body_rate, reference_attitude
 from mavcompass.gap.attitude.steering import remembered_turns
 from mavcompass.gap.trial.vehicles import make_case
@@ -199,6 +199,35 @@ def test_scatter_is_that_of_the_noise_and_not_of_a_swing(share_of_rate: float, s
     phase = 2.0 * np.pi * share_of_rate * np.arange(4000)
     values = rng.standard_normal((4000, 2)) * [0.2, 1.0] + size * np.sin(phase)[:, None]
     assert white_scatter(values) == pytest.approx([0.2, 1.0], rel=0.1, abs=0.01 * size)
+
+
+@given(st.floats(0.02, 0.48), st.floats(0.0, 30.0))
+@settings(max_examples=20, deadline=None)
+def test_floor_of_a_spectrum_is_no_rocking_at_any_frequency(share_of_rate: float, size: float) -> None:
+    """A rover rocks at four hertz, and is recorded at twelve."""
+    rng = np.random.default_rng(6)
+    phase = 2.0 * np.pi * share_of_rate * np.arange(3000)
+    values = rng.standard_normal((3000, 2)) * [0.2, 1.0] + size * np.sin(phase)[:, None]
+    assert white_floor(values) == pytest.approx([0.2, 1.0], rel=0.1, abs=0.01 * size)
+
+
+def test_what_rocks_about_one_axis_makes_no_other_doubtful() -> None:
+    rng, step = np.random.default_rng(7), 0.08
+    t = np.arange(0.0, 200.0, step)
+    rocking = 0.2 * np.sin(2.0 * np.pi * 4.0 * t + np.cumsum(rng.normal(0.0, 0.05, t.size)))
+    rate = rng.normal(0.0, 0.004, (t.size, 3))
+    rate[:, 0] += rocking
+    force = np.tile([0.0, 0.0, -STANDARD_GRAVITY_MPS2], (t.size, 1)) + rng.normal(0.0, 0.1, (t.size, 3))
+    track = Track(
+        compasses={1: MagSeries(1, Series.of(t, np.tile([200.0, 0.0, 400.0], (t.size, 1))))},
+        gyro_radps=Series.of(t, rate),
+        acc_mps2=Series.of(t, force),
+    )
+    curves = reference_attitude(track, t).curves_rad
+    within_deg = np.degrees(np.median(np.sqrt(((curves[12:] - curves[:-12]) ** 2).sum(axis=2)), axis=0))
+    # The gyro's own noise, 0.004 rad/s every 0.08 s, is 0.065 degrees within a second.
+    assert within_deg[1] < 0.065
+    assert within_deg[2] < 0.065 * 3.0
 
 
 def without(series: Series | None, silent: Callable[[FloatArray], FloatArray]) -> Series | None:
