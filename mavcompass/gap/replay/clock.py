@@ -24,6 +24,10 @@ _ROUNDS, _STEPS = 4, 8
 _OFTENER = 0.9
 # So many readings must lie within the step of the messages after a tick, and a bit.
 _KEPT, _BEYOND = 0.97, 0.05
+# Messages that keep step with the readings: how well a clock has to tell which of them bring a new one, how
+# near their share is to a whole number of messages for each, and the clocks and ticks that are tried.
+_TELLS, _WHOLE = 0.95, 0.05
+_OFF, _PHASES = np.linspace(-1e-4, 1e-4, 11), np.linspace(0.0, 1.0, 61)
 
 
 def reading_times(time_s: FloatArray, message_s: float, after_loss: NDArray[np.bool_]) -> FloatArray:
@@ -39,6 +43,56 @@ def reading_times(time_s: FloatArray, message_s: float, after_loss: NDArray[np.b
     twice = np.append(np.diff(read) < 0.5 * np.diff(time_s), False)
     read = np.where(twice | after_loss, time_s, read)
     return read if bool((np.diff(read) > 0.0).all()) else time_s
+
+
+def times_in_step(time_s: FloatArray, new: NDArray[np.bool_]) -> FloatArray | None:
+    """Return when new readings were taken of which messages (N,) that keep step with them bring each, or each
+    second or third one, but for a common age; None where they do not.
+
+    A message that is sent with the tick comes by chance just before it or just after, and its reading is one
+    period older or fresh. `new` (N,) tells which messages brought a new one, and so when the tick is.
+    """
+    pieces = max(math.ceil(float(time_s[-1] - time_s[0]) / _PIECE_S), 1)
+    edges = np.searchsorted(time_s, np.linspace(time_s[0], time_s[-1], pieces + 1)[1:-1])
+    read = [_in_step(*piece) for piece in zip(np.split(time_s, edges), np.split(new, edges), strict=True)]
+    known = [piece for piece in read if piece is not None]
+    if len(known) < len(read):
+        return None
+    told = np.concatenate(known)
+    return told if bool((np.diff(told) > 0.0).all()) else None
+
+
+def _in_step(time_s: FloatArray, new: NDArray[np.bool_]) -> FloatArray | None:
+    share = float(new.mean())
+    each = 1 if share > 2.0 / 3.0 else round(1.0 / max(share, 1e-3))
+    later = new[1:]
+    if (
+        time_s.size < _FEWEST
+        or not later.any()
+        or later.all()
+        or (each > 1 and abs(share * each - 1.0) > _WHOLE)
+    ):
+        return None
+    step_s = float(np.median(np.diff(time_s)))
+    number = np.round((time_s - time_s[0]) / step_s)
+    for _ in range(2):
+        step_s, first_s = np.polyfit(number, time_s, 1)
+        number = np.round((time_s - first_s) / step_s)
+    best, found = _TELLS, None
+    for off in _OFF.tolist():
+        turns = (time_s - time_s[0]) / (each * step_s * (1.0 + off))
+        for tick in np.quantile(turns % 1.0, _PHASES).tolist():
+            count = np.floor(turns - tick)
+            right = (np.diff(count) > 0.0) == later
+            told = 0.5 * (float(right[later].mean()) + float(right[~later].mean()))
+            if told > best:
+                best, found = told, (count, (turns - tick - count) * each * step_s)
+    if found is None:
+        return None
+    count, age = (values[new] for values in found)
+    # Two of one tick: of one of them the clock is wrong.
+    age[np.diff(count, prepend=-np.inf) <= 0.0] = age.mean()
+    return np.asarray(time_s[new] - (age - age.mean()))
 
 
 def _on_the_clock(time_s: FloatArray, message_s: float) -> FloatArray:

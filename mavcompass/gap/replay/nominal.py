@@ -38,7 +38,14 @@ from mavcompass.gap.replay.nuisance import (
 )
 from mavcompass.gap.replay.present import present_in
 from mavcompass.gap.replay.readings import Readings
-from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing
+from mavcompass.gap.replay.rows import (
+    averaged,
+    compass_rows,
+    middles,
+    shared_period_s,
+    swing,
+    unbroken,
+)
 from mavcompass.gap.replay.whereabouts import goes_about, place_curves, place_scatter_m, position_of
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
@@ -192,7 +199,7 @@ def replay(
         if corrected is not None:
             swings = swings[picked] @ np.linalg.inv(iron.matrix).T
             corrected = averaged(corrected, rows.width)[picked] + swings
-        usable = np.asarray(np.isfinite(raw).all(axis=1))
+        usable = np.asarray(np.isfinite(raw).all(axis=1) & unbroken(rows.time_s, rows.width))
     acc = _column(track.acc_mps2, time_s, rows.width)
     gyro = _column(track.gyro_radps, time_s, rows.width)
     measured = Reading(raw, acc, gyro)

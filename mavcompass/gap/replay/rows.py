@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay.clock import reading_times
+from mavcompass.gap.replay.clock import reading_times, times_in_step
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.gap.replay.nuisance import AGE_SIGMA_S, USUAL_AGE_S
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
@@ -68,8 +68,9 @@ def compass_rows(
 
     Raises BadRecording where there are too few.
     """
-    time_s, keep = np.unique(compass.time_s, return_index=True)
-    message_s = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
+    sent_s, keep = np.unique(compass.time_s, return_index=True)
+    message_s = float(np.median(np.diff(sent_s))) if sent_s.size > 1 else 0.0
+    time_s = sent_s
     reported = compass.reported.values[keep]
     logged = inspect(reported, np.asarray(np.isfinite(reported).all(axis=1)), time_s, track.gyro_radps)
     telemetry = track.autopilot != "unknown" or _slower_than_logged(reported)
@@ -89,7 +90,8 @@ def compass_rows(
         time_s = compass.time_s[keep]
         if step == 0.0 and 0 < fresh.sum() < _BROUGHT_NEW * fresh.size:
             lost = np.diff(compass.time_s, prepend=compass.time_s[0]) > _LOST * message_s
-            time_s = reading_times(time_s, message_s, lost[keep])
+            in_step = times_in_step(sent_s, fresh)
+            time_s = reading_times(time_s, message_s, lost[keep]) if in_step is None else in_step
     # A sensor that stays brings little that is new, which is a finding and no lack of readings.
     if time_s.size < (FEWEST_NEW if reported.shape[0] >= FEWEST_ROWS else FEWEST_ROWS):
         raise BadRecording(
@@ -183,6 +185,18 @@ def averaged(values: FloatArray, width: int) -> FloatArray:
 def middles(count: int, width: int) -> slice:
     """Return the middles of averages over an odd number of neighbours."""
     return slice(None) if width == 1 else slice(width // 2, count - width // 2, width)
+
+
+def unbroken(time_s: FloatArray, width: int) -> NDArray[np.bool_]:
+    """Tell which averages over an odd number of neighbours, at their middles, are not over a silence.
+
+    Meanwhile the field turns far more than between neighbours, which alone show how readings follow it.
+    """
+    steps = np.diff(time_s)
+    broken = steps > _SILENCE * float(np.median(steps))
+    count = np.concatenate([[0, 0], np.cumsum(broken)])
+    half, at = width // 2, np.arange(time_s.size)[middles(time_s.size, width)]
+    return np.asarray(count[at + half + 1] == count[at - half + 1])
 
 
 def swing(

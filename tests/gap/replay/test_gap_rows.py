@@ -15,7 +15,7 @@ from mavcompass.gap.left.stated import STATED
 from mavcompass.gap.left.taught import prior_of
 from mavcompass.gap.replay.noise import white
 from mavcompass.gap.replay.nominal import replay
-from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing
+from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing, unbroken
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.track import MagSeries, Series, Track
 
@@ -60,6 +60,16 @@ def test_a_mean_with_its_swing_is_a_reading_of_its_middle(
     off = np.abs(mean + swings - raw)[picked][inner]
     assert float(np.sqrt(np.mean(off**2))) < 0.06 * float(np.sqrt(np.mean((mean - raw)[picked][inner] ** 2)))
     assert told_s == pytest.approx(late_s, abs=0.011)
+
+
+@pytest.mark.parametrize("width", [3, 5])
+def test_a_mean_over_a_silence_is_left_out(width: int) -> None:
+    t = np.delete(T, np.arange(200, 210))
+    whole = unbroken(t, width)
+    spans = np.ptp(t[: t.size // width * width].reshape(-1, width), axis=1)
+    assert whole.size == spans.size and np.array_equal(whole, spans < 0.1 * width)
+    assert (~whole).sum() == (200 % width > 0)
+    assert unbroken(T, width).all()
 
 
 def test_how_late_is_what_is_usual_where_nothing_swings() -> None:
