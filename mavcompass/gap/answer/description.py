@@ -44,8 +44,8 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     said = settled(evidence, answer, likely)
     answer, named = said.answer, said.answer.named
     wander_deg = yaw_wander_deg(problem, named, floor, said.heading)
-    in_step = answer.verdict == "named" and _in_step(evidence, named)
-    if in_step:
+    in_step = answer.verdict.startswith("named") and _in_step(evidence, named)
+    if in_step and answer.verdict == "named":
         answer = replace(answer, verdict="ambiguous")
     # What single readings told, and nothing besides, is all of the explanation.
     told = answer.verdict.startswith("named") or in_step
