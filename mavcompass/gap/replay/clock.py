@@ -24,9 +24,10 @@ _ROUNDS, _STEPS = 4, 8
 _OFTENER = 0.9
 # So many readings must lie within the step of the messages after a tick, and a bit.
 _KEPT, _BEYOND = 0.97, 0.05
-# Messages that keep step with the readings: how well a clock has to tell which of them bring a new one, how
-# near their share is to a whole number of messages for each, and the clocks and ticks that are tried.
-_TELLS, _WHOLE = 0.95, 0.05
+# Messages that keep step with the readings: how well a clock has to tell which of them bring a new one, of
+# how many that do and that do not, how near their share is to a whole number of messages for each, and the
+# clocks and ticks that are tried.
+_TELLS, _FEWEST_OF_EACH, _WHOLE = 0.95, 6, 0.05
 _OFF, _PHASES = np.linspace(-1e-4, 1e-4, 11), np.linspace(0.0, 1.0, 61)
 
 
@@ -52,25 +53,26 @@ def times_in_step(time_s: FloatArray, new: NDArray[np.bool_]) -> FloatArray | No
     A message that is sent with the tick comes by chance just before it or just after, and its reading is one
     period older or fresh. `new` (N,) tells which messages brought a new one, and so when the tick is.
     """
+    share = float(new.mean())
+    each = 1 if share > 2.0 / 3.0 else round(1.0 / max(share, 1e-3))
     pieces = max(math.ceil(float(time_s[-1] - time_s[0]) / _PIECE_S), 1)
     edges = np.searchsorted(time_s, np.linspace(time_s[0], time_s[-1], pieces + 1)[1:-1])
-    read = [_in_step(*piece) for piece in zip(np.split(time_s, edges), np.split(new, edges), strict=True)]
-    known = [piece for piece in read if piece is not None]
-    if len(known) < len(read):
+    split = zip(np.split(time_s, edges), np.split(new, edges), strict=True)
+    ages = [_ages_in_step(times, brought, each) for times, brought in split]
+    known = [piece for piece in ages if piece is not None]
+    if len(known) < len(ages):
         return None
-    told = np.concatenate(known)
+    age = np.concatenate(known)
+    told = time_s[new] - (age - age.mean())
     return told if bool((np.diff(told) > 0.0).all()) else None
 
 
-def _in_step(time_s: FloatArray, new: NDArray[np.bool_]) -> FloatArray | None:
-    share = float(new.mean())
-    each = 1 if share > 2.0 / 3.0 else round(1.0 / max(share, 1e-3))
+def _ages_in_step(time_s: FloatArray, new: NDArray[np.bool_], each: int) -> FloatArray | None:
     later = new[1:]
     if (
         time_s.size < _FEWEST
-        or not later.any()
-        or later.all()
-        or (each > 1 and abs(share * each - 1.0) > _WHOLE)
+        or min(int(later.sum()), int((~later).sum())) < _FEWEST_OF_EACH
+        or (each > 1 and abs(float(new.mean()) * each - 1.0) > _WHOLE)
     ):
         return None
     step_s = float(np.median(np.diff(time_s)))
@@ -92,7 +94,8 @@ def _in_step(time_s: FloatArray, new: NDArray[np.bool_]) -> FloatArray | None:
     count, age = (values[new] for values in found)
     # Two of one tick: of one of them the clock is wrong.
     age[np.diff(count, prepend=-np.inf) <= 0.0] = age.mean()
-    return np.asarray(time_s[new] - (age - age.mean()))
+    # Of several messages for each reading the tick may lie anywhere between two, in each piece elsewhere.
+    return np.asarray(age - age.mean() if each > 1 else age)
 
 
 def _on_the_clock(time_s: FloatArray, message_s: float) -> FloatArray:

@@ -88,10 +88,13 @@ def compass_rows(
                 fresh = np.ones_like(fresh)
             keep, raw = keep[fresh], raw[fresh]
         time_s = compass.time_s[keep]
-        if step == 0.0 and 0 < fresh.sum() < _BROUGHT_NEW * fresh.size:
-            lost = np.diff(compass.time_s, prepend=compass.time_s[0]) > _LOST * message_s
+        if step == 0.0 and fresh.any():
             in_step = times_in_step(sent_s, fresh)
-            time_s = reading_times(time_s, message_s, lost[keep]) if in_step is None else in_step
+            if in_step is not None:
+                time_s = in_step
+            elif fresh.sum() < _BROUGHT_NEW * fresh.size:
+                lost = np.diff(compass.time_s, prepend=compass.time_s[0]) > _LOST * message_s
+                time_s = reading_times(time_s, message_s, lost[keep])
     # A sensor that stays brings little that is new, which is a finding and no lack of readings.
     if time_s.size < (FEWEST_NEW if reported.shape[0] >= FEWEST_ROWS else FEWEST_ROWS):
         raise BadRecording(

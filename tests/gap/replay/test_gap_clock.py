@@ -97,6 +97,29 @@ def test_messages_that_are_sent_with_the_tick_tell_which_reading_they_bring(each
     assert (sent[new] - taken).std() > 0.02
 
 
+def test_messages_that_drift_away_from_the_tick_are_put_right_all_the_same() -> None:
+    """At first half of them bring an old reading, later most: the age is one of all pieces together."""
+    rng, period = np.random.default_rng(9), 0.1
+    sent = np.arange(1150.0) * period + rng.normal(0.0, 1e-3, 1150)
+    sent += np.where(np.arange(1150) < 575, 0.0, -0.0018)
+    tick = np.floor(sent / period)
+    new = np.diff(tick, prepend=-2.0) > 0.0
+    assert new[600:].mean() > 0.95
+    read = times_in_step(sent, new)
+    assert read is not None
+    age = read - period * tick[new]
+    assert np.median(np.abs(age - np.median(age))) < 1e-3
+    assert abs(np.median(age[:200]) - np.median(age[-200:])) < 2e-3
+
+
+def test_one_or_two_repeats_tell_no_tick() -> None:
+    rng = np.random.default_rng(10)
+    sent = np.arange(0.0, 50.0, 0.1) + 0.001 * rng.standard_normal(500)
+    new = np.ones(500, dtype=np.bool_)
+    new[[100, 400]] = False
+    assert times_in_step(sent, new) is None
+
+
 def test_readings_of_a_sensor_that_stays_keep_no_step() -> None:
     rng = np.random.default_rng(8)
     sent = np.arange(0.0, 200.0, 0.1) + 0.001 * rng.standard_normal(2000)
