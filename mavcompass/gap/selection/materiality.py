@@ -37,7 +37,8 @@ _LOST_OF_FLOOR, _LOST_SHARE = 0.35, 0.06
 _LEAST_OF_ROUNDING = 0.5
 # A block shows an effect where it changes this share of what it does where it changes most.
 _TOUCHED = 0.05
-# Rows that were not fitted speak for those that were where an effect changes these so much more, at most.
+# Rows that were not fitted speak for those that were where an effect changes these so much more, at most;
+# where it is more still, they say nothing.
 _MOST_UNSHOWN = 10.0
 # Squared sigmas by which what is known of the vehicle may give way to a missing effect.
 STRAINED = 30.0
@@ -212,8 +213,11 @@ def removed_by(candidate: Identified, place: int) -> tuple[Removed, Removed]:
         held = np.ones(rows.size, dtype=np.bool_)
     # What it changes, and what is left without it, may lie in rows that were fitted: there it is no less.
     there, everywhere = changed[held].mean(axis=0), changed.mean(axis=0)
-    shown = np.clip(everywhere / np.maximum(there, 1e-12), 1.0, _MOST_UNSHOWN)
-    taken = gained[held].mean(axis=0) * shown
+    shown = np.maximum(everywhere / np.maximum(there, 1e-12), 1.0)
+    taken = gained[held].mean(axis=0) * np.minimum(shown, _MOST_UNSHOWN)
+    if len(blocks) > 2:
+        # Where those held out show next to nothing, it is at least what all blocks agree on.
+        taken = np.where(shown > _MOST_UNSHOWN, np.maximum(taken, low), taken)
     left = np.maximum(squares[0][held].mean(axis=0), squares[0].mean(axis=0))
     of_field, of_heading = (
         Removed(max(float(taken[k]), 0.0), float(low[k]), math.sqrt(float(left[k])), cost) for k in (0, 1)

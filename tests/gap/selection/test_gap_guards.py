@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
@@ -474,6 +475,31 @@ def test_what_shows_in_few_held_out_rows_is_told_for_all() -> None:
     field, _ = materiality.removed_by(candidate(problem, fit), 0)
     there = 20 / 80 * 6 / 20 + 60 / 80  # six of twenty held-out rows, all others
     assert field.square == pytest.approx(12.0 * there)
+
+
+@pytest.mark.parametrize(("fitted", "agree"), [(range(8), True), ((0, 1), False)])
+def test_what_shows_in_no_held_out_row_is_told_by_blocks_that_agree(
+    fitted: Sequence[int], agree: bool
+) -> None:
+    """A compass that clips while the vehicle points one way may do so in fitted rows alone."""
+    made = explained((0.0, 6.0, 0.0), 0.0)
+    problem = Clipped(made.left, made.rows, made.gap)
+    problem.blocks = fitted
+    fit = fit_of(soft_iron=6.0)
+    problem.replay.measured.mag_mgauss[:] = problem.predict(fit).mag_mgauss
+    field, _ = materiality.removed_by(candidate(problem, fit), 0)
+    assert field.square == pytest.approx(12.0 if agree else 0.0, abs=0.1)
+
+
+class Clipped(Problem):
+    """The effect is there in some blocks, and of these in what was fitted."""
+
+    blocks: Sequence[int] = ()
+
+    def predict(self, fit: Fit, effects: bool = True) -> Any:
+        there = ~split().test & np.isin(split().block, self.blocks)
+        whole = super().predict(fit, effects).mag_mgauss
+        return SimpleNamespace(mag_mgauss=NORTH + (whole - NORTH) * there[:, None])
 
 
 class Yielding(Problem):
