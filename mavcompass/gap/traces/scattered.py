@@ -27,6 +27,8 @@ _TOGETHER = 0.8
 _FAR_OFF, _FEW_WRONG, _MORE_BURSTS, _BESIDE = 6.0, 0.015, 4.0, 3
 # Where a vehicle is now quieter, now faster, a third of the readings is quiet, and so are their neighbours.
 _LEAST_QUIET = 0.15
+# A vehicle that turns evenly, beside the scatter, for so much of the time hardly swings.
+_EVEN = 0.9
 
 
 def quiet_variance(readings: Readings, values: FloatArray) -> float:
@@ -55,20 +57,25 @@ def excess_variance(readings: Readings, baseline: Readings, repeats: bool = Fals
 
 
 def burst_mgauss(readings: Readings, baseline: Readings) -> float:
-    """Return what readings that stand far off both neighbours add to the rms of all, in mG.
+    """Return what scatters from reading to reading and is no noise of the sensor, rms, in mG.
 
-    0 where there are not far more of them than in the baseline, or than a few that went wrong.
+    Single readings that stand far off both neighbours; or, where the vehicle hardly swings in either
+    recording, a scatter whose variance is more than twice the baseline's. 0 where there are not far more such
+    readings than in the baseline, or than a few that went wrong.
     """
-    share, size = _standing_off(readings)
-    return size if share > max(_FEW_WRONG, _MORE_BURSTS * _standing_off(baseline)[0]) else 0.0
+    now, before = _off_neighbours(readings), _off_neighbours(baseline)
+    share, size = _standing_off(now)
+    burst = size if share > max(_FEW_WRONG, _MORE_BURSTS * _standing_off(before)[0]) else 0.0
+    if min(len(now) / len(readings.valid), len(before) / len(baseline.valid)) < _EVEN:
+        return burst
+    square, usual = np.mean(now**2, axis=0), np.mean(before**2, axis=0)
+    louder = bool((square > (1.0 + _DOUBTFUL_EXCESS) * usual).any())
+    return max(burst, math.sqrt(max(float(np.mean(square - usual)), 0.0))) if louder else burst
 
 
-def _standing_off(readings: Readings) -> tuple[float, float]:
-    """Return the share of readings off both neighbours by many times what most are, on any axis, and what
-    they add to the rms of all, in mG.
-
-    Only those while the field turns evenly: late readings stand off where a turn begins and ends.
-    """
+def _off_neighbours(readings: Readings) -> FloatArray:
+    """Return by how much readings are off both neighbours, (M, 3), of those while the field turns evenly:
+    late readings stand off where a turn begins and ends."""
     both = readings.valid.copy()
     both[1:-1] &= readings.valid[:-2] & readings.valid[2:]
     both[[0, -1]] = False
@@ -76,7 +83,12 @@ def _standing_off(readings: Readings) -> tuple[float, float]:
     swings = np.linalg.norm(neighbours(readings.nominal_mgauss), axis=1)
     beside = np.max([np.roll(swings, shift) for shift in range(-_BESIDE, _BESIDE + 1)], axis=0)
     both &= beside < 1.4826 * float(np.linalg.norm(np.median(off[both], axis=0))) if both.any() else both
-    off = off[both]
+    return np.asarray(off[both])
+
+
+def _standing_off(off: FloatArray) -> tuple[float, float]:
+    """Return the share of readings (M, 3) that are off by many times what most are, on any axis, and what
+    they add to the rms of all, in mG."""
     if len(off) <= _FEWEST:
         return 0.0, 0.0
     usual = 1.4826 * np.median(off, axis=0)

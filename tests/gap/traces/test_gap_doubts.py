@@ -103,6 +103,17 @@ def test_bursts_of_single_readings_are_told_by_how_they_stand_off_their_neighbou
     assert burst_mgauss(scattered(3, 40.0), scattered(4, 40.0)) == 0.0
 
 
+def test_scatter_that_comes_and_goes_need_not_stand_far_off() -> None:
+    """Blades that pass add a few sigmas to a tenth of the readings: none of them stands out by itself."""
+    healthy = scattered(1, 0.0)
+    louder = scattered(3, 4.0 * NOISE)
+    assert burst_mgauss(louder, healthy) == pytest.approx(4.0 * NOISE * math.sqrt(0.1), rel=0.25)
+    # A variance that is not doubled may be another day's noise.
+    assert burst_mgauss(scattered(3, 2.5 * NOISE), healthy) == 0.0
+    # A vehicle that swings makes its late readings scatter, for a part of the time.
+    assert burst_mgauss(scattered(2, 0.0, turns=True, late_s=0.1), healthy) == 0.0
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_late_readings_of_a_vehicle_that_turns_now_and_then_are_no_bursts(seed: int) -> None:
     healthy = scattered(1, 0.0)
