@@ -191,7 +191,7 @@ def owning_up(
     fit = answer.named if answer.named.terms else problem.null()
     left = whitened_left(identified, fit)
     if answer.verdict == "no_gap":
-        loud, bent = min(left) > _LOUD, problem.chance_of_strain(fit) < _BENT_UNNAMED
+        loud, bent = left[0] > _LOUD, problem.chance_of_strain(fit) < _BENT_UNNAMED
         if loud or bent:
             if not decided.named.terms or max(whitened_left(identified, decided.named)) >= _LOUD_BESIDE:
                 return Answer("unknown", answer.named, True, adequacy.where)
