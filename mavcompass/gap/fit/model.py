@@ -219,10 +219,11 @@ class Problem:
         self._lent.clear()
 
     def null(self, near: Fit | None = None) -> Fit:
-        """Fit the nuisances alone, from their means or from where another problem has them."""
+        """Fit the nuisances alone, from their means or from where another problem has them, as far as it
+        does."""
         if self._null is None:
-            start = tuple(n.mean.copy() for n in self.nuisances) if near is None else near.nuisance_thetas
-            self._null = self.fit((), (), start)
+            have = () if near is None else near.nuisance_thetas
+            self._null = self.fit((), (), (*have, *(n.mean for n in self.nuisances[len(have) :])))
         return self._null
 
     def again(self, near: Fit) -> Fit:

@@ -101,3 +101,18 @@ def test_a_turn_that_leaves_nothing_is_found_without_a_second_look_at_others(
     assert one.run().best.ids == {e.effect.id for e in effects}
     # A lag hides how well a turn does by itself: others are looked at to the end.
     assert [times for first, times in looks if not first] == [4 if beside else 1]
+
+
+def test_nuisances_alone_begin_where_another_problem_has_them_as_far_as_it_does() -> None:
+    """A second pass may have found that places wander, of which the first knew nothing."""
+    field = Nuisance.of(WORLD_FIELD, np.zeros(3), np.full(3, 5.0))
+    age = Nuisance.of(AGE, np.array([0.05]), np.array([0.01]))
+
+    def begun(near: Fit | None) -> list[list[float]]:
+        fit = lambda terms, thetas, start: Fit(terms, thetas, tuple(start), 1.0)  # noqa: E731
+        problem: Any = SimpleNamespace(_null=None, nuisances=(field, age), fit=fit)
+        return [theta.tolist() for theta in Problem.null(problem, near).nuisance_thetas]
+
+    assert begun(None) == [[0.0, 0.0, 0.0], [0.05]]
+    assert begun(Fit((), (), (np.array([1.0, 2.0, 3.0]),), 9.0)) == [[1.0, 2.0, 3.0], [0.05]]
+    assert begun(Fit((), (), (np.array([1.0, 2.0, 3.0]), np.array([0.1])), 9.0)) == [[1.0, 2.0, 3.0], [0.1]]

@@ -115,6 +115,27 @@ def test_several_vehicles_in_one_file_are_told_apart(tmp_path: Path) -> None:
     assert any("2 vehicles" in note and "system 2" in note for note in one.notes)
 
 
+def test_of_vehicles_that_share_a_system_id_the_one_that_said_most_is_read(tmp_path: Path) -> None:
+    """One ground station, several vehicles that nobody told apart: in the file one follows the other, though
+    they were heard at the same time."""
+    recording = Recording().fly(20.0, boot_s=100.0).fly(40.0, boot_s=30.0, log_s=5.0, mag=(300, 0, -500))
+    recording.fly(10.0, boot_s=31.0, log_s=6.0)
+    track = read_track(recording.write(tmp_path / "a.tlog"))
+    assert track.compasses[1].reported.values[:, 0].tolist() == [300.0] * 400
+    assert any("one system id" in note and "SYSID_THISMAV" in note for note in track.notes)
+    assert not any("started" in note for note in track.notes)
+
+
+def test_a_clock_of_microseconds_that_was_started_later_is_put_right(tmp_path: Path) -> None:
+    recording = Recording().add(0.0, heartbeat("rover"))
+    for n in range(200):
+        delay = 0.02 + 0.1 * (n % 7 == 0)
+        recording.add(n * 0.1 + delay, attitude(50.0 + n * 0.1))
+        recording.add(n * 0.1 + delay, raw_imu(45.57 + n * 0.1, (200, 0, n)))
+    times = read_track(recording.write(tmp_path / "a.tlog")).compasses[1].time_s
+    np.testing.assert_allclose(times, 50.0 + 0.1 * np.arange(200), atol=0.02)
+
+
 def test_time_goes_on_across_a_restart_by_as_much_as_the_log_says(tmp_path: Path) -> None:
     recording = Recording().fly(10.0, boot_s=100.0).fly(10.0, boot_s=5.0, log_s=60.0)
     track = read_track(recording.write(tmp_path / "a.tlog"))

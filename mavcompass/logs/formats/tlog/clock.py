@@ -20,6 +20,8 @@ _WRAP_S = 2.0**32 * 1.0e-6
 # No vehicle has been up for three years: such a time counts from 1970.
 _UNIX_S = 1.0e8
 _SAME_CLOCK_S = 5.0
+# Messages of one clock arrive as late as each other, within what a link delays.
+_ONE_CLOCK_S = 1.0
 # A clock of so many messages is as good as one of all of them, and spares memory.
 _ENOUGH = 1_000_000
 
@@ -55,6 +57,22 @@ def clock_of(messages: Mapping[str, Messages]) -> BootClock:
         boot_s -= boot_s.min()
     order = np.concatenate([one.order for one in parts])
     return build_clock(order, np.concatenate([one.log_time_s for one in parts]), boot_s)
+
+
+def of_one_vehicle(messages: Mapping[str, Messages]) -> tuple[dict[str, Messages], BootClock, bool]:
+    """Return the messages of one vehicle, their clock, and whether another vehicle shares its address.
+
+    Several vehicles that were logged under one system id stand in a file one after the other, though at the
+    same time; the one that said most is read.
+    """
+    clock = clock_of(messages)
+    spoken = clock.said_most()
+    if spoken is None:
+        return dict(messages), clock, False
+    first, last = spoken
+    own = {name: one.select((one.order >= first) & (one.order < last)) for name, one in messages.items()}
+    own = {name: one for name, one in own.items() if len(one)}
+    return own, clock_of(own), True
 
 
 def _enough(densest_first: list[Messages]) -> list[Messages]:
@@ -127,9 +145,11 @@ class Placer:
         """
         own_s = _own_time_s(found, _MICROSECONDS)
         time_s = self._clock.from_boot(found.order, own_s)
-        if self._clock.fits(time_s):
-            return time_s
         placed_s = self._clock.from_log(found.order, found.log_time_s)
+        if self._clock.fits(time_s):
+            # Another clock of the same vehicle may have been started some seconds later.
+            behind_s = float(np.median(placed_s - time_s))
+            return time_s if abs(behind_s) < _ONE_CLOCK_S else time_s + behind_s
         if float(np.median(own_s)) > _UNIX_S:
             time_s = own_s + float(np.median(placed_s - own_s))
         else:

@@ -11,7 +11,7 @@ import numpy as np
 from mavcompass.compass_parameters import px4_name
 from mavcompass.kinds import AUTOPILOTS, VEHICLES
 from mavcompass.logs.common import BootClock, Change, changes, restarts, unknown_correction
-from mavcompass.logs.formats.tlog.clock import Placer, clock_of
+from mavcompass.logs.formats.tlog.clock import Placer, of_one_vehicle
 from mavcompass.logs.formats.tlog.columns import body_columns, columns
 from mavcompass.logs.formats.tlog.compasses import HIGHRES, compass_of, spokesmen
 from mavcompass.logs.formats.tlog.messages import Messages
@@ -21,12 +21,20 @@ from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
 _MILLI = 0.001
+_SHARED = (
+    "Several vehicles with one system id were recorded at the same time: only the one that said most is "
+    "read. Give each its own (SYSID_THISMAV, MAV_SYS_ID)."
+)
 
 
 def track_of(messages: dict[str, Messages], source: str, notes: tuple[str, ...]) -> Track:
     """Build the track of one vehicle; `messages` is emptied on the way, to spare memory."""
+    own, clock, shared = of_one_vehicle(messages)
+    if shared:
+        messages.clear()
+        messages.update(own)
+        notes = (*notes, _SHARED)
     autopilot, vehicle = _identity(messages.pop("HEARTBEAT", None))
-    clock = clock_of(messages)
     utc_offset_s = _utc_offset(messages.get("SYSTEM_TIME"), clock)
     history = changes(parameters_seen(messages, clock, autopilot), clock.start_s.tolist())
     parameters = {change.name: change.value for change in history}
