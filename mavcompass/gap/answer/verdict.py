@@ -43,10 +43,10 @@ _NEARLY_ALTERNATING = 0.85
 # More than healthy vehicles leave of a model that is never exact: squared sigmas by which what is known is
 # bent beside names, and how seldom chance bends it so far without any; structure that is left beside names
 # over what is left in all, along the motion and along anything; and the mean square of whitened readings, of
-# fitted ones and others, without names and beside them (which leave 1 to 2 where they are right).
+# fitted ones and others, of fitted ones alone, and beside names (which leave 1 to 2 where they are right).
 _BENT, _BENT_UNNAMED = 60.0, 1e-5
 _STRUCTURED_ALONG, _STRUCTURED = 12.0, 20.0
-_LOUD, _LOUD_BESIDE = 1.5, 3.0
+_LOUD, _LOUD_FITTED, _LOUD_BESIDE = 1.5, 2.0, 3.0
 # A line that sweeps is one of readings which scatter by this share of their noise at least, as a square.
 _SCATTERS = 0.8
 _ALONG = frozenset({"mag: heading harmonics", "mag: direction, cubic", "mag: rate"})
@@ -191,7 +191,8 @@ def owning_up(
     fit = answer.named if answer.named.terms else problem.null()
     left = whitened_left(identified, fit)
     if answer.verdict == "no_gap":
-        loud, bent = left[0] > _LOUD, problem.chance_of_strain(fit) < _BENT_UNNAMED
+        loud = min(left) > _LOUD or left[0] > _LOUD_FITTED
+        bent = problem.chance_of_strain(fit) < _BENT_UNNAMED
         if loud or bent:
             if not decided.named.terms or max(whitened_left(identified, decided.named)) >= _LOUD_BESIDE:
                 return Answer("unknown", answer.named, True, adequacy.where)

@@ -403,7 +403,8 @@ def beside(
     [
         ({"left": (1.6, 1.6)}, "unknown"),
         ({"left": (1.4, 9.0)}, "no_gap"),  # of those held out an attitude may err by more
-        ({"left": (1.6, 1.0)}, "unknown"),
+        ({"left": (1.9, 1.4)}, "no_gap"),
+        ({"left": (2.1, 1.0)}, "unknown"),
         ({"left": (1.6, 1.6), "nominal": 0.9}, "unknown"),  # the floor holds another flight's attitude
         ({"chance": 0.9e-5}, "unknown"),  # the known gives way by more than it may be off by
         ({"chance": 1.1e-5}, "no_gap"),
