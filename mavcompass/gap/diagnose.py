@@ -9,7 +9,14 @@ from dataclasses import dataclass, replace
 from mavcompass.blas import single_thread
 from mavcompass.errors import UsageError
 from mavcompass.gap.answer import Answer, Evidence, decide, describe
-from mavcompass.gap.attitude import Choice, accelerometer_fault, gyro_fault, steered_by, without_fault
+from mavcompass.gap.attitude import (
+    Choice,
+    accelerometer_fault,
+    gyro_fault,
+    gyro_scale_fault,
+    steered_by,
+    without_fault,
+)
 from mavcompass.gap.left import (
     Floor,
     doubting,
@@ -115,6 +122,8 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     faults = shifted
     if before is not None and "gyro_bias" not in withheld:
         faults += gyro_fault(replayed.reference.gyro_bias, before.reference.gyro_bias)
+    if before is not None and "gyro_scale" not in withheld:
+        faults += gyro_scale_fault(replayed.reference.gyro_scale, before.reference.gyro_scale)
 
     # 3. Doubtful sensors, and with them what the recording can tell
     replayed, before = doubting(replayed, before, every)
@@ -154,8 +163,10 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
 
     # 9. Answer
+    found = {fault.effect for fault in faults}
+    hidden = {effect: why for effect, why in untestable.items() if effect not in found}
     evidence = Evidence(
-        track, how.compass, replayed, floor, identified, remainder, adequacy, traces, untestable,
+        track, how.compass, replayed, floor, identified, remainder, adequacy, traces, hidden,
         withheld, faults,
     )  # fmt: skip
     if frozen:

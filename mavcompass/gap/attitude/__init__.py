@@ -1,6 +1,11 @@
 """The attitude that a recording tells, and how far it goes: never from the compass under test."""
 
-from mavcompass.gap.attitude.inertial import accelerometer_fault, gyro_fault, without_fault
+from mavcompass.gap.attitude.inertial import (
+    accelerometer_fault,
+    gyro_fault,
+    gyro_scale_fault,
+    without_fault,
+)
 from mavcompass.gap.attitude.kinematics import (
     cross_matrices,
     exponentials,
@@ -29,6 +34,7 @@ __all__ = [
     "cross_matrices",
     "exponentials",
     "gyro_fault",
+    "gyro_scale_fault",
     "integral",
     "local_position",
     "north_east_m",

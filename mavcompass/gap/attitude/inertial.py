@@ -1,8 +1,9 @@
 """Faults of gyro and accelerometer that show against attitude and receiver, not in the field.
 
-The smoothed attitude solves for the gyro's bias. An autopilot's filter with a receiver estimates that of the
-accelerometer, so that its attitude stays level: the mean of what is felt less gravity and the receiver's
-acceleration is that bias. Every sensor has some: a fault is what the vehicle did not have when it was good.
+The smoothed attitude solves for the gyro's bias and scale. An autopilot's filter with a receiver estimates
+the bias of the accelerometer, so that its attitude stays level: the mean of what is felt less gravity and
+the receiver's acceleration is that bias. Every sensor has some: a fault is what the vehicle did not have
+when it was good.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from mavcompass.gap.result import Cause
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
-# What differs from one good flight to the next: 0.7 degrees a second, a fortieth of g.
-_LEAST = {"gyro_bias": 0.012, "accel_bias": 0.25}
+# What differs from one good flight to the next: 0.7 degrees a second, a fortieth of a turn and of g.
+_LEAST = {"gyro_bias": 0.012, "gyro_scale": 0.025, "accel_bias": 0.25}
 # Three axes together, in squared sigmas: as improbable as six sigmas on one of three.
 _IMPROBABLE = 41.2
 _FEWEST, _BLOCKS = 200, 12
@@ -34,6 +35,11 @@ _SLOWEST_S = 0.125
 def gyro_fault(now: Bias | None, before: Bias | None) -> tuple[Cause, ...]:
     """Name the bias of the gyro that the vehicle did not have in its baseline."""
     return _fault("gyro_bias", now, before)
+
+
+def gyro_scale_fault(now: Bias | None, before: Bias | None) -> tuple[Cause, ...]:
+    """Name the gain error of the gyro that the vehicle did not have in its baseline."""
+    return _fault("gyro_scale", now, before)
 
 
 def accelerometer_fault(track: Track, baseline: Track) -> tuple[Cause, ...]:

@@ -48,7 +48,9 @@ _PASSES, _SETTLED_RAD = 10, math.radians(0.05)
 # Angle and bias walk, rad and rad/s per root second; velocity, m/s per root second.
 _WALK, _WANDER, _PUSH = math.radians(0.03), math.radians(0.01), 0.02
 _STRAINED, _FAULTY_RADPS = 2.0, math.radians(3.0)
-_SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S = 0.005, 0.08, 0.1
+SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S = 0.005, 0.08, 0.1
+# A scale that is off by so many of these is a fault, and may be off by any.
+_STRETCHED, FAULTY_SCALE = 5.0, 0.1
 _UNKNOWN_YAW_RAD, _UNKNOWN_V_MPS = math.radians(60.0), 100.0
 # A receiver's errors last for a second or so; a velocity that nobody tells, for ten.
 _RECEIVER_MEMORY_S, _VELOCITY_MEMORY_S, _OUTLIER = 1.0, 10.0, 2.5
@@ -104,7 +106,7 @@ class Smoothed:
 
     Attributes:
         rotation: body to NED, (N, 3, 3). rate_radps: without the gyro's bias and scale error, (N, 3).
-        gyro_bias: mean over the recording, and its standard deviation.
+        gyro_bias: mean over the recording, and its standard deviation. gyro_scale: gain error of each axis.
         knots_s: the smoother's times, (K,). some: those that tell how the error goes, (M,).
         borne_out: False where a receiver's velocity is contradicted.
     """
@@ -112,6 +114,7 @@ class Smoothed:
     rotation: FloatArray
     rate_radps: FloatArray
     gyro_bias: Bias
+    gyro_scale: Bias
     knots_s: FloatArray
     some: NDArray[np.int64]
     borne_out: bool
@@ -132,10 +135,15 @@ class Smoothed:
 
 
 def smoothed_attitude(
-    sensed: Sensed, start: FloatArray, bias: Bias, velocity: Velocity | None, witness: Witness | None
+    sensed: Sensed,
+    start: FloatArray,
+    bias: Bias,
+    velocity: Velocity | None,
+    witness: Witness | None,
+    scale_sigma: float = SCALE_SIGMA,
 ) -> Smoothed:
     """Smooth a first trajectory (N, 3, 3); its yaw must be about that of the velocity, if there is one."""
-    smoother = _Smoother(sensed, bias, velocity, witness)
+    smoother = _Smoother(sensed, bias, velocity, witness, scale_sigma)
     sizes = _Sizes()
     rotation, trust = smoother.through(smoother.at_knots(start)), None
     solved: Solved | None = None
@@ -157,16 +165,25 @@ def smoothed_attitude(
     )
     middle = np.array([smoother.knots.size // 2])
     sigma = np.sqrt(np.diag(solved.covariance(middle, _BIAS.stop))[_BIAS])
-    found = Bias(bias.mean + change, sigma)
+    excess = smoother.excess(solved)
+    # The constants are a share of what the gyro says, its scale is one of how it turned.
+    turned = 1.0 - solved.constants[_SCALE]
+    scale_sigmas = np.sqrt(excess * np.diag(solved.constants_covariance)[_SCALE])
+    scale = Bias(solved.constants[_SCALE] / turned, scale_sigmas / turned**2)
     return Smoothed(
-        rotation, rate, found, smoother.knots, smoother.telling(), smoother.bears_out(solved), solved,
-        smoother.excess(solved),
+        rotation, rate, Bias(bias.mean + change, sigma), scale,
+        smoother.knots, smoother.telling(), smoother.bears_out(solved), solved, excess,
     )  # fmt: skip
 
 
 def believable(smoothed: Smoothed, bias: Bias) -> bool:
     """Tell whether a gyro's bias is what it was at rest, as far as that may be."""
     return not bool((np.abs(smoothed.gyro_bias.mean - bias.mean) > _STRAINED * bias.sigma).any())
+
+
+def stretched(smoothed: Smoothed) -> bool:
+    """Tell whether a gyro's scale is off by more than a healthy one's is."""
+    return bool((np.abs(smoothed.gyro_scale.mean) > _STRETCHED * SCALE_SIGMA).any())
 
 
 def faulty(bias: Bias) -> Bias:
@@ -186,7 +203,12 @@ class _Smoother:
     """Build the chain of one recording about any trajectory."""
 
     def __init__(
-        self, sensed: Sensed, bias: Bias, velocity: Velocity | None, witness: Witness | None
+        self,
+        sensed: Sensed,
+        bias: Bias,
+        velocity: Velocity | None,
+        witness: Witness | None,
+        scale_sigma: float,
     ) -> None:
         clock = sensed.time_s
         self.clock, self.knots = clock, knots_of(clock)
@@ -194,7 +216,7 @@ class _Smoother:
         self._is_silent = np.isin(self.knots[:-1], clock[:-1][silences(clock)])
         self.news_s = float(np.median(self.step))
         self.rate, self.force = sensed.rate_radps - bias.mean, sensed.force_mps2
-        self.bias, self.witness = bias, witness
+        self.bias, self.witness, self._scale_sigma = bias, witness, scale_sigma
         self.seen = None if velocity is None else velocity.at(self.knots)
         self._still = integrated(clock, self.rate)
         self._still_knots = self.at_knots(self._still)
@@ -326,9 +348,9 @@ class _Smoother:
         none = np.zeros((1, sigma.size))
         chain.add(slice(1), np.eye(_STATES)[None, : sigma.size], None, none, none + sigma**-2.0)
         offset = _UNKNOWN_YAW_RAD if self.witness is None else self.witness.constant_rad
-        known = np.repeat([_SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S, 0.0], [3, 3, 1, 4])
+        known = np.repeat([self._scale_sigma, _ACC_SIGMA_MPS2, _LATE_SIGMA_S, 0.0], [3, 3, 1, 4])
         known[_OFFSET] = min(offset, _UNKNOWN_YAW_RAD)
-        known[_TURNS] = np.hypot(_SCALE_SIGMA, _WITNESS_LATE_S / TURN_MEMORIES_S)
+        known[_TURNS] = np.hypot(self._scale_sigma, _WITNESS_LATE_S / TURN_MEMORIES_S)
         chain.know(np.zeros(_CONSTANTS), known)
 
     def _add_velocity(self, chain: Chain, seen: Velocity, trust: FloatArray | None) -> None:

@@ -20,6 +20,8 @@ _COMPARED_S, _TAKEN_S = 3.0, 1.0
 # Readings that a derivative is smoothed over; no receiver's velocity is better than this.
 _SMOOTHED, _LEAST_SCATTER_MPS = 3, 0.1
 _FEWEST_FIXES = 50
+# Between velocities further apart an acceleration is lost, which the autopilot knows from its own sensors.
+_OFTEN_S = 0.3
 # The order of the differences that noise is told from.
 _ORDER = 6
 # Readings of a window that a spectrum is taken of, and frequencies that a window spreads a constant over.
@@ -109,8 +111,12 @@ def _convolved(values: FloatArray, kernel: FloatArray) -> FloatArray:
 
 
 def receiver_velocity(track: Track, clock: FloatArray) -> Velocity | None:
-    """Return what a receiver says of the velocity; None where it does not speak all the time."""
+    """Return what a receiver says of the velocity; None where it does not speak all the time.
+
+    Its own word comes first: what the autopilot makes of it leans as a bent compass has it.
+    """
     for series, of_positions in (
+        (_own_velocity(track), False),
         (track.gps_velocity_mps, False),
         (track.position_ned_m, True),
         (local_position(track.place), True),
@@ -132,6 +138,20 @@ def receiver_velocity(track: Track, clock: FloatArray) -> Velocity | None:
         change = np.gradient(_running(values, _SMOOTHED), when, axis=0)
         return Velocity(when, values, change, np.maximum(white_scatter(values), _LEAST_SCATTER_MPS))
     return None
+
+
+def _own_velocity(track: Track) -> Series | None:
+    """Return the velocity that the receiver itself told often enough, its vertical by the autopilot where
+    the receiver tells none."""
+    own, filtered = track.receiver_velocity_mps, track.gps_velocity_mps
+    if own is None or filtered is None or len(own) < _FEWEST_FIXES:
+        return None
+    if float(np.median(np.diff(own.time_s))) > _OFTEN_S:
+        return None
+    down = own.values[:, 2]
+    if not np.isfinite(down).all():
+        down = np.interp(own.time_s, filtered.time_s, filtered.values[:, 2])
+    return Series.of(own.time_s, np.column_stack([own.values[:, :2], down]))
 
 
 def white_scatter(values: FloatArray) -> FloatArray:

@@ -23,11 +23,13 @@ from mavcompass.gap.attitude.doubt import doubt_of
 from mavcompass.gap.attitude.kinematics import carried, integral, turned_about_down, turned_between
 from mavcompass.gap.attitude.levelling import sensed_by, started
 from mavcompass.gap.attitude.navigation import (
+    FAULTY_SCALE,
     LEVEL_RAD,
     Witness,
     believable,
     faulty,
     smoothed_attitude,
+    stretched,
 )
 from mavcompass.gap.attitude.receiver import Velocity, receiver_velocity
 from mavcompass.gap.attitude.rest import Bias, bias_at_rest
@@ -74,7 +76,8 @@ class Reference:
             each curve has a standard normal amplitude.
         rest_rad2: covariance of what no curve holds, about the world's axes, mean over time, (3, 3).
         tilt_sigma_rad: what roll and pitch show themselves to be off by; 0 where nothing tells.
-        gyro_bias: what the gyro says when nothing turns; None where that was not estimated.
+        gyro_bias: what the gyro says when nothing turns; None where that was not estimated. gyro_scale: by
+            which share of a turn it is off.
         witnessed: whether anything but the compass under test tells the yaw.
         notes: what a reader of the result must know.
     """
@@ -90,6 +93,7 @@ class Reference:
     rest_rad2: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     tilt_sigma_rad: float = 0.0
     gyro_bias: Bias | None = None
+    gyro_scale: Bias | None = None
     witnessed: bool = True
     notes: tuple[str, ...] = ()
 
@@ -272,6 +276,9 @@ def _fused(
     if not believable(smoothed, resting):
         # No healthy gyro then: let it say how far it is off.
         smoothed = smoothed_attitude(sensed, smoothed.rotation, faulty(resting), heard, witness)
+    if stretched(smoothed):
+        known = resting if believable(smoothed, resting) else faulty(resting)
+        smoothed = smoothed_attitude(sensed, smoothed.rotation, known, heard, witness, FAULTY_SCALE)
     age = 0.0
     if autopilot is not None and float(np.min(smoothed.rotation[:, 2, 2])) > _UPRIGHT:
         # Whatever steers the autopilot's yaw, it turns when the vehicle turns.
@@ -292,6 +299,7 @@ def _fused(
         rest_rad2=doubt.rest_rad2,
         tilt_sigma_rad=doubt.tilt_sigma_rad,
         gyro_bias=smoothed.gyro_bias,
+        gyro_scale=smoothed.gyro_scale,
         witnessed=bool(told),
         notes=(f"The attitude is the smoothed gyro and accelerometer{by}.",),
     )

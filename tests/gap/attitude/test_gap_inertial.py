@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.attitude.inertial import accelerometer_fault, gyro_fault, without_fault
+from mavcompass.gap.attitude.inertial import (
+    accelerometer_fault,
+    gyro_fault,
+    gyro_scale_fault,
+    without_fault,
+)
 from mavcompass.gap.attitude.reference import body_rate, reference_attitude
 from mavcompass.gap.attitude.rest import Bias
 from mavcompass.gap.result import Cause
@@ -91,6 +96,35 @@ def test_bias_of_the_gyro_is_found_on_each_axis(bias_before: Bias | None, axis: 
     track = made(2, beside(USUAL_GYRO, axis, -GYRO), USUAL_ACC)
     (cause,) = gyro_fault(smoothed_bias(track), bias_before)
     assert_is(cause, "gyro_bias", axis, -GYRO)
+
+
+def smoothed_scale(track: Track) -> Bias | None:
+    assert track.gyro_radps is not None
+    return reference_attitude(track, track.gyro_radps.time_s).gyro_scale
+
+
+@pytest.mark.parametrize(("axis", "size"), [(0, 0.08), (1, -0.1), (2, 0.09), (2, -0.04)])
+def test_scale_of_the_gyro_is_found_where_it_turns(baseline: Track, axis: int, size: float) -> None:
+    track = made(2, USUAL_GYRO, USUAL_ACC)
+    assert track.gyro_radps is not None
+    stretched = track.gyro_radps.values * (1.0 + size * np.eye(3)[axis])
+    faulty = replace(track, gyro_radps=Series.of(track.gyro_radps.time_s, stretched))
+    (cause,) = gyro_scale_fault(smoothed_scale(faulty), smoothed_scale(baseline))
+    assert cause.effect == "gyro_scale"
+    for i, name in enumerate("xyz"):
+        (low, high), true = cause.ci95[name], size * (i == axis)
+        assert abs(cause.parameters[name] - true) < high - low
+    low, high = cause.ci95["xyz"[axis]]
+    assert high - low < abs(size)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_scale_that_any_gyro_may_have_is_no_fault(baseline: Track, seed: int) -> None:
+    track = made(20 + seed, USUAL_GYRO, USUAL_ACC)
+    assert track.gyro_radps is not None
+    usual = track.gyro_radps.values * [1.01, 0.992, 0.988]
+    track = replace(track, gyro_radps=Series.of(track.gyro_radps.time_s, usual))
+    assert gyro_scale_fault(smoothed_scale(track), smoothed_scale(baseline)) == ()
 
 
 @pytest.mark.parametrize("seed", [3, 4])

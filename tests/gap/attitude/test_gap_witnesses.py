@@ -10,6 +10,7 @@ import pytest
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back, wrap_pi
+from mavcompass.gap.attitude.receiver import receiver_velocity
 from mavcompass.gap.attitude.reference import Choice, body_rate, reference_attitude
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -94,3 +95,19 @@ def test_a_reference_that_is_not_recorded_is_named(choice: Choice, few: bool) ->
 def test_a_rate_needs_five_points(count: int) -> None:
     rate = body_rate(TIME[:count], ROTATION[:count])
     assert rate.shape == (count, 3) and bool(rate.any()) is (count == 5)
+
+
+@pytest.mark.parametrize(("every_s", "told"), [(0.2, 1.0), (1.0, 3.0)])
+def test_the_receivers_own_velocity_comes_before_what_a_bent_filter_makes_of_it(
+    every_s: float, told: float
+) -> None:
+    t = np.arange(0.0, 80.0, 0.1)
+    own = np.arange(0.0, 80.0, every_s)
+    track = Track(
+        compasses={},
+        gps_velocity_mps=Series.of(t, np.tile([3.0, 0.0, -0.5], (t.size, 1))),
+        receiver_velocity_mps=Series.of(own, np.tile([1.0, 0.0, math.nan], (own.size, 1))),
+    )
+    seen = receiver_velocity(track, t)
+    assert seen is not None
+    np.testing.assert_allclose(seen.mean_mps, np.tile([told, 0.0, -0.5], (len(seen.time_s), 1)))

@@ -22,16 +22,16 @@ class Solved:
     """Hold the solution of a chain.
 
     Attributes:
-        states: (K, n). constants: (m,).
+        states: (K, n). constants: (m,); constants_covariance: (m, m).
         deviance: minus twice the logarithm of the likelihood of all that was added, up to a constant.
     """
 
     states: FloatArray
     constants: FloatArray
+    constants_covariance: FloatArray
     deviance: float
     _reduced: Reduced
     _bent: FloatArray
-    _constants_covariance: FloatArray
 
     def covariance(self, which: NDArray[np.int64], count: int) -> FloatArray:
         """Return the joint covariance of the first elements of some states (M,), (M count, M count)."""
@@ -41,7 +41,7 @@ class Solved:
         unit[rows, np.arange(rows.size)] = 1.0
         bent = self._bent[rows]
         alone = self._reduced.products(unit.reshape(length, width, rows.size))
-        return np.asarray(alone + bent @ self._constants_covariance @ bent.T)
+        return np.asarray(alone + bent @ self.constants_covariance @ bent.T)
 
     def covariance_with(self, which: NDArray[np.int64], sums: FloatArray) -> FloatArray:
         """Return the covariance of all states with sums of the first elements of some, (K, n, k).
@@ -54,7 +54,7 @@ class Solved:
         alone = self._reduced.solve(right)
         bent = self._bent.reshape(length, width, -1)
         shared = np.tensordot(bent[which, : sums.shape[1]], sums, ((0, 1), (0, 1)))
-        return np.asarray(alone + bent @ (self._constants_covariance @ shared))
+        return np.asarray(alone + bent @ (self.constants_covariance @ shared))
 
 
 class Chain:
@@ -138,6 +138,6 @@ class Chain:
         misfit = self._squares - float(self._right.ravel() @ states) - float(self._corner_right @ found)
         determinants = reduced.log_determinant + float(np.linalg.slogdet(schur)[1])
         return Solved(
-            states.reshape(length, width), found, misfit + determinants - self._log_weights, reduced, bent,
-            covariance,
+            states.reshape(length, width), found, covariance, misfit + determinants - self._log_weights,
+            reduced, bent,
         )  # fmt: skip
