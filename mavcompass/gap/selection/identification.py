@@ -76,8 +76,7 @@ def identify(
         notes = (*replay.notes, *told(replay, changing, switching, near))
         fewer = replace(replay, valid=replay.valid & ~aside, notes=notes)
         calm = replace(split, train=split.train & ~aside, test=split.test & ~aside)
-        # That places wander is known by then.
-        start = replace(floor, prior=result.problem.prior) if floor.measured else floor
+        start = floor
         if not floor.measured:
             kept = Problem(fewer, result.problem.noise, calm.train, result.problem.prior)
             start = widened(floor, kept, kept.refit(result.fit))

@@ -31,7 +31,7 @@ def test_a_magnet_on_a_wheel_at_one_speed_is_not_surely_a_line() -> None:
 
 
 def test_a_line_beside_a_remainder_may_be_of_a_wheel_as_well() -> None:
-    found = found_in(149161769, "outside")
+    found = found_in(15008, "outside")
     assert found.verdict == "named_with_remainder" and found.unknown
     assert any("another speed" in note for note in found.notes)
 
