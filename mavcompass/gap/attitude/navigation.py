@@ -34,8 +34,9 @@ from mavcompass.gap.attitude.kinematics import (
     interpolated,
     rotation_vectors,
 )
-from mavcompass.gap.attitude.receiver import Velocity, white_floor
+from mavcompass.gap.attitude.receiver import Velocity
 from mavcompass.gap.attitude.rest import Bias
+from mavcompass.gap.attitude.scatter import missed_between, white_floor
 from mavcompass.gap.attitude.steering import TURN_MEMORIES_S, remembered_turns
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -68,9 +69,6 @@ _FAST_MEMORY_S, _SLOW_MEMORY_S, _SCATTER_RAD = 8.0, 40.0, math.radians(0.1)
 _BEGINS_RAD = math.radians(5.0)
 _FAST_RAD = np.radians([0.2, 0.4, 0.8, 1.6, 3.2, 6.4])
 _COVARIANCES, _MOST_SILENCES = 64, 32
-# Fourth differences, as a share of which an integral misses what lies between samples, and beyond which
-# multiple of their usual square.
-_FOURTH, _MISSED, _FAR_OUT = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), 0.1, 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,7 +221,7 @@ class _Smoother:
         self._turned = self._still_knots[:-1].transpose(0, 2, 1) @ self._still_knots[1:]
         self._walk, self._unturned = self._walked(self.rate, _WALK, 0.5)
         self._push, self._unpushed = self._walked(self.force, _PUSH, 0.7)
-        self._bent, self._jolted = self._missed_between(self.rate), self._missed_between(self.force)
+        self._bent, self._jolted = (missed_between(clock, v, self.knots) for v in (self.rate, self.force))
         self._told = None if witness is None else self.at_knots(witness.rotation)
         self._linked = self._turned
         if self._told is not None:
@@ -413,22 +411,6 @@ class _Smoother:
         size = share * float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
         silent = np.where(self._is_silent, (size * self.step) ** 2, 0.0)
         return white_floor(values) ** 2 * each_s + walk**2, silent
-
-    def _missed_between(self, values: FloatArray) -> FloatArray:
-        """Return the variances of what integrals between knots miss of values (N, 3) that change within a
-        few samples, (K - 1, 3).
-
-        What is sampled often enough has small fourth differences. A vehicle that rocks all the time is
-        missed as often one way as the other: only what stands out of the usual counts.
-        """
-        each_s = float(np.median(np.diff(self.clock)))
-        square = np.zeros_like(values)
-        if len(values) > _FOURTH.size:
-            square[2:-2] = np.stack([np.convolve(one, _FOURTH, "valid") for one in values.T], axis=1) ** 2
-        usual = np.median(square, axis=0) / 0.455
-        missed = (_MISSED * each_s) ** 2 * np.where(square > _FAR_OUT * usual, square, 0.0)
-        within = np.clip(np.searchsorted(self.knots, self.clock, side="right") - 1, 0, self.step.size - 1)
-        return np.stack([np.bincount(within, one, minlength=self.step.size) for one in missed.T], axis=1)
 
 
 def _blank(count: int, rows: int) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 from mavcompass.earth_field import middle_place
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.kinematics import interpolated
+from mavcompass.gap.attitude.scatter import white_scatter
 from mavcompass.simulation.physics.world import EARTH_RADIUS_M
 from mavcompass.track import Series, Track
 
@@ -22,10 +23,6 @@ _SMOOTHED, _LEAST_SCATTER_MPS = 3, 0.1
 _FEWEST_FIXES = 50
 # Between velocities further apart an acceleration is lost, which the autopilot knows from its own sensors.
 _OFTEN_S = 0.3
-# The order of the differences that noise is told from.
-_ORDER = 6
-# Readings of a window that a spectrum is taken of, and frequencies that a window spreads a constant over.
-_WINDOW, _WINDOWED = 32, 3
 _LONGEST_GAP_S = 3.0
 # The receiver is believed where it explains this share of what is felt, and more than chance would, with a
 # yaw that drifts by less.
@@ -152,33 +149,6 @@ def _own_velocity(track: Track) -> Series | None:
     if not np.isfinite(down).all():
         down = np.interp(own.time_s, filtered.time_s, filtered.values[:, 2])
     return Series.of(own.time_s, np.column_stack([own.values[:, :2], down]))
-
-
-def white_scatter(values: FloatArray) -> FloatArray:
-    """Return the standard deviation of what is white in columns (N, k), (k,), from sixth differences.
-
-    Those of white noise have the variance C(12, 6) sigma^2. Of a motion of frequency f, sampled every h
-    seconds, they hold (2 sin(pi f h))^6 only: second ones took a vehicle's own swinging for noise.
-    """
-    sixth = np.abs(np.diff(values, _ORDER, axis=0))
-    return np.asarray(1.4826 * np.median(sixth, axis=0) / math.sqrt(math.comb(2 * _ORDER, _ORDER)))
-
-
-def white_floor(values: FloatArray) -> FloatArray:
-    """Return the standard deviation of what is white in columns (N, k), (k,): the floor of their spectrum.
-
-    The lower quartile over frequencies of the median over Hann windows (Welch 1967). A vehicle that rocks or
-    shakes does so in a band, which may lie at the end of the spectrum, where differences look.
-    """
-    size = min(_WINDOW, len(values))
-    window = np.sin(np.pi * (np.arange(size) + 0.5) / size) ** 2
-    window /= math.sqrt(float(window @ window))
-    starts = np.arange(0, len(values) - size + 1, max(size // 2, 1))
-    pieces = values[starts[:, None] + np.arange(size)]
-    pieces = (pieces - pieces.mean(axis=1, keepdims=True)) * window[:, None]
-    power = np.median(np.abs(np.fft.rfft(pieces, axis=1)) ** 2, axis=0) / math.log(2.0)
-    # The window spreads a constant and a slow turn over the lowest ones.
-    return np.asarray(np.sqrt(np.quantile(power[_WINDOWED : size // 2], 0.25, axis=0)))
 
 
 def local_position(place: Series | None) -> Series | None:

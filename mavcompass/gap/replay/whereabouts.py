@@ -13,7 +13,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude import Reference, integral, local_position
-from mavcompass.gap.attitude.receiver import white_scatter
+from mavcompass.gap.attitude.scatter import white_scatter
 from mavcompass.track import Series, Track
 
 _MEMORY_S = 60.0

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.frames import FloatArray, euler_to_matrix, quaternion_to_matrix, rotate_back
-from mavcompass.gap.attitude import navigation
+from mavcompass.gap.attitude import scatter
 from mavcompass.gap.attitude.kinematics import integral
-from mavcompass.gap.attitude.receiver import white_floor, white_scatter
 from mavcompass.gap.attitude.reference import Reference, body_rate, reference_attitude
+from mavcompass.gap.attitude.scatter import white_floor, white_scatter
 from mavcompass.gap.attitude.steering import remembered_turns
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.track import MagSeries, Series, Track
@@ -448,7 +448,7 @@ def test_what_turns_between_two_samples_is_doubted(seed: int, monkeypatch: pytes
         return math.sqrt(np.mean(off**2)), math.sqrt(np.mean((off / doubt) ** 2))
 
     off, in_sigmas = off_and_in_sigmas()
-    monkeypatch.setattr(navigation, "_MISSED", 0.0)
+    monkeypatch.setattr(scatter, "_MISSED", 0.0)
     believed, in_their_sigmas = off_and_in_sigmas()
     assert in_sigmas < 1.6 and in_sigmas < 0.85 * in_their_sigmas
     assert off < 0.9 * believed
