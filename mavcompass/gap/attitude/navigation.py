@@ -36,7 +36,7 @@ from mavcompass.gap.attitude.kinematics import (
 )
 from mavcompass.gap.attitude.receiver import Velocity
 from mavcompass.gap.attitude.rest import Bias
-from mavcompass.gap.attitude.scatter import missed_between, white_floor
+from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES, missed_between, white_floor
 from mavcompass.gap.attitude.steering import TURN_MEMORIES_S, remembered_turns
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -302,7 +302,9 @@ class _Smoother:
 
     def excess(self, solved: Solved) -> float:
         """Return how much larger a receiver's errors are than stated, as a variance, at least 1."""
-        return 1.0 if self.seen is None else max(1.0, float(np.median(self._left(solved) ** 2)) / 0.455)
+        if self.seen is None:
+            return 1.0
+        return max(1.0, float(np.median(self._left(solved) ** 2)) / MEDIAN_OF_SQUARES)
 
     def bears_out(self, solved: Solved) -> bool:
         """Tell whether a receiver's level velocity leaves less than it varies by, or twice its errors."""

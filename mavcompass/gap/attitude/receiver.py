@@ -147,7 +147,7 @@ def _own_velocity(track: Track) -> Series | None:
         return None
     down = own.values[:, 2]
     if not np.isfinite(down).all():
-        down = np.interp(own.time_s, filtered.time_s, filtered.values[:, 2])
+        down = filtered.at(own.time_s)[:, 2]
     return Series.of(own.time_s, np.column_stack([own.values[:, :2], down]))
 
 

@@ -273,11 +273,12 @@ def _fused(
         without = smoothed_attitude(sensed, first.rotation, resting, heard, None)
         if believable(without, resting):
             smoothed = without
+    known = resting
     if not believable(smoothed, resting):
         # No healthy gyro then: let it say how far it is off.
-        smoothed = smoothed_attitude(sensed, smoothed.rotation, faulty(resting), heard, witness)
+        known = faulty(resting)
+        smoothed = smoothed_attitude(sensed, smoothed.rotation, known, heard, witness)
     if stretched(smoothed):
-        known = resting if believable(smoothed, resting) else faulty(resting)
         smoothed = smoothed_attitude(sensed, smoothed.rotation, known, heard, witness, FAULTY_SCALE)
     age = 0.0
     if autopilot is not None and float(np.min(smoothed.rotation[:, 2, 2])) > _UPRIGHT:

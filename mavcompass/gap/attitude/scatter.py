@@ -12,10 +12,10 @@ from mavcompass.frames import FloatArray
 _ORDER = 6
 # Readings of a window that a spectrum is taken of, and frequencies that a window spreads a constant over.
 _WINDOW, _WINDOWED = 32, 3
-# Fourth differences, as a share of which an integral misses what lies between samples, and beyond which
-# multiple of their usual square; a median of squares of normal deviates.
-_FOURTH, _MISSED, _FAR_OUT = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), 0.1, 6.0
-_MEDIAN_OF_SQUARES = 0.455
+# The share of a fourth difference that an integral misses between samples, and beyond which multiple of the
+# usual square it does; the median of squares of normal deviates.
+_MISSED, _FAR_OUT = 0.1, 6.0
+MEDIAN_OF_SQUARES = 0.455
 
 
 def white_scatter(values: FloatArray) -> FloatArray:
@@ -54,9 +54,8 @@ def missed_between(clock: FloatArray, values: FloatArray, knots: FloatArray) -> 
     """
     each_s = float(np.median(np.diff(clock)))
     square = np.zeros_like(values)
-    if len(values) > _FOURTH.size:
-        square[2:-2] = np.stack([np.convolve(one, _FOURTH, "valid") for one in values.T], axis=1) ** 2
-    usual = np.median(square, axis=0) / _MEDIAN_OF_SQUARES
+    square[2:-2] = np.diff(values, 4, axis=0) ** 2
+    usual = np.median(square, axis=0) / MEDIAN_OF_SQUARES
     missed = (_MISSED * each_s) ** 2 * np.where(square > _FAR_OUT * usual, square, 0.0)
     steps = len(knots) - 1
     within = np.clip(np.searchsorted(knots, clock, side="right") - 1, 0, steps - 1)

@@ -65,24 +65,23 @@ class BootClock:
         low, high = self._time_s[0] - _JUMP_S, self._time_s[-1] + _JUMP_S
         return goes_forward and bool(low < time_s[0]) and bool(time_s.max() < high)
 
-    def said_most(self) -> tuple[int, int] | None:
-        """Return where in the file the power-up with most messages begins and the next one does, where
-        another was logged at the same time; None where one followed the other.
+    def said_most(self) -> int | None:
+        """Return the power-up with most messages where another was logged at the same time; None where one
+        followed the other.
 
         No vehicle is started again before it ends: these are of several vehicles that share an address.
         """
-        edges = [*np.searchsorted(self._order, self.first_order).tolist(), self._order.size]
-        parts = [slice(*edge) for edge in pairwise(edges) if edge[0] < edge[1]]
-        ends = []
-        for part in parts:
-            ahead = float(np.median(self._log_s[part] - self._time_s[part]))
-            ends.append((float(self._time_s[part].min()) + ahead, float(self._time_s[part].max()) + ahead))
-        ends.sort()
-        if not any(later[0] < earlier[1] - _JUMP_S for earlier, later in pairwise(ends)):
+        if self.first_order.size < 2:
             return None
-        most = max(parts, key=lambda part: part.stop - part.start)
-        last = int(self._order[-1]) + 1 if most.stop == self._order.size else int(self._order[most.stop])
-        return int(self._order[most.start]), last
+        edges = [*np.searchsorted(self._order, self.first_order).tolist(), self._order.size]
+        ends = []
+        for first, last in pairwise(edges):
+            time_s = self._time_s[first:last]
+            ahead = float(np.median(self._log_s[first:last] - time_s))
+            ends.append((float(time_s.min()) + ahead, float(time_s.max()) + ahead))
+        ends.sort()
+        at_a_time = any(later[0] < earlier[1] - _JUMP_S for earlier, later in pairwise(ends))
+        return int(np.argmax(np.diff(edges))) if at_a_time else None
 
     def from_boot(self, order: OrderArray, boot_s: FloatArray) -> FloatArray:
         """Place messages, in the file's order, by the time since boot that they carry."""

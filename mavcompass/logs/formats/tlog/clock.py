@@ -59,20 +59,24 @@ def clock_of(messages: Mapping[str, Messages]) -> BootClock:
     return build_clock(order, np.concatenate([one.log_time_s for one in parts]), boot_s)
 
 
-def of_one_vehicle(messages: Mapping[str, Messages]) -> tuple[dict[str, Messages], BootClock, bool]:
-    """Return the messages of one vehicle, their clock, and whether another vehicle shares its address.
+def keep_one_vehicle(messages: dict[str, Messages]) -> tuple[BootClock, bool]:
+    """Take the messages of other vehicles with this address out; return the clock, and whether there were
+    any.
 
     Several vehicles that were logged under one system id stand in a file one after the other, though at the
-    same time; the one that said most is read.
+    same time; the one that said most stays.
     """
     clock = clock_of(messages)
-    spoken = clock.said_most()
-    if spoken is None:
-        return dict(messages), clock, False
-    first, last = spoken
-    own = {name: one.select((one.order >= first) & (one.order < last)) for name, one in messages.items()}
-    own = {name: one for name, one in own.items() if len(one)}
-    return own, clock_of(own), True
+    most = clock.said_most()
+    if most is None:
+        return clock, False
+    for name, one in list(messages.items()):
+        own = one.select(clock.segment(one.order) == most)
+        if len(own):
+            messages[name] = own
+        else:
+            del messages[name]
+    return clock_of(messages), True
 
 
 def _enough(densest_first: list[Messages]) -> list[Messages]:

@@ -11,7 +11,7 @@ import numpy as np
 from mavcompass.compass_parameters import px4_name
 from mavcompass.kinds import AUTOPILOTS, VEHICLES
 from mavcompass.logs.common import BootClock, Change, changes, restarts, unknown_correction
-from mavcompass.logs.formats.tlog.clock import Placer, of_one_vehicle
+from mavcompass.logs.formats.tlog.clock import Placer, keep_one_vehicle
 from mavcompass.logs.formats.tlog.columns import body_columns, columns
 from mavcompass.logs.formats.tlog.compasses import HIGHRES, compass_of, spokesmen
 from mavcompass.logs.formats.tlog.messages import Messages
@@ -29,10 +29,8 @@ _SHARED = (
 
 def track_of(messages: dict[str, Messages], source: str, notes: tuple[str, ...]) -> Track:
     """Build the track of one vehicle; `messages` is emptied on the way, to spare memory."""
-    own, clock, shared = of_one_vehicle(messages)
+    clock, shared = keep_one_vehicle(messages)
     if shared:
-        messages.clear()
-        messages.update(own)
         notes = (*notes, _SHARED)
     autopilot, vehicle = _identity(messages.pop("HEARTBEAT", None))
     utc_offset_s = _utc_offset(messages.get("SYSTEM_TIME"), clock)
