@@ -46,7 +46,7 @@ _NEARLY_ALTERNATING = 0.85
 # fitted ones and others, of fitted ones alone, and beside names (which leave 1 to 2 where they are right).
 _BENT, _BENT_UNNAMED = 60.0, 1e-5
 _STRUCTURED_ALONG, _STRUCTURED = 12.0, 20.0
-_LOUD, _LOUD_FITTED, _LOUD_BESIDE = 1.5, 2.0, 3.0
+_LOUD, _LOUD_FITTED, _LOUD_BESIDE = 1.4, 2.0, 3.0
 # A line that sweeps is one of readings which scatter by this share of their noise at least, as a square.
 _SCATTERS = 0.8
 _ALONG = frozenset({"mag: heading harmonics", "mag: direction, cubic", "mag: rate"})

@@ -47,7 +47,7 @@ _PHI, _BIAS, _V, _FAST, _SLOW, _LEVEL, _STATES = slice(0, 3), slice(3, 6), slice
 _SCALE, _ACC, _LATE, _OFFSET, _TURNS, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, slice(8, 11), 11
 _PASSES, _SETTLED_RAD = 10, math.radians(0.05)
 # Angle and bias walk, rad and rad/s per root second; velocity, m/s per root second.
-_WALK, _WANDER, _PUSH = math.radians(0.03), math.radians(0.01), 0.02
+_WALK, _WANDER, _PUSH = math.radians(0.01), math.radians(0.005), 0.005
 _STRAINED, _FAULTY_RADPS = 2.0, math.radians(3.0)
 SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S = 0.005, 0.08, 0.1
 # A scale that is off by so many of these is a fault, and may be off by any.

@@ -19,7 +19,7 @@ _STEP_S = 0.2
 # square of it), and taken away less smooth.
 _COMPARED_S, _TAKEN_S = 3.0, 1.0
 # Readings that a derivative is smoothed over; no receiver's velocity is better than this.
-_SMOOTHED, _LEAST_SCATTER_MPS = 3, 0.1
+_SMOOTHED, _LEAST_SCATTER_MPS = 3, 0.05
 _FEWEST_FIXES = 50
 # Between velocities further apart an acceleration is lost, which the autopilot knows from its own sensors.
 _OFTEN_S = 0.3
