@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mavcompass.cli.options import Output
-from mavcompass.cli.terminal.show import is_live
+from mavcompass.cli.terminal.colour import is_live
 
 if TYPE_CHECKING:
     from mavcompass.fleet.run import FleetResult, Progress

@@ -13,7 +13,7 @@ from mavcompass.cli.gap.shared import baseline_option, compass_option, say_summa
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.source import reference_option
-from mavcompass.cli.terminal.show import is_live
+from mavcompass.cli.terminal.colour import is_live
 from mavcompass.errors import UsageError
 
 

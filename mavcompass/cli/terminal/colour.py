@@ -1,4 +1,4 @@
-"""Colour on a terminal that has it; plain text elsewhere."""
+"""What a terminal can: colours, lines that are drawn again; plain text elsewhere."""
 
 from __future__ import annotations
 
@@ -16,6 +16,11 @@ def styled(text: str, *, fg: str | None = None, bold: bool = False, err: bool = 
     if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM", "dumb") == "dumb":
         return text
     return click.style(text, fg=fg, bold=bold)
+
+
+def is_live() -> bool:
+    """Tell whether a person looks at standard error in a terminal that can redraw a line."""
+    return sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
 
 
 def mark(verdict: str) -> str:

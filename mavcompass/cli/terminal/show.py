@@ -11,6 +11,7 @@ from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from mavcompass.cli.terminal.colour import is_live
 from mavcompass.procedure.script import Show
 
 _PROMPT_EVERY_S = 1.0
@@ -24,11 +25,6 @@ _MARKS = {
     "undo": "!",
     "taken": "✓",
 }
-
-
-def is_live() -> bool:
-    """Tell whether a person looks at standard error in a terminal that can redraw a line."""
-    return sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
 
 
 def _has(show: Show, name: str) -> bool:
