@@ -33,7 +33,7 @@ _CONVERGED = 0.02
 _TRIALS, _AS_EXPECTED = 6, 0.5
 # The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, and
 # serves to come nearer so far, in natural sizes.
-_NEAR, _FAR = 0.3, 5.0
+_NEAR, _FAR = 2.0, 12.0
 # Derivatives of so many fits are kept for others, for so many ways in which the compass may be mounted.
 _LENT, _MOUNTINGS = 8, 3
 _Mounting = tuple[float, ...]
