@@ -47,6 +47,8 @@ _NEARLY_ALTERNATING = 0.85
 _BENT, _BENT_UNNAMED = 60.0, 1e-5
 _STRUCTURED_ALONG, _STRUCTURED = 12.0, 20.0
 _LOUD, _LOUD_FITTED, _LOUD_BESIDE = 1.4, 2.0, 3.0
+# Names that leave more than this share of what is louder than noise are no explanation of it.
+_QUIETER = 0.5
 # A line that sweeps is one of readings which scatter by this share of their noise at least, as a square.
 _SCATTERS = 0.8
 _ALONG = frozenset({"mag: heading harmonics", "mag: direction, cubic", "mag: rate"})
@@ -177,8 +179,8 @@ def owning_up(
     field without them comes to the floor, or the rest does, fitted alone (`rest_at_floor`). Where silence
     would leave what is loud, and the names that were `decided` do not, they stand: a magnet that is passed
     once hardly lifts the field's mean. Where it bends the known farther than chance does, they are one
-    explanation, but not the only one. What single readings show and no name is for is no silence
-    either: `unexplained` is its coordinate.
+    explanation, but not the only one. Structure along one coordinate is no silence either, however small,
+    nor is what single readings show and no name is for: `unexplained` is its coordinate.
     """
     problem = identified.problem
     if answer.verdict == "named" and answer.named.terms:
@@ -190,23 +192,31 @@ def owning_up(
         return answer
     fit = answer.named if answer.named.terms else problem.null()
     left = whitened_left(identified, fit)
+    structured = _structured(adequacy, left)
     if answer.verdict == "no_gap":
         loud = min(left) > _LOUD or left[0] > _LOUD_FITTED
         bent = problem.chance_of_strain(fit) < _BENT_UNNAMED
         if loud or bent:
-            if not decided.named.terms or max(whitened_left(identified, decided.named)) >= _LOUD_BESIDE:
+            beside = whitened_left(identified, decided.named)
+            quieter = beside[0] - 1.0 < _QUIETER * (left[0] - 1.0) or not loud
+            if not decided.named.terms or not quieter or max(beside) >= _LOUD_BESIDE:
                 return Answer("unknown", answer.named, True, adequacy.where)
             return decided if loud else replace(decided, verdict="ambiguous")
         sweeps = adequacy.sweeps and max(left) > _SCATTERS
-        shows = "frequency" if sweeps else unexplained
+        shows = "frequency" if sweeps else structured or unexplained
         return Answer("unknown", answer.named, True, shows) if shows else answer
     if min(left, default=0.0) > _LOUD_BESIDE:
-        return Answer("named_with_remainder", answer.named, True, adequacy.where)
+        structured = adequacy.where
+    return Answer("named_with_remainder", answer.named, True, structured) if structured else answer
+
+
+def _structured(adequacy: Adequacy, left: Sequence[float]) -> str | None:
+    """Return the coordinate along which what is left has more structure than healthy vehicles leave."""
     for test in sorted(adequacy.tests, key=lambda t: -t.excess):
         most = _STRUCTURED_ALONG if test.name in _ALONG else _STRUCTURED
-        if test.excess > most * max(*left, 1.0):
-            return Answer("named_with_remainder", answer.named, True, test.coordinate)
-    return answer
+        if test.excess > most * max((*left, 1.0)):
+            return test.coordinate
+    return None
 
 
 def with_likely_names(

@@ -29,6 +29,8 @@ _FAR_OFF, _FEW_WRONG, _MORE_BURSTS, _BESIDE = 6.0, 0.015, 4.0, 3
 _LEAST_QUIET = 0.15
 # A vehicle that turns evenly, beside the scatter, for so much of the time hardly swings.
 _EVEN = 0.9
+# Noise scatters along the field as across it: of its variance at least this share.
+_ALONG = 0.5
 
 
 def quiet_variance(readings: Readings, values: FloatArray) -> float:
@@ -53,29 +55,33 @@ def excess_variance(readings: Readings, baseline: Readings, repeats: bool = Fals
     further = quiet_scatter(readings, 2) ** 2 - quiet_scatter(baseline, 2) ** 2
     white = excess / _UNLIKE < further < _UNLIKE * excess
     noise = white and _unrelated(readings) and _steady(readings, excess) and _of_each_axis(readings)
-    return max(excess, further) if noise else 0.0
+    along = (
+        _usual(_along_field(readings)[readings.quiet]) ** 2
+        - _usual(_along_field(baseline)[baseline.quiet]) ** 2
+    )
+    return max(excess, further) if noise and along > _ALONG * excess else 0.0
 
 
 def burst_mgauss(readings: Readings, baseline: Readings) -> float:
     """Return what scatters from reading to reading and is no noise of the sensor, rms, in mG.
 
     Single readings that stand far off both neighbours; or, where the vehicle hardly swings in either
-    recording, a scatter whose variance is more than twice the baseline's. 0 where there are not far more such
-    readings than in the baseline, or than a few that went wrong.
+    recording, a scatter whose variance along the field is more than twice the baseline's. 0 where there are
+    not far more such readings than in the baseline, or than a few that went wrong.
     """
-    now, before = _off_neighbours(readings), _off_neighbours(baseline)
+    (now, along), (before, usual) = _off_neighbours(readings), _off_neighbours(baseline)
     share, size = _standing_off(now)
     burst = size if share > max(_FEW_WRONG, _MORE_BURSTS * _standing_off(before)[0]) else 0.0
     if min(len(now) / len(readings.valid), len(before) / len(baseline.valid)) < _EVEN:
         return burst
-    square, usual = np.mean(now**2, axis=0), np.mean(before**2, axis=0)
-    louder = bool((square > (1.0 + _DOUBTFUL_EXCESS) * usual).any())
-    return max(burst, math.sqrt(max(float(np.mean(square - usual)), 0.0))) if louder else burst
+    if np.mean(along**2) <= (1.0 + _DOUBTFUL_EXCESS) * np.mean(usual**2):
+        return burst
+    return max(burst, math.sqrt(max(float(np.mean(now**2) - np.mean(before**2)), 0.0)))
 
 
-def _off_neighbours(readings: Readings) -> FloatArray:
-    """Return by how much readings are off both neighbours, (M, 3), of those while the field turns evenly:
-    late readings stand off where a turn begins and ends."""
+def _off_neighbours(readings: Readings) -> tuple[FloatArray, FloatArray]:
+    """Return by how much readings are off both neighbours, (M, 3) and along the field (M,), of those while
+    the field turns evenly: late readings stand off where a turn begins and ends."""
     both = readings.valid.copy()
     both[1:-1] &= readings.valid[:-2] & readings.valid[2:]
     both[[0, -1]] = False
@@ -83,7 +89,7 @@ def _off_neighbours(readings: Readings) -> FloatArray:
     swings = np.linalg.norm(neighbours(readings.nominal_mgauss), axis=1)
     beside = np.max([np.roll(swings, shift) for shift in range(-_BESIDE, _BESIDE + 1)], axis=0)
     both &= beside < 1.4826 * float(np.linalg.norm(np.median(off[both], axis=0))) if both.any() else both
-    return np.asarray(off[both])
+    return off[both], _along_field(readings)[both]
 
 
 def _standing_off(off: FloatArray) -> tuple[float, float]:
@@ -91,7 +97,7 @@ def _standing_off(off: FloatArray) -> tuple[float, float]:
     they add to the rms of all, in mG."""
     if len(off) <= _FEWEST:
         return 0.0, 0.0
-    usual = 1.4826 * np.median(off, axis=0)
+    usual = _usual(off)
     # Of coarse numbers most differ by nothing.
     far = np.any(off > np.where(usual > 0.0, _FAR_OFF * usual, np.inf), axis=1)
     return float(far.mean()), float(np.sqrt(np.mean((off * far[:, None]) ** 2)))
@@ -112,8 +118,7 @@ def quiet_scatter(readings: Readings, apart: int = 1) -> float:
     both[:apart] = both[both.size - apart :] = False
     if both.sum() <= _FEWEST:
         return 0.0
-    size = np.median(np.abs(neighbours(readings.error_mgauss, apart)[both]), axis=0)
-    return float(1.4826 * np.sqrt(np.mean(size**2)))
+    return float(np.sqrt(np.mean(_usual(neighbours(readings.error_mgauss, apart)[both]) ** 2)))
 
 
 def neighbours(error_mgauss: FloatArray, apart: int = 1) -> FloatArray:
@@ -123,6 +128,23 @@ def neighbours(error_mgauss: FloatArray, apart: int = 1) -> FloatArray:
     if len(out) > 2 * k:
         out[k:-k] = error_mgauss[2 * k :] - 2.0 * error_mgauss[k:-k] + error_mgauss[: -2 * k]
     return out / math.sqrt(6.0)
+
+
+def _usual(values: FloatArray) -> FloatArray:
+    """Return the deviation of columns (M, ...), robustly; 0 where there are none."""
+    return (
+        np.asarray(1.4826 * np.median(np.abs(values), axis=0)) if len(values) else np.zeros(values.shape[1:])
+    )
+
+
+def _along_field(readings: Readings) -> FloatArray:
+    """Return second differences along the field, (N,), scaled to white noise's deviation.
+
+    An attitude that shakes faster than its gyro is read turns the field, and leaves nothing there.
+    """
+    field = readings.nominal_mgauss
+    product = np.einsum("ij,ij->i", neighbours(readings.error_mgauss), field)
+    return np.asarray(product / np.maximum(np.linalg.norm(field, axis=1), 1e-9))
 
 
 def _unrelated(readings: Readings) -> bool:

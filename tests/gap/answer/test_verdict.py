@@ -408,6 +408,8 @@ def beside(
         ({"left": (1.6, 1.6), "nominal": 0.9}, "unknown"),  # the floor holds another flight's attitude
         ({"chance": 0.9e-5}, "unknown"),  # the known gives way by more than it may be off by
         ({"chance": 1.1e-5}, "no_gap"),
+        ({"left": (1.41, 1.41)}, "unknown"),
+        ({"left": (1.39, 1.39)}, "no_gap"),
     ],
 )
 def test_silence_is_given_up_beside_what_is_loud_or_bent(given: dict[str, Any], told: Verdict) -> None:
@@ -420,6 +422,14 @@ def test_silence_is_given_up_beside_what_is_loud_or_bent(given: dict[str, Any], 
 def test_a_name_that_only_spares_the_known_is_not_the_only_one(decided_left: float, told: Verdict) -> None:
     said = beside(chance=1e-9, decided=("axis_scale",), decided_left=decided_left)
     assert said.verdict == told and said.named.ids == ({"axis_scale"} if told == "ambiguous" else set())
+
+
+def test_silence_is_given_up_beside_structure_along_a_coordinate() -> None:
+    along, anything = (("mag: rate", 12.1),), (("mag: time", 20.1),)
+    for tests, where in ((along, "at mag: rate"), (anything, "at mag: time")):
+        said = beside(tests=tests)
+        assert (said.verdict, said.coordinate) == ("unknown", where) and not said.named.terms
+        assert beside(tests=tests, left=(1.0, 1.1)).verdict == "no_gap"
 
 
 def test_silence_is_given_up_beside_a_line_that_sweeps() -> None:
@@ -438,6 +448,9 @@ def test_what_is_loud_without_its_name_keeps_it(decided_left: float, told: Verdi
     assert said.verdict == told and said.flagged is (told == "unknown")
     assert said.named.ids == ({"spatial_dipole"} if told == "named" else set())
     assert beside(left=(1.0, 9.0), **magnet).verdict == "no_gap"  # type: ignore[arg-type]
+    # One that leaves more than half of what is louder than noise explains it no better than nothing does.
+    assert beside(left=(2.0, 2.0), decided=("clipping",), decided_left=1.49, nominal=0.9).verdict == "named"
+    assert beside(left=(2.0, 2.0), decided=("clipping",), decided_left=1.51, nominal=0.9).verdict == "unknown"
 
 
 @pytest.mark.parametrize(

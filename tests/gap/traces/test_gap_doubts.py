@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mavcompass.frames import FloatArray
 from mavcompass.gap.replay import Readings
 from mavcompass.gap.traces.rapid import find_rapid
-from mavcompass.gap.traces.scattered import burst_mgauss
+from mavcompass.gap.traces.scattered import burst_mgauss, excess_variance
 from mavcompass.gap.traces.steps_and_repeats import stale_doubt, told_step
 
 B, NOISE = np.array([6.0, -9.0, 4.0]), 2.0
@@ -118,3 +119,22 @@ def test_scatter_that_comes_and_goes_need_not_stand_far_off() -> None:
 def test_late_readings_of_a_vehicle_that_turns_now_and_then_are_no_bursts(seed: int) -> None:
     healthy = scattered(1, 0.0)
     assert burst_mgauss(scattered(seed, 0.0, turns=True, late_s=0.1), healthy) == 0.0
+
+
+@pytest.mark.parametrize("field", [(200.0, 0.0, 400.0), (150.0, -250.0, 300.0)])
+def test_an_attitude_that_shakes_leaves_no_scatter_along_the_field(field: tuple[float, ...]) -> None:
+    """A rover rocks faster than its gyro is read: its compass scatters on each axis, as if it were noise."""
+    rng = np.random.default_rng(9)
+    nominal = np.tile(field, (T.size, 1))
+
+    def beside(error: FloatArray) -> Readings:
+        raw = nominal + NOISE * rng.standard_normal(nominal.shape) + error
+        return Readings.of(T, raw, nominal, np.ones(T.size, dtype=np.bool_))
+
+    healthy, size = beside(np.zeros_like(nominal)), math.radians(1.0)
+    shaken = beside(np.cross(nominal, size * rng.standard_normal(nominal.shape)))
+    assert burst_mgauss(shaken, healthy) == 0.0 and excess_variance(shaken, healthy) == 0.0
+    sigma = size * float(np.linalg.norm(field))
+    noisy = beside(sigma * rng.standard_normal(nominal.shape))
+    assert burst_mgauss(noisy, healthy) == pytest.approx(sigma, rel=0.1)
+    assert excess_variance(noisy, healthy) == pytest.approx(sigma**2, rel=0.15)

@@ -47,3 +47,22 @@ def test_what_goes_with_the_temperature_below_the_floor_is_not_silent() -> None:
     assert found.field.nominal < 1.1 * found.field.floor
     assert found.verdict == "ambiguous"
     assert ("temperature_sensitivity",) in dict(found.ambiguity_set)
+
+
+def test_structure_along_the_motion_is_no_silence_below_the_floor() -> None:
+    """A sensor that saturates a little: all that is left goes with the heading."""
+    found = found_in(1287283669, "outside")
+    assert found.field.nominal < found.field.floor
+    assert found.verdict == "unknown" and not found.causes
+
+
+def test_a_name_that_leaves_nearly_all_that_is_loud_does_not_stand() -> None:
+    # Saturation, too: readings that are cut off hold a tenth of what is left.
+    found = found_in(87780570, "outside")
+    assert found.verdict == "unknown" and not found.causes
+
+
+def test_a_rover_that_rocks_has_no_noisier_compass() -> None:
+    assert found_in(1186737630, "none").verdict == "no_gap"
+    late = found_in(540504279, "single")
+    assert late.verdict == "named" and late.effects == {"transport_lag"}
