@@ -138,8 +138,11 @@ class _Settling:
             said.answer, decided, identified, said.field, adequacy, self._is_quiet(),
             evidence.traces.unexplained,
         )  # fmt: skip
-        # Where what was decided stands again, so do its figures.
-        return self.decided if answer is decided else replace(said, answer=answer)
+        if answer is decided:
+            # Where what was decided stands again, so do its figures.
+            return self.decided
+        silenced = answer.verdict == "no_gap" and said.answer.verdict != "no_gap"
+        return self.with_figures(answer) if silenced else replace(said, answer=answer)
 
     def no_worse(self, said: Settled) -> Settled:
         """Take names back that make held-out readings less likely: they are no explanation."""

@@ -180,9 +180,16 @@ def owning_up(
     would leave what is loud, and the names that were `decided` do not, they stand: a magnet that is passed
     once hardly lifts the field's mean. Where it bends the known farther than chance does, they are one
     explanation, but not the only one. Structure along one coordinate is no silence either, however small,
-    nor is what single readings show and no name is for: `unexplained` is its coordinate.
+    nor is what single readings show and no name is for: `unexplained` is its coordinate. But where silence
+    leaves nothing loud and bends nothing, names that gain little are none.
     """
-    problem = identified.problem
+    problem, none = identified.problem, identified.problem.null()
+    nothing = whitened_left(identified, none)
+    loud = min(nothing) > _LOUD or nothing[0] > _LOUD_FITTED
+    bent = problem.chance_of_strain(none) < _BENT_UNNAMED
+    explained = answer.verdict in ("named", "ambiguous") and bool(answer.named.terms)
+    if explained and not (loud or bent) and none.sse - answer.named.sse < EVIDENT:
+        return Answer("no_gap", none, False, None)
     if answer.verdict == "named" and answer.named.terms:
         low = rest_at_floor or not _above(field.nominal, field.floor)
         small = low and bool(answer.named.ids & _PLIANT)
@@ -190,12 +197,9 @@ def owning_up(
             return replace(answer, verdict="ambiguous")
     if answer.verdict not in ("no_gap", "named"):
         return answer
-    fit = answer.named if answer.named.terms else problem.null()
-    left = whitened_left(identified, fit)
+    left = whitened_left(identified, answer.named) if answer.named.terms else nothing
     structured = _structured(adequacy, left)
     if answer.verdict == "no_gap":
-        loud = min(left) > _LOUD or left[0] > _LOUD_FITTED
-        bent = problem.chance_of_strain(fit) < _BENT_UNNAMED
         if loud or bent:
             beside = whitened_left(identified, decided.named)
             quieter = beside[0] - 1.0 < _QUIETER * (left[0] - 1.0) or not loud

@@ -21,8 +21,8 @@ from mavcompass.gap.result import Cause
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
-# What differs from one good flight to the next: 0.7 degrees a second, a fortieth of a turn and of g.
-_LEAST = {"gyro_bias": 0.012, "gyro_scale": 0.025, "accel_bias": 0.25}
+# What differs from one good flight to the next: 0.7 degrees a second, a 25th of a turn, a fortieth of g.
+_LEAST = {"gyro_bias": 0.012, "gyro_scale": 0.04, "accel_bias": 0.25}
 # Three axes together, in squared sigmas: as improbable as six sigmas on one of three.
 _IMPROBABLE = 41.2
 _FEWEST, _BLOCKS = 200, 12

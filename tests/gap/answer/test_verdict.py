@@ -374,6 +374,7 @@ def beside(
     rest_at_floor: bool = False,
     sweeps: bool = False,
     unexplained: str = "",
+    gained: float = 100.0,
 ) -> Answer:
     """Ask what becomes of an answer: `left` of rows that were fitted, and of others, mean squares.
 
@@ -389,7 +390,7 @@ def beside(
 
     held = rows(left[1])
     bent: Any = {"strain": lambda _: strain, "chance_of_strain": lambda _: chance}
-    problem = rows(left[0], null=fit_of, with_rows=lambda _: held, **bent)
+    problem = rows(left[0], null=lambda: replace(fit_of(), sse=gained), with_rows=lambda _: held, **bent)
     found = SimpleNamespace(problem=problem, split=SimpleNamespace(test=None))
     made = [SimpleNamespace(name=name, excess=excess, coordinate=f"at {name}") for name, excess in tests]
     adequacy: Any = SimpleNamespace(tests=made, where="somewhere", sweeps=sweeps)
@@ -485,6 +486,23 @@ def test_what_follows_anything_is_not_the_only_explanation_of_what_the_rest_expl
         assert beside("named", names, nominal=1.29).verdict == told
         assert beside("named", names, nominal=1.31, rest_at_floor=True).verdict == told
         assert beside("named", names, nominal=1.31).verdict == "named"
+
+
+@pytest.mark.parametrize(
+    ("given", "silent"),
+    [
+        ({"gained": 80.0}, True),
+        ({"gained": 82.0}, False),
+        ({"gained": 80.0, "left": (1.5, 1.5)}, False),
+        ({"gained": 80.0, "chance": 1e-6}, False),
+    ],
+)
+def test_what_gains_little_where_silence_leaves_nothing_is_no_name(
+    given: dict[str, Any], silent: bool
+) -> None:
+    for told in ("named", "ambiguous"):
+        said = beside(told, ("hard_iron",), **given)
+        assert (said.verdict == "no_gap") is silent and bool(said.named.terms) is not silent
 
 
 def test_who_is_not_sure_already_stays_so() -> None:
