@@ -188,7 +188,9 @@ def owning_up(
     loud = min(nothing) > _LOUD or nothing[0] > _LOUD_FITTED
     bent = problem.chance_of_strain(none) < _BENT_UNNAMED
     explained = answer.verdict in ("named", "ambiguous") and bool(answer.named.terms)
-    if explained and not (loud or bent) and none.sse - answer.named.sse < EVIDENT:
+    # In sigmas of what the noise is seen to be: a baseline may scatter more than the flight.
+    gained = (none.sse - answer.named.sse) / min(nothing[0], 1.0)
+    if explained and not (loud or bent) and gained < EVIDENT:
         return Answer("no_gap", none, False, None)
     if answer.verdict == "named" and answer.named.terms:
         low = rest_at_floor or not _above(field.nominal, field.floor)

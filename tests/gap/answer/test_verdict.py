@@ -494,6 +494,10 @@ def test_what_follows_anything_is_not_the_only_explanation_of_what_the_rest_expl
         ({"gained": 80.0}, True),
         ({"gained": 82.0}, False),
         ({"gained": 80.0, "left": (1.5, 1.5)}, False),
+        ({"gained": 80.0, "left": (1.3, 1.3)}, True),
+        # A lag, beside a baseline that scatters twice as much.
+        ({"gained": 26.0, "left": (0.3, 0.5)}, False),
+        ({"gained": 24.0, "left": (0.3, 0.5)}, True),
         ({"gained": 80.0, "chance": 1e-6}, False),
     ],
 )
