@@ -181,7 +181,7 @@ def owning_up(
     once hardly lifts the field's mean. Where it bends the known farther than chance does, they are one
     explanation, but not the only one. Structure along one coordinate is no silence either, however small,
     nor is what single readings show and no name is for: `unexplained` is its coordinate. But where silence
-    leaves nothing loud and bends nothing, names that gain little are none.
+    leaves nothing loud and bends nothing, what a calibration may be off by is no name if it gains little.
     """
     problem, none = identified.problem, identified.problem.null()
     nothing = whitened_left(identified, none)
@@ -190,7 +190,8 @@ def owning_up(
     explained = answer.verdict in ("named", "ambiguous") and bool(answer.named.terms)
     # In sigmas of what the noise is seen to be: a baseline may scatter more than the flight.
     gained = (none.sse - answer.named.sse) / min(nothing[0], 1.0)
-    if explained and not (loud or bent) and gained < EVIDENT:
+    of_calibration = all(term.effect.affine for term in answer.named.terms)
+    if explained and of_calibration and not (loud or bent) and gained < EVIDENT:
         return Answer("no_gap", none, False, None)
     if answer.verdict == "named" and answer.named.terms:
         low = rest_at_floor or not _above(field.nominal, field.floor)

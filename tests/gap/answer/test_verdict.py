@@ -495,7 +495,7 @@ def test_what_follows_anything_is_not_the_only_explanation_of_what_the_rest_expl
         ({"gained": 82.0}, False),
         ({"gained": 80.0, "left": (1.5, 1.5)}, False),
         ({"gained": 80.0, "left": (1.3, 1.3)}, True),
-        # A lag, beside a baseline that scatters twice as much.
+        # Beside a baseline that scatters twice as much.
         ({"gained": 26.0, "left": (0.3, 0.5)}, False),
         ({"gained": 24.0, "left": (0.3, 0.5)}, True),
         ({"gained": 80.0, "chance": 1e-6}, False),
@@ -507,6 +507,7 @@ def test_what_gains_little_where_silence_leaves_nothing_is_no_name(
     for told in ("named", "ambiguous"):
         said = beside(told, ("hard_iron",), **given)
         assert (said.verdict == "no_gap") is silent and bool(said.named.terms) is not silent
+        assert beside(told, ("transport_lag",), **given).verdict != "no_gap"
 
 
 def test_who_is_not_sure_already_stays_so() -> None:
