@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES
 from mavcompass.gap.fit import Fit, Mask, Problem, Term
 from mavcompass.gap.replay import TELEMETRY_AGE, Replay
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, PLACED
@@ -26,8 +27,6 @@ _SETTLED = 3.0
 _SEEN_APART, _PART, _ALL, _ASIDE, _BY_CHANCE = 6.0, 0.25, 1.2, 0.5, 0.1
 # What scattering places make counts from this share of the noise on; so many rows are set aside at most.
 _COUNTS, _MOST_NEAR = 0.3, 0.3
-# The median of the square of a standard normal value.
-_MEDIAN_SQUARE = 0.455
 # The median of a mean of three squares of standard normal values.
 _MEDIAN = 0.789
 
@@ -119,7 +118,7 @@ def _other_way(problem: Problem, fit: Fit, field_mgauss: FloatArray, own: FloatA
     """
     size = float(np.linalg.norm(own))
     error = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
-    noise = float(np.sqrt(np.mean(np.nanmedian(error[problem.usable] ** 2, axis=0)) / _MEDIAN_SQUARE))
+    noise = float(np.sqrt(np.mean(np.nanmedian(error[problem.usable] ** 2, axis=0)) / MEDIAN_OF_SQUARES))
     if size < _SEEN_APART * noise:
         return np.zeros(len(error), dtype=np.bool_)
     along = error @ own / size**2

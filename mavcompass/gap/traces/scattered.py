@@ -88,7 +88,7 @@ def _off_neighbours(readings: Readings) -> tuple[FloatArray, FloatArray]:
     off = np.abs(neighbours(readings.error_mgauss))
     swings = np.linalg.norm(neighbours(readings.nominal_mgauss), axis=1)
     beside = np.max([np.roll(swings, shift) for shift in range(-_BESIDE, _BESIDE + 1)], axis=0)
-    both &= beside < 1.4826 * float(np.linalg.norm(np.median(off[both], axis=0))) if both.any() else both
+    both &= beside < float(np.linalg.norm(_usual(off[both])))
     return off[both], _along_field(readings)[both]
 
 

@@ -13,8 +13,8 @@ def found_in(seed: int, tier: str, withheld: str | None = None) -> Diagnosis:
 
 
 def test_what_healthy_vehicles_do_not_leave_is_told_above_the_floor() -> None:
-    found = found_in(92042, "outside")
-    assert found.field.floor < found.field.nominal < 2.0 * found.field.floor
+    found = found_in(1133840770, "outside")
+    assert 0.0 < found.field.nominal - found.field.floor < 1.0  # mG
     assert found.verdict == "unknown" and not found.causes
 
 
