@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Problem, difference, make_term
+from mavcompass.gap.fit import Fit, Problem, make_term
 from mavcompass.gap.selection import between_rows
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
 
@@ -76,10 +76,10 @@ def _cost(problem: Problem, fit: Fit, place: int, parameter: int) -> Callable[[f
 
     def cost(value: float) -> float:
         theta[parameter] = value
-        change = difference(term.effect.forward(signals, theta, {}, None).reading, own)
-        if not change.mag_mgauss[problem.index].any():
+        other = term.effect.forward(signals, theta, {}, None).reading
+        if not (other.mag_mgauss - own.mag_mgauss)[problem.index].any():
             return 0.0
-        column = problem.whitened([change])[:, 0]
+        column = problem.shift(other, own)
         return float(column @ column - 2.0 * column @ r)
 
     return cost

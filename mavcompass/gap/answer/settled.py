@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.answer.shrink import closings
 from mavcompass.gap.answer.verdict import Answer, consistent, hold_little, owning_up, with_likely_names
-from mavcompass.gap.fit import Fit, Problem, difference
+from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import Floor, Scatter, rms
 from mavcompass.gap.replay import REFERENCE_YAW
 from mavcompass.gap.result import Closing
@@ -208,7 +208,7 @@ def yaw_wander_deg(problem: Problem, fit: Fit, floor: Floor, heading: Closing) -
 def shows(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
     """Tell whether the effects change held-out readings enough to be judged by them."""
     held = problem.with_rows(test)
-    change = held.whitened([difference(held.predict(fit), held.predict(fit, effects=False))])
+    change = held.shift(held.predict(fit), held.predict(fit, effects=False))
     return float(np.sum(change**2)) > SILENT
 
 

@@ -2,7 +2,6 @@
 
 from mavcompass.gap.fit.candidates import is_local
 from mavcompass.gap.fit.chance import least_gain
-from mavcompass.gap.fit.composition import difference
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, make_term, placements
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.pruning import pruned
@@ -15,7 +14,6 @@ __all__ = [
     "Problem",
     "Search",
     "Term",
-    "difference",
     "is_local",
     "least_gain",
     "make_term",

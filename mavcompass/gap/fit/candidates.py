@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.composition import difference
 from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, placements
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.normal import BlockNormal
@@ -112,10 +111,8 @@ class Candidates:
         for place, term in enumerate(base.terms):
             if term.effect.id not in kept:
                 own = problem.columns(base.terms, base.thetas, base.nuisance_thetas, states, [n + place])
-                shift = problem.whitened(
-                    [difference(states[-1].reading, problem.predict(base.without(place)))]
-                )
-                residual = residual + shift[:, 0]
+                shift = problem.shift(states[-1].reading, problem.predict(base.without(place)))
+                residual = residual + shift
                 parts += self._add(term, base.thetas[place], own, shift)
         for term in terms:
             if term.effect.id not in kept and term.effect.kind != "discrete":
@@ -168,7 +165,7 @@ class Candidates:
             own = problem.columns(terms, thetas, fit.nuisance_thetas, states, [place])
             shift: FloatArray | None = None
             if misfit is not None:
-                shift = problem.whitened([difference(states[-1].reading, misfit.signals.reading)])
+                shift = problem.shift(states[-1].reading, misfit.signals.reading)
             if np.isfinite(own).all() and (shift is None or np.isfinite(shift).all()):
                 parts += self._add(term, guess, own, shift)
         return parts
@@ -179,19 +176,19 @@ class Candidates:
         """Add a candidate; return its columns, none where it changes nothing."""
         shifted = False
         if shift is not None and shift.any():
-            left, solved = shift[:, 0], np.zeros(own.shape[1])
+            left, solved = shift, np.zeros(own.shape[1])
             if own.shape[1]:
                 normal = own.T @ own
                 size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
                 scaled = normal / np.outer(size, size) + 1e-9 * np.eye(size.size)
                 solved = np.linalg.solve(scaled, own.T @ left / size) / size
                 left = left - own @ solved
-            shifted = float(left @ left) > _OWN_SHARE * float(shift[:, 0] @ shift[:, 0])
+            shifted = float(left @ left) > _OWN_SHARE * float(shift @ shift)
             if not shifted and own.shape[1]:
                 # The derivatives hold the shift: they count from nothing.
                 theta = theta.copy()
                 theta[term.free] -= solved
-        columns = np.hstack([own, shift]) if shifted and shift is not None else own
+        columns = np.column_stack([own, shift]) if shifted and shift is not None else own
         if not columns.shape[1]:
             return []
         end = self._columns + columns.shape[1]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mavcompass.chance import chance_of_more
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.chance import CHANCE, least_gain
-from mavcompass.gap.fit.composition import Composition
+from mavcompass.gap.fit.composition import Changes, Composition
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
 from mavcompass.gap.fit.newton import bridge, cluster_covariance, invert, moved, room, solve_within
 from mavcompass.gap.replay import (
@@ -106,23 +106,25 @@ class Problem:
         """Return the simulated signals under a hypothesis."""
         return self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)[-1]
 
-    def innovations(self, reading: Reading) -> dict[str, FloatArray]:
+    def innovations(self, reading: Reading) -> dict[Group, FloatArray]:
         """Return measured minus predicted, whitened, (N, 3) per sensor."""
-        return {
-            g: self.noise[g].whiten(self._bridged(self._measured[g] - group_values(reading, g)))
-            for g in self.groups
-        }
+        return {g: self._white(g, self._measured[g] - group_values(reading, g)) for g in self.groups}
 
     def residual(self, reading: Reading) -> FloatArray:
         """Return the whitened residual of the fitted rows as one vector."""
-        return np.concatenate(
-            [
-                self.noise[g]
-                .whiten(self._bridged(self._measured[g] - group_values(reading, g)))[self.index]
-                .ravel()
-                for g in self.groups
-            ]
+        return self._rows(self.innovations(reading))
+
+    def shift(self, after: Reading, before: Reading) -> FloatArray:
+        """Return how predictions differ, whitened; rows as in `residual`."""
+        return self._rows(
+            {g: self._white(g, group_values(after, g) - group_values(before, g)) for g in self.groups}
         )
+
+    def _white(self, group: Group, values: FloatArray) -> FloatArray:
+        return self.noise[group].whiten(self._bridged(values))
+
+    def _rows(self, white: dict[Group, FloatArray]) -> FloatArray:
+        return np.concatenate([white[g][self.index].ravel() for g in self.groups])
 
     def _bridged(self, values: FloatArray) -> FloatArray:
         """Hold values across rows without a reading, so that what is correlated stays so."""
@@ -138,25 +140,24 @@ class Problem:
         """
         return self.whitened(self.composition.changes(terms, thetas, nuisance_thetas, states, wanted))
 
-    def nuisance_changes(self, fit: Fit) -> list[Reading]:
+    def nuisance_changes(self, fit: Fit) -> Changes:
         """Return the derivatives of the prediction by the nuisances' parameters, under a fit."""
         states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
         places = range(len(self.nuisances))
         return self.composition.changes(fit.terms, fit.thetas, fit.nuisance_thetas, states, places)
 
-    def whitened(self, changes: Sequence[Reading]) -> FloatArray:
+    def whitened(self, changes: Changes) -> FloatArray:
         """Return changes of the prediction as whitened columns, one for each; rows as in `residual`."""
-        rows = self.index
         if not changes:
-            return np.zeros((rows.size * 3 * len(self.groups), 0))
+            return np.zeros((self.index.size * 3 * len(self.groups), 0))
         parts = []
         for g in self.groups:
-            values = np.stack([group_values(change, g) for change in changes], axis=2)
+            values = changes[g]
             some = np.flatnonzero(values.any(axis=(0, 1)))
-            if some.size == len(changes):
+            if some.size == values.shape[2]:
                 parts.append(self._whitened(g, values))
                 continue
-            out = np.zeros((rows.size * 3, len(changes)))
+            out = np.zeros((self.index.size * 3, values.shape[2]))
             if some.size:
                 out[:, some] = self._whitened(g, values[:, :, some])
             parts.append(out)

@@ -44,9 +44,10 @@ def foreseen_places(floor: Floor, problem: Problem, fit: Fit, test: Mask) -> Flo
 def _unknown(problem: Problem, fit: Fit, test: Mask, own: slice) -> tuple[float, float]:
     """Return the mean squares of field (mG) and heading (deg) that some nuisances leave unknown."""
     rows, predicted = np.flatnonzero(test), problem.predict(fit).mag_mgauss
-    changes = [change.mag_mgauss for change in problem.nuisance_changes(fit)[own]]
-    heading = [heading_error_rad(problem.replay, predicted + c, predicted)[rows] for c in changes]
-    field = np.stack([c[rows].ravel() for c in changes], axis=1)
+    changes = problem.nuisance_changes(fit)["mag"][:, :, own]
+    changed = (predicted[:, :, None] + changes).transpose(2, 0, 1)
+    heading = [heading_error_rad(problem.replay, one, predicted)[rows] for one in changed]
+    field = changes[rows].reshape(3 * rows.size, -1)
     turned = np.degrees(np.stack(heading, axis=1))
     count = sum(n.mean.size for n in problem.nuisances)
     covariance = fit.covariance[:count, :count][own, own]

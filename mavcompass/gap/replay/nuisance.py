@@ -93,6 +93,7 @@ WORLD_FIELD = Effect(
     stage=Stage.WORLD,
     parameters=tuple(Parameter(n, "mG", -2000.0, 2000.0, 0.0, 1.0) for n in ("north", "east", "down")),
     forward=_world_field,
+    slopes=lambda signals, theta: signals.stimulus.rotation.transpose(0, 2, 1),
 )
 
 

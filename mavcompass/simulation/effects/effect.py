@@ -48,7 +48,8 @@ class Stage(IntEnum):
     IMU = 8
 
 
-# Stages whose effects change each reading of the compass by itself, without its neighbours.
+# Stages whose effects change each reading of the compass by itself, without its neighbours; those of `FIELD`
+# add to it what does not depend on it.
 EACH_BY_ITSELF = frozenset({Stage.MATRIX, Stage.FIELD, Stage.MOUNTING})
 
 
@@ -118,6 +119,7 @@ class Signals:
 # None asks for the mean of what is random.
 Rng = np.random.Generator | None
 Forward = Callable[[Signals, FloatArray, Memory, Rng], Signals]
+Slopes = Callable[[Signals, FloatArray], FloatArray]
 Change = Callable[[FloatArray, FloatArray], FloatArray]
 
 
@@ -184,6 +186,8 @@ class Effect:
         free: which parameters a recording can tell at all (default: all).
         affine: True for a linear map plus offset of the field in body axes.
         sitl: the parameters of ArduPilot's simulator for a fitted setting.
+        slopes: the derivatives of the compass's reading by the parameters, (N, 3, k), in closed form; None
+            where differences must do.
         limits: how far a recording lets the parameters go (lower, upper), where that is less than the
             physical range.
     """
@@ -203,6 +207,7 @@ class Effect:
     free: Freedom | None = None
     affine: bool = False
     sitl: Export | None = None
+    slopes: Slopes | None = None
     limits: Limits | None = None
     enough: tuple[Group, ...] = ()
 

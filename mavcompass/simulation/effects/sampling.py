@@ -12,11 +12,11 @@ from mavcompass.simulation.physics.signals import Turning
 
 
 @lru_cache(maxsize=8)
-def _hermite(samples: bytes, wanted: bytes) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+def _hermite(samples: bytes, wanted: bytes) -> tuple[NDArray[np.int64], FloatArray]:
     """Find wanted times (M,) among samples (N,), two at least, once for all columns that are late alike.
 
-    A value of a cubic Hermite piece is the shares (2, M, 1) of the neighbours at `left` (M,) and `left` + 1,
-    and of their slopes those in seconds, (2, M, 1). Outside the ends are held.
+    A value of a cubic Hermite piece is the shares (M, 1, 4) of the neighbours at `left` (M,) and `left` + 1:
+    of value and slope of the one, then of the other. Outside the ends are held.
     """
     time_s, wanted_s = np.frombuffer(samples), np.frombuffer(wanted)
     wanted_s = np.minimum(np.maximum(wanted_s, time_s[0]), time_s[-1])
@@ -25,8 +25,20 @@ def _hermite(samples: bytes, wanted: bytes) -> tuple[NDArray[np.int64], FloatArr
     u = (wanted_s - time_s[left]) / width
     rise = u * u * (3.0 - 2.0 * u)
     slope = width * u * (1.0 - u)
-    shares, shares_s = np.stack([1.0 - rise, rise]), np.stack([slope * (1.0 - u), -slope * u])
-    return left, shares[:, :, None], shares_s[:, :, None]
+    return left, np.stack([1.0 - rise, slope * (1.0 - u), rise, -slope * u], axis=1)[:, None]
+
+
+@lru_cache(maxsize=8)
+def _catmull_rom(samples: bytes, wanted: bytes) -> tuple[NDArray[np.int64], FloatArray]:
+    """Do so with central differences for slopes: return four neighbours and their shares, (M, 4) each."""
+    time_s = np.frombuffer(samples)
+    left, shares = _hermite(samples, wanted)
+    before, after = np.maximum(left - 1, 0), np.minimum(left + 2, time_s.size - 1)
+    at_left, of_left, at_right, of_right = shares[:, 0].T
+    of_left = of_left / (time_s[left + 1] - time_s[before])
+    of_right = of_right / (time_s[after] - time_s[left])
+    neighbours = np.stack([before, left, left + 1, after], axis=1)
+    return neighbours, np.stack([-of_left, at_left - of_right, at_right + of_left, of_right], axis=1)[:, None]
 
 
 def at_times(
@@ -37,15 +49,21 @@ def at_times(
     Without `slopes` (N, k) these are central differences (Catmull and Rom), which reproduces parabolas
     exactly.
     """
+    if slopes is not None:
+        return _along(time_s, np.stack([values, slopes], axis=1), wanted_s)
     if time_s.size < 2:
         return np.repeat(values[:1], wanted_s.size, axis=0)
-    slopes = central_differences(time_s, values) if slopes is None else slopes
-    left, shares, shares_s = _hermite(time_s.tobytes(), wanted_s.tobytes())
-    out = np.zeros((wanted_s.size, values.shape[1]))
-    for side in (0, 1):
-        out += values.take(left + side, axis=0) * shares[side]
-        out += slopes.take(left + side, axis=0) * shares_s[side]
-    return out
+    neighbours, shares = _catmull_rom(time_s.tobytes(), wanted_s.tobytes())
+    return np.asarray(np.matmul(shares, values.take(neighbours, axis=0))[:, 0])
+
+
+def _along(time_s: FloatArray, values_and_slopes: FloatArray, wanted_s: FloatArray) -> FloatArray:
+    """Interpolate columns (N, 2, k) of values and their slopes."""
+    if time_s.size < 2:
+        return np.repeat(values_and_slopes[:1, 0], wanted_s.size, axis=0)
+    left, shares = _hermite(time_s.tobytes(), wanted_s.tobytes())
+    both = values_and_slopes.take(left[:, None] + np.arange(2), axis=0).reshape(wanted_s.size, 4, -1)
+    return np.asarray(np.matmul(shares, both)[:, 0])
 
 
 def rotation_at(turning: Turning, wanted_s: FloatArray, time_constant_s: float = 0.0) -> FloatArray:
@@ -53,18 +71,20 @@ def rotation_at(turning: Turning, wanted_s: FloatArray, time_constant_s: float =
 
     What is left of their length is the interpolation's, or the smoothing's.
     """
-    flat, slopes = _flat_and_slopes(turning)
+    both = _with_slopes(turning)
     if time_constant_s:
-        return smoothed_at(turning.time_s, flat, wanted_s, slopes, time_constant_s).reshape(-1, 3, 3)
-    return at_times(turning.time_s, flat, wanted_s, slopes).reshape(-1, 3, 3)
+        flat = smoothed_at(turning.time_s, both[:, 0], wanted_s, both[:, 1], time_constant_s)
+    else:
+        flat = _along(turning.time_s, both, wanted_s)
+    return flat.reshape(-1, 3, 3)
 
 
 @lru_cache(maxsize=2)
-def _flat_and_slopes(turning: Turning) -> tuple[FloatArray, FloatArray]:
-    """Return rotations and their slopes, (M, 9) each: a row of R has its product with the rate as slope."""
+def _with_slopes(turning: Turning) -> FloatArray:
+    """Return rotations and their slopes, (M, 2, 9): a row of R has its product with the rate as slope."""
     rows = turning.rotation.transpose(1, 0, 2)
     slopes = np.concatenate([cross(row, turning.rate_radps) for row in rows], axis=1)
-    return turning.rotation.reshape(-1, 9), slopes
+    return np.stack([turning.rotation.reshape(-1, 9), slopes], axis=1)
 
 
 def smoothed_at(
@@ -100,16 +120,6 @@ def smoothed_at(
     left = np.minimum(np.maximum(time_s.searchsorted(wanted, side="right") - 1, 0), time_s.size - 2)
     u = (wanted - time_s[left])[:, None]
     return within(left, u) + np.exp(-u / tau) * (out[left] - settled[left])
-
-
-def central_differences(time_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the slopes of columns (N, k) over their neighbours, at the ends over one."""
-    out = np.zeros(values.shape)
-    if time_s.size > 1:
-        out[1:-1] = (values[2:] - values[:-2]) / (time_s[2:] - time_s[:-2])[:, None]
-        out[0] = (values[1] - values[0]) / (time_s[1] - time_s[0])
-        out[-1] = (values[-1] - values[-2]) / (time_s[-1] - time_s[-2])
-    return out
 
 
 State = tuple[float, FloatArray, FloatArray]

@@ -91,8 +91,8 @@ def followed(world: FloatArray, columns: FloatArray) -> FloatArray:
 
     It holds for all rows, beside an offset.
     """
-    varies = world - world.mean(axis=0)
-    least = _UNTOLD * float(np.sum(world**2)) + 1e-9
+    varies = world - np.ones(len(world)) @ world / len(world)
+    least = _UNTOLD * float(np.vdot(world, world)) + 1e-9
     return np.asarray(np.linalg.solve(varies.T @ varies + least * np.eye(3), varies.T @ columns))
 
 
