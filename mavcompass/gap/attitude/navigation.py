@@ -17,7 +17,7 @@ solved in one piece, and about the corrected trajectory again until nothing move
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -287,10 +287,14 @@ class _Smoother:
 
     def likeliest(self, chain: Chain, sizes: _Sizes) -> _Sizes:
         """Choose the sizes that the recording makes likeliest, one after the other."""
+
+        def deviance(one: _Sizes) -> float:
+            return self.with_sizes(chain, one).solve().deviance
+
         if self.seen is None:
-            sizes = self._likeliest(chain, [replace(sizes, velocity_mps=v) for v in _VELOCITIES_MPS])
+            sizes = _lowest([replace(sizes, velocity_mps=v) for v in _VELOCITIES_MPS], deviance)
         if self.witness is not None and math.isfinite(self.witness.constant_rad):
-            sizes = self._likeliest(chain, [replace(sizes, fast_rad=float(f)) for f in _FAST_RAD])
+            sizes = _lowest([replace(sizes, fast_rad=float(f)) for f in _FAST_RAD], deviance)
         return sizes
 
     def trust(self, solved: Solved) -> FloatArray | None:
@@ -333,9 +337,6 @@ class _Smoother:
     def between(self, values: FloatArray) -> FloatArray:
         """Interpolate values of the knots (K, n) to the gyro's times."""
         return interpolated(self.knots, values, self.clock)
-
-    def _likeliest(self, chain: Chain, sizes: Sequence[_Sizes]) -> _Sizes:
-        return min(sizes, key=lambda s: self.with_sizes(chain, s).solve().deviance)
 
     def _left(self, solved: Solved) -> FloatArray:
         assert self.seen is not None
@@ -386,11 +387,7 @@ class _Smoother:
     ) -> None:
         """Add a first-order process: an error that lasts for a while, and may begin larger than it stays."""
         keep = np.exp(-self.step / memory_s)
-        before, after = _blank(self.step.size, 1), _blank(self.step.size, 1)
-        before[:, 0, state], after[:, 0, state] = -keep, 1.0
-        none = np.zeros((self.step.size, 1))
-        chain.link(before, after, None, none, 1.0 / (size_rad**2 * (1.0 - keep[:, None] ** 2)))
-        chain.add(slice(1), after[:1], None, none[:1], none[:1] + max(size_rad, first_rad) ** -2.0)
+        chain.lasting(state, keep, 1.0 / (size_rad**2 * (1.0 - keep**2)), max(size_rad, first_rad) ** -2.0)
 
     def at_knots(self, rotation: FloatArray) -> FloatArray:
         """Carry rotations (N, 3, 3) to the knots with the rate at the nearest sample before."""
@@ -413,6 +410,19 @@ class _Smoother:
         size = share * float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
         silent = np.where(self._is_silent, (size * self.step) ** 2, 0.0)
         return white_floor(values) ** 2 * each_s + walk**2, silent
+
+
+def _lowest(sizes: Sequence[_Sizes], deviance: Callable[[_Sizes], float]) -> _Sizes:
+    """Return the likeliest of sizes in order, going down from the middle: there is one valley."""
+    at, known = len(sizes) // 2, dict[int, float]()
+    for step in (-1, 1):
+        while 0 <= at + step < len(sizes):
+            for one in {at, at + step} - known.keys():
+                known[one] = deviance(sizes[one])
+            if known[at + step] >= known[at]:
+                break
+            at += step
+    return sizes[at]
 
 
 def _blank(count: int, rows: int) -> FloatArray:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+
 from mavcompass.gap.fit.candidates import Candidate, Candidates
 from mavcompass.gap.fit.criteria import Criteria
 
@@ -20,14 +23,12 @@ def likeliest_sets(
     effect, dimension = [c.term.effect.id for c in every], [c.dimension for c in every]
     scores: dict[tuple[int, ...], float] = {}
 
-    def score(members: tuple[int, ...]) -> float:
-        if members not in scores:
-            chosen = [every[i] for i in members]
+    def weigh(sets: Iterable[tuple[int, ...]]) -> None:
+        new = [members for members in sets if members not in scores]
+        left = candidates.expected([[every[i] for i in members] for members in new])
+        for members, sse in zip(new, left.tolist(), strict=True):
             parameters = sum(dimension[i] for i in members)
-            scores[members] = candidates.expected(chosen) / criteria.temper + criteria.cost(
-                parameters, len(chosen)
-            )
-        return scores[members]
+            scores[members] = sse / criteria.temper + criteria.cost(parameters, len(members))
 
     def grown(parent: tuple[int, ...]) -> set[tuple[int, ...]]:
         held = {effect[m] for m in parent}
@@ -35,21 +36,24 @@ def likeliest_sets(
 
     out: dict[int, list[tuple[Candidate, ...]]] = {}
     beam: list[tuple[int, ...]] = [()]
+    lowest = math.inf
     for size in range(1, most + 1):
         sets = {members for parent in beam for members in grown(parent)}
         if not sets:
             break
+        weigh(sets)
         if size > 1:
-            best = min(sets, key=score)
+            best = min(sets, key=scores.__getitem__)
             sets |= {other for gone in best for other in grown(tuple(m for m in best if m != gone))}
-        ranked = sorted(sets, key=score)
+            weigh(sets)
+        ranked = sorted(sets, key=scores.__getitem__)
         beam = ranked[: _BEAM if size > 1 else 2 * _BEAM]
-        lowest = score(ranked[0])
+        smaller, lowest = lowest, scores[ranked[0]]
         seen: dict[frozenset[str], tuple[int, ...]] = {}
         for members in ranked[: 8 * _FITTED]:
             seen.setdefault(frozenset(effect[i] for i in members), members)
-        near = [m for m in seen.values() if score(m) < lowest + _NEAR]
+        near = [m for m in seen.values() if scores[m] < lowest + _NEAR]
         out[size] = [tuple(every[i] for i in members) for members in near[:_FITTED]]
-        if size > 1 and lowest > min(score(m) for m in scores if len(m) == size - 1) + criteria.cost(2):
+        if lowest > smaller + criteria.cost(2):
             break
     return out

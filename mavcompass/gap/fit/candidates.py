@@ -196,10 +196,11 @@ class Candidates:
         self._columns = end
         return [columns]
 
-    def expected(self, chosen: Sequence[Candidate]) -> float:
-        """Return the sum of squares, priors included, to expect after fitting a set."""
-        own = np.concatenate([c.columns for c in chosen]) if chosen else np.zeros(0, dtype=np.int64)
-        return self.constant - self.normal.null_gain - self.normal.gain(own)
+    def expected(self, sets: Sequence[Sequence[Candidate]]) -> FloatArray:
+        """Return the sums of squares, priors included, to expect after fitting sets."""
+        none = np.zeros(0, dtype=np.int64)
+        own = [np.concatenate([none, *(c.columns for c in chosen)]) for chosen in sets]
+        return self.constant - self.normal.null_gain - self.normal.gains(own)
 
     def start(self, chosen: Sequence[Candidate], held: Fit) -> Fit:
         """Return the set with the values that its linear solution means, not fitted yet."""

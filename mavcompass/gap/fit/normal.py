@@ -10,6 +10,7 @@ The columns are kept, so that how far blocks contradict each other costs no new 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,10 +72,15 @@ class BlockNormal:
             float(self._right[:n] @ np.linalg.solve(total[:n, :n], self._right[:n])) if n else 0.0
         )
 
-    def gain(self, own: NDArray[np.int64]) -> float:
-        """Return what a set of columns (counted behind the nuisances) takes off the sum of squares."""
-        A, c = self._reduced[np.ix_(own, own)], self._score[own]
-        return float(c @ np.linalg.solve(A, c)) if own.size else 0.0
+    def gains(self, sets: Sequence[NDArray[np.int64]]) -> FloatArray:
+        """Return what each set of columns (counted behind the nuisances) takes off the sum of squares."""
+        out, sizes = np.zeros(len(sets)), np.array([own.size for own in sets])
+        for size in np.unique(sizes[sizes > 0]).tolist():
+            which = np.flatnonzero(sizes == size)
+            own = np.array([sets[i] for i in which.tolist()])
+            A, c = self._reduced[own[:, :, None], own[:, None, :]], self._score[own]
+            out[which] = np.sum(c * np.linalg.solve(A, c[:, :, None])[:, :, 0], axis=1)
+        return out
 
     def solve(self, own: NDArray[np.int64]) -> Solution:
         """Return what a set of columns explains, and with which values."""

@@ -276,9 +276,8 @@ class Search:
         neighbours'."""
         if not sets:
             return []
-        needed, before = 0, candidates.expected(())
-        for size, ranked in sets.items():
-            after = candidates.expected(ranked[0])
+        needed, (before, *expected) = 0, candidates.expected([(), *(ranked[0] for ranked in sets.values())])
+        for (size, ranked), after in zip(sets.items(), expected, strict=True):
             if before - after > _HOPEFUL * self.criteria.least(candidates, ranked[0]):
                 needed, before = size, after
         chosen: list[tuple[Candidate, ...]] = list(sets.get(needed, ()))

@@ -80,22 +80,43 @@ def _ages_in_step(time_s: FloatArray, new: NDArray[np.bool_], each: int) -> Floa
     for _ in range(2):
         step_s, first_s = np.polyfit(number, time_s, 1)
         number = np.round((time_s - first_s) / step_s)
+    weight = np.where(later, 0.5 / later.sum(), -0.5 / (~later).sum())
     best, found = _TELLS, None
-    for off in _OFF.tolist():
-        turns = (time_s - time_s[0]) / (each * step_s * (1.0 + off))
-        for tick in np.quantile(turns % 1.0, _PHASES).tolist():
-            count = np.floor(turns - tick)
-            right = (np.diff(count) > 0.0) == later
-            told = 0.5 * (float(right[later].mean()) + float(right[~later].mean()))
-            if told > best:
-                best, found = told, (count, (turns - tick - count) * each * step_s)
+    for period_s in (each * step_s * (1.0 + _OFF)).tolist():
+        turns = (time_s - time_s[0]) / period_s
+        ticks = np.quantile(turns % 1.0, _PHASES)
+        told = 0.5 + _weight_of_crossed(turns, ticks, weight)
+        at = int(np.argmax(told))
+        if told[at] > best:
+            best, found = float(told[at]), (turns - ticks[at], period_s)
     if found is None:
         return None
-    count, age = (values[new] for values in found)
+    since, period_s = found[0][new], found[1]
+    count = np.floor(since)
+    age = (since - count) * period_s
     # Two of one tick: of one of them the clock is wrong.
     age[np.diff(count, prepend=-np.inf) <= 0.0] = age.mean()
     # Of several messages for each reading the tick may lie anywhere between two, in each piece elsewhere.
     return np.asarray(age - age.mean() if each > 1 else age)
+
+
+def _weight_of_crossed(turns: FloatArray, ticks: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the weights (N - 1,) of the steps between turns (N,) that cross each tick, 0 to 1, (T,).
+
+    The floor of x - t is that of x, less one where its fraction is below t: sums over steps are sums of
+    weights below t.
+    """
+    whole, part = np.divmod(turns, 1.0)
+    more, before, after = np.diff(whole), part[:-1], part[1:]
+    # A step of a turn crosses every tick.
+    some = np.where((more > 1.0) | ((more == 1.0) & (after >= before)), 0.0, weight)
+    return float(weight @ np.minimum(more, 1.0)) + _below(ticks, before, some) - _below(ticks, after, some)
+
+
+def _below(limits: FloatArray, values: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the sum of the weights of values below each limit."""
+    order = np.argsort(values)
+    return np.append(0.0, np.cumsum(weight[order]))[np.searchsorted(values[order], limits)]
 
 
 def _on_the_clock(time_s: FloatArray, message_s: float) -> FloatArray:

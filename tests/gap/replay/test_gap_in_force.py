@@ -138,9 +138,9 @@ def test_expected_gain_of_a_hard_iron_is_that_of_a_real_fit(replayed: Replay) ->
     term = make_term(effects.catalogue()["hard_iron"], replayed.signals)
     block = split_blocks(replayed.time_s, replayed.valid).block
     candidates = Candidates(problem, [term], null, block)
-    assert candidates.expected([]) == pytest.approx(null.sse, rel=1e-6)
+    assert candidates.expected([()])[0] == pytest.approx(null.sse, rel=1e-6)
     fit = problem.fit([term], [np.zeros(3)], null.nuisance_thetas)
-    gain = null.sse - candidates.expected(candidates.list)
+    gain = null.sse - candidates.expected([candidates.list])[0]
     assert gain == pytest.approx(null.sse - fit.sse, rel=2e-3) and gain > 1000.0
     start = candidates.start(candidates.list, replace(null, terms=(), thetas=()))
     np.testing.assert_allclose(start.thetas[0], fit.thetas[0], atol=0.1)

@@ -8,6 +8,7 @@ states. With normal errors the solution is that of Rauch, Tung and Striebel's sm
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,6 +108,16 @@ class Chain:
             self._border[:-1] += first @ c
             self._border[1:] += second @ c
         self._count(c, y, w)
+
+    def lasting(self, state: int, keep: FloatArray, w: FloatArray, first: float) -> None:
+        """Add a first-order process of one state: x_(k+1) = keep[k] x_k of weight w[k], x_0 = 0 of weight
+        `first`."""
+        own = self._diagonal[:, state, state]
+        own[:-1] += keep * keep * w
+        own[1:] += w
+        own[0] += first
+        self._beside[:, state, state] -= keep * w
+        self._log_weights += float(np.log(w).sum()) + math.log(first)
 
     def know(self, mean: FloatArray, sigma: FloatArray) -> None:
         """Add what is known of the constants, (m,) each."""
