@@ -7,11 +7,11 @@ from mavcompass.gap.attitude.inertial import (
     without_fault,
 )
 from mavcompass.gap.attitude.kinematics import (
+    about_down,
     cross_matrices,
     exponentials,
     integral,
     second_derivative,
-    turned_about_down,
 )
 from mavcompass.gap.attitude.receiver import local_position, north_east_m
 from mavcompass.gap.attitude.reference import (
@@ -29,6 +29,7 @@ __all__ = [
     "UNKNOWN_YAW_RAD",
     "Choice",
     "Reference",
+    "about_down",
     "accelerometer_fault",
     "body_rate",
     "cross_matrices",
@@ -41,6 +42,5 @@ __all__ = [
     "reference_attitude",
     "second_derivative",
     "steered_by",
-    "turned_about_down",
     "without_fault",
 ]

@@ -80,17 +80,19 @@ def cross_matrices(vectors: FloatArray) -> FloatArray:
 
 
 def exponentials(vectors: FloatArray) -> FloatArray:
-    """Return the rotations (N, 3, 3) by rotation vectors (N, 3)."""
-    square = np.einsum("ni,ni->n", vectors, vectors)
-    angle = np.sqrt(square)
-    small = angle < 1e-9
-    safe = np.where(small, 1.0, angle)
-    first = np.where(small, 1.0, np.sin(safe) / safe)
-    second = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
-    # K^2 = v v^T - |v|^2 I
-    out = cross_matrices(first[:, None] * vectors)
-    out += (second[:, None] * vectors)[:, :, None] * vectors[:, None, :]
-    out[:, (0, 1, 2), (0, 1, 2)] += (1.0 - second * square)[:, None]
+    """Return the rotations (N, 3, 3) by rotation vectors (N, 3): I + f K + g K^2 (Rodrigues)."""
+    angle = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    half = 0.5 * np.where(angle < 1e-9, 1e-9, angle)
+    # f = sin a / a, and g = (1 - cos a) / a^2 without a difference of what is nearly the same.
+    sine = np.sin(half) / half
+    f, g = sine * np.cos(half), 0.5 * sine * sine
+    x, y, z = vectors.T
+    gx, gy, gz, fx, fy, fz = g * x, g * y, g * z, f * x, f * y, f * z
+    xx, yy, zz, xy, xz, yz = gx * x, gy * y, gz * z, gx * y, gx * z, gy * z
+    out = np.empty((len(vectors), 3, 3))
+    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = 1.0 - yy - zz, xy - fz, xz + fy
+    out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = xy + fz, 1.0 - xx - zz, yz - fx
+    out[:, 2, 0], out[:, 2, 1], out[:, 2, 2] = xz - fy, yz + fx, 1.0 - xx - yy
     return out
 
 
@@ -143,6 +145,12 @@ def _vectors(p: list[list[FloatArray]]) -> FloatArray:
     angle = np.arctan2(sine, 0.5 * (p[0][0] + p[1][1] + p[2][2] - 1.0))
     factor = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 1.0)
     return np.asarray(axis * factor[:, None])
+
+
+def about_down(angle_rad: float) -> FloatArray:
+    """Return the rotation (3, 3) by an angle about the vertical."""
+    c, d = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def turned_about_down(rotation: FloatArray, angle: FloatArray) -> FloatArray:

@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix
 from mavcompass.gap.attitude.doubt import doubt_of
-from mavcompass.gap.attitude.kinematics import carried, integral, turned_about_down, turned_between
+from mavcompass.gap.attitude.kinematics import (
+    about_down,
+    carried,
+    integral,
+    turned_about_down,
+    turned_between,
+)
 from mavcompass.gap.attitude.levelling import sensed_by, started
 from mavcompass.gap.attitude.navigation import (
     FAULTY_SCALE,
@@ -256,7 +262,7 @@ def _fused(
         told += ["the autopilot's yaw, which another compass steers"] if steered else []
     if not start.bearing and witness is not None and math.isfinite(witness.constant_rad):
         ahead = float(np.median(_ahead(rotation, witness.rotation)))
-        rotation = turned_about_down(rotation, np.full(clock.size, ahead))
+        rotation = about_down(ahead) @ rotation
     heard = velocity if start.bearing else None
     smoothed = smoothed_attitude(sensed, rotation, resting, heard, witness)
     if not smoothed.borne_out:

@@ -6,7 +6,6 @@ stage on. What an attitude may be off by, and a common delay, are reckoned once 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, rotate_back
-from mavcompass.gap.attitude import Reference, cross_matrices
+from mavcompass.gap.attitude import Reference, about_down, cross_matrices
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay import (
     REFERENCE_YAW,
@@ -57,10 +56,9 @@ def _turns(reference: Reference, yaw_rad: float) -> FloatArray:
 
     The curves' frame is turned by that yaw.
     """
-    c, d = math.cos(yaw_rad), math.sin(yaw_rad)
     curves = reference.curves_rad
     beside = np.broadcast_to(reference.with_yaw, (len(curves), 3))[:, :, None]
-    turns = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]]) @ np.concatenate([beside, curves], axis=2)
+    turns = about_down(yaw_rad) @ np.concatenate([beside, curves], axis=2)
     turns[:, 2, 0] += 1.0
     return turns
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray, rotate_back
-from mavcompass.gap.attitude import UNKNOWN_YAW_RAD, exponentials, turned_about_down
+from mavcompass.gap.attitude import UNKNOWN_YAW_RAD, about_down, exponentials
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S, late_field
 from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Signals, Stage
 
@@ -102,7 +102,7 @@ def turned(signals: Signals, vectors_rad: FloatArray, yaw_rad: float = 0.0) -> S
     s = signals.stimulus
     rotation = exponentials(vectors_rad) @ s.rotation
     if yaw_rad != 0.0:
-        rotation = turned_about_down(rotation, np.full(len(rotation), yaw_rad))
+        rotation = about_down(yaw_rad) @ rotation
     change = rotate_back(rotation, s.field_ned_mgauss) - rotate_back(s.rotation, s.field_ned_mgauss)
     moved = Signals(replace(s, rotation=rotation), signals.reading)
     return moved.with_mag(signals.reading.mag_mgauss + change)
@@ -115,8 +115,11 @@ def reference_attitude_error(curves_rad: FloatArray, with_yaw: FloatArray | None
     """
     beside = np.zeros((1, 3)) if with_yaw is None else with_yaw
 
+    flat = curves_rad.reshape(-1, curves_rad.shape[2])
+
     def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
-        return turned(signals, curves_rad @ theta[1:] + theta[0] * beside, float(theta[0]))
+        vectors = (flat @ theta[1:]).reshape(-1, 3) + theta[0] * beside
+        return turned(signals, vectors, float(theta[0]))
 
     amplitudes = (Parameter(f"curve {i + 1}", "1", -30.0, 30.0, 0.0, 1.0) for i in range(curves_rad.shape[2]))
     return Effect(
