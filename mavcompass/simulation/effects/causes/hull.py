@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, cross
 from mavcompass.simulation.effects.effect import Effect, Memory, Rng, Signals, Stage, axes
 
 
@@ -14,7 +14,7 @@ def _eddy(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Sign
     # What is induced in a symmetric body is symmetric; a single loop's is its normal times its normal.
     times = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     # In a uniform world field the body field changes by its rotation alone: dm/dt = m x w.
-    return signals.with_mag(field - np.cross(field, signals.stimulus.rate_radps) @ times)
+    return signals.with_mag(field - cross(field, signals.stimulus.rate_radps) @ times)
 
 
 EFFECTS = (
