@@ -31,6 +31,8 @@ _ITERATIONS = 12
 _CONVERGED = 0.02
 # Steps tried at a place, each shorter; and the share of the expected gain that lets the next be longer.
 _TRIALS, _AS_EXPECTED = 6, 0.5
+# After a step by so few squared sigmas derivatives are as good as new.
+_SMALL = 4.0
 # The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, and
 # serves to come nearer so far, in natural sizes.
 _NEAR, _FAR = 2.0, 12.0
@@ -263,14 +265,15 @@ class Problem:
         normal = np.zeros((0, 0))
         mounting = _mounting(terms, x[n:])
         first, made_at = self._borrowed(mounting, x[:n])
-        borrowed, squared, ended = first is not None, None, False
+        borrowed, squared, own, ended = first is not None, None, None, False
         for _ in range(iterations):
             if first is None or self._away(x[:n], made_at) > _FAR:
                 fitted = range(0 if self._steady else lasting)
                 first, made_at, borrowed = self.columns(terms, x[n:], x[:n], states, fitted), x[:n], False
                 self._lend(mounting, first, made_at)
             other = range(n if self._steady else lasting, n + len(terms))
-            own = self.columns(terms, x[n:], x[:n], states, other)
+            if own is None:
+                own = self.columns(terms, x[n:], x[:n], states, other)
             if squared is None or squared[0] is not first:
                 squared = first, first.T @ first
             normal, gradient = self._equations(*squared, own, r, x, free, weak)
@@ -297,12 +300,14 @@ class Problem:
                 x, states, r, cost = trial, trial_states, trial_r, trial_cost
                 damping *= 0.03 if gained > _AS_EXPECTED * expected else 1.0
             if gained >= least:
+                if expected > _SMALL or gained < _AS_EXPECTED * expected:
+                    own = None
                 continue
             if self._away(x[:n], made_at) <= _NEAR and (improved or not borrowed):
                 ended = True
                 break
             # Perhaps the fault of derivatives made elsewhere: once more with its own.
-            first, damping = None, damping if improved else 1e-6
+            first, own, damping = None, None, damping if improved else 1e-6
         covariance = invert(normal) if normal.size else normal
         fit = Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
         if ended:
