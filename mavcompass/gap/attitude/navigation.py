@@ -45,7 +45,8 @@ _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 _PHI, _BIAS, _V, _FAST, _SLOW, _LEVEL, _STATES = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, (11, 12), 13
 # Constants: gyro scale, accelerometer bias, the receiver's delay, the witness's constant and its turns.
 _SCALE, _ACC, _LATE, _OFFSET, _TURNS, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, slice(8, 11), 11
-_PASSES, _SETTLED_RAD = 10, math.radians(0.05)
+# What is left of a pass is the square of how far it moved, and how much its velocities are believed.
+_PASSES, _SETTLED_RAD, _AS_TRUSTED = 10, math.radians(0.3), 0.1
 # Angle and bias walk, rad and rad/s per root second; velocity, m/s per root second.
 _WALK, _WANDER, _PUSH = math.radians(0.01), math.radians(0.005), 0.005
 _STRAINED, _FAULTY_RADPS = 2.0, math.radians(3.0)
@@ -143,18 +144,19 @@ def smoothed_attitude(
     """Smooth a first trajectory (N, 3, 3); its yaw must be about that of the velocity, if there is one."""
     smoother = _Smoother(sensed, bias, velocity, witness, scale_sigma)
     sizes = _Sizes()
-    rotation, trust = smoother.through(smoother.at_knots(start)), None
+    rotation, trust = smoother.through(smoother.at_knots(start)), smoother.full_trust()
     solved: Solved | None = None
     for turn in range(_PASSES):
         chain = smoother.chain(rotation, trust)
         if turn == 1:
             sizes = smoother.likeliest(chain, sizes)
         solved = smoother.with_sizes(chain, sizes).solve()
-        trust = smoother.trust(solved)
+        before, trust = trust, smoother.trust(solved)
         phi = solved.states[:, _PHI]
         rotation = smoother.through(exponentials(phi) @ smoother.at_knots(rotation))
         # A yaw that nothing fixes drifts on for ever.
-        if turn > 1 and float(np.abs(phi - phi.mean(axis=0)).max()) < _SETTLED_RAD:
+        settled = float(np.abs(phi - phi.mean(axis=0)).max()) < _SETTLED_RAD
+        if turn > 0 and settled and float(np.abs(trust - before).max(initial=0.0)) < _AS_TRUSTED:
             break
     assert solved is not None
     change = solved.states[:, _BIAS].mean(axis=0)
@@ -232,7 +234,7 @@ class _Smoother:
             self._linked = np.where(known[:, None, None], turn, self._turned)
             self._unturned = np.where(known, _TOLD_TURN_RAD**2 + bent**2, self._unturned)
 
-    def chain(self, rotation: FloatArray, trust: FloatArray | None) -> Chain:
+    def chain(self, rotation: FloatArray, trust: FloatArray) -> Chain:
         """Return all equations about a trajectory (N, 3, 3) but those whose size is still to be found."""
         chain = Chain(self.knots.size, _STATES, _CONSTANTS)
         at, turn, gain = self.at_knots(rotation), *self._integrals(rotation)
@@ -297,10 +299,14 @@ class _Smoother:
             sizes = _lowest([replace(sizes, fast_rad=float(f)) for f in _FAST_RAD], deviance)
         return sizes
 
-    def trust(self, solved: Solved) -> FloatArray | None:
+    def full_trust(self) -> FloatArray:
+        """Return the weights of a receiver's velocities (K, 3) before anything is known of them."""
+        return np.ones((0 if self.seen is None else self.knots.size, 3))
+
+    def trust(self, solved: Solved) -> FloatArray:
         """Return how far each of a receiver's velocities is believed, (K, 3): jumps have little weight."""
         if self.seen is None:
-            return None
+            return self.full_trust()
         off = np.abs(self._left(solved))
         return np.asarray(1.0 / np.maximum(1.0, off / _OUTLIER))
 
@@ -354,12 +360,11 @@ class _Smoother:
         known[_TURNS] = np.hypot(self._scale_sigma, _WITNESS_LATE_S / TURN_MEMORIES_S)
         chain.know(np.zeros(_CONSTANTS), known)
 
-    def _add_velocity(self, chain: Chain, seen: Velocity, trust: FloatArray | None) -> None:
+    def _add_velocity(self, chain: Chain, seen: Velocity, trust: FloatArray) -> None:
         J, c = _blank(self.knots.size, 3), np.zeros((self.knots.size, 3, _CONSTANTS))
         J[:, :, _V], c[:, :, _LATE] = np.eye(3), -seen.change_mps2
         weight = min(1.0, self.news_s / _RECEIVER_MEMORY_S) / np.square(seen.sigma_mps)
-        weights = np.broadcast_to(weight, seen.mean_mps.shape)
-        chain.add(slice(None), J, c, seen.mean_mps, weights if trust is None else weights * trust)
+        chain.add(slice(None), J, c, seen.mean_mps, weight * trust)
 
     def _add_witness(
         self, chain: Chain, at: FloatArray, told: FloatArray, witness: Witness, turned_rad: FloatArray

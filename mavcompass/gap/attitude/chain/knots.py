@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mavcompass.frames import FloatArray
 
 # So far apart at least, and no more of them than this.
-KNOT_S, _MOST_KNOTS, _FEWEST_KNOTS = 0.2, 600, 8
+KNOT_S, _MOST_KNOTS, _FEWEST_KNOTS = 0.4, 600, 8
 _SILENCE = 2.5
 
 
