@@ -70,7 +70,7 @@ class Problem:
         self.usable = usable
         self.index = np.flatnonzero(rows & usable)
         self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
-        self._precision = prior.precision
+        self._precision, self._scales = prior.precision, [n.effect.scale for n in prior.nuisances]
         self._bridge = bridge(replay.valid) if any(noise[g].moving.any() for g in self.groups) else None
         # By how the compass is mounted, which turns all of them.
         self._lent: dict[_Mounting, list[tuple[FloatArray, list[FloatArray]]]] = {}
@@ -370,9 +370,8 @@ class Problem:
         """Return by how many natural sizes nuisances moved at most since their derivatives were made."""
         return max(
             (
-                float(np.max(np.abs(now - then) / nuisance.effect.scale, initial=0.0))
-                for nuisance, now, then in zip(self.nuisances, thetas, made_at, strict=True)
-                if nuisance.effect is not self.nuisances[0].effect
+                float(np.max(np.abs(now - then) / scale, initial=0.0))
+                for scale, now, then in zip(self._scales[1:], thetas[1:], made_at[1:], strict=True)
             ),
             default=0.0,
         )

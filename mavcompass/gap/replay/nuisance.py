@@ -115,7 +115,7 @@ def reference_attitude_error(curves_rad: FloatArray, with_yaw: FloatArray | None
     """
     beside = np.zeros((1, 3)) if with_yaw is None else with_yaw
 
-    flat = curves_rad.reshape(-1, curves_rad.shape[2])
+    flat = curves_rad.reshape(3 * len(curves_rad), curves_rad.shape[2])
 
     def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
         vectors = (flat @ theta[1:]).reshape(-1, 3) + theta[0] * beside
