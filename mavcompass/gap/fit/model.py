@@ -29,8 +29,9 @@ from mavcompass.simulation.physics.signals import Reading
 
 _ITERATIONS = 12
 _CONVERGED = 0.02
-# Steps tried at a place, each shorter; and the share of the expected gain that lets the next be longer.
-_TRIALS, _AS_EXPECTED = 6, 0.5
+# Steps tried at a place, each shorter by a damping that tells; and the share of the expected gain that lets
+# the next be longer.
+_TRIALS, _LEAST_DAMPING, _AS_EXPECTED = 4, 1e-3, 0.5
 # After a step by so few squared sigmas derivatives are as good as new.
 _SMALL = 4.0
 # The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, and
@@ -293,7 +294,7 @@ class Problem:
                 if trial_cost < cost:
                     improved = True
                     break
-                damping = max(damping, 1e-7) * 30.0
+                damping = 30.0 * max(damping, _LEAST_DAMPING)
             gained = 0.0
             if improved:
                 gained = cost - trial_cost

@@ -107,8 +107,16 @@ class Search:
             self.explored[frozenset()] = self.problem.null()
         return self.explored[frozenset()]
 
-    def run(self, most: int = MOST_EFFECTS, likely: Sequence[Fit] = ()) -> Found:
-        """Search up to `most` effects, from the best of sets that are `likely` on."""
+    def run(
+        self,
+        most: int = MOST_EFFECTS,
+        likely: Sequence[Fit] = (),
+        hopeless: Callable[[Fit], bool] = lambda fit: False,
+    ) -> Found:
+        """Search up to `most` effects, from the best of sets that are `likely` on.
+
+        It ends early where the best set is `hopeless`: then nothing in the catalogue fits.
+        """
         null = self._null()
         known = unbent(self.problem, null, curves=True).nuisance_thetas
         untried = [term for term in self.terms if frozenset({term.effect.id}) not in self.explored]
@@ -137,15 +145,19 @@ class Search:
                 best = rival
             else:
                 self.criteria.temper = before
+        if hopeless(best):
+            return self._found(null, best)
         best = self._with_rivals(self.polished(best))
         for seen in (self._beside_one, self._among_rivals):
             other = seen(best)
             if other is not best:
                 other = self._with_rivals(self.polished(self._rounds(null, most, (), other)))
                 best = min(best, other, key=self.criteria.score)
-        return Found(
-            unbent(self.problem, null), best, self.explored, self.criteria.weights(best, self.explored)
-        )
+        return self._found(null, best)
+
+    def _found(self, null: Fit, best: Fit) -> Found:
+        weights = self.criteria.weights(best, self.explored)
+        return Found(unbent(self.problem, null), best, self.explored, weights)
 
     def _with_rivals(self, best: Fit) -> Fit:
         late = in_place_of_each_other(self.problem, self.terms, best)

@@ -136,7 +136,9 @@ def _searched(
         result = Identified(problem, split, none, none.best, (), search, problem)
         names = not needs_none(result, floor)
         if names:
-            found = search.run(likely=[problem.fit(*likely, nothing.nuisance_thetas)] if likely else ())
+            hopeless = partial(_hopeless, result, floor)
+            tried = [problem.fit(*likely, nothing.nuisance_thetas)] if likely else ()
+            found = search.run(likely=tried, hopeless=hopeless)
             wandering = _with_wander(problem, floor, found)
             if wandering is not None:
                 floor, problem, placed = wandering
@@ -145,7 +147,7 @@ def _searched(
                 result = replace(result, problem=problem, search=search, first=problem)
             result = replace(result, found=found)
             floor = foreseen_places(floor, problem, found.best, split.test)
-            names = not (floor.measured and _hopeless(result, floor))
+            names = not _hopeless(result, floor, found.best)
         best = replace(result, fit=found.best) if names else result
         if turn + 1 < passes:
             # Where the noise is only to be learnt, moments need be no nearer.
@@ -187,13 +189,14 @@ def _placed(fit: Fit) -> bool:
     return any(term.effect.needs & PLACED for term in fit.terms)
 
 
-def _hopeless(candidate: Identified, floor: Floor) -> bool:
-    """Tell whether the best set explains so little of field or heading that nothing in it will be named."""
-    if floor.representative or not candidate.found.best.terms:
+def _hopeless(candidate: Identified, floor: Floor, fit: Fit) -> bool:
+    """Tell whether the best set explains so little of field or heading, whose floor the baseline shows, that
+    nothing in it will be named."""
+    if not floor.measured or floor.representative or not fit.terms:
         return False
     return any(
         before > _FAR_ABOVE * least and before**2 - after**2 < _HOPEFUL * (before**2 - least**2)
-        for before, after, least in _closed(candidate, candidate.found.best, floor)
+        for before, after, least in _closed(candidate, fit, floor)
     )
 
 
