@@ -288,16 +288,19 @@ def test_guards_are_spared_where_the_best_set_explains_little(
         predict=lambda fit: SimpleNamespace(mag_mgauss=fit.ids),
     )
     monkeypatch.setattr(identification, "apart", lambda replay, measured, predicted, rows: left[predicted])
-    floor: Any = SimpleNamespace(representative=False, field_rms_mgauss=2.0, heading_rms_deg=0.5)
+    floor: Any = SimpleNamespace(
+        measured=True, representative=False, field_rms_mgauss=2.0, heading_rms_deg=0.5
+    )
     tried = candidate(
         nothing,
         problem=problem,
         split=SimpleNamespace(train=rows, test=rows),
-        found=SimpleNamespace(null=nothing, best=IRON),
+        found=SimpleNamespace(null=nothing),
     )
-    assert identification._hopeless(tried, floor) == hopeless
-    silent = replace(tried, found=SimpleNamespace(null=nothing, best=nothing))
-    assert not identification._hopeless(silent, floor), "there is nothing to guard"
+    assert identification._hopeless(tried, floor, IRON) == hopeless
+    assert not identification._hopeless(tried, floor, nothing), "there is nothing to guard"
+    floor.measured = False
+    assert not identification._hopeless(tried, floor, IRON), "a floor that is a guess refuses nothing"
 
 
 @dataclass
