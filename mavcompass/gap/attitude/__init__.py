@@ -3,7 +3,6 @@
 from mavcompass.gap.attitude.inertial import (
     accelerometer_fault,
     gyro_fault,
-    gyro_scale_fault,
     without_fault,
 )
 from mavcompass.gap.attitude.kinematics import (
@@ -35,7 +34,6 @@ __all__ = [
     "cross_matrices",
     "exponentials",
     "gyro_fault",
-    "gyro_scale_fault",
     "integral",
     "local_position",
     "north_east_m",

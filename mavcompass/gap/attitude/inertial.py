@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -32,14 +33,11 @@ _OF_ACCELERATION = 0.02
 _SLOWEST_S = 0.125
 
 
-def gyro_fault(now: Bias | None, before: Bias | None) -> tuple[Cause, ...]:
-    """Name the bias of the gyro that the vehicle did not have in its baseline."""
-    return _fault("gyro_bias", now, before)
-
-
-def gyro_scale_fault(now: Bias | None, before: Bias | None) -> tuple[Cause, ...]:
-    """Name the gain error of the gyro that the vehicle did not have in its baseline."""
-    return _fault("gyro_scale", now, before)
+def gyro_fault(
+    effect: Literal["gyro_bias", "gyro_scale"], now: Bias | None, before: Bias | None
+) -> tuple[Cause, ...]:
+    """Name the bias of the gyro, or its gain error, that the vehicle did not have in its baseline."""
+    return _fault(effect, now, before)
 
 
 def accelerometer_fault(track: Track, baseline: Track) -> tuple[Cause, ...]:

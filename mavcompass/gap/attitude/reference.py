@@ -30,8 +30,6 @@ from mavcompass.gap.attitude.kinematics import (
 from mavcompass.gap.attitude.levelling import sensed_by, started
 from mavcompass.gap.attitude.navigation import (
     FAULTY_SCALE,
-    LEVEL_RAD,
-    Witness,
     believable,
     faulty,
     smoothed_attitude,
@@ -39,6 +37,7 @@ from mavcompass.gap.attitude.navigation import (
 )
 from mavcompass.gap.attitude.receiver import Velocity, receiver_velocity
 from mavcompass.gap.attitude.rest import Bias, bias_at_rest
+from mavcompass.gap.attitude.smoother import LEVEL_RAD, Witness
 from mavcompass.gap.attitude.steering import steered_by, told_rotation
 from mavcompass.gap.attitude.wander import wandering_yaw
 from mavcompass.gap.attitude.yaw import age_of
