@@ -30,7 +30,7 @@ from mavcompass.simulation.physics.signals import Reading, RecordedStimulus
 
 _STEP = 1e-3
 _NUDGE_RAD, _NUDGE_M = 1e-5, 1e-4
-_NUDGE_MGAUSS = 1.0
+_NUDGE_MGAUSS = 0.01
 # Matrices that differ by so little are alike; by so much they count.
 _ALIKE, _APART = 1e-9, 0.03
 # Stages whose changes turn with the vehicle.
@@ -118,14 +118,15 @@ class Composition:
         everything = [*nuisance_thetas, *thetas]
         order = self._ordered(terms, everything)
         places = {place: at for at, (_, place) in enumerate(order)}
-        # What makes late comes last, the same for all that comes before it: once for all columns.
-        end = len(order)
-        while end and order[end - 1][0].id in _LATE:
-            end -= 1
-        after = _After(order[:end], everything, states[: end + 1], self.replay.groups)
+        # What makes late is the same for all that comes before it: once for all columns.
+        late = _late_members(order)
+        after, behind = (
+            _After(order[some], everything, states[some.start :][: len(order[some]) + 1], self.replay.groups)
+            for some in (slice(0, late.start), slice(late.stop, len(order)))
+        )
         parts: list[Changes] = []
-        # Of each column the stage of the member whose derivative it is, None where nothing makes it late.
-        stages: list[Stage | None] = []
+        # Of each column the member whose derivative it is.
+        made_by: list[int] = []
         for place in wanted:
             at, free = places[place], self.free(terms, place)
             if not free.size:
@@ -141,27 +142,26 @@ class Composition:
                 later = [*everything[:place], theta + step, *everything[place + 1 :]]
                 then = _made_late(states[together[0]], [order[i] for i in together], later)
                 part = after.between([then.reading], states[at + 1].reading, [step])
-            elif effect.slopes is not None and at < end and after.by_itself(at + 1):
+            elif effect.slopes is not None and at < late.start and after.by_itself(at + 1):
                 part = after.of_readings(at + 1, effect.slopes(states[at], theta)[:, :, free])
             else:
-                moved, steps = [], []
-                for j in free:
-                    beside = theta.copy()
-                    step = _STEP * max(effect.parameters[j].scale, 1e-12)
-                    if beside[j] + step > effect.parameters[j].high:
-                        step = -step
-                    beside[j] += step
-                    moved.append(effect.forward(states[at], beside, {}, None))
-                    steps.append(step)
-                if at < end:
+                moved, steps = _moved(effect, theta, free, states[at])
+                if at < late.start:
                     part = after.changes(at + 1, moved, steps)
+                elif at >= late.stop:
+                    part = behind.changes(at + 1 - late.stop, moved, steps)
                 else:
                     part = after.between([one.reading for one in moved], states[at + 1].reading, steps)
             parts.append(part)
-            stages += [effect.stage if at < end else None] * part["mag"].shape[2]
+            made_by += [at] * part["mag"].shape[2]
         changes = {g: np.concatenate([part[g] for part in parts], axis=2) for g in after.groups if parts}
-        if end < len(order) and any(stage is not None for stage in stages):
-            self._make_late(changes["mag"], stages, _lateness(order[end:], everything), states[end], after)
+        if parts and late:
+            mag, by = changes["mag"], np.array(made_by)
+            stages = [order[at][0].stage if at < late.start else None for at in made_by]
+            lateness = _lateness(order[late.start : late.stop], everything)
+            self._make_late(mag, stages, lateness, states[late.start], after)
+            if late.stop < len(order):
+                mag[:, :, by < late.stop] = behind.through(0, mag[:, :, by < late.stop])
         return changes
 
     def _make_late(
@@ -206,6 +206,31 @@ class Composition:
             then = np.matmul(back, rotate_back(s.rotation, late_ned)[:, :, None])[:, :, 0]
             flat = late_beside(s.time_s, world, then, flat, wanted_s, time_constant_s)
             mag_mgauss[:, :, rest] = flat.reshape(len(world), 3, -1)
+
+
+def _moved(
+    effect: Effect, theta: FloatArray, free: NDArray[np.int64], before: Signals
+) -> tuple[list[Signals], list[float]]:
+    """Return what an effect makes of signals with each of its free parameters moved by a small step."""
+    moved, steps = [], []
+    for j in free:
+        beside = theta.copy()
+        step = _STEP * max(effect.parameters[j].scale, 1e-12)
+        if beside[j] + step > effect.parameters[j].high:
+            step = -step
+        beside[j] += step
+        moved.append(effect.forward(before, beside, {}, None))
+        steps.append(step)
+    return moved, steps
+
+
+def _late_members(order: Sequence[tuple[Effect, int]]) -> range:
+    """Return the members that make readings late, where what follows them is the sensor's alone; none at the
+    end of all others."""
+    late = [at for at, (effect, _) in enumerate(order) if effect.id in _LATE]
+    if not late or any(effect.stage is not Stage.SENSOR for effect, _ in order[late[-1] + 1 :]):
+        return range(len(order), len(order))
+    return range(late[0], late[-1] + 1)
 
 
 def _late_columns(

@@ -49,6 +49,7 @@ from mavcompass.gap.replay.rows import (
 from mavcompass.gap.replay.whereabouts import goes_about, place_curves, place_scatter_m, position_of
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
+from mavcompass.simulation.effects.sampling import thinned
 from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -187,7 +188,7 @@ def replay(
     if alone:
         reference = reference.alone(time_s)
     position = position_of(track, reference)
-    turns = Turning(rows.time_s, told.rotation, told.rate_radps, reference.rotation)
+    turns = thinned(Turning(rows.time_s, told.rotation, told.rate_radps, reference.rotation))
     stimulus = _stimulus(track, position, taken_s, rows.width, reference, field, turns)
     load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
     iron = known_iron(correction, load, source)

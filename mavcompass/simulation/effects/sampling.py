@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -9,6 +10,9 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, cross
 from mavcompass.simulation.physics.signals import Turning
+
+# Rotations whose elements differ by less turn the Earth's field by half a milligauss.
+_THE_SAME = 1e-3
 
 
 @lru_cache(maxsize=8)
@@ -77,6 +81,21 @@ def rotation_at(turning: Turning, wanted_s: FloatArray, time_constant_s: float =
     else:
         flat = _along(turning.time_s, both, wanted_s)
     return flat.reshape(-1, 3, 3)
+
+
+def thinned(turning: Turning) -> Turning:
+    """Leave samples out, three of four or fewer, between which the others and their rates tell the same."""
+    for every in (4, 3, 2):
+        some = np.append(np.arange(0, turning.time_s.size - 1, every), turning.time_s.size - 1)
+        fewer = replace(
+            turning,
+            time_s=turning.time_s[some],
+            rotation=turning.rotation[some],
+            rate_radps=turning.rate_radps[some],
+        )
+        if float(np.abs(rotation_at(fewer, turning.time_s) - turning.rotation).max()) < _THE_SAME:
+            return fewer
+    return turning
 
 
 @lru_cache(maxsize=2)

@@ -56,6 +56,7 @@ def flight() -> Replay:
         (("eddy_current", "hard_iron"), 0.003),
         (("hard_iron", "low_pass"), 0.01),
         (("axis_scale", "clipping"), 0.06),
+        (("low_pass", "hard_iron", "clipping"), 0.06),
     ],
 )
 def test_each_derivative_is_the_difference_that_a_small_step_makes(

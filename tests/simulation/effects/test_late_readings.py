@@ -11,7 +11,7 @@ from mavcompass.frames import rotate_back
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.causes.timing import late_field
 from mavcompass.simulation.effects.effect import Misfit, Signals
-from mavcompass.simulation.effects.sampling import at_times, first_order_lag, smoothed_at
+from mavcompass.simulation.effects.sampling import at_times, first_order_lag, rotation_at, smoothed_at, thinned
 from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning
 
 FIELD = np.array([220.0, 15.0, 430.0])
@@ -137,6 +137,25 @@ def test_low_pass_holds_its_input_outside() -> None:
     values, flat = np.array([[5.0], [5.0], [5.0]]), np.zeros((3, 1))
     assert smoothed_at(time, values, np.array([-1.0, 0.15, 9.0]), flat, 0.05) == pytest.approx(5.0)
     assert smoothed_at(time[:1], values[:1], np.array([3.0]), flat[:1], 0.05) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(("step_s", "every"), [(0.01, 4), (0.02, 4), (0.05, 2), (0.1, 1)])
+def test_rotations_are_left_out_where_the_others_and_their_rates_tell_them(step_s: float, every: int) -> None:
+    """A swing of 0.83 s: a cubic between samples errs by the fourth power of their distance."""
+    time = np.arange(0.0, 30.0, step_s)
+    told = swinging(time).stimulus
+    whole = Turning(time, told.rotation, told.rate_radps, told.rotation)
+    fewer = thinned(whole)
+    assert fewer.time_s.size == pytest.approx(time.size / every, abs=2)
+    assert (fewer.time_s[0], fewer.time_s[-1]) == (time[0], time[-1])
+    wanted = time[:-1] + 0.3 * step_s
+    field = rotate_back(rotation_at(fewer, wanted), np.broadcast_to(FIELD, (wanted.size, 3)))
+    coarsely = rotate_back(rotation_at(whole, wanted), np.broadcast_to(FIELD, (wanted.size, 3)))
+    assert np.abs(field - coarsely).max() < 0.5
+    # One sample that stands apart is left in, with all others.
+    jolted = told.rotation.copy()
+    jolted[time.size // 2 + 1] = about_down(np.array([0.5]))[0]
+    assert thinned(replace(whole, rotation=jolted)).time_s.size == time.size
 
 
 @pytest.mark.parametrize("offset_mgauss", [0.0, 300.0])
