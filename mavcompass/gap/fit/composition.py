@@ -125,8 +125,9 @@ class Composition:
             for some in (slice(0, late.start), slice(late.stop, len(order)))
         )
         parts: list[Changes] = []
-        # Of each column the member whose derivative it is.
+        # Of each column the member whose derivative it is; the first of three of an attitude's turns.
         made_by: list[int] = []
+        by_axis: int | None = None
         for place in wanted:
             at, free = places[place], self.free(terms, place)
             if not free.size:
@@ -134,7 +135,8 @@ class Composition:
             effect, theta = order[at][0], everything[place]
             together = _together(order, at)
             if effect.id == REFERENCE_YAW:
-                part = after.turned(at + 1, _turns(self.replay.reference, float(theta[0])))
+                turns, by_axis = _turns(self.replay.reference, float(theta[0])), len(made_by)
+                part = after.turned(at + 1)
             elif effect.id == WHEREABOUTS:
                 part = after.shifted(at + 1, self.replay.place_curves_m)
             elif len(together) > 1:
@@ -162,7 +164,12 @@ class Composition:
             self._make_late(mag, stages, lateness, states[late.start], after)
             if late.stop < len(order):
                 mag[:, :, by < late.stop] = behind.through(0, mag[:, :, by < late.stop])
-        return changes
+        if by_axis is None:
+            return changes
+        # What an attitude is off by at a reading, it is off by when that was taken.
+        ends = (by_axis, by_axis + 3)
+        split = {g: np.split(values, ends, axis=2) for g, values in changes.items()}
+        return {g: np.concatenate([x, axes @ turns, y], axis=2) for g, (x, axes, y) in split.items()}
 
     def _make_late(
         self,
@@ -320,19 +327,18 @@ class _After:
         none = {g: np.zeros_like(mag_mgauss) for g in self.groups if g != "mag"}
         return none | {"mag": self.through(at, mag_mgauss)}
 
-    def turned(self, at: int, turns: FloatArray) -> Changes:
-        """Return the changes when the attitude before member `at` is turned in world axes, (N, 3, k)."""
+    def turned(self, at: int) -> Changes:
+        """Return the changes by the attitude before member `at`, per turn about each of the world's axes."""
         first, count = at, len(self._order)
         while first < count and self._order[first][0].stage is Stage.WORLD:
             first += 1
         if not self.by_itself(first):
             # What comes after asks for more of the attitude than how it turns the field.
             by_axis = self.changes(at, _nudged(self._states[at]), [_NUDGE_RAD] * 3)
-            return self.of_readings(count, by_axis["mag"] @ turns)
+            return self.of_readings(count, by_axis["mag"])
         s = self._states[first].stimulus
         # R exp(v x) sees B as R' (B + B x v).
-        turned_field = cross_matrices(s.field_ned_mgauss) @ turns
-        return self.of_readings(first, s.rotation.transpose(0, 2, 1) @ turned_field)
+        return self.of_readings(first, s.rotation.transpose(0, 2, 1) @ cross_matrices(s.field_ned_mgauss))
 
     def shifted(self, at: int, shifts_m: FloatArray) -> Changes:
         """Return the changes when the places before member `at` are shifted, (N, 3, k)."""
