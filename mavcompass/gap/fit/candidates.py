@@ -104,23 +104,30 @@ class Candidates:
         self._columns = 0
         n = len(problem.nuisances)
         states = problem.composition.states(base.terms, base.thetas, base.nuisance_thetas)
-        known = problem.columns(base.terms, base.thetas, base.nuisance_thetas, states, range(n))
-        parts = [known]
         residual = problem.residual(states[-1].reading)
         kept = {term.effect.id for term in held}
-        for place, term in enumerate(base.terms):
-            if term.effect.id not in kept:
-                own = problem.columns(base.terms, base.thetas, base.nuisance_thetas, states, [n + place])
-                shift = problem.shift(states[-1].reading, problem.predict(base.without(place)))
-                residual = residual + shift
-                parts += self._add(term, base.thetas[place], own, shift)
-        for term in terms:
-            if term.effect.id not in kept and term.effect.kind != "discrete":
+        chosen = [place for place, term in enumerate(base.terms) if term.effect.id not in kept]
+        wanted = [*range(n), *(n + place for place in chosen)]
+        ends = np.cumsum(
+            [sum(nuisance.mean.size for nuisance in problem.nuisances)]
+            + [np.count_nonzero(base.terms[place].free) for place in chosen]
+        )
+        columns = problem.columns(base.terms, base.thetas, base.nuisance_thetas, states, wanted)
+        known, *each = np.split(columns, ends[:-1], axis=1)
+        parts = [known]
+        for place, own in zip(chosen, each, strict=True):
+            shift = problem.shift(states[-1].reading, problem.predict(base.without(place)))
+            residual = residual + shift
+            parts += self._add(base.terms[place], base.thetas[place], own, shift)
+        others = [t for t in terms if t.effect.id not in kept and t.effect.kind != "discrete"]
+        parts += self._begin_at_nothing([t for t in others if not self._is_guessed(t)], states)
+        for term in others:
+            if self._is_guessed(term):
                 parts += self._begin(term, states)
         offset = problem.prior.mean - np.concatenate(base.nuisance_thetas) if n else np.zeros(0)
         columns, known_count = np.hstack(parts), known.shape[1]
         # The equations copy the columns once more: these need not stay meanwhile.
-        del parts, known
+        del parts, known, each
         usual = np.concatenate([c.usual for c in self.list]) if self.list else np.zeros(0)
         labels = np.tile(np.repeat(block[problem.index], 3), len(problem.groups))
         order = np.argsort(labels, kind="stable") if len(problem.groups) > 1 else slice(None)
@@ -135,6 +142,27 @@ class Candidates:
         own = (REFERENCE_YAW, WORLD_FIELD.id, WHEREABOUTS)
         parts = [np.full(n.mean.size, n.effect.id in own) for n in self.problem.nuisances]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.bool_)
+
+    def _is_guessed(self, term: Term) -> bool:
+        """Tell whether an effect begins at other values than those with which it does nothing."""
+        return term.effect.starts is not None or term.effect.id in self.base.ids
+
+    def _begin_at_nothing(self, terms: Sequence[Term], states: list[Signals]) -> list[FloatArray]:
+        """Linearise effects where they do nothing yet, beside the base with its `states`; return their
+        columns."""
+        iron, fit = self.problem.replay.iron.offset_mgauss, self.base
+        places = [(t, theta) for t in terms for theta in placements(t.effect, t.effect.neutral(), iron)]
+        if not places:
+            return []
+        composition = self.problem.composition
+        changes = composition.changes_beside(fit.terms, fit.thetas, fit.nuisance_thetas, states, places)
+        ends = np.cumsum([np.count_nonzero(term.free) for term, _ in places])
+        columns = np.split(self.problem.whitened(changes), ends[:-1], axis=1)
+        parts = list[FloatArray]()
+        for (term, theta), own in zip(places, columns, strict=True):
+            if np.isfinite(own).all():
+                parts += self._add(term, theta, own, None)
+        return parts
 
     def _begin(self, term: Term, before: list[Signals]) -> list[FloatArray]:
         """Linearise an effect at each of its first guesses, beside the base without it; return its columns.

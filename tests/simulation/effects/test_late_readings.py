@@ -11,7 +11,13 @@ from mavcompass.frames import rotate_back
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.causes.timing import late_field
 from mavcompass.simulation.effects.effect import Misfit, Signals
-from mavcompass.simulation.effects.sampling import at_times, first_order_lag, rotation_at, smoothed_at, thinned
+from mavcompass.simulation.effects.sampling import (
+    at_times,
+    first_order_lag,
+    rotation_at,
+    smoothed_at,
+    thinned,
+)
 from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning
 
 FIELD = np.array([220.0, 15.0, 430.0])

@@ -1,0 +1,266 @@
+"""Derivatives of a simulation that nuisances and effects make of a replay.
+
+They are those of the forward models in closed form, or differences: each parameter runs the composition again
+from its own stage on. What an attitude may be off by, and a common delay, are reckoned once for all columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude import Reference, about_down, cross_matrices
+from mavcompass.gap.fit.lateness import TURNING, Order, late_members, lateness, made_late, make_late, together
+from mavcompass.gap.replay import REFERENCE_YAW, WHEREABOUTS, Replay, group_values, turned
+from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, PLACED, Effect, Group, Signals, Stage
+from mavcompass.simulation.physics.signals import Reading
+
+_STEP = 1e-3
+_NUDGE_RAD, _NUDGE_M = 1e-5, 1e-4
+_NUDGE_MGAUSS = 0.01
+# Matrices that differ by so little are alike.
+_ALIKE = 1e-9
+
+# Changes of a prediction by k parameters, of the compass and other sensors that are replayed, (N, 3, k).
+Changes = dict[Group, FloatArray]
+
+
+class Derivatives:
+    """Collect columns of a prediction's derivatives, and make those late together that are made before."""
+
+    def __init__(
+        self, replay: Replay, order: Order, thetas: Sequence[FloatArray], states: Sequence[Signals]
+    ) -> None:
+        """Differentiate about the `states` before the first member of a composition and after each."""
+        self._replay, self._order, self._thetas, self._states = replay, order, thetas, states
+        self._late = late_members(order)
+        groups: tuple[Group, ...] = ("mag", *(g for g in replay.groups if g != "mag"))
+        self._after, self._behind = (
+            _After(order[some], thetas, states[some.start : some.stop + 1], groups)
+            for some in (slice(0, self._late.start), slice(self._late.stop, len(order)))
+        )
+        self._parts: list[Changes] = []
+        # Of each column its stage, and the state that it is a change of.
+        self._stages: list[Stage] = []
+        self._then: list[int] = []
+        # The first of three columns of an attitude's turns about the axes, and how it may turn.
+        self._turns: tuple[int, FloatArray] | None = None
+
+    def by_member(self, at: int, free: NDArray[np.int64]) -> None:
+        """Add the derivatives by the free parameters of member `at`."""
+        effect, place = self._order[at]
+        theta, then, late = self._thetas[place], at + 1, together(self._order, at)
+        if not free.size:
+            return
+        if effect.id == REFERENCE_YAW:
+            self._turns = len(self._then), _turns(self._replay.reference, float(theta[0]))
+            part = self._after.turned(then)
+        elif effect.id == WHEREABOUTS:
+            part = self._after.shifted(then, self._replay.place_curves_m)
+        elif len(late) > 1:
+            step, then = _STEP * float(effect.parameters[0].scale), late.stop
+            later = [*self._thetas[:place], theta + step, *self._thetas[place + 1 :]]
+            moved = made_late(self._states[late.start], [self._order[i] for i in late], later)
+            part = self._after.between([moved.reading], self._states[then].reading, [step])
+        elif effect.slopes is not None and then <= self._late.start and self._after.by_itself(then):
+            part = self._after.of_readings(then, effect.slopes(self._states[at], theta)[:, :, free])
+        else:
+            part = self._stepped(effect, theta, free, at, then)
+        self._add(part, effect.stage, then)
+
+    def as_it_begins(self, effect: Effect, theta: FloatArray, free: NDArray[np.int64]) -> None:
+        """Add the derivatives by the free parameters of another effect, that does nothing with what it
+        has."""
+        stage = effect.stage_at(theta)
+        at = sum(member.stage_at(self._thetas[place]) <= stage for member, place in self._order)
+        if not free.size:
+            return
+        if effect.slopes is not None and at <= self._late.start and self._after.by_itself(at):
+            part = self._after.of_readings(at, effect.slopes(self._states[at], theta)[:, :, free])
+        else:
+            part = self._stepped(effect, theta, free, at, at)
+        self._add(part, effect.stage, at)
+
+    def changes(self) -> Changes:
+        """Return all columns in the order in which they were added; nothing where there are none."""
+        if not self._parts:
+            return {}
+        changes = {g: np.concatenate([part[g] for part in self._parts], axis=2) for g in self._after.groups}
+        late, mag = self._late, changes["mag"]
+        if late:
+            early = [s if n <= late.start else None for s, n in zip(self._stages, self._then, strict=True)]
+            by_s = lateness([self._order[i] for i in late], self._thetas)
+            make_late(mag, early, by_s, self._states[late.start], self._after.seen)
+        if late.stop < len(self._order):
+            before = np.array(self._then) <= late.stop
+            mag[:, :, before] = self._behind.through(0, mag[:, :, before])
+        if self._turns is None:
+            return changes
+        # What an attitude is off by at a reading, it is off by when that was taken.
+        first, turns = self._turns
+        split = {g: np.split(values, (first, first + 3), axis=2) for g, values in changes.items()}
+        return {g: np.concatenate([x, axes @ turns, y], axis=2) for g, (x, axes, y) in split.items()}
+
+    def _stepped(
+        self, effect: Effect, theta: FloatArray, free: NDArray[np.int64], at: int, then: int
+    ) -> Changes:
+        """Return the changes as an effect that acts on state `at`, and makes state `then`, is moved by small
+        steps."""
+        moved, steps = [], []
+        for j in free:
+            beside = theta.copy()
+            step = _STEP * max(effect.parameters[j].scale, 1e-12)
+            if beside[j] + step > effect.parameters[j].high:
+                step = -step
+            beside[j] += step
+            moved.append(effect.forward(self._states[at], beside, {}, None))
+            steps.append(step)
+        if then <= self._late.start:
+            return self._after.changes(then, moved, steps)
+        if at >= self._late.stop:
+            return self._behind.changes(then - self._late.stop, moved, steps)
+        return self._after.between([one.reading for one in moved], self._states[then].reading, steps)
+
+    def _add(self, part: Changes, stage: Stage, then: int) -> None:
+        self._parts.append(part)
+        count = part["mag"].shape[2]
+        self._stages += [stage] * count
+        self._then += [then] * count
+
+
+def _nudged(signals: Signals) -> list[Signals]:
+    """Turn an attitude a little about each of the world's axes."""
+    return [
+        turned(signals, np.broadcast_to(axis, (signals.stimulus.time_s.size, 3)))
+        for axis in _NUDGE_RAD * np.eye(3)
+    ]
+
+
+def _turns(reference: Reference, yaw_rad: float) -> FloatArray:
+    """Return the turns in world axes, (N, 3, 1 + k), by a constant of the yaw and by curves.
+
+    The curves' frame is turned by that yaw.
+    """
+    curves = reference.curves_rad
+    beside = np.broadcast_to(reference.with_yaw, (len(curves), 3))[:, :, None]
+    turns = about_down(yaw_rad) @ np.concatenate([beside, curves], axis=2)
+    turns[:, 2, 0] += 1.0
+    return turns
+
+
+class _After:
+    """Carry changes through the members of a composition that come after them, for some sensors."""
+
+    def __init__(
+        self,
+        order: Order,
+        thetas: Sequence[FloatArray],
+        states: Sequence[Signals],
+        groups: tuple[Group, ...],
+    ) -> None:
+        self._order, self._thetas, self._states = order, thetas, states
+        self.groups = groups
+        # Where every reading is changed by itself, the rest is a matrix, of each row or of all.
+        self._matrices: dict[int, FloatArray] = {}
+
+    def by_itself(self, at: int) -> bool:
+        """Tell whether the members from `at` on change every reading of the compass by itself."""
+        return all(effect.stage in EACH_BY_ITSELF for effect, _ in self._order[at:])
+
+    def between(self, after: Sequence[Reading], before: Reading, steps: Sequence[float]) -> Changes:
+        """Return how readings differ from one, over their steps."""
+        return {
+            g: (np.stack([group_values(a, g) for a in after], axis=2) - group_values(before, g)[:, :, None])
+            / np.asarray(steps)
+            for g in self.groups
+        }
+
+    def changes(self, at: int, moved: Sequence[Signals], steps: Sequence[float]) -> Changes:
+        """Return the changes of the prediction when the signals before member `at` are moved by steps."""
+        before, rest = self._states[at], self._order[at:]
+        # What comes after asks the world for its attitude at most, and the compass for the rest.
+        same = all(one.stimulus.rotation is before.stimulus.rotation for one in moved)
+        if same and self.by_itself(at):
+            own = self.between([one.reading for one in moved], before.reading, steps)
+            return own | {"mag": self.through(at, own["mag"])}
+        ends = []
+        for one in moved:
+            for effect, place in rest:
+                one = effect.forward(one, self._thetas[place], {}, None)
+            ends.append(one.reading)
+        return self.between(ends, self._states[-1].reading, steps)
+
+    def through(self, at: int, mag_mgauss: FloatArray) -> FloatArray:
+        """Return what members from `at` on make of changes of the compass (N, 3, k)."""
+        return mag_mgauss if at == len(self._order) else np.asarray(self._matrix(at) @ mag_mgauss)
+
+    def of_readings(self, at: int, mag_mgauss: FloatArray) -> Changes:
+        """Return the changes when the compass's reading before member `at` alone is changed, (N, 3, k)."""
+        none = {g: np.zeros_like(mag_mgauss) for g in self.groups if g != "mag"}
+        return none | {"mag": self.through(at, mag_mgauss)}
+
+    def turned(self, at: int) -> Changes:
+        """Return the changes by the attitude before member `at`, per turn about each of the world's axes."""
+        first, count = at, len(self._order)
+        while first < count and self._order[first][0].stage is Stage.WORLD:
+            first += 1
+        if not self.by_itself(first):
+            # What comes after asks for more of the attitude than how it turns the field.
+            by_axis = self.changes(at, _nudged(self._states[at]), [_NUDGE_RAD] * 3)
+            return self.of_readings(count, by_axis["mag"])
+        s = self._states[first].stimulus
+        # R exp(v x) sees B as R' (B + B x v).
+        return self.of_readings(first, s.rotation.transpose(0, 2, 1) @ cross_matrices(s.field_ned_mgauss))
+
+    def shifted(self, at: int, shifts_m: FloatArray) -> Changes:
+        """Return the changes when the places before member `at` are shifted, (N, 3, k)."""
+        state = self._states[at]
+        s = state.stimulus
+        if not any(effect.needs & PLACED for effect, _ in self._order[at:]):
+            return self.of_readings(len(self._order), np.zeros_like(shifts_m))
+        nudged = [
+            Signals(replace(s, position_ned_m=s.position_ned_m + axis), state.reading)
+            for axis in _NUDGE_M * np.eye(3)
+        ]
+        by_axis = self.changes(at, nudged, [_NUDGE_M] * 3)
+        return self.of_readings(len(self._order), by_axis["mag"] @ shifts_m)
+
+    def seen(self, roughly: FloatArray) -> FloatArray:
+        """Return how the compass sees a small change of the world's field at last, (3, 3) or (N, 3, 3).
+
+        Where no matrix of each row tells, that is what is `roughly` known, (3, 3).
+        """
+        first = sum(effect.stage in TURNING for effect, _ in self._order)
+        if first == len(self._order):
+            return np.eye(3)
+        if not self.by_itself(first):
+            return roughly
+        matrix = self._matrix(first)
+        alike = matrix.ndim == 3 and np.abs(matrix - matrix[0]).max() < _ALIKE
+        return matrix[0] if alike else matrix
+
+    def _matrix(self, at: int) -> FloatArray:
+        """Return the derivative of the prediction by the compass's reading before member `at`, (3, 3) or
+        (N, 3, 3)."""
+        if at not in self._matrices:
+            own = self._own_matrix(at)
+            last = at + 1 == len(self._order)
+            self._matrices[at] = own if last else self._matrix(at + 1) @ own
+        return self._matrices[at]
+
+    def _own_matrix(self, at: int) -> FloatArray:
+        (effect, place), state = self._order[at], self._states[at]
+        if effect.stage is Stage.FIELD:
+            # It adds a field, whatever the reading is.
+            return np.eye(3)
+        mag = state.reading.mag_mgauss[:1] if effect.affine else state.reading.mag_mgauss
+        ends = [
+            effect.forward(state.with_mag(mag + axis), self._thetas[place], {}, None).reading.mag_mgauss
+            for axis in (*(_NUDGE_MGAUSS * np.eye(3)), np.zeros(3))
+        ]
+        own = (np.stack(ends[:3], axis=2) - ends[3][:, :, None]) / _NUDGE_MGAUSS
+        return own[0] if effect.affine else own

@@ -1,0 +1,108 @@
+"""What makes readings late, and how changes of a reading go along."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from mavcompass.frames import FloatArray, rotate_back
+from mavcompass.gap.replay import TELEMETRY_AGE
+from mavcompass.simulation.effects.causes.timing import followed, late, late_beside, late_field, turned_since
+from mavcompass.simulation.effects.effect import Effect, Signals, Stage
+from mavcompass.simulation.physics.signals import RecordedStimulus
+
+# Matrices that differ by so much count.
+_APART = 0.03
+# Stages whose changes turn with the vehicle.
+TURNING = frozenset({Stage.ATTITUDE, Stage.WORLD})
+_SMOOTHING = "low_pass"
+_LATE = frozenset({"transport_lag", TELEMETRY_AGE, _SMOOTHING})
+# Effects in the order in which they act, with their places in the list of parameters.
+Order = Sequence[tuple[Effect, int]]
+
+
+def together(order: Order, at: int) -> range:
+    """Return the members that are reckoned with member `at`: those that make readings late are one.
+
+    One after the other they would interpolate what was interpolated, and a fit between them would stick.
+    """
+    first, end = at, at + 1
+    if order[at][0].id in _LATE:
+        while first and order[first - 1][0].id in _LATE:
+            first -= 1
+        while end < len(order) and order[end][0].id in _LATE:
+            end += 1
+    return range(first, end)
+
+
+def late_members(order: Order) -> range:
+    """Return the members that make readings late, where what follows them is the sensor's alone; none at the
+    end of all others."""
+    late = [at for at, (effect, _) in enumerate(order) if effect.id in _LATE]
+    if not late or any(effect.stage is not Stage.SENSOR for effect, _ in order[late[-1] + 1 :]):
+        return range(len(order), len(order))
+    return range(late[0], late[-1] + 1)
+
+
+def lateness(members: Order, everything: Sequence[FloatArray]) -> tuple[float, float]:
+    """Return by how many seconds members delay readings, and the time constant by which they smooth them."""
+    each = [(effect.id == _SMOOTHING, float(everything[place][0])) for effect, place in members]
+    return sum(s for smooths, s in each if not smooths), sum(s for smooths, s in each if smooths)
+
+
+def made_late(before: Signals, members: Order, everything: Sequence[FloatArray]) -> Signals:
+    """Return signals as several members make them late together."""
+    delay_s, time_constant_s = lateness(members, everything)
+    wanted_s = before.stimulus.time_s - delay_s
+    return before.with_mag(late_field(before, wanted_s, time_constant_s=time_constant_s))
+
+
+def make_late(
+    mag_mgauss: FloatArray,
+    stages: Sequence[Stage | None],
+    by_s: tuple[float, float],
+    before: Signals,
+    seen_as: Callable[[FloatArray], FloatArray],
+) -> None:
+    """Delay and smooth changes (N, 3, k) of the reading `before`, in place, by a delay and a time constant.
+
+    Those of the stages of attitude and world's field turn with the vehicle, as the compass sees them: by the
+    matrix that `seen_as` tells, of each row or of all, where one is roughly known. Those without stay.
+    """
+    s = before.stimulus
+    assert isinstance(s, RecordedStimulus)
+    delay_s, time_constant_s = by_s
+    wanted_s = s.time_s - delay_s
+    back = turned_since(s.turning, wanted_s, time_constant_s).transpose(0, 2, 1)
+    world = rotate_back(s.rotation, s.field_ned_mgauss)
+    if turning := [i for i, stage in enumerate(stages) if stage in TURNING]:
+        follows = np.eye(3) + followed(world, before.reading.mag_mgauss - world).T
+        seen = seen_as(follows)
+        stacked = np.linalg.inv(seen) @ mag_mgauss[:, :, turning]
+        apart = (seen - follows) @ stacked if np.abs(seen - follows).max() > _APART else None
+        if moving := [n for n, i in enumerate(turning) if stages[i] is Stage.WORLD]:
+            # What differs from place to place changes as the vehicle moves, besides.
+            placed = s.rotation @ stacked[:, :, moving]
+            placed = _late_columns(s.time_s, placed, wanted_s, time_constant_s)
+            stacked[:, :, moving] = s.rotation.transpose(0, 2, 1) @ placed
+        stacked = back @ stacked
+        # What does not follow the world's field by one matrix does not turn with it, but is interpolated.
+        if apart is None:
+            stacked = seen @ stacked
+        else:
+            stacked = follows @ stacked + _late_columns(s.time_s, apart, wanted_s, time_constant_s)
+        mag_mgauss[:, :, turning] = stacked
+    if rest := [i for i, stage in enumerate(stages) if stage is not None and stage not in TURNING]:
+        flat = mag_mgauss[:, :, rest].reshape(len(world), -1)
+        late_ned = late(s.time_s, s.field_ned_mgauss, wanted_s, time_constant_s)
+        then = np.matmul(back, rotate_back(s.rotation, late_ned)[:, :, None])[:, :, 0]
+        flat = late_beside(s.time_s, world, then, flat, wanted_s, time_constant_s)
+        mag_mgauss[:, :, rest] = flat.reshape(len(world), 3, -1)
+
+
+def _late_columns(
+    time_s: FloatArray, columns: FloatArray, wanted_s: FloatArray, time_constant_s: float
+) -> FloatArray:
+    """Return columns (N, 3, k) at other times, and smoothed."""
+    return late(time_s, columns.reshape(len(columns), -1), wanted_s, time_constant_s).reshape(columns.shape)
