@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from mavcompass.chance import chance_of_more
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.chance import CHANCE, least_gain
-from mavcompass.gap.fit.composition import Composition
-from mavcompass.gap.fit.derivatives import Changes
+from mavcompass.gap.fit.composition import Changes, Composition
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
 from mavcompass.gap.fit.newton import bridge, cluster_covariance, invert, moved, room, solve_within
 from mavcompass.gap.replay import (

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.derivatives import Changes, Derivatives
+from mavcompass.gap.fit.composition.derivatives import Changes, Derivatives
+from mavcompass.gap.fit.composition.lateness import made_late, together
 from mavcompass.gap.fit.hypothesis import Term
-from mavcompass.gap.fit.lateness import made_late, together
 from mavcompass.gap.replay import Nuisance, Replay
 from mavcompass.simulation.effects.effect import Effect, Signals
 

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude import Reference, about_down, cross_matrices
-from mavcompass.gap.fit.lateness import TURNING, Order, late_members, lateness, made_late, make_late, together
+from mavcompass.gap.fit.composition.lateness import (
+    TURNING,
+    Order,
+    late_members,
+    lateness,
+    made_late,
+    make_late,
+    together,
+)
 from mavcompass.gap.replay import REFERENCE_YAW, WHEREABOUTS, Replay, group_values, turned
 from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, PLACED, Effect, Group, Signals, Stage
 from mavcompass.simulation.physics.signals import Reading
