@@ -74,10 +74,8 @@ class Derivatives:
             later = [*self._thetas[:place], theta + step, *self._thetas[place + 1 :]]
             moved = made_late(self._states[late.start], [self._order[i] for i in late], later)
             part = self._after.between([moved.reading], self._states[then].reading, [step])
-        elif effect.slopes is not None and then <= self._late.start and self._after.by_itself(then):
-            part = self._after.of_readings(then, effect.slopes(self._states[at], theta)[:, :, free])
         else:
-            part = self._stepped(effect, theta, free, at, then)
+            part = self._by_parameters(effect, theta, free, at, then)
         self._add(part, effect.stage, then)
 
     def as_it_begins(self, effect: Effect, theta: FloatArray, free: NDArray[np.int64]) -> None:
@@ -85,13 +83,8 @@ class Derivatives:
         has."""
         stage = effect.stage_at(theta)
         at = sum(member.stage_at(self._thetas[place]) <= stage for member, place in self._order)
-        if not free.size:
-            return
-        if effect.slopes is not None and at <= self._late.start and self._after.by_itself(at):
-            part = self._after.of_readings(at, effect.slopes(self._states[at], theta)[:, :, free])
-        else:
-            part = self._stepped(effect, theta, free, at, at)
-        self._add(part, effect.stage, at)
+        if free.size:
+            self._add(self._by_parameters(effect, theta, free, at, at), effect.stage, at)
 
     def changes(self) -> Changes:
         """Return all columns in the order in which they were added; nothing where there are none."""
@@ -99,8 +92,8 @@ class Derivatives:
             return {}
         changes = {g: np.concatenate([part[g] for part in self._parts], axis=2) for g in self._after.groups}
         late, mag = self._late, changes["mag"]
-        if late:
-            early = [s if n <= late.start else None for s, n in zip(self._stages, self._then, strict=True)]
+        early = [s if n <= late.start else None for s, n in zip(self._stages, self._then, strict=True)]
+        if late and any(stage is not None for stage in early):
             by_s = lateness([self._order[i] for i in late], self._thetas)
             make_late(mag, early, by_s, self._states[late.start], self._after.seen)
         if late.stop < len(self._order):
@@ -113,11 +106,13 @@ class Derivatives:
         split = {g: np.split(values, (first, first + 3), axis=2) for g, values in changes.items()}
         return {g: np.concatenate([x, axes @ turns, y], axis=2) for g, (x, axes, y) in split.items()}
 
-    def _stepped(
+    def _by_parameters(
         self, effect: Effect, theta: FloatArray, free: NDArray[np.int64], at: int, then: int
     ) -> Changes:
-        """Return the changes as an effect that acts on state `at`, and makes state `then`, is moved by small
-        steps."""
+        """Return the changes by the free parameters of an effect that acts on state `at` and makes state
+        `then`."""
+        if effect.slopes is not None and then <= self._late.start and self._after.by_itself(then):
+            return self._after.of_readings(then, effect.slopes(self._states[at], theta)[:, :, free])
         moved, steps = [], []
         for j in free:
             beside = theta.copy()
