@@ -9,9 +9,13 @@ import pytest
 
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.fit import Fit, Problem, make_term
-from mavcompass.gap.replay import Prior, replay
+from mavcompass.gap.fit.search import Found
+from mavcompass.gap.left.floor import Floor
+from mavcompass.gap.replay import Prior, replay, whereabouts
+from mavcompass.gap.selection import identification
 from mavcompass.gap.selection.transient import near_places, told
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track
+from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.simulation.effects import parse
 from mavcompass.track import Series, Track
 
@@ -62,3 +66,21 @@ def test_a_magnet_and_a_gain_leave_no_third_cause_though_places_scatter(seed: in
     flight = recorded(MAGNET, GAIN, scatter_m=0.01, seed=seed)
     diagnosis = diagnose_gap(flight, recorded(scatter_m=0.01, seed=seed + 10))
     assert diagnosis.verdict == "named" and diagnosis.effects == {"axis_scale", "spatial_dipole"}
+
+
+def test_what_places_that_wander_hardly_explain_either_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search is begun again with the places' own nuisance, which everything after it must have."""
+    case = make_case(3, "single")
+    again = list[int]()
+
+    def wandering(problem: Problem, floor: Floor, found: Found) -> tuple[Floor, Problem, list[Fit]]:
+        curves = np.sin(0.1 * problem.replay.time_s)[:, None, None] * np.eye(3)
+        wide = replace(floor, prior=floor.prior.beside(whereabouts(curves)))
+        at = replace(problem.replay, place_curves_m=curves)
+        again.append(len(wide.prior.nuisances))
+        return wide, Problem(at, floor.noise, problem.rows, wide.prior), []
+
+    monkeypatch.setattr(identification, "_with_wander", wandering)
+    monkeypatch.setattr(identification, "_hopeless", lambda candidate, floor, fit: bool(again))
+    diagnosis = diagnose_gap(case.track, case.baseline)
+    assert again and not diagnosis.causes
