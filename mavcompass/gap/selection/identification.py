@@ -136,7 +136,7 @@ def _searched(
         result = Identified(problem, split, none, none.best, (), search, problem)
         names = not needs_none(result, floor)
         if names:
-            hopeless = partial(_ends_early, result, floor)
+            hopeless = partial(_hopeless, result, floor)
             tried = [problem.fit(*likely, nothing.nuisance_thetas)] if likely else ()
             found = search.run(likely=tried, hopeless=hopeless)
             wandering = _with_wander(problem, floor, found)
@@ -169,9 +169,11 @@ def _with_wander(problem: Problem, floor: Floor, found: Found) -> tuple[Floor, P
 
     Return floor and problem with that, and the sets that held something at a place fitted anew.
     """
-    if not _may_wander(problem, found.best):
-        return None
     curves = problem.replay.place_curves_m
+    known = any(nuisance.effect.id == WHEREABOUTS for nuisance in problem.nuisances)
+    quiet = found.best.sse < _UNEXPLAINED * 3 * problem.count
+    if known or quiet or not curves.size or not _placed(found.best):
+        return None
     wandering = replace(floor, prior=floor.prior.beside(whereabouts(curves)))
     wide = Problem(problem.replay, floor.noise, problem.rows, wandering.prior)
     placed = [f for f in found.explored.values() if _placed(f) and len(f.terms) < len(found.best.terms)]
@@ -183,21 +185,9 @@ def _with_wander(problem: Problem, floor: Floor, found: Found) -> tuple[Floor, P
     return (wandering, wide, likely) if explained else None
 
 
-def _may_wander(problem: Problem, fit: Fit) -> bool:
-    """Tell whether a fit leaves something that places which wander could explain."""
-    known = any(nuisance.effect.id == WHEREABOUTS for nuisance in problem.nuisances)
-    quiet = fit.sse < _UNEXPLAINED * 3 * problem.count
-    return not (known or quiet) and problem.replay.place_curves_m.size > 0 and _placed(fit)
-
-
 def _placed(fit: Fit) -> bool:
     """Tell whether a set holds something that belongs to a place."""
     return any(term.effect.needs & PLACED for term in fit.terms)
-
-
-def _ends_early(candidate: Identified, floor: Floor, fit: Fit) -> bool:
-    """Tell whether a search need not go on from its best set: nothing will be named."""
-    return not _may_wander(candidate.problem, fit) and _hopeless(candidate, floor, fit)
 
 
 def _hopeless(candidate: Identified, floor: Floor, fit: Fit) -> bool:

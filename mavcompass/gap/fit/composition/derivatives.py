@@ -17,6 +17,8 @@ from mavcompass.gap.attitude import Reference, about_down, cross_matrices
 from mavcompass.gap.fit.composition.lateness import (
     TURNING,
     Order,
+    followed_by,
+    is_apart,
     late_members,
     lateness,
     made_late,
@@ -91,18 +93,33 @@ class Derivatives:
         if not self._parts:
             return {}
         changes = {g: np.concatenate([part[g] for part in self._parts], axis=2) for g in self._after.groups}
-        late, mag = self._late, changes["mag"]
-        early = [s if n <= late.start else None for s, n in zip(self._stages, self._then, strict=True)]
-        if late and any(stage is not None for stage in early):
+        late = self._late
+        if late and min(self._then) <= late.start:
+            before = self._states[late.start]
+            follows = followed_by(before)
+            seen = self._after.seen(follows)
+            if is_apart(seen, follows):
+                # What is interpolated, curves are too.
+                changes = self._with_curves(changes)
+            early = [s if n <= late.start else None for s, n in zip(self._stages, self._then, strict=True)]
             by_s = lateness([self._order[i] for i in late], self._thetas)
-            make_late(mag, early, by_s, self._states[late.start], self._after.seen)
+            make_late(changes["mag"], early, by_s, before, seen, follows)
         if late.stop < len(self._order):
-            before = np.array(self._then) <= late.stop
-            mag[:, :, before] = self._behind.through(0, mag[:, :, before])
+            mag, behind = changes["mag"], np.array(self._then) <= late.stop
+            mag[:, :, behind] = self._behind.through(0, mag[:, :, behind])
+        return self._with_curves(changes)
+
+    def _with_curves(self, changes: Changes) -> Changes:
+        """Put the curves of an attitude in the place of its turns about the axes, if that is still to do.
+
+        What an attitude is off by at a reading, it is off by when that was taken.
+        """
         if self._turns is None:
             return changes
-        # What an attitude is off by at a reading, it is off by when that was taken.
         first, turns = self._turns
+        self._turns = None
+        self._stages[first : first + 3] = [self._stages[first]] * turns.shape[2]
+        self._then[first : first + 3] = [self._then[first]] * turns.shape[2]
         split = {g: np.split(values, (first, first + 3), axis=2) for g, values in changes.items()}
         return {g: np.concatenate([x, axes @ turns, y], axis=2) for g, (x, axes, y) in split.items()}
 

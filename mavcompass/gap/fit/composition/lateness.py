@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -58,17 +58,31 @@ def made_late(before: Signals, members: Order, everything: Sequence[FloatArray])
     return before.with_mag(late_field(before, wanted_s, time_constant_s=time_constant_s))
 
 
+def followed_by(before: Signals) -> FloatArray:
+    """Return by which matrix (3, 3) readings follow the world's field in body axes, beside an offset."""
+    s = before.stimulus
+    world = rotate_back(s.rotation, s.field_ned_mgauss)
+    return np.eye(3) + followed(world, before.reading.mag_mgauss - world).T
+
+
+def is_apart(seen: FloatArray, follows: FloatArray) -> bool:
+    """Tell whether the compass sees a change of the field otherwise than its reading follows the field."""
+    return bool(np.abs(seen - follows).max() > _APART)
+
+
 def make_late(
     mag_mgauss: FloatArray,
     stages: Sequence[Stage | None],
     by_s: tuple[float, float],
     before: Signals,
-    seen_as: Callable[[FloatArray], FloatArray],
+    seen: FloatArray,
+    follows: FloatArray,
 ) -> None:
     """Delay and smooth changes (N, 3, k) of the reading `before`, in place, by a delay and a time constant.
 
-    Those of the stages of attitude and world's field turn with the vehicle, as the compass sees them: by the
-    matrix that `seen_as` tells, of each row or of all, where one is roughly known. Those without stay.
+    Those of the stages of attitude and world's field turn with the vehicle, as they are `seen` by the
+    compass: by a matrix of each row (N, 3, 3) or of all (3, 3), which the reading roughly `follows`. Those
+    without a stage stay.
     """
     s = before.stimulus
     assert isinstance(s, RecordedStimulus)
@@ -77,10 +91,8 @@ def make_late(
     back = turned_since(s.turning, wanted_s, time_constant_s).transpose(0, 2, 1)
     world = rotate_back(s.rotation, s.field_ned_mgauss)
     if turning := [i for i, stage in enumerate(stages) if stage in TURNING]:
-        follows = np.eye(3) + followed(world, before.reading.mag_mgauss - world).T
-        seen = seen_as(follows)
         stacked = np.linalg.inv(seen) @ mag_mgauss[:, :, turning]
-        apart = (seen - follows) @ stacked if np.abs(seen - follows).max() > _APART else None
+        apart = (seen - follows) @ stacked if is_apart(seen, follows) else None
         if moving := [n for n, i in enumerate(turning) if stages[i] is Stage.WORLD]:
             # What differs from place to place changes as the vehicle moves, besides.
             placed = s.rotation @ stacked[:, :, moving]
