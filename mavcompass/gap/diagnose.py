@@ -12,7 +12,7 @@ from mavcompass.gap.answer import Answer, Evidence, decide, describe
 from mavcompass.gap.attitude import (
     Choice,
     accelerometer_fault,
-    gyro_fault,
+    sensor_fault,
     steered_by,
     without_fault,
 )
@@ -120,9 +120,9 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     replayed, before = _replays(without_fault(track, shifted), baseline, how)
     faults = shifted
     if before is not None and "gyro_bias" not in withheld:
-        faults += gyro_fault("gyro_bias", replayed.reference.gyro_bias, before.reference.gyro_bias)
+        faults += sensor_fault("gyro_bias", replayed.reference.gyro_bias, before.reference.gyro_bias)
     if before is not None and "gyro_scale" not in withheld:
-        faults += gyro_fault("gyro_scale", replayed.reference.gyro_scale, before.reference.gyro_scale)
+        faults += sensor_fault("gyro_scale", replayed.reference.gyro_scale, before.reference.gyro_scale)
 
     # 3. Doubtful sensors, and with them what the recording can tell
     replayed, before = doubting(replayed, before, every)

@@ -2,11 +2,10 @@
 
 from mavcompass.gap.attitude.inertial import (
     accelerometer_fault,
-    gyro_fault,
+    sensor_fault,
     without_fault,
 )
 from mavcompass.gap.attitude.kinematics import (
-    about_down,
     cross_matrices,
     exponentials,
     integral,
@@ -28,17 +27,16 @@ __all__ = [
     "UNKNOWN_YAW_RAD",
     "Choice",
     "Reference",
-    "about_down",
     "accelerometer_fault",
     "body_rate",
     "cross_matrices",
     "exponentials",
-    "gyro_fault",
     "integral",
     "local_position",
     "north_east_m",
     "reference_attitude",
     "second_derivative",
+    "sensor_fault",
     "steered_by",
     "without_fault",
 ]

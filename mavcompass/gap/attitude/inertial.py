@@ -33,19 +33,15 @@ _OF_ACCELERATION = 0.02
 _SLOWEST_S = 0.125
 
 
-def gyro_fault(
-    effect: Literal["gyro_bias", "gyro_scale"], now: Bias | None, before: Bias | None
-) -> tuple[Cause, ...]:
-    """Name the bias of the gyro, or its gain error, that the vehicle did not have in its baseline."""
-    return _fault(effect, now, before)
-
-
 def accelerometer_fault(track: Track, baseline: Track) -> tuple[Cause, ...]:
     """Name the bias of the accelerometer that the vehicle did not have in its baseline."""
-    return _fault("accel_bias", _accelerometer_bias(track), _accelerometer_bias(baseline))
+    return sensor_fault("accel_bias", _accelerometer_bias(track), _accelerometer_bias(baseline))
 
 
-def _fault(effect: str, now: Bias | None, before: Bias | None) -> tuple[Cause, ...]:
+def sensor_fault(
+    effect: Literal["gyro_bias", "gyro_scale", "accel_bias"], now: Bias | None, before: Bias | None
+) -> tuple[Cause, ...]:
+    """Name the bias of a sensor, or the gyro's gain error, that the vehicle did not have in its baseline."""
     if now is None or before is None:
         return ()
     change, sigma = now.mean - before.mean, np.hypot(now.sigma, before.sigma)

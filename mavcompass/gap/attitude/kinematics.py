@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, euler_to_matrix
+from mavcompass.frames import FloatArray, cross, euler_to_matrix
 from mavcompass.simulation.effects.sampling import at_times
 
 _EVEN = 0.05
@@ -106,7 +106,7 @@ def with_down(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArr
     path = np.einsum("nij,nj->ni", still, down)
     # The cross product of neighbours is the rotation vector between them, but for the third power of its
     # size.
-    steps = np.vstack([np.zeros((1, 3)), _cross(path[:-1], path[1:])])
+    steps = np.vstack([np.zeros((1, 3)), cross(path[:-1], path[1:])])
     back = products(exponentials(-steps))
     level = euler_to_matrix(
         math.atan2(down[0, 1], down[0, 2]), math.asin(float(np.clip(-down[0, 0], -1.0, 1.0))), 0.0
@@ -115,15 +115,7 @@ def with_down(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArr
     # What the third power left: set down exactly.
     ahead = rotation[:, 0] - down * np.einsum("ni,ni->n", rotation[:, 0], down)[:, None]
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    return np.stack([ahead, _cross(down, ahead), down], axis=1)
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the cross products of rows (N, 3), without numpy's checks."""
-    out = np.empty_like(a)
-    for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):
-        out[:, i] = a[:, j] * b[:, k] - a[:, k] * b[:, j]
-    return out
+    return np.stack([ahead, cross(down, ahead), down], axis=1)
 
 
 def rotation_vectors(rotations: FloatArray) -> FloatArray:
@@ -145,12 +137,6 @@ def _vectors(p: list[list[FloatArray]]) -> FloatArray:
     angle = np.arctan2(sine, 0.5 * (p[0][0] + p[1][1] + p[2][2] - 1.0))
     factor = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 1.0)
     return np.asarray(axis * factor[:, None])
-
-
-def about_down(angle_rad: float) -> FloatArray:
-    """Return the rotation (3, 3) by an angle about the vertical."""
-    c, d = math.cos(angle_rad), math.sin(angle_rad)
-    return np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def turned_about_down(rotation: FloatArray, angle: FloatArray) -> FloatArray:

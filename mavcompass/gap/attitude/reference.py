@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
-from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix
+from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
 from mavcompass.gap.attitude.doubt import doubt_of
 from mavcompass.gap.attitude.kinematics import (
-    about_down,
     carried,
     integral,
     turned_about_down,
@@ -261,7 +260,7 @@ def _fused(
         told += ["the autopilot's yaw, which another compass steers"] if steered else []
     if not start.bearing and witness is not None and math.isfinite(witness.constant_rad):
         ahead = float(np.median(_ahead(rotation, witness.rotation)))
-        rotation = about_down(ahead) @ rotation
+        rotation = euler_to_matrix(0.0, 0.0, ahead) @ rotation
     heard = velocity if start.bearing else None
     smoothed = smoothed_attitude(sensed, rotation, resting, heard, witness)
     if not smoothed.borne_out:

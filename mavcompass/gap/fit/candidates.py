@@ -108,12 +108,9 @@ class Candidates:
         kept = {term.effect.id for term in held}
         chosen = [place for place, term in enumerate(base.terms) if term.effect.id not in kept]
         wanted = [*range(n), *(n + place for place in chosen)]
-        ends = np.cumsum(
-            [sum(nuisance.mean.size for nuisance in problem.nuisances)]
-            + [np.count_nonzero(base.terms[place].free) for place in chosen]
-        )
+        counts = [problem.prior.mean.size, *(int(base.terms[place].free.sum()) for place in chosen)]
         columns = problem.columns(base.terms, base.thetas, base.nuisance_thetas, states, wanted)
-        known, *each = np.split(columns, ends[:-1], axis=1)
+        known, *each = np.split(columns, np.cumsum(counts)[:-1], axis=1)
         parts = [known]
         for place, own in zip(chosen, each, strict=True):
             shift = problem.shift(states[-1].reading, problem.predict(base.without(place)))

@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.gap.fit.beam import likeliest_sets
-from mavcompass.gap.fit.candidates import Candidate, Candidates, misfit_of
+from mavcompass.gap.fit.candidates import Candidate, Candidates
 from mavcompass.gap.fit.criteria import Criteria
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.fit.polish import polished
 from mavcompass.gap.fit.starts import beside_known_age, facing, in_place_of_each_other, steadied, turn_alone
 from mavcompass.gap.fit.unbent import unbent
-from mavcompass.simulation.effects.effect import MOMENTS, Effect
+from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
@@ -29,8 +30,6 @@ _FAR_LIKELIER, _ALONE = 20.0, 2
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
 _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
 _HOPEFUL = 0.7
-# A start so near, in natural sizes, leads to where a fit is.
-_SAME = 0.1
 # What leaves so many times the noise is not all.
 _UNEXPLAINED = 1.3
 
@@ -362,46 +361,5 @@ class Search:
         return refitted
 
     def polished(self, fit: Fit, moments: bool = False) -> Fit:
-        """Fit to convergence; look again for moments, places and frequencies beside the other effects, or for
-        `moments` only."""
-        if not fit.terms:
-            return fit
-        best = self.problem.refit(fit)
-        for i, term in enumerate(best.terms):
-            if term.effect.starts is None or term.effect.kind == "discrete":
-                continue
-            if moments and MOMENTS.isdisjoint(term.effect.names):
-                continue
-            rest = best.without(i)
-            for start in term.effect.starts(misfit_of(self.problem, self.problem.signals(rest))):
-                if (np.abs(start - best.thetas[i]) <= _SAME * term.effect.scale).all():
-                    continue
-                terms = (*rest.terms, term)
-                trial = self.problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas, _SHORT)
-                if self.criteria.score(trial) < self.criteria.score(best) - 1e-6:
-                    best = _in_order(self.problem.refit(trial), best)
-        return self._settled(best)
-
-    def _settled(self, fit: Fit) -> Fit:
-        """Take back moments of change that the data do not need: they were sought at many places."""
-        for i, term in enumerate(fit.terms):
-            for j, parameter in enumerate(term.effect.parameters):
-                if not parameter.optional:
-                    continue
-                if not parameter.low < fit.thetas[i][j] < parameter.high:
-                    continue
-                never = fit.thetas[i].copy()
-                never[j] = term.effect.neutral()[j]
-                thetas = (*fit.thetas[:i], never, *fit.thetas[i + 1 :])
-                always = self.problem.fit(fit.terms, thetas, fit.nuisance_thetas)
-                if not self.criteria.grows(always, fit):
-                    fit = always
-        return fit
-
-
-def _in_order(fit: Fit, like: Fit) -> Fit:
-    """Put the terms of a fit in the order of another fit of the same set."""
-    place = {t.effect.id: i for i, t in enumerate(fit.terms)}
-    order = [place[t.effect.id] for t in like.terms]
-    terms, thetas = tuple(fit.terms[i] for i in order), tuple(fit.thetas[i] for i in order)
-    return replace(fit, terms=terms, thetas=thetas)
+        """Fit to convergence, and look again for where the effects begin, or for `moments` only."""
+        return polished(self.problem, self.criteria, fit, moments)

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, rotate_back
-from mavcompass.gap.attitude import UNKNOWN_YAW_RAD, about_down, exponentials
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
+from mavcompass.gap.attitude import UNKNOWN_YAW_RAD, exponentials
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S, late_field
 from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Signals, Stage
 
@@ -102,7 +102,7 @@ def turned(signals: Signals, vectors_rad: FloatArray, yaw_rad: float = 0.0) -> S
     s = signals.stimulus
     rotation = exponentials(vectors_rad) @ s.rotation
     if yaw_rad != 0.0:
-        rotation = about_down(yaw_rad) @ rotation
+        rotation = euler_to_matrix(0.0, 0.0, yaw_rad) @ rotation
     change = rotate_back(rotation, s.field_ned_mgauss) - rotate_back(s.rotation, s.field_ned_mgauss)
     moved = Signals(replace(s, rotation=rotation), signals.reading)
     return moved.with_mag(signals.reading.mag_mgauss + change)

@@ -12,17 +12,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude import Reference, about_down, cross_matrices
+from mavcompass.frames import FloatArray, euler_to_matrix
+from mavcompass.gap.attitude import Reference, cross_matrices
 from mavcompass.gap.fit.composition.lateness import (
     TURNING,
+    Late,
     Order,
-    followed_by,
-    is_apart,
     late_members,
     lateness,
     made_late,
-    make_late,
     together,
 )
 from mavcompass.gap.replay import REFERENCE_YAW, WHEREABOUTS, Replay, group_values, turned
@@ -95,15 +93,13 @@ class Derivatives:
         changes = {g: np.concatenate([part[g] for part in self._parts], axis=2) for g in self._after.groups}
         late = self._late
         if late and min(self._then) <= late.start:
-            before = self._states[late.start]
-            follows = followed_by(before)
-            seen = self._after.seen(follows)
-            if is_apart(seen, follows):
-                # What is interpolated, curves are too.
+            by_s = lateness([self._order[i] for i in late], self._thetas)
+            made = Late(self._states[late.start], by_s, self._after.seen)
+            if self._turns is not None and made.interpolates:
+                # Then curves are interpolated, too.
                 changes = self._with_curves(changes)
             early = [s if n <= late.start else None for s, n in zip(self._stages, self._then, strict=True)]
-            by_s = lateness([self._order[i] for i in late], self._thetas)
-            make_late(changes["mag"], early, by_s, before, seen, follows)
+            made.make(changes["mag"], early)
         if late.stop < len(self._order):
             mag, behind = changes["mag"], np.array(self._then) <= late.stop
             mag[:, :, behind] = self._behind.through(0, mag[:, :, behind])
@@ -167,7 +163,7 @@ def _turns(reference: Reference, yaw_rad: float) -> FloatArray:
     """
     curves = reference.curves_rad
     beside = np.broadcast_to(reference.with_yaw, (len(curves), 3))[:, :, None]
-    turns = about_down(yaw_rad) @ np.concatenate([beside, curves], axis=2)
+    turns = euler_to_matrix(0.0, 0.0, yaw_rad) @ np.concatenate([beside, curves], axis=2)
     turns[:, 2, 0] += 1.0
     return turns
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -58,63 +59,67 @@ def made_late(before: Signals, members: Order, everything: Sequence[FloatArray])
     return before.with_mag(late_field(before, wanted_s, time_constant_s=time_constant_s))
 
 
-def followed_by(before: Signals) -> FloatArray:
-    """Return by which matrix (3, 3) readings follow the world's field in body axes, beside an offset."""
-    s = before.stimulus
-    world = rotate_back(s.rotation, s.field_ned_mgauss)
-    return np.eye(3) + followed(world, before.reading.mag_mgauss - world).T
+class Late:
+    """Make changes of a reading late as readings are: by a delay, and smoothed by a time constant."""
 
+    def __init__(
+        self, before: Signals, by_s: tuple[float, float], seen_as: Callable[[FloatArray], FloatArray]
+    ) -> None:
+        """Take the signals `before`, and how the compass sees small changes of the world's field.
 
-def is_apart(seen: FloatArray, follows: FloatArray) -> bool:
-    """Tell whether the compass sees a change of the field otherwise than its reading follows the field."""
-    return bool(np.abs(seen - follows).max() > _APART)
+        `seen_as` tells the matrix of all (3, 3), or of each row (N, 3, 3), where one is roughly known.
+        """
+        assert isinstance(before.stimulus, RecordedStimulus)
+        self._stimulus, self._reading, self._seen_as = before.stimulus, before.reading, seen_as
+        delay_s, self._time_constant_s = by_s
+        self._wanted_s = before.stimulus.time_s - delay_s
+        self._world = rotate_back(before.stimulus.rotation, before.stimulus.field_ned_mgauss)
 
+    @cached_property
+    def _follows(self) -> FloatArray:
+        """Return by which matrix (3, 3) readings follow the world's field in body axes, beside an offset."""
+        return np.eye(3) + followed(self._world, self._reading.mag_mgauss - self._world).T
 
-def make_late(
-    mag_mgauss: FloatArray,
-    stages: Sequence[Stage | None],
-    by_s: tuple[float, float],
-    before: Signals,
-    seen: FloatArray,
-    follows: FloatArray,
-) -> None:
-    """Delay and smooth changes (N, 3, k) of the reading `before`, in place, by a delay and a time constant.
+    @cached_property
+    def _seen(self) -> FloatArray:
+        return self._seen_as(self._follows)
 
-    Those of the stages of attitude and world's field turn with the vehicle, as they are `seen` by the
-    compass: by a matrix of each row (N, 3, 3) or of all (3, 3), which the reading roughly `follows`. Those
-    without a stage stay.
-    """
-    s = before.stimulus
-    assert isinstance(s, RecordedStimulus)
-    delay_s, time_constant_s = by_s
-    wanted_s = s.time_s - delay_s
-    back = turned_since(s.turning, wanted_s, time_constant_s).transpose(0, 2, 1)
-    world = rotate_back(s.rotation, s.field_ned_mgauss)
-    if turning := [i for i, stage in enumerate(stages) if stage in TURNING]:
-        stacked = np.linalg.inv(seen) @ mag_mgauss[:, :, turning]
-        apart = (seen - follows) @ stacked if is_apart(seen, follows) else None
-        if moving := [n for n, i in enumerate(turning) if stages[i] is Stage.WORLD]:
-            # What differs from place to place changes as the vehicle moves, besides.
-            placed = s.rotation @ stacked[:, :, moving]
-            placed = _late_columns(s.time_s, placed, wanted_s, time_constant_s)
-            stacked[:, :, moving] = s.rotation.transpose(0, 2, 1) @ placed
-        stacked = back @ stacked
-        # What does not follow the world's field by one matrix does not turn with it, but is interpolated.
-        if apart is None:
-            stacked = seen @ stacked
-        else:
-            stacked = follows @ stacked + _late_columns(s.time_s, apart, wanted_s, time_constant_s)
-        mag_mgauss[:, :, turning] = stacked
-    if rest := [i for i, stage in enumerate(stages) if stage is not None and stage not in TURNING]:
-        flat = mag_mgauss[:, :, rest].reshape(len(world), -1)
-        late_ned = late(s.time_s, s.field_ned_mgauss, wanted_s, time_constant_s)
-        then = np.matmul(back, rotate_back(s.rotation, late_ned)[:, :, None])[:, :, 0]
-        flat = late_beside(s.time_s, world, then, flat, wanted_s, time_constant_s)
-        mag_mgauss[:, :, rest] = flat.reshape(len(world), 3, -1)
+    @cached_property
+    def interpolates(self) -> bool:
+        """Tell whether the compass sees a change of the field otherwise than its reading follows the field:
+        that part does not turn with it, but is interpolated."""
+        return bool(np.abs(self._seen - self._follows).max() > _APART)
 
+    def make(self, mag_mgauss: FloatArray, stages: Sequence[Stage | None]) -> None:
+        """Delay and smooth changes (N, 3, k) in place, by the stages that they are of.
 
-def _late_columns(
-    time_s: FloatArray, columns: FloatArray, wanted_s: FloatArray, time_constant_s: float
-) -> FloatArray:
-    """Return columns (N, 3, k) at other times, and smoothed."""
-    return late(time_s, columns.reshape(len(columns), -1), wanted_s, time_constant_s).reshape(columns.shape)
+        Those of attitude and world's field turn with the vehicle, as the compass sees them. Those without a
+        stage stay.
+        """
+        s, world, wanted_s = self._stimulus, self._world, self._wanted_s
+        back = turned_since(s.turning, wanted_s, self._time_constant_s).transpose(0, 2, 1)
+        if turning := [i for i, stage in enumerate(stages) if stage in TURNING]:
+            stacked = np.linalg.inv(self._seen) @ mag_mgauss[:, :, turning]
+            apart = (self._seen - self._follows) @ stacked if self.interpolates else None
+            if moving := [n for n, i in enumerate(turning) if stages[i] is Stage.WORLD]:
+                # What differs from place to place changes as the vehicle moves, besides.
+                placed = self._columns(s.rotation @ stacked[:, :, moving])
+                stacked[:, :, moving] = s.rotation.transpose(0, 2, 1) @ placed
+            stacked = back @ stacked
+            if apart is None:
+                stacked = self._seen @ stacked
+            else:
+                stacked = self._follows @ stacked + self._columns(apart)
+            mag_mgauss[:, :, turning] = stacked
+        if rest := [i for i, stage in enumerate(stages) if stage is not None and stage not in TURNING]:
+            flat = mag_mgauss[:, :, rest].reshape(len(world), -1)
+            late_ned = late(s.time_s, s.field_ned_mgauss, wanted_s, self._time_constant_s)
+            then = np.matmul(back, rotate_back(s.rotation, late_ned)[:, :, None])[:, :, 0]
+            flat = late_beside(s.time_s, world, then, flat, wanted_s, self._time_constant_s)
+            mag_mgauss[:, :, rest] = flat.reshape(len(world), 3, -1)
+
+    def _columns(self, columns: FloatArray) -> FloatArray:
+        """Return columns (N, 3, k) at the other times, and smoothed."""
+        flat = columns.reshape(len(columns), -1)
+        made = late(self._stimulus.time_s, flat, self._wanted_s, self._time_constant_s)
+        return made.reshape(columns.shape)
