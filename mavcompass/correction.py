@@ -131,6 +131,16 @@ class FieldCorrection:
             motor_source=sources.pop() if sources else "none",
         )
 
+    def turned(self, rotation: FloatArray) -> FieldCorrection:
+        """Return this correction for raw readings, and a field, that are turned by a rotation (3, 3)."""
+        return FieldCorrection.from_matrix(
+            rotation @ np.asarray(self.offsets_mgauss),
+            rotation @ self.matrix @ rotation.T,
+            self.scale,
+            rotation @ np.asarray(self.motor_mgauss),
+            self.motor_source,
+        )
+
     def with_motor_of(self, other: FieldCorrection) -> FieldCorrection:
         """Carry the motor term of another correction of the same compass into this matrix."""
         at_the_sensor = np.linalg.solve(other.matrix, np.asarray(other.motor_mgauss))

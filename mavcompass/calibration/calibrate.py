@@ -14,12 +14,7 @@ from mavcompass.calibration.methods.running import Learnt, learn
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits
-from mavcompass.compass_parameters import (
-    ardupilot_naming,
-    ardupilot_values,
-    px4_rotation,
-    px4_values,
-)
+from mavcompass.compass_parameters import values
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, PoorCalibration
 from mavcompass.frames import circular_mean
@@ -169,12 +164,8 @@ def _held_against(
 
 def with_parameters(result: CalibrationResult, track: Track) -> CalibrationResult:
     """Spell a result's correction in the parameters of the recording's autopilot."""
-    if track.autopilot == "px4":
-        rotation = px4_rotation(track.parameters, result.instance)
-        values = px4_values(result.correction, result.instance, rotation)
-    else:
-        values = ardupilot_values(result.correction, result.instance, ardupilot_naming(track.parameters))
-    return replace(result, parameters=values)
+    spelled = values(track.autopilot, track.parameters, result.instance, result.correction)
+    return replace(result, parameters=spelled)
 
 
 def _check_compass(track: Track, instance: int) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.errors import Refused
 from mavcompass.frames import FloatArray
 from mavcompass.procedure.script import Context, Script
 from mavcompass.track_builder import TrackBuilder
@@ -61,6 +61,8 @@ class WriteOutcome:
     again_command: str = ""
 
 
+NOT_TURNED: Mapping[int, FloatArray] = MappingProxyType({})
+
 # Puts an undo record on disk before the first write and returns its path; injected, as procedures
 # do not touch files.
 SaveUndo = Callable[[ParameterPlan, Mapping[str, float]], Path]
@@ -103,9 +105,17 @@ class Dialect(Protocol):
         ...
 
     def plan(
-        self, parameters: Mapping[str, float], corrections: Mapping[int, FieldCorrection]
+        self,
+        parameters: Mapping[str, float],
+        corrections: Mapping[int, FieldCorrection],
+        turned: Mapping[int, FloatArray] = NOT_TURNED,
     ) -> ParameterPlan:
-        """Plan the write of new corrections over the parameters in force."""
+        """Plan the write of new corrections over the parameters in force, and of new mountings.
+
+        `turned` has, by instance, the rotation (3, 3) that must come after the sensor-to-body rotation in
+        force; such a compass's correction is for raw readings in the new body axes. A mounting that the
+        autopilot cannot hold is a refusal, in words.
+        """
         ...
 
     def write(self, context: Context, plan: ParameterPlan, save_undo: SaveUndo) -> Script[WriteOutcome]:
@@ -135,10 +145,7 @@ class Dialect(Protocol):
 def describe_compasses(builder: TrackBuilder, dialect: Dialect, parameters: Mapping[str, float]) -> None:
     """Tell a recording what telemetry has done to each compass's readings: corrected, or raw and turned."""
     for instance in dialect.instances(parameters):
-        try:
-            in_force = dialect.correction(parameters, instance)
-        except Refused:
-            continue  # mounted as nobody can tell; who wants that compass is told so
+        in_force = dialect.correction(parameters, instance)
         rotation = dialect.raw_rotation(parameters, instance)
         if rotation is None:
             builder.set_correction(instance, in_force)

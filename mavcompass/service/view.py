@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
-from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, px4_name, px4_rotation
+from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, px4_name, px4_sensor_to_body
 from mavcompass.earth_field import EarthField
 from mavcompass.heading.live import UNKNOWN_CALIBRATION_SIGMA_RAD, Heading, Level, LiveCompass
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
@@ -137,7 +137,7 @@ class VehicleView:
     def _tell_correction(self, compass: LiveCompass) -> None:
         if self.identity.autopilot == "px4" and self.parameters:
             correction = make_dialect("px4").correction(self.parameters, compass.instance)
-            compass.set_uncorrected(correction, px4_rotation(self.parameters, compass.instance))
+            compass.set_uncorrected(correction, px4_sensor_to_body(self.parameters, compass.instance))
 
     def instances(self) -> tuple[int, ...]:
         """List the compasses that the vehicle has: by its parameters, else those heard."""

@@ -117,7 +117,7 @@ def compass_part(wanted: Mapping[str, float], held: HeldParameters, origin: str)
     own = {name: value for name, value in wanted.items() if name.startswith(prefix)}
     if not own:
         raise UsageError(
-            f"{origin} holds no compass parameter ({prefix}...) of this vehicle's autopilot.",
+            f"{origin} holds no compass parameter ({prefix[0]}...) of this vehicle's autopilot.",
             "Check that file and vehicle belong together.",
         )
     for name, value in own.items():

@@ -13,7 +13,7 @@ from mavcompass.compass_parameters import (
     ardupilot_name,
     ardupilot_values,
     px4_correction,
-    px4_rotation,
+    px4_sensor_to_body,
     px4_values,
 )
 from mavcompass.correction import IDENTITY, FieldCorrection
@@ -104,14 +104,15 @@ def test_px4_parameters_hold_a_correction_in_the_sensors_axes(
     correction: FieldCorrection, orientation: int
 ) -> None:
     parameters = {"CAL_MAG0_ROT": float(orientation)}
-    values = px4_values(correction, 1, px4_rotation(parameters, 1))
+    values = px4_values(correction, 1, px4_sensor_to_body(parameters, 1))
     back = px4_correction(parameters | values, 1)
     assert back.apply(RAW) == pytest.approx(correction.apply(RAW), abs=1e-6)
 
 
 def test_px4_subtracts_gauss_before_the_rotation() -> None:
     parameters = {"CAL_MAG0_ROT": 2.0, "CAL_MAG0_XOFF": 0.1}  # yaw 90: sensor x is body y
-    field = px4_correction(parameters, 1).apply(px4_rotation(parameters, 1) @ np.array([300.0, 0.0, 0.0]))
+    raw_mgauss = px4_sensor_to_body(parameters, 1) @ [300.0, 0.0, 0.0]
+    field = px4_correction(parameters, 1).apply(raw_mgauss)
     assert field == pytest.approx([0.0, 200.0, 0.0], abs=1e-9)
 
 

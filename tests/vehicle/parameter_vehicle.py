@@ -46,7 +46,9 @@ def ardupilot_parameters(**changes: float) -> dict[str, float]:
         "COMPASS_PRIO1_ID": 97539.0,
         "COMPASS_PRIO2_ID": 131874.0,
         "COMPASS_PRIO3_ID": 0.0,
+        "CUST_ROT_ENABLE": 0.0,
     }
+    values |= {f"CUST_ROT{n}_{angle}": 0.0 for n in (1, 2) for angle in ("ROLL", "PITCH", "YAW")}
     for number, device in (("", 97539.0), ("2", 131874.0), ("3", 0.0)):
         for axis, offset in zip("XYZ", (5.0, 13.0, -18.0), strict=True):
             values[f"COMPASS_OFS{number}_{axis}"] = offset
@@ -73,6 +75,7 @@ def px4_parameters(**changes: float) -> dict[str, float]:
             values[f"CAL_MAG{n}_{axis}SCALE"] = 1.0
             values[f"CAL_MAG{n}_{axis}ODIAG"] = 0.0
             values[f"CAL_MAG{n}_{axis}COMP"] = 0.0
+        values |= {f"CAL_MAG{n}_{angle}": 0.0 for angle in ("ROLL", "PITCH", "YAW")}
     return values | changes
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mavcompass.compass_parameters import (
+    PX4_BOARD,
     ardupilot_correction,
     ardupilot_correction_names,
     ardupilot_naming,
@@ -76,17 +77,12 @@ def ardupilot_steps(history: Sequence[Change], instance: int) -> tuple[tuple[InF
 
 
 def px4_steps(history: Sequence[Change], instance: int) -> tuple[tuple[InForce, ...], bool]:
-    """Return PX4's corrections of one compass over time, and whether its offsets are known.
-
-    They are not where CAL_MAGn_ROT is no rotation of the table: then the offsets' axes are not known.
-    """
+    """Return PX4's corrections of one compass over time, and whether its offsets are known."""
     prefix = px4_name("", instance)
-    names = {change.name for change in history if change.name.startswith(prefix)} | {"CAL_MAG_COMP_TYP"}
-    known = all(px4_name(f"{axis}OFF", instance) in names for axis in "XYZ")
-    try:
-        return _steps(history, names, lambda values: px4_correction(values, instance)), known
-    except KeyError:
-        return (InForce(-math.inf, IDENTITY),), False
+    own = {change.name for change in history if change.name.startswith(prefix)}
+    known = all(px4_name(f"{axis}OFF", instance) in own for axis in "XYZ")
+    names = own | {"CAL_MAG_COMP_TYP", *PX4_BOARD}
+    return _steps(history, names, lambda values: px4_correction(values, instance)), known
 
 
 def _steps(

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavcompass.compass_parameters import ardupilot_correction, ardupilot_name
+from mavcompass.compass_parameters import (
+    ardupilot_correction,
+    ardupilot_is_external,
+    ardupilot_name,
+    ardupilot_orientations,
+    ardupilot_sensor_to_body,
+)
 from mavcompass.correction import FieldCorrection, Vector
-from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, sensor_orientation_matrix
 from mavcompass.simulation.autopilot import Board, Compasses, ParameterStore
 
 INSTANCES = (1, 2, 3)
-_ROTATION_NONE = 0
+_FREE_ANGLES = tuple(f"CUST_ROT{n}_{angle}" for n in (1, 2) for angle in ("ROLL", "PITCH", "YAW"))
 
 
 class CompassBank(Compasses):
-    """Hold ArduPilot's three compasses."""
+    """Hold ArduPilot's three compasses, mounted as the parameters that the vehicle was made with say."""
 
     def __init__(self, board: Board, store: ParameterStore) -> None:
         super().__init__(board, store, len(INSTANCES))
@@ -25,7 +30,9 @@ class CompassBank(Compasses):
         self._matrices: list[tuple[float, ...]] = []
         self._rotations: list[tuple[float, ...] | None] = []
         self._motor_source = "none"
-        self.parameters_changed()
+        self._mountings = [ardupilot_sensor_to_body(store.delivered, i) for i in INSTANCES]
+        self._free_angles: dict[str, float] = {}
+        self._at_start()
 
     def boot(self) -> None:
         """Order the compasses by priority and choose the one that steers: the first in use."""
@@ -36,6 +43,11 @@ class CompassBank(Compasses):
         in_use = [i for i in self.order if self.in_use(i)]
         self.steering = in_use[0] if in_use else None
         self.bad_rotation = False
+        self._at_start()
+
+    def _at_start(self) -> None:
+        """Take all parameters over, the free angles, which wait for a start, too."""
+        self._free_angles = {name: self._store[name] for name in _FREE_ANGLES}
         self.parameters_changed()
 
     def in_use(self, instance: int) -> bool:
@@ -113,14 +125,12 @@ class CompassBank(Compasses):
         )
 
     def _rotation(self, instance: int) -> tuple[float, ...] | None:
-        """Return the rotation that COMPASS_ORIENT sets; only an external compass has one."""
-        external = self._store.get(ardupilot_name("EXTERNAL", instance))
-        orientation = int(self._store.get(ardupilot_name("ORIENT", instance)))
-        if not external or orientation == _ROTATION_NONE:
-            return None
-        if orientation not in SENSOR_ORIENTATIONS_DEG:
+        """Return how the parameters turn what a sensor as it is mounted reads; None: not at all."""
+        values = {**self._store.values, **self._free_angles}
+        orient = ardupilot_name("ORIENT", instance)
+        if ardupilot_is_external(values, instance) and values[orient] not in ardupilot_orientations(values):
             if not self.bad_rotation:
                 self._board.say("Internal errors 0x400000 l:0 bad_rotation")
             self.bad_rotation = True
-            return None
-        return tuple(sensor_orientation_matrix(orientation).ravel().tolist())
+        turned = ardupilot_sensor_to_body(values, instance) @ self._mountings[instance - 1].T
+        return None if np.allclose(turned, np.eye(3)) else tuple(turned.ravel().tolist())

@@ -58,7 +58,10 @@ def as_float32(value: float) -> float:
 
 
 class ParameterStore:
-    """Hold the values; what is written goes into `storage`, which outlives a reboot or the object."""
+    """Hold the values; what is written goes into `storage`, which outlives a reboot or the object.
+
+    `delivered` are those that the vehicle was made with: its compasses are mounted as they say.
+    """
 
     def __init__(
         self,
@@ -69,6 +72,7 @@ class ParameterStore:
         self._table = dict(table)
         self.storage: MutableMapping[str, float] = {} if storage is None else storage
         self._values = {n: as_float32(defaults.get(n, p.default)) for n, p in self._table.items()}
+        self.delivered: Mapping[str, float] = dict(self._values)
         for name, value in self.storage.items():
             if name in self._values:
                 self._values[name] = as_float32(value)

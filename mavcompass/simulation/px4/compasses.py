@@ -8,9 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.compass_parameters import px4_correction, px4_name, px4_values
+from mavcompass.compass_parameters import (
+    PX4_ANGLES,
+    PX4_CUSTOM,
+    px4_name,
+    px4_sensor_correction,
+    px4_sensor_to_body,
+    px4_values,
+)
 from mavcompass.correction import FieldCorrection, Vector
-from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, sensor_orientation_matrix
 from mavcompass.simulation.autopilot import Board, Compasses, ParameterStore, Status
 
 INSTANCES = (1, 2)
@@ -23,17 +29,17 @@ _LEARNT = 0.6
 class Px4Compasses(Compasses):
     """Hold raw readings in the sensors' axes, and the corrected field in the body's.
 
+    The sensors are mounted as the parameters that the vehicle was made with say.
     Parameters are loaded while it is disarmed only; on disarming, what the estimator has learnt of the
     steering compass's offset is stored, with the rest of the calibration that it flew with.
     """
 
-    def __init__(self, board: Board, store: ParameterStore, status: Status, mounting: int) -> None:
-        """Mount the first compass with a MAV_SENSOR_ORIENTATION, the second without."""
+    def __init__(self, board: Board, store: ParameterStore, status: Status) -> None:
         super().__init__(board, store, len(INSTANCES))
         self._status = status
-        self._mounting = [sensor_orientation_matrix(o) for o in (mounting, 0)]
-        self._corrections = [self._wanted(i) for i in INSTANCES]
-        self._rotations = [self._rotation(i) for i in INSTANCES]
+        self._mountings = [px4_sensor_to_body(store.delivered, i) for i in INSTANCES]
+        self._corrections = [self._wanted(i) for i in INSTANCES]  # in the sensors' axes
+        self._take_mountings()
         self.raw_sensor_mgauss: list[Vector] = [(0.0, 0.0, 0.0)] * len(INSTANCES)
         self.steering = INSTANCES[0]
 
@@ -51,17 +57,19 @@ class Px4Compasses(Compasses):
 
     def correction(self, instance: int) -> FieldCorrection:
         """Return the correction in force, in body axes; none beyond the compasses it has."""
-        return self._corrections[instance - 1] if instance in INSTANCES else FieldCorrection()
+        if instance not in INSTANCES:
+            return FieldCorrection()
+        return self._corrections[instance - 1].turned(self._rotations[instance - 1])
 
     def held(self, instance: int) -> FieldCorrection:
         """Return the correction that the parameters hold, loaded or not."""
-        return self._wanted(instance)
+        return self._wanted(instance).turned(px4_sensor_to_body(self._store.values, instance))
 
     def parameters_changed(self) -> None:
         """Load the parameters, except what hardly changed; a loaded calibration resets the heading."""
         if self._status.armed:
             return
-        self._rotations = [self._rotation(i) for i in INSTANCES]
+        self._take_mountings()
         for place, instance in enumerate(INSTANCES):
             new = _where_changed(self._corrections[place], self._wanted(instance))
             if new != self._corrections[place]:
@@ -74,14 +82,16 @@ class Px4Compasses(Compasses):
         if self.steering is None:
             return
         place = self.steering - 1
-        flown, cure = self._corrections[place], self._board.sensors.compasses[place].model.iron
+        flown, cure = self.correction(self.steering), self._board.sensors.compasses[place].model.iron
         bias = np.subtract(cure.offsets_mgauss, flown.offsets_mgauss) * (_LEARNT, _LEARNT, 0.0)
         if math.hypot(*bias) <= _SMALLEST_CHANGE_MGAUSS:
             return
         x, y, z = np.add(flown.offsets_mgauss, bias).tolist()
-        self._corrections[place] = learnt = replace(flown, offsets_mgauss=(x, y, z))
-        for name, value in px4_values(learnt, self.steering, self._rotations[place]).items():
+        learnt = replace(flown, offsets_mgauss=(x, y, z))
+        stored = px4_values(learnt, self.steering, self._rotations[place]) | self._flown_mountings[place]
+        for name, value in stored.items():
             self._store.set(name, value)
+        self._corrections[place] = self._wanted(self.steering)
         self._reset_heading()
 
     def _reset_heading(self) -> None:
@@ -96,37 +106,40 @@ class Px4Compasses(Compasses):
             if self._repeats(instance):
                 continue
             raw = self._stuck(instance) or self._board.sensors.compasses[place].raw_mgauss
-            x, y, z = (self._mounting[place].T @ np.array(raw)).tolist()
+            x, y, z = (self._mountings[place].T @ np.array(raw)).tolist()
             self.raw_sensor_mgauss[place] = (x, y, z)
-            # The parameters may say another rotation than the mounting: they are what is believed.
-            turned = self._rotations[place] @ np.array([x, y, z])
             correction = self._corrections[place]
             load = around.current_a if correction.motor_source == "current" else around.throttle
-            x, y, z = correction.apply(turned, load if any(correction.motor_mgauss) else None).tolist()
+            field = correction.apply([x, y, z], load if any(correction.motor_mgauss) else None)
+            # The parameters may say another rotation than the mounting: they are what is believed.
+            x, y, z = (self._rotations[place] @ field).tolist()
             self.fields[place] = (x, y, z)
 
     def expected_raw(self, instance: int, field: Sequence[float]) -> list[float]:
         """Return what a sensor without offset would read of a body field: S^-1 R^T field."""
-        rotation = self._rotations[instance - 1]
-        matrix = rotation.T @ self._corrections[instance - 1].matrix @ rotation
+        matrix = self._corrections[instance - 1].matrix
         inverse = np.linalg.inv(matrix) if np.linalg.det(matrix) else np.eye(3)
-        found: list[float] = (inverse @ rotation.T @ np.asarray(field)).tolist()
+        found: list[float] = (inverse @ self._rotations[instance - 1].T @ np.asarray(field)).tolist()
         return found
 
     def _wanted(self, instance: int) -> FieldCorrection:
         """Return what the parameters say; with another sensor's id they are not for this one."""
         name = px4_name("ID", instance)
-        if self._store[name] != self._store.factory_value(name) or self._orientation(instance) is None:
+        if self._store[name] != self._store.factory_value(name):
             return FieldCorrection()
-        return px4_correction(self._store.values, instance)
+        return px4_sensor_correction(self._store.values, instance)
 
-    def _orientation(self, instance: int) -> int | None:
-        """Return the number that CAL_MAGn_ROT holds, None for one that is not simulated."""
-        orientation = max(int(self._store[px4_name("ROT", instance)]), 0)
-        return orientation if orientation in SENSOR_ORIENTATIONS_DEG else None
-
-    def _rotation(self, instance: int) -> FloatArray:
-        return sensor_orientation_matrix(self._orientation(instance) or 0)
+    def _take_mountings(self) -> None:
+        """Take the mountings over; angles that are not zero make ROT 100."""
+        store, quantities = self._store, ("ROT", *PX4_ANGLES)
+        for instance in INSTANCES:
+            angles = (store[px4_name(angle, instance)] for angle in PX4_ANGLES)
+            if store[px4_name("ROT", instance)] >= 0.0 and any(angles):
+                store.set(px4_name("ROT", instance), float(PX4_CUSTOM))
+        self._rotations = [px4_sensor_to_body(store.values, i) for i in INSTANCES]
+        self._flown_mountings = [
+            {px4_name(q, i): store[px4_name(q, i)] for q in quantities} for i in INSTANCES
+        ]
 
 
 def _where_changed(old: FieldCorrection, new: FieldCorrection) -> FieldCorrection:

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, MutableMapping
 
 from mavcompass import messages as m
-from mavcompass.compass_parameters import px4_name, px4_values
+from mavcompass.compass_parameters import px4_name, px4_sensor_to_body, px4_values
 from mavcompass.enums import MavSeverity
-from mavcompass.frames import sensor_orientation_matrix
 from mavcompass.simulation.autopilot import (
     PX4_MANNERS,
     Board,
@@ -46,13 +45,13 @@ class Px4(Firmware):
     def __init__(
         self, board: Board, parameters: Mapping[str, float], storage: MutableMapping[str, float] | None
     ) -> None:
-        mounting = int(generator(board.seed, "mounting").choice(_MOUNTINGS))
-        defaults = _defaults(board, mounting) | dict(parameters)
         self.board = board
-        self.store = store = ParameterStore(parameter_table("px4.param"), defaults, storage)
+        self.store = store = ParameterStore(
+            parameter_table("px4.param"), _defaults(board, parameters), storage
+        )
         self.parameters = served = ParameterServer(board, store, PX4_MANNERS)
         self.status = status = Status("POSCTL")
-        self.compasses = compasses = Px4Compasses(board, store, status, mounting)
+        self.compasses = compasses = Px4Compasses(board, store, status)
         self.radio = radio = Radio(throttle_low=False)
         hover, setpoints = HoverGuidance(board), Setpoints(board)
         self.modes = modes = Modes(board, status, hover, setpoints)
@@ -103,9 +102,10 @@ class Px4(Firmware):
             self.board.say("Failsafe activated: Autopilot switching to Land", MavSeverity.CRITICAL)
 
 
-def _defaults(board: Board, mounting: int) -> dict[str, float]:
-    values = {"MAV_SYS_ID": float(board.system), px4_name("ROT", INSTANCES[0]): float(mounting)}
+def _defaults(board: Board, parameters: Mapping[str, float]) -> dict[str, float]:
+    mounting = float(generator(board.seed, "mounting").choice(_MOUNTINGS))
+    values = {"MAV_SYS_ID": float(board.system), px4_name("ROT", INSTANCES[0]): mounting, **parameters}
     for instance in INSTANCES:
-        turned = sensor_orientation_matrix(mounting if instance == INSTANCES[0] else 0)
-        values |= px4_values(board.compass_setups[instance - 1].in_force, instance, turned)
+        in_force, mounted = board.compass_setups[instance - 1].in_force, px4_sensor_to_body(values, instance)
+        values = px4_values(in_force, instance, mounted) | values
     return values

@@ -7,6 +7,7 @@ from typing import Literal
 
 from mavcompass.compass_parameters import (
     ArduPilotNaming,
+    ardupilot_angle_names,
     ardupilot_correction,
     ardupilot_correction_names,
     ardupilot_name,
@@ -29,7 +30,7 @@ class ArduPilotDialect(CompassDialect):
     """Speak ArduPilot's compass parameters."""
 
     autopilot: Literal["ardupilot"] = "ardupilot"
-    prefix = "COMPASS"
+    prefix = ("COMPASS", "CUST_ROT")
     encoding: Encoding = "cast"
     commit = staticmethod(commit_device_ids)
     planner_kind = ArduPilotPlanner
@@ -46,7 +47,9 @@ class ArduPilotDialect(CompassDialect):
         names = [*self.rules.general, *self.rules.vehicle]
         for instance in COMPASSES:
             names += self.instance_names(instance, naming)
-        return (yield from self.read_typed(context, names))
+        held = yield from self.read_typed(context, names)
+        angles = ardupilot_angle_names({name: p.value for name, p in held.items()})
+        return held | (yield from self.read_typed(context, angles))
 
     def instance_names(self, instance: int, naming: ArduPilotNaming) -> tuple[str, ...]:
         """List all parameters of one compass."""

@@ -7,11 +7,15 @@ from collections.abc import Iterable, Mapping
 
 from mavcompass.compass_parameters import (
     ardupilot_correction,
+    ardupilot_is_external,
     ardupilot_name,
     ardupilot_naming,
-    ardupilot_values,
+    ardupilot_orientations,
+    values,
 )
 from mavcompass.correction import FieldCorrection
+from mavcompass.errors import Refused
+from mavcompass.frames import FloatArray
 from mavcompass.units import DEG_PER_RAD
 from mavcompass.vehicle.parameters.planning import Judgement, Planner, Wish
 from mavcompass.vehicle.parameters.rules import check_correction
@@ -47,14 +51,20 @@ class ArduPilotPlanner(Planner):
         """Say that there is no such compass."""
         return f"Compass {instance} is not there: the firmware has detected no such sensor."
 
-    def wish(self, parameters: Mapping[str, float], instance: int, correction: FieldCorrection) -> Wish:
+    def wish(
+        self,
+        parameters: Mapping[str, float],
+        instance: int,
+        correction: FieldCorrection,
+        turned: FloatArray | None,
+    ) -> Wish:
         """Spell a correction as parameters, less what has the same effect already.
 
         An all-zero DIA is no matrix, a SCALE out of its limits is 1; the motor term of a correction that
         has none is left alone.
         """
         if correction.scale == 0.0:  # which as a parameter means: no scale
-            return Wish(refusal=f"Compass {instance}: a scale of zero would leave no field.")
+            raise Refused(f"Compass {instance}: a scale of zero would leave no field.")
         naming = ardupilot_naming(parameters)
         in_force = ardupilot_correction(parameters, instance)
         scale_name = ardupilot_name("SCALE", instance, naming)
@@ -65,7 +75,7 @@ class ArduPilotPlanner(Planner):
                 motor_mgauss=correction.motor_mgauss,
                 motor_source=correction.motor_source,
             )
-        wanted = ardupilot_values(correction, instance, naming)
+        wanted = values("ardupilot", parameters, instance, correction, turned)
         zero = all(same_value(value, 0.0) for value in correction.offsets_mgauss)
         if zero and self.rules.offset_instead_of_zero_mgauss:
             wanted[ardupilot_name("OFS_X", instance, naming)] = self.rules.offset_instead_of_zero_mgauss
@@ -94,6 +104,8 @@ class ArduPilotPlanner(Planner):
             )
         if not any(after.get(ardupilot_name(q, instance, naming), 0.0) for q in _OFFSETS):
             refusals.append(f"{label}: offsets of exactly zero mean 'not calibrated' to the firmware.")
+        more_refusals, more_remarks = _about_mounting(before, after, instance)
+        refusals, remarks = refusals + more_refusals, remarks + more_remarks
         use = ardupilot_name("USE", instance, naming)
         if after.get(use, 1.0) == 0.0:
             remarks.append(f"{label} is not used for the heading ({use} is 0).")
@@ -121,6 +133,23 @@ class ArduPilotPlanner(Planner):
             return any(values.get(ardupilot_name(q, instance, naming), 0.0) for q in _OFFSETS)
 
         return tuple(i for i in judged if not calibrated(before, i) and calibrated(after, i))
+
+
+def _about_mounting(before: Mapping[str, float], after: Mapping[str, float], instance: int) -> Judgement:
+    naming = ardupilot_naming(after)
+    orient = ardupilot_name("ORIENT", instance, naming)
+    if same_value(before.get(orient, 0.0), after.get(orient, 0.0)):
+        return [], []
+    if not ardupilot_is_external(after, instance):
+        return [], [f"{orient} does nothing: compass {instance} is inside the flight controller."]
+    if after[orient] not in ardupilot_orientations(after):
+        return [f"{orient} {after[orient]:g} is no rotation that this firmware knows: it would not arm."], []
+    offsets = [ardupilot_name(q, instance, naming) for q in _OFFSETS]
+    if any(after.get(name) != before.get(name) for name in offsets):
+        return [], []
+    return [], [
+        f"Compass {instance} is turned and keeps its offsets, which are in the vehicle's axes: calibrate it."
+    ]
 
 
 def _motor_clash(before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]) -> list[str]:

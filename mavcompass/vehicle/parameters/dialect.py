@@ -9,7 +9,7 @@ from typing import Literal
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import NoReply
 from mavcompass.frames import FloatArray
-from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
+from mavcompass.procedure.dialect import NOT_TURNED, ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script, nothing
 from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.planning import Planner
@@ -22,14 +22,14 @@ class CompassDialect(ABC):
     """Speak one autopilot's compass parameters; implements `procedure.dialect.Dialect`.
 
     Attributes:
-        autopilot: its name. prefix: what the names of its compass parameters begin with.
+        autopilot: its name. prefix: what the names of its compass parameters begin with, one of them.
         encoding: how it puts integers into PARAM_VALUE. planner_kind: what plans its writes.
         commit: what must be done beside the parameters after they are written.
         loads_disarmed: True where what is written in flight is not in force before it is disarmed.
     """
 
     autopilot: Literal["ardupilot", "px4"]
-    prefix: str
+    prefix: tuple[str, ...]
     encoding: Encoding
     planner_kind: type[Planner]
     commit: Commit | None = None
@@ -83,10 +83,13 @@ class CompassDialect(ABC):
         return {name: parameter.value for name, parameter in held.items()}
 
     def plan(
-        self, parameters: Mapping[str, float], corrections: Mapping[int, FieldCorrection]
+        self,
+        parameters: Mapping[str, float],
+        corrections: Mapping[int, FieldCorrection],
+        turned: Mapping[int, FloatArray] = NOT_TURNED,
     ) -> ParameterPlan:
-        """Plan the write of new corrections over the parameters in force."""
-        return self.planner.plan(parameters, corrections, self.instances(parameters))
+        """Plan the write of new corrections over the parameters in force, and of new mountings."""
+        return self.planner.plan(parameters, corrections, self.instances(parameters), turned)
 
     def plan_values(
         self, parameters: Mapping[str, float], wanted: Mapping[str, float], checked: bool = True

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mavcompass.correction import FieldCorrection
-from mavcompass.procedure.dialect import Change, ParameterPlan
+from mavcompass.errors import Refused
+from mavcompass.frames import FloatArray
+from mavcompass.procedure.dialect import NOT_TURNED, Change, ParameterPlan
 from mavcompass.vehicle.parameters.rules import ParameterRules
 from mavcompass.vehicle.parameters.values import is_single, same_value, tidy
 
@@ -19,10 +21,9 @@ Judgement = tuple[list[str], list[str]]
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """Say what a correction wants of one compass's parameters, or why it cannot have it."""
+    """Say what a correction wants of one compass's parameters."""
 
-    values: Mapping[str, float] = field(default_factory=dict)
-    refusal: str = ""
+    values: Mapping[str, float]
     remarks: tuple[str, ...] = ()
 
 
@@ -48,14 +49,28 @@ class Planner(ABC):
         """Say that there is no such compass."""
 
     @abstractmethod
-    def wish(self, parameters: Mapping[str, float], instance: int, correction: FieldCorrection) -> Wish:
-        """Spell a correction of finite numbers as parameters, less what has the same effect already."""
+    def wish(
+        self,
+        parameters: Mapping[str, float],
+        instance: int,
+        correction: FieldCorrection,
+        turned: FloatArray | None,
+    ) -> Wish:
+        """Spell a correction of finite numbers as parameters, less what has the same effect already.
+
+        `turned` is what must come after the mounting in force, None where that stays. Raises Refused for what
+        no parameters can hold.
+        """
 
     @abstractmethod
     def judge_compass(
         self, before: Mapping[str, float], after: Mapping[str, float], instance: int
     ) -> Judgement:
         """Check what a compass would hold: reasons against it, and what a person should know."""
+
+    def in_order(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
+        """Put changes in the order of writing, which is undone from its end."""
+        return changes
 
     def judge_vehicle(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
@@ -78,8 +93,9 @@ class Planner(ABC):
         parameters: Mapping[str, float],
         corrections: Mapping[int, FieldCorrection],
         present: Iterable[int],
+        turned: Mapping[int, FloatArray] = NOT_TURNED,
     ) -> ParameterPlan:
-        """Plan the write of new corrections, by instance from 1, over the parameters in force.
+        """Plan the write of new corrections and mountings, by instance from 1, over the parameters in force.
 
         What has the same effect as before is left alone.
         """
@@ -93,9 +109,13 @@ class Planner(ABC):
             elif not _finite(correction):
                 unwritable.append(f"Compass {instance}: the correction holds a value that is not a number.")
             else:
-                wish = self.wish(parameters, instance, correction)
+                held = {**parameters, **wanted}  # where another compass has just taken a set of free angles
+                try:
+                    wish = self.wish(held, instance, correction, turned.get(instance))
+                except Refused as refusal:
+                    unwritable.append(str(refusal))
+                    continue
                 wanted |= wish.values
-                unwritable += [wish.refusal] if wish.refusal else []
                 remarks += wish.remarks
         touched = [instance for instance in corrections if instance in present]
         plan = self.plan_values(parameters, wanted, present, touched=touched)
@@ -119,10 +139,12 @@ class Planner(ABC):
         refusals += [
             f"{name} is the firmware's own to keep." for name in wanted if self.rules.is_protected(name)
         ]
-        changes = tuple(
-            Change(name, parameters[name], tidy(value))
-            for name, value in wanted.items()
-            if name in parameters and not same_value(parameters[name], value)
+        changes = self.in_order(
+            tuple(
+                Change(name, parameters[name], tidy(value))
+                for name, value in wanted.items()
+                if name in parameters and not same_value(parameters[name], value)
+            )
         )
         if refusals:
             return ParameterPlan(changes, tuple(refusals))
@@ -141,11 +163,9 @@ class Planner(ABC):
         against, notes = self.judge_vehicle(parameters, after, judged)
         doubts += against
         remarks += notes
-        remarks += [
-            f"{c.name} takes effect after a restart of the autopilot."
-            for c in changes
-            if self.rules.wants_reboot(c.name)
-        ]
+        if late := [c.name for c in changes if self.rules.wants_reboot(c.name)]:
+            takes = "takes" if len(late) == 1 else "take"
+            remarks.append(f"{', '.join(late)} {takes} effect after a restart of the autopilot.")
         if changes and judged:
             remarks += self.closing_remarks(after)
             remarks += [self.unwatched] if self.unwatched and not touched else []

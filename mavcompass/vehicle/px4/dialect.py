@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from mavcompass.compass_parameters import px4_correction, px4_name, px4_rotation
+from mavcompass.compass_parameters import px4_correction, px4_name, px4_sensor_to_body
 from mavcompass.correction import FieldCorrection
-from mavcompass.errors import Refused
 from mavcompass.frames import FloatArray
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters.dialect import CompassDialect, no_answer
@@ -22,7 +21,7 @@ class PX4Dialect(CompassDialect):
     """Speak PX4's compass parameters."""
 
     autopilot: Literal["px4"] = "px4"
-    prefix = "CAL_MAG"
+    prefix = ("CAL_MAG",)
     encoding: Encoding = "bytewise"
     planner_kind = PX4Planner
     loads_disarmed = True
@@ -46,19 +45,12 @@ class PX4Dialect(CompassDialect):
         return tuple(i for i in COMPASSES if parameters.get(px4_name("ID", i), 0.0) != 0.0)
 
     def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
-        """Return the correction in force, in body axes. Raises Refused for a custom mounting angle."""
-        try:
-            return px4_correction(parameters, instance)
-        except KeyError:
-            raise Refused(
-                f"Compass {instance} is mounted at a custom angle, which this program cannot turn its"
-                f" offsets by ({px4_name('ROT', instance)}, or SENS_BOARD_ROT for an internal one).",
-                "Mount it at a multiple of 45 degrees, or calibrate it with PX4's own routine.",
-            ) from None
+        """Return the correction in force, in body axes."""
+        return px4_correction(parameters, instance)
 
     def raw_rotation(self, parameters: Mapping[str, float], instance: int) -> FloatArray | None:
         """Return how the sensor is mounted: SCALED_IMU carries its readings as they are."""
-        return px4_rotation(parameters, instance)
+        return px4_sensor_to_body(parameters, instance)
 
     def load_written(self, context: Context, written: Mapping[str, float]) -> Script[str]:
         """Have PX4 load its calibration, which resets the heading; see `vehicle.px4.loading`."""

@@ -8,8 +8,18 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mavcompass.compass_parameters import px4_correction, px4_name, px4_rotation, px4_values
+from mavcompass.compass_parameters import (
+    PX4_ANGLES,
+    PX4_CUSTOM,
+    PX4_ORIENTATIONS,
+    px4_correction,
+    px4_name,
+    px4_sensor_correction,
+    values,
+)
 from mavcompass.correction import FieldCorrection
+from mavcompass.frames import FloatArray
+from mavcompass.procedure.dialect import Change
 from mavcompass.units import MGAUSS_PER_GAUSS
 from mavcompass.vehicle.parameters.planning import Judgement, Planner, Wish
 from mavcompass.vehicle.parameters.rules import check_correction
@@ -42,33 +52,46 @@ class PX4Planner(Planner):
             " once with PX4's own routine, which stores the id."
         )
 
-    def wish(self, parameters: Mapping[str, float], instance: int, correction: FieldCorrection) -> Wish:
+    def wish(
+        self,
+        parameters: Mapping[str, float],
+        instance: int,
+        correction: FieldCorrection,
+        turned: FloatArray | None,
+    ) -> Wish:
         """Spell a correction as parameters, less what has the same effect already.
 
         PX4 subtracts the motors' field before its matrix, so the motor term in force stays right when the
         matrix changes; a new one is not written.
         """
-        try:
-            rotation, before = px4_rotation(parameters, instance), px4_correction(parameters, instance)
-        except KeyError:
-            return Wish(refusal=_custom_angle(instance))
-        values = {
+        before = px4_correction(parameters, instance)
+        wanted = {
             name: value
-            for name, value in px4_values(correction, instance, rotation).items()
+            for name, value in values("px4", parameters, instance, correction, turned).items()
             if not abs(value - parameters.get(name, math.inf)) < _ROUNDING
         }
-        return Wish(values, remarks=tuple(_about_motor(instance, before, correction)))
+        before = before if turned is None else before.turned(turned)
+        return Wish(wanted, remarks=tuple(_about_motor(instance, before, correction)))
+
+    def in_order(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
+        """Put ROT before the angles where it becomes 100, and behind them otherwise.
+
+        While an angle is not zero PX4 makes ROT 100. From its end, a plan is undone in the right order too.
+        """
+
+        def place(change: Change) -> int:
+            return 0 if not change.name.endswith("_ROT") else -1 if change.new == PX4_CUSTOM else 1
+
+        return tuple(sorted(changes, key=place))
 
     def judge_compass(
         self, before: Mapping[str, float], after: Mapping[str, float], instance: int
     ) -> Judgement:
         """Check what a compass would hold: reasons against it, and what a person should know."""
         label = f"Compass {instance}"
-        try:
-            old, new = px4_correction(before, instance), px4_correction(after, instance)
-        except KeyError:
-            return [_custom_angle(instance)], []
+        old, new = px4_sensor_correction(before, instance), px4_sensor_correction(after, instance)
         refusals, remarks = check_correction(new, self.rules, label, self.rules.offset_largest_mgauss)
+        refusals += _about_mounting(before, after, instance)
         for what, moved, smallest in (
             ("offsets", np.subtract(new.offsets_mgauss, old.offsets_mgauss), _SMALLEST_LIVE_CHANGE_MGAUSS),
             ("scales", np.subtract(new.diagonals, old.diagonals), _SMALLEST_LIVE_CHANGE),
@@ -87,8 +110,16 @@ class PX4Planner(Planner):
         return ["SENS_MAG_AUTOCAL is on: PX4 may go on changing the offsets itself in flight."]
 
 
-def _custom_angle(instance: int) -> str:
-    return f"Compass {instance} is mounted at a custom angle, which its offsets cannot be turned by."
+def _about_mounting(before: Mapping[str, float], after: Mapping[str, float], instance: int) -> list[str]:
+    rot, *angles = (px4_name(quantity, instance) for quantity in ("ROT", *PX4_ANGLES))
+    number = after.get(rot, -1.0)
+    if all(after.get(name) == before.get(name) for name in (rot, *angles)):
+        return []
+    if number not in (-1, *PX4_ORIENTATIONS) and not (number == PX4_CUSTOM and angles[0] in after):
+        return [f"{rot} {number:g} is no rotation that this PX4 knows: it would take it for 0."]
+    if number not in (-1, PX4_CUSTOM) and any(after.get(name, 0.0) for name in angles):
+        return [f"{rot} cannot be {number:g} beside angles other than 0: PX4 would make it {PX4_CUSTOM}."]
+    return []
 
 
 def _about_motor(instance: int, before: FieldCorrection, wanted: FieldCorrection) -> list[str]:

@@ -15,7 +15,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from mavcompass.compass_parameters import px4_correction, px4_rotation
+from mavcompass.compass_parameters import px4_correction, px4_sensor_to_body
 from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MavAutopilot, MavModeFlag, MavState, MavType
 from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix
@@ -137,7 +137,7 @@ def _compass(track: Track, instance: int, start_s: float) -> Iterator[SaidMessag
     if track.autopilot != "px4":
         return _imu(instance, compass.reported, acc, gyro, start_s, RawImu if instance == 1 else None)
     raw = track.raw_field(instance)
-    in_sensor_axes = Series(time_s, raw @ px4_rotation(track.parameters, instance))
+    in_sensor_axes = Series(time_s, raw @ px4_sensor_to_body(track.parameters, instance))
     scaled = _imu(instance, in_sensor_axes, acc, gyro, start_s)
     if instance != 1:
         return scaled

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from operator import itemgetter
 
-from mavcompass.compass_parameters import ardupilot_naming, ardupilot_values, px4_rotation, px4_values
-from mavcompass.correction import FieldCorrection
+from mavcompass.compass_parameters import values
 from mavcompass.enums import MavParamType
 from mavcompass.messages import ParamValue
 from mavcompass.procedure.script import Context
@@ -17,20 +16,14 @@ from mavcompass.vehicle.parameters.values import Parameter, encode
 _PX4_WHOLE_NUMBERS = re.compile(r"CAL_MAG\d_(ID|ROT|PRIO)|CAL_MAG_(COMP_TYP|SIDES|ROT_AUTO)|SENS_BOARD_ROT")
 
 
-def _spelled(track: Track, instance: int, correction: FieldCorrection) -> dict[str, float]:
-    if track.autopilot == "px4":
-        return px4_values(correction, instance, px4_rotation(track.parameters, instance))
-    return ardupilot_values(correction, instance, ardupilot_naming(track.parameters))
-
-
 def first_parameters(track: Track) -> dict[str, float]:
     """Return the recording's parameters, each compass's correction as it was at the start."""
-    values = dict(track.parameters)
+    held = dict(track.parameters)
     for instance, compass in track.compasses.items():
-        known = track.autopilot == "px4" and any(name.startswith("CAL_MAG") for name in values)
+        known = track.autopilot == "px4" and any(name.startswith("CAL_MAG") for name in held)
         if not known:
-            values |= _spelled(track, instance, compass.in_force[0].correction)
-    return values
+            held |= values(track.autopilot, track.parameters, instance, compass.in_force[0].correction)
+    return held
 
 
 def parameter_changes(track: Track) -> list[tuple[float, ParamValue]]:
@@ -38,8 +31,11 @@ def parameter_changes(track: Track) -> list[tuple[float, ParamValue]]:
     changes = []
     for instance, compass in track.compasses.items():
         for before, after in zip(compass.in_force[:-1], compass.in_force[1:], strict=True):
-            old = _spelled(track, instance, before.correction)
-            for name, value in _spelled(track, instance, after.correction).items():
+            old, new = (
+                values(track.autopilot, track.parameters, instance, step.correction)
+                for step in (before, after)
+            )
+            for name, value in new.items():
                 if old.get(name) != value:
                     said = parameter_value(track, name, value, 65_535, len(track.parameters))
                     changes.append((after.from_s, said))

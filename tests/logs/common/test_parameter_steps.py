@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.logs.common import Seen, ardupilot_steps, changes, motor_outputs, px4_steps
+from mavcompass.logs.common import Seen, ardupilot_steps, changes, motor_outputs
 
 
 def test_the_first_value_held_before_it_was_seen() -> None:
@@ -46,12 +46,6 @@ def test_the_newer_naming_is_understood() -> None:
     ]
     (step,), known = ardupilot_steps(changes(seen, [0.0]), 1)
     assert known and step.correction.offsets_mgauss == (1.0, 2.0, 3.0)
-
-
-def test_a_rotation_that_nobody_knows_leaves_px4s_correction_unknown() -> None:
-    seen = [Seen(0.0, "CAL_MAG0_ROT", 99.0)] + [Seen(0.0, f"CAL_MAG0_{axis}OFF", 0.1) for axis in "XYZ"]
-    (step,), known = px4_steps(changes(seen, [0.0]), 1)
-    assert not known and step.correction.offsets_mgauss == (0.0, 0.0, 0.0)
 
 
 def test_outputs_become_fractions_of_their_own_range() -> None:

@@ -284,6 +284,11 @@ def test_px4_reports_uncorrected_in_the_sensors_axes(tmp_path: Path) -> None:
     assert track.compasses[1].correction_known
 
 
+def test_px4_reports_in_the_axes_that_free_angles_say(tmp_path: Path) -> None:
+    free = [("CAL_MAG0_ROT", as_integer_bytes(100), 6), ("CAL_MAG0_YAW", -90.0, 9)]
+    np.testing.assert_allclose(px4(tmp_path, *free).raw_field(1)[0], [20.0, -100.0, -400.0], atol=1e-9)
+
+
 def test_px4_without_its_parameters_is_said_to_be_taken_as_not_rotated(tmp_path: Path) -> None:
     track = px4(tmp_path)
     np.testing.assert_array_equal(track.raw_field(1), [[100.0, 20.0, -400.0]] * 20)
@@ -310,11 +315,6 @@ def test_px4_speaks_by_scaled_imu_since_its_estimator_bends_the_other(
     assert len(compass.reported) == (20 if rotation_known else 100)
     assert compass.less_learnt is not rotation_known
     assert any("estimator learns" in note for note in track.notes) is not rotation_known
-
-
-def test_px4_with_a_rotation_that_nobody_knows_is_said(tmp_path: Path) -> None:
-    track = px4(tmp_path, ("CAL_MAG0_ROT", as_integer_bytes(77), 6))
-    assert any("no known rotation" in note for note in track.notes)
 
 
 def test_motors_are_the_outputs_that_the_parameters_call_motors(tmp_path: Path) -> None:

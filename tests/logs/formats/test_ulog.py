@@ -15,6 +15,7 @@ from mavcompass.calibration.calibrate import calibrate_track
 from mavcompass.calibration.result import heading_change_rad
 from mavcompass.compass_parameters import px4_correction
 from mavcompass.errors import BadRecording, UsageError
+from mavcompass.frames import euler_to_matrix
 from mavcompass.logs import read_track
 
 pytest.importorskip("pyulog")
@@ -22,7 +23,7 @@ pytest.importorskip("pyulog")
 SLOWER = ("vehicle_local_position", "actuator_controls_0", "vehicle_attitude")
 
 
-def modern(path: Path, rotation: int = 2) -> Path:
+def modern(path: Path, rotation: int = 2, yaw_deg: float = 0.0) -> Path:
     log = ULogFile()
     log.topic(
         "sensor_mag", "uint64_t timestamp_sample", "uint32_t device_id", "float x", "float y", "float z"
@@ -33,7 +34,7 @@ def modern(path: Path, rotation: int = 2) -> Path:
     log.topic("actuator_motors", "float[4] control")
     log.topic("vehicle_status", "uint8_t vehicle_type")
     log.parameter("CAL_MAG0_ID", 77).parameter("CAL_MAG1_ID", 55).parameter("CAL_MAG1_ROT", rotation)
-    log.parameter("CAL_MAG1_XOFF", 0.1)
+    log.parameter("CAL_MAG1_XOFF", 0.1).parameter("CAL_MAG1_YAW", yaw_deg)
     for n in range(10):
         now = 2_000_000 + n * 20_000
         log.add("sensor_mag", now + 500, now, 55, 0.1, 0.02, -0.4)
@@ -98,11 +99,11 @@ def test_the_place_date_and_thrust_of_an_older_firmware(tmp_path: Path) -> None:
     assert track.utc_offset_s == pytest.approx(1_700_000_000.0)
 
 
-def test_a_rotation_that_nobody_knows_falls_back_to_the_corrected_field(tmp_path: Path) -> None:
-    track = read_track(modern(tmp_path / "a.ulg", rotation=88))
-    assert any("no known rotation" in note for note in track.notes)
-    np.testing.assert_allclose(track.compasses[2].reported.values[0], [-20.0, 0.0, -400.0], atol=1e-5)
-    assert not track.compasses[2].correction_known
+def test_free_angles_turn_the_readings_and_a_number_that_px4_does_not_know_does_not(tmp_path: Path) -> None:
+    turned = read_track(modern(tmp_path / "a.ulg", rotation=100, yaw_deg=-90.0))
+    np.testing.assert_allclose(turned.raw_field(2)[0], [20.0, -100.0, -400.0], atol=1e-5)
+    not_turned = read_track(modern(tmp_path / "b.ulg", rotation=88))
+    np.testing.assert_allclose(not_turned.raw_field(2)[0], [100.0, 20.0, -400.0], atol=1e-5)
 
 
 def flight(path: Path, raw_every: int = 14, learnt_gauss: float = 0.0, step_us: int = 71_429) -> Path:
@@ -215,7 +216,9 @@ def test_every_value_of_the_recorded_flight_equals_pyulogs(shared_data: Path) ->
     np.testing.assert_allclose(track.attitude_rad.values[:, 0], roll, atol=1e-6)
     assert track.compasses[1].correction_known
     offsets = track.compasses[1].in_force[0].correction.offsets_mgauss
-    assert offsets == pytest.approx((-28.247, 200.208, 136.905), abs=1e-3)
+    # An internal sensor on a board that the level calibration found 1.5 and 1.2 degrees off.
+    level = euler_to_matrix(*np.radians([-1.50480055, 1.18706357, 0.0]))
+    assert offsets == pytest.approx(level @ [-28.247, 200.208, 136.905], abs=1e-3)
 
 
 def test_without_pyulog_the_command_that_installs_it_is_told(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mavcompass import messages as m
-from mavcompass.compass_parameters import px4_correction, px4_rotation
+from mavcompass.compass_parameters import px4_correction, px4_sensor_to_body
 from mavcompass.correction import FieldCorrection
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import CompassSetup
@@ -109,7 +109,7 @@ def test_scaled_imu_carries_the_raw_field_in_the_sensors_axes(station):
         s.stream(26, 10)
         s.wait(0.5)
         scaled = s.of(m.ScaledImu)[-1]
-        rotation = px4_rotation(s.vehicle.firmware.store.values, 1)
+        rotation = px4_sensor_to_body(s.vehicle.firmware.store.values, 1)
         truth = s.vehicle.truth
         raw = rotation.T @ IRON.undo(truth.rotation.T @ truth.field_ned_mgauss)
         np.testing.assert_array_equal((scaled.xmag, scaled.ymag, scaled.zmag), np.trunc(raw))
@@ -159,7 +159,7 @@ def test_offsets_written_take_effect_subtracted_in_the_sensors_axes(station):
     s.wait(0.3)
     after = s.of(m.HighresImu)[-1]
     correction = px4_correction(s.vehicle.firmware.store.values, 1)
-    rotation = px4_rotation(s.vehicle.firmware.store.values, 1)
+    rotation = px4_sensor_to_body(s.vehicle.firmware.store.values, 1)
     shift = -correction.matrix @ rotation @ [0.1, 0.0, 0.0]
     moved = (after.xmag - before.xmag, after.ymag - before.ymag, after.zmag - before.zmag)
     np.testing.assert_allclose(moved, shift, atol=1e-4)

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from parameter_vehicle import px4_parameters
 
 from mavcompass.correction import FieldCorrection
-from mavcompass.errors import Refused
 from mavcompass.frames import sensor_orientation_matrix
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.px4.plan import instance_of
@@ -36,15 +35,11 @@ def test_offsets_are_gauss_with_the_other_sign() -> None:
     assert new["CAL_MAG0_XSCALE"] == pytest.approx(1.1 * 1.02)
 
 
-@given(finite_corrections, st.integers(1, 2), st.integers(-1, 43), st.integers(0, 7))
+@given(finite_corrections, st.integers(1, 2), st.integers(-1, 47), st.integers(0, 7))
 def test_what_is_planned_is_what_will_be_in_force(
     correction: FieldCorrection, instance: int, mounting: int, board: int
 ) -> None:
     rotations = {f"CAL_MAG{instance - 1}_ROT": float(mounting), "SENS_BOARD_ROT": float(board)}
-    try:
-        sensor_orientation_matrix(max(mounting, 0))
-    except KeyError:
-        return  # no such mounting
     held = px4_parameters(**rotations)
     planned = DIALECT.plan(held, {instance: correction})
     assert not [r for r in planned.refusals if "outside" not in r]
@@ -73,13 +68,6 @@ def test_a_slot_without_a_device_id_is_refused() -> None:
     assert DIALECT.instances(px4_parameters()) == (1, 2)
     (refusal,) = DIALECT.plan(px4_parameters(), {3: GOOD}).refusals
     assert "CAL_MAG2_ID holds no device id" in refusal
-
-
-def test_a_custom_mounting_angle_is_refused() -> None:
-    held = px4_parameters(CAL_MAG0_ROT=100.0)
-    assert any("custom angle" in refusal for refusal in DIALECT.plan(held, {1: GOOD}).refusals)
-    with pytest.raises(Refused, match="custom angle"):
-        DIALECT.correction(held, 1)
 
 
 def test_what_px4_would_not_use_is_refused() -> None:

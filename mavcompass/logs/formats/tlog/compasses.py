@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from mavcompass.compass_parameters import ardupilot_name, px4_name, px4_rotation
+from mavcompass.compass_parameters import ardupilot_name, px4_name, px4_sensor_to_body
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.logs.common import Change, ardupilot_steps, finite_series, px4_steps, said_nothing, spoken
@@ -102,11 +102,7 @@ def _px4_body_axes(
     name = px4_name("ROT", instance)
     if name not in parameters:
         return sensor_mgauss, (f"{name} is not recorded: compass {instance} is taken as not rotated.",)
-    try:
-        rotation = px4_rotation(parameters, instance)
-    except KeyError:
-        return sensor_mgauss, (f"{name} = {parameters[name]:g} is no known rotation: none was applied.",)
-    return sensor_mgauss @ rotation.T, ()
+    return sensor_mgauss @ px4_sensor_to_body(parameters, instance).T, ()
 
 
 def _highres_mgauss(rows: object, autopilot: str) -> FloatArray:

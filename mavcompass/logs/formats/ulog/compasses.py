@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.compass_parameters import px4_name, px4_rotation
+from mavcompass.compass_parameters import px4_name, px4_sensor_to_body
 from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
 from mavcompass.logs.common import (
@@ -55,13 +55,7 @@ def compasses(
         device_id = _device_id(data)
         instance = _instance(device_id, parameters, found)
         field = vector(data, "x", "y", "z") * MGAUSS_PER_GAUSS
-        try:
-            rotation = px4_rotation(parameters, instance)
-        except KeyError:
-            notes.append(
-                f"{px4_name('ROT', instance)} is no known rotation: compass {instance} was left out."
-            )
-            continue
+        rotation = px4_sensor_to_body(parameters, instance)
         reported, silent = spoken(finite_series(time_s(data), field @ rotation.T))
         if reported is not None:
             notes += said_nothing(instance, silent, reported)

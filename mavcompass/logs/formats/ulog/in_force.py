@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from mavcompass.compass_parameters import PX4_ANGLES
 from mavcompass.frames import FloatArray
 from mavcompass.logs.common import Change
 from mavcompass.logs.formats.ulog.topics import has, time_s
@@ -33,9 +34,10 @@ def taken_over(
     What held before the recording, and the mounting, which has no count, stay as they are.
     """
     raised_s = times_s[1:][np.diff(counts.astype(np.int64)) != 0]
+    uncounted = {f"{prefix}{quantity}" for quantity in ("ID", "PRIO", "ROT", *PX4_ANGLES)}
     out = []
     for change in history:
-        counted = change.name.startswith(prefix) and not change.name.endswith(("_ID", "_ROT", "_PRIO"))
+        counted = change.name.startswith(prefix) and change.name not in uncounted
         if not counted or not np.isfinite(change.from_s):
             out.append(change)
             continue
