@@ -51,13 +51,16 @@ def heading_error_rms_deg(
 
 
 def raw_readings(vehicle: SimulatedAutopilot, instance: int, rotation: FloatArray) -> FloatArray:
-    """Return what a compass reads, uncorrected, at rest in given attitudes (N, 3, 3); shape (N, 3)."""
+    """Return what a compass reads at rest in given attitudes (N, 3, 3): uncorrected, in body axes, (N, 3).
+
+    Those axes are what the parameters make of the sensor's.
+    """
     field_ned = np.asarray(vehicle.world.field_ned_mgauss)
     compass = vehicle.board.sensors.compasses[instance - 1]
     raw = compass.model.iron.undo(rotate_back(rotation, field_ned))
-    if instance != 1 or not vehicle.board.sensors.distortions:
-        return raw
-    return _distorted(vehicle, rotation, raw)
+    if instance == 1 and vehicle.board.sensors.distortions:
+        raw = _distorted(vehicle, rotation, raw)
+    return raw @ vehicle.firmware.compasses.turned(instance).T
 
 
 def _distorted(vehicle: SimulatedAutopilot, rotation: FloatArray, raw: FloatArray) -> FloatArray:

@@ -19,7 +19,9 @@ _FREE_ANGLES = tuple(f"CUST_ROT{n}_{angle}" for n in (1, 2) for angle in ("ROLL"
 
 
 class CompassBank(Compasses):
-    """Hold ArduPilot's three compasses, mounted as the parameters that the vehicle was made with say."""
+    """Hold ArduPilot's three compasses."""
+
+    autopilot = "ardupilot"
 
     def __init__(self, board: Board, store: ParameterStore) -> None:
         super().__init__(board, store, len(INSTANCES))
@@ -30,7 +32,6 @@ class CompassBank(Compasses):
         self._matrices: list[tuple[float, ...]] = []
         self._rotations: list[tuple[float, ...] | None] = []
         self._motor_source = "none"
-        self._mountings = [ardupilot_sensor_to_body(store.delivered, i) for i in INSTANCES]
         self._free_angles: dict[str, float] = {}
         self._at_start()
 

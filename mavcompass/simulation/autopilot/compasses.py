@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
+from mavcompass.compass_parameters import sensor_to_body
 from mavcompass.correction import FieldCorrection, Vector
+from mavcompass.frames import FloatArray
 from mavcompass.simulation.autopilot.attitude_filter import compass_yaw
 from mavcompass.simulation.autopilot.board import Board
 from mavcompass.simulation.autopilot.parameters import ParameterStore
@@ -14,13 +16,20 @@ from mavcompass.simulation.physics.motion import rotation_matrix
 class Compasses(ABC):
     """Hold the corrected fields of compasses 1, 2, ..; brought up to date at 10 Hz.
 
+    The sensors are mounted as the parameters that the vehicle was made with say.
+
     Attributes:
+        autopilot: whose parameters they go by.
         fields: milligauss, body axes. steering: the compass that the filter follows, None for none.
     """
+
+    autopilot: str
 
     def __init__(self, board: Board, store: ParameterStore, number: int) -> None:
         self._board = board
         self._store = store
+        every = range(1, len(board.compass_setups) + 1)
+        self._mountings = [sensor_to_body(self.autopilot, store.delivered, i) for i in every]
         self.fields: list[Vector] = [(0.0, 0.0, 0.0)] * number
         self.steering: int | None = None
         self._lost: dict[int, tuple[bool, Vector | None]] = {}
@@ -44,6 +53,11 @@ class Compasses(ABC):
     def held(self, instance: int) -> FieldCorrection:
         """Return the correction that the parameters hold, in force or not."""
         return self.correction(instance)
+
+    def turned(self, instance: int) -> FloatArray:
+        """Return how the parameters, in force or not, turn a reading from where the sensor sits, (3, 3)."""
+        by_parameters = sensor_to_body(self.autopilot, self._store.values, instance)
+        return by_parameters @ self._mountings[instance - 1].T
 
     @abstractmethod
     def yaw(self) -> float | None:

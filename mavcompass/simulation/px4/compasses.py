@@ -28,16 +28,15 @@ _LEARNT = 0.6
 
 class Px4Compasses(Compasses):
     """Hold raw readings in the sensors' axes, and the corrected field in the body's.
-
-    The sensors are mounted as the parameters that the vehicle was made with say.
     Parameters are loaded while it is disarmed only; on disarming, what the estimator has learnt of the
     steering compass's offset is stored, with the rest of the calibration that it flew with.
     """
 
+    autopilot = "px4"
+
     def __init__(self, board: Board, store: ParameterStore, status: Status) -> None:
         super().__init__(board, store, len(INSTANCES))
         self._status = status
-        self._mountings = [px4_sensor_to_body(store.delivered, i) for i in INSTANCES]
         self._corrections = [self._wanted(i) for i in INSTANCES]  # in the sensors' axes
         self._take_mountings()
         self.raw_sensor_mgauss: list[Vector] = [(0.0, 0.0, 0.0)] * len(INSTANCES)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from parameter_vehicle import ardupilot_parameters
 
 from mavcompass.compass_parameters import ardupilot_correction
+from mavcompass.compass_parameters.orientations import rotation_of
 from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.dialect import ParameterPlan
 from mavcompass.vehicle.ardupilot.plan import instance_of
@@ -234,3 +235,38 @@ def test_the_pieces_of_a_vehicle_are_told_apart() -> None:
     names = {"COMPASS_SCALE": 1, "COMPASS_USE3": 3, "COMPASS_EXTERN2": 2, "COMPASS_EXTERNAL": 1}
     names |= {"COMPASS_DEV_ID4": None, "COMPASS_PRIO1_ID": None, "COMPASS_OFFS_MAX": None}
     assert {name: instance_of(name) for name in names} == names
+
+
+def test_a_turned_compass_is_set_before_its_correction_and_undone_after_it() -> None:
+    held = ardupilot_parameters(COMPASS_EXTERNAL=1.0, COMPASS_ORIENT=2.0)
+    planned = DIALECT.plan(held, {1: GOOD}, {1: rotation_of((0.0, 0.0, 90.0))})
+    assert not planned.refusals and planned.changes[0].name == "COMPASS_ORIENT"
+    assert (planned.changes[0].new, planned.reversed().changes[-1].new) == (4.0, 2.0)
+    assert "restart" not in " ".join(planned.remarks[:-1])
+
+
+def test_two_compasses_turned_freely_get_a_set_of_angles_each_and_a_third_none() -> None:
+    external = dict.fromkeys(("COMPASS_EXTERNAL", "COMPASS_EXTERN2", "COMPASS_EXTERN3"), 1.0)
+    held = ardupilot_parameters(**external, COMPASS_DEV_ID3=7.0)
+    turned = {i: rotation_of((0.0, 10.0 * i, 5.0)) for i in (1, 2, 3)}
+    planned = DIALECT.plan(held, dict.fromkeys((1, 2), GOOD), turned)
+    new = {c.name: c.new for c in planned.changes}
+    assert (new["COMPASS_ORIENT"], new["COMPASS_ORIENT2"]) == (101.0, 102.0) and not planned.refusals
+    assert new["CUST_ROT1_PITCH"] == pytest.approx(10.0) and new["CUST_ROT2_PITCH"] == pytest.approx(20.0)
+    assert any("CUST_ROT1_PITCH" in r and "take effect after a restart" in r for r in planned.remarks)
+    (refusal,) = DIALECT.plan(held, dict.fromkeys((1, 2, 3), GOOD), turned).refusals
+    assert "Compass 3" in refusal and "no free angles left" in refusal
+
+
+def test_an_internal_compass_cannot_be_turned_alone() -> None:
+    (refusal,) = DIALECT.plan(ardupilot_parameters(), {1: GOOD}, {1: rotation_of((0, 0, 90))}).refusals
+    assert "COMPASS_ORIENT is not for it" in refusal and "AHRS_ORIENTATION" in refusal
+
+
+def test_an_orientation_by_hand_is_judged_by_what_it_would_do() -> None:
+    external = ardupilot_parameters(COMPASS_EXTERNAL=1.0)
+    (refusal,) = DIALECT.plan_values(external, {"COMPASS_ORIENT": 99.0}).refusals
+    assert "no rotation that this firmware knows" in refusal
+    assert "calibrate it" in DIALECT.plan_values(external, {"COMPASS_ORIENT": 4.0}).remarks[0]
+    internal = DIALECT.plan_values(ardupilot_parameters(), {"COMPASS_ORIENT": 4.0})
+    assert "does nothing" in internal.remarks[0] and not internal.refusals

@@ -7,19 +7,15 @@ import random
 from pathlib import Path
 
 import pytest
+from written_vehicle import read, restore, write
 
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import LinkError, MavCompassError, Refused, WriteFailed
-from mavcompass.procedure.script import Context, Machine, Script
+from mavcompass.procedure.dialect import ParameterPlan
 from mavcompass.simulation.vehicle import SimulatedAutopilot
-from mavcompass.vehicle.driver import run
-from mavcompass.vehicle.link import ONBOARD_COMPUTER
-from mavcompass.vehicle.links.faults import Faults, FaultyLink
-from mavcompass.vehicle.links.simulated import SimulatedLink
-from mavcompass.vehicle.parameters.undo import load_record, undo_saver
-from mavcompass.vehicle.session import HeldParameters, WriteReport, read_vehicle, write_values
+from mavcompass.vehicle.links.faults import Faults
+from mavcompass.vehicle.session import HeldParameters
 
-SOURCE = "udpin:0.0.0.0:14550"
 NEW = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0), (0.02, -0.01, 0.005), 1.02)
 
 
@@ -29,41 +25,8 @@ def unflushed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
-def read(autopilot: SimulatedAutopilot, faults: Faults | None = None, seed: int = 0) -> HeldParameters:
-    return run(Machine(lambda context: read_vehicle(context, SOURCE)), link(autopilot, faults, seed))
-
-
-def link(autopilot: SimulatedAutopilot, faults: Faults | None, seed: int) -> FaultyLink:
-    return FaultyLink(SimulatedLink(autopilot, SOURCE, ONBOARD_COMPUTER), faults or Faults(), seed)
-
-
-def write(
-    autopilot: SimulatedAutopilot, held: HeldParameters, folder: Path, faults: Faults, seed: int
-) -> WriteReport:
-    plan = held.dialect.plan(held.values, {1: NEW})
-    assert plan.changes and not plan.refusals
-
-    def script(context: Context) -> Script[WriteReport]:
-        context.system, context.component = held.system, 1
-        saver = undo_saver(held.dialect.autopilot, SOURCE, folder)
-        outcome = yield from held.dialect.write(context, plan, saver)
-        return WriteReport(held, plan, outcome)
-
-    return run(Machine(script), link(autopilot, faults, seed))
-
-
-def restore(autopilot: SimulatedAutopilot, undo_file: Path, folder: Path) -> None:
-    def script(context: Context) -> Script[WriteReport]:
-        return write_values(
-            context,
-            SOURCE,
-            lambda held: load_record(undo_file).before,
-            lambda held: undo_saver(held.dialect.autopilot, SOURCE, folder),
-            checked=False,
-            consent=lambda held, plan: "",
-        )
-
-    run(Machine(script), link(autopilot, None, 0))
+def new_plan(held: HeldParameters) -> ParameterPlan:
+    return held.dialect.plan(held.values, {1: NEW})
 
 
 @pytest.mark.parametrize("vehicle", ["rover", "px4-copter"])
@@ -82,7 +45,7 @@ def test_a_cut_link_never_leaves_a_torn_set_without_the_way_back(vehicle: str, t
         )
         error: MavCompassError | None = None
         try:
-            write(autopilot, before, tmp_path, faults, number)
+            write(autopilot, before, new_plan(before), tmp_path, faults, number)
         except MavCompassError as raised:
             error = raised
         now = read(autopilot)
@@ -108,7 +71,7 @@ def test_a_bad_link_reads_and_writes_the_same(seed: int, tmp_path: Path) -> None
     clean = read(autopilot)
     faults = Faults(loss=0.3, duplicate=0.05, reorder=0.2, latency_s=0.3)
     assert read(autopilot, faults, seed).values == clean.values
-    report = write(autopilot, clean, tmp_path, faults, seed)
+    report = write(autopilot, clean, new_plan(clean), tmp_path, faults, seed)
     assert report.outcome is not None and report.outcome.verified
     wanted = {change.name: change.new for change in report.plan.changes}
     assert read(autopilot).values == clean.values | wanted

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parameter_vehicle import px4_parameters
 
+from mavcompass.compass_parameters.orientations import rotation_of
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import sensor_orientation_matrix
 from mavcompass.vehicle.dialects import make_dialect
@@ -122,3 +123,37 @@ def test_a_motors_field_is_told_per_kiloampere_or_at_full_throttle() -> None:
         without = DIALECT.correction({**held, "CAL_MAG_COMP_TYP": 0.0}, 1)
         moved = found.apply(raw, np.array([load[kind]])) - without.apply(raw)
         assert np.linalg.norm(moved) == pytest.approx(felt_mgauss, rel=0.02)
+
+
+def test_rot_is_written_where_no_angle_can_make_it_100_again_both_ways() -> None:
+    held = px4_parameters(CAL_MAG0_ROT=2.0)
+    free = DIALECT.plan(held, {1: GOOD}, {1: rotation_of((10.0, 20.0, 30.0))})
+    names = [c.name for c in free.changes]
+    assert not free.refusals and names[0] == "CAL_MAG0_ROT" and free.changes[0].new == 100.0
+    held |= {c.name: c.new for c in free.changes}
+    back = rotation_of((10.0, 20.0, 30.0)).T
+    numbered = DIALECT.plan(held, {1: GOOD}, {1: back})
+    assert not numbered.refusals and numbered.changes[-1].name == "CAL_MAG0_ROT"
+    assert (numbered.changes[-1].new, numbered.reversed().changes[0].new) == (2.0, 100.0)
+    # So does what a person writes, or restores from a file.
+    wanted = {"CAL_MAG0_ROT": 4.0, "CAL_MAG0_YAW": 0.0, "CAL_MAG0_ROLL": 0.0, "CAL_MAG0_PITCH": 0.0}
+    assert DIALECT.plan_values(held, wanted).changes[-1].name == "CAL_MAG0_ROT"
+
+
+@given(finite_corrections, st.integers(0, 40), st.tuples(*[st.floats(-90.0, 90.0)] * 3))
+def test_a_turned_compass_has_the_wanted_correction_in_its_new_axes(
+    correction: FieldCorrection, mounting: int, angles_deg: tuple[float, float, float]
+) -> None:
+    held = px4_parameters(CAL_MAG0_ROT=float(mounting))
+    planned = DIALECT.plan(held, {1: correction}, {1: rotation_of(angles_deg)})
+    new = DIALECT.correction(held | {c.name: c.new for c in planned.changes}, 1)
+    assert new.offsets_mgauss == pytest.approx(correction.offsets_mgauss, rel=1e-5, abs=5e-3)
+    assert new.matrix == pytest.approx(correction.matrix, rel=1e-5, abs=1e-5)
+
+
+def test_a_compass_inside_cannot_be_turned_and_rot_by_hand_is_judged() -> None:
+    (refusal,) = DIALECT.plan(px4_parameters(), {1: GOOD}, {1: rotation_of((0, 0, 90))}).refusals
+    assert "inside the flight controller" in refusal
+    held = px4_parameters(CAL_MAG0_ROT=100.0, CAL_MAG0_YAW=5.0)
+    assert "beside angles other than 0" in DIALECT.plan_values(held, {"CAL_MAG0_ROT": 4.0}).refusals[0]
+    assert "no rotation that this PX4 knows" in DIALECT.plan_values(held, {"CAL_MAG0_ROT": 41.0}).refusals[0]

@@ -1,0 +1,58 @@
+"""Read, write and restore the parameters of a simulated vehicle, driven as in life."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mavcompass.procedure.dialect import ParameterPlan
+from mavcompass.procedure.script import Context, Machine, Script
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.driver import run
+from mavcompass.vehicle.link import ONBOARD_COMPUTER
+from mavcompass.vehicle.links.faults import Faults, FaultyLink
+from mavcompass.vehicle.links.simulated import SimulatedLink
+from mavcompass.vehicle.parameters.undo import load_record, undo_saver
+from mavcompass.vehicle.session import HeldParameters, WriteReport, read_vehicle, write_values
+
+SOURCE = "udpin:0.0.0.0:14550"
+
+
+def read(autopilot: SimulatedAutopilot, faults: Faults | None = None, seed: int = 0) -> HeldParameters:
+    return run(Machine(lambda context: read_vehicle(context, SOURCE)), link(autopilot, faults, seed))
+
+
+def link(autopilot: SimulatedAutopilot, faults: Faults | None, seed: int) -> FaultyLink:
+    return FaultyLink(SimulatedLink(autopilot, SOURCE, ONBOARD_COMPUTER), faults or Faults(), seed)
+
+
+def write(
+    autopilot: SimulatedAutopilot,
+    held: HeldParameters,
+    plan: ParameterPlan,
+    folder: Path,
+    faults: Faults | None = None,
+    seed: int = 0,
+) -> WriteReport:
+    assert plan.changes and not plan.refusals
+
+    def script(context: Context) -> Script[WriteReport]:
+        context.system, context.component = held.system, 1
+        saver = undo_saver(held.dialect.autopilot, SOURCE, folder)
+        outcome = yield from held.dialect.write(context, plan, saver)
+        return WriteReport(held, plan, outcome)
+
+    return run(Machine(script), link(autopilot, faults, seed))
+
+
+def restore(autopilot: SimulatedAutopilot, undo_file: Path, folder: Path) -> None:
+    def script(context: Context) -> Script[WriteReport]:
+        return write_values(
+            context,
+            SOURCE,
+            lambda held: load_record(undo_file).before,
+            lambda held: undo_saver(held.dialect.autopilot, SOURCE, folder),
+            checked=False,
+            consent=lambda held, plan: "",
+        )
+
+    run(Machine(script), link(autopilot, None, 0))
