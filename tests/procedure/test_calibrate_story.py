@@ -39,7 +39,7 @@ def told(shown: list[Show]) -> list[tuple[str, float | None, str]]:
 
 def test_the_story_of_a_calibration(tmp_path: Path) -> None:
     shown: list[Show] = []
-    vehicle, settings = bent_vehicle("rover", 1), CalibrateSettings(writing="yes")
+    vehicle, settings = bent_vehicle("rover", 2), CalibrateSettings(writing="yes")
     report = calibrate_on(
         SimulatedLink(vehicle), "sim:test", settings, on_show=shown.append, undo_directory=tmp_path
     )
