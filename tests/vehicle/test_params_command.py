@@ -173,6 +173,20 @@ def test_a_backup_holds_all_and_is_not_replaced_unasked(
     assert main(["params", "backup", SOURCE, str(file), "--yes"]) == 0
 
 
+def test_free_angles_are_shown_saved_and_restored_with_the_orientation_that_names_them(
+    hangar: Hangar, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    store, file = hangar.autopilot.firmware.store, tmp_path / "mounted.param"
+    mounted = {"COMPASS_ORIENT": 101.0, "CUST_ROT_ENABLE": 1.0, "CUST_ROT1_PITCH": 12.5}
+    for name, value in mounted.items():
+        store.set(name, value)
+    assert main(["params", "backup", SOURCE, str(file)]) == 0
+    for name in mounted:
+        store.set(name, 0.0)
+    assert main(["params", "restore", SOURCE, str(file), "--yes"]) == 0
+    assert {name: held(capsys)[name] for name in mounted} == mounted
+
+
 def test_a_backup_without_a_file_goes_to_standard_output(
     hangar: Hangar, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
