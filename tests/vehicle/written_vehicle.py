@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from mavcompass.procedure.dialect import ParameterPlan
 from mavcompass.procedure.script import Context, Machine, Script
@@ -14,6 +16,7 @@ from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.parameters.undo import load_record, undo_saver
 from mavcompass.vehicle.session import HeldParameters, WriteReport, read_vehicle, write_values
 
+T = TypeVar("T")
 SOURCE = "udpin:0.0.0.0:14550"
 
 
@@ -36,12 +39,26 @@ def write(
     assert plan.changes and not plan.refusals
 
     def script(context: Context) -> Script[WriteReport]:
-        context.system, context.component = held.system, 1
         saver = undo_saver(held.dialect.autopilot, SOURCE, folder)
         outcome = yield from held.dialect.write(context, plan, saver)
         return WriteReport(held, plan, outcome)
 
-    return run(Machine(script), link(autopilot, faults, seed))
+    return run_on(autopilot, script, faults, seed)
+
+
+def run_on(
+    autopilot: SimulatedAutopilot,
+    script: Callable[[Context], Script[T]],
+    faults: Faults | None = None,
+    seed: int = 0,
+) -> T:
+    """Run a script that knows its vehicle."""
+
+    def addressed(context: Context) -> Script[T]:
+        context.system, context.component = autopilot.board.system, 1
+        return (yield from script(context))
+
+    return run(Machine(addressed), link(autopilot, faults, seed))
 
 
 def restore(autopilot: SimulatedAutopilot, undo_file: Path, folder: Path) -> None:

@@ -35,6 +35,8 @@ _SEEN_S = 0.1
 def load(context: Context, written: Mapping[str, float]) -> Script[str]:
     """Write CAL_MAG parameters again, offset first by 6 mG and then as they are; return how that helps.
 
+    A mounting alone, whose change resets no heading, is written again where PX4 has overwritten it.
+
     Only for a vehicle that is disarmed, and knows them. Raises WriteFailed where they could not be written,
     Refused for a stop, which leaves them written.
     """
@@ -43,14 +45,16 @@ def load(context: Context, written: Mapping[str, float]) -> Script[str]:
     moved = {
         n: replace(p, value=p.value + _ANOTHER_GAUSS) for n, p in wanted.items() if _OFFSETS.fullmatch(n)
     }
-    if not moved:
+    overwritten = any(not holds(held[name], p.value, "bytewise") for name, p in wanted.items())
+    if not moved and not overwritten:
         return ""
-    if any(not holds(held[name], parameter.value, "bytewise") for name, parameter in wanted.items()):
+    if overwritten:
         context.show("write", "PX4 had put other values in place of the new ones; they are written again.")
     stopped: Refused | None = None
     try:
-        yield from protocol.write(context, moved, "bytewise")
-        yield from pause(context, _SEEN_S)
+        if moved:
+            yield from protocol.write(context, moved, "bytewise")
+            yield from pause(context, _SEEN_S)
     except Refused as stop:
         stopped = stop
     while True:
@@ -68,4 +72,4 @@ def load(context: Context, written: Mapping[str, float]) -> Script[str]:
             ) from trouble
     if stopped is not None:
         raise stopped
-    return HOW
+    return HOW if moved else ""

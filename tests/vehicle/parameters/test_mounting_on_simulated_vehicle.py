@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from written_vehicle import read, restore, write
+from written_vehicle import read, restore, run_on, write
 
 from mavcompass.compass_parameters import mounting_values, sensor_to_body
 from mavcompass.correction import FieldCorrection
@@ -17,6 +17,7 @@ from mavcompass.simulation.heading_error import heading_errors_rad
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.sensors import CompassModel
 from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.px4.loading import HOW
 
 IRON = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0), (0.02, -0.01, 0.005))
 VEHICLES = {"ardupilot": "rover", "px4": "px4-copter"}
@@ -93,3 +94,27 @@ def true_field(autopilot: SimulatedAutopilot) -> FloatArray:
     body = autopilot.body
     attitude = euler_to_matrix(body.roll_rad, body.pitch_rad, body.yaw_rad)
     return rotate_back(attitude, autopilot.world.field_ned_mgauss)
+
+
+@pytest.mark.parametrize(("moved_gauss", "how"), [(0.05, HOW), (0.0, "")])
+@pytest.mark.parametrize("mounted", [right_angles()[5], free_ones(1)[0]])
+def test_what_px4_flew_with_it_stores_on_landing_and_the_new_mounting_is_loaded_again(
+    mounted: FloatArray, moved_gauss: float, how: str, tmp_path: Path
+) -> None:
+    autopilot = mounted_vehicle("px4", mounted)
+    store = autopilot.firmware.store
+    store.set("CAL_MAG0_XOFF", store["CAL_MAG0_XOFF"] + moved_gauss)
+    turn_wrong(autopilot, "px4")
+    autopilot.firmware.status.armed = True
+    before = read(autopilot)
+    flown = sensor_to_body("px4", before.values, 1)
+    plan = before.dialect.plan(before.values, {1: IRON}, {1: mounted @ flown.T})
+    report = write(autopilot, before, plan, tmp_path)
+    assert report.outcome is not None and np.linalg.norm(field_of(autopilot) - true_field(autopilot)) > 10.0
+    autopilot.firmware.arming.disarm()
+    assert sensor_to_body("px4", read(autopilot).values, 1) == pytest.approx(flown, abs=1e-6)
+    values = report.outcome.values
+    assert run_on(autopilot, lambda context: before.dialect.load_written(context, values)) == how
+    after = read(autopilot)
+    assert {name: after.values[name] for name in values} == values
+    assert sensor_to_body("px4", after.values, 1) == pytest.approx(mounted, abs=1e-6)
