@@ -68,6 +68,7 @@ class TrackBuilder:
         self.restarts = 0
         self._in_force: dict[int, list[InForce]] = {}
         self._rotations: dict[int, FloatArray] = {}
+        self._turned: dict[int, tuple[float, FloatArray]] = {}
         self._not_applied: dict[int, FieldCorrection] = {}
         self._start_anew()
 
@@ -78,6 +79,7 @@ class TrackBuilder:
         self.latest_s = -np.inf
         # Times of the clock before mean nothing on the new one.
         self._in_force = {i: [InForce(-np.inf, steps[-1].correction)] for i, steps in self._in_force.items()}
+        self._turned = {}
 
     def _clear(self) -> None:
         self._imu = {name: _Rows() for name in telemetry.MAG_MESSAGES}
@@ -87,6 +89,12 @@ class TrackBuilder:
         """Say which correction the autopilot applies to a compass from the latest message on."""
         steps = self._in_force.setdefault(instance, [])
         steps.append(InForce(self.latest_s if steps else -np.inf, correction))
+
+    def turn(self, instance: int, rotation: FloatArray) -> None:
+        """Say that a compass is reported by another mounting from the latest message on, turned by (3, 3)."""
+        steps = self._in_force.get(instance, [])
+        steps[:] = [InForce(step.from_s, step.correction.turned(rotation)) for step in steps]
+        self._turned[instance] = (self.latest_s, rotation)
 
     def set_raw(self, instance: int, sensor_to_body: FloatArray, in_force: FieldCorrection) -> None:
         """Say that a compass is reported raw: how to turn it into body axes, and what is in force."""
@@ -165,6 +173,10 @@ class TrackBuilder:
         field_mgauss = columns.values[:, 0:3]
         if rotation is not None:
             field_mgauss = field_mgauss @ rotation.T
+        if instance in self._turned:
+            until_s, turned = self._turned[instance]
+            before = columns.time_s[:, np.newaxis] <= until_s
+            field_mgauss = np.where(before, field_mgauss @ turned.T, field_mgauss)
         steps = self._in_force.get(instance)
         return MagSeries(
             instance=instance,

@@ -62,7 +62,7 @@ def test_the_python_reference_has_the_public_functions(pages: ModuleType) -> Non
         "observation.observe",
         "positions.next_pose",
         "positions.repeat_test",
-        "orientation.search_orientation",
+        "mounting.find_rotation",
     ):
         assert f"\n### mavcompass.calibration.{name}\n" in text
 

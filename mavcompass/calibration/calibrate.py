@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from mavcompass.blas import single_thread
+from mavcompass.calibration.judge import judge
 from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.methods.running import Learnt, learn
 from mavcompass.calibration.recorded import Recorded
@@ -16,13 +18,10 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits
 from mavcompass.compass_parameters import values
 from mavcompass.earth_field import EarthField, earth_field_of
-from mavcompass.errors import BadRecording, PoorCalibration
-from mavcompass.frames import circular_mean
-from mavcompass.heading.stream import HeadingResult, heading_of_track
+from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
 from mavcompass.track import Track
 
 _DEAD_SWING_MGAUSS = 3.0
-_TURNED_RAD = math.radians(30.0)
 # A slower rate may be the gyro's bias, which in minutes of standing adds up to a turn.
 _BIAS_RADPS = math.radians(3.0)
 # Tried where another method refused.
@@ -39,43 +38,119 @@ def calibrate_track(
     earth: EarthField | None = None,
     use_world_model: bool = True,
     windows: Sequence[tuple[float, float]] | None = None,
+    turn: bool = False,
 ) -> CalibrationResult:
-    """Calibrate one compass of a recording.
-
-    Args:
-        track: the recording.
-        method: one of `methods.method_names()`.
-        instance: the compass, counting from 1.
-        limits: what is accepted.
-        earth: the Earth's field; None takes it from the recording's place and date.
-        use_world_model: False leaves scale and Z alone even where the place is known.
-        windows: the still stretches (start, end) for four-positions; None finds them.
+    """Calibrate one compass of a recording; see `calibrate_compasses`.
 
     Raises BadRecording where the compass is missing, PoorCalibration where the recording cannot give a
     calibration at all (too little motion, a dead compass), UsageError for an unknown method. A result
     that is not worth writing comes back with `accepted` False and its reasons.
     """
-    solve = find_method(method)
-    _check_compass(track, instance)
-    world = (earth or earth_field_of(track)) if use_world_model else None
-    recorded = Recorded(track, instance, world, limits, windows=windows)
-    result = solve(recorded)
-    if not result.accepted and windows is None and method != "auto":
-        result = replace(result, warnings=(*result.warnings, *_would_do(recorded, result.method)))
-    return with_parameters(result, track)
+    found = calibrate_compasses(
+        track,
+        method,
+        (instance,),
+        limits=limits,
+        earth=earth,
+        use_world_model=use_world_model,
+        windows=windows,
+        turn=turn,
+    )
+    return found[instance]
 
 
 @single_thread()
-def learn_compass(
-    track: Track, instance: int, earth: EarthField | None, limits: Limits = DEFAULT_LIMITS
-) -> Learnt:
-    """Tell what some minutes of work show of one compass.
+def calibrate_compasses(
+    track: Track,
+    method: str = "auto",
+    instances: tuple[int, ...] | None = None,
+    *,
+    limits: Limits = DEFAULT_LIMITS,
+    earth: EarthField | None = None,
+    use_world_model: bool = True,
+    windows: Sequence[tuple[float, float]] | None = None,
+    turn: bool = False,
+) -> dict[int, CalibrationResult]:
+    """Calibrate compasses of one recording (None: all), each judged by all that was recorded beside it.
 
-    Raises BadRecording where the compass is missing, PoorCalibration where there is nothing to learn from.
+    Args:
+        track: the recording.
+        method: one of `methods.method_names()`.
+        instances: the compasses, counting from 1; the others are calibrated as witnesses.
+        limits: what is accepted.
+        earth: the Earth's field; None takes it from the recording's place and date.
+        use_world_model: False leaves scale and Z alone even where the place is known.
+        windows: the still stretches (start, end) for four-positions; None finds them.
+        turn: True takes a compass that is mounted turned as it is mounted: its result then sets the
+            orientation, too.
+
+    One without a solution is refused with its reason. Raises what `calibrate_track` raises, PoorCalibration
+    only where no compass that is asked for has a solution.
     """
-    _check_compass(track, instance)
-    learnt = learn(Recorded(track, instance, earth, limits))
-    return replace(learnt, result=with_parameters(learnt.result, track))
+    solve = find_method(method)
+    chosen = tuple(sorted(track.compasses)) if instances is None else instances
+    world = (earth or earth_field_of(track)) if use_world_model else None
+
+    def solved(of: Track, instance: int) -> CalibrationResult:
+        return solve(Recorded(of, instance, world, limits, windows=windows))
+
+    results: dict[int, CalibrationResult] = {}
+    refusals: dict[int, PoorCalibration] = {}
+    for i in sorted({*chosen, *track.compasses}):
+        try:
+            _check_compass(track, i)
+            results[i] = solved(track, i)
+        except PoorCalibration as refusal:
+            refusals[i] = refusal
+        except BadRecording:
+            if i in chosen:
+                raise
+    if refused := [refusals[i] for i in chosen if i in refusals]:
+        if len(refused) == len(chosen):
+            raise refused[0]
+    judged: dict[int, CalibrationResult] = {}
+    for i in chosen:
+        if i in refusals:
+            judged[i] = _refused(track, method, i, refusals[i])
+            continue
+        others = {j: other for j, other in results.items() if j != i}
+        found = judge(track, results[i], others, world, limits, partial(_at, solved, i), windows)
+        if turn and found.mounting.mended is not None:
+            judged[i] = found.mounting.mended
+            continue
+        if not found.accepted and windows is None and method != "auto":
+            recorded = Recorded(track, i, world, limits)
+            found = replace(found, warnings=(*found.warnings, *_would_do(recorded, found.method)))
+        judged[i] = with_parameters(found, track)
+    return judged
+
+
+def _at(solved: Callable[[Track, int], CalibrationResult], instance: int, track: Track) -> CalibrationResult:
+    return solved(track, instance)
+
+
+@single_thread()
+def learn_compasses(
+    track: Track, instances: tuple[int, ...], earth: EarthField | None, limits: Limits = DEFAULT_LIMITS
+) -> dict[int, Learnt | MavCompassError]:
+    """Tell what some minutes of work show of compasses, or why they show nothing of one."""
+
+    def learnt(of: Track, instance: int) -> CalibrationResult:
+        return learn(Recorded(of, instance, earth, limits)).result
+
+    found: dict[int, Learnt | MavCompassError] = {}
+    for i in instances:
+        try:
+            _check_compass(track, i)
+            found[i] = learn(Recorded(track, i, earth, limits))
+        except MavCompassError as error:
+            found[i] = error
+    results = {i: one.result for i, one in found.items() if isinstance(one, Learnt)}
+    for i, result in results.items():
+        others = {j: other for j, other in results.items() if j != i}
+        judged = judge(track, result, others, earth, limits, partial(_at, learnt, i))
+        found[i] = replace(found[i], result=with_parameters(judged, track))  # type: ignore[type-var]
+    return found
 
 
 def _would_do(recorded: Recorded, refused: str) -> tuple[str, ...]:
@@ -95,37 +170,6 @@ def _accepted(recorded: Recorded, method: str) -> CalibrationResult | None:
     return result if result.accepted else None
 
 
-def calibrate_compasses(
-    track: Track,
-    method: str = "auto",
-    instances: tuple[int, ...] | None = None,
-    *,
-    limits: Limits = DEFAULT_LIMITS,
-    earth: EarthField | None = None,
-) -> dict[int, CalibrationResult]:
-    """Calibrate several compasses of one recording (None: all) and hold their headings against each other.
-
-    A compass whose heading is turned against that of the others, all of them calibrated, is refused: it is
-    mounted turned. With only two, both are told so. One without a solution is refused with its reason.
-    Raises what `calibrate_track` raises, PoorCalibration only where no compass has a solution.
-    """
-    chosen = tuple(sorted(track.compasses)) if instances is None else instances
-    results: dict[int, CalibrationResult] = {}
-    refusals: list[PoorCalibration] = []
-    for i in chosen:
-        try:
-            results[i] = calibrate_track(track, method, i, limits=limits, earth=earth)
-        except PoorCalibration as refusal:
-            refusals.append(refusal)
-            results[i] = _refused(track, method, i, refusal)
-    if refusals and len(refusals) == len(chosen):
-        raise refusals[0]
-    headings = {
-        i: heading_of_track(track, result.correction, i) for i, result in results.items() if result.accepted
-    }
-    return {i: _held_against(result, i, headings) for i, result in results.items()}
-
-
 def _refused(track: Track, method: str, instance: int, refusal: PoorCalibration) -> CalibrationResult:
     """Keep what is in force for a compass that the recording cannot calibrate."""
     in_force = Recorded(track, instance).in_force
@@ -138,28 +182,6 @@ def _refused(track: Track, method: str, instance: int, refusal: PoorCalibration)
         correction=in_force,
         in_force=in_force,
     )
-
-
-def _held_against(
-    result: CalibrationResult, instance: int, headings: dict[int, HeadingResult]
-) -> CalibrationResult:
-    """Refuse a calibration whose heading is turned against all other accepted ones."""
-    mine = headings.get(instance)
-    others = {i: h for i, h in headings.items() if i != instance}
-    if mine is None or not others:
-        return result
-    turned = {}
-    for i, other in others.items():
-        nearest = np.clip(np.searchsorted(other.time_s, mine.time_s), 0, other.time_s.size - 1)
-        turned[i] = circular_mean(mine.magnetic_rad - other.magnetic_rad[nearest])
-    if min(abs(angle) for angle in turned.values()) < _TURNED_RAD:
-        return result
-    words = ", ".join(f"{math.degrees(a):+.0f} degrees against compass {i}" for i, a in turned.items())
-    reason = (
-        f"The heading of compass {instance} is turned by {words}: one of them is mounted turned, or its "
-        "orientation parameter is wrong."
-    )
-    return replace(result, accepted=False, reasons=(*result.reasons, reason))
 
 
 def with_parameters(result: CalibrationResult, track: Track) -> CalibrationResult:

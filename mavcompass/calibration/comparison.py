@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.calibration.model import HeadingError
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad
 from mavcompass.calibration.verdict import Limits
 from mavcompass.units import DEG_PER_RAD
@@ -18,7 +17,11 @@ UNCERTAIN = "The heading would be uncertain"
 def compared(result: CalibrationResult) -> CalibrationResult:
     """Add what changes in the heading from the correction in force."""
     change = heading_change_rad(
-        result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss
+        result.in_force,
+        result.correction,
+        result.horizontal_mgauss,
+        result.vertical_mgauss,
+        turned=result.mounting.turned,
     )
     return replace(
         result,
@@ -27,13 +30,12 @@ def compared(result: CalibrationResult) -> CalibrationResult:
     )
 
 
-def judged(result: CalibrationResult, limits: Limits) -> CalibrationResult:
-    """Refuse by the predicted heading error, beside the method's own reasons."""
+def within(result: CalibrationResult, limits: Limits, why: str = "") -> CalibrationResult:
+    """Accept a result without reasons against it and a sigma within the limit; `why` is what widened it."""
     reasons = list(result.reasons)
     if not result.heading_sigma_deg <= limits.heading_deg:
-        reasons.append(
-            f"{UNCERTAIN} by {result.heading_sigma_deg:.1f} degrees (limit {limits.heading_deg:g})."
-        )
+        uncertain = f"{UNCERTAIN} by {result.heading_sigma_deg:.1f} degrees (limit {limits.heading_deg:g})."
+        reasons += [] if any(UNCERTAIN in reason for reason in reasons) else [why or uncertain]
     return replace(result, reasons=tuple(reasons), accepted=not reasons)
 
 
@@ -42,25 +44,8 @@ def at_least(result: CalibrationResult, scatter_rad: float, limits: Limits) -> C
     scatter = scatter_rad * DEG_PER_RAD
     if scatter <= result.heading_sigma_deg:
         return result
-    grown = math.sqrt(scatter**2 - result.heading_sigma_deg**2)
-    budget = {**result.heading_budget_deg}
-    budget["disturbance"] = math.hypot(budget.get("disturbance", 0.0), grown)
-    error = result.heading_error
-    if error is not None:
-        factor = (scatter / result.heading_sigma_deg) ** 2
-        error = HeadingError(error.state, error.covariance * factor)
-    reasons = result.reasons
-    if scatter > limits.heading_deg:
-        left = (
-            f"The corrected heading would still scatter by {scatter:.1f} degrees about the gyro's "
-            f"(limit {limits.heading_deg:g}): motors, something magnetic, or manoeuvres not followed."
-        )
-        reasons = (*reasons, left)
-    return replace(
-        result,
-        heading_sigma_deg=scatter,
-        heading_budget_deg=budget,
-        heading_error=error,
-        reasons=reasons,
-        accepted=not reasons,
+    left = (
+        f"The corrected heading would still scatter by {scatter:.1f} degrees about the gyro's "
+        f"(limit {limits.heading_deg:g}): motors, something magnetic, or manoeuvres not followed."
     )
+    return within(result.widened(scatter, "disturbance"), limits, left)

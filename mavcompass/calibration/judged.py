@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from mavcompass.blas import single_thread
+from mavcompass.calibration.comparison import compared
 from mavcompass.calibration.model import GAIN, HORIZONTAL, VERTICAL
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import (
@@ -16,11 +17,10 @@ from mavcompass.calibration.positions import (
     solve_four_positions,
     unobserved,
 )
-from mavcompass.calibration.result import CalibrationResult, Position, heading_change_rad
+from mavcompass.calibration.result import CalibrationResult, Position
 from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits, judge
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
-from mavcompass.frames import FloatArray
 from mavcompass.units import DEG_PER_RAD
 
 
@@ -32,14 +32,13 @@ def calibrate_positions(
     instance: int = 1,
     limits: Limits = DEFAULT_LIMITS,
     prior: IronPrior = DEFAULT_PRIOR,
-    reference_headings_rad: FloatArray | None = None,
 ) -> CalibrationResult:
     """Calibrate from still positions that are already at hand; see `solve_four_positions` and `judge`.
 
     Raises PoorCalibration for fewer than three positions, too little turning or a dead compass.
     """
     fit = solve_four_positions(data, in_force, earth, prior)
-    reasons, warnings = judge(data, fit, limits, reference_headings_rad)
+    reasons, warnings = judge(data, fit, limits)
     hidden = unobserved(fit, prior)
     if "offset_z" in hidden:
         sigma = math.sqrt(float(fit.covariance[2, 2]))
@@ -73,8 +72,7 @@ def _result(
         gain = np.diag(fit.correction.matrix)[:2].mean() * 0.5 * float(fit.state[GAIN][:2].sum())
         horizontal *= float(gain)
     vertical = float(fit.state[VERTICAL])
-    change = heading_change_rad(in_force, fit.correction, horizontal, vertical)
-    return CalibrationResult(
+    result = CalibrationResult(
         instance=instance,
         method="four-positions",
         accepted=not reasons,
@@ -90,8 +88,6 @@ def _result(
         heading_sigma_deg=fit.heading_sigma_rad * DEG_PER_RAD,
         heading_budget_deg={name: value * DEG_PER_RAD for name, value in fit.budget_rad.items()},
         heading_error=fit.heading_error,
-        heading_change_deg=math.sqrt(float((change**2).mean())) * DEG_PER_RAD,
-        heading_change_max_deg=float(np.abs(change).max()) * DEG_PER_RAD,
         horizontal_mgauss=horizontal,
         vertical_mgauss=vertical,
         positions=tuple(
@@ -99,3 +95,4 @@ def _result(
             for turned, dwell, residual in zip(data.turned_rad, data.dwells, fit.residual_mgauss, strict=True)
         ),
     )
+    return compared(result)

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.model import HeadingError
+from mavcompass.calibration.model import HeadingError, level_to_body
 from mavcompass.calibration.positions.budget import ACCELEROMETER
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.heading.compute import level_heading
+from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.heading.deviation import DeviationCard, deviation_card
+
+# What no further position lowers.
+_NOT_AVERAGED = (ACCELEROMETER, "disagreement")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +34,43 @@ class Position:
     mean_mgauss: FloatArray
     samples: int
     residual_mgauss: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+
+
+@dataclass(frozen=True, slots=True)
+class Witness:
+    """Hold by how much another source's heading differs from a compass's: the constant part."""
+
+    witness: str
+    difference_deg: float
+    sigma_deg: float
+    contradicts: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mounting:
+    """Hold what is known of how a compass is mounted.
+
+    Attributes:
+        seen: True where something could have contradicted the mounting that is set.
+        turned: the rotation (3, 3) after the mounting in force that is right; None where that is.
+        angle_deg: of that rotation. setting: the parameters that set it; `no_setting` why there are none.
+        mended: the calibration of the compass so mounted.
+    """
+
+    seen: bool = False
+    turned: FloatArray | None = None
+    angle_deg: float = 0.0
+    setting: Mapping[str, float] = field(default_factory=dict)
+    no_setting: str = ""
+    mended: CalibrationResult | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {"seen": self.seen, "angle_deg": self.angle_deg, "setting": dict(self.setting)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +93,9 @@ class CalibrationResult:
         heading_change_max_deg: the largest such difference.
         horizontal_mgauss, vertical_mgauss: the Earth's field the fit arrived at.
         positions: the still positions used.
+        evidence: what else tells the heading, and how far that is from this one.
+        mounting: what is known of it.
+        already_right: True where the values in force are no worse beyond the new ones' sigma.
         parameters: the autopilot's parameters that put the correction in force.
     """
 
@@ -76,13 +119,28 @@ class CalibrationResult:
     horizontal_mgauss: float = math.nan
     vertical_mgauss: float = math.nan
     positions: tuple[Position, ...] = ()
+    evidence: tuple[Witness, ...] = ()
+    mounting: Mounting = field(default_factory=Mounting)
+    already_right: bool = False
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def repeatable_sigma_deg(self) -> float:
         """Return the part of the heading's sigma that further positions would lower."""
-        shared_deg = self.heading_budget_deg.get(ACCELEROMETER, 0.0)
+        shared_deg = math.hypot(*(self.heading_budget_deg.get(name, 0.0) for name in _NOT_AVERAGED))
         return math.sqrt(max(self.heading_sigma_deg**2 - shared_deg**2, 0.0))
+
+    def widened(self, sigma_deg: float, source: str) -> CalibrationResult:
+        """Claim a larger heading sigma; what it grows by is counted for a source of the budget."""
+        if not sigma_deg > self.heading_sigma_deg:
+            return self
+        budget = {**self.heading_budget_deg}
+        grown = math.sqrt(sigma_deg**2 - self.heading_sigma_deg**2)
+        budget[source] = math.hypot(budget.get(source, 0.0), grown)
+        error = self.heading_error
+        if error is not None:
+            error = HeadingError(error.state, error.covariance * (sigma_deg / self.heading_sigma_deg) ** 2)
+        return replace(self, heading_sigma_deg=sigma_deg, heading_budget_deg=budget, heading_error=error)
 
     def to_json(self) -> dict[str, Any]:
         """Return the entry of `compasses` in the calibration JSON; nan becomes null."""
@@ -91,6 +149,7 @@ class CalibrationResult:
             "instance": self.instance,
             "method": self.method,
             "accepted": self.accepted,
+            "already_right": self.already_right,
             "reasons": list(self.reasons),
             "warnings": list(self.warnings),
             "raw_offset_mgauss": _numbers(self.raw_offset_mgauss),
@@ -115,6 +174,8 @@ class CalibrationResult:
                 "vertical": _number(self.vertical_mgauss),
             },
             "deviation_card": self._card_json(),
+            "evidence": [witness.to_json() for witness in self.evidence],
+            "mounting": self.mounting.to_json(),
             "positions": [
                 {
                     "turned_deg": _number(p.turned_deg),
@@ -156,12 +217,20 @@ def summary(result: CalibrationResult) -> str:
     dx, dy, _ = result.correction.diagonals
     if not result.accepted:
         return f"Compass {result.instance}: not accepted."
+    if result.already_right:
+        sigma_deg = max(result.heading_sigma_deg, result.heading_change_deg)
+        return f"Compass {result.instance}: already right, within {sigma_deg:.2f} deg (1 sigma)."
     text = f"Compass {result.instance}: accepted"
     if math.isfinite(result.heading_sigma_deg):
         text += f", heading within {result.heading_sigma_deg:.2f} deg (1 sigma)"
     if math.isfinite(result.heading_change_deg):
         text += f"; the old values were {result.heading_change_deg:.1f} deg off"
-    return f"{text}. Offsets {x:.1f} {y:.1f} {z:.1f} mG, scale {dx:.3f} {dy:.3f}."
+    text = f"{text}. Offsets {x:.1f} {y:.1f} {z:.1f} mG, scale {dx:.3f} {dy:.3f}"
+    if any(result.correction.motor_mgauss):
+        unit = "mG/A" if result.correction.motor_source == "current" else "mG at full throttle"
+        mx, my, mz = result.correction.motor_mgauss
+        text += f", motors {mx:.1f} {my:.1f} {mz:.1f} {unit}"
+    return f"{text}."
 
 
 def _number(value: float) -> float | None:
@@ -178,15 +247,22 @@ def surest(results: Sequence[CalibrationResult]) -> CalibrationResult:
 
 
 def heading_change_rad(
-    old: FieldCorrection, new: FieldCorrection, horizontal_mgauss: float, vertical_mgauss: float
+    old: FieldCorrection,
+    new: FieldCorrection,
+    horizontal_mgauss: float,
+    vertical_mgauss: float,
+    roll_rad: float = 0.0,
+    pitch_rad: float = 0.0,
+    turned: FloatArray | None = None,
 ) -> FloatArray:
-    """Return by how much the heading changes from `old` to `new`, level, at 72 true headings, (72,).
+    """Return by how much the heading changes from `old` to `new` at 72 true headings and a tilt, (72,).
 
     The field is taken to be what `new` makes of the raw readings, so for a good `new` this is the
-    error of `old`.
+    error of `old`. Both are for readings in the same axes; `turned` (3, 3) is the rotation into these from
+    the axes in which the old heading was taken.
     """
     psi = np.arange(72) * (2.0 * math.pi / 72)
-    field_mgauss = np.stack(
+    level = np.stack(
         [
             horizontal_mgauss * np.cos(psi),
             -horizontal_mgauss * np.sin(psi),
@@ -194,4 +270,6 @@ def heading_change_rad(
         ],
         axis=1,
     )
-    return np.asarray(wrap_pi(level_heading(old.apply(new.undo(field_mgauss))) - psi))
+    field_mgauss = level @ level_to_body(roll_rad, pitch_rad).T
+    seen = old.apply(new.undo(field_mgauss)) @ (np.eye(3) if turned is None else turned)
+    return np.asarray(wrap_pi(tilt_compensated_heading(seen, roll_rad=roll_rad, pitch_rad=pitch_rad) - psi))

@@ -10,7 +10,7 @@ import numpy as np
 from mavcompass.calibration.model import GAIN, HORIZONTAL
 from mavcompass.calibration.observation import Dwell, FourPositionData
 from mavcompass.calibration.positions import WIDENED_BELOW, FourPositionsResult
-from mavcompass.frames import FloatArray, circular_mean, wrap_pi
+from mavcompass.frames import FloatArray
 from mavcompass.units import DEG_PER_RAD
 
 # The Earth's horizontal field is between these nearly everywhere people drive; its total never leaves
@@ -49,18 +49,13 @@ def judge(
     data: FourPositionData,
     fit: FourPositionsResult,
     limits: Limits = DEFAULT_LIMITS,
-    reference_headings_rad: FloatArray | None = None,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the reasons to refuse a four-position fit and the warnings if it is accepted.
-
-    `reference_headings_rad` (K,) are the dwells' magnetic headings by something else (GPS yaw, another
-    compass), nan where unknown: they tell a compass that is mounted turned.
-    """
+    """Return what speaks by itself against a four-position fit, and the warnings if it is accepted."""
     reasons: list[str] = []
     warnings: list[str] = []
     reasons += _geometry(data, fit)
     reasons += _field_size(data, fit)
-    reasons += _mounting(fit, reference_headings_rad)
+    reasons += _mounting(fit)
     _judge_disturbance(data, fit, limits, reasons, warnings)
     _judge_current(data, fit, limits, reasons, warnings)
     sigma = fit.heading_sigma_rad * DEG_PER_RAD
@@ -115,7 +110,7 @@ def share_words(off: float) -> str:
     return "a third" if 0.28 < abs(off) < 0.38 else f"{100.0 * abs(off):.0f} %"
 
 
-def _mounting(fit: FourPositionsResult, reference: FloatArray | None) -> list[str]:
+def _mounting(fit: FourPositionsResult) -> list[str]:
     if fit.mirrored:
         return [
             "The field turns against the gyro: the compass is mounted upside down or its orientation "
@@ -126,16 +121,6 @@ def _mounting(fit: FourPositionsResult, reference: FloatArray | None) -> list[st
         return [
             "The compass's vertical axis sees the horizontal field: it is mounted on its side or its "
             "orientation parameter is wrong. Correct the orientation and repeat."
-        ]
-    if reference is None or not np.isfinite(reference).any():
-        return []
-    known = np.isfinite(reference)
-    off = circular_mean(wrap_pi(fit.magnetic_headings_rad - reference)[known]) * DEG_PER_RAD
-    if abs(off) > 30.0:
-        return [
-            f"The heading is {off:+.0f} degrees away from the vehicle's other heading source: the "
-            f"compass seems mounted turned by {90.0 * round(off / 90.0):.0f} degrees. "
-            "Correct its orientation and repeat."
         ]
     return []
 

@@ -80,6 +80,10 @@ from mavcompass.vehicle.transport import Recording, parse_address
     is_flag=True,
     help="Allow restarting the autopilot where its own heading cannot be brought right otherwise.",
 )
+@click.option(
+    "--orientation", is_flag=True, help="Set how a compass is mounted, too, where it is mounted turned."
+)
+@click.option("--rewrite", is_flag=True, help="Write also where the values in force are already right.")
 @click.option("--speak", is_flag=True, help="Say the prompts aloud (spd-say, espeak-ng or say).")
 @systems_option
 @effects_option
@@ -115,6 +119,8 @@ def command(
     dwell_s: float | None,
     max_error_deg: float,
     reboot: bool,
+    orientation: bool,
+    rewrite: bool,
     speak: bool,
     system: int | str | None,
     effects: tuple[str, ...],
@@ -145,7 +151,7 @@ def command(
     if isinstance(address, Recording):
         from mavcompass.cli.calibration.recording import solve_recording
 
-        return solve_recording(wanted, in_force_file)
+        return solve_recording(wanted, in_force_file, orientation)
     if in_force_file is not None:
         raise UsageError("--in-force is for recordings.", "A live vehicle tells its parameters itself.")
     refuse_unasked_write(yes, dry_run)
@@ -167,6 +173,8 @@ def command(
         system=None if isinstance(system, str) else system,
         year=this_year(),
         reboot=reboot,
+        orientation=orientation,
+        rewrite=rewrite,
         dwell=DwellSettings() if dwell_s is None else DwellSettings(dwell_s=dwell_s, shortest_s=dwell_s),
     )
     with open_source(address, effects, as_ground_station=turn_by != "auto") as link:

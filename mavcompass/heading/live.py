@@ -15,18 +15,20 @@ from dataclasses import dataclass
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
+from mavcompass.heading.doubt import UNKNOWN_CALIBRATION_SIGMA_RAD, CalibrationDoubt
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 Vector = tuple[float, float, float]
 
 _TWO_PI = 2.0 * math.pi
 _G = STANDARD_GRAVITY_MPS2
-# Where no calibration of this compass is on record, this much is assumed of whatever is in force.
-UNKNOWN_CALIBRATION_SIGMA_RAD = math.radians(5.0)
 # Autopilots average the compass over 100 ms: a turning vehicle's reading is old by about this much.
 _LAG_SIGMA_S = 0.1
 _QUANTUM_SIGMA_MGAUSS = 1.0 / math.sqrt(12.0)
 _LONGEST_STEP_S = 0.5
+# What the field's strength tells of the calibration is averaged over some fifty readings a sector, and looked
+# at so often.
+_KEEP, _LOOK_S = 0.98, 0.5
 
 
 def _dot(a: Vector, b: Vector) -> float:
@@ -165,12 +167,14 @@ class LiveCompass:
     def restart(self) -> None:
         """Forget how noisy and how far off the field was: the correction in force has changed."""
         self._noise_mgauss2 = 0.0
-        self._unexplained_mgauss2: float | None = None
         self._before: Vector | None = None
+        self._doubt, self._looked_s = CalibrationDoubt(0.0, self.world), -math.inf
+        self._iron = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
     def set_world(self, world: EarthField | None) -> None:
         """Say what the field should be."""
-        self.world = world
+        self.world, self._looked_s = world, -math.inf
+        self._doubt.world = world
         self._declination_rad = None if world is None else world.declination_rad
 
     def set_uncorrected(self, correction: FieldCorrection, rotation: FloatArray) -> None:
@@ -199,12 +203,12 @@ class LiveCompass:
             return None
         magnetic = math.atan2(-across, along) % _TWO_PI
         true = None if self._declination_rad is None else (magnetic + self._declination_rad) % _TWO_PI
-        sigma = self._sigma_rad(m, horizontal, below, level)
+        sigma = self._sigma_rad(time_s, m, (along, across, below), horizontal, level)
         self.latest = Heading(time_s, boot_s, self.instance, magnetic, true, sigma, (along, across, below))
         return self.latest
 
-    def _sigma_rad(self, m: Vector, horizontal: float, below: float, level: Level) -> float:
-        """Combine calibration, noise, tilt, lag, and the part of the field that the world cannot explain."""
+    def _sigma_rad(self, time_s: float, m: Vector, field: Vector, horizontal: float, level: Level) -> float:
+        """Combine calibration, noise, tilt and lag; see `heading.doubt`."""
         turning = abs(level.rate_radps)
         before = self._before
         if before is None or m != before:  # repeated readings say nothing of the noise
@@ -212,15 +216,18 @@ class LiveCompass:
                 square = (m[0] - before[0]) ** 2 + (m[1] - before[1]) ** 2
                 self._noise_mgauss2 += 0.05 * (square / 4.0 - self._noise_mgauss2)
             self._before = m
-        if self.world is not None:
-            # Strength and dip show two of the three components of a disturbance; the third, the one that
-            # turns the heading, is taken to be as large as each of these.
-            dh = horizontal - self.world.horizontal_mgauss
-            dz = below - self.world.ned_mgauss[2]
-            square, before2 = 0.5 * (dh * dh + dz * dz), self._unexplained_mgauss2
-            self._unexplained_mgauss2 = square if before2 is None else before2 + 0.02 * (square - before2)
-        noise = self._noise_mgauss2 + _QUANTUM_SIGMA_MGAUSS**2 + (self._unexplained_mgauss2 or 0.0)
-        tilt = below / horizontal * level.tilt_sigma_rad
+            self._doubt.add(*field, keep=_KEEP)
+        if time_s - self._looked_s >= _LOOK_S:
+            usual = horizontal if self.world is None else self.world.horizontal_mgauss
+            self._doubt.sigma_mgauss, self._looked_s = self.calibration_sigma_rad * usual, time_s
+            iron, covariance, strength = self._doubt.iron()
+            (x, y), ((xx, xy), (_, yy)) = iron.tolist(), covariance.tolist()
+            self._iron = (x, y, xx, xy, yy, strength)
+        x, y, xx, xy, yy, strength = self._iron
+        u, v = field[0] / horizontal, field[1] / horizontal
+        across2 = (u * y - v * x) ** 2 + v * v * xx - 2.0 * u * v * xy + u * u * yy
+        noise = self._noise_mgauss2 + _QUANTUM_SIGMA_MGAUSS**2
+        tilt = field[2] / horizontal * level.tilt_sigma_rad
         lag = turning * _LAG_SIGMA_S
-        variance = self.calibration_sigma_rad**2 + noise / (horizontal * horizontal) + tilt * tilt + lag * lag
+        variance = across2 / strength**2 + noise / (horizontal * horizontal) + tilt * tilt + lag * lag
         return min(math.sqrt(variance), math.pi)

@@ -13,10 +13,11 @@ from mavcompass.earth_field import earth_field_of as earth_field_of
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, tilt_from_acceleration
 from mavcompass.heading.compute import tilt_compensated_heading
+from mavcompass.heading.doubt import CalibrationDoubt, heading_sigma_rad, prior_sigma_mgauss
 from mavcompass.heading.gravity import down_in_body
 from mavcompass.heading.north import grid_heading, true_heading
 from mavcompass.heading.two_axis import two_axis_heading
-from mavcompass.track import Track
+from mavcompass.track import MagSeries, Track
 
 # The date of a recording that does not tell it: the middle of WMM2025's years.
 _UNKNOWN_YEAR = 2027.5
@@ -85,8 +86,15 @@ def heading_of_track(
         )
     else:
         magnetic = np.asarray(tilt_compensated_heading(field, -down))
-    sigma = _magnetic_sigma(field, down, world, two_axis)
+    sigma = _magnetic_sigma(field, down, magnetic, world, _in_force(compass, correction), two_axis)
     return _result(track, compass.time_s, magnetic, sigma, world)
+
+
+def _in_force(compass: MagSeries, correction: FieldCorrection | None) -> FieldCorrection | None:
+    """Return the correction that makes the heading; None where the recording does not tell it."""
+    if correction is not None or compass.not_applied is not None:
+        return correction or compass.not_applied
+    return compass.in_force[-1].correction if compass.correction_known else None
 
 
 def _field(track: Track, correction: FieldCorrection | None, instance: int) -> FloatArray:
@@ -98,23 +106,29 @@ def _field(track: Track, correction: FieldCorrection | None, instance: int) -> F
 
 
 def _magnetic_sigma(
-    field: FloatArray, down: FloatArray, world: EarthField | None, two_axis: bool
+    field: FloatArray,
+    down: FloatArray,
+    magnetic: FloatArray,
+    world: EarthField | None,
+    in_force: FieldCorrection | None,
+    two_axis: bool,
 ) -> FloatArray:
     """Add up calibration, tilt times the tangent of the dip, and (two-axis) the estimated Z."""
     vertical = np.einsum("ij,ij->i", field, down)
     horizontal = np.sqrt(np.maximum((field**2).sum(axis=1) - vertical**2, 1.0))
     usual = world.horizontal_mgauss if world is not None else float(np.median(horizontal))
-    # An error across the field is as likely as one along it, and the latter shows in the length.
-    calibration = math.sqrt(float(np.mean((horizontal - usual) ** 2))) / usual
-    steepness = abs(world.ned_mgauss[2]) / usual if world is not None else np.abs(vertical) / usual
-    variance = np.full(len(field), calibration**2) + (TILT_SIGMA_RAD * steepness) ** 2
+    level = np.stack([horizontal * np.cos(magnetic), -horizontal * np.sin(magnetic), vertical], axis=1)
+    doubt = CalibrationDoubt(prior_sigma_mgauss(in_force, usual), world)
+    doubt.add_all(level)
+    steep = np.full(len(field), abs(world.ned_mgauss[2])) if world is not None else np.abs(vertical)
+    z_sigma = np.zeros(len(field))
     if two_axis and world is not None:
-        tilt = np.hypot(down[:, 0], down[:, 1])
         root = np.maximum(np.abs(field[:, 2]), 0.05 * world.total_mgauss)
-        total_sigma = math.hypot(*world.sigma_mgauss)
-        z_sigma = total_sigma * world.total_mgauss / root
-        variance = variance + (z_sigma * tilt / usual) ** 2
-    return np.asarray(np.minimum(np.sqrt(variance), math.pi))
+        z_sigma = math.hypot(*world.sigma_mgauss) * world.total_mgauss / root
+    tilt = np.hypot(down[:, 0], down[:, 1])
+    return heading_sigma_rad(
+        doubt.sigma_rad(level[:, 0], level[:, 1]), usual, steep, TILT_SIGMA_RAD, z_sigma * tilt
+    )
 
 
 def _result(

@@ -24,7 +24,7 @@ from mavcompass.procedure.motion import Motion, Permissions, SafetyLimits, Wishe
 from mavcompass.procedure.positions import DwellSettings, HandMover, Mover, Window, prove, visit
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.restart import restart
-from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.script import Context, Script, ask
 from mavcompass.procedure.turning import TurnBy
 from mavcompass.procedure.writing import Writer
 from mavcompass.track import Track
@@ -36,13 +36,15 @@ _PROOF_ENOUGH_DEG = 0.5
 _PLACELESS = "The vehicle does not know its place: nothing was taken from the world's magnetic model."
 # The Earth's horizontal and vertical field in temperate latitudes, where the place is not known.
 _TYPICAL_MGAUSS = (220.0, 430.0)
+# A compass that is only a witness is averaged over the same stretches.
+_WITNESS_HZ = 10.0
 # Silent for so long after a stop, the vehicle was not stopped but lost.
 _LOST_S = 2.5
 
 Writing = Literal["ask", "yes", "never"]
 
-# Solves one compass of a Track from the still stretches that the procedure chose.
-Solve = Callable[[Track, int, list[Window], EarthField | None], CalibrationResult]
+# Solves and judges compasses of a Track from the still stretches that the procedure chose.
+Solve = Callable[[Track, tuple[int, ...], list[Window], EarthField | None], tuple[CalibrationResult, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,8 @@ class CalibrateSettings:
         rate_hz: at which IMU messages are asked for.
         year: decimal year to use where the vehicle does not know the date.
         reboot: restart the autopilot where its own heading cannot be brought right otherwise.
+        orientation: set how a compass is mounted, too, where it is mounted turned.
+        rewrite: write also where the values in force are right.
     """
 
     instances: tuple[int, ...] = (1,)
@@ -77,6 +81,8 @@ class CalibrateSettings:
     rate_hz: float = 25.0
     year: float = 2026.0
     reboot: bool = False
+    orientation: bool = False
+    rewrite: bool = False
     dwell: DwellSettings = field(default_factory=DwellSettings)
     limits: SafetyLimits = field(default_factory=SafetyLimits)
 
@@ -145,8 +151,9 @@ class _Calibration:
                 report = self.solve((yield from self.visit(mover, report.windows)))
             for result in report.results:
                 desk.context.show("solve", summary(result), settings.positions / (settings.positions + 1.0))
+            report = yield from self.as_mounted(report)
             mover.halt(desk.context)  # nothing is asked of the vehicle while values are written
-            if report.accepted and settings.writing != "never":
+            if report.accepted and report.to_write and settings.writing != "never":
                 report = yield from writer.write(report)
                 if report.outcome is not None:
                     report = yield from self.prove_or_undo(report, report.outcome, mover, writer)
@@ -161,6 +168,12 @@ class _Calibration:
         identity, rate_hz = self.desk.identity, self.settings.rate_hz
         wanted = self.desk.imu_rates(self.instances, rate_hz)
         first = next(iter(wanted))
+        # The other compasses are witnesses.
+        wanted |= {
+            kind: min(rate_hz, _WITNESS_HZ)
+            for kind in self.desk.imu_rates(self.desk.instances, rate_hz)
+            if kind not in wanted
+        }
         wanted[mav.Attitude] = min(rate_hz, 10.0)
         # The mode and the arming are told by heartbeats only: one a second is late for ending a motion.
         wanted |= dict.fromkeys((mav.GlobalPositionInt, mav.RcChannels, mav.SysStatus, mav.Heartbeat), 4.0)
@@ -215,9 +228,12 @@ class _Calibration:
         desk = self.desk
         track = desk.builder.build()
         world = earth_field_of(track, self.settings.year)
+        results = self.services.solve(track, self.instances, windows, world)
+        if self.settings.rewrite:
+            results = tuple(replace(result, already_right=False) for result in results)
         return CalibrationReport(
             identity=desk.identity,
-            results=tuple(self.services.solve(track, i, windows, world) for i in self.instances),
+            results=results,
             before={i: desk.dialect.correction(desk.parameters, i) for i in self.instances},
             track=track,
             windows=tuple(windows),
@@ -225,13 +241,27 @@ class _Calibration:
             messages=() if world is not None else (_PLACELESS,),
         )
 
+    def as_mounted(self, report: CalibrationReport) -> Script[CalibrationReport]:
+        """Take compasses that are mounted turned as they are mounted, where that is wanted."""
+        results = list(report.results)
+        for k, result in enumerate(results):
+            mended, wanted = result.mounting.mended, self.settings.orientation
+            if mended is None or self.settings.writing == "never":
+                continue
+            if not wanted and self.settings.writing == "ask":
+                question = f"{result.reasons[0]} Set that, with the calibration for it?"
+                wanted = yield from ask(self.desk.context, question)
+            if wanted:
+                results[k] = mended
+        return replace(report, results=tuple(results))
+
     def wants_more(self, report: CalibrationReport, mover: Mover) -> bool:
         """Tell whether further positions are worth their time: a person is not asked for them."""
         if isinstance(mover, HandMover) or len(report.windows) >= self.settings.most_positions:
             return False
-        if max(result.repeatable_sigma_deg for result in report.results) <= self.settings.enough_deg:
+        worst_deg = max(result.repeatable_sigma_deg for result in report.results)
+        if worst_deg <= self.settings.enough_deg:
             return False
-        worst_deg = max(result.heading_sigma_deg for result in report.results)
         self.desk.context.show("turn", f"Heading within {worst_deg:.1f} deg so far: one more position.")
         return True
 

@@ -109,6 +109,11 @@ class CalibrationReport:
         return bool(self.results) and all(result.accepted for result in self.results)
 
     @property
+    def to_write(self) -> tuple[CalibrationResult, ...]:
+        """Return the results that are better than what is in force."""
+        return tuple(result for result in self.results if not result.already_right)
+
+    @property
     def written(self) -> bool:
         """Tell whether the new values are in force on the vehicle."""
         return self.outcome is not None and not self.undone

@@ -25,17 +25,24 @@ class Writer:
         Raises WriteFailed where values were left half written.
         """
         desk = self.desk
-        corrections = {result.instance: result.correction for result in report.results}
-        plan = desk.dialect.plan(desk.parameters, corrections)
+        corrections = {result.instance: result.correction for result in report.to_write}
+        turned = {r.instance: r.mounting.turned for r in report.to_write if r.mounting.turned is not None}
+        plan = desk.dialect.plan(desk.parameters, corrections, turned)
         report = replace(report, plan=plan).noting(*plan.refusals, *plan.remarks)
         if plan.refusals:
             return report
         if self.asks and not (yield from ask(desk.context, _question(plan))):
             return report.noting("Not written: the answer was no.")
         outcome = yield from desk.dialect.write(desk.context, plan, self.save_undo)
+        now = {**desk.parameters, **outcome.values}
         for instance, correction in corrections.items():
-            if desk.dialect.raw_rotation(desk.parameters, instance) is None:
+            rotation = desk.dialect.raw_rotation(now, instance)
+            if rotation is None:
+                if instance in turned:
+                    desk.builder.turn(instance, turned[instance])
                 desk.builder.set_correction(instance, correction)
+            elif instance in turned:
+                desk.builder.set_raw(instance, rotation, correction)
         return replace(report, outcome=outcome)
 
     def take_back(self, report: CalibrationReport, why: str) -> Script[None]:

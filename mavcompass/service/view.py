@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from mavcompass import messages as mav
 from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, px4_name, px4_sensor_to_body
 from mavcompass.earth_field import EarthField
-from mavcompass.heading.live import UNKNOWN_CALIBRATION_SIGMA_RAD, Heading, Level, LiveCompass
+from mavcompass.heading.doubt import prior_sigma_rad
+from mavcompass.heading.live import Heading, Level, LiveCompass
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 from mavcompass.service.watch import Glance
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
@@ -157,8 +158,11 @@ class VehicleView:
         compass = self.compasses.get(instance)
         if compass is not None:
             known = sigma_deg is not None and math.isfinite(sigma_deg)
-            sigma_rad = math.radians(sigma_deg or 0.0) if known else UNKNOWN_CALIBRATION_SIGMA_RAD
-            compass.calibration_sigma_rad = sigma_rad
+            dialect = make_dialect(self.identity.autopilot)
+            in_force = dialect.correction(self.parameters, instance) if self.parameters else None
+            compass.calibration_sigma_rad = (
+                math.radians(sigma_deg or 0.0) if known else prior_sigma_rad(in_force)
+            )
 
     # --- for the watch ------------------------------------------------------------------------------
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from mavcompass.earth_field import EarthField
+from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 from mavcompass.heading.live import Heading
-from mavcompass.heading.witnesses import Blame, Tolerances, Witness, who_is_wrong
 from mavcompass.service.config import WatchConfig
 
 Severity = Literal["warning", "bad"]
@@ -208,9 +208,9 @@ class CompassWatch:
         for instance, heading in fresh.items():
             record = self._records.setdefault(instance, _CompassRecord())
             self._learn(record, heading, glance, step_s)
-        blames = self._blames(list(fresh))
+        apart = self._at_fault(list(fresh))
         for instance in fresh:
-            findings += self._judge(self._records[instance], instance, glance, blames.get(instance))
+            findings += self._judge(self._records[instance], instance, glance, apart.get(instance))
         self.findings = tuple(findings)
         return self.findings
 
@@ -232,29 +232,33 @@ class CompassWatch:
         if glance.current_a is not None:
             record.current.add(glance.current_a, heading.horizontal_mgauss, heading.level_mgauss[2], step_s)
 
-    def _blames(self, instances: list[int]) -> dict[int, Blame]:
-        """Tell which compasses are wrong; where nothing tells, the difference is the last one's."""
+    def _at_fault(self, instances: list[int]) -> dict[int, tuple[float, str]]:
+        """Tell which compasses stand apart, degrees, and why; where nothing tells which, the last one."""
         if 1 not in instances:
             return {}
-        limits, records = self.limits, self._records
-        witnesses = [
-            Witness(
-                i,
-                records[i].apart.value,
-                records[i].dip.value if records[i].dip.known else math.nan,
-                records[i].strength.value if records[i].strength.known else math.nan,
-                records[i].gyro.rms_rad / _DEG if records[i].gyro.known else math.nan,
-            )
-            for i in instances
-        ]
-        # Half the limit is what the latch below still counts as apart.
-        tolerances = Tolerances(
-            0.5 * limits.agreement_deg, limits.gyro_deg, limits.dip_deg, limits.field_percent
+        found = isolate_faults([self._source(i) for i in instances])
+        apart_deg = [math.degrees(found.apart_rad(k)) for k in range(len(instances))]
+        if found.undecided:
+            text = f"The compasses point {abs(apart_deg[-1]):.0f} deg apart; a turn tells which is wrong."
+            return {instances[-1]: (apart_deg[-1], text)}
+        return {instances[k]: (apart_deg[k], found.why(k)) for k in found.blamed}
+
+    def _source(self, instance: int) -> HeadingSource:
+        """Return what one compass shows; what the limits allow counts as two sigmas of a sound one."""
+        limits, record, unknown = self.limits, self._records[instance], math.nan
+        return HeadingSource.at(
+            f"compass {instance}",
+            record.apart.value,
+            # Two compasses are apart by five of these in one case of a hundred where both are sound, and half
+            # the limit is what the latch below still counts as apart.
+            0.1 * limits.agreement_deg,
+            gyro=2.0 * record.gyro.rms_rad / _DEG / limits.gyro_deg if record.gyro.known else unknown,
+            dip=2.0 * record.dip.value / limits.dip_deg if record.dip.known else unknown,
+            strength=2.0 * record.strength.value / limits.field_percent if record.strength.known else unknown,
         )
-        return {blame.instance or instances[-1]: blame for blame in who_is_wrong(witnesses, tolerances)}
 
     def _judge(
-        self, record: _CompassRecord, instance: int, glance: Glance, blame: Blame | None
+        self, record: _CompassRecord, instance: int, glance: Glance, apart: tuple[float, str] | None
     ) -> list[Finding]:
         horizontal = glance.headings[instance].horizontal_mgauss
         swing_deg = math.degrees(record.current.swing_mgauss() / max(horizontal, 1.0) / math.sqrt(2.0))
@@ -262,7 +266,7 @@ class CompassWatch:
         measured = {
             "field": (record.strength.value, limits.field_percent),
             "dip": (record.dip.value, limits.dip_deg),
-            "agreement": (0.0 if blame is None else blame.apart_deg, limits.agreement_deg),
+            "agreement": (0.0 if apart is None else apart[0], limits.agreement_deg),
             "gyro": (record.gyro.rms_rad / _DEG, limits.gyro_deg),
             "course": (record.course.value if record.course.known else 0.0, limits.course_deg),
             "current": (swing_deg, limits.current_deg),
@@ -272,8 +276,8 @@ class CompassWatch:
             latch = record.latches.setdefault(name, _Latch())
             if latch.update(glance.time_s, abs(value), limit):
                 found = _finding(name, instance, value, limit)
-                if name == "agreement" and blame is not None:
-                    found = replace(found, text=blame.why)
+                if name == "agreement" and apart is not None:
+                    found = replace(found, text=apart[1])
                 findings.append(found)
         return findings
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from mavcompass.calibration import calibrate_track
+from mavcompass.calibration import calibrate_compasses
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.verdict import Limits
 from mavcompass.earth_field import EarthField
@@ -66,18 +66,19 @@ def _make_of(parameter: str) -> str:
 
 
 def solver(method: str, max_heading_error_deg: float) -> Solve:
-    """Build the function that solves one compass on the positions that a procedure visited."""
+    """Build the function that solves and judges compasses on the positions that a procedure visited."""
 
     def solve(
-        track: Track, instance: int, windows: list[Window], earth: EarthField | None
-    ) -> CalibrationResult:
-        return calibrate_track(
+        track: Track, instances: tuple[int, ...], windows: list[Window], earth: EarthField | None
+    ) -> tuple[CalibrationResult, ...]:
+        found = calibrate_compasses(
             track,
-            method=method,
-            instance=instance,
+            method,
+            instances,
             earth=earth,
             windows=[(window.start_s, window.end_s) for window in windows],
             limits=Limits(heading_deg=max_heading_error_deg),
         )
+        return tuple(found.values())
 
     return solve

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from mavcompass import messages as mav
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, NoReply, Refused
+from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.heading.live import Level, LiveCompass
 from mavcompass.heading.north import grid_convergence_rad
 from mavcompass.heading.two_axis import TwoAxisCompass
@@ -93,8 +94,10 @@ def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: boo
     compass.set_world(start.world)
     dialect = make_dialect(start.identity.autopilot, source)
     rotation = dialect.raw_rotation(start.parameters, instance)
+    in_force = dialect.correction(start.parameters, instance)
+    compass.calibration_sigma_rad = prior_sigma_rad(in_force)
     if rotation is not None:
-        compass.set_uncorrected(dialect.correction(start.parameters, instance), rotation)
+        compass.set_uncorrected(in_force, rotation)
     flat = (
         TwoAxisCompass(start.world.total_mgauss, start.world.inclination_rad)
         if two_axis and start.world is not None

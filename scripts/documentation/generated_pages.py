@@ -32,7 +32,7 @@ PACKAGE = Path(mavcompass.__file__).parent
 _FURTHER = {  # from Python alone: the further pose, the turn back, the mounting
     "mavcompass.calibration.observation": ("observe",),
     "mavcompass.calibration.positions": ("next_pose", "repeat_test"),
-    "mavcompass.calibration.orientation": ("search_orientation",),
+    "mavcompass.calibration.mounting": ("find_rotation",),
 }
 MEANING = {
     2: "the command is not right",

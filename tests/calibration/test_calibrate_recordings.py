@@ -245,7 +245,8 @@ def test_a_compass_turned_by_ninety_degrees_is_refused_where_gps_yaw_shows_it() 
     yaw = math.radians(25.0) + earth.declination_rad + record.angle_rad
     track = replace(track, gps_yaw_rad=Series.of(record.time_s, wrap_pi(yaw)))
     result = calibrate_track(track)
-    assert any("90 degrees" in reason for reason in result.reasons), result.reasons
+    assert "mounted turned by 90 degrees" in result.reasons[0] and "COMPASS_ORIENT" in result.reasons[0]
+    assert [w.witness for w in result.evidence if w.contradicts] == ["gps-yaw"]
 
 
 def test_three_compasses_are_calibrated_at_once_and_a_turned_one_is_found(shared_data: Path) -> None:

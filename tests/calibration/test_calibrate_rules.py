@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from calibration_worlds import FIELD, Iron, turning_track
 
 from mavcompass.calibration import calibrate
-from mavcompass.calibration.calibrate import _check_compass, _held_against, _turned
-from mavcompass.calibration.methods.four_positions import _references, calibrate_still
+from mavcompass.calibration.calibrate import _check_compass, _turned
+from mavcompass.calibration.methods.four_positions import calibrate_still
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import BadRecording, PoorCalibration
 from mavcompass.frames import FloatArray
-from mavcompass.heading.stream import HeadingResult
 from mavcompass.track import InForce, MagSeries, Series, Track
 
 TIME = np.arange(200.0) * 0.1
@@ -105,34 +103,6 @@ def test_a_turn_of_45_degrees_is_one() -> None:
         assert _turned(track) is turned
 
 
-def headings(degrees: float, count: int = 50) -> HeadingResult:
-    zero = np.zeros(count)
-    return HeadingResult(np.linspace(0.0, 10.0, count), zero + math.radians(degrees), zero, zero)
-
-
-@pytest.mark.parametrize(
-    ("others_deg", "refused"),
-    [
-        ((29.0,), False),
-        ((31.0,), True),
-        ((-31.0,), True),
-        ((31.0, 5.0), False),
-        ((31.0, 180.0), True),
-        ((), False),
-    ],
-)
-def test_a_compass_turned_against_all_others_is_refused(others_deg: tuple[float, ...], refused: bool) -> None:
-    known = {1: headings(0.0), **{k + 2: headings(d, 30 + k) for k, d in enumerate(others_deg)}}
-    result: Any = calibrate._refused(recording(swinging(9.0)), "four-positions", 1, PoorCalibration("none"))
-    result = replace(result, accepted=True, reasons=())
-    told = _held_against(result, 1, known)
-    assert told.accepted is not refused
-    if refused:
-        words = ", ".join(f"{-d:+.0f} degrees against compass {k + 2}" for k, d in enumerate(others_deg))
-        assert words.replace("-180", "+180") in told.reasons[0].replace("-180", "+180")
-    assert _held_against(result, 9, known) is result
-
-
 def test_what_has_no_solution_keeps_what_is_in_force() -> None:
     kept = FieldCorrection((120.0, -80.0, 40.0))
     refused = calibrate._refused(
@@ -155,20 +125,6 @@ def test_three_still_positions_are_enough() -> None:
         else:
             with pytest.raises(PoorCalibration, match="stood still at 2 places only"):
                 calibrate_still(recorded, None)
-
-
-def test_a_yaw_by_satellites_is_a_position_s_heading_where_it_was_told_lately() -> None:
-    place = Series.of([0.0], np.array([[47.4, 8.5, 400.0]]))
-    dwells: Any = type(
-        "Data", (), {"dwells": [type("D", (), {"start_s": s, "end_s": s + 2.0}) for s in (0.0, 10.0, 20.0)]}
-    )
-    yaw = Series.of([2.9, 11.2], np.array([0.5, 1.5]))
-    seen = _references(Recorded(Track(place=place, gps_yaw_rad=yaw, utc_offset_s=1.78e9), 1), dwells)
-    assert seen is not None and np.isnan(seen[2]) and seen[1] - seen[0] == pytest.approx(1.0)
-    assert 0.0 < 0.5 - seen[0] < 0.1  # less the declination of about three degrees
-    assert _references(Recorded(Track(gps_yaw_rad=yaw), 1), dwells) is None
-    assert _references(Recorded(Track(place=place), 1), dwells) is None
-    assert _references(Recorded(Track(place=place, gps_yaw_rad=Series.of([], [])), 1), dwells) is None
 
 
 def test_a_place_is_asked_for_only_where_the_world_is_wanted() -> None:

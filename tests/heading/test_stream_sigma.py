@@ -7,9 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording
+from mavcompass.frames import FloatArray
 from mavcompass.heading import stream
+from mavcompass.heading.doubt import UNKNOWN_CALIBRATION_SIGMA_RAD
 from mavcompass.heading.gravity import down_in_body, moving_average
 from mavcompass.heading.stream import heading_of_track
 from mavcompass.track import MagSeries, Series, Track
@@ -20,22 +23,27 @@ LEVEL = np.tile([0.0, 0.0, 1.0], (50, 1))
 TILT = math.radians(0.3)
 
 
-def test_a_good_compass_is_as_sure_as_its_tilt() -> None:
+IN_FORCE = FieldCorrection((30.0, -20.0, 10.0))
+
+
+def sigma_of(field: FloatArray, down: FloatArray, world: EarthField | None, two_axis: bool) -> FloatArray:
+    magnetic = np.arctan2(-field[:, 1], field[:, 0])
+    return stream._magnetic_sigma(field, down, magnetic, world, IN_FORCE, two_axis)
+
+
+def test_a_good_compass_that_was_turned_is_as_sure_as_its_tilt() -> None:
+    psi = np.linspace(0.0, 6.2, 50)
+    field = np.stack([200.0 * np.cos(psi), -200.0 * np.sin(psi), np.full(50, 400.0)], axis=1)
+    for world in (WORLD, None):
+        assert sigma_of(field, LEVEL, world, False) == pytest.approx(np.full(50, TILT * 2.0), rel=0.35)
+
+
+def test_a_calibration_that_was_not_looked_at_is_as_sure_as_calibrations_are() -> None:
     field = np.tile([200.0, 0.0, 400.0], (50, 1))
-    sigma = stream._magnetic_sigma(field, LEVEL, WORLD, False)
-    assert sigma == pytest.approx(np.full(50, TILT * 2.0))
-    assert stream._magnetic_sigma(field, LEVEL, None, False) == pytest.approx(sigma)
-
-
-def test_a_field_that_is_too_long_or_short_is_less_sure() -> None:
-    length = 200.0 + 10.0 * np.where(np.arange(50) % 2, 1.0, -1.0)
-    field = np.stack([length, 0.0 * length, 400.0 + 0.0 * length], axis=1)
-    expected = math.hypot(10.0 / 200.0, TILT * 2.0)
-    assert stream._magnetic_sigma(field, LEVEL, WORLD, False) == pytest.approx(np.full(50, expected))
-    weak = EarthField((100.0, 0.0, 400.0))
-    expected = math.hypot(math.sqrt(np.mean((length - 100.0) ** 2)) / 100.0, TILT * 4.0)
-    assert stream._magnetic_sigma(field, LEVEL, weak, False)[0] == pytest.approx(expected)
-    assert stream._magnetic_sigma(100.0 * field, LEVEL, weak, False).max() == math.pi
+    unknown = sigma_of(field, LEVEL, None, False)[0]
+    assert unknown == pytest.approx(math.hypot(UNKNOWN_CALIBRATION_SIGMA_RAD, TILT * 2.0), rel=0.05)
+    never = stream._magnetic_sigma(field, LEVEL, np.zeros(50), None, FieldCorrection(), False)[0]
+    assert math.degrees(never) > 20.0
 
 
 def test_two_axes_are_less_sure_the_more_it_leans() -> None:
@@ -44,18 +52,16 @@ def test_two_axes_are_less_sure_the_more_it_leans() -> None:
     field = np.tile([200.0 * math.cos(lean) + 400.0 * math.sin(lean), 0.0,
                      400.0 * math.cos(lean) - 200.0 * math.sin(lean)], (50, 1))  # fmt: skip
     world = EarthField((200.0, 0.0, 400.0), sigma_mgauss=(3.0, 4.0, 12.0))
-    plain = stream._magnetic_sigma(field, down, world, False)[0]
+    plain = sigma_of(field, down, world, False)[0]
     z_sigma = 13.0 * world.total_mgauss / field[0, 2]
-    both = stream._magnetic_sigma(field, down, world, True)[0]
+    both = sigma_of(field, down, world, True)[0]
     assert both == pytest.approx(math.hypot(plain, z_sigma * math.sin(lean) / 200.0))
-    assert stream._magnetic_sigma(field, LEVEL, world, True)[0] == pytest.approx(
-        stream._magnetic_sigma(field, LEVEL, world, False)[0]
-    )
+    assert sigma_of(field, LEVEL, world, True)[0] == pytest.approx(sigma_of(field, LEVEL, world, False)[0])
     flat = field.copy()
     flat[:, 2] = 0.0  # where the root is not told, a twentieth of the field
-    assert stream._magnetic_sigma(flat, down, world, True)[0] ** 2 - stream._magnetic_sigma(
-        flat, down, world, False
-    )[0] ** 2 == pytest.approx((13.0 * 20.0 * math.sin(lean) / 200.0) ** 2)
+    assert sigma_of(flat, down, world, True)[0] ** 2 - sigma_of(flat, down, world, False)[
+        0
+    ] ** 2 == pytest.approx((13.0 * 20.0 * math.sin(lean) / 200.0) ** 2)
 
 
 def placed(**more: object) -> Track:

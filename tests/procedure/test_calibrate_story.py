@@ -154,7 +154,7 @@ def test_more_positions_are_visited_while_they_help(
     mover = HandMover(GyroAngle(), SimpleNamespace()) if by_hand else VehicleMover(GyroAngle(), ())  # type: ignore[arg-type]
     assert calibration(desk).wants_more(report, mover) is more
     said = [action.text for action in desk.context.outbox]
-    assert said == (["Heading within 1.2 deg so far: one more position."] if more else [])
+    assert said == ([f"Heading within {repeatable_deg:.1f} deg so far: one more position."] if more else [])
 
 
 def test_a_stretch_that_was_not_recorded_is_not_sure() -> None:

@@ -11,7 +11,6 @@ import pytest
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.calibration.positions import DEFAULT_PRIOR
 from mavcompass.calibration.verdict import DEFAULT_LIMITS
-from mavcompass.heading.witnesses import Tolerances
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.check import CheckSettings
 from mavcompass.procedure.learnt import LearntSettings
@@ -35,7 +34,8 @@ MAY = {"set_mode": False, "arm": False, "takeoff_m": 0.0}
 CALIBRATE = {
     "instances": (1,), "motion": "auto", "turn_by": "auto", "permissions": Permissions(), "positions": 4,
     "step_rad": 90.0 * DEG, "enough_deg": 0.3, "most_positions": 8, "writing": "ask", "system": None,
-    "rate_hz": 25.0, "year": 2026.0, "reboot": False, "dwell": DwellSettings(), "limits": SafetyLimits(),
+    "rate_hz": 25.0, "year": 2026.0, "reboot": False, "orientation": False,
+    "rewrite": False, "dwell": DwellSettings(), "limits": SafetyLimits(),
 }  # fmt: skip
 PRIOR = {
     "gain_sigma": 0.25, "vertical_gain_sigma": 0.05, "cross_sigma": 0.04, "site_sigma_mgauss": 5.0,
@@ -64,7 +64,6 @@ BY_HAND = {
         (HandMover(GyroAngle(), Rest()), BY_HAND),
         (DEFAULT_PRIOR, PRIOR),
         (DEFAULT_LIMITS, {"heading_deg": 2.0}),
-        (Tolerances(), {"apart_deg": 5.0, "turn_deg": 3.0, "dip_deg": 3.0, "strength_percent": 6.0}),
         (Dwell(0.0, 1.0, np.zeros(3), np.eye(3)), DWELT),
         (Step(1.0, 0.1), {"duration_s": 0.0}),
         (FourPositionData((), ()), {"gyro_bias_sigma_radps": 0.0, "tilt_bias_sigma_rad": 0.0, "source": ""}),

@@ -47,7 +47,7 @@ class Vehicle:
             return nothing(OUTCOME)
 
         dialect = SimpleNamespace(
-            plan=lambda parameters, corrections: plan,
+            plan=lambda parameters, corrections, turned: plan,
             write=write,
             raw_rotation=lambda parameters, instance: np.eye(3) if raw else None,
         )

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from mavcompass import messages as mav
-from mavcompass.heading.live import UNKNOWN_CALIBRATION_SIGMA_RAD
+from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.service.view import VehicleView
 
@@ -114,8 +114,8 @@ def test_px4s_raw_readings_are_corrected_by_its_parameters_as_soon_as_these_are_
     ("sigma_deg", "sigma_rad"),
     [
         (1.0, math.radians(1.0)),
-        (None, UNKNOWN_CALIBRATION_SIGMA_RAD),
-        (math.nan, UNKNOWN_CALIBRATION_SIGMA_RAD),
+        (None, prior_sigma_rad(None)),
+        (math.nan, prior_sigma_rad(None)),
     ],
 )
 def test_how_good_the_calibration_is(sigma_deg: float | None, sigma_rad: float) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mavcompass.calibration.comparison import compared, judged
+from mavcompass.calibration.comparison import compared, within
 from mavcompass.calibration.fits.length import LengthFit
 from mavcompass.calibration.model import (
     GAIN,
@@ -76,7 +76,7 @@ def length_result(
             vertical_mgauss=vertical,
         )
     )
-    return judged(result, recorded.limits)
+    return within(result, recorded.limits)
 
 
 def _split(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.calibration.comparison import UNCERTAIN, compared, judged
+from mavcompass.calibration.comparison import UNCERTAIN, compared, within
 from mavcompass.calibration.fits.textbook import ScaleOffset, SensitivityBias
 from mavcompass.calibration.judged import calibrate_positions
 from mavcompass.calibration.observation import FourPositionData, observe, uncorrected_field
@@ -88,7 +88,7 @@ def level_result(
         vertical_mgauss=vertical,
         positions=positions,
     )
-    return judged(_against_best(compared(result), data, recorded), recorded.limits)
+    return within(_against_best(compared(result), data, recorded), recorded.limits)
 
 
 def _against_best(

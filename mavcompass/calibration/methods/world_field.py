@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.calibration.comparison import compared, judged
+from mavcompass.calibration.comparison import compared, within
 from mavcompass.calibration.model import GAIN, HORIZONTAL, MOTOR, OFFSET, VERTICAL, gain_matrix
 from mavcompass.calibration.motion.findings import findings
 from mavcompass.calibration.motion.honesty import weigh_honestly
@@ -44,6 +44,7 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
     honest = weigh_honestly(motion.sections, motion.fit, recorded.prior)
     correction = correction_of(motion, honest.state)
     honest = honest.at_least(motion.scatter_left_rad(correction))
+    honest = honest.at_least(math.hypot(honest.error.rms_rad(), motion.load_doubt_rad))
     ratio = motion.halves_ratio()
     if ratio > _BY_CHANCE:
         honest = honest.at_least(ratio * honest.noise_rad)
@@ -95,7 +96,7 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
             vertical_mgauss=float(honest.state[VERTICAL]),
         )
     )
-    return judged(result, recorded.limits)
+    return within(result, recorded.limits)
 
 
 def _mounting_rad(motion: Motion) -> float:

@@ -39,9 +39,8 @@ from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 
-# Of the motor field per unit of load, each axis: amperes, and the whole throttle; and of most vehicles.
+# Of the motor field per unit of load, each axis: amperes, and the whole throttle.
 _MOTOR_SIGMA = {"current": 10.0, "throttle": 100.0, "none": 1e-6}
-_USUAL_MOTOR = 0.05
 _ROUNDS, _STEPS = 8, 10
 # Before the data: one section in twenty stands beside something magnetic, of this size on each axis.
 _DISTURBED_BEFORE, _DISTURBED_MGAUSS = 0.05, 40.0
@@ -94,11 +93,6 @@ class MotionFit:
         """Return the horizontal field as the axis that shows most of it reads it."""
         return abs(float(self.state[HORIZONTAL])) * float(np.abs(self.gain[:2, :2]).max())
 
-    def cost_under(self, other: MotionFit) -> float:
-        """Return half the squared residuals as another fit of the same sections weighs them."""
-        squares = _square(self.residual_mgauss, other.variance_mgauss2)
-        return 0.5 * float(other.sound @ squares)
-
     @property
     def headings_rad(self) -> FloatArray:
         """Return the sections' magnetic headings, (K,)."""
@@ -111,7 +105,6 @@ def fit_motion(
     prior: IronPrior | None = None,
     load_source: str = "none",
     in_force: FieldCorrection | None = None,
-    usual_motors: bool = False,
 ) -> MotionFit:
     """Fit a compass to its sections.
 
@@ -121,7 +114,6 @@ def fit_motion(
         prior: what is known of compasses in general.
         load_source: what `sections.load` is: "current", "throttle" or "none".
         in_force: gives Z's offset where no world model does.
-        usual_motors: expect a motor field as small as most vehicles'.
 
     Raises PoorCalibration for fewer than four sections, or where the field does not turn with the vehicle.
     """
@@ -130,7 +122,7 @@ def fit_motion(
             f"Only {len(sections)} stretches of the recording have compass and gyro together.",
             "Record both at 10 Hz or more, and turn the vehicle through a full circle.",
         )
-    motor_sigma = _MOTOR_SIGMA[load_source] * (_USUAL_MOTOR if usual_motors else 1.0)
+    motor_sigma = _MOTOR_SIGMA[load_source]
     beliefs = prior or IronPrior()
     x, rules = first_state(sections, earth, beliefs, motor_sigma, in_force)
     model = _first_model_error(sections, x)

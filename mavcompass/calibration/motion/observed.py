@@ -13,7 +13,13 @@ from mavcompass.calibration.motion.fit import MotionFit, fit_motion, level_headi
 from mavcompass.calibration.motion.reference import ReferenceTurn, reference_turn
 from mavcompass.calibration.motion.scatter import motors_left_rad, scatter_left_rad
 from mavcompass.calibration.motion.sections import Sections, cut_sections
-from mavcompass.calibration.observation import centred, turn_record, uncorrected_field
+from mavcompass.calibration.observation import (
+    accelerometer_of,
+    centred,
+    find_dwells,
+    turn_record,
+    uncorrected_field,
+)
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.calibration.observation.upright import upright
 from mavcompass.calibration.recorded import Recorded
@@ -25,8 +31,8 @@ from mavcompass.track import Track
 
 # A load that varies less than this shows no motor field.
 _LOAD_SPREAD: tuple[tuple[MotorSource, float], ...] = (("current", 1.0), ("throttle", 0.1))
-# Three more numbers are believed where they lower the cost by this: chance does so once in a thousand.
-_MOTOR_GAIN = 8.0
+# Chance makes three numbers as large as this once in a thousand times (chi-square).
+_MOTOR_CHI_SQUARE = 16.3
 _FEWEST_OF_HALF = 8
 _LEAST_TURN_RAD = math.radians(60.0)
 
@@ -79,6 +85,14 @@ class Motion:
         if correction.motor_source == self.load_source:
             undone = -np.linalg.solve(correction.matrix, np.asarray(correction.motor_mgauss))
         return motors_left_rad(self.sections, self.fit, self.fit.state[MOTOR] - undone)
+
+    @property
+    def load_doubt_rad(self) -> float:
+        """Return what is not known of the motors' field, as a heading at the loads recorded, rms, radians."""
+        if self.load_source == "none":
+            return 0.0
+        sigma = math.sqrt(float(np.diag(self.fit.covariance)[MOTOR][:2].mean()))
+        return float(self.sections.load.std()) * sigma / abs(self.fit.horizontal_mgauss)
 
     def halves(self) -> tuple[Sections, Sections] | None:
         """Return both halves of the motion; None where one of them does not turn far enough by itself."""
@@ -133,6 +147,9 @@ def observe_motion(recorded: Recorded) -> Motion:
     sections = cut_sections(
         track, instance, record, uncorrected_field(track, instance), None, reference, tilt_sigma
     )
+    stood = [] if reference is not None else find_dwells(track, instance, record)
+    if reference is None:
+        sections = replace(sections, tilt_bias_rad=accelerometer_of(track, stood))
     if len(sections) and float(np.ptp(sections.turned_rad)) < _LEAST_TURN_RAD:
         raise PoorCalibration(
             f"The vehicle turned only {math.degrees(float(np.ptp(sections.turned_rad))):.0f} degrees.",
@@ -143,16 +160,27 @@ def observe_motion(recorded: Recorded) -> Motion:
         fit = _fitted(recorded, sections, "none")
         return Motion(recorded, record, reference, sections, fit, "none")
     loaded = cut_sections(track, instance, record, track.raw_field(instance), load, reference, tilt_sigma)
-    fit, usual = _fitted(recorded, loaded, source), _fitted(recorded, loaded, source, usual_motors=True)
-    # Both are weighed under the larger errors, those of the fit with hardly a motor field.
-    strong = fit.cost_under(usual) < usual.cost_under(usual) - _MOTOR_GAIN
-    return Motion(recorded, record, reference, loaded, fit if strong else usual, source)
+    loaded = replace(loaded, tilt_bias_rad=sections.tilt_bias_rad)
+    fit = _fitted(recorded, loaded, source)
+    if _motors_told(loaded, fit, math.radians(recorded.limits.heading_deg)):
+        return Motion(recorded, record, reference, loaded, fit, source)
+    return Motion(recorded, record, reference, sections, _fitted(recorded, sections, "none"), "none")
 
 
-def _fitted(
-    recorded: Recorded, sections: Sections, source: MotorSource, usual_motors: bool = False
-) -> MotionFit:
-    return fit_motion(sections, recorded.earth, recorded.prior, source, recorded.in_force, usual_motors)
+def _motors_told(sections: Sections, fit: MotionFit, limit_rad: float) -> bool:
+    """Tell whether the load varied enough to show the motors' field, and to tell it from the iron.
+
+    It shows where chance does not make as large a field; it is told from the iron where the heading without
+    load, at the end of a line that the load's variation drew, is known within the limit.
+    """
+    field, covariance = fit.state[MOTOR], fit.covariance[MOTOR, MOTOR]
+    shows = float(field @ np.linalg.solve(covariance, field)) > _MOTOR_CHI_SQUARE
+    sigma = math.sqrt(float(np.diag(covariance)[:2].mean()))
+    return shows and sections.load_mean * sigma < limit_rad * fit.horizontal_mgauss
+
+
+def _fitted(recorded: Recorded, sections: Sections, source: MotorSource) -> MotionFit:
+    return fit_motion(sections, recorded.earth, recorded.prior, source, recorded.in_force)
 
 
 def _motor_load(track: Track, instance: int) -> tuple[FloatArray | None, MotorSource]:

@@ -14,7 +14,13 @@ from mavcompass.calibration.observation.dwells import (
     uncorrected_field,
 )
 from mavcompass.calibration.observation.rolling import WHEELED, rolls
-from mavcompass.calibration.observation.stillness import assemble, find_dwells, observe, turns_between
+from mavcompass.calibration.observation.stillness import (
+    accelerometer_of,
+    assemble,
+    find_dwells,
+    observe,
+    turns_between,
+)
 from mavcompass.calibration.observation.turning import turn_record
 
 __all__ = [
@@ -24,6 +30,7 @@ __all__ = [
     "FourPositionData",
     "Step",
     "StillnessDetector",
+    "accelerometer_of",
     "assemble",
     "centred",
     "correction_at",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import insort
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from mavcompass.calibration.observation.dwells import (
     dwell_between,
     field_lag_s,
 )
+from mavcompass.calibration.observation.lean import accelerometer_sigma_rad
 from mavcompass.calibration.observation.rolling import rolls
 from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord, turn_record
@@ -35,6 +37,8 @@ from mavcompass.frames import FloatArray
 from mavcompass.track import Track
 
 _SHORTEST_DWELL_S = 1.0
+# Slower, by the receiver's own noise, a vehicle is on the spot.
+_STANDS_MPS = 0.5
 # After the vehicle has come to rest the compass still averages the turn.
 _SETTLE_S = 0.25
 # Half the arc of a position cut from a continuous turn: wide averages a hand's wobble, and the
@@ -235,6 +239,23 @@ def assemble(
         steps=tuple(steps),
         gyro_scale_sigma=GYRO_SCALE_SIGMA,
         gyro_bias_sigma_radps=record.bias_sigma_radps if record is not None else 0.0,
-        tilt_bias_sigma_rad=TILT_BIAS_SIGMA_RAD,
+        tilt_bias_sigma_rad=accelerometer_of(track, dwells),
         source=track.source,
     )
+
+
+def accelerometer_of(track: Track, dwells: Sequence[Dwell]) -> float:
+    """Return what the accelerometer adds to roll and pitch all along, 1 sigma of each, radians.
+
+    Only what stands, or hovers on the spot, leans as it does at rest; what travels takes its level from an
+    estimator that a biased accelerometer does not move.
+    """
+    velocity = track.receiver_velocity_mps or track.gps_velocity_mps
+    if velocity is not None and len(velocity):
+        middles = np.array([0.5 * (d.start_s + d.end_s) for d in dwells])
+        speed = np.linalg.norm(velocity.at(middles)[:, :2], axis=1)
+        dwells = [d for d, mps in zip(dwells, speed, strict=True) if not mps > _STANDS_MPS]
+    if len(dwells) < 3 or not all(math.isfinite(d.turned_rad) for d in dwells):
+        return TILT_BIAS_SIGMA_RAD
+    columns = np.array([(d.turned_rad, d.roll_rad, d.pitch_rad, d.tilt_sigma_rad) for d in dwells])
+    return accelerometer_sigma_rad(*columns.T)

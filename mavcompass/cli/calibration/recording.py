@@ -14,7 +14,7 @@ from mavcompass.report.document import recording_document
 from mavcompass.track import Track
 
 
-def solve_recording(wanted: Wanted, in_force_file: Path | None) -> int:
+def solve_recording(wanted: Wanted, in_force_file: Path | None, orientation: bool = False) -> int:
     """Solve every compass wanted of a recording; return the exit code."""
     source, output = wanted.source, wanted.output
     track = _read(source, in_force_file)
@@ -26,7 +26,11 @@ def solve_recording(wanted: Wanted, in_force_file: Path | None) -> int:
     chosen = wanted.instances or tuple(track.compasses)
     try:
         found = calibrate_compasses(
-            track, wanted.method, chosen, limits=Limits(heading_deg=wanted.max_error_deg)
+            track,
+            wanted.method,
+            chosen,
+            limits=Limits(heading_deg=wanted.max_error_deg),
+            turn=orientation,
         )
     except PoorCalibration as error:
         wanted.output.write_json(wanted.refused(error, chosen, track))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,7 +16,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
 from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.heading.witnesses import Witness, who_is_wrong
+from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 
 Verdict = Literal["pass", "warn", "fail"]
 _ORDER: tuple[Verdict, ...] = ("pass", "warn", "fail")
@@ -24,6 +24,10 @@ _ORDER: tuple[Verdict, ...] = ("pass", "warn", "fail")
 # What ArduPilot documents as the usual range of offsets, and beyond what it will not arm.
 _USUAL_OFFSET_MGAUSS = 400.0
 _MOST_OFFSET_MGAUSS = 1800.0
+# Compasses that are calibrated as well as people do it point the same way within so much.
+AGREEMENT_DEG = 5.0
+# Two that are each as sure as this are apart by more in one case of a hundred where both are sound.
+AGREEMENT_SIGMA_DEG = 1.0
 # Field strength on Earth, with room for the crust.
 _EARTH_MGAUSS = (185.0, 720.0)
 
@@ -167,20 +171,30 @@ def judge_field(reading: Reading, world: EarthField | None) -> list[CheckItem]:
     ]
 
 
-def judge_agreement(witnesses: Sequence[Witness]) -> list[CheckItem]:
-    """Judge whether the compasses point the same way, and which of them is wrong where they do not."""
-    if len(witnesses) < 2:
+def judge_agreement(sources: Mapping[int, HeadingSource]) -> list[CheckItem]:
+    """Judge whether the compasses, by instance, point the same way, and which is wrong where they do not."""
+    if len(sources) < 2:
         return []
-    items = []
-    for blame in who_is_wrong(witnesses):
-        whom = f"compass {blame.instance}" if blame.instance else "both"
-        remedy = f"Calibrate {whom}; if it stays, check the mounting orientation."
-        verdict = _grade(abs(blame.apart_deg), 5.0, 15.0)
-        items.append(CheckItem("agreement", verdict, blame.why, remedy, blame.instance, blame.apart_deg, 5.0))
+    found, instances = isolate_faults(list(sources.values())), list(sources)
+    items = [
+        _apart(instances[k], found.why(k), math.degrees(found.apart_rad(k)), f"compass {instances[k]}")
+        for k in found.blamed
+    ]
+    if found.undecided:
+        apart_deg = max((math.degrees(found.apart_rad(k)) for k in range(len(instances))), key=abs)
+        text = f"The compasses point {abs(apart_deg):.0f} deg apart; a turn tells which is wrong."
+        items.append(_apart(0, text, apart_deg, "both"))
     if not items:
-        numbers = ", ".join(str(witness.instance) for witness in witnesses)
+        numbers = ", ".join(str(instance) for instance in instances)
         items.append(CheckItem("agreement", "pass", f"The compasses {numbers} agree with each other."))
     return items
+
+
+def _apart(instance: int, text: str, apart_deg: float, whom: str) -> CheckItem:
+    remedy = f"Calibrate {whom}; if it stays, check the mounting orientation."
+    limit_deg = AGREEMENT_DEG
+    verdict = _grade(abs(apart_deg), limit_deg, 3.0 * limit_deg)
+    return CheckItem("agreement", verdict, text, remedy, instance, apart_deg, limit_deg)
 
 
 def judge_gyro(rate_radps: FloatArray) -> CheckItem:

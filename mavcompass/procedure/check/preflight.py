@@ -19,9 +19,9 @@ from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
-from mavcompass.heading.witnesses import Witness
+from mavcompass.heading.fault_isolation import HeadingSource
 from mavcompass.procedure.check import items
-from mavcompass.procedure.check.items import CheckItem, Reading, Verdict
+from mavcompass.procedure.check.items import AGREEMENT_SIGMA_DEG, CheckItem, Reading, Verdict
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import Dialect
@@ -260,18 +260,21 @@ class _Checker:
 
     def report(self) -> CheckReport:
         """Put the list together; which of several compasses is wrong, the turn may have told."""
-        self.items += items.judge_agreement([self._witness(reading) for reading in self.readings])
+        sources = {reading.instance: self._source(reading) for reading in self.readings}
+        self.items += items.judge_agreement(sources)
         return CheckReport(self.desk.identity, tuple(self.items), self.turned, self.desk.duration_s())
 
-    def _witness(self, reading: Reading) -> Witness:
-        found = {item.name: item.value for item in self.items if item.instance == reading.instance}
-        known = self.world() is not None
-        return Witness(
-            reading.instance,
+    def _source(self, reading: Reading) -> HeadingSource:
+        """Return what one compass shows; what a question's limit allows counts as two sigmas."""
+        found = {i.name: 2.0 * i.value / i.limit for i in self.items if i.instance == reading.instance}
+        nothing = math.nan
+        return HeadingSource.at(
+            f"compass {reading.instance}",
             math.degrees(reading.heading_rad),
-            dip_off_deg=found.get("dip", math.nan),
-            strength_off_percent=found["field"] if known else math.nan,
-            turn_off_deg=found.get("turn", math.nan),
+            AGREEMENT_SIGMA_DEG,
+            gyro=found.get("turn", nothing),
+            dip=found.get("dip", nothing),
+            strength=found["field"] if self.world() is not None else nothing,
         )
 
     def _add(self, item: CheckItem | None) -> None:

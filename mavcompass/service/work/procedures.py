@@ -84,13 +84,13 @@ def calibration(
     """Build a calibration whose solving is done by the worker; its results appear in the task."""
     worker.start()
 
-    def solve(track: Any, instance: int, windows: list[Any], earth: Any) -> CalibrationResult:
-        result: CalibrationResult = worker.call(
-            solve_there, track, instance, windows, earth, request.method, MAX_HEADING_ERROR_DEG
+    def solve(
+        track: Any, instances: tuple[int, ...], windows: list[Any], earth: Any
+    ) -> tuple[CalibrationResult, ...]:
+        task.results = worker.call(
+            solve_there, track, instances, windows, earth, request.method, MAX_HEADING_ERROR_DEG
         )
-        others = (other for other in task.results if other.instance != instance)
-        task.results = (*others, result)
-        return result
+        return task.results
 
     autopilot = ""
 
@@ -112,6 +112,8 @@ def calibration(
         system=system,
         rate_hz=rate_hz,
         year=year,
+        orientation=request.orientation,
+        rewrite=request.rewrite,
         dwell=DwellSettings(dwell_s=request.dwell_s),
     )
     return Machine(lambda context: calibrate(context, services, settings))

@@ -62,6 +62,12 @@ class CalibrationRequest:
     ] = "four-positions"
     positions: Annotated[int, Meta(ge=3, le=24)] = 4
     dwell_s: Annotated[float, Meta(ge=0.5, le=60.0)] = 2.0
+    orientation: Annotated[
+        bool, Meta(description="Set how a compass is mounted, too, where it is mounted turned.")
+    ] = False
+    rewrite: Annotated[bool, Meta(description="Write also where the values in force are already right.")] = (
+        False
+    )
 
     kind: ClassVar[Kind] = "calibration"
 

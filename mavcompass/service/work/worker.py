@@ -69,28 +69,27 @@ class Worker:
 
 
 def solve(
-    track: Any, instance: int, windows: list[Any], earth: Any, method: str, max_heading_error_deg: float
+    track: Any,
+    instances: tuple[int, ...],
+    windows: list[Any],
+    earth: Any,
+    method: str,
+    max_heading_error_deg: float,
 ) -> Any:
-    """Solve one compass; see `vehicle.calibrating.solver`."""
+    """Solve and judge compasses; see `vehicle.calibrating.solver`."""
     from mavcompass.vehicle.calibrating import solver
 
-    return solver(method, max_heading_error_deg)(track, instance, windows, earth)
+    return solver(method, max_heading_error_deg)(track, instances, windows, earth)
 
 
 def learn(pieces: list[Any], instances: tuple[int, ...], earth: Any, limit_deg: float) -> dict[int, Any]:
     """Tell what pieces of a recording show of each compass: a `Learnt`, or why there is none."""
-    from mavcompass.calibration.calibrate import learn_compass
+    from mavcompass.calibration.calibrate import learn_compasses
     from mavcompass.calibration.verdict import Limits
     from mavcompass.track import joined
 
-    track = joined(pieces)
-    found: dict[int, Any] = {}
-    for instance in instances:
-        try:
-            found[instance] = learn_compass(track, instance, earth, Limits(heading_deg=limit_deg))
-        except MavCompassError as error:
-            found[instance] = str(error)
-    return found
+    found = learn_compasses(joined(pieces), instances, earth, Limits(heading_deg=limit_deg))
+    return {i: str(learnt) if isinstance(learnt, MavCompassError) else learnt for i, learnt in found.items()}
 
 
 def write_calibration_report(report: Any, path: Path) -> None:

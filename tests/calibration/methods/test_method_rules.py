@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from calibration_worlds import FIELD, Iron, turning_track
 
-from mavcompass.calibration.comparison import at_least, compared, judged
+from mavcompass.calibration.comparison import at_least, compared, within
 from mavcompass.calibration.fits.length import LengthFit
 from mavcompass.calibration.methods import _length, _level, auto, running
 from mavcompass.calibration.methods.four_positions_textbook import _right_angles
@@ -114,8 +114,8 @@ def test_a_change_from_what_is_in_force_is_told_rms_and_at_most() -> None:
     ("sigma_deg", "accepted"), [(1.99, True), (2.0, True), (2.01, False), (math.nan, False)]
 )
 def test_a_heading_less_certain_than_the_limit_is_refused(sigma_deg: float, accepted: bool) -> None:
-    assert judged(result(sigma_deg=sigma_deg), DEFAULT_LIMITS).accepted is accepted
-    assert not judged(result(reasons=("flat",)), DEFAULT_LIMITS).accepted
+    assert within(result(sigma_deg=sigma_deg), DEFAULT_LIMITS).accepted is accepted
+    assert not within(result(reasons=("flat",)), DEFAULT_LIMITS).accepted
 
 
 @pytest.mark.parametrize(

@@ -23,11 +23,10 @@ from mavcompass.calibration.fits.textbook import (
 )
 from mavcompass.calibration.observation.detector import Stillness
 from mavcompass.calibration.observation.wire import effective_count, unquantise
-from mavcompass.calibration.orientation import search_orientation
 from mavcompass.calibration.positions import next_pose, repeat_test
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back, sensor_orientation_matrix
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.heading.deviation import deviation_card, fit_deviation
 
 STRONG = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0))
@@ -157,26 +156,6 @@ def test_a_sphere_is_found_in_spite_of_outliers() -> None:
 def test_a_flat_turn_is_no_sphere() -> None:
     with pytest.raises(PoorCalibration, match="plane"):
         fit_ellipsoid(body_field(np.linspace(0, 6.2, 500)))
-
-
-# ---- mounting ----
-
-
-@pytest.mark.parametrize("number", [0, 2, 8, 12, 25, 38])
-def test_the_mounting_is_found(number: int) -> None:
-    _, field = all_ways(1500)
-    sensor = (field + np.random.default_rng(2).normal(0, 3, field.shape)) @ sensor_orientation_matrix(number)
-    search = search_orientation(sensor + 40.0, field, in_force=0)
-    assert search.believed
-    assert number in (search.best.orientation, *search.best.same)
-    assert ("as set" in search.words) == (number == 0)
-
-
-def test_a_mirrored_axis_is_named() -> None:
-    _, field = all_ways(1500)
-    search = search_orientation(field * (1.0, -1.0, 1.0), field)
-    assert not search.believed
-    assert "mirrored" in search.words
 
 
 # ---- observability, deviation, repetition, stillness ----

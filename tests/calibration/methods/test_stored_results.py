@@ -13,9 +13,7 @@ from made_up_recordings import EARTH, four_stops, hovering, tumbling, wandering,
 from mavcompass.calibration import calibrate_track
 from mavcompass.calibration.fits.length import fit_ellipsoid, fit_sphere
 from mavcompass.calibration.observation import find_dwells, uncorrected_field
-from mavcompass.calibration.orientation import search_orientation
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import euler_to_matrix, rotate_back
 from mavcompass.procedure.positions import Window, prove
 from mavcompass.track import Track
 
@@ -58,19 +56,6 @@ def test_a_proof(as_stored: Callable[[Any], None]) -> None:
     three, four = (calibrate_track(track, earth=EARTH, windows=spans[:n]) for n in (3, 4))
     proof = prove(track, windows[2], windows[3], [three], [four])
     as_stored([proof, proof.summary()])
-
-
-@pytest.mark.parametrize("name", ["four stops", "tumbling"])
-def test_a_mounting(name: str, as_stored: Callable[[Any], None]) -> None:
-    """Of a compass that is turned by a right angle, and of one with a mirrored axis."""
-    track = MADE[name]()
-    raw = uncorrected_field(track, 1)[::3]
-    assert track.attitude_rad is not None
-    roll, pitch, yaw = track.attitude_rad.at(track.compasses[1].time_s[::3]).T
-    expected = rotate_back(euler_to_matrix(roll, pitch, yaw), np.broadcast_to(EARTH.ned_mgauss, raw.shape))
-    turned = raw[:, [1, 0, 2]] * [-1.0, 1.0, 1.0]
-    found = [search_orientation(seen, expected, 6) for seen in (raw, turned, raw * [1.0, -1.0, 1.0])]
-    as_stored([[search.words, search.ratio, search.believed, search.candidates[:6]] for search in found])
 
 
 def test_lengths(as_stored: Callable[[Any], None]) -> None:

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +13,7 @@ from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turnin
 
 from mavcompass.calibration import calibrate_compasses, calibrate_track
 from mavcompass.calibration.model import level_to_body
-from mavcompass.calibration.motion import observed
-from mavcompass.calibration.motion.fit import MotionFit, fit_motion
+from mavcompass.calibration.motion.fit import fit_motion
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
@@ -141,23 +139,25 @@ def test_the_motors_field_is_found_where_the_current_swings() -> None:
     assert rms(heading_errors(result.correction, iron)) < 0.5
 
 
-@pytest.mark.parametrize(("per_ampere", "is_strong"), [(0.0, False), (15.0, True)])
-def test_motors_are_held_to_be_weak_unless_the_field_says_more(
-    per_ampere: float, is_strong: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("per_ampere", "mean_a", "swing_a", "told"),
+    [
+        (0.0, 10.0, 8.0, False),  # there is none
+        (15.0, 10.0, 8.0, True),
+        (3.0, 28.0, 0.3, False),  # it hardly varies: the iron may be it
+        (3.0, 28.0, 20.0, True),
+    ],
+)
+def test_motors_are_told_where_the_load_varied_enough(
+    per_ampere: float, mean_a: float, swing_a: float, told: bool
 ) -> None:
     track = driven(iron_of(STRONG))
     time = track.compasses[1].time_s
-    current = 10.0 + 8.0 * np.sin(0.9 * time)
+    current = mean_a + swing_a * np.sin(0.9 * time)
     loaded = with_field(track, current[:, np.newaxis] * [per_ampere, 0.0, 0.0])
-    fits: dict[bool, MotionFit] = {}
-
-    def noting(*asked: Any) -> MotionFit:
-        *_, weak = asked
-        return fits.setdefault(weak, fit_motion(*asked))
-
-    monkeypatch.setattr(observed, "fit_motion", noting)
-    found = observe_motion(Recorded(replace(loaded, current_a=Series.of(time, current)), 1, FIELD)).fit
-    assert fits.keys() == {False, True} and found is fits[not is_strong]
+    motion = observe_motion(Recorded(replace(loaded, current_a=Series.of(time, current)), 1, FIELD))
+    assert motion.load_source == ("current" if told else "none")
+    assert (motion.load_doubt_rad > 0.0) is told
 
 
 def wandering(track: Track, size_mgauss: float) -> Track:

@@ -128,14 +128,11 @@ def test_a_motor_field_is_found_beside_the_load(source: str) -> None:
     assert wrap_pi(there - seen.headings_rad) == pytest.approx(np.zeros(K), abs=1e-3)
     none = fit_motion(sections_of(load=load), EARTH)
     assert np.abs(none.state[MOTOR]).max() < 1e-5
-    # Before the data: 10 mG/A, 100 mG at full throttle; of most vehicles a twentieth.
+    # Before the data: 10 mG/A, 100 mG at full throttle.
     blind = sections_of(load=1e-9 * load)
-    sigma = [
-        math.sqrt(fit_motion(blind, EARTH, None, source, None, usual).covariance[13, 13])
-        for usual in (False, True)
-    ]
+    sigma = math.sqrt(fit_motion(blind, EARTH, None, source, None).covariance[13, 13])
     wide = {"current": 10.0, "throttle": 100.0}[source]
-    assert sigma == pytest.approx([wide, 0.05 * wide], rel=1e-3)
+    assert sigma == pytest.approx(wide, rel=1e-3)
 
 
 def test_a_passing_magnet_is_kept_out() -> None:
@@ -153,10 +150,6 @@ def test_what_is_wrong_everywhere_is_an_error_of_the_model() -> None:
     calm = fit_motion(sections_of(noise=0.2), EARTH)  # as one reading's noise of 1 mG makes of twenty
     assert calm.model_mgauss == 0.0
     assert fit.sigma_of(seen) > 10.0 * fit.sigma_of(calm)
-    assert seen.cost_under(seen) == pytest.approx(
-        0.5 * (seen.residual_mgauss**2).sum() / (seen.model_mgauss**2 + 0.05), rel=0.05
-    )
-    assert calm.cost_under(seen) < seen.cost_under(seen) < seen.cost_under(calm)
 
 
 def test_the_sigma_is_the_scatter_of_fits() -> None:

@@ -178,7 +178,8 @@ def test_the_recorded_hover_gives_what_was_found_live(shared_data: Path) -> None
     live = json.loads((folder / "copter_four_positions.json").read_text())["live_result"]
     whole = read_track(folder / "copter_four_positions.ulg")
     found = calibrate_track(whole.between(48.0, 1e9), "four-positions")  # the iron was put in before
-    assert found.accepted and found.heading_sigma_deg < 0.3
+    # A copter that hunts hides the lean that would show a biased accelerometer: that is claimed, too.
+    assert found.accepted and found.heading_sigma_deg < 0.8
     change_rad = heading_change_rad(
         px4_correction(live, 1), found.correction, found.horizontal_mgauss, found.vertical_mgauss
     )

@@ -11,7 +11,7 @@ from mavcompass import messages as mav
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
-from mavcompass.heading.witnesses import Witness
+from mavcompass.heading.fault_isolation import HeadingSource
 from mavcompass.procedure.check import CheckReport, items
 from mavcompass.procedure.check.items import CheckItem, Reading, Verdict
 from mavcompass.procedure.vehicle_state import VehicleIdentity
@@ -132,9 +132,10 @@ def test_strength_where_the_place_is_unknown(mgauss: float, verdict: Verdict) ->
     ("apart_deg", "verdict"), [(0.0, "pass"), (4.9, "pass"), (5.2, "warn"), (14.8, "warn"), (15.2, "fail")]
 )
 def test_agreement(apart_deg: float, verdict: Verdict) -> None:
-    found = items.judge_agreement([Witness(1, 10.0), Witness(2, 10.0 + apart_deg)])
+    at = {1: 10.0, 2: 10.0 + apart_deg}
+    found = items.judge_agreement({i: HeadingSource.at(f"compass {i}", d, 1.0) for i, d in at.items()})
     assert [i.verdict for i in found] == [verdict] and found[0].name == "agreement"
-    assert items.judge_agreement([Witness(1, 10.0)]) == [] == items.judge_agreement([])
+    assert items.judge_agreement({1: HeadingSource.at("compass 1", 10.0, 1.0)}) == []
     if verdict == "pass" and apart_deg == 0.0:
         assert found[0].text == "The compasses 1, 2 agree with each other." and not found[0].remedy
     if verdict != "pass":

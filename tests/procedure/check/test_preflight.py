@@ -17,7 +17,7 @@ from mavcompass.cli.check import command
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
-from mavcompass.heading.witnesses import Witness
+from mavcompass.heading.fault_isolation import HeadingSource
 from mavcompass.procedure.check import CheckReport, CheckSettings, check, items
 from mavcompass.procedure.check.items import Reading
 from mavcompass.procedure.script import Machine, Show
@@ -127,7 +127,9 @@ def test_without_a_place_only_an_absurd_field_fails() -> None:
 
 def test_agreement_is_judged_across_north() -> None:
     for heading_deg, verdict in ((1.0, "pass"), (10.0, "warn"), (90.0, "fail")):
-        (item,) = items.judge_agreement([Witness(1, 359.0), Witness(2, heading_deg)])
+        (item,) = items.judge_agreement(
+            {i: HeadingSource.at(f"compass {i}", d, 1.0) for i, d in ((1, 359.0), (2, heading_deg))}
+        )
         assert item.verdict == verdict
 
 
@@ -139,7 +141,10 @@ def test_the_compass_at_fault_is_named_with_two_sound_ones_beside_it() -> None:
     report = checked(vehicle, "none")
     (item,) = (item for item in report.items if item.name == "agreement")
     assert item.instance == 1 and item.verdict == "fail"
-    assert item.text.startswith("Compass 1 is off by ") and "2 and 3 agree with each other" in item.text
+    assert (
+        item.text.startswith("Compasses 2 and 3 agree with each other and stand")
+        and "2 and 3 agree with each other" in item.text
+    )
     assert item.remedy.startswith("Calibrate compass 1;")
 
 

@@ -84,15 +84,18 @@ def test_the_world_is_that_of_the_place_and_the_date_where_they_are_known() -> N
         assert dated is not None and dated.ned_mgauss == earth_field(47.4, 8.5, 400.0, year).ned_mgauss
 
 
-def test_a_witness_brings_along_what_was_found_of_its_compass() -> None:
+def test_a_source_brings_along_what_was_found_of_its_compass() -> None:
     check = checker("none")
     found = (("dip", 2, 1.5), ("field", 2, -4.0), ("turn", 2, 0.7), ("dip", 1, 9.0))
-    check.items = [CheckItem(name, "pass", "", instance=i, value=value) for name, i, value in found]
-    witness = check._witness(Reading(2, 200.0, 400.0, 1.0))
-    assert (witness.instance, witness.dip_off_deg, witness.turn_off_deg) == (2, 1.5, 0.7)
-    assert np.isnan(witness.strength_off_percent)  # without a place the strength is in milligauss
+    check.items = [
+        CheckItem(name, "pass", "", instance=i, value=value, limit=2.0) for name, i, value in found
+    ]
+    source = check._source(Reading(2, 200.0, 400.0, 1.0))
+    shown = source.by_itself
+    assert (source.name, shown["dip"], shown["gyro"]) == ("compass 2", 1.5, 0.7)
+    assert np.isnan(shown["strength"])  # without a place the strength is in milligauss
     check.desk.state.place = mav.GlobalPositionInt(lat=474_000_000, lon=85_000_000)
-    assert check._witness(Reading(2, 200.0, 400.0, 1.0)).strength_off_percent == -4.0
+    assert check._source(Reading(2, 200.0, 400.0, 1.0)).by_itself["strength"] == -4.0
 
 
 def test_down_is_that_of_roll_and_pitch() -> None:

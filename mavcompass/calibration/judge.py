@@ -1,0 +1,291 @@
+"""Accept a calibration or refuse it: the one judgement behind every door.
+
+A method says what its own data show (`reasons`, sigma). Here that is held against all else that was recorded:
+
+1. every source of the heading (`evidence`) is sound or at fault by one rule (`heading.fault_isolation`), and
+   the heading's sigma is the rms error over all that may be so: what contradicts widens it, and what widens
+   it beyond the limit is the reason;
+2. a compass that is turned is calibrated as it is mounted (`mounting`), and the setting that mends it told;
+3. the values in force are evidence, too: where the new ones are no better by more than their sigma, level and
+   leaning, the compass is right as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mavcompass.calibration.comparison import compared, within
+from mavcompass.calibration.evidence import Evidence, expected_field, gather, heading_by
+from mavcompass.calibration.mounting import find_rotation
+from mavcompass.calibration.result import CalibrationResult, Mounting, Witness, heading_change_rad
+from mavcompass.calibration.verdict import Limits
+from mavcompass.compass_parameters import (
+    ardupilot_name,
+    ardupilot_naming,
+    mounting_values,
+    px4_name,
+    sensor_to_body,
+    values,
+)
+from mavcompass.compass_parameters.orientations import NUMBERED, nearest
+from mavcompass.correction import IDENTITY
+from mavcompass.earth_field import EarthField
+from mavcompass.errors import PoorCalibration, Refused
+from mavcompass.frames import FloatArray, euler_to_matrix, wrap_pi
+from mavcompass.heading.fault_isolation import FaultIsolation, isolate_faults, named
+from mavcompass.track import Series, Track
+
+# A difference of so many sigmas is no chance.
+BEYOND_CHANCE = 3.0
+# A heading that is off by less is no matter of the mounting: boards are set by eye, irons bend as much.
+_TURNED_RAD = math.radians(20.0)
+# Soft iron bends a measured rotation by up to this: nearer to a numbered orientation, it is that one.
+_NUMBERED_RAD = math.radians(12.0)
+# What is left after a numbered orientation is an angle of its own from here on.
+_FREE_RAD = math.radians(1.5)
+_LEAN_RAD = math.radians(15.0)
+
+# Calibrates one compass of a recording, unjudged. Raises PoorCalibration where it cannot be.
+Solve = Callable[[Track], CalibrationResult]
+
+
+def judge(
+    track: Track,
+    result: CalibrationResult,
+    others: Mapping[int, CalibrationResult],
+    earth: EarthField | None,
+    limits: Limits,
+    solve: Solve,
+    windows: Sequence[tuple[float, float]] | None = None,
+) -> CalibrationResult:
+    """Return a result as it may be claimed: accepted, already right, or refused with its reasons.
+
+    Args:
+        track: the recording. result: of one of its compasses.
+        others: results of its other compasses, as far as they could be calibrated.
+        earth: the Earth's field at the place, None where that is unknown.
+        solve: calibrates the same compass of another recording: of this one, with the compass turned.
+        windows: the still stretches (start, end) that count as evidence; None for all of the recording.
+    """
+
+    def seen(of: Track, one: CalibrationResult) -> Evidence:
+        return gather(of, one, others, earth, windows)
+
+    evidence = seen(track, result)
+    found = isolate_faults(evidence.sources)
+    judged = _told(_weighed(result, evidence, found, limits), found, track)
+    if judged.accepted:
+        return _right_already(judged)
+    mended = _mended(track, result, others, earth, limits, solve, seen, found)
+    if mended is None:
+        return judged
+    return replace(judged, mounting=mended, reasons=(_about_mounting(judged, mended), *judged.reasons))
+
+
+def _weighed(
+    result: CalibrationResult, evidence: Evidence, found: FaultIsolation, limits: Limits
+) -> CalibrationResult:
+    """Claim no less than the rms error by all that the sources may show, and judge by that."""
+    own = evidence.sources[0].sigma_rad
+    beyond2 = max(float(found.error_rad[0]) ** 2 - own**2, 0.0) + evidence.scatter_rad**2
+    sigma_deg = math.hypot(result.heading_sigma_deg, math.degrees(math.sqrt(beyond2)))
+    return within(result.widened(sigma_deg, "disagreement"), limits, _contradiction(found, evidence))
+
+
+def _contradiction(found: FaultIsolation, evidence: Evidence) -> str:
+    """Say which evidence contradicts the first source; "" where none does."""
+    mine, others = found.sources[0], found.sources[1:]
+    if 0 in found.blamed:
+        return found.why(0)
+    if found.undecided or found.sound[0] < 0.5:
+        far = max(others, key=lambda s: abs(float(wrap_pi(s.deviation_rad[0]))))
+        apart = math.degrees(abs(float(wrap_pi(far.deviation_rad[0]))))
+        stands = f"{far.name.capitalize()} stands {apart:.0f} deg from {mine.name}"
+        if apart < math.degrees(_TURNED_RAD):
+            return f"{stands}, and nothing tells which is wrong."
+        return f"{stands}: one of them is mounted turned, or set so, and nothing tells which."
+    if evidence.scatter_rad > math.radians(1.0):
+        return (
+            f"{mine.name.capitalize()} moves by {math.degrees(evidence.scatter_rad):.1f} deg against"
+            f" {named([s.name for s in others])}: something magnetic changes near it, or it is read late."
+        )
+    return ""
+
+
+def _told(result: CalibrationResult, found: FaultIsolation, track: Track) -> CalibrationResult:
+    """Put the evidence into the result, and say where there was none."""
+    mine, witnesses = found.sources[0], []
+    for source in found.sources[1:]:
+        difference = float(wrap_pi(source.deviation_rad[0]))
+        sigma = math.hypot(source.sigma_rad, mine.sigma_rad)
+        contradicts = abs(difference) > BEYOND_CHANCE * sigma
+        witnesses.append(Witness(source.name, math.degrees(difference), math.degrees(sigma), contradicts))
+    if witnesses:
+        return replace(result, evidence=tuple(witnesses), mounting=Mounting(seen=True))
+    unseen = (
+        "Which way the compass is mounted cannot be seen by turning alone, and nothing else that was recorded"
+        f" tells it: taken from {_orientation_name(track, result.instance)}."
+    )
+    return replace(result, warnings=(*result.warnings, unseen))
+
+
+def _orientation_name(track: Track, instance: int) -> str:
+    if track.autopilot == "px4":
+        return px4_name("ROT", instance)
+    return ardupilot_name("ORIENT", instance, ardupilot_naming(track.parameters))
+
+
+# --- right already ------------------------------------------------------------------------------------
+
+
+def _right_already(result: CalibrationResult) -> CalibrationResult:
+    """Mark a compass whose values in force are no worse than the new ones beyond their sigma.
+
+    ArduPilot takes offsets that are all zero for a compass that was never calibrated, so they do not count.
+    """
+    known = any(result.in_force.offsets_mgauss) and math.isfinite(result.heading_change_deg)
+    if not known or result.mounting.turned is not None:
+        return result
+    leaning = [(0.0, 0.0)]
+    if result.heading_error is not None:
+        leaning += [(_LEAN_RAD, 0.0), (-_LEAN_RAD, 0.0), (0.0, _LEAN_RAD), (0.0, -_LEAN_RAD)]
+    for roll, pitch in leaning:
+        change = heading_change_rad(
+            result.in_force,
+            result.correction,
+            result.horizontal_mgauss,
+            result.vertical_mgauss,
+            roll,
+            pitch,
+        )
+        sigma = math.radians(result.heading_sigma_deg)
+        if (roll or pitch) and result.heading_error is not None:
+            sigma = max(sigma, result.heading_error.rms_rad(roll, pitch))
+        if math.sqrt(float((change**2).mean())) > BEYOND_CHANCE * sigma:
+            return result
+    return replace(result, already_right=True)
+
+
+# --- the mounting -------------------------------------------------------------------------------------
+
+
+def _mended(
+    track: Track,
+    result: CalibrationResult,
+    others: Mapping[int, CalibrationResult],
+    earth: EarthField | None,
+    limits: Limits,
+    solve: Solve,
+    seen: Callable[[Track, CalibrationResult], Evidence],
+    found: FaultIsolation,
+) -> Mounting | None:
+    """Find the mounting with which a refused compass agrees with the sound sources; None for none."""
+    rotation = _rotation(track, result, others, earth, found)
+    if rotation is None:
+        return None
+    for _ in range(2):
+        turned = turned_compass(track, result.instance, rotation)
+        try:
+            solved = solve(turned)
+        except PoorCalibration:
+            return None
+        mounting = Mounting(seen=True, turned=rotation)
+        solved = compared(replace(solved, in_force=result.in_force.turned(rotation), mounting=mounting))
+        evidence = seen(turned, solved)
+        again = isolate_faults(evidence.sources)
+        # Readings that are turned clockwise show a heading that much less.
+        away = again.apart_rad(0) if solved.accepted else 0.0
+        if abs(away) < _FREE_RAD:
+            break
+        rotation = euler_to_matrix(0.0, 0.0, away) @ rotation
+    judged = _weighed(solved, evidence, again, limits)
+    if not judged.accepted:
+        return None
+    return _as_set(track, _told(judged, again, track), rotation)
+
+
+def _rotation(
+    track: Track,
+    result: CalibrationResult,
+    others: Mapping[int, CalibrationResult],
+    earth: EarthField | None,
+    found: FaultIsolation,
+) -> FloatArray | None:
+    """Find how far a compass is turned against what is set, by the surest of the sources that are sound."""
+    believed = [i for i in found.likeliest if i > 0]
+    if not believed or found.undecided:
+        return None
+    source = found.sources[min(believed, key=lambda i: found.sources[i].sigma_rad)]
+    declination = 0.0 if earth is None else earth.declination_rad
+    heading = heading_by(track, source.name, others, declination)
+    if heading is None:
+        # What tells no heading at each moment tells by how much this one is off.
+        rotation = euler_to_matrix(0.0, 0.0, -source.deviation_rad[0])
+    else:
+        strength = (
+            (earth.horizontal_mgauss, earth.ned_mgauss[2])
+            if earth is not None
+            else (result.horizontal_mgauss, result.vertical_mgauss)
+        )
+        time = track.compasses[result.instance].time_s
+        try:
+            seen = find_rotation(
+                track.raw_field(result.instance), expected_field(track, heading, time, *strength)
+            )
+        except PoorCalibration:
+            return None
+        if not seen.believed:
+            return None
+        rotation = seen.matrix
+    in_force = sensor_to_body(track.autopilot, track.parameters, result.instance)
+    number, off = nearest(rotation @ in_force, NUMBERED)
+    if off < _NUMBERED_RAD:
+        rotation = NUMBERED[number] @ in_force.T
+    return rotation if _angle(rotation) > _TURNED_RAD else None
+
+
+def _angle(rotation: FloatArray) -> float:
+    return math.acos(min(max(0.5 * (float(np.trace(rotation)) - 1.0), -1.0), 1.0))
+
+
+def _as_set(track: Track, judged: CalibrationResult, rotation: FloatArray) -> Mounting:
+    """Spell a mounting in the autopilot's parameters; where it has none, say so."""
+    angle_deg = math.degrees(_angle(rotation))
+    wanted = rotation @ sensor_to_body(track.autopilot, track.parameters, judged.instance)
+    try:
+        setting = mounting_values(track.autopilot, track.parameters, judged.instance, wanted)
+        spelled = values(track.autopilot, track.parameters, judged.instance, judged.correction, rotation)
+    except Refused as why:
+        return Mounting(seen=True, turned=rotation, angle_deg=angle_deg, no_setting=str(why))
+    mounting = Mounting(seen=True, turned=rotation, angle_deg=angle_deg, setting=setting)
+    mended = replace(judged, mounting=mounting, parameters=spelled)
+    return replace(mounting, mended=mended)
+
+
+def _about_mounting(result: CalibrationResult, mounting: Mounting) -> str:
+    found = (
+        f"Compass {result.instance} is mounted turned by {mounting.angle_deg:.0f} degrees against what is set"
+    )
+    if mounting.no_setting:
+        return f"{found}. {mounting.no_setting}"
+    setting = ", ".join(f"{name} {value:g}" for name, value in mounting.setting.items())
+    sigma = mounting.mended.heading_sigma_deg if mounting.mended else math.nan
+    return f"{found}: {setting} is right (then within {sigma:.2f} deg; --orientation sets it)."
+
+
+def turned_compass(track: Track, instance: int, rotation: FloatArray) -> Track:
+    """Return the recording as if one compass had a further rotation (3, 3) after the mounting in force."""
+    compass = track.compasses[instance]
+    raw = np.asarray(track.raw_field(instance)) @ np.asarray(rotation).T
+    reading = replace(
+        compass,
+        reported=Series(compass.time_s, raw),
+        in_force=(replace(compass.in_force[0], correction=IDENTITY),),
+        truncated=False,
+        not_applied=None,
+    )
+    return replace(track, compasses={**track.compasses, instance: reading})

@@ -1,0 +1,122 @@
+"""How far a heading may be off: the one reckoning, of a recording and live.
+
+A calibration that is off by the iron d, in the vehicle's level axes, lengthens the horizontal field along it,
+
+    h = H + u . d + noise,    u the direction of the field,                                            (D1)
+
+and turns the heading by d across u, over H. So strengths that were seen all round tell d, one strength tells
+one component of it, and what they do not tell stays what it was before: the calibration's own sigma; of one
+that nobody judged, a few degrees; of a compass that was never calibrated, the iron that vehicles have.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.frames import FloatArray
+
+# Where no calibration of this compass is on record, this much is assumed of whatever is in force.
+UNKNOWN_CALIBRATION_SIGMA_RAD = math.radians(5.0)
+# Iron of vehicles whose compass was never calibrated, each axis.
+_IRON_MGAUSS = 100.0
+# Strength of the horizontal field where people drive, for a place that is not known; and what rocks, steel in
+# the ground and the calibration's gains leave of it where the place is.
+_ANYWHERE_MGAUSS, _ANYWHERE_SIGMA_MGAUSS, _SITE_MGAUSS = 220.0, 80.0, 5.0
+# Seen over and over again at one heading, a strength is one observation, not a thousand.
+_SECTORS = 24
+
+
+def prior_sigma_mgauss(in_force: FieldCorrection | None, horizontal_mgauss: float) -> float:
+    """Return the iron to be expected under a calibration in force, each axis, before any look at the field.
+
+    Offsets that are all zero are no calibration; None is one that is not known.
+    """
+    if in_force is None or not any(in_force.offsets_mgauss):
+        return _IRON_MGAUSS
+    return UNKNOWN_CALIBRATION_SIGMA_RAD * horizontal_mgauss
+
+
+def prior_sigma_rad(in_force: FieldCorrection | None) -> float:
+    """Return the same as a heading's sigma, in the field of a usual place."""
+    return prior_sigma_mgauss(in_force, _ANYWHERE_MGAUSS) / _ANYWHERE_MGAUSS
+
+
+class CalibrationDoubt:
+    """Keep what the strength of the field told of a calibration.
+
+    Attributes:
+        sigma_mgauss: of the iron that is left, each axis, beforehand.
+        world: the Earth's field at the place, None where that is not known.
+    """
+
+    def __init__(self, sigma_mgauss: float, world: EarthField | None = None) -> None:
+        self.sigma_mgauss = sigma_mgauss
+        self.world = world
+        self._sums = np.zeros((_SECTORS, 5))  # by sector: weight, and weighed strength, direction, vertical
+
+    def add(self, along_mgauss: float, across_mgauss: float, down_mgauss: float, keep: float = 1.0) -> None:
+        """Take one level field; `keep` is the share that older ones of the same sector retain."""
+        strength = math.hypot(along_mgauss, across_mgauss)
+        if strength < 1.0:
+            return
+        row = self._sums[int(math.atan2(across_mgauss, along_mgauss) / (2.0 * math.pi) * _SECTORS)]
+        row *= keep
+        row += (1.0, strength, along_mgauss / strength, across_mgauss / strength, down_mgauss)
+
+    def add_all(self, level_mgauss: FloatArray) -> None:
+        """Take level fields, (N, 3): along the nose, to the right, down."""
+        strength = np.hypot(level_mgauss[:, 0], level_mgauss[:, 1])
+        along, across, down = level_mgauss[strength >= 1.0].T
+        strength = strength[strength >= 1.0]
+        place = (np.arctan2(across, along) / (2.0 * math.pi) * _SECTORS).astype(np.intp) % _SECTORS
+        values = (np.ones(along.size), strength, along / strength, across / strength, down)
+        for column, weights in enumerate(values):
+            self._sums[:, column] += np.bincount(place, weights, _SECTORS)
+
+    def iron(self) -> tuple[FloatArray, FloatArray, float]:
+        """Return the iron (2,) by (D1), its covariance (2, 2), and the strength of the field, milligauss."""
+        seen = self._sums[self._sums[:, 0] > 0.0]
+        mean = seen[:, 1:] / seen[:, :1]
+        usual, sigma, expected = _ANYWHERE_MGAUSS, _ANYWHERE_SIGMA_MGAUSS, self.sigma_mgauss
+        if self.world is not None and len(mean):
+            usual, sigma = self.world.horizontal_mgauss, math.hypot(*self.world.sigma_mgauss, _SITE_MGAUSS)
+            # Iron is alike on all axes: what shows of it tells how much of it there may be unseen.
+            shown = np.append(mean[:, 0] - usual, mean[:, 3].mean() - self.world.ned_mgauss[2])
+            beyond = max(float((shown**2).sum()) / (shown.size - 1) - sigma**2, 0.0)
+            expected = math.sqrt(expected**2 / (1.0 + shown.size) + beyond)
+        design, off = np.column_stack([np.ones(len(mean)), mean[:, 1:3]]), mean[:, 0] - usual
+        prior = np.array([sigma, max(expected, 1e-3), max(expected, 1e-3)]) ** -2.0
+        noise, found, covariance = _SITE_MGAUSS, np.zeros(3), np.diag(1.0 / prior)
+        for _ in range(2 if len(mean) else 0):
+            covariance = np.asarray(np.linalg.inv(design.T @ design / noise**2 + np.diag(prior)))
+            found = covariance @ (design.T @ off) / noise**2
+            noise = max(_SITE_MGAUSS, float(np.sqrt(((off - design @ found) ** 2).mean())))
+        return found[1:], covariance[1:, 1:], max(usual + float(found[0]), 1.0)
+
+    def sigma_rad(self, along_mgauss: FloatArray, across_mgauss: FloatArray) -> FloatArray:
+        """Return the heading's sigma by the calibration, (N,), where the level field points so."""
+        iron, covariance, strength = self.iron()
+        length = np.maximum(np.hypot(along_mgauss, across_mgauss), 1e-9)
+        turn = np.stack([-across_mgauss / length, along_mgauss / length], axis=-1)
+        square = (turn @ iron) ** 2 + np.einsum("ni,ij,nj->n", turn, covariance, turn)
+        return np.asarray(np.sqrt(square) / strength)
+
+
+def heading_sigma_rad(
+    calibration_rad: FloatArray | float,
+    horizontal_mgauss: FloatArray | float,
+    vertical_mgauss: FloatArray | float,
+    tilt_sigma_rad: FloatArray | float,
+    noise_mgauss: FloatArray | float = 0.0,
+    late_rad: FloatArray | float = 0.0,
+) -> FloatArray:
+    """Combine what a heading may be off by, (...): calibration, noise, tilt by the dip, lateness."""
+    horizontal = np.maximum(horizontal_mgauss, 1e-9)
+    tilt = np.asarray(vertical_mgauss) / horizontal * tilt_sigma_rad
+    noise = np.asarray(noise_mgauss) / horizontal
+    square = np.square(calibration_rad) + noise**2 + tilt**2 + np.square(late_rad)
+    return np.asarray(np.minimum(np.sqrt(square), math.pi))

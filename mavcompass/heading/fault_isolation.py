@@ -1,0 +1,192 @@
+"""Several sources of one heading that may disagree: how far each is off, and which of them is at fault.
+
+Each source i shows deviations c_i from a common heading: the constant A, and where it was seen on the
+circle also B sin psi and C cos psi, as a compass adjuster writes them. A sound source has c_i = mu + noise
+of its own sigma, with a common mu of which nothing is known; one at fault has any deviation. A hypothesis
+is the set S of sound sources, and its weight, each deviation integrated over mu,
+
+    w(S) = prod_S (1 - p) l_i  prod_(not S) p / R  .  1/R int prod_S N(c_i; mu, sigma_i) dmu            (F1)
+
+with p the chance of its fault, R the room that a fault has, and l_i what the source shows by itself (its turn
+against the gyro, its dip and strength against the Earth's), as a likelihood ratio of sound to faulty.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mavcompass.frames import FloatArray, wrap_pi
+
+# Before anything is seen, one compass in fifty is mounted otherwise than set, or broken; of what is none one
+# source in two hundred is wrong about the nose (antennas swapped, driven backwards all along).
+FAULT, _FAULT_ELSEWHERE = 0.02, 0.005
+# A fault has the whole circle for A, and 20 degrees each way for B and C: twice the iron that bends most.
+_ROOM_RAD = (2.0 * math.pi, math.radians(40.0), math.radians(40.0))
+# What a source shows by itself is this much wider where it is at fault. It may be the place that is at fault
+# instead, or the gyro, in one case of 150: more it cannot say against a source.
+_WIDER, _LEAST_LOG = 10.0, -5.0
+# A source is blamed where it is rather at fault than sound, and another rather sound; where there is none,
+# one that is sound with less than this chance leaves it open which it is.
+_DOUBTED = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class HeadingSource:
+    """Hold what one source of the heading shows.
+
+    Attributes:
+        name: "compass 2", "gps-yaw", ...
+        deviation_rad: A, and B and C where they were seen (else nan); only differences between sources count.
+        sigma_rad: of each of these, where the source is sound.
+        by_itself: what else it shows, in sigmas of a sound source, by what it is held against.
+        fault: how likely it is to be at fault before anything is seen.
+    """
+
+    name: str
+    deviation_rad: tuple[float, float, float]
+    sigma_rad: float
+    by_itself: Mapping[str, float] = field(default_factory=dict)
+    fault: float = FAULT
+
+    @classmethod
+    def elsewhere(cls, name: str, a_rad: float, sigma_rad: float) -> HeadingSource:
+        """Make a source that is no compass, of which A is known."""
+        return cls(name, (a_rad, math.nan, math.nan), sigma_rad, fault=_FAULT_ELSEWHERE)
+
+    @classmethod
+    def at(cls, name: str, heading_deg: float, sigma_deg: float, **by_itself: float) -> HeadingSource:
+        """Make a source of which one heading is known, degrees; nan in `by_itself` is what is not known."""
+        return cls(name, (math.radians(heading_deg), math.nan, math.nan), math.radians(sigma_deg), by_itself)
+
+    @property
+    def log_ratio(self) -> float:
+        """Return the log likelihood ratio, sound to faulty, of what it shows by itself."""
+        known = [z for z in self.by_itself.values() if not math.isnan(z)]
+        wider = math.log(_WIDER)
+        return max(sum(wider - 0.5 * z**2 * (1.0 - _WIDER**-2) for z in known), _LEAST_LOG)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaultIsolation:
+    """Hold which sources are sound.
+
+    Attributes:
+        sources: as given.
+        sound: the probability of each being sound, (N,).
+        error_rad: the rms error of each over the circle, by all hypotheses, its own sigma included, (N,).
+        likeliest: the sources (from 0) that are sound by the likeliest hypothesis.
+    """
+
+    sources: tuple[HeadingSource, ...]
+    sound: FloatArray
+    error_rad: FloatArray
+    likeliest: tuple[int, ...]
+
+    @property
+    def blamed(self) -> tuple[int, ...]:
+        """List the sources that are more likely at fault than sound, where another is not."""
+        at_fault = np.flatnonzero(self.sound < 0.5)
+        return tuple(int(i) for i in at_fault) if (self.sound > 0.6).any() else ()
+
+    @property
+    def undecided(self) -> bool:
+        """Tell whether some source is at fault and nothing tells which."""
+        return not self.blamed and bool((self.sound < _DOUBTED).any())
+
+    def apart_rad(self, index: int) -> float:
+        """Return a source's A less that of the other sound ones; of all others where there are none."""
+        rest = tuple(i for i in range(len(self.sources)) if i != index)
+        others = tuple(i for i in self.likeliest if i != index) or rest
+        if not others:
+            return 0.0
+        centre, _ = _common(self.sources, others)
+        return float(wrap_pi(self.sources[index].deviation_rad[0] - centre[0]))
+
+    def why(self, index: int) -> str:
+        """Say in a sentence what speaks against a source."""
+        mine = self.sources[index]
+        apart_deg = abs(math.degrees(self.apart_rad(index)))
+        others = [self.sources[i].name for i in self.likeliest if i != index]
+        shows = [name for name, z in mine.by_itself.items() if abs(z) > 2.0]
+        also = f"; it disagrees with {' and '.join(shows)} as well" if shows else ""
+        stand = (
+            f"{named(others)} stands"
+            if len(others) == 1
+            else f"{named(others)} agree with each other and stand"
+        )
+        if not others:
+            return f"{_capital(mine.name)} disagrees with {' and '.join(shows) or 'all others'}."
+        return f"{_capital(stand)} {apart_deg:.0f} deg from {mine.name}{also}."
+
+
+def isolate_faults(sources: Sequence[HeadingSource]) -> FaultIsolation:
+    """Weigh every set of sources that may be sound (F1). Returns nothing to blame for one source or none."""
+    sources, count = tuple(sources), len(sources)
+    if count < 2:
+        sigma = np.array([s.sigma_rad for s in sources])
+        return FaultIsolation(sources, np.ones(count), sigma, tuple(range(count)))
+    hypotheses = [
+        subset for size in range(1, count + 1) for subset in itertools.combinations(range(count), size)
+    ]
+    weights, errors = [], []
+    for subset in hypotheses:
+        centre, log_weight = _common(sources, subset)
+        for i, source in enumerate(sources):
+            sound = i in subset
+            log_weight += math.log(1.0 - source.fault) + source.log_ratio if sound else math.log(source.fault)
+        weights.append(log_weight)
+        errors.append([_error2(source, None if i in subset else centre) for i, source in enumerate(sources)])
+    share = np.exp(np.array(weights) - max(weights))
+    share /= share.sum()
+    member = np.array([[i in subset for i in range(count)] for subset in hypotheses], dtype=np.float64)
+    return FaultIsolation(
+        sources, share @ member, np.sqrt(share @ np.array(errors)), hypotheses[int(np.argmax(share))]
+    )
+
+
+def _common(sources: Sequence[HeadingSource], subset: tuple[int, ...]) -> tuple[FloatArray, float]:
+    """Return the mean deviation (3,) of a set, nan where none shows it, and the log of its weight."""
+    centre, log_weight = np.full(3, math.nan), 0.0
+    for part, room in enumerate(_ROOM_RAD):
+        seen = [s for s in sources if not math.isnan(s.deviation_rad[part])]
+        held = [s for i, s in enumerate(sources) if i in subset and s in seen]
+        log_weight -= (len(seen) - len(held)) * math.log(room)
+        if not held:
+            continue
+        values = np.array([s.deviation_rad[part] for s in held])
+        if part == 0:
+            values = values[0] + np.asarray(wrap_pi(values - values[0]))
+        weight = np.array([s.sigma_rad**-2.0 for s in held])
+        centre[part] = float(weight @ values) / float(weight.sum())
+        spread = float(weight @ (values - centre[part]) ** 2)
+        log_weight += 0.5 * float(np.log(weight).sum() - math.log(float(weight.sum()))) - 0.5 * spread
+        log_weight -= 0.5 * (len(held) - 1) * math.log(2.0 * math.pi) + math.log(room)
+    return centre, log_weight
+
+
+def _error2(source: HeadingSource, sound: FloatArray | None) -> float:
+    """Return the mean square error over the circle of a source, sound or off from those that are."""
+    if sound is None:
+        return source.sigma_rad**2
+    away = np.nan_to_num(np.asarray(source.deviation_rad) - sound)
+    constant = float(wrap_pi(away[0]))
+    return source.sigma_rad**2 + constant**2 + 0.5 * float(away[1:] @ away[1:])
+
+
+def named(names: Sequence[str]) -> str:
+    """List sources as people do: "compasses 2 and 3", "compass 1 and gps-yaw"."""
+    compasses = [name.removeprefix("compass ") for name in names if name.startswith("compass ")]
+    rest = [name for name in names if not name.startswith("compass ")]
+    if len(compasses) > 1:
+        listed = " and ".join([", ".join(compasses[:-1]), compasses[-1]])
+        names = [f"compasses {listed}", *rest]
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
