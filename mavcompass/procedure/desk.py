@@ -11,10 +11,13 @@ from mavcompass.errors import Refused
 from mavcompass.procedure.dialect import Dialect, describe_compasses
 from mavcompass.procedure.motion import Mobility, Wishes
 from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Sureness, Window, dwell
-from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.script import Context, Script, expect
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
 from mavcompass.track_builder import TrackBuilder
+
+# Of a compass without an id only its readings tell; what streams at all does so twice in this time.
+_FIRST_READING_S = 2.0
 
 
 @dataclass(slots=True)
@@ -54,6 +57,8 @@ class Desk:
         builder = TrackBuilder(identity.autopilot, identity.kind)
         builder.parameters.update(parameters)
         describe_compasses(builder, dialect, parameters)
+        if not dialect.instances(parameters, state.reporting):
+            yield from expect(context, mav.RawImu, timeout_s=_FIRST_READING_S)
         rest = Rest(wheels=identity.kind in WHEELED)
         desk = cls(context, identity, dialect, parameters, state, builder, began_s, rest=rest)
         context.listeners += [builder.add, desk.gyro.hear, desk.rest.hear]
@@ -62,7 +67,7 @@ class Desk:
     @property
     def instances(self) -> tuple[int, ...]:
         """List the vehicle's compasses, from 1."""
-        return self.dialect.instances(self.parameters)
+        return self.dialect.instances(self.parameters, self.state.reporting)
 
     def chosen(self, wanted: tuple[int, ...]) -> tuple[int, ...]:
         """Return the compasses to work on, all where none is named.

@@ -26,8 +26,10 @@ class Writer:
         """
         desk = self.desk
         corrections = {result.instance: result.correction for result in report.results}
-        plan = desk.dialect.plan(desk.parameters, corrections)
-        report = replace(report, plan=plan).noting(*plan.refusals, *plan.remarks)
+        plan = desk.dialect.plan(desk.parameters, corrections, reporting=desk.state.reporting)
+        said = {warning for result in report.results for warning in result.warnings}
+        remarks = [remark for remark in plan.remarks if remark not in said]
+        report = replace(report, plan=plan).noting(*plan.refusals, *remarks)
         if plan.refusals:
             return report
         if self.asks and not (yield from ask(desk.context, _question(plan))):
