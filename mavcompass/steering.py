@@ -62,7 +62,8 @@ def steering_source(autopilot: str, parameters: Mapping[str, float]) -> Steering
     """Tell which compass (from 1), or "gps", or "other", the autopilot takes its yaw from.
 
     `autopilot` is "px4", or ArduPilot's rules are tried. Returns None where the parameters do not tell: too
-    few of them are known, or PX4 chooses among sensors of the same priority, or among several estimators.
+    few of them are known, ArduPilot's compasses are about to change places, or PX4 chooses among sensors of
+    the same priority, or among several estimators.
     "gps" is what the parameters ask for: receivers that give no yaw leave PX4 and EK3_SRC1_YAW 3 with a
     compass.
     """
@@ -103,9 +104,13 @@ def _ardupilot_compass(parameters: Mapping[str, float]) -> SteeringSource:
     uses = {i: told("USE", i) for i in ARDUPILOT_COMPASSES if told("USE", i) is not None}
     if not uses:
         return None
+    ids = {i: told("DEV_ID", i) for i in ARDUPILOT_COMPASSES}
+    first_choices = {i: parameters.get(f"COMPASS_PRIO{i}_ID") for i in ARDUPILOT_COMPASSES}
+    if any(first_choices[i] in {*ids.values()} - {ids[i], 0.0, None} for i in ARDUPILOT_COMPASSES):
+        return None  # between a change of priorities and the start that makes it, or before version 4.1
     used = [instance for instance, use in uses.items() if use]
     # A slot without a sensor; but where none tells an id, the firmware is one that tells none.
-    found = [instance for instance in used if told("DEV_ID", instance) != 0.0] or used
+    found = [instance for instance in used if ids[instance] != 0.0] or used
     first = int(parameters.get("COMPASS_PRIMARY", 0.0)) + 1  # before version 4.1
     return first if first in found else next(iter(found), "other")
 

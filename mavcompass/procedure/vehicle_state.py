@@ -113,6 +113,7 @@ class VehicleState:
     place: mav.GlobalPositionInt | None = None
     local: mav.LocalPositionNed | None = None
     ekf: mav.EkfStatusReport | None = None
+    estimator: mav.EstimatorStatus | None = None
     battery: mav.SysStatus | None = None
     sticks: mav.RcChannels | None = None
     landed: mav.ExtendedSysState | None = None
@@ -140,6 +141,8 @@ class VehicleState:
                 self.local = message
             case mav.EkfStatusReport():
                 self.ekf = message
+            case mav.EstimatorStatus():
+                self.estimator = message
             case mav.SysStatus():
                 self.battery = message
             case mav.RcChannels():
