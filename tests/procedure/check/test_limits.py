@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from mavcompass import messages as mav
+from mavcompass.cli.check import _say
+from mavcompass.cli.options import Output
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
 from mavcompass.heading.witnesses import Witness
+from mavcompass.kinds import Kind
 from mavcompass.procedure.check import CheckReport, items
 from mavcompass.procedure.check.items import CheckItem, Reading, Verdict
 from mavcompass.procedure.vehicle_state import VehicleIdentity
@@ -274,3 +277,17 @@ def test_limits_of_offsets_and_of_the_earths_field_are_within() -> None:
         assert item.verdict == "pass" and item.limit == 720.0
     assert items.worst([]) == "pass" and items.worst(["warn", "pass"]) == "warn"
     assert items.worst(["warn", "fail", "pass"]) == "fail"
+
+
+@pytest.mark.parametrize(("kind", "itself"), [("rover", True), ("copter", True), ("plane", False)])
+def test_who_cannot_turn_on_the_spot_is_sent_to_a_hand(
+    kind: Kind, itself: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = CheckReport(
+        VehicleIdentity(1, 1, "ardupilot", kind), report("fail").items, False, 1.0, ("Know.",)
+    )
+    assert found.turns_itself is itself and found.to_json()["remarks"] == ["Know."]
+    _say(found, "udpin:0.0.0.0:14550", Output(None), False)
+    said = capsys.readouterr().out
+    assert "calibrate udpin:0.0.0.0:14550" in said and "Note: Know." in said
+    assert ("--motion hand" in said) is not itself
