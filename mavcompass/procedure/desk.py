@@ -88,11 +88,7 @@ class Desk:
 
     def imu_rates(self, instances: tuple[int, ...], rate_hz: float) -> dict[type[mav.Message], float]:
         """List the messages that carry these compasses; the first one's brings the gyro along."""
-        kinds: dict[int, type[mav.Message]] = {
-            1: mav.ScaledImu if self.identity.autopilot == "px4" else mav.RawImu,
-            2: mav.ScaledImu2,
-            3: mav.ScaledImu3,
-        }
+        kinds = carriers(self.identity.autopilot)
         return {kinds[i]: rate_hz for i in sorted({1, *instances}) if i in kinds}
 
     def mobility(self, wishes: Wishes) -> Mobility:
@@ -108,3 +104,9 @@ class Desk:
     def duration_s(self) -> float:
         """Return how long the desk has been open."""
         return self.context.now - self.began_s
+
+
+def carriers(autopilot: str) -> dict[int, type[mav.Message]]:
+    """Return the message that carries each compass, from 1; MAVLink has none for a fourth."""
+    first = mav.ScaledImu if autopilot == "px4" else mav.RawImu
+    return {1: first, 2: mav.ScaledImu2, 3: mav.ScaledImu3}

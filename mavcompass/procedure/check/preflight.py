@@ -26,7 +26,7 @@ from mavcompass.procedure.check import items
 from mavcompass.procedure.check.items import CheckItem, Reading, Verdict
 from mavcompass.procedure.check.mounting import turned_by
 from mavcompass.procedure.commands import MessageRates
-from mavcompass.procedure.desk import Desk
+from mavcompass.procedure.desk import Desk, carriers
 from mavcompass.procedure.dialect import Dialect
 from mavcompass.procedure.motion import Mobility, SafetyLimits, Wishes
 from mavcompass.procedure.positions import DwellSettings, Mover, VehicleMover, Window
@@ -209,16 +209,15 @@ class _Checker:
 
     def _say_silent(self, track: Track, instance: int, window: Window) -> None:
         """Say why a compass could not be judged."""
-        (kind,) = {*self.desk.imu_rates((instance,), 1.0)} - {*self.desk.imu_rates((), 1.0)} or {
-            *self.desk.imu_rates((), 1.0)
-        }
+        kind = carriers(self.desk.identity.autopilot).get(instance)
+        message = "a message" if kind is None else kind.wire_name()
         if (compass := track.compasses.get(instance)) is not None:
             n = len(compass.reported.between(window.start_s, window.end_s))
             rate_hz = (len(compass.reported) - 1) / max(float(np.ptp(compass.time_s)), 1e-3)
-            self._add(items.judge_too_few(instance, kind.wire_name(), n, rate_hz))
+            self._add(items.judge_too_few(instance, message, n, rate_hz))
             return
         steers = self._steering() == instance or not track.compasses
-        item = items.judge_silence(instance, kind.wire_name(), self.desk.identity.autopilot, steers)
+        item = items.judge_silence(instance, message, self.desk.identity.autopilot, steers)
         if item.verdict == "pass":
             self.remarks.append(item.text)
         else:

@@ -17,13 +17,7 @@ from typing import Protocol
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import UNREST, StillnessDetector
 from mavcompass.errors import LinkLost, Refused
-from mavcompass.messages.telemetry import (
-    MAG_MESSAGES,
-    acceleration_mps2,
-    angular_rate_radps,
-    field_mgauss,
-    imu_time_s,
-)
+from mavcompass.messages import telemetry
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import GyroAngle, TurnStrategy
 
@@ -38,10 +32,9 @@ _SWAYS_S = 1.4
 _NOISY = 1.5
 # What happened in a longer silence is not known; nor in more than so many intervals of a slow stream.
 _LONGEST_GAP_S, _LONGEST_GAP = 1.0, 2.5
-# Rest is judged by the mean of so long: what began to move is noticed by then.
+# What began to move is noticed within so long; rest is judged by the mean of it.
 _REST_JUDGED_S = 0.5
-# Fewer do not show whether they wander or remember (`calibration.observation.dwells`).
-_FEWEST_READINGS = 8
+_FEWEST_READINGS = 8  # fewer do not show whether they wander or remember (`calibration.observation.dwells`)
 # A clock that goes back by so much belongs to an autopilot that has restarted.
 _RESTARTED_S = 5.0
 # At the turning points of a swing the tilt rests for a moment.
@@ -118,7 +111,7 @@ class Rest:
         message = heard.message
         if not isinstance(message, mav.RawImu | mav.ScaledImu):
             return
-        time_s = float(imu_time_s(message))
+        time_s = float(telemetry.imu_time_s(message))
         latest = self._readings.setdefault(message.wire_name(), deque(maxlen=_FEWEST_READINGS))
         if not latest or time_s > latest[-1]:
             latest.append(time_s)
@@ -130,7 +123,10 @@ class Rest:
             return
         self.time_s, self.heard_s = time_s, heard.time_s
         state = self.detector.update(
-            time_s, angular_rate_radps(message), acceleration_mps2(message), field_mgauss(message)
+            time_s,
+            telemetry.angular_rate_radps(message),
+            telemetry.acceleration_mps2(message),
+            telemetry.field_mgauss(message),
         )
         self.still_since_s = None if math.isnan(state.since_s) else state.since_s
         self.why_not = state.why_not
@@ -139,7 +135,7 @@ class Rest:
         """Tell whether a compass has spoken less than eight times since then, of those that speak at all."""
         counts: dict[int, int] = {}
         for name, times in self._readings.items():
-            instance = MAG_MESSAGES[name]
+            instance = telemetry.MAG_MESSAGES[name]
             counts[instance] = max(counts.get(instance, 0), sum(time_s > start_s for time_s in times))
         return any(count < _FEWEST_READINGS for i, count in counts.items() if i in self.compasses)
 
