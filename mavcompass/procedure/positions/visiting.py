@@ -24,16 +24,12 @@ from mavcompass.procedure.turning import GyroAngle, TurnStrategy
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2
 _FIRST_ASKED_S, _ASK_EVERY_S = 0.6, 0.14
-# Noise would fall to 0.71 in twice the time.
-_MUCH_SURER = 0.85
-# Nothing shorter tells what a vehicle that sways does.
-_SWAYS_S = 1.4
-# A vehicle that needs so many times the usual dwell has noisy sensors.
-_NOISY = 1.5
+_MUCH_SURER = 0.85  # noise would fall to 0.71 in twice the time
+_SWAYS_S = 1.4  # nothing shorter tells what a vehicle that sways does
+_NOISY = 1.5  # a vehicle that needs so many times the usual dwell has noisy sensors
 # What happened in a longer silence is not known; nor in more than so many intervals of a slow stream.
 _LONGEST_GAP_S, _LONGEST_GAP = 1.0, 2.5
-# What began to move is noticed within so long; rest is judged by the mean of it.
-_REST_JUDGED_S = 0.5
+_REST_JUDGED_S = 0.5  # what began to move is noticed within so long: rest is judged by the mean of it
 _FEWEST_READINGS = 8  # fewer do not show whether they wander or remember (`calibration.observation.dwells`)
 # A clock that goes back by so much belongs to an autopilot that has restarted.
 _RESTARTED_S = 5.0
