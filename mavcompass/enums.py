@@ -140,7 +140,7 @@ class MavSeverity(IntEnum):
 
 
 class EkfFlag(IntFlag):
-    """Name the bits of EKF_STATUS_REPORT.flags."""
+    """Name the bits of EKF_STATUS_REPORT.flags; those below the last are ESTIMATOR_STATUS's, too."""
 
     ATTITUDE = 1
     VELOCITY_HORIZ = 2

@@ -7,6 +7,7 @@ MavCompassError
  |    +-- LinkLost           it was heard and fell silent: bring the link back and run again
  |    +-- NoReply            it is alive but did not answer a request: it may not know the request
  +-- BadRecording        4  the file cannot be used: give another recording
+ |    +-- NoMagnetometer     no compass was recorded; what else it tells of the vehicle is kept
  +-- PoorCalibration     5  the data do not give a calibration worth writing: its reasons say what to change
  +-- WriteFailed         6  parameters could not be written: undone, or `restore_command` puts them back
  +-- Refused             7  stopped for safety: the vehicle, the pilot or this program said no
@@ -18,6 +19,7 @@ Every message is one sentence about what happened and what it means; `remedy` is
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 
@@ -63,6 +65,14 @@ class BadRecording(MavCompassError):
     """Report a recording from which nothing useful can be read."""
 
     exit_code = 4
+
+
+class NoMagnetometer(BadRecording):
+    """Report a recording without a compass's readings; it may hold the vehicle's parameters."""
+
+    def __init__(self, what: str, remedy: str, parameters: Mapping[str, float] | None = None) -> None:
+        super().__init__(what, remedy)
+        self.parameters = dict(parameters or {})
 
 
 class PoorCalibration(MavCompassError):

@@ -19,6 +19,7 @@ from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits
 from mavcompass.compass_parameters import values
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
+from mavcompass.parameter_remarks import remarks_said
 from mavcompass.track import Track
 
 _DEAD_SWING_MGAUSS = 3.0
@@ -185,9 +186,10 @@ def _refused(track: Track, method: str, instance: int, refusal: PoorCalibration)
 
 
 def with_parameters(result: CalibrationResult, track: Track) -> CalibrationResult:
-    """Spell a result's correction in the parameters of the recording's autopilot."""
+    """Spell a result's correction in the parameters of the recording's autopilot, and remark on others."""
     spelled = values(track.autopilot, track.parameters, result.instance, result.correction)
-    return replace(result, parameters=spelled)
+    remarks = remarks_said(track.autopilot, track.parameters, result.instance)
+    return replace(result, parameters=spelled, warnings=(*result.warnings, *remarks))
 
 
 def _check_compass(track: Track, instance: int) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import shlex
 import sys
+from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -73,7 +74,7 @@ def command(
         _say(report, source, output, everything)
         output.write_json({"source": source} | report.to_json())
         if offer and report.calibration_advised and sys.stdin.isatty():
-            return _calibrate(link, source, system, output)
+            return _calibrate(link, source, report, system, output)
     passed = report.verdict == "pass" or (report.verdict == "warn" and not strict)
     return 0 if passed else NOT_FIT
 
@@ -91,30 +92,38 @@ def _check(link: Link, source: str, settings: CheckSettings, show: Any) -> Check
 def _say(report: CheckReport, source: str, output: Output, everything: bool) -> None:
     """Print the list, the worst first; what passed only counted, unless asked for."""
     shown = sorted(report.items, key=lambda item: _RANK[item.verdict])
-    for item in shown:
-        if item.verdict != "pass" or everything:
-            output.say(f"{mark(item.verdict)}  {item.text}")
-            if item.remedy:
-                output.say(f"      {item.remedy}")
+    listed = [item for item in shown if item.verdict != "pass" or everything]
+    for item, after in zip_longest(listed, listed[1:]):
+        output.say(f"{mark(item.verdict)}  {item.text}")
+        if item.remedy and not (after and after.remedy == item.remedy):  # once, below all that it mends
+            output.say(f"      {item.remedy}")
     passed = sum(item.verdict == "pass" for item in report.items)
     if passed and not everything:
         output.say(f"{mark('pass')}  {passed} of {len(report.items)} questions.")
+    from mavcompass.vehicle.transport import Recording, parse_address
+
     turned = "" if report.turned else " No turn was made."
     words = {"pass": "Fit to go.", "warn": "Go with care.", "fail": "Do not go."}[report.verdict]
+    for remark in report.remarks:
+        output.say(f"Note: {remark}")
     advice = f" Next: {program()} calibrate {shlex.quote(source)}" if report.calibration_advised else ""
+    if advice and not report.turns_itself and not isinstance(parse_address(source), Recording):
+        advice += " --motion hand (it cannot turn on the spot), or of its next flight's log"
     output.say(f"{mark(report.verdict)}  {words}{turned}{advice}")
 
 
-def _calibrate(link: Link, source: str, system: int | None, output: Output) -> int:
+def _calibrate(link: Link, source: str, checked: CheckReport, system: int | None, output: Output) -> int:
     """Offer the calibration and run it where the person says yes; its exit code is ours."""
-    if not click.confirm("Calibrate now? The vehicle will turn.", err=True):
+    who = "The vehicle will turn." if checked.turns_itself else "You will turn it."
+    if not click.confirm(f"Calibrate now? {who}", err=True):
         return NOT_FIT
     from mavcompass.cli.terminal.show import ask_on_terminal, showing
     from mavcompass.procedure.calibrate import CalibrateSettings
     from mavcompass.report.calibration import write_report
     from mavcompass.vehicle.calibrating import calibrate_on
 
-    settings = CalibrateSettings(instances=(), system=system, year=this_year())
+    motion: Literal["auto", "hand"] = "auto" if checked.turns_itself else "hand"
+    settings = CalibrateSettings(instances=(), motion=motion, system=system, year=this_year())
     with showing() as show:
         report = calibrate_on(link, source, settings, on_show=show, on_ask=ask_on_terminal)
     path = Path(f"compass-{report.identity.kind}-{report.identity.system}.html")

@@ -85,10 +85,11 @@ def command(
 
     address = parse_address(source)
     require_for(address)
+    notes: list[str] = []
     if isinstance(address, Recording):
-        rows = _recorded(source, instance, two_axis)
+        rows = _recorded(source, instance, two_axis, notes)
     else:
-        rows = _live(source, address, instance, two_axis, rate_hz or 5.0)
+        rows = _live(source, address, instance, two_axis, rate_hz or 5.0, notes)
     chosen = _limited(rows, rate_hz, duration_s)
     kept: list[dict[str, Any]] = []
     recorded = isinstance(address, Recording)
@@ -103,7 +104,10 @@ def command(
                 print(row.text(), flush=True)  # without a reader it ends
             if output.json_file is not None:
                 kept.append(row.document())
-    output.write_json({"schema": "mavcompass.heading/1", "source": source, "headings": kept})
+    for note in notes:
+        click.echo(f"Note: {note}", err=True)
+    document = {"schema": "mavcompass.heading/1", "source": source, "headings": kept, "notes": notes}
+    output.write_json(document)
     return 0
 
 
@@ -119,13 +123,16 @@ def _limited(rows: Iterator[Row], rate_hz: float | None, duration_s: float | Non
             yield row
 
 
-def _recorded(source: str, instance: int, two_axis: bool) -> Iterator[Row]:
+def _recorded(source: str, instance: int, two_axis: bool, notes: list[str]) -> Iterator[Row]:
     import numpy as np
 
     from mavcompass.api import read_track
     from mavcompass.heading.stream import heading_of_track
+    from mavcompass.parameter_remarks import remarks_said
 
-    found = heading_of_track(read_track(source), None, instance, two_axis=two_axis)
+    track = read_track(source)
+    found = heading_of_track(track, None, instance, two_axis=two_axis)
+    notes += remarks_said(track.autopilot, track.parameters, instance)
     nothing = np.full(len(found.time_s), np.nan)
     true, grid = (nothing if a is None else np.degrees(a) for a in (found.true_rad, found.grid_rad))
     table = np.stack(
@@ -135,14 +142,19 @@ def _recorded(source: str, instance: int, two_axis: bool) -> Iterator[Row]:
         yield Row(time_s, magnetic, None if t != t else t, None if g != g else g, sigma)
 
 
-def _live(source: str, address: Address, instance: int, two_axis: bool, rate_hz: float) -> Iterator[Row]:
+def _live(
+    source: str, address: Address, instance: int, two_axis: bool, rate_hz: float, notes: list[str]
+) -> Iterator[Row]:
     from mavcompass.vehicle.heading_stream import headings
     from mavcompass.vehicle.opening import open_link
 
     if two_axis and instance != 1:
         raise UsageError("--two-axis works on compass 1 of a live vehicle.", "Leave --compass away.")
     with open_link(address) as link:
-        for heading in headings(link, source, instance, two_axis=two_axis, rate_hz=max(rate_hz, 10.0)):
+        stream = headings(
+            link, source, instance, two_axis=two_axis, rate_hz=max(rate_hz, 10.0), on_notes=notes.extend
+        )
+        for heading in stream:
             true, grid = heading.true_rad, heading.grid_rad
             yield Row(
                 heading.boot_s,

@@ -191,11 +191,13 @@ def _offset_sigmas(result: CalibrationResult) -> Row:
 def _diagnosed(job: Job, track: Track, instance: int) -> Row:
     from mavcompass.gap import diagnose_gap
     from mavcompass.gap.rehearsal import IRON_NAMES, whole_iron
+    from mavcompass.parameter_remarks import remarks_said
 
     found = diagnose_gap(track, None, (), instance, job.reference)  # type: ignore[arg-type]
     iron = whole_iron(found)
     return {
         "status": "ok",
+        "notes": " ".join((*track.notes, *remarks_said(track.autopilot, track.parameters, instance))),
         "verdict": found.verdict,
         "reference": found.reference,
         "effects": ",".join(sorted(found.effects)),

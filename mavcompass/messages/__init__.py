@@ -31,6 +31,7 @@ from mavcompass.messages.motion import (
 from mavcompass.messages.position import (
     Attitude,
     EkfStatusReport,
+    EstimatorStatus,
     FenceStatus,
     GlobalPositionInt,
     GpsRawInt,
@@ -57,6 +58,7 @@ __all__ = [
     "CommandInt",
     "CommandLong",
     "EkfStatusReport",
+    "EstimatorStatus",
     "ExtendedSysState",
     "FenceStatus",
     "GlobalPositionInt",

@@ -93,6 +93,20 @@ class EkfStatusReport(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class EstimatorStatus(Message):
+    time_usec: int = 0
+    flags: int = 0
+    vel_ratio: float = 0.0
+    pos_horiz_ratio: float = 0.0
+    pos_vert_ratio: float = 0.0
+    mag_ratio: float = 0.0
+    hagl_ratio: float = 0.0
+    tas_ratio: float = 0.0
+    pos_horiz_accuracy: float = 0.0
+    pos_vert_accuracy: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class FenceStatus(Message):
     breach_status: int = 0
     breach_count: int = 0

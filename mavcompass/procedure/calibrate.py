@@ -128,6 +128,7 @@ class _Calibration:
     def run(self) -> Script[CalibrationReport]:
         """Calibrate, and see that the autopilot steers by it; put every rate back however it ends."""
         context, rates = self.desk.context, MessageRates()
+        self.desk.rest.compasses = self.instances
         try:
             yield from rates.ask(context, self.wanted_rates())
             report = yield from self.calibrate()

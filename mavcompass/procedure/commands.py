@@ -28,6 +28,7 @@ MESSAGE_IDS: dict[type[mav.Message], int] = {
     mav.ScaledImu3: 129,
     mav.Simstate: 164,
     mav.EkfStatusReport: 193,
+    mav.EstimatorStatus: 230,
     mav.ExtendedSysState: 245,
 }
 # Where a third is lost each way half of the tries fail; twelve in a row are one case in 4000.

@@ -11,10 +11,13 @@ from mavcompass.errors import Refused
 from mavcompass.procedure.dialect import Dialect, describe_compasses
 from mavcompass.procedure.motion import Mobility, Wishes
 from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Sureness, Window, dwell
-from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.script import Context, Script, expect
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
 from mavcompass.track_builder import TrackBuilder
+
+# Of a compass without an id only its readings tell; what streams at all does so twice in this time.
+_FIRST_READING_S = 2.0
 
 
 @dataclass(slots=True)
@@ -54,6 +57,8 @@ class Desk:
         builder = TrackBuilder(identity.autopilot, identity.kind)
         builder.parameters.update(parameters)
         describe_compasses(builder, dialect, parameters)
+        if not dialect.instances(parameters, state.reporting):
+            yield from expect(context, mav.RawImu, timeout_s=_FIRST_READING_S)
         rest = Rest(wheels=identity.kind in WHEELED)
         desk = cls(context, identity, dialect, parameters, state, builder, began_s, rest=rest)
         context.listeners += [builder.add, desk.gyro.hear, desk.rest.hear]
@@ -62,7 +67,7 @@ class Desk:
     @property
     def instances(self) -> tuple[int, ...]:
         """List the vehicle's compasses, from 1."""
-        return self.dialect.instances(self.parameters)
+        return self.dialect.instances(self.parameters, self.state.reporting)
 
     def chosen(self, wanted: tuple[int, ...]) -> tuple[int, ...]:
         """Return the compasses to work on, all where none is named.
@@ -83,11 +88,7 @@ class Desk:
 
     def imu_rates(self, instances: tuple[int, ...], rate_hz: float) -> dict[type[mav.Message], float]:
         """List the messages that carry these compasses; the first one's brings the gyro along."""
-        kinds: dict[int, type[mav.Message]] = {
-            1: mav.ScaledImu if self.identity.autopilot == "px4" else mav.RawImu,
-            2: mav.ScaledImu2,
-            3: mav.ScaledImu3,
-        }
+        kinds = carriers(self.identity.autopilot)
         return {kinds[i]: rate_hz for i in sorted({1, *instances}) if i in kinds}
 
     def mobility(self, wishes: Wishes) -> Mobility:
@@ -103,3 +104,9 @@ class Desk:
     def duration_s(self) -> float:
         """Return how long the desk has been open."""
         return self.context.now - self.began_s
+
+
+def carriers(autopilot: str) -> dict[int, type[mav.Message]]:
+    """Return the message that carries each compass, from 1; MAVLink has none for a fourth."""
+    first = mav.ScaledImu if autopilot == "px4" else mav.RawImu
+    return {1: first, 2: mav.ScaledImu2, 3: mav.ScaledImu3}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -10,6 +10,7 @@ from typing import Protocol
 
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray
+from mavcompass.messages import telemetry
 from mavcompass.procedure.script import Context, Script
 from mavcompass.track_builder import TrackBuilder
 
@@ -89,8 +90,8 @@ class Dialect(Protocol):
         """Read everything about all compasses that a calibration and its checks need."""
         ...
 
-    def instances(self, parameters: Mapping[str, float]) -> tuple[int, ...]:
-        """List the compasses that the vehicle has, from 1."""
+    def instances(self, parameters: Mapping[str, float], reporting: Iterable[int] = ()) -> tuple[int, ...]:
+        """List the compasses that the vehicle has, from 1, given those that were heard."""
         ...
 
     def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
@@ -109,6 +110,7 @@ class Dialect(Protocol):
         parameters: Mapping[str, float],
         corrections: Mapping[int, FieldCorrection],
         turned: Mapping[int, FloatArray] = NOT_TURNED,
+        reporting: Iterable[int] = (),
     ) -> ParameterPlan:
         """Plan the write of new corrections over the parameters in force, and of new mountings.
 
@@ -144,7 +146,7 @@ class Dialect(Protocol):
 
 def describe_compasses(builder: TrackBuilder, dialect: Dialect, parameters: Mapping[str, float]) -> None:
     """Tell a recording what telemetry has done to each compass's readings: corrected, or raw and turned."""
-    for instance in dialect.instances(parameters):
+    for instance in dialect.instances(parameters, telemetry.MAG_MESSAGES.values()):
         in_force = dialect.correction(parameters, instance)
         rotation = dialect.raw_rotation(parameters, instance)
         if rotation is None:

@@ -11,6 +11,7 @@ from mavcompass.earth_field import EarthField, decimal_year, earth_field
 from mavcompass.enums import MavModeFlag
 from mavcompass.errors import NoVehicle
 from mavcompass.kinds import AUTOPILOTS, VEHICLES, Kind
+from mavcompass.messages import telemetry
 from mavcompass.procedure.script import Context, Script
 
 _M_PER_DEG = 111_319.5
@@ -101,7 +102,10 @@ def metres_from(start: mav.GlobalPositionInt, place: mav.GlobalPositionInt) -> t
 
 @dataclass(slots=True)
 class VehicleState:
-    """Keep the latest of what the vehicle says of itself; `hear` is a listener of a Context."""
+    """Keep the latest of what the vehicle says of itself; `hear` is a listener of a Context.
+
+    `reporting` are the compasses that a field was heard of; what has no compass reports zeros.
+    """
 
     heard_s: float = float("-inf")
     heartbeat: mav.Heartbeat | None = None
@@ -109,12 +113,14 @@ class VehicleState:
     place: mav.GlobalPositionInt | None = None
     local: mav.LocalPositionNed | None = None
     ekf: mav.EkfStatusReport | None = None
+    estimator: mav.EstimatorStatus | None = None
     battery: mav.SysStatus | None = None
     sticks: mav.RcChannels | None = None
     landed: mav.ExtendedSysState | None = None
     fence: mav.FenceStatus | None = None
     gps: mav.GpsRawInt | None = None
     utc: mav.SystemTime | None = None
+    reporting: set[int] = field(default_factory=set)
     texts: deque[str] = field(default_factory=lambda: deque(maxlen=20))
 
     def hear(self, heard: mav.Incoming) -> None:
@@ -122,6 +128,9 @@ class VehicleState:
         self.heard_s = heard.time_s
         message = heard.message
         match message:
+            case mav.RawImu() | mav.ScaledImu():
+                if message.xmag or message.ymag or message.zmag:
+                    self.reporting.add(telemetry.MAG_MESSAGES[message.wire_name()])
             case mav.Heartbeat():
                 self.heartbeat = message
             case mav.Attitude(roll=roll, pitch=pitch) if math.isfinite(roll) and math.isfinite(pitch):
@@ -132,6 +141,8 @@ class VehicleState:
                 self.local = message
             case mav.EkfStatusReport():
                 self.ekf = message
+            case mav.EstimatorStatus():
+                self.estimator = message
             case mav.SysStatus():
                 self.battery = message
             case mav.RcChannels():

@@ -27,8 +27,10 @@ class Writer:
         desk = self.desk
         corrections = {result.instance: result.correction for result in report.to_write}
         turned = {r.instance: r.mounting.turned for r in report.to_write if r.mounting.turned is not None}
-        plan = desk.dialect.plan(desk.parameters, corrections, turned)
-        report = replace(report, plan=plan).noting(*plan.refusals, *plan.remarks)
+        plan = desk.dialect.plan(desk.parameters, corrections, turned, reporting=desk.state.reporting)
+        said = {warning for result in report.results for warning in result.warnings}
+        remarks = [remark for remark in plan.remarks if remark not in said]
+        report = replace(report, plan=plan).noting(*plan.refusals, *remarks)
         if plan.refusals:
             return report
         if self.asks and not (yield from ask(desk.context, _question(plan))):

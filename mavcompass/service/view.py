@@ -13,6 +13,7 @@ from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.heading.live import Heading, Level, LiveCompass
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 from mavcompass.service.watch import Glance
+from mavcompass.steering import compasses_of
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 from mavcompass.vehicle.dialects import make_dialect
 
@@ -141,10 +142,9 @@ class VehicleView:
             compass.set_uncorrected(correction, px4_sensor_to_body(self.parameters, compass.instance))
 
     def instances(self) -> tuple[int, ...]:
-        """List the compasses that the vehicle has: by its parameters, else those heard."""
-        if self.parameters:
-            return make_dialect(self.identity.autopilot).instances(self.parameters)
-        return tuple(sorted(self.compasses))
+        """List the compasses that the vehicle has, by its parameters and by those heard."""
+        reporting = [i for i, compass in self.compasses.items() if compass.latest is not None]
+        return compasses_of(self.identity.autopilot, self.parameters, reporting)
 
     def device_id(self, instance: int) -> int:
         """Return a compass's device id, 0 where it is not known."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from mavcompass import messages as mav
@@ -14,6 +14,7 @@ from mavcompass.heading.live import Level, LiveCompass
 from mavcompass.heading.north import grid_convergence_rad
 from mavcompass.heading.two_axis import TwoAxisCompass
 from mavcompass.messages.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
+from mavcompass.parameter_remarks import remarks_said
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.script import Context, Machine, Script, expect
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
@@ -48,15 +49,23 @@ class _Start:
 
 
 def headings(
-    link: Link, source: str, instance: int = 1, *, two_axis: bool = False, rate_hz: float = 10.0
+    link: Link,
+    source: str,
+    instance: int = 1,
+    *,
+    two_axis: bool = False,
+    rate_hz: float = 10.0,
+    on_notes: Callable[[Iterable[str]], None] = lambda _: None,
 ) -> Iterator[LiveHeading]:
     """Yield the heading of one compass for as long as the vehicle speaks; close it to restore the rates.
 
+    `on_notes` is told, once, what to know of the parameters.
     Raises NoVehicle, LinkLost, and Refused for a compass that the vehicle does not have or a two-axis
     heading where the place is unknown.
     """
     start = run(Machine(lambda context: _begin(context, source, instance, rate_hz)), link)
     try:
+        on_notes(remarks_said(start.identity.autopilot, start.parameters, instance))
         if two_axis and start.world is None:
             raise Refused(
                 "A two-axis heading needs the Earth's field, and the vehicle does not know its place.",
@@ -71,8 +80,6 @@ def _begin(context: Context, source: str, instance: int, rate_hz: float) -> Scri
     identity = yield from find_vehicle(context)
     dialect = make_dialect(identity.autopilot, source)
     parameters = yield from dialect.compass_parameters(context)
-    if instance not in dialect.instances(parameters):
-        raise Refused(f"The vehicle has no compass {instance}.", "Choose with --compass.")
     builder = TrackBuilder(identity.autopilot, identity.kind)
     context.listeners.append(builder.add)
     rates = MessageRates()
@@ -81,6 +88,11 @@ def _begin(context: Context, source: str, instance: int, rate_hz: float) -> Scri
     if instance > 1:
         wanted[_KINDS[instance]] = rate_hz
     yield from rates.ask(context, wanted)
+    if instance not in dialect.instances(parameters):
+        kind = first if instance == 1 else _KINDS[instance]
+        if (yield from expect(context, kind, lambda imu: bool(field_mgauss(imu).any()), 2.0)) is None:
+            yield from rates.restore(context)
+            raise Refused(f"The vehicle has no compass {instance}.", "Choose with --compass.")
     place = yield from expect(context, mav.GlobalPositionInt, timeout_s=2.0)
     if place is not None:
         yield from expect(context, mav.SystemTime, timeout_s=1.5)

@@ -6,12 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from mavcompass.enums import MavModeFlag
 from mavcompass.errors import BadRecording, Refused, UsageError
-from mavcompass.messages import Heartbeat, Incoming
+from mavcompass.messages import Incoming
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script, ask
-from mavcompass.procedure.vehicle_state import find_vehicle
+from mavcompass.procedure.vehicle_state import VehicleState, find_vehicle
 from mavcompass.vehicle.dialects import DIALECTS, make_dialect
 from mavcompass.vehicle.parameters.dialect import CompassDialect
 from mavcompass.vehicle.parameters.files import read_parameter_file
@@ -26,12 +25,14 @@ class HeldParameters:
     Attributes:
         system: its MAVLink system id, 0 for a recording.
         armed: None where that is not known.
+        reporting: the compasses, from 1, that readings came of.
     """
 
     dialect: CompassDialect
     system: int
     armed: bool | None
     typed: Mapping[str, Parameter]
+    reporting: tuple[int, ...] = ()
 
     @property
     def values(self) -> dict[str, float]:
@@ -51,7 +52,7 @@ class HeldParameters:
     @property
     def compasses(self) -> tuple[int, ...]:
         """List the compasses that the vehicle has, from 1."""
-        return self.dialect.instances(self.values)
+        return self.dialect.instances(self.values, self.reporting)
 
     def instance_of(self, name: str) -> int | None:
         """Tell which compass a parameter belongs to; None for one of all compasses."""
@@ -72,11 +73,10 @@ def read_vehicle(context: Context, source: str, system: int | None = None) -> Sc
 
     Raises NoVehicle where none is heard, NoReply where it does not answer.
     """
-    beats: dict[tuple[int, int], Heartbeat] = {}
+    states: dict[tuple[int, int], VehicleState] = {}
 
     def note(incoming: Incoming) -> None:
-        if isinstance(incoming.message, Heartbeat):
-            beats[incoming.system, incoming.component] = incoming.message
+        states.setdefault((incoming.system, incoming.component), VehicleState()).hear(incoming)
 
     context.listeners.append(note)
     try:
@@ -85,17 +85,19 @@ def read_vehicle(context: Context, source: str, system: int | None = None) -> Sc
         typed = yield from dialect.compass_parameters_typed(context)
     finally:
         context.listeners.remove(note)
-    beat = beats.get((found.system, found.component))
-    armed = bool(beat.base_mode & MavModeFlag.SAFETY_ARMED) if beat else None
-    return HeldParameters(dialect, found.system, armed, typed)
+    state = states.get((found.system, found.component), VehicleState())
+    armed = state.armed if state.heartbeat else None
+    return HeldParameters(dialect, found.system, armed, typed, tuple(state.reporting))
 
 
-def recorded_parameters(parameters: Mapping[str, float], source: str) -> HeldParameters:
-    """Take the compass parameters of a recording; raises BadRecording where it holds none."""
+def recorded_parameters(
+    parameters: Mapping[str, float], source: str, reporting: tuple[int, ...] = ()
+) -> HeldParameters:
+    """Take the parameters of a recording; raises BadRecording where none is of its compasses."""
     for kind in DIALECTS.values():
-        own = {name: Parameter(v) for name, v in sorted(parameters.items()) if name.startswith(kind.prefix)}
-        if own:
-            return HeldParameters(kind(source), 0, None, own)
+        if any(name.startswith(kind.prefix) for name in parameters):
+            typed = {name: Parameter(value) for name, value in sorted(parameters.items())}
+            return HeldParameters(kind(source), 0, None, typed, reporting)
     raise BadRecording(
         f"{source} does not hold a vehicle's compass parameters.",
         "Give a recording that begins at power-up (.BIN), or one in which parameters were read (.tlog).",
@@ -149,7 +151,7 @@ def write_values(
     write nothing. Raises Refused where the plan must not be written or the person says no.
     """
     held = yield from read_vehicle(context, source, system)
-    plan = held.dialect.plan_values(held.values, wanted(held), checked)
+    plan = held.dialect.plan_values(held.values, wanted(held), checked, held.reporting)
     question = consent(held, plan)
     if question is None or (not plan.changes and not plan.refusals):
         return WriteReport(held, plan, None)

@@ -17,8 +17,10 @@ ARDUPILOT: list[tuple[dict[str, float], SteeringSource]] = [
     # A slot without a sensor does not steer, but firmware may tell no id of any.
     (USED | {"COMPASS_DEV_ID": 0.0, "COMPASS_DEV_ID2": 7.0}, 2),
     (USED | {"COMPASS_DEV_ID": 0.0, "COMPASS_DEV_ID2": 0.0, "COMPASS_DEV_ID3": 0.0}, 1),
-    # USE and telemetry are numbered by priority, whichever slot holds the sensor's calibration.
-    (USED | {"COMPASS_DEV_ID": 7.0, "COMPASS_DEV_ID2": 8.0, "COMPASS_PRIO1_ID": 8.0}, 1),
+    (USED | {"COMPASS_DEV_ID": 7.0, "COMPASS_DEV_ID2": 8.0, "COMPASS_PRIO1_ID": 7.0}, 1),
+    # Priorities that will be in force after the next start, or names that do not follow them.
+    (USED | {"COMPASS_DEV_ID": 7.0, "COMPASS_DEV_ID2": 8.0, "COMPASS_PRIO1_ID": 8.0}, None),
+    (USED | {"COMPASS_DEV_ID": 7.0, "COMPASS_PRIO1_ID": 9.0, "COMPASS_PRIO2_ID": 0.0}, 1),
     (USED | {"COMPASS_PRIMARY": 1.0}, 2),
     (USED | {"COMPASS_PRIMARY": 1.0, "COMPASS_USE2": 0.0}, 1),
     (USED | {"COMPASS_ENABLE": 0.0}, "other"),

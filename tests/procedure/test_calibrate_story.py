@@ -135,6 +135,8 @@ def test_what_a_check_asks_to_hear(autopilot: str) -> None:
     wanted |= {mav.SysStatus: 4.0, mav.SystemTime: 2.0}
     if autopilot == "ardupilot":
         wanted |= {mav.EkfStatusReport: 2.0, mav.RcChannels: 4.0}
+    else:
+        wanted |= {mav.EstimatorStatus: 2.0}
     found = _Checker(desk_of("rover", autopilot, (1, 2)), CheckSettings(rate_hz=20.0)).wanted_rates()
     assert found == wanted
 

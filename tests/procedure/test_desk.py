@@ -29,7 +29,7 @@ def desk_of(
         if instance == 3:
             raise Refused("Compass 3 is mounted as nobody can tell.", "Say how.")
 
-    dialect: Any = SimpleNamespace(instances=lambda parameters: instances, correction=correction)
+    dialect: Any = SimpleNamespace(instances=lambda parameters, heard: instances, correction=correction)
     identity = VehicleIdentity(1, 1, autopilot, "rover")
     return Desk(
         Context(now=100.0), identity, dialect, {}, VehicleState(), TrackBuilder(autopilot, "rover"), began_s

@@ -47,12 +47,15 @@ class Vehicle:
             return nothing(OUTCOME)
 
         dialect = SimpleNamespace(
-            plan=lambda parameters, corrections, turned: plan,
+            plan=lambda parameters, corrections, turned, reporting: plan,
             write=write,
             raw_rotation=lambda parameters, instance: np.eye(3) if raw else None,
         )
         builder = SimpleNamespace(set_correction=lambda i, c: self.builder_heard.append((i, c)))
-        self.desk: Any = SimpleNamespace(context=Context(), parameters={}, dialect=dialect, builder=builder)
+        state = SimpleNamespace(reporting={1})
+        self.desk: Any = SimpleNamespace(
+            context=Context(), parameters={}, dialect=dialect, builder=builder, state=state
+        )
 
     def does(self, script: Any, answer: bool | None = None) -> tuple[Machine[Any], list[Any]]:
         machine = Machine(lambda context: script)

@@ -8,7 +8,7 @@ from itertools import islice
 import pytest
 
 from mavcompass.errors import LinkLost, Refused
-from mavcompass.messages import GlobalPositionInt, ScaledImu2
+from mavcompass.messages import GlobalPositionInt, ScaledImu2, ScaledImu3
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.heading_stream import LiveHeading, headings
 from mavcompass.vehicle.links.simulated import SimulatedLink
@@ -82,12 +82,16 @@ def test_another_compass_is_read_from_its_own_message() -> None:
 
 def test_a_compass_that_is_not_there_is_refused() -> None:
     link = listening()
-    compasses = {
-        name: 0.0 for name in link.autopilot.firmware.store.values if name.startswith("COMPASS_DEV_ID3")
-    }
-    link.autopilot.firmware.store.values.update(compasses)
+    link.autopilot.firmware.store.values["COMPASS_DEV_ID3"] = 0.0
+    link.left_out = (ScaledImu3,)
     with pytest.raises(Refused, match="has no compass 3"):
         next(headings(link, "sim:rover", 3))
+
+
+def test_a_compass_that_reports_is_there_whatever_its_id() -> None:
+    link = listening()
+    link.autopilot.firmware.store.values["COMPASS_DEV_ID3"] = 0.0
+    assert 0.0 <= next(headings(link, "sim:rover", 3)).magnetic_rad < 7.0
 
 
 def test_it_ends_with_the_vehicle() -> None:

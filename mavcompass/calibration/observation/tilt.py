@@ -120,7 +120,7 @@ def _mean_force(track: Track, start: float, end: float) -> tuple[FloatArray, flo
 
 def _uneven(values: FloatArray, start: float, end: float) -> float:
     """Return the sigma of a mean force by how its quarters of a second differ: wheels roll for longer."""
-    blocks = np.array_split(values, max(min(round((end - start) / HALF_S), len(values)), 1))
+    blocks = np.array_split(values, min(max(round((end - start) / HALF_S), 1), len(values)))
     means = np.array([block.mean(axis=0) for block in blocks])
     if len(means) < 2:
         return 0.0

@@ -11,7 +11,7 @@ import click
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Function, Output, common_options
 from mavcompass.cli.source import refuse_unasked_write, sign_key_option, system_option
-from mavcompass.errors import MavCompassError, UsageError, WriteFailed
+from mavcompass.errors import MavCompassError, NoMagnetometer, UsageError, WriteFailed
 
 if TYPE_CHECKING:
     from mavcompass.procedure.dialect import ParameterPlan
@@ -54,11 +54,16 @@ def show(source: str, system: int | None, output: Output) -> None:
     Example: mavcompass params show sim:rover
     """
     from mavcompass.cli.params.view import show_parameters
+    from mavcompass.parameter_remarks import remarks_said
 
     require_for(source)
     held = _read(source, system)
     show_parameters(output, held)
-    output.write_json({**_head("show", source, held), "parameters": held.compass_values})
+    remarks = remarks_said(held.dialect.autopilot, held.values, *held.compasses)
+    for remark in remarks:
+        click.echo(f"Note: {remark}", err=True)
+    shown = {"parameters": held.compass_values, "remarks": remarks}
+    output.write_json({**_head("show", source, held), **shown})
 
 
 @command.command()
@@ -181,7 +186,11 @@ def _read(source: str, system: int | None) -> HeldParameters:
     if isinstance(parse_address(source), Recording):
         from mavcompass import read_track
 
-        return recorded_parameters(read_track(source).parameters, source)
+        try:
+            track = read_track(source)
+        except NoMagnetometer as lacking:  # its parameters may be there all the same
+            return recorded_parameters(lacking.parameters, source)
+        return recorded_parameters(track.parameters, source, tuple(track.compasses))
     held: HeldParameters = _run(source, lambda context: read_vehicle(context, source, system))
     return held
 

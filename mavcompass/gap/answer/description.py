@@ -22,6 +22,7 @@ from mavcompass.gap.replay import level_mgauss
 from mavcompass.gap.result import Bar, Diagnosis
 from mavcompass.gap.selection import Identified
 from mavcompass.gap.traces import follows_way, keeps_step
+from mavcompass.parameter_remarks import remarks_said
 
 _MOST_SHAPLEY = 4
 _IN_STEP = (
@@ -87,6 +88,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         seconds=0.0,
         notes=(
             *problem.replay.notes,
+            *remarks_said(evidence.track.autopilot, evidence.track.parameters, evidence.compass),
             *((_IN_STEP,) if in_step else ()),
             *((_WANDERS.format(wander_deg),) if wander_deg else ()),
             *((_UNSEEN,) if named.terms and not shows(problem, named, test) else ()),

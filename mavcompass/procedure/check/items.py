@@ -11,12 +11,13 @@ import numpy as np
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import UNREST
-from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, px4_name
+from mavcompass.compass_parameters import px4_name
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
 from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
+from mavcompass.steering import PX4_COMPASSES, SteeringSource
 
 Verdict = Literal["pass", "warn", "fail"]
 _ORDER: tuple[Verdict, ...] = ("pass", "warn", "fail")
@@ -28,6 +29,12 @@ _MOST_OFFSET_MGAUSS = 1800.0
 AGREEMENT_DEG = 5.0
 # Two that are each as sure as this are apart by more in one case of a hundred where both are sound.
 AGREEMENT_SIGMA_DEG = 1.0
+_STEERING: dict[SteeringSource, str] = {
+    **{i: f"compass {i} steers it" for i in PX4_COMPASSES},
+    "gps": "the satellite receivers steer it",
+    "other": "no compass steers it",
+    None: "its parameters do not tell which compass steers it",
+}
 # Field strength on Earth, with room for the crust.
 _EARTH_MGAUSS = (185.0, 720.0)
 
@@ -37,7 +44,8 @@ class CheckItem:
     """Hold the answer to one question.
 
     Attributes:
-        name: field, dip, agreement, offsets, matrix, device, use, gyro, estimator, prearm, turn, place.
+        name: field, dip, agreement, offsets, matrix, switches, data, gyro, estimator, yaw, prearm, turn,
+            place, stillness.
         instance: the compass it is about, 0 for the vehicle.
         text: one short sentence. remedy: the next step, empty for a pass.
     """
@@ -129,22 +137,38 @@ def judge_matrix(instance: int, correction: FieldCorrection) -> CheckItem:
     return CheckItem("matrix", verdict, text, remedy, instance, ratio, 1.35)
 
 
-def judge_device(instance: int, autopilot: str, parameters: Mapping[str, float]) -> list[CheckItem]:
-    """Judge whether the autopilot uses this compass and takes its calibration for its own."""
-    if autopilot == "px4":
-        id_name, use_name = px4_name("ID", instance), px4_name("PRIO", instance)
-    else:
-        naming = ardupilot_naming(parameters)
-        id_name, use_name = (ardupilot_name(q, instance, naming) for q in ("DEV_ID", "USE"))
-    items: list[CheckItem] = []
-    if parameters.get(id_name) == 0.0:
-        text = f"Compass {instance} has no device id ({id_name} is 0): its calibration will not be used."
-        items.append(CheckItem("device", "fail", text, "Connect the compass and calibrate it.", instance))
-    if parameters.get(use_name) == 0.0:
-        text = f"Compass {instance} is not used ({use_name} is 0)."
-        remedy = "Set it to 1 if this compass is meant to steer." if instance == 1 else ""
-        items.append(CheckItem("use", "warn" if instance == 1 else "pass", text, remedy, instance))
-    return items
+def judge_silence(instance: int, message: str, autopilot: str, steers: bool) -> CheckItem:
+    """Judge a compass that has an id and never spoke; what an id alone promises is a remark.
+
+    ArduPilot's ids are those of the sensors found at the start, PX4's may be of sensors that are gone.
+    """
+    text = f"No readings of compass {instance} came"
+    if autopilot == "px4" and not steers:
+        text += f"; {px4_name('ID', instance)} may hold the id of a sensor that is gone."
+        return CheckItem("data", "pass", text, instance=instance)
+    remedy = f"See that the link carries {message}; if it does, check the compass's cable."
+    return CheckItem("data", "fail" if steers else "warn", f"{text}.", remedy, instance)
+
+
+def judge_too_few(instance: int, message: str, readings: int, rate_hz: float) -> CheckItem:
+    """Judge a compass that spoke too seldom while the vehicle stood still."""
+    text = (
+        f"Compass {instance}: too few readings ({readings}) came while the vehicle stood still, at"
+        f" {rate_hz:.1f} Hz."
+    )
+    remedy = f"Have the link carry {message} at 10 Hz or more, and check again."
+    return CheckItem("data", "warn", text, remedy, instance, float(readings))
+
+
+def judge_yaw(instance: int, off_deg: float, source: SteeringSource) -> CheckItem:
+    """Judge the autopilot's own yaw, less the declination, against one compass's heading."""
+    verdict = _grade(abs(off_deg), 5.0, 15.0)
+    steers = "which steers it" if source == instance else f"while {_STEERING[source]}"
+    text = f"The autopilot's own yaw stands {abs(off_deg):.1f} deg from compass {instance}, {steers}."
+    own = "Let it settle and check again; if it stays, restart the autopilot."
+    other = "Hold both against a landmark: either the compass is wrong, or what steers."
+    remedy = "" if verdict == "pass" else own if source == instance else other
+    return CheckItem("yaw", verdict, text, remedy, instance, off_deg, 5.0)
 
 
 def judge_field(reading: Reading, world: EarthField | None) -> list[CheckItem]:
@@ -215,18 +239,22 @@ def judge_stillness(still: bool, why_not: str) -> CheckItem | None:
     return CheckItem("stillness", "warn", text, "Put it down, let it come to rest and check again.")
 
 
-def judge_estimator(ekf: mav.EkfStatusReport | None) -> CheckItem | None:
+def judge_estimator(said: mav.EkfStatusReport | mav.EstimatorStatus | None) -> CheckItem | None:
     """Judge what the autopilot's estimator says of the compass; None where it says nothing."""
-    if ekf is None:
+    if said is None:
         return None
-    if ekf.flags & EkfFlag.UNINITIALIZED or not ekf.flags & EkfFlag.ATTITUDE:
+    ardupilot = isinstance(said, mav.EkfStatusReport)
+    ready = said.flags & EkfFlag.ATTITUDE and not (ardupilot and said.flags & EkfFlag.UNINITIALIZED)
+    if not ready:
         remedy = "Wait until it has started; hold the vehicle still meanwhile."
         return CheckItem("estimator", "fail", "The attitude estimate is not healthy.", remedy)
-    variance = ekf.compass_variance
-    verdict = _grade(variance, 0.5, 0.8)
+    # Innovations by what is allowed of them: PX4 does not arm above 0.5 (COM_ARM_EKF_YAW), rejects above 1.
+    ratio = said.compass_variance if isinstance(said, mav.EkfStatusReport) else said.mag_ratio
+    limits = (0.5, 0.8) if ardupilot else (0.5, 1.0)
+    verdict = _grade(ratio, *limits)
     remedy = "" if verdict == "pass" else "Wait a minute; if it stays, calibrate and restart the autopilot."
-    text = f"The autopilot's estimator gives the compass a variance of {variance:.2f}."
-    return CheckItem("estimator", verdict, text, remedy, 0, variance, 0.5)
+    text = f"The autopilot's estimator gives the compass a variance of {ratio:.2f}."
+    return CheckItem("estimator", verdict, text, remedy, 0, ratio, limits[0])
 
 
 def judge_prearm(texts: Iterable[str]) -> list[CheckItem]:

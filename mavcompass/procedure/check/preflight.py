@@ -8,28 +8,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import Dwell, assemble, dwell_between
+from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, px4_name
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
-from mavcompass.frames import wrap_pi
+from mavcompass.frames import FloatArray, circular_mean, wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.heading.fault_isolation import HeadingSource
+from mavcompass.parameter_remarks import parameter_remarks
 from mavcompass.procedure.check import items
 from mavcompass.procedure.check.items import AGREEMENT_SIGMA_DEG, CheckItem, Reading, Verdict
+from mavcompass.procedure.check.mounting import turned_by
 from mavcompass.procedure.commands import MessageRates
-from mavcompass.procedure.desk import Desk
+from mavcompass.procedure.desk import Desk, carriers
 from mavcompass.procedure.dialect import Dialect
 from mavcompass.procedure.motion import Mobility, SafetyLimits, Wishes
 from mavcompass.procedure.positions import DwellSettings, Mover, VehicleMover, Window
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.turning import strategies_for
 from mavcompass.procedure.vehicle_state import VehicleIdentity
+from mavcompass.steering import SteeringSource, steering_source
 from mavcompass.track import Track
 
 SCHEMA = "mavcompass.check/1"
@@ -53,18 +57,20 @@ class CheckSettings:
     system: int | None = None
     rate_hz: float = 25.0
     year: float = 2026.0
-    dwell: DwellSettings = field(default_factory=DwellSettings)
+    # A vehicle that is on its way is waited for: a turn on the spot takes so long.
+    dwell: DwellSettings = field(default_factory=lambda: DwellSettings(patience_s=10.0))
     limits: SafetyLimits = field(default_factory=SafetyLimits)
 
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """Hold the list; `verdict` is that of its worst item."""
+    """Hold the list; `verdict` is that of its worst item, `remarks` what else to know of the parameters."""
 
     identity: VehicleIdentity
     items: tuple[CheckItem, ...]
     turned: bool
     duration_s: float
+    remarks: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -75,6 +81,11 @@ class CheckReport:
     def calibration_advised(self) -> bool:
         """Tell whether a calibration is the remedy of something that is not right."""
         return any(item.verdict != "pass" and "alibrate" in item.remedy for item in self.items)
+
+    @property
+    def turns_itself(self) -> bool:
+        """Tell whether a calibration can have the vehicle turn on the spot."""
+        return bool(strategies_for(self.identity.kind, self.identity.autopilot))
 
     def summary(self) -> str:
         """Return one sentence."""
@@ -98,6 +109,7 @@ class CheckReport:
             "turned": self.turned,
             "calibration_advised": self.calibration_advised,
             "items": [item.to_json() for item in self.items],
+            "remarks": list(self.remarks),
             "duration_s": self.duration_s,
         }
 
@@ -134,6 +146,8 @@ class _Checker:
     windows: list[Window] = field(default_factory=list)
     items: list[CheckItem] = field(default_factory=list)
     readings: list[Reading] = field(default_factory=list)
+    fields: dict[int, list[FloatArray]] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
     turned: bool = False
 
     def wanted_rates(self) -> dict[type[mav.Message], float]:
@@ -141,24 +155,30 @@ class _Checker:
         wanted = self.desk.imu_rates(self.desk.instances, self.settings.rate_hz)
         wanted |= {mav.Attitude: 10.0, mav.GlobalPositionInt: 4.0, mav.SysStatus: 4.0, mav.SystemTime: 2.0}
         px4 = self.desk.identity.autopilot == "px4"
-        return wanted if px4 else wanted | {mav.EkfStatusReport: 2.0, mav.RcChannels: 4.0}
+        return wanted | (
+            {mav.EstimatorStatus: 2.0} if px4 else {mav.EkfStatusReport: 2.0, mav.RcChannels: 4.0}
+        )
 
     def look_at_rest(self) -> Script[None]:
         """Dwell, and answer every question that needs no turn."""
         self.desk.context.show("dwell", "Looking at the compasses at rest.", 0.3)
         mover = VehicleMover(self.desk.gyro, ())  # nobody moves it yet
+        self.desk.rest.compasses = self.desk.instances
         window = yield from self.desk.dwell(mover, self.settings.dwell)
         self.windows.append(window)
         track = self.desk.builder.build()
         self._judge_parameters()
-        self._add(items.judge_stillness(self.desk.rest.still_since_s is not None, self.desk.rest.why_not))
+        self._add(items.judge_stillness(window.rested, self.desk.rest.why_not))
         self._judge_field(track, window)
         if track.gyro_radps is not None:
             time_s = track.gyro_radps.time_s
             resting = (time_s >= window.start_s) & (time_s <= window.end_s)
             if resting.any():
                 self._add(items.judge_gyro(np.asarray(track.gyro_radps.values)[resting]))
-        self._add(items.judge_estimator(self.desk.state.ekf))
+        estimator = items.judge_estimator(self.desk.state.ekf or self.desk.state.estimator)
+        self._add(estimator)
+        if estimator is None or estimator.verdict != "fail":
+            self._judge_yaw(track, window)
         self.items += items.judge_prearm(self.desk.state.texts)
 
     def _judge_parameters(self) -> None:
@@ -168,7 +188,11 @@ class _Checker:
             correction = self.desk.dialect.correction(self.desk.parameters, instance)
             self._add(items.judge_offsets(instance, correction))
             self._add(items.judge_matrix(instance, correction))
-            self.items += items.judge_device(instance, self.desk.identity.autopilot, self.desk.parameters)
+            for remark in parameter_remarks(self.desk.identity.autopilot, self.desk.parameters, instance):
+                if remark.forbids:
+                    self._add(CheckItem("switches", "warn", remark.text))
+                else:
+                    self.remarks.append(remark.text)
 
     def _judge_field(self, track: Track, window: Window) -> None:
         world = self.world()
@@ -178,11 +202,48 @@ class _Checker:
         for instance in self.desk.instances:
             reading = self._reading(track, instance, window)
             if reading is None:
-                text = f"Compass {instance} said nothing."
-                self._add(CheckItem("data", "fail", text, "Check its cable and COMPASS_USE.", instance))
+                self._say_silent(track, instance, window)
                 continue
             self.items += items.judge_field(reading, world)
             self.readings.append(reading)
+
+    def _say_silent(self, track: Track, instance: int, window: Window) -> None:
+        """Say why a compass could not be judged."""
+        kind = carriers(self.desk.identity.autopilot).get(instance)
+        message = "a message" if kind is None else kind.wire_name()
+        if (compass := track.compasses.get(instance)) is not None:
+            n = len(compass.reported.between(window.start_s, window.end_s))
+            rate_hz = (len(compass.reported) - 1) / max(float(np.ptp(compass.time_s)), 1e-3)
+            self._add(items.judge_too_few(instance, message, n, rate_hz))
+            return
+        steers = self._steering() == instance or not track.compasses
+        item = items.judge_silence(instance, message, self.desk.identity.autopilot, steers)
+        if item.verdict == "pass":
+            self.remarks.append(item.text)
+        else:
+            self._add(item)
+
+    def _steering(self) -> SteeringSource:
+        return steering_source(self.desk.identity.autopilot, self.desk.parameters)
+
+    def _judge_yaw(self, track: Track, window: Window) -> None:
+        """Hold the autopilot's yaw against the compass that steers it, or against all where none does."""
+        told, declination_rad = track.attitude_rad, self._declination_rad()
+        during = None if told is None else told.between(window.start_s, window.end_s)
+        if during is None or not len(during) or declination_rad is None:
+            return
+        source, magnetic_rad = self._steering(), circular_mean(during.values[:, 2]) - declination_rad
+        steering = [reading for reading in self.readings if reading.instance == source]
+        for reading in steering or self.readings:
+            off_rad = float(wrap_pi(magnetic_rad - reading.heading_rad))
+            self._add(items.judge_yaw(reading.instance, math.degrees(off_rad), source))
+
+    def _declination_rad(self) -> float | None:
+        """Return the declination in the autopilot's yaw: the place's, or the one set by hand."""
+        if self.desk.parameters.get("COMPASS_AUTODEC") == 0.0:
+            return self.desk.parameters.get("COMPASS_DEC")
+        world = self.world()
+        return None if world is None else world.declination_rad
 
     def _reading(self, track: Track, instance: int, window: Window) -> Reading | None:
         if instance not in track.compasses:
@@ -192,6 +253,7 @@ class _Checker:
         except PoorCalibration:
             return None
         field_mgauss = self.desk.dialect.correction(self.desk.parameters, instance).apply(seen.mean_mgauss)
+        self.fields.setdefault(instance, []).append(field_mgauss)
         down = _down(seen)
         vertical = float(field_mgauss @ down)
         horizontal = math.sqrt(max(float(field_mgauss @ field_mgauss) - vertical**2, 0.0))
@@ -221,9 +283,9 @@ class _Checker:
         self.windows.append((yield from self.desk.dwell(self.mover, self.settings.dwell)))
         self.turned = True
         track = self.desk.builder.build()
-        for instance in self.desk.instances:
-            if instance in track.compasses:
-                self._add(self._compare_turn(track, instance))
+        for reading in self.readings:
+            self._add(self._compare_turn(track, reading.instance))
+            self._reading(track, reading.instance, self.windows[-1])
 
     def _choose_mover(self) -> Script[str]:
         """Choose who turns; returns why nobody does."""
@@ -262,7 +324,41 @@ class _Checker:
         """Put the list together; which of several compasses is wrong, the turn may have told."""
         sources = {reading.instance: self._source(reading) for reading in self.readings}
         self.items += items.judge_agreement(sources)
-        return CheckReport(self.desk.identity, tuple(self.items), self.turned, self.desk.duration_s())
+        for instance in [item.instance for item in self.items if item.name == "agreement"]:
+            self._blame_mounting(instance)
+        remarks = tuple(dict.fromkeys(self.remarks))
+        return CheckReport(
+            self.desk.identity, tuple(self.items), self.turned, self.desk.duration_s(), remarks
+        )
+
+    def _blame_mounting(self, instance: int) -> None:
+        """Send who has a compass that stands turned against the others (0: one of two) to its mounting."""
+        one, *others = sorted(self.fields, key=lambda i: i != instance)
+        fields = [self.fields[i] for i in (one, *others)]
+        if not others or len({len(field) for field in fields}) > 1:
+            return
+        in_force = self.desk.dialect.correction(self.desk.parameters, one)
+        turned = turned_by(fields[0], np.mean(fields[1:], axis=0), in_force)
+        if not turned:
+            return
+        naming = ardupilot_naming(self.desk.parameters)
+        px4 = self.desk.identity.autopilot == "px4"
+        names = [
+            px4_name("ROT", i) if px4 else ardupilot_name("ORIENT", i, naming)
+            for i in ((instance,) if instance else (one, *others))
+        ]
+        roll, pitch, yaw = turned[0]
+        by = f" by roll {roll:g}, pitch {pitch:g}, yaw {yaw:g} deg" if len(turned) == 1 else ""
+        wrong = f"mounted otherwise than {' or '.join(names)} says{by and ', turned'}{by}"
+        remedy = f"It is {wrong}: set that right first."
+        if not self.turned:  # one position alone leaves room for iron that looks the same
+            remedy = f"It may be {wrong}: turn it by 90 deg and check again."
+        self.items = [
+            replace(item, remedy=remedy)
+            if item.verdict != "pass" and item.instance == instance and "alibrate" in item.remedy
+            else item
+            for item in self.items
+        ]
 
     def _source(self, reading: Reading) -> HeadingSource:
         """Return what one compass shows; what a question's limit allows counts as two sigmas."""

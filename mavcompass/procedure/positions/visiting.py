@@ -7,28 +7,30 @@ the recording, in the vehicle's time, in which it stood still.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
+from statistics import median
 from typing import Protocol
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import UNREST, StillnessDetector
 from mavcompass.errors import LinkLost, Refused
-from mavcompass.messages.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
+from mavcompass.messages import telemetry
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import GyroAngle, TurnStrategy
 
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2
 _FIRST_ASKED_S, _ASK_EVERY_S = 0.6, 0.14
-# Noise would fall to 0.71 in twice the time.
-_MUCH_SURER = 0.85
-# Nothing shorter tells what a vehicle that sways does.
-_SWAYS_S = 1.4
-# A vehicle that needs so many times the usual dwell has noisy sensors.
-_NOISY = 1.5
-# What happened in a longer silence is not known.
-_LONGEST_GAP_S = 1.0
+_MUCH_SURER = 0.85  # noise would fall to 0.71 in twice the time
+_SWAYS_S = 1.4  # nothing shorter tells what a vehicle that sways does
+_NOISY = 1.5  # a vehicle that needs so many times the usual dwell has noisy sensors
+# What happened in a longer silence is not known; nor in more than so many intervals of a slow stream.
+_LONGEST_GAP_S, _LONGEST_GAP = 1.0, 2.5
+_REST_JUDGED_S = 0.5  # what began to move is noticed within so long: rest is judged by the mean of it
+_FEWEST_READINGS = 8  # fewer do not show whether they wander or remember (`calibration.observation.dwells`)
 # A clock that goes back by so much belongs to an autopilot that has restarted.
 _RESTARTED_S = 5.0
 # At the turning points of a swing the tilt rests for a moment.
@@ -39,16 +41,17 @@ _TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS = math.radians(0.35), 2.0
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Hold one still stretch: vehicle time, and the gyro's live angle at its end."""
+    """Hold one still stretch: vehicle time, the gyro's live angle at its end, whether it was at rest."""
 
     start_s: float
     end_s: float
     turned_rad: float
+    rested: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class DwellSettings:
-    """Hold how long to stand still.
+    """Hold how long to stand still: no shorter than for eight readings, up to the longest.
 
     Attributes:
         dwell_s: the longest dwell; eighteen fresh readings of a compass read at 10 Hz.
@@ -56,7 +59,8 @@ class DwellSettings:
             heading by it is sure enough, or not much surer than it was after half the time: what sways is
             not averaged out by standing longer.
         enough_deg: how sure is enough, 1 sigma.
-        longest_s: of a vehicle whose sensors are so noisy that their mean takes longer to be known.
+        longest_s: of a vehicle whose sensors are so noisy that their mean takes longer to be known, or that
+            reports so seldom.
         settle_s: rest before a dwell begins. Rest is judged by the mean of half a second, so by then
             the chassis and the compass's average of 100 ms have settled.
         patience_s: a vehicle that hunts longer than this is dwelt upon as it is; the sway is then in
@@ -76,14 +80,19 @@ class DwellSettings:
 
 @dataclass(slots=True)
 class Rest:
-    """Tell live whether the vehicle stands still, on `wheels` or otherwise; `hear` is a listener."""
+    """Tell live whether the vehicle stands still, on `wheels` or otherwise; `hear` is a listener.
+
+    `compasses` are those, from 1, whose readings a dwell is for.
+    """
 
     wheels: bool = False
+    compasses: tuple[int, ...] = (1,)
     detector: StillnessDetector = field(init=False)
     time_s: float = -math.inf
     heard_s: float = -math.inf
     still_since_s: float | None = None
     why_not: str = "nothing was heard yet"
+    _readings: dict[str, deque[float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Begin to watch."""
@@ -91,23 +100,46 @@ class Rest:
 
     def _begin(self) -> None:
         self.detector = StillnessDetector(hold_s=0.0, wheels=self.wheels)
+        self._readings.clear()
 
     def hear(self, heard: mav.Incoming) -> None:
-        """Take one message; RAW_IMU or SCALED_IMU count."""
+        """Take one message; RAW_IMU or SCALED_IMU tell of rest, those of other compasses are counted."""
         message = heard.message
+        if not isinstance(message, mav.RawImu | mav.ScaledImu):
+            return
+        time_s = float(telemetry.imu_time_s(message))
+        latest = self._readings.setdefault(message.wire_name(), deque(maxlen=_FEWEST_READINGS))
+        if not latest or time_s > latest[-1]:
+            latest.append(time_s)
         if type(message) not in (mav.RawImu, mav.ScaledImu):
             return
-        time_s = float(imu_time_s(message))
         if time_s < self.time_s - _RESTARTED_S:
             self._begin()
         elif time_s <= self.time_s:
             return
         self.time_s, self.heard_s = time_s, heard.time_s
         state = self.detector.update(
-            time_s, angular_rate_radps(message), acceleration_mps2(message), field_mgauss(message)
+            time_s,
+            telemetry.angular_rate_radps(message),
+            telemetry.acceleration_mps2(message),
+            telemetry.field_mgauss(message),
         )
         self.still_since_s = None if math.isnan(state.since_s) else state.since_s
         self.why_not = state.why_not
+
+    def too_few_since(self, start_s: float) -> bool:
+        """Tell whether a compass has spoken less than eight times since then, of those that speak at all."""
+        counts: dict[int, int] = {}
+        for name, times in self._readings.items():
+            instance = telemetry.MAG_MESSAGES[name]
+            counts[instance] = max(counts.get(instance, 0), sum(time_s > start_s for time_s in times))
+        return any(count < _FEWEST_READINGS for i, count in counts.items() if i in self.compasses)
+
+    def longest_gap_s(self) -> float:
+        """Return how long a silence still says nothing, from the usual time between messages."""
+        latest = max(self._readings.values(), key=len, default=())
+        usual_s = median(b - a for a, b in pairwise(latest)) if len(latest) > 1 else 0.0
+        return max(_LONGEST_GAP_S, _LONGEST_GAP * usual_s)
 
     def needed_s(self, settings: DwellSettings) -> float:
         """Return how long a dwell must last with this vehicle's noise."""
@@ -261,17 +293,21 @@ def dwell(
         began, held_s = context.now, context.now
         length_s, needed_s, asks_s = 0.0, rest.needed_s(settings), _FIRST_ASKED_S
         known: dict[float, float] = {}
-        while length_s < needed_s:
+        enough, latest = None, None
+        most_s = settings.longest_s if resting else 0.0
+        while length_s < needed_s or (length_s < most_s and rest.too_few_since(start_s)):
             if context.now - began > 5.0 * needed_s + 5.0:
                 raise LinkLost("The IMU messages stopped coming.", "Bring the link back and run again.")
             if context.now - held_s >= _HOLD_EVERY_S:
                 mover.hold(context, needed_s - length_s)
                 held_s = context.now
-            heard_s = rest.time_s
+            heard_s, gap_s = rest.time_s, rest.longest_gap_s()
             yield from pause(context, 0.05)
-            if (resting and rest.still_since_s is None) or rest.time_s - heard_s > _LONGEST_GAP_S:
+            if (resting and rest.still_since_s is None) or rest.time_s - heard_s > gap_s:
                 break
             length_s = rest.time_s - start_s
+            if length_s >= needed_s and (latest is None or rest.time_s - latest.end_s >= _REST_JUDGED_S):
+                enough, latest = latest or enough, Window(start_s, rest.time_s, gyro.angle_rad)
             if sureness is not None and resting and length_s >= asks_s:
                 asks_s = _asked_next(length_s, settings.shortest_s)
                 known[length_s] = sureness(start_s, rest.time_s)
@@ -283,8 +319,10 @@ def dwell(
         else:
             if resting and gyro.samples > samples:
                 _learn_bias(gyro, angle, rest.time_s - start_s)
-            return Window(start_s, rest.time_s, gyro.angle_rad)
-    return Window(start_s, rest.time_s, gyro.angle_rad)
+            return Window(start_s, rest.time_s, gyro.angle_rad, resting)
+        if latest is not None:  # long enough, if not for all readings
+            return enough or latest
+    return Window(start_s, rest.time_s, gyro.angle_rad, rested=False)
 
 
 def _asked_next(length_s: float, shortest_s: float) -> float:

@@ -42,6 +42,7 @@ MESSAGES: dict[int, tuple[type[m.Message], str]] = {
     162: (m.FenceStatus, "EXT_STAT"),
     164: (m.Simstate, "EXTRA1"),
     193: (m.EkfStatusReport, "EXTRA3"),
+    230: (m.EstimatorStatus, ""),
     245: (m.ExtendedSysState, ""),
 }
 MESSAGE_IDS = {kind: number for number, (kind, _) in MESSAGES.items()}

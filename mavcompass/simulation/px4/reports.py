@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from mavcompass import messages as m
-from mavcompass.enums import MavAutopilot, MavModeFlag
+from mavcompass.enums import EkfFlag, MavAutopilot, MavModeFlag
 from mavcompass.simulation.autopilot import (
     MESSAGE_IDS,
     Battery,
@@ -31,6 +31,7 @@ _DEFAULT_RATES: dict[type[m.Message], float] = {
     m.GpsRawInt: 1.0,
     m.VfrHud: 4.0,
     m.ExtendedSysState: 1.0,
+    m.EstimatorStatus: 1.0,
     m.HighresImu: 1.5,
     m.RcChannels: 5.0,
 }
@@ -70,6 +71,7 @@ class Px4Reports(Reports):
             m.ScaledImu: lambda t, s: m.ScaledImu(*self._scaled(t, s, 0)),
             m.ScaledImu2: lambda t, s: m.ScaledImu2(*self._scaled(t, s, 1)),
             m.HighresImu: self._highres_imu,
+            m.EstimatorStatus: self._estimator_status,
             m.GlobalPositionInt: lambda t, s: self.global_position(t) if self.board.ready else None,
         }
 
@@ -103,6 +105,13 @@ class Px4Reports(Reports):
         # Whole degrees, although the message counts hundredths.
         degrees = int(self.board.surroundings().temperature_degc)
         return self.scaled_imu(time_us, share, index, self.compasses.raw_sensor_mgauss[index], degrees)
+
+    def _estimator_status(self, time_us: int, share: float) -> m.EstimatorStatus:
+        """Report the filter's health: attitude and height, and the position once it is known."""
+        flags = EkfFlag.ATTITUDE | EkfFlag.VELOCITY_HORIZ | EkfFlag.VELOCITY_VERT | EkfFlag.POS_VERT_ABS
+        flags |= EkfFlag.POS_HORIZ_REL | EkfFlag.POS_HORIZ_ABS if self.board.ready else EkfFlag.CONST_POS_MODE
+        ratio = self.board.filter.compass_variance
+        return m.EstimatorStatus(self.boot_us(time_us), int(flags), mag_ratio=ratio)
 
     def _highres_imu(self, time_us: int, share: float) -> m.Message:
         sensors, place = self.board.sensors, (self.compasses.steering or 1) - 1

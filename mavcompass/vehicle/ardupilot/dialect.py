@@ -15,6 +15,7 @@ from mavcompass.compass_parameters import (
 )
 from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.script import Context, Script
+from mavcompass.steering import ARDUPILOT_COMPASSES
 from mavcompass.vehicle.ardupilot.commit import commit_device_ids
 from mavcompass.vehicle.ardupilot.plan import ArduPilotPlanner
 from mavcompass.vehicle.ardupilot.yaw import take_compass_yaw
@@ -22,7 +23,6 @@ from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.dialect import CompassDialect, no_answer
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
 
-COMPASSES = (1, 2, 3)
 _SPELLING_PROBES = ("COMPASS_OFS_X", "COMPASS1_OFS_X")
 
 
@@ -45,7 +45,7 @@ class ArduPilotDialect(CompassDialect):
             raise no_answer()
         naming = ardupilot_naming({name: p.value for name, p in probes.items()})
         names = [*self.rules.general, *self.rules.vehicle]
-        for instance in COMPASSES:
+        for instance in ARDUPILOT_COMPASSES:
             names += self.instance_names(instance, naming)
         held = yield from self.read_typed(context, names)
         angles = ardupilot_angle_names({name: p.value for name, p in held.items()})
@@ -55,17 +55,6 @@ class ArduPilotDialect(CompassDialect):
         """List all parameters of one compass."""
         own = [ardupilot_name(quantity, instance, naming) for quantity in self.rules.per_compass]
         return (*ardupilot_correction_names(instance, naming), *own)
-
-    def instances(self, parameters: Mapping[str, float]) -> tuple[int, ...]:
-        """List the compasses that the vehicle has, from 1: those whose device id is not 0."""
-        naming = ardupilot_naming(parameters)
-        return tuple(
-            instance
-            for instance in COMPASSES
-            if ardupilot_name("OFS_X", instance, naming) in parameters
-            # Firmware that does not tell a device id has the compass that it has offsets for.
-            and parameters.get(ardupilot_name("DEV_ID", instance, naming), 1.0) != 0.0
-        )
 
     def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
         """Return the correction in force."""

@@ -16,12 +16,10 @@ from mavcompass.compass_parameters import (
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import Refused
 from mavcompass.frames import FloatArray
-from mavcompass.units import DEG_PER_RAD
 from mavcompass.vehicle.parameters.planning import Judgement, Planner, Wish
 from mavcompass.vehicle.parameters.rules import check_correction
 from mavcompass.vehicle.parameters.values import same_value
 
-_LEARN_OFF, _LEARN_INFLIGHT = 0, 3
 _MATRIX = tuple(f"{stem}_{axis}" for stem in ("DIA", "ODI") for axis in "XYZ")
 _OFFSETS = tuple(f"OFS_{axis}" for axis in "XYZ")
 
@@ -44,6 +42,7 @@ def instance_of(name: str) -> int | None:
 class ArduPilotPlanner(Planner):
     """Plan by ArduPilot's rules."""
 
+    autopilot = "ardupilot"
     instance_of = staticmethod(instance_of)
     unwatched = "The autopilot's own heading follows a new calibration slowly: restart it before you drive."
 
@@ -106,22 +105,13 @@ class ArduPilotPlanner(Planner):
             refusals.append(f"{label}: offsets of exactly zero mean 'not calibrated' to the firmware.")
         more_refusals, more_remarks = _about_mounting(before, after, instance)
         refusals, remarks = refusals + more_refusals, remarks + more_remarks
-        use = ardupilot_name("USE", instance, naming)
-        if after.get(use, 1.0) == 0.0:
-            remarks.append(f"{label} is not used for the heading ({use} is 0).")
         return refusals, remarks
 
     def judge_vehicle(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
     ) -> Judgement:
-        """Check what all compasses share: switches, learning, priorities, what the motor terms go with."""
-        judged = tuple(judged)
-        refusals, remarks = _about_switches(after, judged) if judged else ([], [])
-        return refusals + _motor_clash(before, after, judged), remarks
-
-    def closing_remarks(self, after: Mapping[str, float]) -> list[str]:
-        """Say what a person should know of any new calibration."""
-        return _about_declination(after)
+        """Check what all compasses share: what the motor terms go with."""
+        return _motor_clash(before, after, judged), []
 
     def uncommitted(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
@@ -161,36 +151,4 @@ def _motor_clash(before: Mapping[str, float], after: Mapping[str, float], judged
         f"COMPASS_MOTCT is shared: changing it gives compass {other}'s motor terms another meaning."
         for other in sorted({1, 2, 3} - set(judged))
         if any(after.get(ardupilot_name(f"MOT_{axis}", other, naming), 0.0) for axis in "XYZ")
-    ]
-
-
-def _about_switches(after: Mapping[str, float], judged: Iterable[int]) -> tuple[list[str], list[str]]:
-    refusals: list[str] = []
-    remarks: list[str] = []
-    if after.get("COMPASS_ENABLE", 1.0) == 0.0:
-        refusals.append("The compass is switched off: set COMPASS_ENABLE to 1 and restart the autopilot.")
-    learn = int(after.get("COMPASS_LEARN", 0.0))
-    if learn == _LEARN_INFLIGHT:
-        refusals.append("COMPASS_LEARN is 3: in-flight learning would overwrite the offsets. Set it to 0.")
-    elif learn != _LEARN_OFF:
-        remarks.append(f"COMPASS_LEARN is {learn}: the firmware will go on changing the offsets itself.")
-    naming = ardupilot_naming(after)
-    for instance in judged:
-        detected = after.get(ardupilot_name("DEV_ID", instance, naming), 0.0)
-        first_choice = after.get(f"COMPASS_PRIO{instance}_ID", 0.0)
-        if detected and first_choice and detected != first_choice:
-            remarks.append(
-                f"COMPASS_PRIO{instance}_ID names another sensor than the one in use: after the next start"
-                " the compasses change places, their calibrations with them."
-            )
-    return refusals, remarks
-
-
-def _about_declination(after: Mapping[str, float]) -> list[str]:
-    if after.get("COMPASS_AUTODEC", 1.0) != 0.0:
-        return []
-    declination_deg = after.get("COMPASS_DEC", 0.0) * DEG_PER_RAD
-    return [
-        f"COMPASS_AUTODEC is 0: the autopilot adds a declination of {declination_deg:.1f} deg set by hand;"
-        " see that it is right for this place."
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
 from mavcompass.correction import FieldCorrection
@@ -11,6 +11,7 @@ from mavcompass.errors import NoReply
 from mavcompass.frames import FloatArray
 from mavcompass.procedure.dialect import NOT_TURNED, ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.script import Context, Script, nothing
+from mavcompass.steering import compasses_of
 from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.planning import Planner
 from mavcompass.vehicle.parameters.rules import ParameterRules, parameter_rules
@@ -47,16 +48,16 @@ class CompassDialect(ABC):
         """
 
     @abstractmethod
-    def instances(self, parameters: Mapping[str, float]) -> tuple[int, ...]:
-        """List the compasses that the vehicle has, from 1."""
-
-    @abstractmethod
     def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
         """Return the correction in force, in body axes."""
 
     @abstractmethod
     def raw_rotation(self, parameters: Mapping[str, float], instance: int) -> FloatArray | None:
         """Return the sensor-to-body rotation where telemetry carries the uncorrected sensor's axes."""
+
+    def instances(self, parameters: Mapping[str, float], reporting: Iterable[int] = ()) -> tuple[int, ...]:
+        """List the compasses that the vehicle has; see `compasses_of`."""
+        return compasses_of(self.autopilot, parameters, reporting)
 
     @property
     def rules(self) -> ParameterRules:
@@ -87,15 +88,21 @@ class CompassDialect(ABC):
         parameters: Mapping[str, float],
         corrections: Mapping[int, FieldCorrection],
         turned: Mapping[int, FloatArray] = NOT_TURNED,
+        reporting: Iterable[int] = (),
     ) -> ParameterPlan:
         """Plan the write of new corrections over the parameters in force, and of new mountings."""
-        return self.planner.plan(parameters, corrections, self.instances(parameters), turned)
+        return self.planner.plan(parameters, corrections, self.instances(parameters, reporting), turned)
 
     def plan_values(
-        self, parameters: Mapping[str, float], wanted: Mapping[str, float], checked: bool = True
+        self,
+        parameters: Mapping[str, float],
+        wanted: Mapping[str, float],
+        checked: bool = True,
+        reporting: Iterable[int] = (),
     ) -> ParameterPlan:
         """Plan the write of single parameters; unchecked, what is out of range is only remarked on."""
-        return self.planner.plan_values(parameters, wanted, self.instances(parameters), checked)
+        present = self.instances(parameters, reporting)
+        return self.planner.plan_values(parameters, wanted, present, checked)
 
     def write(self, context: Context, plan: ParameterPlan, save_undo: SaveUndo) -> Script[WriteOutcome]:
         """Write a plan as a transaction; see `vehicle.parameters.transaction`."""

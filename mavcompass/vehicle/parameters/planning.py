@@ -11,6 +11,7 @@ import numpy as np
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import Refused
 from mavcompass.frames import FloatArray
+from mavcompass.parameter_remarks import parameter_remarks
 from mavcompass.procedure.dialect import NOT_TURNED, Change, ParameterPlan
 from mavcompass.vehicle.parameters.rules import ParameterRules
 from mavcompass.vehicle.parameters.values import is_single, same_value, tidy
@@ -31,10 +32,12 @@ class Planner(ABC):
     """Plan by one autopilot's rules; a subclass knows its parameters.
 
     Attributes:
+        autopilot: its name.
         unwatched: what to know of single values written by hand, where nobody sees what the autopilot makes
             of them; a calibration watches its heading.
     """
 
+    autopilot: str
     unwatched = ""
 
     def __init__(self, rules: ParameterRules) -> None:
@@ -77,10 +80,6 @@ class Planner(ABC):
     ) -> Judgement:
         """Check what all compasses share, given those that are judged."""
         return [], []
-
-    @abstractmethod
-    def closing_remarks(self, after: Mapping[str, float]) -> list[str]:
-        """Say what a person should know of any new calibration."""
 
     def uncommitted(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
@@ -158,21 +157,21 @@ class Planner(ABC):
                 doubts.append(self.absent(instance))
                 continue
             against, notes = self.judge_compass(parameters, after, instance)
-            doubts += against
-            remarks += notes
+            known = parameter_remarks(self.autopilot, after, instance)
+            doubts += [*against, *(remark.text for remark in known if remark.forbids)]
+            remarks += [*notes, *(remark.text for remark in known if not remark.forbids)]
         against, notes = self.judge_vehicle(parameters, after, judged)
         doubts += against
         remarks += notes
         if late := [c.name for c in changes if self.rules.wants_reboot(c.name)]:
             takes = "takes" if len(late) == 1 else "take"
             remarks.append(f"{', '.join(late)} {takes} effect after a restart of the autopilot.")
-        if changes and judged:
-            remarks += self.closing_remarks(after)
-            remarks += [self.unwatched] if self.unwatched and not touched else []
+        if changes and judged and not touched:
+            remarks += [self.unwatched] if self.unwatched else []
         return ParameterPlan(
             changes,
-            refusals=tuple(doubts) if checked else (),
-            remarks=tuple(remarks if checked else doubts + remarks),
+            refusals=tuple(dict.fromkeys(doubts)) if checked else (),
+            remarks=tuple(dict.fromkeys(remarks if checked else doubts + remarks)),
             commit_instances=self.uncommitted(parameters, after, judged),
         )
 

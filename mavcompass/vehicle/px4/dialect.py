@@ -9,12 +9,11 @@ from mavcompass.compass_parameters import px4_correction, px4_name, px4_sensor_t
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.procedure.script import Context, Script
+from mavcompass.steering import PX4_COMPASSES
 from mavcompass.vehicle.parameters.dialect import CompassDialect, no_answer
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
 from mavcompass.vehicle.px4.loading import load
 from mavcompass.vehicle.px4.plan import PX4Planner
-
-COMPASSES = (1, 2, 3, 4)
 
 
 class PX4Dialect(CompassDialect):
@@ -31,7 +30,7 @@ class PX4Dialect(CompassDialect):
         names = [
             *self.rules.general,
             *self.rules.vehicle,
-            *(px4_name("ID", instance) for instance in COMPASSES),
+            *(px4_name("ID", instance) for instance in PX4_COMPASSES),
         ]
         held = yield from self.read_typed(context, names)
         if not held:
@@ -39,10 +38,6 @@ class PX4Dialect(CompassDialect):
         present = self.instances({name: p.value for name, p in held.items()})
         rest = [px4_name(quantity, i) for i in present for quantity in self.rules.per_compass]
         return held | (yield from self.read_typed(context, [name for name in rest if name not in held]))
-
-    def instances(self, parameters: Mapping[str, float]) -> tuple[int, ...]:
-        """List the compasses that the vehicle has, from 1: those whose slot holds a device id."""
-        return tuple(i for i in COMPASSES if parameters.get(px4_name("ID", i), 0.0) != 0.0)
 
     def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
         """Return the correction in force, in body axes."""

@@ -18,6 +18,7 @@ from mavcompass.compass_parameters import (
     values,
 )
 from mavcompass.correction import FieldCorrection
+from mavcompass.errors import Refused
 from mavcompass.frames import FloatArray
 from mavcompass.procedure.dialect import Change
 from mavcompass.units import MGAUSS_PER_GAUSS
@@ -43,6 +44,7 @@ def instance_of(name: str) -> int | None:
 class PX4Planner(Planner):
     """Plan by PX4's rules."""
 
+    autopilot = "px4"
     instance_of = staticmethod(instance_of)
 
     def absent(self, instance: int) -> str:
@@ -64,6 +66,8 @@ class PX4Planner(Planner):
         PX4 subtracts the motors' field before its matrix, so the motor term in force stays right when the
         matrix changes; a new one is not written.
         """
+        if not parameters.get(px4_name("ID", instance)):
+            raise Refused(self.absent(instance))
         before = px4_correction(parameters, instance)
         wanted = {
             name: value
@@ -99,15 +103,7 @@ class PX4Planner(Planner):
         ):
             if _ROUNDING < float(np.linalg.norm(moved)) <= smallest:
                 remarks.append(f"{label}: so small a change of the {what} is taken over at the next start.")
-        if after.get(px4_name("PRIO", instance), -1.0) == 0.0:
-            remarks.append(f"{label} is switched off ({px4_name('PRIO', instance)} is 0).")
         return refusals, remarks
-
-    def closing_remarks(self, after: Mapping[str, float]) -> list[str]:
-        """Say what a person should know of any new calibration."""
-        if not after.get("SENS_MAG_AUTOCAL", 0.0):
-            return []
-        return ["SENS_MAG_AUTOCAL is on: PX4 may go on changing the offsets itself in flight."]
 
 
 def _about_mounting(before: Mapping[str, float], after: Mapping[str, float], instance: int) -> list[str]:

@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 
 from mavcompass import messages as mav
+from mavcompass.cli.check import _say
+from mavcompass.cli.options import Output
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
 from mavcompass.heading.fault_isolation import HeadingSource
+from mavcompass.kinds import Kind
 from mavcompass.procedure.check import CheckReport, items
 from mavcompass.procedure.check.items import CheckItem, Reading, Verdict
 from mavcompass.procedure.vehicle_state import VehicleIdentity
+from mavcompass.steering import SteeringSource
 
 WORLD = EarthField((200.0, 0.0, 400.0))
 TOTAL, DIP = math.hypot(200.0, 400.0), math.degrees(math.atan2(400.0, 200.0))
@@ -63,30 +67,40 @@ def test_matrix(stretch: float, verdict: Verdict) -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameters", "told"),
+    ("autopilot", "steers", "verdict"),
     [
-        ({"COMPASS_DEV_ID": 97539.0, "COMPASS_USE": 1.0}, []),
-        ({}, []),
-        ({"COMPASS_DEV_ID": 0.0, "COMPASS_USE": 1.0}, [("device", "fail", True)]),
-        ({"COMPASS_DEV_ID": 1.0, "COMPASS_USE": 0.0}, [("use", "warn", True)]),
-        ({"COMPASS_DEV_ID": 0.0, "COMPASS_USE": 0.0}, [("device", "fail", True), ("use", "warn", True)]),
+        ("ardupilot", True, "fail"),
+        ("ardupilot", False, "warn"),
+        ("px4", True, "fail"),
+        ("px4", False, "pass"),
     ],
 )
-def test_device_and_use(parameters: dict[str, float], told: list[tuple[str, str, bool]]) -> None:
-    found = items.judge_device(1, "ardupilot", parameters)
-    assert [(i.name, i.verdict, bool(i.remedy)) for i in found] == told
-    as_px4 = {name.replace("COMPASS_DEV_ID", "CAL_MAG0_ID").replace("COMPASS_USE", "CAL_MAG0_PRIO"): v
-              for name, v in parameters.items()}  # fmt: skip
-    assert [(i.name, i.verdict, bool(i.remedy)) for i in items.judge_device(1, "px4", as_px4)] == told
+def test_a_compass_that_never_spoke(autopilot: str, steers: bool, verdict: Verdict) -> None:
+    item = items.judge_silence(2, "SCALED_IMU2", autopilot, steers)
+    assert item.verdict == verdict and with_remedy(item)
+    assert item.text.startswith("No readings of compass 2 came") and "COMPASS_" not in item.text + item.remedy
+    assert ("CAL_MAG1_ID" in item.text) is (verdict == "pass")
 
 
-def test_a_second_compass_need_not_be_used() -> None:
-    (item,) = items.judge_device(2, "ardupilot", {"COMPASS_DEV_ID2": 5.0, "COMPASS_USE2": 0.0})
-    assert (
-        item.verdict == "pass"
-        and not item.remedy
-        and "Compass 2 is not used (COMPASS_USE2 is 0)" in item.text
-    )
+def test_a_slow_stream_is_no_fault_of_a_cable() -> None:
+    item = items.judge_too_few(1, "RAW_IMU", 1, 0.98)
+    assert item.verdict == "warn" and "(1) came while the vehicle stood still, at 1.0 Hz" in item.text
+    assert "RAW_IMU at 10 Hz" in item.remedy and "cable" not in item.remedy
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "verdict"),
+    [(4.9, "pass"), (-5.1, "warn"), (14.9, "warn"), (-36.0, "fail")],
+)
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [(1, "which steers it"), (2, "compass 2 steers it"), ("gps", "receivers steer"), ("other", "no compass"),
+     (None, "do not tell")],
+)  # fmt: skip
+def test_the_autopilots_own_yaw(off_deg: float, verdict: Verdict, source: SteeringSource, words: str) -> None:
+    item = items.judge_yaw(1, off_deg, source)
+    assert item.verdict == verdict and with_remedy(item) and words in item.text
+    assert f"{abs(off_deg):.1f} deg from compass 1" in item.text and "alibrate" not in item.remedy
 
 
 @pytest.mark.parametrize(
@@ -175,6 +189,16 @@ def test_estimator(flags: int, variance: float, verdict: Verdict) -> None:
     assert item is not None and item.verdict == verdict and with_remedy(item)
 
 
+@pytest.mark.parametrize(
+    ("flags", "ratio", "verdict"),
+    [(EkfFlag.ATTITUDE, 0.49, "pass"), (EkfFlag.ATTITUDE, 0.9, "warn"), (EkfFlag.ATTITUDE, 1.1, "fail"),
+     (0, 0.1, "fail"), (EkfFlag.ATTITUDE | 1024, 0.1, "pass")],  # 1024: a glitch of the receiver
+)  # fmt: skip
+def test_estimator_of_px4(flags: int, ratio: float, verdict: Verdict) -> None:
+    item = items.judge_estimator(mav.EstimatorStatus(flags=flags, mag_ratio=ratio))
+    assert item is not None and item.verdict == verdict and with_remedy(item)
+
+
 def test_prearm_texts_about_the_compass_are_passed_on_once() -> None:
     texts = [
         "PreArm: Compass not calibrated", "PreArm: Compass not calibrated", "Arm: Check mag field: 900",
@@ -254,3 +278,17 @@ def test_limits_of_offsets_and_of_the_earths_field_are_within() -> None:
         assert item.verdict == "pass" and item.limit == 720.0
     assert items.worst([]) == "pass" and items.worst(["warn", "pass"]) == "warn"
     assert items.worst(["warn", "fail", "pass"]) == "fail"
+
+
+@pytest.mark.parametrize(("kind", "itself"), [("rover", True), ("copter", True), ("plane", False)])
+def test_who_cannot_turn_on_the_spot_is_sent_to_a_hand(
+    kind: Kind, itself: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = CheckReport(
+        VehicleIdentity(1, 1, "ardupilot", kind), report("fail").items, False, 1.0, ("Know.",)
+    )
+    assert found.turns_itself is itself and found.to_json()["remarks"] == ["Know."]
+    _say(found, "udpin:0.0.0.0:14550", Output(None), False)
+    said = capsys.readouterr().out
+    assert "calibrate udpin:0.0.0.0:14550" in said and "Note: Know." in said
+    assert ("--motion hand" in said) is not itself

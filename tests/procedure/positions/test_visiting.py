@@ -128,6 +128,33 @@ def test_noisy_sensors_are_stood_still_for_longer() -> None:
     assert dwelt(sureness=lambda a, b: 0.16, heard=noisy())[0] == pytest.approx(length_s, abs=0.1)
 
 
+@pytest.mark.parametrize(("interval_s", "length_s"), [(0.04, 1.7), (0.28, 2.25), (0.48, 3.85), (1.0, 6.0)])
+def test_a_dwell_is_measured_in_readings_too(interval_s: float, length_s: float) -> None:
+    """Eight of them, and no more than six seconds."""
+    slow = [-math.inf]
+
+    def heard(time_s: float) -> mav.Incoming | None:
+        if time_s - slow[0] < interval_s - 0.01:
+            return None
+        slow[0] = time_s
+        return imu(time_s)
+
+    assert dwelt(heard=heard)[0] == pytest.approx(length_s, abs=0.12 + 0.1 * interval_s)
+
+
+def test_who_moves_before_the_last_reading_is_dwelt_upon_for_as_long_as_it_stood() -> None:
+    said = [-math.inf]
+
+    def heard(time_s: float) -> mav.Incoming | None:
+        if time_s - said[0] < 0.47:
+            return None
+        said[0] = time_s
+        return imu(time_s, 0.0 if time_s < 4.6 else 40.0)
+
+    length_s, *_ = dwelt(heard=heard)
+    assert 1.7 <= length_s < 3.6
+
+
 def test_a_dwell_that_is_disturbed_begins_anew_twice() -> None:
     def bumped(*at: float) -> Callable[[float], mav.Incoming]:
         return lambda t: imu(t, 60.0 if any(abs(t - a) < 0.3 for a in at) else 0.0)

@@ -4,42 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from mavcompass.vehicle.ardupilot.plan import _about_declination, _about_switches, _motor_clash
+from mavcompass.vehicle.ardupilot.plan import _motor_clash
 from mavcompass.vehicle.ardupilot.yaw import idle_set
-
-
-@pytest.mark.parametrize(
-    ("parameters", "refusals", "remarks"),
-    [
-        ({}, 0, 0),
-        ({"COMPASS_ENABLE": 1.0, "COMPASS_LEARN": 0.0}, 0, 0),
-        ({"COMPASS_ENABLE": 0.0}, 1, 0),
-        ({"COMPASS_LEARN": 3.0}, 1, 0),
-        ({"COMPASS_LEARN": 1.0}, 0, 1),
-        ({"COMPASS_LEARN": 2.0, "COMPASS_ENABLE": 0.0}, 1, 1),
-        ({"COMPASS_DEV_ID": 5.0, "COMPASS_PRIO1_ID": 5.0}, 0, 0),
-        ({"COMPASS_DEV_ID": 5.0, "COMPASS_PRIO1_ID": 6.0}, 0, 1),
-        ({"COMPASS_PRIO1_ID": 6.0}, 0, 0),  # what is not there changes no places
-        ({"COMPASS_DEV_ID": 5.0}, 0, 0),
-        ({"COMPASS_DEV_ID": 5.0, "COMPASS_PRIO1_ID": 0.0}, 0, 0),
-        ({"COMPASS_DEV_ID2": 5.0, "COMPASS_PRIO2_ID": 6.0}, 0, 0),  # not the one that is written
-    ],
-)
-def test_switches(parameters: dict[str, float], refusals: int, remarks: int) -> None:
-    against, beside = _about_switches(parameters, (1,))
-    assert (len(against), len(beside)) == (refusals, remarks)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "degrees"),
-    [
-        ({}, None), ({"COMPASS_AUTODEC": 1.0, "COMPASS_DEC": 0.1}, None),
-        ({"COMPASS_AUTODEC": 0.0, "COMPASS_DEC": 0.1}, 5.7), ({"COMPASS_AUTODEC": 0.0}, 0.0),
-    ],
-)  # fmt: skip
-def test_a_declination_set_by_hand_is_told(parameters: dict[str, float], degrees: float | None) -> None:
-    said = _about_declination(parameters)
-    assert said == [] if degrees is None else f"declination of {degrees:.1f} deg set by hand" in said[0]
 
 
 def test_motor_terms_of_another_compass_keep_their_meaning() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mavcompass.compass_parameters import ardupilot_name
-from mavcompass.errors import BadRecording
+from mavcompass.errors import BadRecording, NoMagnetometer
 from mavcompass.logs.common import (
     BootClock,
     Change,
@@ -69,11 +69,7 @@ def read_dataflash(path: Path, *, text: bool = False) -> Track:
             "Give the .bin as it comes from the autopilot's card.",
         )
     logs = contents.logs
-    if not any(name in log.records for log in logs for name in ("MAG", "MAG2", "MAG3")):
-        raise BadRecording(
-            f"{path} holds no magnetometer: {sum(contents.counts.values())} records, but no MAG.",
-            "Set LOG_BITMASK to include the compass, check that COMPASS_ENABLE is 1, and record again.",
-        )
+    logged = any(name in log.records for log in logs for name in ("MAG", "MAG2", "MAG3"))
     notes = _notes_about_the_file(contents)
     glitches = leave_out_impossible_times(logs)
     clock = clock_of(logs)
@@ -86,9 +82,16 @@ def read_dataflash(path: Path, *, text: bool = False) -> Track:
     notes += silences
     notes += [unknown_correction(i) for i, compass in compasses.items() if not compass.correction_known]
     if not compasses:
-        raise BadRecording(
-            f"{path} holds only zeros as magnetic field: there was no compass.",
-            "Check the compass's wiring and COMPASS_ENABLE, and record again.",
+        if logged:
+            raise NoMagnetometer(
+                f"{path} holds only zeros as magnetic field: there was no compass.",
+                "Check the compass's wiring and COMPASS_ENABLE, and record again.",
+                parameters,
+            )
+        raise NoMagnetometer(
+            f"{path} holds no magnetometer: {sum(contents.counts.values())} records, but no MAG.",
+            "Set LOG_BITMASK to include the compass, check that COMPASS_ENABLE is 1, and record again.",
+            parameters,
         )
     measured: dict[str, Any] = dict(columns(logs, clock, parameters))
     return Track(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mavcompass.enums import MavAutopilot, MavType
-from mavcompass.errors import BadRecording
+from mavcompass.errors import BadRecording, NoMagnetometer
 from mavcompass.logs.common import damage
 from mavcompass.logs.formats.tlog.messages import Messages, Sender, TlogContents, read_messages
 from mavcompass.logs.formats.tlog.vehicle import track_of
@@ -61,23 +61,21 @@ def read_tlog(path: Path) -> dict[int, Track]:
         )
     vehicles = _vehicles(contents.senders)
     notes = _notes_about_the_file(contents)
-    tracks: dict[int, Track] = {}
-    for sender in vehicles:
-        # Taken out of the contents, so that each message is freed when it has become a column.
-        messages = contents.senders.pop(sender)
-        if any(name in messages for name in MAGNETOMETER_MESSAGES):
-            track = track_of(messages, str(path), notes)
-            if track.compasses:
-                tracks[sender[0]] = track
+    # Taken out of the contents, so that each message is freed when it has become a column.
+    read = {sender[0]: track_of(contents.senders.pop(sender), str(path), notes) for sender in vehicles}
+    tracks = {system: track for system, track in read.items() if track.compasses}
     if not tracks:
-        raise BadRecording(_without_magnetometer(path, contents, vehicles), _REMEDY)
+        told = max(read.values(), key=lambda track: len(track.parameters), default=Track())
+        remedy = _REMEDY.format(_STREAMS.get(told.autopilot, "SET_MESSAGE_INTERVAL"))
+        raise NoMagnetometer(_without_magnetometer(path, contents, vehicles), remedy, told.parameters)
     return tracks
 
 
-_REMEDY = (
-    "Ask the vehicle for RAW_IMU (SET_MESSAGE_INTERVAL, or SR0_RAW_SENS at 10 Hz or more) and record again, "
-    "or give the autopilot's own log."
-)
+_REMEDY = "Ask the vehicle for its IMU's messages ({}) and record again, or give the autopilot's own log."
+_STREAMS = {
+    "ardupilot": "RAW_IMU: SET_MESSAGE_INTERVAL, or SR0_RAW_SENS at 10 Hz or more",
+    "px4": "SCALED_IMU: SET_MESSAGE_INTERVAL, or `mavlink stream` on its console",
+}
 
 
 def _without_magnetometer(path: Path, contents: TlogContents, vehicles: list[Sender]) -> str:

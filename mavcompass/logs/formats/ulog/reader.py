@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.errors import BadRecording
+from mavcompass.errors import BadRecording, NoMagnetometer
 from mavcompass.installation.parts import require
 from mavcompass.logs.common import Seen, changes
 from mavcompass.logs.formats.ulog.bounded import bounded_ulog, open_forward
@@ -35,9 +35,10 @@ def read_ulog(path: Path) -> Track:
     parameters = {change.name: change.value for change in history}
     found, notes = compasses(topics, history, parameters)
     if not found:
-        raise BadRecording(
+        raise NoMagnetometer(
             f"{path} holds no magnetometer: none of {', '.join(MAG_TOPICS)} has samples.",
             "Set SDLOG_PROFILE to include the sensors (bit 0 or 4) and record again.",
+            parameters,
         )
     measured: dict[str, Any] = dict(columns(topics, parameters))
     return Track(

@@ -1,0 +1,85 @@
+"""Recordings that people reported, through every command that reads them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mavcompass.cli.main import main
+from mavcompass.fleet.examine import Job, examine
+
+Run = Callable[..., tuple[int, str, Any]]
+
+
+@pytest.fixture
+def case(shared_data: Path) -> Callable[[str], str]:
+    def find(name: str) -> str:
+        file = shared_data.parent / "cases" / name
+        if not file.exists():
+            pytest.skip(f"{file} is not there")
+        return str(file)
+
+    return find
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
+    """Run a command; return its exit code, what it said, and its document."""
+
+    def run(*words: str) -> tuple[int, str, Any]:
+        document = tmp_path / "out.json"
+        document.unlink(missing_ok=True)
+        code = main([*words, "--json", str(document)])
+        said = "".join(capsys.readouterr())
+        return code, said, json.loads(document.read_text()) if document.exists() else None
+
+    return run
+
+
+def test_a_slow_stream_is_waited_for(case: Callable[[str], str], run: Run) -> None:
+    _, said, document = run("check", case("plane385_three_compasses.tlog"))
+    judged = {item["compass"] for item in document["items"] if item["name"] == "field"}
+    assert judged == {1, 2, 3} and "cable" not in said
+
+
+def test_parameters_without_a_magnetometer(case: Callable[[str], str], run: Run, tmp_path: Path) -> None:
+    file = case("px4_params_only.tlog")
+    code, said, document = run("params", "show", file)
+    assert code == 0 and "CAL_MAG1_ZSCALE" in said and document["compasses"]
+    kept = tmp_path / "kept.params"
+    assert run("params", "backup", file, str(kept))[0] == 0 and kept.exists()
+    assert run("params", "diff", file, str(kept))[2]["differing"] == []
+    for command in (["heading"], ["calibrate"], ["gap", "diagnose"]):
+        code, said, _ = run(*command, file)
+        assert code == 4 and "holds no magnetometer" in said and "SR0_" not in said
+
+
+def test_a_compass_that_reports_is_there_whatever_its_id(case: Callable[[str], str], run: Run) -> None:
+    file = case("copter36_devid0.tlog")
+    _, said, document = run("check", file)
+    assert {item["compass"] for item in document["items"] if item["name"] == "offsets"} == {1, 2}
+    assert "no compass" not in said and "COMPASS_DEV_ID is 0" in said
+    code, said, document = run("params", "show", file)
+    assert code == 0 and document["compasses"] == [1, 2] and "COMPASS_DEV_ID is 0" in said
+    code, _, document = run("heading", file, "--compass", "2", "--rate", "1")
+    assert code == 0 and document["headings"] and "COMPASS_DEV_ID2 is 0" in document["notes"][0]
+
+
+def test_a_priority_that_names_another_sensor_is_told_everywhere(
+    case: Callable[[str], str], run: Run
+) -> None:
+    file, note = case("prio.tlog"), "COMPASS_PRIO1_ID names another sensor than the one in use, compass 2's"
+    for words in (
+        ["check"],
+        ["calibrate", "--compass", "all"],
+        ["params", "show"],
+        ["heading", "--rate", "1"],
+    ):
+        _, said, document = run(*words, file)
+        assert note in said and note in json.dumps(document), words
+    (row,) = examine(Job("calibrate"), file)
+    assert note in row["warnings"]
