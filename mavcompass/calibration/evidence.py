@@ -27,7 +27,7 @@ from mavcompass.track import Series, Track
 
 # While it turns faster or leans further a heading is late, or hardly one.
 _SLOW_RADPS, _LEAST_UPRIGHT = math.radians(20.0), math.cos(math.radians(45.0))
-_MOST_ROWS, _NEAREST_S = 4000, 0.3
+_MOST_ROWS, _NEAREST_S, _TOGETHER_S = 4000, 0.3, 1.0
 _BINS = 24
 # A source whose calibration is not known is bent by as much as irons bend.
 _BEND_RAD = math.radians(20.0)
@@ -102,7 +102,7 @@ def gather(
         heading = _compass_heading(track, instance, other.correction if other and known else None)
         if heading is None or not len(moments.time_s):
             continue
-        found = _deviation(moments.heading_rad, _nearest(heading, moments.time_s))
+        found = _deviation(moments.time_s, moments.heading_rad, _nearest(heading, moments.time_s))
         if found is None:
             continue
         (a, b, c), sigma, left = found
@@ -163,7 +163,7 @@ def _nearest(series: Series, time_s: FloatArray) -> FloatArray:
 
 
 def _deviation(
-    mine_rad: FloatArray, other_rad: FloatArray
+    time_s: FloatArray, mine_rad: FloatArray, other_rad: FloatArray
 ) -> tuple[tuple[float, float, float], float, float] | None:
     """Fit A, B, C of another heading less mine; returns them, sigma of A, and what they leave, rms, radians.
 
@@ -174,7 +174,10 @@ def _deviation(
     if int(known.sum()) < 2:
         return None
     mine, off = mine_rad[known], np.exp(1j * (other_rad - mine_rad)[known])
-    bins = np.floor(np.mod(mine, 2.0 * math.pi) / (2.0 * math.pi) * _BINS).astype(np.intp) % _BINS
+    # A noisy reading is not to choose its own bin: what a second's readings show together does.
+    _, second = np.unique(np.floor(time_s[known] / _TOGETHER_S), return_inverse=True)
+    toward = np.angle(np.bincount(second, np.cos(mine)) + 1j * np.bincount(second, np.sin(mine)))[second]
+    bins = np.floor(np.mod(toward, 2.0 * math.pi) / (2.0 * math.pi) * _BINS).astype(np.intp) % _BINS
     count = np.bincount(bins, minlength=_BINS)
     seen = count > 0
 
@@ -198,7 +201,7 @@ def _deviation(
         left2 = (away - design @ found) ** 2
         chance = left2.size + 2.0 * math.sqrt(2.0 * left2.size)  # of a chi-square, two sigmas
         shows = float((left2 / chance2).sum()) > chance
-        beyond2 = max(float((left2 - chance2).mean()), 0.0) if shows else 0.0
+        beyond2 = max(float(np.average(left2 - chance2, weights=weight)), 0.0) if shows else 0.0
     a, b, c = found.tolist()
     return (float(wrap_pi(centre + a)), b, c), math.sqrt(float(covariance[0, 0])), math.sqrt(beyond2)
 
@@ -224,7 +227,7 @@ def _elsewhere(moments: _Moments, instance: int) -> Iterator[HeadingSource]:
 
 def _true_source(name: str, moments: _Moments, true: Series, sigma_rad: float) -> Iterator[HeadingSource]:
     magnetic = _nearest(true, moments.time_s - field_lag_s(moments.track)) - moments.declination_rad
-    found = _deviation(moments.heading_rad, magnetic)
+    found = _deviation(moments.time_s, moments.heading_rad, magnetic)
     if found is not None:
         (a, _, _), sigma, _ = found
         doubt = math.hypot(sigma_rad, sigma, moments.declination_sigma_rad)
