@@ -159,9 +159,8 @@ class Machine(Generic[T]):
             else:
                 self._resume(lambda: self._script.send(event))
         if self._stopped is not None and context.now - self._stopped[0] > CLEAN_UP_S:
-            self._abandon(self._stopped[1])
-        actions, context.outbox = context.outbox, []
-        return actions
+            return self.abandon()
+        return self._actions()
 
     def _look(self, event: Event) -> Exception | None:
         """Let all listen and watch; return why to stop. A fault of theirs must not leave a vehicle moving."""
@@ -182,8 +181,9 @@ class Machine(Generic[T]):
             self._stopped = self.context.now, error
             self._resume(lambda: self._script.throw(error))
 
-    def _abandon(self, why: Exception) -> None:
-        """End a script that could not clean up in time; it may say what it leaves behind."""
+    def abandon(self) -> list[Action]:
+        """End a stopped script that cannot clean up in time; it may say what it leaves behind."""
+        why = "It was left." if self._stopped is None else self._stopped[1]
         try:
             with suppress(RuntimeError):  # it was still waiting in a `finally`
                 self._script.close()
@@ -192,10 +192,15 @@ class Machine(Generic[T]):
         self._finish(
             None,
             Refused(
-                f"{getattr(why, 'what', why)} The vehicle did not answer after.",
+                f"{getattr(why, 'what', why)} What was changed could not all be put back.",
                 "Look at the vehicle before you go near it.",
             ),
         )
+        return self._actions()
+
+    def _actions(self) -> list[Action]:
+        actions, self.context.outbox = self.context.outbox, []
+        return actions
 
     def _resume(self, advance: Callable[[], float]) -> None:
         try:

@@ -11,6 +11,7 @@ from mavcompass.earth_field import EarthField, decimal_year, earth_field
 from mavcompass.enums import MavModeFlag
 from mavcompass.errors import NoVehicle
 from mavcompass.kinds import AUTOPILOTS, VEHICLES, Kind
+from mavcompass.printable import printable
 from mavcompass.procedure.script import Context, Script
 
 _M_PER_DEG = 111_319.5
@@ -37,11 +38,6 @@ def identify(heard: mav.Incoming) -> VehicleIdentity | None:
     if autopilot is None:
         return None
     return VehicleIdentity(heard.system, heard.component, autopilot, VEHICLES.get(beat.type, "unknown"))
-
-
-def printable(text: str) -> str:
-    """Take out what would move a terminal's cursor, colour it or begin another line of a log."""
-    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def find_vehicle(

@@ -239,10 +239,10 @@ def parse_config(text: str, name: str = "configuration") -> ServiceConfig:
                     (_line_of(text, table, key), f"{table}.{key} {what}") for key, what in wrong.found
                 ]
     if mistakes:
-        lines = "\n".join(f"  {name}:{line}: {what}" for line, what in sorted(mistakes))
         raise UsageError(
-            f"The configuration has {len(mistakes)} mistake{'s' if len(mistakes) > 1 else ''}:\n{lines}\n",
+            f"The configuration has {len(mistakes)} mistake{'s' if len(mistakes) > 1 else ''}:",
             "Correct it; docs/operating.md lists every key.",
+            tuple(f"{name}:{line}: {what}" for line, what in sorted(mistakes)),
         )
     return ServiceConfig(**tables)
 

@@ -11,6 +11,7 @@ import pytest
 from mavcompass import messages as mav
 from mavcompass.enums import MavCmd, MavResult
 from mavcompass.errors import NoVehicle
+from mavcompass.printable import printable
 from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper, mode_command, mode_name, turning_mode
 from mavcompass.procedure.script import Context, Machine, Script, Send, Tick
 from mavcompass.procedure.vehicle_state import (
@@ -18,7 +19,6 @@ from mavcompass.procedure.vehicle_state import (
     find_vehicle,
     find_vehicles,
     identify,
-    printable,
 )
 
 MANUAL, GUIDED, AUTO = 0, 15, 10
@@ -246,5 +246,5 @@ def test_the_latest_of_what_it_says_is_kept_if_it_can_be() -> None:
     assert state.local is local and state.heard_s == 5.0
     for k in range(25):
         state.hear(heard(6.0, mav.Statustext(text=f"text {k}\n\x1b[31m")))
-    assert next(iter(state.texts)) == "text 5??[31m" and len(state.texts) == 20
-    assert printable("é°\t") == "é°?"
+    assert next(iter(state.texts)) == r"text 5\n\x1b[31m" and len(state.texts) == 20
+    assert printable("é°\t\x1b[2J") == r"é°\t\x1b[2J"

@@ -154,7 +154,7 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     values = held.compass_values
     comment = (f"Compass parameters of {source}, by mavcompass.",)
     if file is None:
-        output.say(parameter_text(values, "param", comment).rstrip("\n"))
+        output.say(*parameter_text(values, "param", comment).splitlines())
     else:
         types = {name: parameter.type for name, parameter in held.compass_typed.items()}
         write_parameter_file(file, values, comment, types)
