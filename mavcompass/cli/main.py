@@ -135,7 +135,7 @@ def _told(error: BaseException) -> int:
             _complain("stopped.")
             return STOPPED_BY_PERSON
         case click.ClickException():
-            error.message = printable(error.message)
+            error.message = printable(error.message)  # type: ignore[misc]
             error.show()
             return WRONG_USAGE
         case MavCompassError():

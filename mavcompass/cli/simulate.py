@@ -87,7 +87,7 @@ def command(
 
     address = listening_address(where)
     require_for(address)
-    autopilot = simulated_autopilot(vehicle, seed, effects, armed=not disarmed)
+    autopilot = simulated_autopilot(vehicle, seed, effects, armed=not disarmed, berth=where)
     words = f"A simulated {vehicle} (seed {seed}) is at"
     recording = nullcontext() if tlog is None else recording_to(tlog, autopilot.world.utc_start_s)
     with recording as record:

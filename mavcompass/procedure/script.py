@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from mavcompass.errors import MavCompassError, NoReply, Refused
 from mavcompass.messages import Incoming, Message
@@ -96,6 +96,7 @@ class Context:
         system, component: the vehicle's MAVLink address, 0 until it is known.
         listeners: called with every message from the vehicle before the script sees it.
         watches: called after each event with the time; a sentence stops the procedure.
+        hold: keeps other programs off a vehicle until the procedure ends; its driver knows how.
         silent_until_s: until then a silent vehicle is not a lost one: it restarts because we asked it to.
     """
 
@@ -105,6 +106,7 @@ class Context:
     listeners: list[Callable[[Incoming], None]] = field(default_factory=list)
     watches: list[Callable[[float], str | None]] = field(default_factory=list)
     outbox: list[Action] = field(default_factory=list)
+    hold: Callable[[Any], None] = lambda _: None
     silent_until_s: float = -math.inf
 
     def send(self, message: Message) -> None:

@@ -11,6 +11,7 @@ same messages at the same times give the same bytes, however the calls to `advan
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Collection, Mapping, MutableMapping, Sequence
 
@@ -56,6 +57,7 @@ class SimulatedAutopilot(Happenings):
         system: int = 1,
         other_stations: Sequence[tuple[int, int]] = (GROUND_STATION,),
         deaf_to: Collection[type[Message]] = (),
+        berth: str = "",
     ) -> None:
         """Build a vehicle.
 
@@ -77,6 +79,7 @@ class SimulatedAutopilot(Happenings):
         tilt_deg: steepness of the ground, height of the waves as tilt; by seed if not given.
         other_stations: (system, component) of those whose heartbeats this vehicle forwards.
         deaf_to: messages that this firmware does not know, for trying what a client does then.
+        berth: where it stands: of two alike at different places, each has a serial number of its own.
         """
         kind = profile(vehicle)
         rng = generator(seed, "start")
@@ -94,6 +97,8 @@ class SimulatedAutopilot(Happenings):
             ready_s=ready_s,
             boot_us=-_UPTIME_AT_START_US if armed else 0,
         )
+        maker = f"{vehicle},{seed},{system},{berth}"
+        self.board.uid = int.from_bytes(hashlib.sha256(maker.encode()).digest()[:8], "little")
         self.profile, self.world, self.body = kind, world, self.board.body
         self.filter = self.board.filter
         self._other_stations = tuple(other_stations)

@@ -26,6 +26,7 @@ from mavcompass.procedure.script import (
     Tick,
 )
 from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.lock import VehicleLock
 from mavcompass.vehicle.stopping import StopRequest, stop_signals
 
 T = TypeVar("T")
@@ -67,7 +68,9 @@ def run(
     drive = _Drive(
         machine, link, on_show or (lambda _: None), on_ask or _refuse, stop or StopRequest(), silence_s
     )
-    with stop_signals(drive.stop):
+    with VehicleLock(link.name) as lock, stop_signals(drive.stop):
+        if link.shared:
+            machine.context.hold = lock.hold
         while not machine.done:
             incoming = drive.turn()
             if incoming is not None and on_message is not None:

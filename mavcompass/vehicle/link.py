@@ -123,7 +123,10 @@ class Link(ABC):
         name: the address, for messages to people.
         identity: who we are; set it once the vehicle is known (`Identity.aboard`).
         statistics: what came and what did not.
+        shared: other programs may reach the vehicle, too.
     """
+
+    shared = False
 
     def __init__(self, name: str, identity: Identity = ONBOARD_COMPUTER) -> None:
         self.name = name

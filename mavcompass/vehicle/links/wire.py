@@ -52,6 +52,8 @@ class WireLink(Link):
         on_frame: called with every good frame that is heard, before its message is handed out.
     """
 
+    shared = True
+
     def __init__(
         self, transport: Transport, identity: Identity = ONBOARD_COMPUTER, signing: Signing | None = None
     ) -> None:
