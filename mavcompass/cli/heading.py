@@ -13,7 +13,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options, to_json
-from mavcompass.cli.source import sign_key_option
+from mavcompass.cli.source import sign_key_option, system_option
 from mavcompass.cli.terminal.dial import dial
 from mavcompass.errors import UsageError
 
@@ -61,6 +61,7 @@ class Row:
     "--rate", "rate_hz", type=click.FloatRange(0.01, 400.0), help="Rows a second (live: 5, recording: all)."
 )
 @click.option("--duration", "duration_s", type=click.FloatRange(0.0), help="End after this many seconds.")
+@system_option
 @sign_key_option
 @common_options
 def command(
@@ -70,6 +71,7 @@ def command(
     json_lines: bool,
     rate_hz: float | None,
     duration_s: float | None,
+    system: int | None,
     output: Output,
 ) -> int:
     """Stream the tilt-compensated heading with its uncertainty (1 sigma).
@@ -88,7 +90,7 @@ def command(
     if isinstance(address, Recording):
         rows = _recorded(source, instance, two_axis)
     else:
-        rows = _live(source, address, instance, two_axis, rate_hz or 5.0)
+        rows = _live(source, address, instance, two_axis, rate_hz or 5.0, system)
     chosen = _limited(rows, rate_hz, duration_s)
     kept: list[dict[str, Any]] = []
     recorded = isinstance(address, Recording)
@@ -135,14 +137,17 @@ def _recorded(source: str, instance: int, two_axis: bool) -> Iterator[Row]:
         yield Row(time_s, magnetic, None if t != t else t, None if g != g else g, sigma)
 
 
-def _live(source: str, address: Address, instance: int, two_axis: bool, rate_hz: float) -> Iterator[Row]:
+def _live(
+    source: str, address: Address, instance: int, two_axis: bool, rate_hz: float, system: int | None
+) -> Iterator[Row]:
     from mavcompass.vehicle.heading_stream import headings
     from mavcompass.vehicle.opening import open_link
 
     if two_axis and instance != 1:
         raise UsageError("--two-axis works on compass 1 of a live vehicle.", "Leave --compass away.")
     with open_link(address) as link:
-        for heading in headings(link, source, instance, two_axis=two_axis, rate_hz=max(rate_hz, 10.0)):
+        fast_hz = max(rate_hz, 10.0)
+        for heading in headings(link, source, instance, two_axis=two_axis, rate_hz=fast_hz, system=system):
             true, grid = heading.true_rad, heading.grid_rad
             yield Row(
                 heading.boot_s,

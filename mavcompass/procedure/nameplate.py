@@ -10,6 +10,7 @@ from mavcompass import messages as mav
 from mavcompass.enums import MavCmd, MavResult
 from mavcompass.errors import Refused
 from mavcompass.procedure.script import Context, Script
+from mavcompass.two_clocks import shared_id
 
 # AUTOPILOT_VERSION is asked for by its number, and of older firmware by a command of its own.
 _QUESTIONS = ((MavCmd.REQUEST_MESSAGE, 148.0), (MavCmd.REQUEST_AUTOPILOT_CAPABILITIES, 1.0))
@@ -84,14 +85,6 @@ def unique_id(told: mav.AutopilotVersion) -> str:
     """Return the board's unique id, hexadecimal; "" where it has none. ArduPilot tells the long one only."""
     long = bytes(told.uid2).rstrip(b"\0").hex()
     return f"{told.uid:016x}" if told.uid else long
-
-
-def shared_id(system: int) -> tuple[str, str]:
-    """Say that two autopilots speak with one system id, and what to do."""
-    return (
-        f"Two autopilots share system id {system}: what one says cannot be told from what the other says.",
-        "Give each its own (SYSID_THISMAV or MAV_SYSID, MAV_SYS_ID), or connect one at a time.",
-    )
 
 
 def _version(context: Context) -> Script[mav.AutopilotVersion | None]:

@@ -96,6 +96,7 @@ class Context:
         system, component: the vehicle's MAVLink address, 0 until it is known.
         listeners: called with every message from the vehicle before the script sees it.
         watches: called after each event with the time; a sentence stops the procedure.
+        alone: the vehicle was taken because no other was heard; one that appears later is to be told.
         hold: keeps other programs off a vehicle until the procedure ends; its driver knows how.
         silent_until_s: until then a silent vehicle is not a lost one: it restarts because we asked it to.
     """
@@ -106,6 +107,7 @@ class Context:
     listeners: list[Callable[[Incoming], None]] = field(default_factory=list)
     watches: list[Callable[[float], str | None]] = field(default_factory=list)
     outbox: list[Action] = field(default_factory=list)
+    alone: bool = False
     hold: Callable[[Any], None] = lambda _: None
     silent_until_s: float = -math.inf
 

@@ -69,7 +69,7 @@ class VehicleConfig:
     """Say which vehicle to serve.
 
     Attributes:
-        source: its address. system: its MAVLink id where several share the link, 0 for the first heard.
+        source: its address. system: its MAVLink id where several share the link, 0 where there is one only.
         compasses: those to calibrate, counted from 1; empty means all that it has.
         rate_hz: at which IMU messages are asked for. speed: of a simulated vehicle's time.
         sign_key_file: holds the key that frames are signed and checked with ("": they are not).

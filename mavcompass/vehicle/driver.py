@@ -25,6 +25,8 @@ from mavcompass.procedure.script import (
     Stop,
     Tick,
 )
+from mavcompass.procedure.vehicle_state import identify
+from mavcompass.two_clocks import shared_id
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.lock import VehicleLock
 from mavcompass.vehicle.stopping import StopRequest, stop_signals
@@ -159,6 +161,7 @@ class _Drive:
             return None
         self._step(Tick(self.link.now()) if incoming is None else incoming)
         self._watch_silence(incoming)
+        self._watch_others(incoming)
         return incoming
 
     def _step(self, event: Event) -> None:
@@ -209,6 +212,18 @@ class _Drive:
                 "Bring the link back (power, cable, radio), then run again.",
             )
             self._stop(f"The vehicle {sentence}")
+
+    def _watch_others(self, incoming: Incoming | None) -> None:
+        """Tell of another vehicle that appears, and stop where it is another with the same system id."""
+        context = self.machine.context
+        if context.system in self.link.statistics.shared and not self._stopped:
+            self._stop(" ".join(shared_id(context.system)))
+        if context.alone and incoming is not None and incoming.system != context.system:
+            if (other := identify(incoming)) is not None:
+                context.alone = False
+                which = f"system {other.system}, {other.autopilot} {other.kind}"
+                goes_on = f"this goes on with system {context.system}."
+                self.on_show(Show("connect", f"Another vehicle is on this link, too ({which}); {goes_on}"))
 
     def _end_without_link(self, error: LinkLost) -> None:
         """Let the procedure find out that nothing gets through any more, without waiting for it."""

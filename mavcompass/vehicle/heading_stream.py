@@ -17,6 +17,7 @@ from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.script import Context, Machine, Script, expect
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
 from mavcompass.track_builder import TrackBuilder
+from mavcompass.two_clocks import shared_id
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import SILENCE_S, run
 from mavcompass.vehicle.link import Link
@@ -47,14 +48,21 @@ class _Start:
 
 
 def headings(
-    link: Link, source: str, instance: int = 1, *, two_axis: bool = False, rate_hz: float = 10.0
+    link: Link,
+    source: str,
+    instance: int = 1,
+    *,
+    two_axis: bool = False,
+    rate_hz: float = 10.0,
+    system: int | None = None,
 ) -> Iterator[LiveHeading]:
     """Yield the heading of one compass for as long as the vehicle speaks; close it to restore the rates.
 
-    Raises NoVehicle, LinkLost, and Refused for a compass that the vehicle does not have or a two-axis
-    heading where the place is unknown.
+    Raises NoVehicle, UsageError where several are heard and `system` picks none, LinkLost, and Refused for a
+    compass that the vehicle does not have, a two-axis heading where the place is unknown, or where two
+    autopilots share a system id.
     """
-    start = run(Machine(lambda context: _begin(context, source, instance, rate_hz)), link)
+    start = run(Machine(lambda context: _begin(context, source, instance, rate_hz, system)), link)
     try:
         if two_axis and start.world is None:
             raise Refused(
@@ -66,10 +74,13 @@ def headings(
         _restore(link, start)
 
 
-def _begin(context: Context, source: str, instance: int, rate_hz: float) -> Script[_Start]:
-    identity = yield from find_vehicle(context)
+def _begin(
+    context: Context, source: str, instance: int, rate_hz: float, system: int | None
+) -> Script[_Start]:
+    identity = yield from find_vehicle(context, system)
     dialect = make_dialect(identity.autopilot, source)
     parameters = yield from dialect.compass_parameters(context)
+    yield from dialect.nameplate(context, parameters)  # which two that share an id both answer
     if instance not in dialect.instances(parameters):
         raise Refused(f"The vehicle has no compass {instance}.", "Choose with --compass.")
     builder = TrackBuilder(identity.autopilot, identity.kind)
@@ -105,6 +116,8 @@ def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: boo
     heard_s = link.now()
     while True:
         heard = link.receive(0.5)
+        if start.identity.system in link.statistics.shared:
+            raise Refused(*shared_id(start.identity.system))
         if heard is None or heard.system != start.identity.system:
             if link.now() - heard_s > SILENCE_S:
                 raise LinkLost("The vehicle fell silent.", "Bring the link back and run again.")

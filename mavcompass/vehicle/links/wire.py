@@ -129,11 +129,11 @@ class WireLink(Link):
         now_s = self.now()
         channel = self._channel(peer)
         for frame in channel.parser.feed(data):
-            self.statistics.count(frame.system, frame.component, frame.sequence)
+            message = decode(frame.message_id, frame.payload)
+            self.statistics.count(frame.system, frame.component, frame.sequence, message)
             self._homes.setdefault(frame.system, {})[peer] = now_s
             if self.on_frame is not None:
                 self.on_frame(frame)
-            message = decode(frame.message_id, frame.payload)
             if message is None:
                 self.statistics.unknown += 1
                 continue

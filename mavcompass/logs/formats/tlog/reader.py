@@ -10,9 +10,11 @@ import numpy as np
 from mavcompass.enums import MavAutopilot, MavType
 from mavcompass.errors import BadRecording
 from mavcompass.logs.common import damage
+from mavcompass.logs.formats.tlog.clock import in_turns
 from mavcompass.logs.formats.tlog.messages import Messages, Sender, TlogContents, read_messages
 from mavcompass.logs.formats.tlog.vehicle import track_of
 from mavcompass.track import Track
+from mavcompass.two_clocks import shared_id
 
 _IMU_FIELDS = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "temperature")
 WANTED: dict[str, tuple[str, ...]] = {
@@ -62,13 +64,18 @@ def read_tlog(path: Path) -> dict[int, Track]:
     vehicles = _vehicles(contents.senders)
     notes = _notes_about_the_file(contents)
     tracks: dict[int, Track] = {}
+    shared: list[int] = []
     for sender in vehicles:
         # Taken out of the contents, so that each message is freed when it has become a column.
         messages = contents.senders.pop(sender)
-        if any(name in messages for name in MAGNETOMETER_MESSAGES):
+        if in_turns(messages):
+            shared.append(sender[0])
+        elif any(name in messages for name in MAGNETOMETER_MESSAGES):
             track = track_of(messages, str(path), notes)
             if track.compasses:
                 tracks[sender[0]] = track
+    if shared and not tracks:
+        raise BadRecording(*shared_id(shared[0]))
     if not tracks:
         raise BadRecording(_without_magnetometer(path, contents, vehicles), _REMEDY)
     return tracks
