@@ -6,6 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 
 from mavcompass.enums import COMPONENT_AUTOPILOT
 from mavcompass.messages import Incoming, Message
@@ -114,6 +115,9 @@ class WireLink(Link):
     def close(self) -> None:
         """Close the port."""
         self._transport.close()
+        if self._signing is not None:
+            with suppress(OSError):  # then what was kept ahead holds
+                self._signing.keep()
 
     def _channel(self, peer: Peer) -> _Channel:
         if peer not in self._channels:

@@ -8,18 +8,17 @@ name begins with a number that counts up in its folder, whatever the computer's 
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from mavcompass.errors import Refused, UsageError, WriteFailed
-from mavcompass.installation.private_files import private_folder, state_directory, write_private
+from mavcompass.installation.private_files import locked, private_folder, state_directory, write_private
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.vehicle.parameters.files import parameter_text
@@ -96,7 +95,8 @@ def save_record(record: UndoRecord, folder: Path) -> Path:
     Raises OSError, none of them being left, where the disk does not take them all.
     """
     private_folder(folder)
-    with _counted(folder) as number:
+    with locked(folder):
+        number = 1 + max(map(_number, folder.glob("*.json")), default=0)
         stamp = re.sub(r"\D", "", record.made_at[:19])
         path = folder / f"{number:08d}-{stamp}-{record.autopilot}.json"
         whose = f"the vehicle at {record.source}"
@@ -202,17 +202,6 @@ def refuse_other_vehicle(path: Path, vehicle: Nameplate) -> None:
             f"{path} is of another vehicle: {record.vehicle}. This is {vehicle}.",
             "Connect that vehicle, choose a file of this one, or write it all the same with --other-vehicle.",
         )
-
-
-@contextmanager
-def _counted(folder: Path) -> Iterator[int]:
-    """Give the number of a new record, which no other process takes meanwhile."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield 1 + max(map(_number, folder.glob("*.json")), default=0)
-    finally:
-        os.close(handle)
 
 
 def _number(path: Path) -> int:
