@@ -57,7 +57,6 @@ class SimulatedAutopilot(Happenings):
         system: int = 1,
         other_stations: Sequence[tuple[int, int]] = (GROUND_STATION,),
         deaf_to: Collection[type[Message]] = (),
-        berth: str = "",
     ) -> None:
         """Build a vehicle.
 
@@ -79,7 +78,6 @@ class SimulatedAutopilot(Happenings):
         tilt_deg: steepness of the ground, height of the waves as tilt; by seed if not given.
         other_stations: (system, component) of those whose heartbeats this vehicle forwards.
         deaf_to: messages that this firmware does not know, for trying what a client does then.
-        berth: where it stands: of two alike at different places, each has a serial number of its own.
         """
         kind = profile(vehicle)
         rng = generator(seed, "start")
@@ -97,9 +95,8 @@ class SimulatedAutopilot(Happenings):
             ready_s=ready_s,
             boot_us=-_UPTIME_AT_START_US if armed else 0,
         )
-        maker = f"{vehicle},{seed},{system},{berth}"
-        self.board.uid = int.from_bytes(hashlib.sha256(maker.encode()).digest()[:8], "little")
         self.profile, self.world, self.body = kind, world, self.board.body
+        self.moor("")
         self.filter = self.board.filter
         self._other_stations = tuple(other_stations)
         self._deaf_to = frozenset(deaf_to)
@@ -134,6 +131,11 @@ class SimulatedAutopilot(Happenings):
     def reboot(self) -> None:
         """Fall silent and power up again; what was written to parameters stays."""
         self.board.reboot()
+
+    def moor(self, berth: str) -> None:
+        """Take a place: of two alike at different places each has a serial number of its own."""
+        maker = f"{self.profile.name},{self.board.seed},{self.board.system},{berth}"
+        self.board.uid = int.from_bytes(hashlib.sha256(maker.encode()).digest()[:8], "little")
 
     def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
         """Take a message from a station; the answer leaves with the next `advance`."""

@@ -31,7 +31,7 @@ def serving(
     """Give the server and its port; what it raises fails the test."""
     transport = open_transport(address)
     if isinstance(autopilot, SimulatedAutopilot):
-        autopilot.board.uid ^= port_of(transport)  # tests run side by side, each with a vehicle of its own
+        autopilot.moor(transport.name)  # tests run side by side, each with a vehicle of its own
     server = VehicleServer(
         autopilot,
         transport,

@@ -104,7 +104,7 @@ class SimulatedLink(Link):
 
 
 def simulated_autopilot(
-    vehicle: str, seed: int = 0, effects: Sequence[str] = (), armed: bool = True, berth: str = ""
+    vehicle: str, seed: int = 0, effects: Sequence[str] = (), armed: bool = True
 ) -> SimulatedAutopilot:
     """Make a simulated vehicle; effects are spelled as in `mavcompass gap catalogue`: NAME[:param=value,..].
 
@@ -112,4 +112,4 @@ def simulated_autopilot(
     """
     from mavcompass.simulation.vehicle import SimulatedAutopilot
 
-    return SimulatedAutopilot(vehicle, seed=seed, armed=armed, effects=effects, berth=berth)
+    return SimulatedAutopilot(vehicle, seed=seed, armed=armed, effects=effects)

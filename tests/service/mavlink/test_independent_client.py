@@ -101,10 +101,9 @@ def port() -> int:
 @pytest.fixture
 def served(tmp_path: Path, port: int) -> Iterator[RunningService]:
     service = Service(configured(tmp_path, f"udpin:127.0.0.1:{port}"))
-    with (
-        vehicle_calling(port, SimulatedAutopilot("rover", seed=3, berth=str(os.getpid()))),
-        RunningService(service, None) as running,
-    ):
+    vehicle = SimulatedAutopilot("rover", seed=3)
+    vehicle.moor(str(os.getpid()))
+    with vehicle_calling(port, vehicle), RunningService(service, None) as running:
         yield running
 
 

@@ -26,7 +26,8 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture
 def port() -> Iterator[int]:
-    vehicle, stop = SimulatedAutopilot("rover", seed=3, berth=str(os.getpid())), StopRequest()
+    vehicle, stop = SimulatedAutopilot("rover", seed=3), StopRequest()
+    vehicle.moor(str(os.getpid()))
     transport = TcpServerTransport("127.0.0.1", 0)
     thread = threading.Thread(
         target=VehicleServer(vehicle, transport, speed=5.0).serve, args=(stop,), daemon=True
