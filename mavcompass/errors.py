@@ -22,16 +22,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from mavcompass.printable import printable
+
 
 class MavCompassError(Exception):
-    """Tell a person what happened; `remedy` says what to do next, `exit_code` is the program's."""
+    """Tell a person what happened; `remedy` says what to do next, `exit_code` is the program's.
+
+    Names of files and what a vehicle said may stand in it as they are: they are made printable here. Only
+    what is a list has `lines`, below its first sentence.
+    """
 
     exit_code = 1
 
-    def __init__(self, what: str, remedy: str = "") -> None:
+    def __init__(self, what: str, remedy: str = "", lines: tuple[str, ...] = ()) -> None:
         super().__init__(what)
-        self.what = what
-        self.remedy = remedy
+        self.what = "\n  ".join(map(printable, (what, *lines))) + ("\n" if lines else "")
+        self.remedy = printable(remedy)
 
     def __str__(self) -> str:
         return f"{self.what} {self.remedy}".strip()

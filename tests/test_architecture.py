@@ -57,7 +57,7 @@ ROWS = {
         {"replay", "ardupilot", "px4"},
         {"links", "simulators"},
         {"wire", "transport", "parameters"},
-        {"link", "stopping"},
+        {"link", "lock", "stopping"},
     ],
     "procedure": [
         {"calibrate", "check", "flying", "learnt"},
@@ -68,6 +68,7 @@ ROWS = {
         {"turning", "commands"},
         {"modes", "dialect"},
         {"vehicle_state"},
+        {"nameplate"},
         {"script"},
     ],
     "cli": [

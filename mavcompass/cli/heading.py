@@ -13,7 +13,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options, to_json
-from mavcompass.cli.source import sign_key_option
+from mavcompass.cli.source import sign_key_option, system_option
 from mavcompass.cli.terminal.dial import dial
 from mavcompass.errors import UsageError
 
@@ -61,6 +61,7 @@ class Row:
     "--rate", "rate_hz", type=click.FloatRange(0.01, 400.0), help="Rows a second (live: 5, recording: all)."
 )
 @click.option("--duration", "duration_s", type=click.FloatRange(0.0), help="End after this many seconds.")
+@system_option
 @sign_key_option
 @common_options
 def command(
@@ -70,6 +71,7 @@ def command(
     json_lines: bool,
     rate_hz: float | None,
     duration_s: float | None,
+    system: int | None,
     output: Output,
 ) -> int:
     """Stream the tilt-compensated heading with its uncertainty (1 sigma).
@@ -89,7 +91,7 @@ def command(
     if isinstance(address, Recording):
         rows = _recorded(source, instance, two_axis, notes)
     else:
-        rows = _live(source, address, instance, two_axis, rate_hz or 5.0, notes)
+        rows = _live(source, address, instance, two_axis, rate_hz or 5.0, system, notes)
     chosen = _limited(rows, rate_hz, duration_s)
     kept: list[dict[str, Any]] = []
     recorded = isinstance(address, Recording)
@@ -143,7 +145,13 @@ def _recorded(source: str, instance: int, two_axis: bool, notes: list[str]) -> I
 
 
 def _live(
-    source: str, address: Address, instance: int, two_axis: bool, rate_hz: float, notes: list[str]
+    source: str,
+    address: Address,
+    instance: int,
+    two_axis: bool,
+    rate_hz: float,
+    system: int | None,
+    notes: list[str],
 ) -> Iterator[Row]:
     from mavcompass.vehicle.heading_stream import headings
     from mavcompass.vehicle.opening import open_link
@@ -152,7 +160,13 @@ def _live(
         raise UsageError("--two-axis works on compass 1 of a live vehicle.", "Leave --compass away.")
     with open_link(address) as link:
         stream = headings(
-            link, source, instance, two_axis=two_axis, rate_hz=max(rate_hz, 10.0), on_notes=notes.extend
+            link,
+            source,
+            instance,
+            two_axis=two_axis,
+            rate_hz=max(rate_hz, 10.0),
+            system=system,
+            on_notes=notes.extend,
         )
         for heading in stream:
             true, grid = heading.true_rad, heading.grid_rad

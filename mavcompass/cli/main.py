@@ -7,11 +7,12 @@ is asked for is imported: `mavcompass --help` and `--version` load nothing but c
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TextIO
+from typing import Literal, TextIO
 
 import click
 
@@ -19,6 +20,7 @@ from mavcompass import __version__
 from mavcompass.cli.options import discard_standard_output, verbose_option
 from mavcompass.cli.terminal.colour import styled
 from mavcompass.errors import MavCompassError
+from mavcompass.printable import printable
 
 COMMANDS = {
     "calibrate": "Calibrate the compass of a vehicle or from a recording.",
@@ -112,26 +114,48 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal that lacks a letter shows "?" for it
     warnings.showwarning = _log_warning
+    code, ended = 0, None
     try:
         code = program.main(args=arguments, prog_name="mavcompass", standalone_mode=False)
-    except click.ClickException as error:
-        error.show()
-        return WRONG_USAGE
-    except (click.Abort, KeyboardInterrupt):
-        _complain("stopped.")
-        return STOPPED_BY_PERSON
-    except MavCompassError as error:
-        _complain(str(error))
-        _log_traceback(error)
-        return error.exit_code
-    except Exception as error:
-        _complain(
-            f"unexpected {type(error).__name__}: {error}. This is a mistake in mavcompass: please report it"
-            " with what `mavcompass -v ...` prints."
-        )
-        _log_traceback(error)
-        return UNEXPECTED
+    except (Exception, KeyboardInterrupt) as error:
+        ended = error
+    if arguments is None:  # the program ends: what is said last is not cut off by one Ctrl-C more
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if ended is not None:
+        return _told(ended)
     return code if type(code) is int else 0  # a command may return its exit code
+
+
+def _told(error: BaseException) -> int:
+    """Say what ended the program; return its exit code."""
+    if isinstance(error, click.Abort | KeyboardInterrupt):
+        error = _overtaken(error)
+    match error:
+        case click.Abort() | KeyboardInterrupt():
+            _complain("stopped.")
+            return STOPPED_BY_PERSON
+        case click.ClickException():
+            error.message = printable(error.message)  # type: ignore[misc]
+            error.show()
+            return WRONG_USAGE
+        case MavCompassError():
+            _complain(str(error))
+            _log_traceback(error, "debug")  # an ordinary refusal says all in its sentence
+            return error.exit_code
+    _complain(
+        f"unexpected {type(error).__name__}: {error}. This is a mistake in mavcompass: please report it"
+        " with what `mavcompass -v ...` prints."
+    )
+    _log_traceback(error, "info")
+    return UNEXPECTED
+
+
+def _overtaken(stopped: BaseException) -> BaseException:
+    """Return what was about to be told when Ctrl-C came in between."""
+    found: BaseException | None = stopped
+    while found is not None and not isinstance(found, MavCompassError):
+        found = found.__cause__ or found.__context__
+    return found or stopped
 
 
 def _log_warning(
@@ -152,7 +176,7 @@ def _complain(sentence: str) -> None:
     print(f"{styled('mavcompass:', fg='red', bold=True, err=True)} {sentence}", file=sys.stderr)
 
 
-def _log_traceback(error: Exception) -> None:
+def _log_traceback(error: BaseException, level: Literal["debug", "info"]) -> None:
     import logging
 
-    logging.getLogger("mavcompass").info("where it happened", exc_info=error)
+    getattr(logging.getLogger("mavcompass"), level)("where it happened", exc_info=error)

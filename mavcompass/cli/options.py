@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping
 from enum import Enum
@@ -14,6 +15,7 @@ from typing import Any, TypeVar
 import click
 
 from mavcompass.errors import UsageError
+from mavcompass.printable import printable
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -52,10 +54,16 @@ class Output:
         self.json_file = json_file
         self.verbose = verbose
 
-    def say(self, text: str = "") -> None:
-        """Print a line for a person on standard output, unless that belongs to the JSON document."""
+    def say(self, *lines: str) -> None:
+        """Print lines for a person on standard output, unless that belongs to the JSON document.
+
+        What is no letter is spelt out, but for a terminal's colours: names of files may hold anything.
+        """
         if self.json_file != "-":
-            _print(text)
+            kept = r"(\x1b\[[\d;]*m)" if sys.stdout.isatty() else "(?!)()"
+            for line in lines or ("",):
+                parts = re.split(kept, line)
+                _print("".join(part if at % 2 else printable(part) for at, part in enumerate(parts)))
 
     def write_json(self, document: Mapping[str, object]) -> None:
         """Write the result where `--json` asked for it; without `--json` do nothing."""

@@ -13,7 +13,7 @@ import click
 
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import verbose_option
-from mavcompass.cli.source import sign_key_option
+from mavcompass.cli.source import sign_key_option, system_option
 from mavcompass.errors import UsageError
 
 
@@ -29,10 +29,16 @@ from mavcompass.errors import UsageError
 )
 @click.option("--storage", metavar="FOLDER", help="Where history, undo files and reports are kept.")
 @click.option("--speed", type=click.FloatRange(0.01, 1000.0), help="Of a simulated vehicle's time [1].")
+@system_option
 @sign_key_option
 @verbose_option
 def command(
-    source: str | None, listen: str | None, config_file: Path | None, storage: str | None, speed: float | None
+    source: str | None,
+    listen: str | None,
+    config_file: Path | None,
+    storage: str | None,
+    speed: float | None,
+    system: int | None,
 ) -> int:
     """Run as a service on a companion computer.
 
@@ -55,6 +61,7 @@ def command(
     given: tuple[tuple[str, str, str | float | None], ...] = (
         ("vehicle", "source", source),
         ("vehicle", "speed", speed),
+        ("vehicle", "system", system),
         ("http", "listen", listen),
         ("storage", "folder", storage),
     )

@@ -17,6 +17,7 @@ from mavcompass.vehicle.transport import VEHICLES
 
 if TYPE_CHECKING:
     from mavcompass.vehicle.links.server import Record
+    from mavcompass.vehicle.transport import Transport
 
 
 @contextmanager
@@ -91,12 +92,15 @@ def command(
     words = f"A simulated {vehicle} (seed {seed}) is at"
     recording = nullcontext() if tlog is None else recording_to(tlog, autopilot.world.utc_start_s)
     with recording as record:
-        served = serve(
-            address,
-            lambda port: VehicleServer(
+
+        def at(port: Transport) -> VehicleServer:
+            autopilot.moor(port.name)
+            return VehicleServer(
                 autopilot, port, speed=speed, is_rebooting=lambda: autopilot.rebooting, record=record
-            ),
-            lambda where: None if quiet else output.say(f"{words} {where}; Ctrl-C ends it."),
+            )
+
+        served = serve(
+            address, at, lambda where: None if quiet else output.say(f"{words} {where}; Ctrl-C ends it.")
         )
     output.write_json({"vehicle": vehicle, "seed": seed, **served, "vehicle_time_s": autopilot.time_s})
     return 0

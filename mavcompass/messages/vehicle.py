@@ -53,6 +53,7 @@ class AutopilotVersion(Message):
     vendor_id: int = 0
     product_id: int = 0
     uid: int = 0
+    uid2: tuple[int, ...] = (0,) * 18
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,7 +44,10 @@ class Desk:
     def open(
         cls, context: Context, dialect_for: Callable[[str], Dialect], system: int | None
     ) -> Script[Desk]:
-        """Find the vehicle, read its parameters, start recording. Raises LinkError where it is not heard."""
+        """Find the vehicle, read its parameters, hold it, start recording.
+
+        Raises LinkError where it is not heard, Refused where another program works on it.
+        """
         began_s = context.now
         context.show("connect", "Waiting for the vehicle's heartbeat.", 0.0)
         identity = yield from find_vehicle(context, system)
@@ -54,6 +57,7 @@ class Desk:
         context.show("connect", f"Found {identity.autopilot} {identity.kind} (system {identity.system}).")
         dialect = dialect_for(identity.autopilot)
         parameters = yield from dialect.compass_parameters(context)
+        yield from dialect.claim(context, parameters)
         builder = TrackBuilder(identity.autopilot, identity.kind)
         builder.parameters.update(parameters)
         describe_compasses(builder, dialect, parameters)

@@ -11,6 +11,7 @@ from typing import Protocol
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.messages import telemetry
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Context, Script
 from mavcompass.track_builder import TrackBuilder
 
@@ -64,9 +65,9 @@ class WriteOutcome:
 
 NOT_TURNED: Mapping[int, FloatArray] = MappingProxyType({})
 
-# Puts an undo record on disk before the first write and returns its path; injected, as procedures
-# do not touch files.
-SaveUndo = Callable[[ParameterPlan, Mapping[str, float]], Path]
+# Puts an undo record of a vehicle on disk before the first write and returns its path; injected, as
+# procedures do not touch files.
+SaveUndo = Callable[[ParameterPlan, Mapping[str, float], Nameplate], Path]
 
 
 class Dialect(Protocol):
@@ -88,6 +89,13 @@ class Dialect(Protocol):
 
     def compass_parameters(self, context: Context) -> Script[dict[str, float]]:
         """Read everything about all compasses that a calibration and its checks need."""
+        ...
+
+    def claim(self, context: Context, parameters: Mapping[str, float]) -> Script[Nameplate]:
+        """Find out which vehicle this is, and hold it against other programs until the procedure ends.
+
+        Raises Refused where another program works on it.
+        """
         ...
 
     def instances(self, parameters: Mapping[str, float], reporting: Iterable[int] = ()) -> tuple[int, ...]:

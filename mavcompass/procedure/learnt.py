@@ -16,6 +16,7 @@ from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import Dialect, ParameterPlan, SaveUndo
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Script, expect, pause
 from mavcompass.procedure.writing import Writer
@@ -61,9 +62,9 @@ def write_learnt(
             )
         context.show("solve", summary(result), 0.3)
 
-    def save_if_disarmed(plan: ParameterPlan, values: Mapping[str, float]) -> Path:
+    def save_if_disarmed(plan: ParameterPlan, values: Mapping[str, float], vehicle: Nameplate) -> Path:
         _refuse_armed(desk)  # the answer may have taken a while
-        return save_undo(plan, values)
+        return save_undo(plan, values, vehicle)
 
     rates, own = MessageRates(), OwnHeading(desk, settings.year)
     report = CalibrationReport(

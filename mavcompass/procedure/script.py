@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from mavcompass.errors import MavCompassError, NoReply, Refused
 from mavcompass.messages import Incoming, Message
@@ -96,6 +96,8 @@ class Context:
         system, component: the vehicle's MAVLink address, 0 until it is known.
         listeners: called with every message from the vehicle before the script sees it.
         watches: called after each event with the time; a sentence stops the procedure.
+        alone: the vehicle was taken because no other was heard; one that appears later is to be told.
+        hold: keeps other programs off a vehicle until the procedure ends; its driver knows how.
         silent_until_s: until then a silent vehicle is not a lost one: it restarts because we asked it to.
     """
 
@@ -105,6 +107,8 @@ class Context:
     listeners: list[Callable[[Incoming], None]] = field(default_factory=list)
     watches: list[Callable[[float], str | None]] = field(default_factory=list)
     outbox: list[Action] = field(default_factory=list)
+    alone: bool = False
+    hold: Callable[[Any], None] = lambda _: None
     silent_until_s: float = -math.inf
 
     def send(self, message: Message) -> None:
@@ -159,9 +163,8 @@ class Machine(Generic[T]):
             else:
                 self._resume(lambda: self._script.send(event))
         if self._stopped is not None and context.now - self._stopped[0] > CLEAN_UP_S:
-            self._abandon(self._stopped[1])
-        actions, context.outbox = context.outbox, []
-        return actions
+            return self.abandon()
+        return self._actions()
 
     def _look(self, event: Event) -> Exception | None:
         """Let all listen and watch; return why to stop. A fault of theirs must not leave a vehicle moving."""
@@ -182,8 +185,9 @@ class Machine(Generic[T]):
             self._stopped = self.context.now, error
             self._resume(lambda: self._script.throw(error))
 
-    def _abandon(self, why: Exception) -> None:
-        """End a script that could not clean up in time; it may say what it leaves behind."""
+    def abandon(self) -> list[Action]:
+        """End a stopped script that cannot clean up in time; it may say what it leaves behind."""
+        why = "It was left." if self._stopped is None else self._stopped[1]
         try:
             with suppress(RuntimeError):  # it was still waiting in a `finally`
                 self._script.close()
@@ -192,10 +196,15 @@ class Machine(Generic[T]):
         self._finish(
             None,
             Refused(
-                f"{getattr(why, 'what', why)} The vehicle did not answer after.",
+                f"{getattr(why, 'what', why)} What was changed could not all be put back.",
                 "Look at the vehicle before you go near it.",
             ),
         )
+        return self._actions()
+
+    def _actions(self) -> list[Action]:
+        actions, self.context.outbox = self.context.outbox, []
+        return actions
 
     def _resume(self, advance: Callable[[], float]) -> None:
         try:

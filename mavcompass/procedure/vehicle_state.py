@@ -9,14 +9,19 @@ from dataclasses import dataclass, field
 from mavcompass import messages as mav
 from mavcompass.earth_field import EarthField, decimal_year, earth_field
 from mavcompass.enums import MavModeFlag
-from mavcompass.errors import NoVehicle
+from mavcompass.errors import NoVehicle, Refused, UsageError
 from mavcompass.kinds import AUTOPILOTS, VEHICLES, Kind
 from mavcompass.messages import telemetry
+from mavcompass.printable import printable
+from mavcompass.procedure.nameplate import read_nameplate
 from mavcompass.procedure.script import Context, Script
+from mavcompass.two_clocks import shared_id
 
 _M_PER_DEG = 111_319.5
 # Clocks that were never set begin at zero, or at a date of their firmware.
 _NOT_DATED_US = 1_400_000_000_000_000
+# Autopilots beat once a second: within this time after the first the others beat, unless that is lost.
+OTHERS_WITHIN_S = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +45,47 @@ def identify(heard: mav.Incoming) -> VehicleIdentity | None:
     return VehicleIdentity(heard.system, heard.component, autopilot, VEHICLES.get(beat.type, "unknown"))
 
 
-def printable(text: str) -> str:
-    """Take out what would move a terminal's cursor, colour it or begin another line of a log."""
-    return "".join(letter if letter.isprintable() else "?" for letter in text)
+@dataclass(slots=True)
+class RollCall:
+    """Collect the autopilots that beat on a link, by system id, with their latest heartbeats.
+
+    Heartbeats of ground stations and peripherals are routed onto every link, so the first one heard need not
+    be a vehicle's. `wanted` picks one of several vehicles.
+    """
+
+    wanted: int | None = None
+    found: dict[int, tuple[VehicleIdentity, mav.Heartbeat]] = field(default_factory=dict)
+    first_s: float = math.inf
+
+    def hear(self, heard: mav.Incoming) -> None:
+        """Take a message, whoever sent it. Raises Refused where two autopilots beat with one system id."""
+        found, beat = identify(heard), heard.message
+        if found is None or self.wanted not in (None, found.system):
+            return
+        assert isinstance(beat, mav.Heartbeat)
+        before = self.found.setdefault(found.system, (found, beat))[0]
+        if before.component == found.component and before != found:
+            raise Refused(*shared_id(found.system))
+        if before.component == found.component:
+            self.found[found.system] = found, beat
+        self.first_s = min(self.first_s, heard.time_s)
+
+    def complete_s(self, others_within_s: float = OTHERS_WITHIN_S) -> float:
+        """Return when all were heard: at once where one is wanted, else when the others had time to beat."""
+        return self.first_s + (others_within_s if self.wanted is None else 0.0)
+
+    def in_words(self) -> tuple[str, ...]:
+        """Describe each that was found in a line."""
+        return tuple(
+            f"system {system}: {identity.kind}, {identity.autopilot},"
+            f" {'armed' if beat.base_mode & MavModeFlag.SAFETY_ARMED else 'disarmed'}"
+            for system, (identity, beat) in sorted(self.found.items())
+        )
+
+
+def several(lines: tuple[str, ...]) -> UsageError:
+    """Say that several vehicles are on a link, one a line, and that one must be chosen."""
+    return UsageError(f"{len(lines)} vehicles are on this link:", "Choose one with --system.", lines)
 
 
 def find_vehicle(
@@ -50,21 +93,47 @@ def find_vehicle(
 ) -> Script[VehicleIdentity]:
     """Wait for the heartbeat of an autopilot and talk to that one from now on.
 
-    Heartbeats of ground stations and peripherals are routed onto every link, so the first one heard
-    need not be the vehicle's. `system` picks one of several vehicles.
-    Raises NoVehicle when none was heard in time.
+    `system` picks one of several vehicles. Raises NoVehicle when none was heard in time, UsageError with a
+    list where several were and none is picked, Refused where two share a system id.
     """
-    end = context.now + timeout_s
-    others = 0
-    while context.now < end:
-        event = yield end
-        if not isinstance(event, mav.Incoming):
-            continue
-        found = identify(event)
-        if found is not None and system in (None, found.system):
-            context.system, context.component = found.system, found.component
-            return found
-        others += 1
+    roll = yield from _call(context, system, timeout_s, OTHERS_WITHIN_S)
+    if len(roll.found) == 1:
+        ((identity, _),) = roll.found.values()
+        context.system, context.component = identity.system, identity.component
+        context.alone = system is None
+        return identity
+    lines = []
+    for line, number in zip(roll.in_words(), sorted(roll.found), strict=True):
+        identity = roll.found[number][0]
+        context.system, context.component = number, identity.component
+        plate = yield from read_nameplate(context, identity.autopilot, ())
+        lines.append(f"{line}, {f'unique id {plate.uid}' if plate.uid else 'without a unique id'}")
+    context.system = context.component = 0
+    raise several(tuple(lines))
+
+
+def find_vehicles(
+    context: Context, timeout_s: float = 10.0, others_within_s: float = 3.0
+) -> Script[tuple[VehicleIdentity, ...]]:
+    """Wait for the heartbeats of all autopilots on the link, in the order of their system ids.
+
+    They beat once a second: `others_within_s` after the first one, all were heard, though one or two were
+    lost. Raises NoVehicle, or Refused where two share a system id.
+    """
+    roll = yield from _call(context, None, timeout_s, others_within_s)
+    return tuple(roll.found[system][0] for system in sorted(roll.found))
+
+
+def _call(context: Context, system: int | None, timeout_s: float, others_within_s: float) -> Script[RollCall]:
+    """Hear who beats. Raises NoVehicle where nobody does in time."""
+    roll, others, give_up_s = RollCall(system), 0, context.now + timeout_s
+    while context.now < (end_s := roll.complete_s(others_within_s) if roll.found else give_up_s):
+        event = yield end_s
+        if isinstance(event, mav.Incoming):
+            roll.hear(event)
+            others += 1
+    if roll.found:
+        return roll
     if others:
         raise NoVehicle(
             f"{others} messages were heard, but no heartbeat of an ArduPilot or PX4 autopilot"
@@ -75,22 +144,6 @@ def find_vehicle(
         f"Nothing was heard in {timeout_s:.0f} s.",
         "Check the address, the cable and the power, and that no other program holds the port.",
     )
-
-
-def find_vehicles(
-    context: Context, timeout_s: float = 10.0, others_within_s: float = 3.0
-) -> Script[tuple[VehicleIdentity, ...]]:
-    """Wait for the heartbeats of all autopilots on the link, in the order of their system ids.
-
-    They beat once a second: `others_within_s` after the first one, all were heard. Raises NoVehicle.
-    """
-    found = {(first := (yield from find_vehicle(context, None, timeout_s))).system: first}
-    end = context.now + others_within_s
-    while context.now < end:
-        event = yield end
-        if isinstance(event, mav.Incoming) and (other := identify(event)) is not None:
-            found.setdefault(other.system, other)
-    return tuple(found[system] for system in sorted(found))
 
 
 def metres_from(start: mav.GlobalPositionInt, place: mav.GlobalPositionInt) -> tuple[float, float]:

@@ -69,7 +69,7 @@ class VehicleConfig:
     """Say which vehicle to serve.
 
     Attributes:
-        source: its address. system: its MAVLink id where several share the link, 0 for the first heard.
+        source: its address. system: its MAVLink id where several share the link, 0 where there is one only.
         compasses: those to calibrate, counted from 1; empty means all that it has.
         rate_hz: at which IMU messages are asked for. speed: of a simulated vehicle's time.
         sign_key_file: holds the key that frames are signed and checked with ("": they are not).
@@ -239,10 +239,10 @@ def parse_config(text: str, name: str = "configuration") -> ServiceConfig:
                     (_line_of(text, table, key), f"{table}.{key} {what}") for key, what in wrong.found
                 ]
     if mistakes:
-        lines = "\n".join(f"  {name}:{line}: {what}" for line, what in sorted(mistakes))
         raise UsageError(
-            f"The configuration has {len(mistakes)} mistake{'s' if len(mistakes) > 1 else ''}:\n{lines}\n",
+            f"The configuration has {len(mistakes)} mistake{'s' if len(mistakes) > 1 else ''}:",
             "Correct it; docs/operating.md lists every key.",
+            tuple(f"{name}:{line}: {what}" for line, what in sorted(mistakes)),
         )
     return ServiceConfig(**tables)
 

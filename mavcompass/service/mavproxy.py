@@ -34,6 +34,7 @@ from mavcompass.procedure.script import Answer, Ask, Event, Machine, Send, Show,
 from mavcompass.report.document import live_document
 from mavcompass.vehicle.calibrating import calibration_machine
 from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.lock import VehicleLock
 from mavcompass.vehicle.wire import decode
 
 _SOURCE = "MAVProxy's link"
@@ -53,6 +54,7 @@ class MavCompassModule(mp_module.MPModule):  # type: ignore[misc]  # MAVProxy sh
         super().__init__(mpstate, "mavcompass", "compass calibration in four turns", public=True)
         self.document: dict[str, Any] | None = None
         self._machine: Machine[Any] | None = None
+        self._lock = VehicleLock(_SOURCE)
         self._next_tick_s = 0.0
         self._question = ""
         self._streamrates: tuple[int, int] | None = None
@@ -123,6 +125,7 @@ class MavCompassModule(mp_module.MPModule):  # type: ignore[misc]  # MAVProxy sh
             self._say("something is under way; mavcompass stop ends it")
             return
         self._machine, self.document = machine, None
+        machine.context.hold = self._lock.hold
         # MAVProxy asks for its own stream rates again and again, which would undo ours.
         self._streamrates = (self.settings.streamrate, self.settings.streamrate2)
         self.settings.streamrate = self.settings.streamrate2 = -1
@@ -146,6 +149,7 @@ class MavCompassModule(mp_module.MPModule):  # type: ignore[misc]  # MAVProxy sh
 
     def _end(self) -> None:
         self._machine, self._question = None, ""
+        self._lock.release()
         if self._streamrates is not None:
             self.settings.streamrate, self.settings.streamrate2 = self._streamrates
             self._streamrates = None

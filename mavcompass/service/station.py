@@ -16,7 +16,7 @@ from mavcompass import messages as mav
 from mavcompass.earth_field import decimal_year
 from mavcompass.errors import MavCompassError
 from mavcompass.messages import Incoming
-from mavcompass.procedure.vehicle_state import VehicleIdentity, identify
+from mavcompass.procedure.vehicle_state import RollCall, VehicleIdentity, several
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.mavlink.rates import RateKeeper
 from mavcompass.service.mavlink.teller import Teller
@@ -29,6 +29,7 @@ from mavcompass.service.work.history import History
 from mavcompass.service.work.jobs import Jobs
 from mavcompass.service.work.learning import Learning
 from mavcompass.service.work.tasks import Desk
+from mavcompass.two_clocks import shared_id
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.stopping import StopRequest
 
@@ -69,6 +70,7 @@ class Station:
         self.headings = 0
         self._open_link = open_link
         self._due = Schedule()
+        self._roll = RollCall(config.vehicle.system or None)
         self._teller = Teller(config, self.desk, self._due)
         self._jobs = Jobs(config, history, self.learning, self._hear_in_procedure)
         self._rates = RateKeeper({})
@@ -101,20 +103,22 @@ class Station:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Return what is wrong with the compasses or their link, the bad first."""
-        all_of_them = (*self.watch.findings, *self.stale, *self.learning.findings, *_flooding(self.link))
+        all_of_them = (*self.watch.findings, *self.stale, *self.learning.findings, *_about(self.link))
         return tuple(sorted(all_of_them, key=lambda finding: finding.severity != "bad"))
 
     # --- the thread ---------------------------------------------------------------------------------
 
     def _run(self) -> None:
+        told = ""
         while self._ending.reason is None:
             try:
                 with self._open_link() as link:
                     self.link, self.link_error = link, ""
                     self._live(link)
             except MavCompassError as error:
-                self.link_error = str(error)
-                _log.warning("%s", error)
+                if (again := str(error)) != told:
+                    _log.warning("%s", error)
+                told = self.link_error = again
             except Exception:
                 self.link_error = "An unexpected error; see the service's log."
                 _log.exception("unexpected error on the link; opening it again")
@@ -126,6 +130,7 @@ class Station:
     def _live(self, link: Link) -> None:
         """Do all the work on an open link until it is lost or the service ends."""
         self._due.clear()
+        self._roll = RollCall(self.config.vehicle.system or None)
         if self.view is not None:
             link.identity = link.identity.aboard(self.view.identity.system)
         while self._ending.reason is None:
@@ -183,10 +188,15 @@ class Station:
         """Take a message of anybody but the vehicle: a command, or the vehicle's first heartbeat."""
         offered = [lesson.instance for lesson in self.learning.offers()]
         self._teller.hear_command(link, self.view, heard, offered)
-        found = identify(heard)
-        wanted = self.config.vehicle.system
-        if found is None or self.view is not None or (wanted and found.system != wanted):
+        if self.view is not None:
             return
+        self._roll.hear(heard)
+        if not self._roll.found or heard.time_s < self._roll.complete_s():
+            return
+        roll, self._roll = self._roll, RollCall(self.config.vehicle.system or None)
+        if len(roll.found) > 1:
+            raise several(roll.in_words())
+        ((found, _),) = roll.found.values()
         _log.info("found %s %s, system %d", found.autopilot, found.kind, found.system)
         link.identity = link.identity.aboard(found.system)
         year = round(decimal_year(clock.now().timestamp()), 2)
@@ -227,8 +237,11 @@ class Station:
             self.learning.tend(view)
 
 
-def _flooding(link: Link | None) -> tuple[Finding, ...]:
-    """Say that more messages come than can be read, where they do."""
+def _about(link: Link | None) -> tuple[Finding, ...]:
+    """Say what is wrong with what comes: more than can be read, or from two with one system id."""
+    if link is not None and link.statistics.shared:
+        what, remedy = shared_id(min(link.statistics.shared))
+        return (Finding("link", 0, "bad", "Compass: two autopilots share a system id", what, remedy),)
     if link is None or link.behind_s() < _FLOODED_S:
         return ()
     return (

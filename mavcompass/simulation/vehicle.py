@@ -11,6 +11,7 @@ same messages at the same times give the same bytes, however the calls to `advan
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Collection, Mapping, MutableMapping, Sequence
 
@@ -95,6 +96,7 @@ class SimulatedAutopilot(Happenings):
             boot_us=-_UPTIME_AT_START_US if armed else 0,
         )
         self.profile, self.world, self.body = kind, world, self.board.body
+        self.moor("")
         self.filter = self.board.filter
         self._other_stations = tuple(other_stations)
         self._deaf_to = frozenset(deaf_to)
@@ -129,6 +131,11 @@ class SimulatedAutopilot(Happenings):
     def reboot(self) -> None:
         """Fall silent and power up again; what was written to parameters stays."""
         self.board.reboot()
+
+    def moor(self, berth: str) -> None:
+        """Take a place: of two alike at different places each has a serial number of its own."""
+        maker = f"{self.profile.name},{self.board.seed},{self.board.system},{berth}"
+        self.board.uid = int.from_bytes(hashlib.sha256(maker.encode()).digest()[:8], "little")
 
     def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
         """Take a message from a station; the answer leaves with the next `advance`."""

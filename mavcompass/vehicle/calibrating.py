@@ -52,17 +52,10 @@ def calibration_machine(
     """Build the machine, for those who drive it themselves."""
     services = Services(
         dialect_for=lambda autopilot: make_dialect(autopilot, source),
-        # The record names the autopilot by the parameters' names it holds.
-        save_undo=lambda plan, values: undo_saver(_make_of(plan.changes[0].name), source, undo_directory)(
-            plan, values
-        ),
+        save_undo=undo_saver(source, undo_directory),
         solve=solver(method, max_heading_error_deg),
     )
     return Machine(lambda context: calibrate(context, services, settings))
-
-
-def _make_of(parameter: str) -> str:
-    return "px4" if parameter.startswith("CAL_") else "ardupilot"
 
 
 def solver(method: str, max_heading_error_deg: float) -> Solve:

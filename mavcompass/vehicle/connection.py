@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from types import TracebackType
 
 from mavcompass.messages import Incoming
@@ -93,13 +94,15 @@ class Vehicle:
         Raises what `procedure.calibrate.calibrate` raises.
         """
         chosen = CalibrateSettings(writing="never") if settings is None else settings
+        chosen = replace(chosen, system=self.identity.system)
         return calibrate_on(self.link, self._source, chosen, method, max_heading_error_deg, on_show=on_show)
 
 
 def connect(source: str, system: int | None = None, timeout_s: float = 10.0) -> Vehicle:
     """Open a link and wait for an autopilot's heartbeat.
 
-    Raises UsageError for a wrong address, NoVehicle where no autopilot is heard.
+    Raises UsageError for a wrong address, or where several autopilots are heard and `system` picks none;
+    NoVehicle where none is.
     """
     link = open_link(source)
     try:

@@ -6,14 +6,29 @@ and turns Ctrl-C, SIGTERM, a silent vehicle and a lost link into a stop.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from time import monotonic
 from typing import Any, TypeVar, cast
 
 from mavcompass.errors import LinkLost, NoReply, NoVehicle, Refused
 from mavcompass.messages import Incoming
-from mavcompass.procedure.script import CLEAN_UP_S, Answer, Ask, Event, Machine, Send, Show, Stop, Tick
+from mavcompass.procedure.script import (
+    CLEAN_UP_S,
+    Action,
+    Answer,
+    Ask,
+    Event,
+    Machine,
+    Send,
+    Show,
+    Stop,
+    Tick,
+)
+from mavcompass.procedure.vehicle_state import identify
+from mavcompass.two_clocks import shared_id
 from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.lock import VehicleLock
 from mavcompass.vehicle.stopping import StopRequest, stop_signals
 
 T = TypeVar("T")
@@ -24,6 +39,8 @@ TICK_S = 0.05
 # Heartbeats alone come once a second; on a link that loses a third, five in a row are one case in 250.
 SILENCE_S = 5.0
 _LONGEST_TURN_S = 4.0 * TICK_S
+# Ctrl-C that often is an ending, not a person who does not know whether it was heard.
+_PRESSES = 2
 # A procedure that computes for a while catches up with what came meanwhile sooner.
 _BEHIND_S = 3.0
 
@@ -53,7 +70,9 @@ def run(
     drive = _Drive(
         machine, link, on_show or (lambda _: None), on_ask or _refuse, stop or StopRequest(), silence_s
     )
-    with stop_signals(drive.stop):
+    with VehicleLock(link.name) as lock, stop_signals(drive.stop):
+        if link.shared:
+            machine.context.hold = lock.hold
         while not machine.done:
             incoming = drive.turn()
             if incoming is not None and on_message is not None:
@@ -113,7 +132,7 @@ class _Drive:
         self.stop = stop
         self.silence_s = silence_s
         self.lost: LinkLost | None = None
-        self._stopped = False
+        self._stopped, self._presses = False, 0
         self._last_s = self._next_heartbeat_s = link.now()
         self._listened_s = link.now()
         self._silent_s = 0.0
@@ -121,9 +140,12 @@ class _Drive:
     def turn(self) -> Incoming | None:
         """Take the next event to the procedure and do what it asks for."""
         now_s = self.link.now()
+        self.stop.noted_s = monotonic()
         if self.stop.reason is not None and not self._stopped:
             self._stop(self.stop.reason)
             return None
+        if self.stop.presses > self._presses:
+            self._press(self.stop.presses)
         if self.poll_answer is not None and (yes := self.poll_answer()) is not None:
             self.poll_answer = None
             self._step(Answer(now_s, yes))
@@ -139,6 +161,7 @@ class _Drive:
             return None
         self._step(Tick(self.link.now()) if incoming is None else incoming)
         self._watch_silence(incoming)
+        self._watch_others(incoming)
         return incoming
 
     def _step(self, event: Event) -> None:
@@ -146,7 +169,12 @@ class _Drive:
         self._last_s = max(self._last_s, event.time_s)
         if event.time_s < self._last_s:
             event = replace(event, time_s=self._last_s)
-        for action in self.machine.step(event):
+        self._do(self.machine.step(event))
+        if self.machine.context.system:
+            self.link.identity = self.link.identity.aboard(self.machine.context.system)
+
+    def _do(self, actions: Sequence[Action]) -> None:
+        for action in actions:
             match action:
                 case Send(message):
                     self.link.send(message)
@@ -154,12 +182,18 @@ class _Drive:
                     self.on_show(action)
                 case Ask(question):
                     self.poll_answer = self.on_ask(question)
-        if self.machine.context.system:
-            self.link.identity = self.link.identity.aboard(self.machine.context.system)
 
     def _stop(self, reason: str) -> None:
         self._stopped = True
         self._step(Stop(self.link.now(), reason))
+
+    def _press(self, presses: int) -> None:
+        """Heed a person who is impatient: the second time what goes on is said, the third time it is left."""
+        self._presses = presses
+        if presses > _PRESSES:
+            self._do(self.machine.abandon())
+        elif presses > 1:
+            self.on_show(Show("end", "Ending safely; once more leaves everything as it stands."))
 
     def _watch_silence(self, incoming: Incoming | None) -> None:
         context = self.machine.context
@@ -167,7 +201,7 @@ class _Drive:
         # Only time spent listening counts: what a busy or suspended computer slept through does not.
         self._silent_s += min(now_s - self._listened_s, _LONGEST_TURN_S)
         self._listened_s = now_s
-        from_vehicle = incoming is not None and incoming.system == context.system
+        from_vehicle = incoming is not None and context.heard_from_vehicle(incoming) is not None
         # Finding no vehicle at all is the procedure's to tell.
         if from_vehicle or not context.system or now_s < context.silent_until_s:
             self._silent_s = 0.0
@@ -178,6 +212,18 @@ class _Drive:
                 "Bring the link back (power, cable, radio), then run again.",
             )
             self._stop(f"The vehicle {sentence}")
+
+    def _watch_others(self, incoming: Incoming | None) -> None:
+        """Tell of another vehicle that appears, and stop where it is another with the same system id."""
+        context = self.machine.context
+        if context.system in self.link.statistics.shared and not self._stopped:
+            self._stop(" ".join(shared_id(context.system)))
+        if context.alone and incoming is not None and incoming.system != context.system:
+            if (other := identify(incoming)) is not None:
+                context.alone = False
+                which = f"system {other.system}, {other.autopilot} {other.kind}"
+                goes_on = f"this goes on with system {context.system}."
+                self.on_show(Show("connect", f"Another vehicle is on this link, too ({which}); {goes_on}"))
 
     def _end_without_link(self, error: LinkLost) -> None:
         """Let the procedure find out that nothing gets through any more, without waiting for it."""

@@ -19,6 +19,7 @@ from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.script import Context, Machine, Script, expect
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
 from mavcompass.track_builder import TrackBuilder
+from mavcompass.two_clocks import shared_id
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import SILENCE_S, run
 from mavcompass.vehicle.link import Link
@@ -55,15 +56,17 @@ def headings(
     *,
     two_axis: bool = False,
     rate_hz: float = 10.0,
+    system: int | None = None,
     on_notes: Callable[[Iterable[str]], None] = lambda _: None,
 ) -> Iterator[LiveHeading]:
     """Yield the heading of one compass for as long as the vehicle speaks; close it to restore the rates.
 
     `on_notes` is told, once, what to know of the parameters.
-    Raises NoVehicle, LinkLost, and Refused for a compass that the vehicle does not have or a two-axis
-    heading where the place is unknown.
+    Raises NoVehicle, UsageError where several are heard and `system` picks none, LinkLost, and Refused for a
+    compass that the vehicle does not have, a two-axis heading where the place is unknown, or where two
+    autopilots share a system id.
     """
-    start = run(Machine(lambda context: _begin(context, source, instance, rate_hz)), link)
+    start = run(Machine(lambda context: _begin(context, source, instance, rate_hz, system)), link)
     try:
         on_notes(remarks_said(start.identity.autopilot, start.parameters, instance))
         if two_axis and start.world is None:
@@ -76,10 +79,13 @@ def headings(
         _restore(link, start)
 
 
-def _begin(context: Context, source: str, instance: int, rate_hz: float) -> Script[_Start]:
-    identity = yield from find_vehicle(context)
+def _begin(
+    context: Context, source: str, instance: int, rate_hz: float, system: int | None
+) -> Script[_Start]:
+    identity = yield from find_vehicle(context, system)
     dialect = make_dialect(identity.autopilot, source)
     parameters = yield from dialect.compass_parameters(context)
+    yield from dialect.nameplate(context, parameters)  # which two that share an id both answer
     builder = TrackBuilder(identity.autopilot, identity.kind)
     context.listeners.append(builder.add)
     rates = MessageRates()
@@ -120,6 +126,8 @@ def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: boo
     heard_s = link.now()
     while True:
         heard = link.receive(0.5)
+        if start.identity.system in link.statistics.shared:
+            raise Refused(*shared_id(start.identity.system))
         if heard is None or heard.system != start.identity.system:
             if link.now() - heard_s > SILENCE_S:
                 raise LinkLost("The vehicle fell silent.", "Bring the link back and run again.")

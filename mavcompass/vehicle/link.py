@@ -21,6 +21,7 @@ from mavcompass.enums import (
 )
 from mavcompass.errors import LinkLost
 from mavcompass.messages import Heartbeat, Incoming, Message
+from mavcompass.two_clocks import TwoClocks
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +66,15 @@ class SourceStatistics:
     received: int = 0
     lost: int = 0
     late: int = 0
+    clocks: TwoClocks = field(default_factory=TwoClocks)
     _last_sequence: int | None = None
 
     # A step back by more than this is a sender that started again, not a frame that was overtaken.
     _REORDER_WINDOW = 16
+
+    def goes_on(self, sequence: int) -> bool:
+        """Tell whether a frame of this number is the next one."""
+        return self._last_sequence is not None and sequence == (self._last_sequence + 1) & 0xFF
 
     def count(self, sequence: int) -> None:
         """Take in the next frame's sequence number, 0..255."""
@@ -92,7 +98,8 @@ class LinkStatistics:
         signed: frames with a signature that was not looked at, no key being in use. refused: good frames
             without a signature by the key in use.
         dropped: messages that could not be sent.
-        sources: by (system, component).
+        sources: by (system, component). shared: system ids with which two autopilots speak: their clocks go
+            back and forth, and so do their sequence numbers.
     """
 
     received: int = 0
@@ -102,17 +109,23 @@ class LinkStatistics:
     refused: int = 0
     dropped: int = 0
     sources: dict[tuple[int, int], SourceStatistics] = field(default_factory=dict)
+    shared: set[int] = field(default_factory=set)
 
     @property
     def lost(self) -> int:
         """Return the number of frames missing by their senders' sequence numbers."""
         return sum(source.lost for source in self.sources.values())
 
-    def count(self, system: int, component: int, sequence: int) -> None:
-        """Take in one good frame."""
+    def count(self, system: int, component: int, sequence: int, message: Message | None = None) -> None:
+        """Take in one good frame, and the message in it where this program uses that."""
         source = self.sources.get((system, component))
         if source is None:
             source = self.sources[system, component] = SourceStatistics()
+        boot_ms = getattr(message, "time_boot_ms", None)
+        if boot_ms is not None:
+            source.clocks.hear(type(message), boot_ms * 1e-3, source.goes_on(sequence))
+            if source.clocks.seen:
+                self.shared.add(system)
         source.count(sequence)
 
 
@@ -123,7 +136,10 @@ class Link(ABC):
         name: the address, for messages to people.
         identity: who we are; set it once the vehicle is known (`Identity.aboard`).
         statistics: what came and what did not.
+        shared: other programs may reach the vehicle, too.
     """
+
+    shared = False
 
     def __init__(self, name: str, identity: Identity = ONBOARD_COMPUTER) -> None:
         self.name = name

@@ -9,6 +9,7 @@ from pathlib import Path
 from mavcompass.errors import BadRecording, Refused, UsageError
 from mavcompass.messages import Incoming
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Context, Script, ask
 from mavcompass.procedure.vehicle_state import VehicleState, find_vehicle
 from mavcompass.vehicle.dialects import DIALECTS, make_dialect
@@ -137,21 +138,23 @@ def compass_part(wanted: Mapping[str, float], held: HeldParameters, origin: str)
 def write_values(
     context: Context,
     source: str,
-    wanted: Callable[[HeldParameters], Mapping[str, float]],
-    save_undo: Callable[[HeldParameters], SaveUndo],
+    wanted: Callable[[HeldParameters, Nameplate], Mapping[str, float]],
+    save_undo: SaveUndo,
     *,
     checked: bool,
     consent: Callable[[HeldParameters, ParameterPlan], str | None],
     system: int | None = None,
 ) -> Script[WriteReport]:
-    """Read the vehicle, plan the write of single values, have the person's consent, write.
+    """Read the vehicle and hold it, plan the write of single values, have the person's consent, write.
 
     `checked` refuses what is out of range; unchecked (putting back what was there) it is a remark.
     `consent` sees the plan and returns the question to ask, "" to write without asking, or None to
-    write nothing. Raises Refused where the plan must not be written or the person says no.
+    write nothing. Raises Refused where the plan must not be written, another program works on the vehicle,
+    or the person says no.
     """
     held = yield from read_vehicle(context, source, system)
-    plan = held.dialect.plan_values(held.values, wanted(held), checked, held.reporting)
+    vehicle = yield from held.dialect.claim(context, held.values)
+    plan = held.dialect.plan_values(held.values, wanted(held, vehicle), checked, held.reporting)
     question = consent(held, plan)
     if question is None or (not plan.changes and not plan.refusals):
         return WriteReport(held, plan, None)
@@ -161,5 +164,5 @@ def write_values(
         raise Refused(
             "Nothing was written: the question was not answered with yes.", "Run it again to be asked again."
         )
-    outcome = yield from held.dialect.write(context, plan, save_undo(held))
+    outcome = yield from held.dialect.write(context, plan, save_undo)
     return WriteReport(held, plan, outcome)

@@ -19,7 +19,7 @@ import pytest
 import mavcompass
 from mavcompass.cli.main import COMMANDS, LazyCommands, main, program
 from mavcompass.cli.options import Output, common_options, to_json
-from mavcompass.errors import MavCompassError, PoorCalibration, Refused
+from mavcompass.errors import MavCompassError, PoorCalibration, Refused, WriteFailed
 
 Probe = Callable[[Callable[[Output], object]], None]
 
@@ -136,6 +136,65 @@ def test_an_interrupt_is_seven(
     probe(raising(error))
     assert main(["probe"]) == 7
     assert capsys.readouterr().err.strip() == "mavcompass: stopped."
+
+
+def test_ctrl_c_does_not_cut_off_what_was_about_to_be_said(
+    probe: Probe, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def overtaken(output: Output) -> None:
+        try:
+            raise WriteFailed("Half is written.", "Put it back.")
+        finally:
+            raise KeyboardInterrupt
+
+    probe(overtaken)
+    assert main(["probe"]) == 6
+    assert capsys.readouterr().err.strip() == "mavcompass: Half is written. Put it back."
+
+
+def test_an_ordinary_refusal_is_a_sentence_with_v_too(
+    probe: Probe, capsys: pytest.CaptureFixture[str]
+) -> None:
+    probe(raising(Refused("It is armed.", "Disarm it.")))
+    assert main(["-v", "probe"]) == 7
+    assert capsys.readouterr().err.strip() == "mavcompass: It is armed. Disarm it."
+    assert main(["-vv", "probe"]) == 7
+    assert "Traceback" in capsys.readouterr().err
+
+
+_NASTY = "f\x1b[31mred\x07\nmavcompass: all is well"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["heading", f"{_NASTY}.tlog"],
+        ["gap", "diagnose", f"{_NASTY}.tlog"],
+        ["calibrate", f"{_NASTY}.tlog", "--params-out", f"{_NASTY}.txt"],
+        ["params", "show", f"{_NASTY}.bin"],
+        ["params", "backup", "sim:rover", f"{_NASTY}.param"],
+        ["heading", "sim:rover", "--json", f"{_NASTY}/out.json"],
+    ],
+)
+def test_a_file_name_neither_colours_the_terminal_nor_forges_a_line(
+    arguments: list[str],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    main(arguments)
+    said = "".join(capsys.readouterr())
+    assert r"f\x1b[31mred\x07\nmavcompass: all is well" in said
+    assert "\x1b" not in said and "\nmavcompass: all is well" not in said
+
+
+def test_a_terminal_gets_its_colours_and_nothing_else(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    Output().say("\x1b[31mred\x1b[0m \x1b[2J", "second")
+    assert capsys.readouterr().out == "\x1b[31mred\x1b[0m \\x1b[2J\nsecond\n"
 
 
 def test_a_mistake_of_ours_is_owned_up_to_and_traced_with_v(

@@ -39,7 +39,7 @@ def test_steps_of_every_kind_are_traced(traces: dict[Any, Any]) -> None:
         kinds = {step.kind for step in traced.steps}
         assert kinds == {"send", "hear", "file", "state"}, work.name
         files = [step.what for step in traced.steps if step.kind == "file"]
-        assert {"fsync", "reserve .json", "write .json.part", "rename .json"} <= set(files), work.name
+        assert {"fsync", "reserve .part", "write .json.part", "rename .json"} <= set(files), work.name
 
 
 def test_the_judgement_notices_a_write_without_a_way_back(
@@ -50,7 +50,7 @@ def test_the_judgement_notices_a_write_without_a_way_back(
     (killed,) = (fault for fault in matrix.FAULTS if fault.name == "killed")
     cell = matrix.Cell(work, last, traced.steps[last - 1], killed, 0)
     assert matrix.run_cell(cell, traced).wrong == []
-    saver = lambda *_: lambda plan, values: Path("nowhere.json")  # noqa: E731
+    saver = lambda *_: lambda plan, values, vehicle: Path("nowhere.json")  # noqa: E731
     monkeypatch.setattr("fault_cells.works.undo_saver", saver)
     (sentence,) = matrix.run_cell(cell, traced).wrong
     assert sentence.startswith("changed ") and sentence.endswith(" without an undo file")

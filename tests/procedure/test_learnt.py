@@ -51,7 +51,7 @@ class Ground:
     def writes(
         self, settings: LearntSettings, yes: bool = True, arms: bool = False, **more: Any
     ) -> CalibrationReport:
-        def save(plan: Any, values: Any) -> Path:
+        def save(plan: Any, values: Any, vehicle: Any) -> Path:
             self.saved.append({change.name: change.old for change in plan.changes})
             return Path("undo.json")
 

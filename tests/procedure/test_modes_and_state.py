@@ -10,7 +10,8 @@ import pytest
 
 from mavcompass import messages as mav
 from mavcompass.enums import MavCmd, MavResult
-from mavcompass.errors import NoVehicle
+from mavcompass.errors import NoVehicle, Refused, UsageError
+from mavcompass.printable import printable
 from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper, mode_command, mode_name, turning_mode
 from mavcompass.procedure.script import Context, Machine, Script, Send, Tick
 from mavcompass.procedure.vehicle_state import (
@@ -18,7 +19,6 @@ from mavcompass.procedure.vehicle_state import (
     find_vehicle,
     find_vehicles,
     identify,
-    printable,
 )
 
 MANUAL, GUIDED, AUTO = 0, 15, 10
@@ -206,16 +206,42 @@ def find(
     return machine
 
 
-def test_the_vehicle_is_the_first_autopilot_or_the_one_asked_for() -> None:
+def test_the_vehicle_is_the_only_autopilot_or_the_one_asked_for() -> None:
     beats = [heard(0.1, mav.Heartbeat(type=6, autopilot=8), 255), heard(0.2, ROVER, 3), heard(0.3, ROVER, 4)]
-    first = find(lambda c: find_vehicle(c), *beats)
-    assert first.result.system == 3 and first.context.system == 3
-    assert find(lambda c: find_vehicle(c, 4), *beats).result.system == 4
+    only = find(lambda c: find_vehicle(c), *beats[:2])
+    assert only.result.system == 3 and only.context.system == 3 and only.context.alone
+    picked = find(lambda c: find_vehicle(c, 4), *beats)
+    assert picked.result.system == 4 and not picked.context.alone
     other = find(lambda c: find_vehicle(c, 5, 4.0), *beats)
     assert isinstance(other.error, NoVehicle) and "3 messages were heard" in other.error.what
     assert "with system id 5" in other.error.what
     mute = find(lambda c: find_vehicle(c, None, 7.0))
     assert isinstance(mute.error, NoVehicle) and "Nothing was heard in 7 s" in mute.error.what
+
+
+@pytest.mark.parametrize("order", [(3, 4), (4, 3)])
+def test_of_several_vehicles_none_is_taken_by_chance(order: tuple[int, int]) -> None:
+    armed = mav.Heartbeat(type=2, autopilot=12, base_mode=128)
+    told = {3: ROVER, 4: armed}
+    first, second = order
+    machine = find(
+        lambda c: find_vehicle(c), heard(0.2, told[first], first), heard(1.3, told[second], second)
+    )
+    assert isinstance(machine.error, UsageError) and machine.error.exit_code == 2
+    assert str(machine.error).splitlines() == [
+        "2 vehicles are on this link:",
+        "  system 3: rover, ardupilot, disarmed, without a unique id",
+        "  system 4: copter, px4, armed, without a unique id",
+        " Choose one with --system.",
+    ]
+
+
+def test_two_autopilots_that_beat_with_one_system_id_are_told() -> None:
+    for script in (find_vehicle, find_vehicles):
+        machine = find(script, heard(0.2, ROVER, 3), heard(0.9, mav.Heartbeat(type=2, autopilot=12), 3))
+        assert isinstance(machine.error, Refused)
+        assert "Two autopilots share system id 3" in str(machine.error)
+        assert "SYSID_THISMAV" in machine.error.remedy
 
 
 def test_all_vehicles_on_a_link_are_those_of_three_seconds() -> None:
@@ -246,5 +272,5 @@ def test_the_latest_of_what_it_says_is_kept_if_it_can_be() -> None:
     assert state.local is local and state.heard_s == 5.0
     for k in range(25):
         state.hear(heard(6.0, mav.Statustext(text=f"text {k}\n\x1b[31m")))
-    assert next(iter(state.texts)) == "text 5??[31m" and len(state.texts) == 20
-    assert printable("é°\t") == "é°?"
+    assert next(iter(state.texts)) == r"text 5\n\x1b[31m" and len(state.texts) == 20
+    assert printable("é°\t\x1b[2J") == r"é°\t\x1b[2J"

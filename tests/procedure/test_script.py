@@ -126,7 +126,7 @@ def test_a_clean_up_that_never_ends_is_ended() -> None:
     machine.step(Tick(1.1 + CLEAN_UP_S))
     assert machine.done
     assert isinstance(machine.error, Refused)
-    assert machine.error.what == "Stopped by hand. The vehicle did not answer after."
+    assert machine.error.what == "Stopped by hand. What was changed could not all be put back."
 
 
 def test_a_watch_stops_the_script_once() -> None:

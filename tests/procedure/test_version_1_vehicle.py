@@ -55,6 +55,8 @@ class OldVehicle(VehicleOnWire):
 class VirtualWireLink(WireLink):
     """Speak over a wire on the vehicle's own clock."""
 
+    shared = False
+
     def __init__(self, wire: OldVehicle) -> None:
         super().__init__(wire)
         self._wire = wire

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from mavcompass.messages import Message
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.links.autopilot import Autopilot
 from mavcompass.vehicle.links.server import Record, VehicleServer
@@ -29,6 +30,8 @@ def serving(
 ) -> Iterator[tuple[VehicleServer, int]]:
     """Give the server and its port; what it raises fails the test."""
     transport = open_transport(address)
+    if isinstance(autopilot, SimulatedAutopilot):
+        autopilot.moor(transport.name)  # tests run side by side, each with a vehicle of its own
     server = VehicleServer(
         autopilot,
         transport,

@@ -61,3 +61,15 @@ def test_a_link_on_which_nobody_answers_is_closed_again(link: SimulatedLink) -> 
         connect("sim:rover", system=5, timeout_s=2.0)
     with pytest.raises(LinkLost):
         link.receive(1.0)
+
+
+def test_it_is_the_vehicle_that_was_connected_that_is_calibrated(
+    link: SimulatedLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int | None] = []
+    monkeypatch.setattr(
+        connection, "calibrate_on", lambda link, source, settings, *_, **__: asked.append(settings.system)
+    )
+    with connect("sim:rover") as vehicle:
+        vehicle.calibrate()
+    assert asked == [4]

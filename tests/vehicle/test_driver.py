@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 
 import pytest
-from dialogue import HEARTBEAT, Expect, MemoryVehicle, Reply, Silence, vehicle_script
+from dialogue import HEARTBEAT, Expect, MemoryVehicle, Reply, Said, Silence, vehicle_script
 
 from mavcompass.errors import LinkLost, NoReply, Refused, WriteFailed
 from mavcompass.messages import CommandAck, CommandLong, Heartbeat, ParamSet, ParamValue, Statustext
 from mavcompass.procedure.script import Context, Machine, Script, Show, ask, pause, request
+from mavcompass.vehicle import stopping
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.links.faults import Faults, FaultyLink
 from mavcompass.vehicle.links.simulated import SimulatedLink
@@ -132,7 +134,9 @@ def test_ctrl_c_and_sigterm_end_the_motion_and_put_back_what_was_changed(number:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_second_signal_interrupts_whatever_hangs(number: int) -> None:
+def test_a_further_signal_interrupts_what_hangs(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stopping, "_HANGS_S", 0.05)
+
     def hang(context: Context) -> Script[None]:
         yield context.now
         while True:
@@ -140,6 +144,37 @@ def test_a_second_signal_interrupts_whatever_hangs(number: int) -> None:
 
     with SimulatedLink(MemoryVehicle()) as link, pytest.raises(KeyboardInterrupt):
         run(Machine(hang), link)
+
+
+@pytest.mark.parametrize(("apart_s", "ending"), [(0.0, Refused), (0.01, WriteFailed)])
+def test_ctrl_c_pressed_again_and_again_ends_orderly(
+    apart_s: float, ending: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Hammering is one press, and the old value is put back; who means it is told what stands."""
+    monkeypatch.setattr(stopping, "_ONE_PRESS_S", 0.005 if apart_s else 1.0)
+    shown: list[str] = []
+
+    def press(context: Context) -> Script[None]:
+        context.system, context.component = 1, 1
+        try:
+            yield from pause(context, 60.0)
+        finally:
+            try:
+                yield from pause(context, 2.0)  # putting back takes its time, and all presses fall into it
+            except GeneratorExit:
+                raise WriteFailed("1 of 6 parameters is new.", restore_command="...") from None
+
+    def signalled(_: object) -> None:
+        time.sleep(apart_s)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    vehicle = MemoryVehicle()
+    for number in range(60):
+        vehicle.say(Statustext(text=str(number)), after_s=1.0 + 0.01 * number)
+    with SimulatedLink(vehicle) as link, pytest.raises(ending) as caught:
+        run(Machine(press), link, on_message=signalled, on_show=lambda show: shown.append(show.text))
+    assert type(caught.value) is ending
+    assert shown == (["Ending safely; once more leaves everything as it stands."] if apart_s else [])
 
 
 def test_another_thread_can_stop_a_procedure_that_is_not_in_the_main_thread() -> None:
@@ -168,6 +203,20 @@ def test_a_vehicle_that_falls_silent_is_lost_and_the_undo_is_tried() -> None:
             run(Machine(turn), link)
         assert link.now() < 6.5
     assert caught.value.exit_code == 3 and caught.value.remedy
+
+
+@pytest.mark.parametrize(("system", "component"), [(2, 1), (1, 191)])
+def test_what_others_say_does_not_keep_a_silent_vehicle_alive(system: int, component: int) -> None:
+    class Crowd(MemoryVehicle):
+        def advance(self, until_s: float) -> list[Said]:
+            mine = [said for said in super().advance(until_s) if said.time_s < 3.0]
+            return [*mine, Said(until_s, system, component, HEARTBEAT)]
+
+    vehicle = Crowd()
+    with SimulatedLink(vehicle) as link:
+        with pytest.raises(LinkLost, match="said nothing for 5 s"):
+            run(Machine(turn), link)
+        assert 7.0 < link.now() < 8.5
 
 
 def test_a_computer_that_was_asleep_does_not_take_the_vehicle_for_lost(

@@ -102,6 +102,46 @@ def test_write_restore_round_trip(
     assert held(capsys) == before
 
 
+def test_what_was_kept_of_another_vehicle_is_refused_with_both_identities(
+    hangar: Hangar, capsys: pytest.CaptureFixture[str], compass_file: Path
+) -> None:
+    first = f"{hangar.autopilot.board.uid:016x}"
+    assert main(["params", "write", SOURCE, str(compass_file), "--yes"]) == 0
+    (undo_file,) = compass_file.parent.glob("undo/*.json")
+    hangar.autopilot = SimulatedAutopilot("rover", seed=2, system=2, armed=False)
+    second = f"{hangar.autopilot.board.uid:016x}"
+    before = held(capsys)
+    assert main(["params", "restore", SOURCE, "--yes"]) == 2
+    assert "no undo file of this vehicle (system 2, ardupilot 4.6.3, board" in capsys.readouterr().err
+    written = undo_file.with_suffix(".new.param")
+    for words in (["restore", SOURCE, str(undo_file)], ["write", SOURCE, str(written)]):
+        assert main(["params", *words, "--yes"]) == 7
+        told = capsys.readouterr().err
+        assert "of another vehicle: system 1, ardupilot 4.6.3" in told and first in told and second in told
+        assert "--other-vehicle" in told
+    assert held(capsys) == before
+    assert main(["params", "restore", SOURCE, str(undo_file), "--other-vehicle", "--yes"]) == 0
+
+
+def test_an_undo_file_of_an_earlier_version_says_what_is_not_known_and_is_restored_all_the_same(
+    hangar: Hangar, capsys: pytest.CaptureFixture[str], compass_file: Path
+) -> None:
+    before = held(capsys)
+    assert main(["params", "write", SOURCE, str(compass_file), "--yes"]) == 0
+    (undo_file,) = compass_file.parent.glob("undo/*.json")
+    document = json.loads(undo_file.read_text())
+    del document["vehicle"]
+    old = undo_file.with_name("20260501030201-000-ardupilot.json")
+    old.write_text(json.dumps(document))
+    undo_file.unlink()
+    assert main(["params", "restore", SOURCE, "--yes"]) == 2
+    assert f"did not note whose it was, is {old}. Where it is this vehicle's" in capsys.readouterr().err
+    assert main(["params", "restore", SOURCE, str(old), "--yes"]) == 7
+    assert f"{old} does not say which vehicle it is of" in capsys.readouterr().err
+    assert main(["params", "restore", SOURCE, str(old), "--other-vehicle", "--yes"]) == 0
+    assert held(capsys) == before
+
+
 def test_the_command_that_is_printed_restores(
     hangar: Hangar, capsys: pytest.CaptureFixture[str], compass_file: Path
 ) -> None:

@@ -39,7 +39,7 @@ def write(
     assert plan.changes and not plan.refusals
 
     def script(context: Context) -> Script[WriteReport]:
-        saver = undo_saver(held.dialect.autopilot, SOURCE, folder)
+        saver = undo_saver(SOURCE, folder)
         outcome = yield from held.dialect.write(context, plan, saver)
         return WriteReport(held, plan, outcome)
 
@@ -66,8 +66,8 @@ def restore(autopilot: SimulatedAutopilot, undo_file: Path, folder: Path) -> Non
         return write_values(
             context,
             SOURCE,
-            lambda held: load_record(undo_file).before,
-            lambda held: undo_saver(held.dialect.autopilot, SOURCE, folder),
+            lambda held, vehicle: load_record(undo_file).before,
+            undo_saver(SOURCE, folder),
             checked=False,
             consent=lambda held, plan: "",
         )

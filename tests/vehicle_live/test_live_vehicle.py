@@ -71,7 +71,7 @@ def test_a_parameter_is_written_read_back_and_restored(vehicle: Vehicle, tmp_pat
     before = vehicle.parameters()
     step = 0.005 if vehicle.identity.autopilot == "px4" else 5.0
     plan = dialect.plan_values(before, {name: before[name] + step})
-    save = undo_saver(vehicle.identity.autopilot, "test", tmp_path)
+    save = undo_saver("test", tmp_path)
 
     def script(context: Context) -> Script[float]:
         context.system, context.component = vehicle.identity.system, vehicle.identity.component

@@ -67,6 +67,8 @@ def say(output: Output, result: FleetResult, summary: Summary, out: Path, page: 
         f"{result.examined} of {counted(result.asked, 'recording')} examined{kept};"
         f" {counted(len(summary.errors), 'error')}{fruitless}."
     )
+    for recording, sentence in summary.errors[:_SHOWN]:
+        output.say(f"  {short(recording)}: {sentence}")
     if summary.slowest and summary.slowest[0][1] >= LONG_S:
         output.say("Slowest: {} ({:.0f} s).".format(*summary.slowest[0]))
     for effect in [effect for effect in summary.effects if effect.largest_mgauss >= LEAST_MGAUSS][:_SHOWN]:

@@ -50,7 +50,7 @@ def diagnosed(
 
 def say_summary(lines: list[str], output: Output, colour: str | None = None) -> None:
     """Say what to do, which is the first line, and why."""
-    output.say("\n".join([styled(lines[0], bold=True, fg=colour), *lines[1:]]))
+    output.say(styled(lines[0], bold=True, fg=colour), *lines[1:])
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from mavcompass.errors import MavCompassError, NoMagnetometer, UsageError, Write
 
 if TYPE_CHECKING:
     from mavcompass.procedure.dialect import ParameterPlan
+    from mavcompass.procedure.nameplate import Nameplate
     from mavcompass.procedure.script import Context, Script
     from mavcompass.vehicle.session import HeldParameters, WriteReport
 
@@ -25,7 +26,10 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 def _write_options(function: Function) -> Function:
     yes = click.option("--yes", is_flag=True, help="Write without asking.")
     dry_run = click.option("--dry-run", is_flag=True, help="Show what would be written, and write nothing.")
-    return system_option(sign_key_option(yes(dry_run(function))))
+    other = click.option(
+        "--other-vehicle", is_flag=True, help="Write what was kept of another vehicle, or of an unknown one."
+    )
+    return system_option(sign_key_option(yes(dry_run(other(function)))))
 
 
 @click.group()
@@ -102,13 +106,21 @@ def diff(source: str, file: Path, system: int | None, output: Output) -> None:
 @click.argument("file", type=_FILE)
 @_write_options
 @common_options
-def write(source: str, file: Path, yes: bool, dry_run: bool, system: int | None, output: Output) -> None:
+def write(
+    source: str,
+    file: Path,
+    yes: bool,
+    dry_run: bool,
+    other_vehicle: bool,
+    system: int | None,
+    output: Output,
+) -> None:
     """Write the compass parameters of a file to a vehicle; others in the file are left out.
 
     \b
     Example: mavcompass params write udpin:0.0.0.0:14550 compass.param
     """
-    _write("write", source, file, yes, dry_run, system, output)
+    _write("write", source, file, yes, dry_run, other_vehicle, system, output)
 
 
 @command.command()
@@ -117,21 +129,36 @@ def write(source: str, file: Path, yes: bool, dry_run: bool, system: int | None,
 @_write_options
 @common_options
 def restore(
-    source: str, file: Path | None, yes: bool, dry_run: bool, system: int | None, output: Output
+    source: str,
+    file: Path | None,
+    yes: bool,
+    dry_run: bool,
+    other_vehicle: bool,
+    system: int | None,
+    output: Output,
 ) -> None:
-    """Put back what an undo file or a backup holds (default: the last undo file of this SOURCE).
+    """Put back what an undo file or a backup holds (default: the last undo file of this vehicle).
 
     \b
     Example: mavcompass params restore udpin:0.0.0.0:14550
     """
+    _write("restore", source, file, yes, dry_run, other_vehicle, system, output)
+
+
+def _last_of(vehicle: Nameplate) -> Path:
     from mavcompass.vehicle.parameters.undo import newest_record, undo_directory
 
-    require_for(source)
-    if file is None and (file := newest_record(source)) is None:
-        raise UsageError(
-            f"There is no undo file of {source} in {undo_directory()}.", "Give the file to restore."
-        )
-    _write("restore", source, file, yes, dry_run, system, output)
+    folder = undo_directory()
+    if (newest := newest_record(vehicle, folder)) is not None:
+        return newest
+    unmarked = newest_record(None, folder)
+    what = f"There is no undo file of this vehicle ({vehicle}) in {folder}."
+    if unmarked is None:
+        raise UsageError(what, "Give the file to restore.")
+    raise UsageError(
+        f"{what} The newest of an earlier mavcompass, which did not note whose it was, is {unmarked}.",
+        "Where it is this vehicle's, give it as FILE, with --other-vehicle.",
+    )
 
 
 @command.command()
@@ -159,7 +186,7 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     values = held.compass_values
     comment = (f"Compass parameters of {source}, by mavcompass.",)
     if file is None:
-        output.say(parameter_text(values, "param", comment).rstrip("\n"))
+        output.say(*parameter_text(values, "param", comment).splitlines())
     else:
         types = {name: parameter.type for name, parameter in held.compass_typed.items()}
         write_parameter_file(file, values, comment, types)
@@ -206,16 +233,31 @@ def _run(source: str, script: Callable[[Context], Script[Any]]) -> Any:
 
 
 def _write(
-    action: str, source: str, file: Path, yes: bool, dry_run: bool, system: int | None, output: Output
+    action: str,
+    source: str,
+    file: Path | None,
+    yes: bool,
+    dry_run: bool,
+    other_vehicle: bool,
+    system: int | None,
+    output: Output,
 ) -> None:
+    """Write what a file holds; without one, what the vehicle's last undo file holds."""
     from mavcompass.vehicle.parameters.transaction import counted
-    from mavcompass.vehicle.parameters.undo import undo_saver
+    from mavcompass.vehicle.parameters.undo import refuse_other_vehicle, undo_saver
     from mavcompass.vehicle.session import compass_part, read_wanted, write_values
 
     _check_call(source, yes, dry_run)
     require_for(source)
-    wanted = read_wanted(file)
-    document: dict[str, object] = {"schema": SCHEMA, "action": action, "source": source, "file": str(file)}
+    if file is not None:
+        read_wanted(file)  # what is wrong with it is told before the vehicle is asked
+    document: dict[str, object] = {"schema": SCHEMA, "action": action, "source": source, "file": file}
+
+    def wanted(held: HeldParameters, vehicle: Nameplate) -> Mapping[str, float]:
+        document["file"] = path = _last_of(vehicle) if file is None else file
+        if not other_vehicle:
+            refuse_other_vehicle(path, vehicle)
+        return compass_part(read_wanted(path), held, str(path))
 
     def consent(held: HeldParameters, plan: ParameterPlan) -> str | None:
         document.update(_head(action, source, held), **_plan_part(plan))
@@ -226,8 +268,8 @@ def _write(
         return write_values(
             context,
             source,
-            lambda held: compass_part(wanted, held, str(file)),
-            lambda held: undo_saver(held.dialect.autopilot, source),
+            wanted,
+            undo_saver(source),
             checked=action == "write",
             consent=consent,
             system=system,

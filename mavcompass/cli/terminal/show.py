@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from mavcompass.cli.terminal.colour import is_live
+from mavcompass.printable import printable
 from mavcompass.procedure.script import Show
 
 _PROMPT_EVERY_S = 1.0
@@ -52,7 +53,7 @@ class PlainShow:
                 return
             self._prompted_s = now_s
         self._last = show.text
-        print(show.text, file=sys.stderr, flush=True)
+        print(printable(show.text), file=sys.stderr, flush=True)
 
 
 class LiveShow:
@@ -74,10 +75,10 @@ class LiveShow:
             and self._last.step not in self._told_later
         ):
             self._progress.console.print(
-                f"[dim]{_MARKS.get(self._last.step, '·')} {self._last.text}[/dim]", highlight=False
+                f"[dim]{_MARKS.get(self._last.step, '·')} {printable(self._last.text)}[/dim]", highlight=False
             )
         self._last = show
-        update = {"description": f"{_MARKS.get(show.step, '·')} {show.text}"}
+        update = {"description": f"{_MARKS.get(show.step, '·')} {printable(show.text)}"}
         if show.fraction is not None:
             self._progress.update(self._task, completed=show.fraction, **update)
         else:

@@ -17,6 +17,8 @@ from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 
 _CLIMB_PATIENCE_S = 40.0
 _LANDING_PATIENCE_S = 90.0
+# Where a vehicle is, is told twice a second at least once it is asked for.
+_PLACE_WITHIN_S = 3.0
 # After a stop nothing is waited for: the autopilot lands by itself once told to.
 _HURRIED_S = 3.0
 _PX4_TAKEOFF, _PX4_HOLD, _PX4_LAND = (4 << 16 | sub << 24 for sub in (2, 3, 6))
@@ -56,8 +58,12 @@ class Readiness:
         yield from self._into_mode(context)
         if not self.state.armed:
             yield from self._arm(context)
-        if self.permissions.takeoff_m > 0.0 and self.identity.kind == "copter" and self._height_m() < 1.0:
-            yield from self._take_off(context)
+        if self.permissions.takeoff_m > 0.0 and self.identity.kind == "copter":
+            end_s = context.now + _PLACE_WITHIN_S
+            while self.state.place is None and context.now < end_s:
+                yield end_s  # it may be in the air already
+            if self._height_m() < 1.0:
+                yield from self._take_off(context)
         self.modes.accept_present()
 
     def put_back(self, context: Context, in_a_hurry: bool) -> Script[None]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mavcompass.errors import MavCompassError
+from mavcompass.installation.private_files import private_file, private_folder
 from mavcompass.vehicle.parameters.undo import remove_record
 
 Kind = Literal["calibration", "check", "undo", "gap"]
@@ -99,7 +100,8 @@ class History:
         """Open or make the database. Raises MavCompassError where it cannot be used."""
         self._lock = threading.Lock()
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            private_folder(path.parent)
+            private_file(path)  # what SQLite writes beside it takes its rights over
             self._database = sqlite3.connect(path, check_same_thread=False, isolation_level=None)
             # After a power cut the file is whole; the last entry may be missing.
             self._database.execute("PRAGMA journal_mode = WAL")

@@ -3,48 +3,42 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 
-from mavcompass.errors import MavCompassError, UsageError
-from mavcompass.service.view import VehicleView
+from mavcompass.errors import MavCompassError
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.service.work.clock import utc_now
 from mavcompass.service.work.history import History
 from mavcompass.vehicle.parameters.transaction import restore_command
-from mavcompass.vehicle.parameters.undo import UndoRecord, load_record
+from mavcompass.vehicle.parameters.undo import UndoRecord, load_record, newest_record
 from mavcompass.vehicle.parameters.values import same_value
 
 _log = logging.getLogger(__name__)
 
 
-def note_interrupted_write(history: History, view: VehicleView, undo_folder: Path) -> None:
-    """Offer the undo file that the history does not know, where the vehicle holds what it was made for.
+def note_interrupted_write(
+    history: History, vehicle: Nameplate, parameters: Mapping[str, float], undo_folder: Path
+) -> None:
+    """Offer the vehicle's last undo file that the history does not know, where it was made for what it holds.
 
-    Not simply the newest: the computer's clock may have been set back. `view` knows the parameters in force.
+    `parameters` are those in force.
     """
-    known = history.undo_files()
-    unknown = [path for path in undo_folder.glob("*.json") if str(path) not in known]
-    newest = max(unknown, key=lambda path: path.stat().st_mtime_ns, default=None)
-    if newest is None:
+    newest = newest_record(vehicle, undo_folder, history.undo_files())
+    if newest is None or not _was_written(record := load_record(newest), parameters):
         return
-    try:
-        record = load_record(newest)
-    except UsageError:
-        return  # killed before it was whole, and before anything was written
-    if record.autopilot != view.identity.autopilot or not _was_written(record, view):
-        return
-    command = restore_command(record.source, newest, view.identity.system)
+    command = restore_command(record.source, newest, vehicle.system)
     what = "A write was cut short: the vehicle may hold some new and some old values."
     document = {"error": what, "remedy": f"Undo it, here or with: {command}", "lines": []}
     _log.warning("%s %s", what, document["remedy"])
     try:
-        history.add("calibration", utc_now(), view.key, False, what, document, undo_file=str(newest))
+        history.add("calibration", utc_now(), vehicle.key, False, what, document, undo_file=str(newest))
     except MavCompassError as error:
         _log.warning("%s", error)
 
 
-def _was_written(record: UndoRecord, view: VehicleView) -> bool:
+def _was_written(record: UndoRecord, now: Mapping[str, float]) -> bool:
     """Tell whether the vehicle holds values that were to be written, and for the rest the old ones."""
-    now = view.parameters
     changed = [name for name, old in record.before.items() if name in now and not same_value(now[name], old)]
     return bool(changed) and all(
         name in record.planned and same_value(now[name], record.planned[name]) for name in changed

@@ -76,9 +76,9 @@ class Jobs:
         except MavCompassError as error:
             _log.info("the compass parameters could not be read yet: %s", error)
             return
-        view.key = met.key
+        view.key = met.vehicle.key
         view.set_parameters(met.parameters)
-        note_interrupted_write(self._history, view, self._config.folder / "undo")
+        note_interrupted_write(self._history, met.vehicle, met.parameters, self._config.folder / "undo")
 
     def judge_calibrations(self, view: VehicleView) -> tuple[Finding, ...]:
         """Compare what is in force with the history, and say how good it is."""

@@ -7,37 +7,34 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult
-from mavcompass.enums import MavCmd
-from mavcompass.errors import MavCompassError, Refused
+from mavcompass.errors import Refused
 from mavcompass.procedure.calibrate import CalibrateSettings, Services, calibrate
 from mavcompass.procedure.check import CheckReport, CheckSettings
 from mavcompass.procedure.check import check as check_script
 from mavcompass.procedure.dialect import WriteOutcome
 from mavcompass.procedure.learnt import LearntSettings
 from mavcompass.procedure.learnt import write_learnt as write_learnt_script
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.positions import DwellSettings
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.procedure.script import Context, Machine, Script, expect
+from mavcompass.procedure.script import Context, Machine, Script
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
 from mavcompass.service.work import clock
 from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Task
 from mavcompass.service.work.worker import Worker
 from mavcompass.service.work.worker import solve as solve_there
 from mavcompass.vehicle.dialects import make_dialect
-from mavcompass.vehicle.parameters.undo import load_record, undo_saver
+from mavcompass.vehicle.parameters.undo import load_record, refuse_other_vehicle, undo_saver
 
 MAX_HEADING_ERROR_DEG = 2.0
-_AUTOPILOT_VERSION = 148
 
 
 @dataclass(frozen=True, slots=True)
 class Acquaintance:
-    """Hold what a vehicle tells at the first meeting: who it is, a key for its history, its parameters."""
+    """Hold what a vehicle tells at the first meeting: who it is, and its parameters."""
 
-    identity: VehicleIdentity
-    key: str
+    vehicle: Nameplate
     parameters: dict[str, float]
 
 
@@ -46,29 +43,11 @@ def meet(identity: VehicleIdentity, source: str) -> Machine[Acquaintance]:
 
     def script(context: Context) -> Script[Acquaintance]:
         context.system, context.component = identity.system, identity.component
-        uid = yield from _unique_id(context)
-        parameters = yield from make_dialect(identity.autopilot, source).compass_parameters(context)
-        who = f"{uid:016x}" if uid else f"system-{identity.system}"
-        return Acquaintance(identity, f"{identity.autopilot}-{who}", parameters)
+        dialect = make_dialect(identity.autopilot, source)
+        parameters = yield from dialect.compass_parameters(context)
+        return Acquaintance((yield from dialect.nameplate(context, parameters)), parameters)
 
     return Machine(script)
-
-
-def _unique_id(context: Context) -> Script[int]:
-    """Ask for the autopilot's serial number; 0 where it has none or does not say."""
-    for _ in range(2):
-        context.send(
-            mav.CommandLong(
-                context.system,
-                context.component,
-                MavCmd.REQUEST_MESSAGE,
-                param1=float(_AUTOPILOT_VERSION),
-            )
-        )
-        version = yield from expect(context, mav.AutopilotVersion, timeout_s=0.4)
-        if version is not None:
-            return version.uid
-    return 0
 
 
 def calibration(
@@ -92,16 +71,9 @@ def calibration(
         )
         return task.results
 
-    autopilot = ""
-
-    def dialect_for(make: str) -> Any:
-        nonlocal autopilot
-        autopilot = make
-        return make_dialect(make, source)
-
     services = Services(
-        dialect_for=dialect_for,
-        save_undo=lambda plan, values: undo_saver(autopilot, source, undo_folder, clock.now)(plan, values),
+        dialect_for=lambda make: make_dialect(make, source),
+        save_undo=undo_saver(source, undo_folder, clock.now),
         solve=solve,
     )
     settings = CalibrateSettings(
@@ -137,7 +109,7 @@ def write_learnt(
     settings = LearntSettings(
         request.writing == "ask", request.writing != "never", identity.system, rate_hz, year
     )
-    save = undo_saver(identity.autopilot, source, undo_folder, clock.now)
+    save = undo_saver(source, undo_folder, clock.now)
 
     def script(context: Context) -> Script[CalibrationReport]:
         return write_learnt_script(context, lambda make: make_dialect(make, source), save, results, settings)
@@ -160,16 +132,12 @@ def undo(undo_file: Path, source: str, system: int, undo_folder: Path) -> Machin
     def script(context: Context) -> Script[WriteOutcome]:
         context.show("connect", "Waiting for the vehicle's heartbeat.", 0.0)
         identity = yield from find_vehicle(context, system)
-        if identity.autopilot != record.autopilot:
-            raise MavCompassError(
-                f"The undo file is of an {record.autopilot} vehicle, this one runs {identity.autopilot}.",
-                "Choose an undo file of this vehicle.",
-            )
         dialect = make_dialect(identity.autopilot, source)
         parameters = yield from dialect.compass_parameters(context)
+        refuse_other_vehicle(undo_file, (yield from dialect.claim(context, parameters)))
         plan = dialect.plan_values(parameters, record.before, checked=False)
         context.show("write", f"Putting back {len(plan.changes)} parameters.", 0.5)
-        save = undo_saver(identity.autopilot, source, undo_folder, clock.now)
+        save = undo_saver(source, undo_folder, clock.now)
         return (yield from dialect.write(context, plan, save))
 
     return Machine(script)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mavcompass.installation.private_files import private_folder, write_private
 from mavcompass.messages import Incoming
 from mavcompass.service.work import clock
 from mavcompass.vehicle.wire import FrameWriter
@@ -35,5 +36,5 @@ class Recorder:
 
     def save(self, path: Path) -> None:
         """Write the file. Raises OSError."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(self._data)
+        private_folder(path.parent)
+        write_private(path, self._data, flushed=False)

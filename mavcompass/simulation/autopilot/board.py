@@ -40,7 +40,7 @@ class Board:
         compass_setups: the compasses, with the calibrations in force at the start.
         now_us: time since the simulation began; boot_us: when it was powered up last; boots: reboots since.
         silent_until_us: the end of a reboot's silence, None outside one.
-        sent: what has left by the ports.
+        sent: what has left by the ports. uid: the board's serial number.
     """
 
     def __init__(
@@ -71,6 +71,7 @@ class Board:
         self.now_us, self.boot_us, self.boots = 0, boot_us, 0
         self.silent_until_us: int | None = None
         self.consumed_mah = 0.0
+        self.uid = 1
         self.sent: list[Outgoing] = []
 
     @property

@@ -89,8 +89,12 @@ class Reports(ABC):
             m.RcChannels: lambda t, s: self.rc_channels(t),
             m.VfrHud: lambda t, s: self.vfr_hud(),
             m.ExtendedSysState: lambda t, s: self.extended_state(),
-            m.AutopilotVersion: lambda t, s: m.AutopilotVersion(self.capabilities, self.version, uid=1),
+            m.AutopilotVersion: lambda t, s: self.autopilot_version(),
         }
+
+    def autopilot_version(self) -> m.AutopilotVersion:
+        """Tell the firmware's version and the board's serial number."""
+        return m.AutopilotVersion(self.capabilities, self.version, uid=self.board.uid)
 
     @property
     def kinds(self) -> frozenset[type[m.Message]]:

@@ -56,6 +56,12 @@ class ArduPilotDialect(CompassDialect):
         own = [ardupilot_name(quantity, instance, naming) for quantity in self.rules.per_compass]
         return (*ardupilot_correction_names(instance, naming), *own)
 
+    def device_ids(self, parameters: Mapping[str, float]) -> tuple[int, ...]:
+        """List the device ids of all compasses that it has room for, 0 where there is none."""
+        naming = ardupilot_naming(parameters)
+        names = (ardupilot_name("DEV_ID", instance, naming) for instance in ARDUPILOT_COMPASSES)
+        return tuple(int(parameters.get(name, 0.0)) for name in names)
+
     def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
         """Return the correction in force."""
         return ardupilot_correction(parameters, instance)

@@ -6,6 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 
 from mavcompass.enums import COMPONENT_AUTOPILOT
 from mavcompass.messages import Incoming, Message
@@ -51,6 +52,8 @@ class WireLink(Link):
     Attributes:
         on_frame: called with every good frame that is heard, before its message is handed out.
     """
+
+    shared = True
 
     def __init__(
         self, transport: Transport, identity: Identity = ONBOARD_COMPUTER, signing: Signing | None = None
@@ -112,6 +115,9 @@ class WireLink(Link):
     def close(self) -> None:
         """Close the port."""
         self._transport.close()
+        if self._signing is not None:
+            with suppress(OSError):  # then what was kept ahead holds
+                self._signing.keep()
 
     def _channel(self, peer: Peer) -> _Channel:
         if peer not in self._channels:
@@ -127,11 +133,11 @@ class WireLink(Link):
         now_s = self.now()
         channel = self._channel(peer)
         for frame in channel.parser.feed(data):
-            self.statistics.count(frame.system, frame.component, frame.sequence)
+            message = decode(frame.message_id, frame.payload)
+            self.statistics.count(frame.system, frame.component, frame.sequence, message)
             self._homes.setdefault(frame.system, {})[peer] = now_s
             if self.on_frame is not None:
                 self.on_frame(frame)
-            message = decode(frame.message_id, frame.payload)
             if message is None:
                 self.statistics.unknown += 1
                 continue

@@ -10,6 +10,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.errors import NoReply
 from mavcompass.frames import FloatArray
 from mavcompass.procedure.dialect import NOT_TURNED, ParameterPlan, SaveUndo, WriteOutcome
+from mavcompass.procedure.nameplate import Nameplate, read_nameplate
 from mavcompass.procedure.script import Context, Script, nothing
 from mavcompass.steering import compasses_of
 from mavcompass.vehicle.parameters import protocol
@@ -39,6 +40,7 @@ class CompassDialect(ABC):
     def __init__(self, source: str = "SOURCE") -> None:
         """Take the vehicle's address, which error messages repeat in the command that restores."""
         self.source = source
+        self._nameplate: Nameplate | None = None
 
     @abstractmethod
     def compass_parameters_typed(self, context: Context) -> Script[dict[str, Parameter]]:
@@ -46,6 +48,10 @@ class CompassDialect(ABC):
 
         Raises NoReply where the vehicle answers nothing, LinkLost where it says nothing at all.
         """
+
+    @abstractmethod
+    def device_ids(self, parameters: Mapping[str, float]) -> tuple[int, ...]:
+        """List the device ids of all compasses that it has room for, 0 where there is none."""
 
     @abstractmethod
     def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
@@ -83,6 +89,22 @@ class CompassDialect(ABC):
         held = yield from self.compass_parameters_typed(context)
         return {name: parameter.value for name, parameter in held.items()}
 
+    def nameplate(self, context: Context, parameters: Mapping[str, float]) -> Script[Nameplate]:
+        """Find out which vehicle this is, once for all."""
+        if self._nameplate is None:
+            devices = self.device_ids(parameters)
+            self._nameplate = yield from read_nameplate(context, self.autopilot, devices)
+        return self._nameplate
+
+    def claim(self, context: Context, parameters: Mapping[str, float]) -> Script[Nameplate]:
+        """Find out which vehicle this is, and hold it against other programs until the procedure ends.
+
+        Raises Refused where another program works on it.
+        """
+        plate = yield from self.nameplate(context, parameters)
+        context.hold(plate)
+        return plate
+
     def plan(
         self,
         parameters: Mapping[str, float],
@@ -106,8 +128,13 @@ class CompassDialect(ABC):
 
     def write(self, context: Context, plan: ParameterPlan, save_undo: SaveUndo) -> Script[WriteOutcome]:
         """Write a plan as a transaction; see `vehicle.parameters.transaction`."""
-        transaction = Transaction(self.encoding, self.source, self.commit)
+        transaction = Transaction(self.encoding, self.source, self._claimed, self.commit)
         return (yield from transaction.run(context, plan, save_undo))
+
+    def _claimed(self, context: Context) -> Script[Nameplate]:
+        known = self._nameplate is not None
+        parameters = {} if known else (yield from self.compass_parameters(context))
+        return (yield from self.claim(context, parameters))
 
     def take_compass_yaw(
         self, context: Context, parameters: Mapping[str, float], flying: bool

@@ -19,6 +19,7 @@ from pathlib import Path
 from mavcompass.errors import MavCompassError, Refused, WriteFailed
 from mavcompass.installation.invocation import program
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.undo import written_file
@@ -37,12 +38,14 @@ class Transaction:
     Attributes:
         encoding: how the autopilot puts integers into PARAM_VALUE.
         source: the vehicle's address as the person gave it, for the command that restores.
+        claim: finds out which vehicle this is and holds it against other programs.
         commit: what must be done beside the parameters after they are written; its remarks go into
             the outcome.
     """
 
     encoding: Encoding
     source: str
+    claim: Callable[[Context], Script[Nameplate]]
     commit: Commit | None = None
 
     def run(self, context: Context, plan: ParameterPlan, save_undo: SaveUndo) -> Script[WriteOutcome]:
@@ -54,9 +57,10 @@ class Transaction:
         refuse_unwritable(plan)
         if not plan.changes:
             return WriteOutcome(verified=True, undo_file=None, values={})
+        vehicle = yield from self.claim(context)
         old = yield from self._read_before(context, plan)
         new = {c.name: Parameter(c.new, old[c.name].type) for c in plan.changes}
-        undo_file = save_undo(plan, {name: p.value for name, p in old.items()})
+        undo_file = save_undo(plan, {name: p.value for name, p in old.items()}, vehicle)
         command = restore_command(self.source, undo_file, context.system)
         context.show("write", f"Writing {counted(len(new))}; to put the old values back: {command}")
         remarks: tuple[str, ...] = ()

@@ -2,7 +2,8 @@
 
 Each record is three files of the same name: `.json` with everything, `.param` with the old values in
 the form that ground stations load, `.new.param` with the new ones. They are complete and flushed to the disk
-before `save` returns.
+before `save` returns, and only their owner can read them. A record knows the vehicle that it belongs to; its
+name begins with a number that counts up in its folder, whatever the computer's clock says.
 """
 
 from __future__ import annotations
@@ -10,18 +11,21 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from mavcompass.errors import UsageError, WriteFailed
+from mavcompass.errors import Refused, UsageError, WriteFailed
+from mavcompass.installation.private_files import locked, private_folder, state_directory, write_private
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.vehicle.parameters.files import parameter_text
 
 SCHEMA = "mavcompass.undo/1"
 DIRECTORY_VARIABLE = "MAVCOMPASS_UNDO_DIR"
+_NUMBERED = re.compile(r"(\d{8})-")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +37,7 @@ class UndoRecord:
         source: the address of the vehicle as the person gave it.
         before, planned: the values of the parameters that the write was to change.
         parameters: everything that was known of the vehicle's compasses at that time.
+        vehicle: whose they are; None in a record of an earlier version, which did not note it.
     """
 
     made_at: str
@@ -41,18 +46,17 @@ class UndoRecord:
     before: Mapping[str, float]
     planned: Mapping[str, float]
     parameters: Mapping[str, float]
+    vehicle: Nameplate | None = None
 
 
 def undo_directory() -> Path:
     """Return where undo records go: $MAVCOMPASS_UNDO_DIR, or mavcompass/undo in the XDG state folder."""
     if chosen := os.environ.get(DIRECTORY_VARIABLE):
         return Path(chosen)
-    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(state) / "mavcompass" / "undo"
+    return state_directory() / "undo"
 
 
 def undo_saver(
-    autopilot: str,
     source: str,
     directory: Path | None = None,
     utc_now: Callable[[], datetime] = lambda: datetime.now(UTC),
@@ -62,14 +66,15 @@ def undo_saver(
     It raises WriteFailed, nothing being written yet, where the record cannot be put on disk.
     """
 
-    def save(plan: ParameterPlan, parameters: Mapping[str, float]) -> Path:
+    def save(plan: ParameterPlan, parameters: Mapping[str, float], vehicle: Nameplate) -> Path:
         record = UndoRecord(
             utc_now().isoformat(timespec="seconds"),
-            autopilot,
+            vehicle.autopilot,
             source,
             {c.name: c.old for c in plan.changes},
             {c.name: c.new for c in plan.changes},
             dict(parameters),
+            vehicle,
         )
         folder = directory or undo_directory()
         try:
@@ -85,26 +90,40 @@ def undo_saver(
 
 
 def save_record(record: UndoRecord, folder: Path) -> Path:
-    """Write the files of a record, flushed to the disk, and return the path of the `.json`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = _free_path(folder, record)
-    comment = (
-        f"What the vehicle at {record.source} held before mavcompass changed it, {record.made_at}.",
-        "Load this file to put it back.",
-    )
-    _write_through(path.with_suffix(".param"), parameter_text(record.before, "param", comment))
-    written = f"What mavcompass wrote to the vehicle at {record.source}, {record.made_at}."
-    _write_through(written_file(path), parameter_text(record.planned, "param", (written,)))
-    document = {
-        "schema": SCHEMA,
-        "made_at": record.made_at,
-        "autopilot": record.autopilot,
-        "source": record.source,
-        "before": dict(record.before),
-        "planned": dict(record.planned),
-        "parameters": dict(record.parameters),
-    }
-    _write_through(path, json.dumps(document, indent=1) + "\n")
+    """Write the files of a record, flushed to the disk, and return the path of the `.json`.
+
+    Raises OSError, none of them being left, where the disk does not take them all.
+    """
+    private_folder(folder)
+    with locked(folder):
+        number = 1 + max(map(_number, folder.glob("*.json")), default=0)
+        stamp = re.sub(r"\D", "", record.made_at[:19])
+        path = folder / f"{number:08d}-{stamp}-{record.autopilot}.json"
+        whose = f"the vehicle at {record.source}"
+        if record.vehicle is not None:
+            whose += f" ({record.vehicle})"
+        comment = (
+            f"What {whose} held before mavcompass changed it, {record.made_at}.",
+            "Load this file to put it back.",
+        )
+        document = {
+            "schema": SCHEMA,
+            "made_at": record.made_at,
+            "autopilot": record.autopilot,
+            "source": record.source,
+            "vehicle": None if record.vehicle is None else record.vehicle.document(),
+            "before": dict(record.before),
+            "planned": dict(record.planned),
+            "parameters": dict(record.parameters),
+        }
+        written = (f"What mavcompass wrote to {whose}, {record.made_at}.",)
+        try:
+            write_private(path.with_suffix(".param"), parameter_text(record.before, "param", comment))
+            write_private(written_file(path), parameter_text(record.planned, "param", written))
+            write_private(path, json.dumps(document, indent=1) + "\n")
+        except OSError:
+            remove_record(path)
+            raise
     return path
 
 
@@ -126,15 +145,14 @@ def load_record(path: Path) -> UndoRecord:
         document = json.loads(path.read_text(encoding="utf-8"))
         if document["schema"] != SCHEMA:
             raise ValueError(f"its schema is {document['schema']!r}")
-        return UndoRecord(
-            str(document["made_at"]),
-            str(document["autopilot"]),
-            str(document["source"]),
-            *(
-                {str(k): float(v) for k, v in document[key].items()}
-                for key in ("before", "planned", "parameters")
-            ),
+        vehicle = document.get("vehicle")
+        made_at, autopilot, source = (str(document[key]) for key in ("made_at", "autopilot", "source"))
+        before, planned, parameters = (
+            {str(k): float(v) for k, v in document[key].items()}
+            for key in ("before", "planned", "parameters")
         )
+        whose = None if vehicle is None else Nameplate.of_document(vehicle)
+        return UndoRecord(made_at, autopilot, source, before, planned, parameters, whose)
     except OSError as error:
         raise UsageError(f"{path} cannot be read ({error.strerror}).", "Check the path.") from error
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
@@ -144,40 +162,48 @@ def load_record(path: Path) -> UndoRecord:
         ) from error
 
 
-def newest_record(source: str, folder: Path | None = None) -> Path | None:
-    """Find the last undo record of the vehicle at `source`; None where there is none."""
-    for path in sorted((folder or undo_directory()).glob("*.json"), reverse=True):
+def newest_record(vehicle: Nameplate | None, folder: Path, known: Collection[str] = ()) -> Path | None:
+    """Find the last undo record of a vehicle (None: the last that does not say whose it is), but for `known`.
+
+    Returns None where there is none.
+    """
+    for path in sorted(folder.glob("*.json"), key=lambda path: (_number(path), path.name), reverse=True):
+        if str(path) in known:
+            continue
         try:
-            if load_record(path).source == source:
-                return path
+            whose = load_record(path).vehicle
         except UsageError:
             continue  # somebody else's file
+        if whose is vehicle is None or (whose is not None and vehicle is not None and whose.is_same(vehicle)):
+            return path
     return None
 
 
-def _free_path(folder: Path, record: UndoRecord) -> Path:
-    """Reserve a file name that sorts by time and that no other process takes at the same moment."""
-    stamp = re.sub(r"\D", "", record.made_at[:19])
-    number = 0
-    while True:
-        path = folder / f"{stamp}-{number:03d}-{record.autopilot}.json"
-        try:
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644))
-            return path
-        except FileExistsError:
-            number += 1
+def refuse_other_vehicle(path: Path, vehicle: Nameplate) -> None:
+    """Raise Refused where a record, or a file that lies beside it, is not of this vehicle.
 
-
-def _write_through(path: Path, text: str) -> None:
-    """Replace a file at once and see it onto the disk: after a power cut it is whole or absent."""
-    half = path.with_name(path.name + ".part")
-    with half.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    half.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
+    A parameter file of anybody else's making says nothing of vehicles, and may be written.
+    """
+    beside = path.with_name(path.name.split(".")[0] + ".json")
+    if not beside.exists():
+        return
     try:
-        os.fsync(folder)  # the file's name, too
-    finally:
-        os.close(folder)
+        record = load_record(beside)
+    except UsageError:
+        return
+    if record.vehicle is None:
+        raise Refused(
+            f"{path} does not say which vehicle it is of: an earlier mavcompass made it, {record.made_at}, of"
+            f" the vehicle ({record.autopilot}) that was then at {record.source}. This is {vehicle}.",
+            "Where that is the same vehicle, add --other-vehicle.",
+        )
+    if not record.vehicle.is_same(vehicle):
+        raise Refused(
+            f"{path} is of another vehicle: {record.vehicle}. This is {vehicle}.",
+            "Connect that vehicle, choose a file of this one, or write it all the same with --other-vehicle.",
+        )
+
+
+def _number(path: Path) -> int:
+    found = _NUMBERED.match(path.name)
+    return int(found[1]) if found else 0  # a record of an earlier version, counted by the clock

@@ -39,6 +39,10 @@ class PX4Dialect(CompassDialect):
         rest = [px4_name(quantity, i) for i in present for quantity in self.rules.per_compass]
         return held | (yield from self.read_typed(context, [name for name in rest if name not in held]))
 
+    def device_ids(self, parameters: Mapping[str, float]) -> tuple[int, ...]:
+        """List the device ids of all compasses that it has room for, 0 where there is none."""
+        return tuple(int(parameters.get(px4_name("ID", instance), 0.0)) for instance in PX4_COMPASSES)
+
     def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
         """Return the correction in force, in body axes."""
         return px4_correction(parameters, instance)

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from mavcompass.enums import MavAutopilot, MavType
 from mavcompass.errors import BadRecording
-from mavcompass.messages import CommandAck, Heartbeat, ParamValue
+from mavcompass.messages import Attitude, CommandAck, Heartbeat, ParamValue, SystemTime
+from mavcompass.two_clocks import shared_id
+from mavcompass.vehicle.link import LinkStatistics
 from mavcompass.vehicle.replay.tlog import tlog_frames
 from mavcompass.vehicle.wire import decode, message_id
 
@@ -42,13 +44,14 @@ class Contents:
 def survey(path: Path) -> Contents:
     """Read a .tlog once, for what the vehicle must be able to answer from the start.
 
-    Raises BadRecording where no autopilot is in it.
+    Raises BadRecording where no autopilot is in it, or two share a system id.
     """
     frames: dict[tuple[int, int], int] = {}
     vehicles: dict[tuple[int, int], Contents] = {}
     stations: set[tuple[int, int]] = set()
     autopilots: set[tuple[int, int]] = set()
-    telling = {message_id(kind) for kind in (Heartbeat, ParamValue, CommandAck)}
+    heard = LinkStatistics()
+    telling = {message_id(kind) for kind in (Heartbeat, ParamValue, CommandAck, Attitude, SystemTime)}
     clock = RecordingClock()
     for stamp_s, frame in tlog_frames(path):
         sender = (frame.system, frame.component)
@@ -59,7 +62,9 @@ def survey(path: Path) -> Contents:
         contents.counts[frame.message_id] = contents.counts.get(frame.message_id, 0) + 1
         if frame.message_id not in telling:
             continue
-        match decode(frame.message_id, frame.payload):
+        match message := decode(frame.message_id, frame.payload):
+            case Attitude() | SystemTime():
+                heard.count(*sender, frame.sequence, message)
             case Heartbeat(type=MavType.GCS):
                 stations.add(sender)
             case Heartbeat(autopilot=autopilot) if autopilot != MavAutopilot.INVALID:
@@ -72,6 +77,8 @@ def survey(path: Path) -> Contents:
     if not autopilots:
         raise BadRecording(f"{path} has no heartbeat of an autopilot.", "Give a recording of a vehicle.")
     chosen = vehicles[max(autopilots, key=frames.__getitem__)]
+    if chosen.system in heard.shared:
+        raise BadRecording(*shared_id(chosen.system))
     chosen.duration_s, chosen.stations = clock.time_s, stations
     return chosen
 

@@ -96,8 +96,8 @@ def write_file(scene: Scene, path: Path, checked: bool) -> bool:
         lambda context: write_values(
             context,
             SOURCE,
-            lambda held: compass_part(wanted, held, str(path)),
-            lambda held: undo_saver(held.dialect.autopilot, SOURCE, scene.undo_folder),
+            lambda held, vehicle: compass_part(wanted, held, str(path)),
+            undo_saver(SOURCE, scene.undo_folder),
             checked=checked,
             consent=lambda held, plan: "",
         )

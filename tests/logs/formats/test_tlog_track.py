@@ -122,7 +122,7 @@ def test_of_vehicles_that_share_a_system_id_the_one_that_said_most_is_read(tmp_p
     recording.fly(10.0, boot_s=31.0, log_s=6.0)
     track = read_track(recording.write(tmp_path / "a.tlog"))
     assert track.compasses[1].reported.values[:, 0].tolist() == [300.0] * 400
-    assert any("one system id" in note and "SYSID_THISMAV" in note for note in track.notes)
+    assert any("share a system id" in note and "SYSID_THISMAV" in note for note in track.notes)
     assert not any("started" in note for note in track.notes)
 
 

@@ -6,9 +6,10 @@ import pytest
 
 from mavcompass import messages as mav
 from mavcompass.messages import Incoming
+from mavcompass.printable import printable
 from mavcompass.procedure.motion.safety import MotionGuard
 from mavcompass.procedure.turning import GyroAngle
-from mavcompass.procedure.vehicle_state import VehicleState, printable
+from mavcompass.procedure.vehicle_state import VehicleState
 
 ARMED = mav.Heartbeat(type=10, autopilot=3, base_mode=128, custom_mode=15, system_status=4)
 
@@ -43,7 +44,7 @@ def test_the_room_to_move_in_goes_on_beyond_the_date_line(start: int, now: int, 
 def test_what_a_vehicle_says_cannot_move_a_cursor_or_begin_a_line() -> None:
     state, _ = guarded(470_000_000, 80_000_000)
     state.hear(Incoming(0.2, 1, 1, mav.Statustext(2, "PreArm: \x1b[2J\r\nERROR: all is well\u202e\x9b")))
-    assert list(state.texts) == ["PreArm: ?[2J??ERROR: all is well??"]
+    assert list(state.texts) == [r"PreArm: \x1b[2J\r\nERROR: all is well\u202e\x9b"]
     assert printable("Höhe 3 m, 20 °C") == "Höhe 3 m, 20 °C"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import threading
 import time
@@ -100,7 +101,9 @@ def port() -> int:
 @pytest.fixture
 def served(tmp_path: Path, port: int) -> Iterator[RunningService]:
     service = Service(configured(tmp_path, f"udpin:127.0.0.1:{port}"))
-    with vehicle_calling(port, SimulatedAutopilot("rover", seed=3)), RunningService(service, None) as running:
+    vehicle = SimulatedAutopilot("rover", seed=3)
+    vehicle.moor(str(os.getpid()))
+    with vehicle_calling(port, vehicle), RunningService(service, None) as running:
         yield running
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -95,7 +96,9 @@ class Ground:
 @pytest.fixture
 def ground(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Ground]:
     monkeypatch.setenv("MAVCOMPASS_UNDO_DIR", str(tmp_path))
-    station = Ground(SimulatedAutopilot("rover", seed=3))
+    vehicle = SimulatedAutopilot("rover", seed=3)
+    vehicle.moor(str(os.getpid()))
+    station = Ground(vehicle)
     clock: Any = SimpleNamespace(monotonic=station.link.now, gmtime=time.gmtime)
     monkeypatch.setattr(mavproxy, "time", clock)
     yield station

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -26,6 +27,7 @@ pytestmark = pytest.mark.skipif(
 @pytest.fixture
 def port() -> Iterator[int]:
     vehicle, stop = SimulatedAutopilot("rover", seed=3), StopRequest()
+    vehicle.moor(str(os.getpid()))
     transport = TcpServerTransport("127.0.0.1", 0)
     thread = threading.Thread(
         target=VehicleServer(vehicle, transport, speed=5.0).serve, args=(stop,), daemon=True

@@ -231,7 +231,7 @@ def test_a_vehicle_s_words_stay_words(start_service: StartService, monkeypatch: 
     monkeypatch.setattr(link, "receive", talkative)
     document = running.finish(running.client.post("/api/check", json={}).json())["document"]
     texts = [item["text"] for item in document["items"] if item["name"] == "prearm"]
-    assert set(texts) == {'The autopilot says "PreArm: compass ?[2J??<img src=x onerror=a()>".'}
+    assert set(texts) == {r'The autopilot says "PreArm: compass \x1b[2J\r\n<img src=x onerror=a()>".'}
     answer = running.client.get("/api/task")
     assert answer.headers["content-type"] == "application/json"
     assert answer.headers["x-content-type-options"] == "nosniff"

@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from mavcompass.procedure.vehicle_state import VehicleIdentity
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.service.work.history import History
 from mavcompass.service.work.interrupted import note_interrupted_write
 from mavcompass.vehicle.parameters.undo import UndoRecord, save_record
@@ -26,13 +25,15 @@ def history(tmp_path: Path) -> Iterator[History]:
     history.close()
 
 
-def view(parameters: dict[str, float], autopilot: str = "ardupilot") -> Any:
-    identity = VehicleIdentity(1, 1, autopilot, "rover")
-    return SimpleNamespace(identity=identity, key="rover-7", parameters=parameters)
+ROVER = Nameplate("ardupilot", 1, "0a")
+
+
+def note(history: History, tmp_path: Path, held: dict[str, float], vehicle: Nameplate = ROVER) -> None:
+    note_interrupted_write(history, vehicle, held, tmp_path / "undo")
 
 
 def undo_file(tmp_path: Path) -> Path:
-    record = UndoRecord("2026-05-01T00:00:00+00:00", "ardupilot", "sim:rover", OLD, NEW, OLD)
+    record = UndoRecord("2026-05-01T00:00:00+00:00", "ardupilot", "sim:rover", OLD, NEW, OLD, ROVER)
     return save_record(record, tmp_path / "undo")
 
 
@@ -42,7 +43,7 @@ def test_new_values_on_the_vehicle_are_offered_once(
 ) -> None:
     path = undo_file(tmp_path)
     for _ in range(2):
-        note_interrupted_write(history, view(held), tmp_path / "undo")
+        note(history, tmp_path, held)
     (entry,) = history.entries()
     assert entry.undo_file == str(path) and not entry.ok
     assert "cut short" in entry.summary
@@ -52,27 +53,28 @@ def test_new_values_on_the_vehicle_are_offered_once(
 @pytest.mark.parametrize(
     "seen",
     [
-        view(OLD),  # killed before the first value, or put back
-        view({"COMPASS_OFS_X": 7.0, "COMPASS_OFS_Y": 13.0}),  # somebody else's
-        view({"COMPASS_OFS_X": 60.0, "COMPASS_OFS_Y": 7.0}),  # written long ago, and one of them again since
-        view(NEW, autopilot="px4"),
-        view({}),
+        (OLD,),  # killed before the first value, or put back
+        ({"COMPASS_OFS_X": 7.0, "COMPASS_OFS_Y": 13.0},),  # somebody else's
+        ({"COMPASS_OFS_X": 60.0, "COMPASS_OFS_Y": 7.0},),  # written long ago, and one of them again since
+        (NEW, Nameplate("px4", 1, "0a")),
+        (NEW, Nameplate("ardupilot", 1, "0b")),
+        ({},),
     ],
 )
 def test_anything_else_is_left_alone(tmp_path: Path, history: History, seen: Any) -> None:
-    note_interrupted_write(history, seen, tmp_path / "undo")  # there is none yet
+    note(history, tmp_path, *seen)  # there is none yet
     path = undo_file(tmp_path)
-    note_interrupted_write(history, seen, tmp_path / "undo")
+    note(history, tmp_path, *seen)
     assert history.entries() == []
     path.write_text("{")
-    note_interrupted_write(history, view(NEW), tmp_path / "undo")
+    note(history, tmp_path, NEW)
     assert history.entries() == []
 
 
 def test_a_write_in_the_history_is_known(tmp_path: Path, history: History) -> None:
     path = undo_file(tmp_path)
     history.add("calibration", "2026-05-01", "rover-7", True, "fine", {}, undo_file=str(path))
-    note_interrupted_write(history, view(NEW), tmp_path / "undo")
+    note(history, tmp_path, NEW)
     assert len(history.entries()) == 1
 
 
@@ -83,5 +85,5 @@ def test_a_clock_that_was_set_back_hides_no_write_that_was_cut_short(
     history.add("calibration", "2026-05-01", "rover-7", True, "fine", {}, undo_file=str(earlier))
     cut_short = undo_file(tmp_path)
     os.utime(cut_short, (0.0, 0.0))
-    note_interrupted_write(history, view(NEW), tmp_path / "undo")
+    note(history, tmp_path, NEW)
     assert [entry.undo_file for entry in history.entries()] == [str(cut_short), str(earlier)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -22,8 +23,10 @@ from mavcompass.enums import MavCmd
 from mavcompass.errors import LinkError, MavCompassError, Refused, WriteFailed
 from mavcompass.messages import Incoming, Message, ParamSet, ParamValue
 from mavcompass.procedure.dialect import Change, ParameterPlan
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Machine, Stop, Tick
 from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.parameters.dialect import CompassDialect
 from mavcompass.vehicle.parameters.files import read_parameter_file
 from mavcompass.vehicle.parameters.transaction import _sentence, counted
 from mavcompass.vehicle.parameters.undo import load_record, newest_record, undo_directory, undo_saver
@@ -51,10 +54,15 @@ def plan_for(
 
 
 def write(radio: Radio, plan: ParameterPlan, folder: Path):
-    autopilot = _autopilot(radio.vehicle)
-    dialect = make_dialect(autopilot, SOURCE)
-    saver = undo_saver(autopilot, SOURCE, folder)
-    return radio.run(lambda context: dialect.write(context, plan, saver))
+    saver = undo_saver(SOURCE, folder)
+    return radio.run(lambda context: introduced(radio.vehicle).write(context, plan, saver))
+
+
+def introduced(vehicle: ParameterVehicle) -> CompassDialect:
+    """Give a dialect that knows whom it talks to."""
+    dialect = make_dialect(_autopilot(vehicle), SOURCE)
+    dialect._nameplate = Nameplate(dialect.autopilot, SYSTEM, "0a")
+    return dialect
 
 
 def restore(radio: Radio, undo_file: Path, folder: Path):
@@ -115,18 +123,41 @@ def test_the_undo_file_tells_all_and_other_tools_can_load_it(tmp_path: Path) -> 
     assert read_parameter_file(outcome.undo_file.with_suffix(".new.param")) == document["planned"]
     assert f"params write {SOURCE} {outcome.undo_file.with_suffix('.new.param')}" in outcome.again_command
     assert not list(tmp_path.glob("*.part"))
-    assert newest_record(SOURCE, tmp_path) == outcome.undo_file
-    assert newest_record("tcp:elsewhere:1", tmp_path) is None
+    assert newest_record(Nameplate("ardupilot", SYSTEM, "0a"), tmp_path) == outcome.undo_file
+    assert newest_record(Nameplate("ardupilot", SYSTEM, "0b"), tmp_path) is None
+    assert newest_record(None, tmp_path) is None
+    modes = {path.stat().st_mode & 0o777 for path in tmp_path.iterdir()}
+    assert modes == {0o600}
 
 
-def test_two_undo_files_of_one_second_do_not_overwrite_each_other(tmp_path: Path) -> None:
-    saver = undo_saver(
-        "ardupilot", SOURCE, tmp_path, utc_now=lambda: datetime(2026, 5, 4, 3, 2, 1, tzinfo=UTC)
-    )
-    plan = ParameterPlan((Change("COMPASS_OFS_X", 1.0, 2.0),))
-    first, second = saver(plan, {}), saver(plan, {})
-    assert first != second and first.exists() and second.exists()
-    assert newest_record(SOURCE, tmp_path) == second
+def test_undo_files_are_counted_whatever_the_clock_says(tmp_path: Path) -> None:
+    years = iter((2026, 2026, 1970, 2031, 1970))
+    saver = undo_saver(SOURCE, tmp_path, utc_now=lambda: datetime(next(years), 5, 4, 3, 2, 1, tzinfo=UTC))
+    plan, plate = ParameterPlan((Change("COMPASS_OFS_X", 1.0, 2.0),)), Nameplate("ardupilot", 1, "0a")
+    made = [saver(plan, {}, plate) for _ in range(4)]
+    assert len(set(made)) == 4 and sorted(made) == made
+    assert newest_record(plate, tmp_path) == made[-1]
+    saver(plan, {}, Nameplate("ardupilot", 2, "0b"))
+    assert newest_record(plate, tmp_path) == made[-1]
+
+
+@pytest.mark.parametrize("fits", [0, 1, 2])
+def test_a_full_disk_leaves_nothing_behind_and_nothing_is_sent(
+    fits: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(handle: int) -> None:
+        nonlocal fits
+        fits -= 1
+        if fits < 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    fits *= 2  # a file, and its name in the folder
+    vehicle = ParameterVehicle()
+    with pytest.raises(WriteFailed, match="No space left"):
+        write(Radio(vehicle), plan_for(vehicle), tmp_path / "undo")
+    assert not vehicle.writes and not list((tmp_path / "undo").iterdir())
+    assert (tmp_path / "undo").stat().st_mode & 0o777 == 0o700
 
 
 def test_the_undo_directory_follows_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,8 +271,8 @@ def test_a_procedure_that_is_ended_says_what_it_leaves(tmp_path: Path) -> None:
 def test_closing_the_script_raises_what_is_left(tmp_path: Path) -> None:
     vehicle = ParameterVehicle()
     plan = plan_for(vehicle)
-    dialect = make_dialect("ardupilot", SOURCE)
-    saver = undo_saver("ardupilot", SOURCE, tmp_path)
+    dialect = introduced(vehicle)
+    saver = undo_saver(SOURCE, tmp_path)
 
     def script(context):
         context.system, context.component = SYSTEM, COMPONENT

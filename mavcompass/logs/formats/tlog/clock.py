@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from mavcompass.frames import FloatArray
 from mavcompass.logs.common import BootClock, build_clock, in_order
 from mavcompass.logs.formats.tlog.messages import Messages
+from mavcompass.two_clocks import TwoClocks
 
 _MILLISECONDS = "time_boot_ms"
 _MICROSECONDS = "time_usec"
@@ -77,6 +78,15 @@ def keep_one_vehicle(messages: dict[str, Messages]) -> tuple[BootClock, bool]:
         else:
             del messages[name]
     return clock_of(messages), True
+
+
+def in_turns(messages: Mapping[str, Messages]) -> bool:
+    """Tell whether two vehicles with this address were recorded in turns, so that nobody can part them."""
+    clocks = TwoClocks()
+    for name, one in messages.items():
+        if _MILLISECONDS in (one.rows.dtype.names or ()):
+            clocks.hear_all(name, _own_time_s(one, _MILLISECONDS))
+    return clocks.seen
 
 
 def _enough(densest_first: list[Messages]) -> list[Messages]:

@@ -10,9 +10,11 @@ import numpy as np
 from mavcompass.enums import MavAutopilot, MavType
 from mavcompass.errors import BadRecording, NoMagnetometer
 from mavcompass.logs.common import damage
+from mavcompass.logs.formats.tlog.clock import in_turns
 from mavcompass.logs.formats.tlog.messages import Messages, Sender, TlogContents, read_messages
 from mavcompass.logs.formats.tlog.vehicle import track_of
 from mavcompass.track import Track
+from mavcompass.two_clocks import shared_id
 
 _IMU_FIELDS = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "temperature")
 WANTED: dict[str, tuple[str, ...]] = {
@@ -61,9 +63,18 @@ def read_tlog(path: Path) -> dict[int, Track]:
         )
     vehicles = _vehicles(contents.senders)
     notes = _notes_about_the_file(contents)
-    # Taken out of the contents, so that each message is freed when it has become a column.
-    read = {sender[0]: track_of(contents.senders.pop(sender), str(path), notes) for sender in vehicles}
+    read: dict[int, Track] = {}
+    shared: list[int] = []
+    for sender in vehicles:
+        # Taken out of the contents, so that each message is freed when it has become a column.
+        messages = contents.senders.pop(sender)
+        if in_turns(messages):
+            shared.append(sender[0])
+        else:
+            read[sender[0]] = track_of(messages, str(path), notes)
     tracks = {system: track for system, track in read.items() if track.compasses}
+    if shared and not tracks:
+        raise BadRecording(*shared_id(shared[0]))
     if not tracks:
         told = max(read.values(), key=lambda track: len(track.parameters), default=Track())
         remedy = _REMEDY.format(_STREAMS.get(told.autopilot, "SET_MESSAGE_INTERVAL"))

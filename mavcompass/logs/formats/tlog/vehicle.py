@@ -22,7 +22,7 @@ from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
 _MILLI = 0.001
 _SHARED = (
-    "Several vehicles with one system id were recorded at the same time: only the one that said most is "
+    "Two autopilots share a system id and were recorded at the same time: only the one that said most is "
     "read. Give each its own (SYSID_THISMAV, MAV_SYS_ID)."
 )
 
