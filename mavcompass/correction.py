@@ -25,6 +25,10 @@ Vector = tuple[float, float, float]
 MotorSource = Literal["none", "throttle", "current"]
 
 
+# No magnetometer's range is a hundred gauss; ArduPilot's own calibration takes scales from 0.2 to 5.
+_MOST_MGAUSS, _MOST_STRETCH = 1e5, 50.0
+
+
 def _vector(values: ArrayLike) -> Vector:
     x, y, z = (float(v) for v in np.asarray(values, dtype=np.float64).reshape(3))
     return (x, y, z)
@@ -57,15 +61,27 @@ class FieldCorrection:
         return self.scale * np.array([[dx, xy, xz], [xy, dy, yz], [xz, yz, dz]])
 
     @property
-    def inverse(self) -> FloatArray:
-        """Return the inverse of `matrix`. Raises PoorCalibration where a vehicle's own has none."""
+    def possible(self) -> bool:
+        """Tell whether a compass can have it: numbers in a sensor's range, a matrix with an inverse."""
+        given = (*self.offsets_mgauss, *self.motor_mgauss)
+        if not all(abs(value) < _MOST_MGAUSS for value in given):  # False for nan
+            return False
         try:
-            return np.asarray(np.linalg.inv(self.matrix))
-        except np.linalg.LinAlgError as error:
+            sizes = (np.abs(self.matrix).max(), np.abs(np.linalg.inv(self.matrix)).max())
+        except np.linalg.LinAlgError:
+            return False
+        return all(size <= _MOST_STRETCH for size in sizes)
+
+    @property
+    def inverse(self) -> FloatArray:
+        """Return the inverse of `matrix`. Raises PoorCalibration where no compass can have the correction."""
+        if not self.possible:
             raise PoorCalibration(
-                "The correction in force cannot be taken out of the readings: its matrix has no inverse.",
-                "Set its scales to 1 (ArduPilot: COMPASS_DIA to 1, COMPASS_ODI to 0), then calibrate.",
-            ) from error
+                "The correction in force cannot be taken out of the readings: no compass can have it.",
+                "Set its offsets to 0 and its scales to 1 (ArduPilot: COMPASS_OFS to 0, COMPASS_DIA to 1,"
+                " COMPASS_ODI to 0), then calibrate.",
+            )
+        return np.asarray(np.linalg.inv(self.matrix))
 
     @classmethod
     def from_matrix(
