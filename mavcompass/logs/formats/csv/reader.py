@@ -50,8 +50,6 @@ def read_track_csv(path: Path) -> Track:
     the format's resolution. Raises BadRecording, with the line, for what cannot be read.
     """
     table = _read_table(path)
-    if TIME not in table.header:
-        raise BadRecording(f"{path} has no column {TIME}.", _REMEDY)
     time_s = table.columns([TIME])[:, 0]  # type: ignore[index]
     table, time_s, sorting = _in_order(table, time_s, path)
     found: dict[str, Series] = {}
@@ -131,6 +129,8 @@ def _read_table(path: Path) -> _Table:
         repeated = next((name for name, count in Counter(header).items() if count > 1), None)
         if repeated is not None:
             raise BadRecording(f"{path} has the column {repeated or '(without a name)'} twice.", _REMEDY)
+        if TIME not in header:
+            raise BadRecording(f"{path} has no column {TIME}.", _REMEDY)
         body = _Body(path, header)
         for number, text in _pieces(file, path):
             body.add(number, text)
