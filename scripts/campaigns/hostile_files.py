@@ -1,5 +1,5 @@
-"""Make hostile recordings: one small flight in each format, with what a clock, a sensor, a writer or an attacker
-may put there; `hostile_recordings.py` lets every command have each.
+"""Make hostile recordings: one small flight in each format, with what a clock, a sensor, a writer or an
+attacker may put there; `hostile_recordings.py` lets every command have each.
 """
 
 from __future__ import annotations

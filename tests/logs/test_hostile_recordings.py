@@ -13,7 +13,10 @@ from types import ModuleType
 import pytest
 
 from mavcompass.errors import BadRecording, UsageError
+from mavcompass.gap.rehearsal import read_stored
 from mavcompass.logs import read_track
+from mavcompass.service.config import load_config
+from mavcompass.vehicle.parameters.files import read_parameter_file
 from mavcompass.vehicle.replay import replayed_autopilot
 
 CAMPAIGN = Path(__file__).parents[2] / "scripts" / "campaigns" / "hostile_recordings.py"
@@ -95,3 +98,9 @@ def test_columns_and_lines_without_end_are_refused(
     path.write_bytes(dict(files._of_csv(files.table(files.Flight())))[kind]())
     with pytest.raises(BadRecording, match=said):
         read_track(path)
+
+
+def test_a_text_without_end_is_refused() -> None:
+    for read in (read_parameter_file, load_config, read_stored):
+        with pytest.raises(UsageError):
+            read(Path("/dev/zero"))
