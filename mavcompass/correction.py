@@ -74,14 +74,14 @@ class FieldCorrection:
 
     @property
     def inverse(self) -> FloatArray:
-        """Return the inverse of `matrix`. Raises PoorCalibration where no compass can have the correction."""
-        if not self.possible:
+        """Return the inverse of `matrix`. Raises PoorCalibration where a vehicle's own has none."""
+        try:
+            return np.asarray(np.linalg.inv(self.matrix))
+        except np.linalg.LinAlgError as error:
             raise PoorCalibration(
-                "The correction in force cannot be taken out of the readings: no compass can have it.",
-                "Set its offsets to 0 and its scales to 1 (ArduPilot: COMPASS_OFS to 0, COMPASS_DIA to 1,"
-                " COMPASS_ODI to 0), then calibrate.",
-            )
-        return np.asarray(np.linalg.inv(self.matrix))
+                "The correction in force cannot be taken out of the readings: its matrix has no inverse.",
+                "Set its scales to 1 (ArduPilot: COMPASS_DIA to 1, COMPASS_ODI to 0), then calibrate.",
+            ) from error
 
     @classmethod
     def from_matrix(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from struct import Struct
@@ -15,7 +14,6 @@ from mavcompass.vehicle.wire import wire_format
 from mavcompass.vehicle.wire.framing import Frame, checksum_is_right, frame_length, split_frame
 
 _TIME_STAMP = Struct(">Q")
-_FRAME_START = re.compile(b"[" + bytes(FRAME_STARTS) + b"]")
 _PIECE = 1 << 20
 _LONGEST = 2 * (LONGEST_FRAME + _TIME_STAMP.size)  # a frame, and the beginning of the next
 # So many places in a row where a frame might begin and none does: ten megabytes by chance.
@@ -43,6 +41,7 @@ def _frames(file: BinaryIO) -> Iterator[tuple[float, Frame]]:
     data, at, failed = b"", 0, 0
     while piece := file.read(_PIECE):
         data, at = data[at:] + piece, 0
+        starts = dict.fromkeys(FRAME_STARTS, -1)  # where the next of each is
         # What begins further on may not be whole yet, unless this was the last piece.
         end = len(data) if len(piece) < _PIECE else len(data) - _LONGEST
         while at + _TIME_STAMP.size < end:
@@ -63,6 +62,9 @@ def _frames(file: BinaryIO) -> Iterator[tuple[float, Frame]]:
                 failed += 1
                 if failed > _MOST_FAILED:
                     return
-            start = _FRAME_START.search(data, begin + 1)
-            at = len(data) if start is None else start.start() - _TIME_STAMP.size
+            for byte, start in starts.items():
+                if start <= begin:
+                    found = data.find(byte, begin + 1)
+                    starts[byte] = len(data) + _TIME_STAMP.size if found < 0 else found
+            at = min(starts.values()) - _TIME_STAMP.size
         at = min(at, len(data))

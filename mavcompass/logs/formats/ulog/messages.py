@@ -253,7 +253,9 @@ def _is_message(data: memoryview, size: int, end: int) -> bool:
 def _sound_starts(chunk: Chunk, last: bool) -> IntArray:
     """Find all places of a chunk where a message may begin that another, or the file's end, follows."""
     data = chunk.data
-    start = np.flatnonzero(_KINDS[data[2 : chunk.limit + 2]])
+    first, last_kind = np.flatnonzero(_KINDS)[[0, -1]].astype(np.uint8)
+    start = np.flatnonzero(data[2 : chunk.limit + 2] - first <= last_kind - first)  # of holes this is quick
+    start = start[_KINDS[data[start + 2]]]
     size = data[start] | data[start + 1].astype(np.intp) << 8
     end = start + _HEADER_BYTES + size
     follows = _KINDS[data[np.minimum(end, chunk.size) + 2]] & (end + _HEADER_BYTES <= chunk.size)
