@@ -25,6 +25,10 @@ Vector = tuple[float, float, float]
 MotorSource = Literal["none", "throttle", "current"]
 
 
+# No magnetometer's range is a hundred gauss; ArduPilot's own calibration takes scales from 0.2 to 5.
+_MOST_MGAUSS, _MOST_STRETCH = 1e5, 50.0
+
+
 def _vector(values: ArrayLike) -> Vector:
     x, y, z = (float(v) for v in np.asarray(values, dtype=np.float64).reshape(3))
     return (x, y, z)
@@ -55,6 +59,18 @@ class FieldCorrection:
         dx, dy, dz = self.diagonals
         xy, xz, yz = self.off_diagonals
         return self.scale * np.array([[dx, xy, xz], [xy, dy, yz], [xz, yz, dz]])
+
+    @property
+    def possible(self) -> bool:
+        """Tell whether a compass can have it: numbers in a sensor's range, a matrix with an inverse."""
+        given = (*self.offsets_mgauss, *self.motor_mgauss)
+        if not all(abs(value) < _MOST_MGAUSS for value in given):  # False for nan
+            return False
+        try:
+            sizes = (np.abs(self.matrix).max(), np.abs(np.linalg.inv(self.matrix)).max())
+        except np.linalg.LinAlgError:
+            return False
+        return all(size <= _MOST_STRETCH for size in sizes)
 
     @property
     def inverse(self) -> FloatArray:

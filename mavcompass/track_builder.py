@@ -13,6 +13,7 @@ from mavcompass import messages as mav
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_quaternion
 from mavcompass.messages import telemetry
+from mavcompass.time_base import with_sound_times
 from mavcompass.track import InForce, MagSeries, Series, Track
 from mavcompass.units import INCREDIBLE, MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
@@ -207,7 +208,7 @@ class TrackBuilder:
                 if instance == 1:
                     body = columns
         columns_by_name: Mapping[str, Series | None] = {n: r.series() for n, r in self._columns.items()}
-        return Track(
+        track = Track(
             source=self.source,
             autopilot=self.autopilot,
             vehicle=self.vehicle,
@@ -226,6 +227,7 @@ class TrackBuilder:
             utc_offset_s=self._utc_offset_s,
             parameters=dict(self.parameters),
         )
+        return with_sound_times(track)
 
 
 def _over_ground(columns: Series | None) -> Series | None:

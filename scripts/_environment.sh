@@ -12,8 +12,8 @@ setup_log=$root/.venv-setup.log
 
 complain() { printf 'mavcompass: %s\n' "$*" >&2; }
 
-# The stamp of an environment: where it stands (its scripts hold absolute paths) and what pyproject.toml asks
-# for. An environment for the tests also runs the program.
+# The stamp of an environment: where it stands (its scripts hold absolute paths), what pyproject.toml asks for,
+# and the locks, which name each release of it with its hash. An environment for the tests also runs the program.
 is_current() { # EXTRA
     local made_with
     [ -x "$root/.venv/bin/mavcompass" ] && [ -f "$root/.venv/.installed" ] || return 1
@@ -35,12 +35,14 @@ find_python() {
 install_with_uv() { # EXTRA
     command -v uv >/dev/null || return
     [ -x .venv/bin/python ] || uv venv --allow-existing --python "$python" .venv || return
-    uv pip install --python .venv/bin/python --editable ".[$1]"
+    uv pip install --python .venv/bin/python --require-hashes -r "scripts/lock/$1.txt" &&
+        uv pip install --python .venv/bin/python --no-deps --no-build-isolation --editable .
 }
 
 install_with_pip() { # EXTRA; most modules are never used, and not to compile them spares a third of the time
     [ -x .venv/bin/pip ] || "$python" -m venv .venv || return
-    .venv/bin/python -m pip install --disable-pip-version-check --no-compile --editable ".[$1]"
+    local pip=".venv/bin/python -m pip install --disable-pip-version-check --no-compile"
+    $pip --require-hashes -r "scripts/lock/$1.txt" && $pip --no-deps --no-build-isolation --editable .
 }
 
 # Where starts may not write (PYTHONDONTWRITEBYTECODE, another owner) each would compile these anew.
@@ -98,10 +100,15 @@ make_environment() { # EXTRA
 }
 
 ensure_environment() { # all | dev
-    local stamp python
+    local stamp python lock
     stamp=$(<"$root/pyproject.toml")
     stamp="$root
 ${stamp%%$'\n\n# From here on'*}" # below: the settings of ruff, mypy and pytest
+    for lock in all dev; do
+        IFS= read -r lock <"$root/scripts/lock/$lock.txt" # its own checksum
+        stamp="$stamp
+$lock"
+    done
     is_current "$1" && return
     find_python
     exec 9<"$root" # one set-up at a time: the lock goes with the process that holds it, however that ends

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -15,6 +17,8 @@ import pytest
 import yaml
 from hatchling.builders.sdist import SdistBuilder
 from hatchling.builders.wheel import WheelBuilder
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from mavcompass import __version__
 
@@ -45,6 +49,36 @@ def test_continuous_integration_runs_what_a_person_runs() -> None:
     steps = workflow["jobs"]["checks"]["steps"]
     assert [step["run"] for step in steps if "run" in step] == ["./.ci/run"]
     assert os.access(PROJECT / ".ci/run", os.X_OK)
+
+
+@pytest.mark.parametrize("lock", ["all", "dev", "service", "audit"])
+def test_a_lock_names_each_release_with_its_hashes_and_no_place(lock: str) -> None:
+    first, _, rest = (PROJECT / f"scripts/lock/{lock}.txt").read_text(encoding="utf-8").partition("\n")
+    assert first == f"# {hashlib.sha256(rest.encode()).hexdigest()}", "edited by hand: run scripts/lock/renew"
+    for block in re.split(r"\n(?=\S)", rest.strip()):
+        assert re.match(r"[\w.-]+(\[[\w,]+\])?==\S+ ", block) and "--hash=sha256:" in block, block
+    assert "://" not in rest and "@" not in rest
+
+
+@pytest.mark.parametrize(("lock", "extra"), [("all", "all"), ("dev", "dev"), ("service", "serial")])
+def test_a_lock_is_one_of_what_pyproject_asks_for(lock: str, extra: str) -> None:
+    text = (PROJECT / f"scripts/lock/{lock}.txt").read_text(encoding="utf-8")
+    locked = {canonicalize_name(n): v for n, v in re.findall(r"^([\w.-]+)\S*==(\S+)", text, re.MULTILINE)}
+    asked = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))
+    wanted = [*asked["project"]["dependencies"], *asked["project"]["optional-dependencies"][extra]]
+    wanted += asked["build-system"]["requires"]
+    for requirement in map(Requirement, wanted):
+        if requirement.name != "mavcompass":
+            assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), requirement
+
+
+def test_what_is_fetched_from_elsewhere_is_named_by_its_digest() -> None:
+    image = r"(?:container|FROM)\S*[: ]+(\S+)|- (python:\S+)|uses: (\S+)"
+    for file in (".github/workflows/ci.yml", "scripts/deploy/blueos/Dockerfile"):
+        named = ["".join(found) for found in re.findall(image, (PROJECT / file).read_text(encoding="utf-8"))]
+        assert named
+        for name in named:
+            assert re.search(r"@(sha256:[0-9a-f]{64}|[0-9a-f]{40})$", name) or name == "${{", (file, name)
 
 
 def test_a_wrong_calibration_is_reported_with_its_recording_and_result() -> None:

@@ -37,6 +37,4 @@ def _need_of(source: str | Path | Address) -> str | None:
     match parse_address(source) if isinstance(source, str) else source:
         case Serial():
             return "A serial port"
-        case Recording(path) if path.suffix.lower() == ".ulg":
-            return "A PX4 recording (.ulg)"
     return None

@@ -22,7 +22,6 @@ PARTS = {
     part.need: part
     for part in (
         Part("A serial port", "serial", ("serial",)),
-        Part("A PX4 recording (.ulg)", "ulog", ("pyulog",)),
         Part("An HTML report", "report", ("jinja2",)),
         Part("A plot", "report", ("matplotlib",)),
         Part(

@@ -10,8 +10,10 @@ from types import ModuleType
 import numpy as np
 
 from mavcompass.errors import BadRecording, UsageError
+from mavcompass.files import require_file
 from mavcompass.installation.additions import modules_in
 from mavcompass.logs import formats
+from mavcompass.time_base import with_sound_times
 from mavcompass.track import Track
 
 _LOOKED_AT = 4096
@@ -43,7 +45,14 @@ def read_tracks(path: str | Path) -> dict[int, Track]:
     reader = _recognise(path, head)
     # Damaged numbers overflow or are signalling nans: they are sorted out, not warned of.
     with np.errstate(invalid="ignore", over="ignore"):
-        found: dict[int, Track] = reader.read(path, head)
+        read: dict[int, Track] = reader.read(path, head)
+        tracks = {system: with_sound_times(track) for system, track in read.items()}
+    found = {system: track for system, track in tracks.items() if track.compasses}
+    if not found:
+        raise BadRecording(
+            f"{path} holds no usable magnetometer. {next(iter(tracks.values())).notes[-1]}",
+            "Give a recording whose times are the vehicle's.",
+        )
     return found
 
 
@@ -54,13 +63,10 @@ def known_formats() -> tuple[ModuleType, ...]:
 
 
 def _head(path: Path) -> bytes:
+    require_file(path)
     try:
         with path.open("rb") as file:
             return file.read(_LOOKED_AT)
-    except FileNotFoundError:
-        raise UsageError(f"There is no file {path}.", "Check the name.") from None
-    except IsADirectoryError:
-        raise UsageError(f"{path} is a folder.", "Give one recording in it.") from None
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {error.strerror}.", "Check its permissions.") from None
 

@@ -13,6 +13,7 @@ from typing import Annotated, Any, get_type_hints
 from msgspec import Meta
 
 from mavcompass.errors import MavCompassError, UsageError
+from mavcompass.files import read_text
 from mavcompass.service.models import Compass, Mistakes, Text, checked, did_you_mean, read
 
 
@@ -202,7 +203,7 @@ _TABLES = get_type_hints(ServiceConfig)
 def load_config(path: Path) -> ServiceConfig:
     """Read a configuration file. Raises UsageError naming every mistake with its line."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except OSError as error:
         raise UsageError(
             f"The configuration {path} cannot be read ({error.strerror}).", "Check --config."

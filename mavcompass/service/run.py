@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import os
 import signal
 import socket
 from collections.abc import Callable, Iterator
@@ -17,7 +18,15 @@ from mavcompass.service.config import ServiceConfig, split_host_port
 from mavcompass.service.station import OpenLink, Station
 from mavcompass.service.systemd import Notifier
 from mavcompass.service.web.app import build_app
-from mavcompass.service.web.connections import Connection
+from mavcompass.service.web.connections import (
+    ACCEPTED_AT_A_TIME,
+    MOST_QUEUED,
+    PATIENCE_S,
+    Connection,
+    Listener,
+    OpenConnections,
+    listen_bounded,
+)
 from mavcompass.service.web.security import load_token
 from mavcompass.service.web.stream import MOST_HEARD_BYTES
 from mavcompass.service.work.gaps import Gaps
@@ -31,14 +40,24 @@ _log = logging.getLogger(__name__)
 # A station whose loop has not turned for so long is stuck: a procedure cleans up in less.
 STUCK_S = 25.0
 _BEAT_EVERY_S = 1.0
+_FOLDERS = ("recordings", "reports", "undo")
 
 
 class _Server(uvicorn.Server):
-    """Be a server that leaves the signals to the service."""
+    """Be a server that leaves the signals to the service, and bounds its connections."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.server_state.connections = OpenConnections()
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        for listener in sockets or ():
+            listener.listen(MOST_QUEUED)
 
 
 class Service:
@@ -51,6 +70,7 @@ class Service:
     def __init__(self, config: ServiceConfig, open_link: OpenLink | None = None) -> None:
         """Open files and port. Raises UsageError or MavCompassError where that cannot be done."""
         self.config = config
+        _keep_private(config.folder)
         self.token = load_token(config.token_file)
         self._socket = _listen(config.http.listen)
         self.address: tuple[str, int] = self._socket.getsockname()[:2]
@@ -90,8 +110,11 @@ class Service:
             uvicorn.Config(
                 app,
                 http=Connection,
-                ws="websockets-sansio",
+                ws=Listener,
                 ws_max_size=MOST_HEARD_BYTES,
+                ws_ping_interval=PATIENCE_S,
+                ws_ping_timeout=PATIENCE_S,
+                backlog=ACCEPTED_AT_A_TIME,
                 lifespan="off",
                 log_config=None,
                 access_log=False,
@@ -139,6 +162,24 @@ class Service:
         return now_s - self._beat[1] > STUCK_S
 
 
+def _keep_private(folder: Path) -> None:
+    """Let nobody else read what the service writes, by any of its modules or children, or wrote before.
+
+    Recordings tell where a vehicle was, undo files what it is set to. Raises UsageError.
+    """
+    os.umask(0o077)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, mode in (("history.db*", 0o600), *((name, 0o700) for name in _FOLDERS)):
+            for path in folder.glob(name):
+                path.chmod(mode)
+    except OSError as error:
+        raise UsageError(
+            f"The folder {folder} cannot be used ({error.strerror}).",
+            "Make it writable for this user, or name another with --storage.",
+        ) from error
+
+
 def link_opener(config: ServiceConfig) -> OpenLink:
     """Build the function that opens the configured link, and opens it again."""
     address = parse_address(config.vehicle.source)
@@ -167,13 +208,14 @@ def _listen(listen: str) -> socket.socket:
     host, port = split_host_port(listen)
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        listener = socket.create_server((address[0], port), family=family, backlog=128)
+        listener = socket.create_server((address[0], port), family=family)
     except OSError as error:
         raise UsageError(
             f"The page cannot be served on {listen}: {error.strerror or error}.",
             "Close the other program that uses this port, or choose another with --http HOST:PORT.",
         ) from error
     listener.setblocking(False)
+    listen_bounded(listener)
     # asyncio does so only where the socket names its protocol; else an answer waits 40 ms for an ACK.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listener

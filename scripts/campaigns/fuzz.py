@@ -82,7 +82,7 @@ def fuzz(name: str, seconds: float, seed: int) -> int:
             import atheris
         except ImportError:
             return mutate_for(name, seconds, seed)
-        with atheris.instrument_imports(include=["mavcompass", "pyulog"], enable_loader_override=False):
+        with atheris.instrument_imports(include=["mavcompass"], enable_loader_override=False):
             from fuzz_targets import TARGETS, seeds
 
             begun_with = [*seeds(name), *kept(name)]

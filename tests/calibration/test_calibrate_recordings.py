@@ -128,8 +128,6 @@ def test_the_full_sphere_fits_an_ellipsoid(shared_data: Path) -> None:
     "name", ["real/px4-ulog/sample.ulg", "real/bluerov2-tlog/small.tlog"], ids=["px4", "bluerov"]
 )
 def test_too_little_turning_is_refused_by_name(shared_data: Path, name: str) -> None:
-    if name.endswith(".ulg"):
-        pytest.importorskip("pyulog")
     with pytest.raises(PoorCalibration, match=r"turning|motion|circle"):
         calibrate_track(read_track(shared_data / name))
 

@@ -32,10 +32,10 @@ def test_what_must_be_mended_gives_five(
 
 
 def test_a_missing_part_comes_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyulog", None)
+    monkeypatch.setitem(sys.modules, "serial", None)
     (finding,) = computer.parts()
-    assert finding.verdict == "warn" and "pyulog" in finding.text
-    assert finding.remedy.endswith("pip install 'mavcompass[ulog]'")
+    assert finding.verdict == "warn" and "serial" in finding.text
+    assert finding.remedy.endswith("pip install 'mavcompass[serial]'")
 
 
 def test_parts_of_one_extra_are_one_finding(monkeypatch: pytest.MonkeyPatch) -> None:

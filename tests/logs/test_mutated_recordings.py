@@ -13,8 +13,6 @@ FILES = 80
 
 @pytest.mark.parametrize("suffix", [".tlog", ".bin", ".log", ".csv", ".ulg"])
 def test_damaged_recordings_are_read_as_far_as_they_go_or_refused(tmp_path: Path, suffix: str) -> None:
-    if suffix == ".ulg":
-        pytest.importorskip("pyulog")
     content = originals(tmp_path / "originals")[suffix]
     path = tmp_path / f"damaged{suffix}"
     read = 0

@@ -31,6 +31,7 @@ def manager(tmp_path: Path) -> Iterator[socket.socket]:
 def test_it_serves_tells_the_manager_stays_small_and_ends_on_sigterm(
     tmp_path: Path, manager: socket.socket, start_process: Callable[..., subprocess.Popen[str]]
 ) -> None:
+    (tmp_path / "data" / "recordings").mkdir(parents=True)  # of a version that let others read
     words = [sys.executable, "-m", "mavcompass", "serve", "sim:rover,seed=3", "--http", "127.0.0.1:0"]
     environment = {**os.environ, "NOTIFY_SOCKET": manager.getsockname(), "WATCHDOG_USEC": "3000000"}
     process = start_process(*words, "--storage", str(tmp_path / "data"), env=environment)
@@ -49,6 +50,8 @@ def test_it_serves_tells_the_manager_stays_small_and_ends_on_sigterm(
     assert pages * os.sysconf("SC_PAGE_SIZE") < 90e6
     maps = Path(f"/proc/{process.pid}/maps").read_text()
     assert "/scipy/" not in maps and "/matplotlib/" not in maps
+    for name in ("recordings", "history.db", "history.db-wal", "token"):
+        assert (tmp_path / "data" / name).stat().st_mode & 0o077 == 0, name
     process.send_signal(signal.SIGTERM)
     assert process.wait(20.0) == 0
     while heard[-1] != "STOPPING=1":

@@ -16,6 +16,7 @@ from mavcompass.cli.gap.shared import baseline_option, diagnosed, showing_progre
 from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.errors import UsageError
+from mavcompass.files import read_text
 
 if TYPE_CHECKING:
     from mavcompass.gap.comparison import Comparison
@@ -121,7 +122,7 @@ def fly(
         before = read_track(plain)
         comparison = compare(before, vehicle, progress=progress)
         if given is not None:
-            exported = Exported(given.read_text(encoding="utf-8"), "", read_parameter_file(given))
+            exported = Exported(read_text(given), "", read_parameter_file(given))
         else:
             source = comparison.vehicle
             if baseline is not None:

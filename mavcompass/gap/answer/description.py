@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from mavcompass.files import sha256_of
 from mavcompass.gap.answer.advise import next_flights
 from mavcompass.gap.answer.belief import beliefs
 from mavcompass.gap.answer.cure import corrected_rms, cured_iron
@@ -64,7 +64,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     path = Path(track.source) if track.source else None
     return Diagnosis(
         path=track.source,
-        sha256=hashlib.sha256(path.read_bytes()).hexdigest() if path and path.is_file() else None,
+        sha256=sha256_of(path) if path and path.is_file() else None,
         duration_s=float(replayed.time_s[-1] - replayed.time_s[0]),
         samples=int(replayed.valid.sum()),
         autopilot=track.autopilot,

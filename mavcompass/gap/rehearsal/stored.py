@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mavcompass.errors import UsageError
+from mavcompass.files import read_text, sha256_of
 from mavcompass.gap.result import SCHEMA, Belief, Cause, Verdict
 
 
@@ -29,7 +29,7 @@ def read_stored(path: Path) -> Stored:
     Raises UsageError where the file is no diagnosis, or its recording is gone or another.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_text(path))
         if document["schema"] != SCHEMA:
             raise ValueError(document["schema"])
         log = document["log"]
@@ -65,7 +65,7 @@ def _recording(path: Path, named: str, sha256: str) -> Path:
             f"{path} is the diagnosis of {named}, which is not there.",
             "A rehearsal also needs the recording, for how the vehicle stands: put it beside the diagnosis.",
         )
-    if hashlib.sha256(found.read_bytes()).hexdigest() != sha256:
+    if sha256_of(found) != sha256:
         raise UsageError(
             f"{found} is not the recording that {path} is the diagnosis of.", "Diagnose it anew."
         )

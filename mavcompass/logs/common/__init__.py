@@ -5,6 +5,7 @@ from __future__ import annotations
 from mavcompass.logs.common.boot_clock import BootClock, build_clock, impossible_times
 from mavcompass.logs.common.chunks import (
     CHUNK_BYTES,
+    MOST_LINE,
     ByteArray,
     Chunk,
     IntArray,
@@ -20,6 +21,7 @@ from mavcompass.logs.common.parameter_steps import Change, Seen, ardupilot_steps
 
 __all__ = [
     "CHUNK_BYTES",
+    "MOST_LINE",
     "BootClock",
     "ByteArray",
     "Change",

@@ -14,6 +14,8 @@ ByteArray = NDArray[np.uint8]
 IntArray = NDArray[np.intp]
 
 CHUNK_BYTES = 2 << 20
+# No line of a recording that is text has so many letters.
+MOST_LINE = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +50,9 @@ def read_chunks(
     reused: a chunk is valid until the next one is asked for. `start` and `end` restrict it to a part of
     the file.
     """
-    size = max(chunk_bytes, 4 * longest_record)
-    buffer = np.zeros(size + padding, dtype=np.uint8)
     end = path.stat().st_size if end is None else end
+    size = max(min(chunk_bytes, end - start), 4 * longest_record)
+    buffer = np.zeros(size + padding, dtype=np.uint8)
     with path.open("rb", buffering=0) as file:
         file.seek(start)
         kept, offset = 0, start

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_FIRST_ROWS = 1024
 # What is not yet filled is kept in memory as zeros, so a large array grows in smaller steps.
 _GROWTH, _LARGE_GROWTH = 1.5, 1.1
 _LARGE_ROWS = 1 << 17
@@ -21,7 +20,7 @@ class GrowingArray:
     """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
-        self._array = np.empty(_FIRST_ROWS, dtype=dtype)
+        self._array = np.empty(0, dtype=dtype)
         self._filled = 0
 
     def append(self, rows: NDArray[Any]) -> None:
@@ -30,7 +29,7 @@ class GrowingArray:
         if end > self._array.size:
             # Nobody else holds the array before `finish`, so no reference needs to be checked.
             growth = _GROWTH if end < _LARGE_ROWS else _LARGE_GROWTH
-            self._array.resize(max(end, int(self._array.size * growth)), refcheck=False)
+            self._array.resize(max(end, int(end * growth) if self._filled else 0), refcheck=False)
         self._array[self._filled : end] = rows
         self._filled = end
 

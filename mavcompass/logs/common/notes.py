@@ -36,6 +36,6 @@ def said_nothing(instance: int, silent: int, field: Sized) -> list[str]:
 def unknown_correction(instance: int) -> str:
     """Tell that the correction inside a compass's readings is not known."""
     return (
-        f"The parameters of compass {instance} are not in the recording: its readings are taken as they are, "
-        "with whatever correction was inside them."
+        f"The parameters of compass {instance} are not in the recording, or no compass can have them: its "
+        "readings are taken as they are, with whatever correction was inside them."
     )

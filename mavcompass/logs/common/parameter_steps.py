@@ -17,6 +17,8 @@ from mavcompass.compass_parameters import (
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.track import InForce
 
+_UNKNOWN = ((InForce(-math.inf, IDENTITY),), False)
+
 
 @dataclass(frozen=True, slots=True)
 class Seen:
@@ -68,28 +70,33 @@ def changes(seen: Iterable[Seen], power_up_s: Sequence[float]) -> tuple[Change, 
 
 
 def ardupilot_steps(history: Sequence[Change], instance: int) -> tuple[tuple[InForce, ...], bool]:
-    """Return ArduPilot's corrections of one compass over time, and whether its offsets are known."""
+    """Return ArduPilot's corrections of one compass over time, and whether they are known and possible."""
     final = {change.name: change.value for change in history}
     names = {*ardupilot_correction_names(instance, ardupilot_naming(final)), "COMPASS_MOTCT"}
     offsets = ardupilot_correction_names(instance, ardupilot_naming(final))[:3]
     known = all(name in final for name in offsets)
-    return _steps(history, names, lambda values: ardupilot_correction(values, instance)), known
+    return _steps(history, names, known, lambda values: ardupilot_correction(values, instance))
 
 
 def px4_steps(history: Sequence[Change], instance: int) -> tuple[tuple[InForce, ...], bool]:
-    """Return PX4's corrections of one compass over time, and whether its offsets are known."""
+    """Return PX4's corrections of one compass over time, and whether they are known and possible."""
     prefix = px4_name("", instance)
     own = {change.name for change in history if change.name.startswith(prefix)}
     known = all(px4_name(f"{axis}OFF", instance) in own for axis in "XYZ")
     names = own | {"CAL_MAG_COMP_TYP", *PX4_BOARD}
-    return _steps(history, names, lambda values: px4_correction(values, instance)), known
+    try:
+        return _steps(history, names, known, lambda values: px4_correction(values, instance))
+    except ValueError:  # numbers beyond all reckoning
+        return _UNKNOWN
 
 
 def _steps(
     history: Sequence[Change],
     names: set[str],
+    known: bool,
     correct: Callable[[Mapping[str, float]], FieldCorrection],
-) -> tuple[InForce, ...]:
+) -> tuple[tuple[InForce, ...], bool]:
+    """Build the corrections in force; one that no compass can have makes all that was in force unknown."""
     values: dict[str, float] = {}
     moments: dict[float, FieldCorrection] = {-math.inf: IDENTITY}
     for change in history:
@@ -100,4 +107,4 @@ def _steps(
     for from_s, correction in moments.items():
         if not out or out[-1].correction != correction:
             out.append(InForce(from_s, correction))
-    return tuple(out)
+    return (tuple(out), known) if all(step.correction.possible for step in out) else _UNKNOWN

@@ -121,7 +121,7 @@ class Teller:
             except MavCompassError as error:
                 return MavResult.TEMPORARILY_REJECTED if isinstance(error, Busy) else MavResult.DENIED
         elif task is not None and order.verb == "accept":
-            task.give_answer(True)
+            return result if task.give_answer(True) else MavResult.TEMPORARILY_REJECTED
         elif task is not None and not task.give_answer(False):
             task.stop.reason = "Cancelled by the ground station."
         return result

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import mimetypes
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import cache
@@ -14,8 +16,7 @@ from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
-from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
-from starlette.staticfiles import StaticFiles
+from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from mavcompass import __version__
 from mavcompass.errors import MavCompassError
@@ -34,6 +35,7 @@ from mavcompass.service.web.bodies import (
     parse_address,
     parse_body,
 )
+from mavcompass.service.web.connections import MOST_HELD_BYTES
 from mavcompass.service.web.metrics import CONTENT_TYPE, Metrics
 from mavcompass.service.web.openapi import OPERATIONS, Operation, openapi
 from mavcompass.service.web.security import MOST_BODY_BYTES, PAGE_POLICY, Guard
@@ -65,7 +67,7 @@ def build_app(
         Route("/openapi.json", _describe),
         *(_route(operation, api) for operation in OPERATIONS),
         WebSocketRoute("/api/stream", Stream(station).endpoint),
-        Mount("/web", StaticFiles(directory=PAGE)),
+        Route("/web/{name}", _part),
     ]
     guard = Middleware(
         Guard,
@@ -78,16 +80,30 @@ def build_app(
 
 
 async def _page(request: Request) -> Response:
-    return Response(_page_text(), media_type="text/html", headers={"content-security-policy": PAGE_POLICY})
+    text = _parts()["index.html"]
+    return Response(text, media_type="text/html", headers={"content-security-policy": PAGE_POLICY})
+
+
+async def _part(request: Request) -> Response:
+    name = request.path_params["name"]
+    if name not in _parts():
+        raise HTTPException(404)
+    return Response(_parts()[name], media_type=mimetypes.guess_type(name)[0])
 
 
 @cache
-def _page_text() -> bytes:
-    return (PAGE / "index.html").read_bytes()
+def _parts() -> dict[str, bytes]:
+    """Hold the page's files, some forty kilobytes, in memory: no thread reads them for each who asks."""
+    return {path.name: path.read_bytes() for path in PAGE.iterdir()}
 
 
 async def _describe(request: Request) -> Response:
-    return JSONResponse(openapi())
+    return Response(_description(), media_type="application/json")
+
+
+@cache
+def _description() -> bytes:
+    return json.dumps(openapi()).encode()
 
 
 def _route(operation: Operation, api: Api) -> Route:
@@ -129,6 +145,12 @@ async def _body(request: Request, model: type[Model]) -> Model:
         if len(data) > MOST_BODY_BYTES:
             raise BadRequest(413, f"A request's body may have {MOST_BODY_BYTES} bytes.")
     return parse_body(bytes(data), request.headers.get("content-type", ""), model)
+
+
+class _File(FileResponse):
+    """Send a file in pieces that a connection may hold."""
+
+    chunk_size = MOST_HELD_BYTES
 
 
 class Api:
@@ -211,14 +233,14 @@ class Api:
         if entry.report is None or not Path(entry.report).is_file():
             raise HTTPException(404, f"Entry {entry.id} has no report.")
         headers = {"content-security-policy": _REPORT_POLICY}
-        return FileResponse(entry.report, media_type="text/html", headers=headers)
+        return _File(entry.report, media_type="text/html", headers=headers)
 
     async def recording(self, asked: EntryPath) -> Response:
         entry = await self._entry(asked.entry)
         path = recording_path(self._config.folder, entry.id)
         if not path.is_file():
             raise HTTPException(404, f"Entry {entry.id} has no recording.")
-        return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+        return _File(path, media_type="application/octet-stream", filename=path.name)
 
     def _in_force(self) -> dict[str, float]:
         view = self._station.view

@@ -7,8 +7,8 @@ costs nothing and sees the newest all the same.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
-from collections import Counter
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -17,10 +17,8 @@ from mavcompass.service.station import Station
 from mavcompass.service.web.state import finding_json, moment_json
 
 DEFAULT_HZ, MOST_HZ = 10.0, 20.0
-MOST_LISTENERS, MOST_OF_ONE = 16, 12
 # What listeners say is dropped; none needs more for it.
 MOST_HEARD_BYTES = 4096
-_TRY_LATER = 1013
 
 
 class Stream:
@@ -28,28 +26,17 @@ class Stream:
 
     def __init__(self, station: Station) -> None:
         self._station = station
-        self._listeners: Counter[str] = Counter()
 
     async def endpoint(self, socket: WebSocket) -> None:
         """Send `now` at the listener's rate, and task and findings when they have changed."""
         rate_hz = _rate(socket.query_params.get("rate_hz"))
-        who = "" if socket.client is None else socket.client.host
-        if self._listeners.total() >= MOST_LISTENERS or self._listeners[who] >= MOST_OF_ONE:
-            await socket.close(_TRY_LATER)
-            return
-        self._listeners[who] += 1
-        try:
+        with contextlib.suppress(WebSocketDisconnect):
             await socket.accept()
             goodbye = asyncio.ensure_future(_until_gone(socket))
             try:
                 await self._send(socket, 1.0 / rate_hz, goodbye)
             finally:
                 goodbye.cancel()
-        except WebSocketDisconnect:
-            pass
-        finally:
-            self._listeners[who] -= 1
-            self._listeners += Counter()  # forgets whom nothing is left of
 
     async def _send(self, socket: WebSocket, period_s: float, goodbye: asyncio.Future[None]) -> None:
         seen: dict[str, Any] = {}

@@ -138,6 +138,7 @@ class Task:
     results: tuple[Any, ...] = ()
     stop: StopRequest = field(default_factory=StopRequest)
     _answer: bool | None = None
+    _answering: threading.Lock = field(default_factory=threading.Lock)
 
     @property
     def finished(self) -> bool:
@@ -162,17 +163,18 @@ class Task:
         self.question, self.state = question, "asking"
 
     def give_answer(self, yes: bool) -> bool:
-        """Answer the question; False where none is open."""
-        if self.question is None:
-            return False
-        self._answer = yes
-        return True
+        """Answer the question; False where none is open. The first answer counts, whoever gives it."""
+        with self._answering:
+            if self.question is None:
+                return False
+            self._answer, self.question = yes, None
+            return True
 
     def poll_answer(self) -> bool | None:
         """Return the answer when there is one."""
         answer = self._answer
         if answer is not None:
-            self._answer, self.question, self.state = None, None, "running"
+            self._answer, self.state = None, "running"
         return answer
 
     def finish(self, ok: bool, document: Mapping[str, Any], entry: int | None) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from mavcompass.errors import UsageError
+from mavcompass.files import read_text
 from mavcompass.installation.additions import modules_in
 from mavcompass.simulation.effects import causes
 from mavcompass.simulation.effects.effect import Effect, Setting
@@ -76,7 +77,7 @@ def read_preset(path: Path) -> list[Setting]:
     Raises UsageError for a file that is not one.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_text(path))
         texts = document["effects"]
         if document["schema"] != PRESET_SCHEMA or not all(isinstance(text, str) for text in texts):
             raise KeyError("schema")

@@ -19,6 +19,7 @@ import numpy as np
 
 from mavcompass.enums import MavParamType
 from mavcompass.errors import UsageError
+from mavcompass.files import read_text
 
 Form = Literal["param", "parm", "params"]
 FORMS: tuple[Form, ...] = ("param", "parm", "params")
@@ -44,7 +45,7 @@ def read_parameter_file(path: Path) -> dict[str, float]:
     twice with different values.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, "utf-8-sig")
     except OSError as error:
         raise UsageError(f"{path} cannot be read ({error.strerror}).", "Check the path.") from error
     except UnicodeDecodeError as error:

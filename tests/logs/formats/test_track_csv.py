@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as hnp
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording
 from mavcompass.logs import read_track, write_track_csv
+from mavcompass.logs.formats.csv.reader import read_track_csv
 from mavcompass.track import InForce, MagSeries, Series, Track
 
 MAG = "mag_x_mgauss,mag_y_mgauss,mag_z_mgauss"
@@ -54,7 +55,7 @@ def test_what_is_written_is_read_back_exactly(tmp_path: Path, data: st.DataObjec
     track = Track(compasses={1: MagSeries(1, data.draw(series(3)))}, **columns)
     path = tmp_path / "a.csv"
     write_track_csv(track, path)
-    back = read_track(path)
+    back = read_track_csv(path)  # whether those times are a clock is not the format's to say
     columns["mag"] = track.compasses[1].reported
     for name, written in columns.items():
         found = back.compasses[1].reported if name == "mag" else getattr(back, name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import socket
 import time
@@ -82,6 +83,39 @@ def test_hundreds_of_silent_connections_do_not_shut_the_page(
         wait_for(lambda: sum(map(_is_closed, held)) >= 100)
 
 
+@pytest.mark.parametrize("path", ["/web/app.js", "/openapi.json"])
+def test_who_asks_and_never_reads_makes_room_for_who_does(
+    quiet: RunningService, monkeypatch: pytest.MonkeyPatch, path: str
+) -> None:
+    monkeypatch.setattr(connections, "PATIENCE_S", 3600.0)
+    pipeline = f"GET {path} HTTP/1.1\r\nhost: localhost\r\n\r\n".encode() * 300
+    with ExitStack() as many:
+        for _ in range(connections.MOST_CONNECTIONS + 100):
+            many.enter_context(raw(quiet, pipeline))
+        with httpx.Client(timeout=300.0) as fresh:
+            assert fresh.get(f"{quiet.service.url}healthz").status_code == 200
+
+
+def test_who_never_reads_is_cut_off(quiet: RunningService, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "PATIENCE_S", 0.15)
+    with raw(quiet, b"GET /openapi.json HTTP/1.1\r\nhost: localhost\r\n\r\n" * 300) as client:
+        with pytest.raises(OSError):
+            while True:  # writing says what reading does not: that the other side is gone
+                client.send(b"\r\n")
+                time.sleep(0.05)
+
+
+def test_a_siege_of_all_kinds_shuts_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A little of scripts/campaigns/hostile_connections.py; on a busy machine all takes longer, but ends."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[3] / "scripts" / "campaigns"))
+    siege = importlib.import_module("hostile_connections")
+    figures = siege.campaign(connections=400, seconds=4.0)
+    assert not figures["failed"] and figures["exit_code"] == 0, figures
+    assert min(figures["opened"].values()) >= 80 and min(figures["asked"].values()) > 0
+    assert max(figures["slowest_s"].values()) < 5 * siege.MOST_ANSWER_S
+    assert figures["grown_mb"] < siege.MOST_GROWN_MB
+
+
 def _is_closed(client: socket.socket) -> bool:
     client.setblocking(False)
     try:
@@ -149,7 +183,7 @@ def test_a_listener_that_talks_too_much_is_dropped(quiet: RunningService) -> Non
 def test_one_address_does_not_get_every_place_at_the_stream(quiet: RunningService) -> None:
     url = quiet.service.url.replace("http", "ws") + "api/stream"
     with ExitStack() as many:
-        for _ in range(stream.MOST_OF_ONE):
+        for _ in range(connections.MOST_LISTENERS_OF_ONE):
             many.enter_context(connect(url))
         with pytest.raises(InvalidStatus):
             connect(url)

@@ -44,7 +44,7 @@ def test_a_question_is_answered_once(yes: bool) -> None:
     assert not one.give_answer(yes) and one.poll_answer() is None
     one.ask("Write?")
     assert (one.state, one.question) == ("asking", "Write?") and one.poll_answer() is None
-    assert one.give_answer(yes)
+    assert one.give_answer(yes) and not one.give_answer(not yes), "a second answer is too late"
     assert one.poll_answer() is yes
     assert (one.state, one.question) == ("running", None) and one.poll_answer() is None
     one.give_answer(True)

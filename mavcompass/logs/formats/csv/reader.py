@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
-from mavcompass.logs.common import finite_series
+from mavcompass.logs.common import MOST_LINE, GrowingArray, finite_series
 from mavcompass.logs.formats.csv.columns import KNOWN, MOTORS, SCALARS, TIME, VECTORS
 from mavcompass.logs.formats.csv.steps import format_steps
 from mavcompass.track import InForce, MagSeries, Series, Track
 
 # More damage than that is no damage: it is a file of another kind, or of another writing of numbers.
 _MOST_BAD_LINES = 0.1
+# A logger has some hundreds.
+_MOST_COLUMNS, _MOST_TOLD = 2000, 10
+_PIECE = 1 << 20
 _REMEDY = (
     "See the Track CSV columns in the documentation: time_s, mag_x_mgauss, mag_y_mgauss, mag_z_mgauss, ..."
 )
@@ -45,12 +50,6 @@ def read_track_csv(path: Path) -> Track:
     the format's resolution. Raises BadRecording, with the line, for what cannot be read.
     """
     table = _read_table(path)
-    if TIME not in table.header:
-        raise BadRecording(f"{path} has no column {TIME}.", _REMEDY)
-    notes = [
-        *table.notes,
-        *(f"Column {name} is not one of a Track CSV and was passed over." for name in _strange(table.header)),
-    ]
     time_s = table.columns([TIME])[:, 0]  # type: ignore[index]
     table, time_s, sorting = _in_order(table, time_s, path)
     found: dict[str, Series] = {}
@@ -81,13 +80,9 @@ def read_track_csv(path: Path) -> Track:
         compasses={1: compass},
         acc_truncation_mps2=steps.force_mps2 if steps.cut else 0.0,
         gyro_truncation_radps=steps.rate_radps if steps.cut else 0.0,
-        notes=(*notes, *sorting),
+        notes=(*table.notes, *sorting),
         **found,  # type: ignore[arg-type]
     )
-
-
-def _strange(header: Sequence[str]) -> list[str]:
-    return [name for name in header if name not in KNOWN]
 
 
 def _in_order(table: _Table, time_s: FloatArray, path: Path) -> tuple[_Table, FloatArray, list[str]]:
@@ -98,7 +93,7 @@ def _in_order(table: _Table, time_s: FloatArray, path: Path) -> tuple[_Table, Fl
         return table, time_s, []
     order = np.argsort(time_s, kind="stable")
     return (
-        _Table(table.header, table.values[order]),
+        replace(table, values=table.values[order]),
         time_s[order],
         ["The rows were not in order of time; they were sorted."],
     )
@@ -120,29 +115,94 @@ def _add(
 
 
 def _read_table(path: Path) -> _Table:
+    """Read the columns that are known, a piece of the file at a time."""
     # A damaged byte costs its line, not the recording; universal newlines as in any text file.
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    first, _, rest = text.partition("\n")
-    if not first.isprintable() or "\ufffd" in first:
-        raise BadRecording(f"{path} is not a text file with a header of column names.", _REMEDY)
-    header = tuple(name.strip() for name in first.strip().split(","))
-    repeated = next((name for name in header if header.count(name) > 1), None)
-    if repeated is not None:
-        raise BadRecording(f"{path} has the column {repeated or '(without a name)'} twice.", _REMEDY)
-    rest, notes = _without_cut_off_line(rest, len(header))
-    values = _parse_quickly(rest, len(header))
-    if values is None:
-        values, damaged = _parse_line_by_line(rest, header, path)
-        notes = (*notes, *damaged)
-    return _Table(header, values, notes)
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        first = file.readline(MOST_LINE + 1).rstrip("\n")
+        if not first.isprintable() or "\ufffd" in first:
+            raise BadRecording(f"{path} is not a text file with a header of column names.", _REMEDY)
+        header = tuple(name.strip() for name in first.strip().split(","))
+        if len(first) > MOST_LINE or len(header) > _MOST_COLUMNS:
+            raise BadRecording(
+                f"{path} has more than {_MOST_COLUMNS} columns, or names without end.", _REMEDY
+            )
+        repeated = next((name for name, count in Counter(header).items() if count > 1), None)
+        if repeated is not None:
+            raise BadRecording(f"{path} has the column {repeated or '(without a name)'} twice.", _REMEDY)
+        if TIME not in header:
+            raise BadRecording(f"{path} has no column {TIME}.", _REMEDY)
+        body = _Body(path, header)
+        for number, text in _pieces(file, path):
+            body.add(number, text)
+    return body.table()
 
 
-def _without_cut_off_line(text: str, width: int) -> tuple[str, tuple[str, ...]]:
-    """Leave out a last line that was not written to its end, as when the power fails."""
-    before, newline, last = text.rpartition("\n")
-    if last and last.count(",") + 1 < width:
-        return before + newline, ("The last line is cut off; it was left out.",)
-    return text, ()
+def _pieces(file: TextIO, path: Path) -> Iterator[tuple[int, str]]:
+    """Cut the rows into pieces of whole lines; yield each with the number of its first line."""
+    number = 2
+    while piece := file.read(_PIECE):
+        end = file.readline(MOST_LINE + 1)
+        if len(end) > MOST_LINE or len(piece) - piece.rfind("\n") > MOST_LINE:
+            raise BadRecording(
+                f"{path} has a line of more than {MOST_LINE} letters near line {number}.", _REMEDY
+            )
+        yield number, piece + end
+        number += piece.count("\n") + end.count("\n")
+
+
+class _Body:
+    """Collect the rows of a file: in bounded pieces, and only the columns that are known."""
+
+    def __init__(self, path: Path, header: tuple[str, ...]) -> None:
+        self._path, self._header = path, header
+        self._kept = [place for place, name in enumerate(header) if name in KNOWN]
+        self._values = GrowingArray(np.dtype(np.float64))
+        self._bad = 0
+        self._first_bad: BadRecording | None = None
+        self._cut_off = False
+
+    def add(self, number: int, text: str) -> None:
+        """Parse a piece whose first line has this number."""
+        if not text.endswith("\n"):  # the last, which may not have been written to its end
+            before, newline, last = text.rpartition("\n")
+            self._cut_off = bool(last) and last.count(",") + 1 < len(self._header)
+            text = before + newline if self._cut_off else text
+        values = _parse_quickly(text, len(self._header))
+        if values is None:
+            values = np.array(list(self._lines(number, text)), dtype=np.float64).reshape(
+                -1, len(self._header)
+            )
+        self._values.append(values[:, self._kept].ravel())
+
+    def _lines(self, number: int, text: str) -> Iterator[list[float]]:
+        """Parse what can be parsed line by line; those that cannot are left out and counted."""
+        for line_number, line in enumerate(text.split("\n"), start=number):
+            if line.strip():
+                try:
+                    yield _row(line, self._header, line_number, self._path)
+                except BadRecording as error:
+                    self._bad += 1
+                    self._first_bad = self._first_bad or error
+
+    def table(self) -> _Table:
+        """Return what was read, refusing a file of which much is damaged."""
+        names = tuple(self._header[place] for place in self._kept)
+        values = self._values.finish().reshape(-1, max(len(names), 1))
+        notes: tuple[str, ...] = ()
+        if self._first_bad is not None:
+            if self._bad > _MOST_BAD_LINES * (len(values) + self._bad):
+                raise self._first_bad
+            notes += (f"{self._bad} damaged lines were left out. The first: {self._first_bad.what}",)
+        if self._cut_off:
+            notes = ("The last line is cut off; it was left out.", *notes)
+        strange = [name for name in self._header if name not in KNOWN]
+        return _Table(names, values, (*notes, *_passed_over(strange)))
+
+
+def _passed_over(strange: Sequence[str]) -> list[str]:
+    """Tell of columns that are not known."""
+    told = [f"Column {name} is not one of a Track CSV and was passed over." for name in strange[:_MOST_TOLD]]
+    return [*told, f"So were {len(strange) - _MOST_TOLD} more."] if len(strange) > _MOST_TOLD else told
 
 
 def _parse_quickly(text: str, width: int) -> FloatArray | None:
@@ -154,23 +214,6 @@ def _parse_quickly(text: str, width: int) -> FloatArray | None:
     except ValueError:
         return None
     return values if values.shape[1] == width else None
-
-
-def _parse_line_by_line(text: str, header: tuple[str, ...], path: Path) -> tuple[FloatArray, tuple[str, ...]]:
-    """Parse what can be parsed; lines that cannot are left out, told in a note, and refused where many."""
-    rows: list[list[float]] = []
-    bad: list[BadRecording] = []
-    for number, line in enumerate(text.splitlines(), start=2):
-        if not line.strip():
-            continue
-        try:
-            rows.append(_row(line, header, number, path))
-        except BadRecording as error:
-            bad.append(error)
-    if len(bad) > _MOST_BAD_LINES * (len(rows) + len(bad)):
-        raise bad[0]
-    notes = (f"{len(bad)} damaged lines were left out. The first: {bad[0].what}",) if bad else ()
-    return np.array(rows, dtype=np.float64).reshape(len(rows), len(header)), notes
 
 
 def _row(line: str, header: tuple[str, ...], number: int, path: Path) -> list[float]:

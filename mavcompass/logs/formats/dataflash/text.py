@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mavcompass.logs.common import MOST_LINE
 from mavcompass.logs.formats.dataflash.record_types import FMT_TYPE, TEXT, Field, Format, Units, make_format
 from mavcompass.logs.formats.dataflash.records import DataFlashContents, Log, Records
 
@@ -20,7 +21,13 @@ def read_text_records(path: Path, wanted: Mapping[str, tuple[str, ...]]) -> Data
     contents = DataFlashContents()
     reader = _TextReader(contents, wanted)
     with path.open(encoding="utf-8", errors="replace") as file:
-        for line in file:
+        read = 0
+        while line := file.readline(MOST_LINE):
+            if len(line) == MOST_LINE:  # no text any more: what follows is not searched
+                contents.skipped_bytes += path.stat().st_size - read
+                contents.skipped_stretches += 1
+                break
+            read += len(line)
             if not reader.line(line):
                 contents.skipped_bytes += len(line)
                 contents.skipped_stretches += 1

@@ -44,7 +44,7 @@ def _beside(path: Path) -> list[Path]:
     return sorted(
         other
         for other in path.parent.iterdir()
-        if other.stem == path.stem and other.suffix.lower() in _SUFFIXES and other != path
+        if other.stem == path.stem and other.suffix.lower() in _SUFFIXES and other != path and other.is_file()
     )
 
 

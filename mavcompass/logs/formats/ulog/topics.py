@@ -1,4 +1,4 @@
-"""Times and vectors out of pyulog's topics."""
+"""Times and vectors out of topics."""
 
 from __future__ import annotations
 

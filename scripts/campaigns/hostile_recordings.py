@@ -1,0 +1,216 @@
+"""Make hostile recordings, and let every command that reads one have each: a sentence or a sound result.
+
+    python scripts/campaigns/hostile_recordings.py [--only WORD] [--share 1.0] [--command NAME] [--json FILE]
+
+One small flight is written in each format, with what a clock, a parameter, a sensor, a writer or an attacker
+may put there: times that leap, stand still or go back, parameters that no compass has, numbers that are none,
+lengths and counts that lie, lines and tables without end, holes of gigabytes, pipes and devices. Each command
+runs in a process of its own under the budgets of `mavcompass.budgets`. Exit code 1 where one did not hold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PROJECT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(PROJECT), str(PROJECT / "scripts" / "campaigns")]
+
+from hostile_files import Flight, inputs, tlog  # noqa: E402
+
+from mavcompass import budgets  # noqa: E402
+
+
+def commands(path: Path, good: Path, work: Path) -> dict[str, list[str]]:
+    """Return the commands that read a recording, each as its words."""
+    one = str(path)
+    return {
+        "calibrate": ["calibrate", one, "--json", "-"],
+        "heading": ["heading", one, "--json-lines"],
+        "params show": ["params", "show", one],
+        "gap diagnose": ["gap", "diagnose", one],
+        "gap diagnose beside it": ["gap", "diagnose", str(good), "--baseline", one],
+        "replay": ["replay", one, "--listen", "udpout:127.0.0.1:9", "--speed", "1000"],
+        "fleet calibrate": ["fleet examine", one, "calibrate"],
+        "fleet diagnose": ["fleet examine", one, "diagnose"],
+        "sphere": ["calibrate", one, "--method", "sphere"],
+    }
+
+
+ALLOWED = {0, 2, 4, 5, 8}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Say how one command fared with one input."""
+
+    hostile: str
+    command: str
+    code: int
+    seconds: float
+    megabytes: float
+    said: str
+
+    @property
+    def wrong(self) -> bool:
+        """Tell whether a budget or a promise did not hold."""
+        over = self.seconds > budgets.HOSTILE_S or self.megabytes > budgets.HOSTILE_MB
+        return over or self.code not in ALLOWED or "Traceback" in self.said
+
+
+def run(words: list[str], name: str, command: str) -> Outcome:
+    """Run one command in a process forked from this one, which has loaded all already."""
+    with tempfile.TemporaryFile("w+b") as said:
+        began = time.monotonic()
+        child = os.fork()
+        if not child:
+            ended = 1
+            try:
+                ended = _in_child(words, said.fileno())
+            except BaseException:
+                traceback.print_exc()
+            sys.stderr.flush()
+            os._exit(ended)
+        done, status, used = os.wait4(child, 0)
+        assert done == child
+        said.seek(0)
+        spoken = said.read(200_000).decode("utf-8", "replace")
+    code = os.waitstatus_to_exitcode(status)
+    spent = min(used.ru_utime + used.ru_stime, time.monotonic() - began)
+    return Outcome(
+        name, command, code, round(spent, 2), round(used.ru_maxrss / 1024, 1), spoken.strip()[-1500:]
+    )
+
+
+def _in_child(words: list[str], said: int) -> int:
+    from mavcompass.cli.main import main
+
+    quiet = os.open(os.devnull, os.O_RDWR)
+    os.dup2(quiet, 0), os.dup2(quiet, 1), os.dup2(said, 2)
+    resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
+    resource.setrlimit(resource.RLIMIT_CPU, (20, 21))
+    signal.alarm(240)
+    if words[0] == "replay":
+        return _replayed(Path(words[1]))
+    if words[0] == "fleet examine":
+        from mavcompass.fleet.examine import Job, examine
+
+        examine(Job(words[2]), words[1])  # type: ignore[arg-type]
+        return 0
+    try:
+        return main(words)
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 1
+
+
+def _replayed(path: Path) -> int:
+    """Do what `replay` does until its first hundred thousand messages are handed out."""
+    from mavcompass.errors import MavCompassError
+    from mavcompass.logs import read_track
+    from mavcompass.vehicle.replay import replayed_autopilot
+
+    try:
+        played = replayed_autopilot(path, read_track)
+        for _ in itertools.islice(_messages(played), 100_000):
+            pass
+    except MavCompassError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+def _messages(played: Any) -> Iterator[Any]:
+    while not played.ended:
+        yield from played.advance(played.time_s + 100.0)
+
+
+def load_all() -> None:
+    """Import what the commands use, so that each child has it already."""
+    import scipy.interpolate
+    import scipy.linalg
+    import scipy.optimize
+    import scipy.signal
+    import scipy.sparse.linalg  # noqa: F401
+
+    import mavcompass.cli.calibrate
+    import mavcompass.cli.fleet
+    import mavcompass.cli.gap
+    import mavcompass.cli.heading
+    import mavcompass.cli.params
+    import mavcompass.cli.replay
+    import mavcompass.fleet.examine
+    import mavcompass.gap
+    import mavcompass.logs.reading
+
+    mavcompass.logs.reading.known_formats()
+
+
+def campaign(share: float, only: str, folder: Path, chosen: Callable[[str], bool]) -> list[Outcome]:
+    """Try a share of the inputs with the commands that are chosen."""
+    load_all()
+    good = folder / "good.tlog"
+    good.write_bytes(tlog(Flight()))
+    rng = np.random.default_rng(1)
+    outcomes = []
+    for number, one in enumerate(inputs()):
+        if rng.random() >= share or (only and only not in f"{one.name}{one.suffix}"):
+            continue
+        path = folder / f"{number}{one.suffix}"
+        one.make(path)
+        for command, words in commands(path, good, folder).items():
+            if chosen(command):
+                outcome = run(words, f"{one.name} {one.suffix}", command)
+                outcomes.append(outcome)
+                if outcome.wrong:
+                    print(json.dumps(outcome.__dict__), flush=True)
+        with contextlib.suppress(OSError):
+            path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
+    return outcomes
+
+
+def main() -> int:
+    """Run the campaign and judge it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--share", type=float, default=1.0, help="of the inputs, drawn")
+    parser.add_argument("--only", default="", help="inputs whose name or suffix holds this")
+    parser.add_argument("--command", action="append", help="only this one; may be repeated")
+    parser.add_argument("--json", type=Path, help="write the figures there")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        chosen = options.command
+        outcomes = campaign(
+            options.share, options.only, Path(folder), lambda name: not chosen or name in chosen
+        )
+    wrong = [one for one in outcomes if one.wrong]
+    figures = {
+        "inputs": len({one.hostile for one in outcomes}),
+        "runs": len(outcomes),
+        "codes": dict(Counter(one.code for one in outcomes)),
+        "wrong": len(wrong),
+        "slowest": max(((one.seconds, one.hostile, one.command) for one in outcomes), default=None),
+        "largest": max(((one.megabytes, one.hostile, one.command) for one in outcomes), default=None),
+    }
+    print(json.dumps(figures, indent=1))
+    if options.json:
+        options.json.write_text(json.dumps(figures | {"each": [one.__dict__ for one in outcomes]}) + "\n")
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
