@@ -13,6 +13,7 @@ import pytest
 from mavcompass import api
 from mavcompass.cli.main import main
 from mavcompass.heading import stream
+from mavcompass.track import Track
 
 TIMES = np.arange(0.0, 4.0, 0.5)
 Shown = pytest.CaptureFixture[str]
@@ -31,7 +32,7 @@ def flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         grid_rad=None,
         sigma_rad=np.full(8, math.radians(1.5)),
     )
-    monkeypatch.setattr(api, "read_track", lambda source: source)
+    monkeypatch.setattr(api, "read_track", lambda source: Track(source=source))
     monkeypatch.setattr(stream, "heading_of_track", lambda track, earth, instance, two_axis: found)
     return str(path)
 
