@@ -57,6 +57,17 @@ class Series:
         columns = [np.interp(wanted, self.time_s, column) for column in self.values.T]
         return np.asarray(columns).T if columns else np.empty(shape)
 
+    def nearest(self, time_s: ArrayLike, within_s: float) -> FloatArray:
+        """Return the value nearest in time, nan where none is as near as `within_s`."""
+        wanted = np.asarray(time_s, dtype=np.float64)
+        if not len(self):
+            return np.full(wanted.shape + self.values.shape[1:], np.nan)
+        place = np.searchsorted(0.5 * (self.time_s[1:] + self.time_s[:-1]), wanted)
+        near = np.abs(self.time_s[place] - wanted) < within_s
+        found = np.array(self.values[place], dtype=np.float64)
+        found[~near] = np.nan
+        return found
+
     def between(self, start_s: float, end_s: float) -> Series:
         """Cut out start_s <= time < end_s."""
         first, last = np.searchsorted(self.time_s, [start_s, end_s])

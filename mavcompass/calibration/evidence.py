@@ -102,7 +102,7 @@ def gather(
         heading = _compass_heading(track, instance, other.correction if other and known else None)
         if heading is None or not len(moments.time_s):
             continue
-        found = _deviation(moments.time_s, moments.heading_rad, _nearest(heading, moments.time_s))
+        found = _deviation(moments.time_s, moments.heading_rad, heading.nearest(moments.time_s, _NEAREST_S))
         if found is None:
             continue
         (a, b, c), sigma, left = found
@@ -150,16 +150,7 @@ def _compass_heading(track: Track, instance: int, correction: FieldCorrection | 
     compass = track.compasses[instance]
     if correction is None and compass.not_applied is not None:
         correction = compass.not_applied
-    return Series(compass.time_s, heading_of_track(track, correction, instance).magnetic_rad)
-
-
-def _nearest(series: Series, time_s: FloatArray) -> FloatArray:
-    """Return the nearest value in time, nan where none is near."""
-    if not len(series):
-        return np.full(len(time_s), np.nan)
-    place = np.searchsorted(0.5 * (series.time_s[1:] + series.time_s[:-1]), time_s)
-    near = np.abs(series.time_s[place] - time_s) < _NEAREST_S
-    return np.where(near, np.asarray(series.values)[place], np.nan)
+    return Series(compass.time_s, heading_of_track(track, correction, instance, alone=True).magnetic_rad)
 
 
 def _deviation(
@@ -226,7 +217,7 @@ def _elsewhere(moments: _Moments, instance: int) -> Iterator[HeadingSource]:
 
 
 def _true_source(name: str, moments: _Moments, true: Series, sigma_rad: float) -> Iterator[HeadingSource]:
-    magnetic = _nearest(true, moments.time_s - field_lag_s(moments.track)) - moments.declination_rad
+    magnetic = true.nearest(moments.time_s - field_lag_s(moments.track), _NEAREST_S) - moments.declination_rad
     found = _deviation(moments.time_s, moments.heading_rad, magnetic)
     if found is not None:
         (a, _, _), sigma, _ = found
@@ -240,7 +231,7 @@ def _course(moments: _Moments, velocity: Series) -> Iterator[HeadingSource]:
     course = np.where(np.hypot(north, east) > _COURSE_MPS, np.arctan2(east, north), np.nan)
     turning = np.abs(np.gradient(np.unwrap(np.nan_to_num(course)), velocity.time_s)) > _STRAIGHT_RADPS
     course[turning] = np.nan
-    off = _nearest(Series(velocity.time_s, course), moments.time_s) - moments.heading_rad
+    off = Series(velocity.time_s, course).nearest(moments.time_s, _NEAREST_S) - moments.heading_rad
     off = off[np.isfinite(off)]
     if off.size < _FEWEST_STEPS:
         return
@@ -317,7 +308,8 @@ def expected_field(
     track: Track, heading: Series, time_s: FloatArray, horizontal_mgauss: float, vertical_mgauss: float
 ) -> FloatArray:
     """Return the Earth's field in the body, (N, 3), by another source's heading; nan where unknown."""
-    psi, down = _nearest(heading, time_s)[:, np.newaxis], down_in_body(track, time_s)
+    psi = heading.nearest(time_s, _NEAREST_S)[:, np.newaxis]
+    down = down_in_body(track, time_s)
     ahead = _ahead(down)
     level = np.cos(psi) * ahead - np.sin(psi) * np.cross(down, ahead)
     return np.asarray(horizontal_mgauss * level + vertical_mgauss * down)

@@ -11,16 +11,19 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, middle_place
 from mavcompass.earth_field import earth_field_of as earth_field_of
 from mavcompass.errors import BadRecording
-from mavcompass.frames import FloatArray, tilt_from_acceleration
+from mavcompass.frames import FloatArray, circular_mean, tilt_from_acceleration
 from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.heading.doubt import CalibrationDoubt, heading_sigma_rad, prior_sigma_mgauss
+from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 from mavcompass.heading.gravity import down_in_body
 from mavcompass.heading.north import grid_heading, true_heading
 from mavcompass.heading.two_axis import two_axis_heading
-from mavcompass.track import MagSeries, Track
+from mavcompass.track import MagSeries, Series, Track
 
 # The date of a recording that does not tell it: the middle of WMM2025's years.
 _UNKNOWN_YEAR = 2027.5
+# Readings of two compasses no further apart in time are compared.
+_TOGETHER_S = 0.3
 # Roll and pitch of a MEMS accelerometer or an autopilot's attitude, each, beside its noise.
 TILT_SIGMA_RAD = math.radians(0.3)
 
@@ -53,6 +56,7 @@ def heading_of_track(
     instance: int = 1,
     *,
     two_axis: bool = False,
+    alone: bool = False,
 ) -> HeadingResult:
     """Compute a recording's tilt-compensated heading.
 
@@ -61,6 +65,7 @@ def heading_of_track(
         correction: applied to the raw field; None leaves the autopilot's own correction in force.
         instance: the compass, counting from 1.
         two_axis: use X and Y only and estimate Z from the world model's field length.
+        alone: do not hold it against the vehicle's other compasses, which may widen the sigma.
 
     Raises BadRecording where the compass is missing, or two_axis is wanted and the place is unknown.
     """
@@ -87,7 +92,25 @@ def heading_of_track(
     else:
         magnetic = np.asarray(tilt_compensated_heading(field, -down))
     sigma = _magnetic_sigma(field, down, magnetic, world, _in_force(compass, correction), two_axis)
-    return _result(track, compass.time_s, magnetic, sigma, world)
+    if not alone and len(track.compasses) > 1:
+        sigma = np.hypot(sigma, _doubted_rad(track, instance, Series(compass.time_s, magnetic), sigma))
+    return _result(track, compass.time_s, magnetic, np.minimum(sigma, math.pi), world)
+
+
+def _doubted_rad(track: Track, instance: int, mine: Series, sigma: FloatArray) -> float:
+    """Return how far a heading may be off beyond its sigma by what the other compasses say, rms, radians."""
+    sources = [HeadingSource.at(f"compass {instance}", 0.0, math.degrees(float(np.median(sigma))))]
+    for other in sorted(set(track.compasses) - {instance}):
+        if not len(track.compasses[other].reported):
+            continue
+        found = heading_of_track(track, None, other, alone=True)
+        away = Series(found.time_s, found.magnetic_rad).nearest(mine.time_s, _TOGETHER_S) - mine.values
+        if np.isfinite(away).any():
+            apart_deg = math.degrees(circular_mean(away[np.isfinite(away)]))
+            sure_deg = math.degrees(float(np.median(found.magnetic_sigma_rad)))
+            sources.append(HeadingSource.at(f"compass {other}", apart_deg, sure_deg))
+    beyond2 = float(isolate_faults(sources).error_rad[0]) ** 2 - sources[0].sigma_rad ** 2
+    return math.sqrt(max(beyond2, 0.0))
 
 
 def _in_force(compass: MagSeries, correction: FieldCorrection | None) -> FieldCorrection | None:
