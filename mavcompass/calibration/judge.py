@@ -83,7 +83,9 @@ def judge(
     mended = _mended(track, result, others, earth, limits, solve, seen, found)
     if mended is None:
         return judged
-    return replace(judged, mounting=mended, reasons=(_about_mounting(judged, mended), *judged.reasons))
+    # What else seems wrong with a compass that is turned only follows from that.
+    why = tuple(reason for reason in (_contradiction(found, evidence),) if reason)
+    return replace(judged, mounting=mended, reasons=(_about_mounting(judged, mended), *why))
 
 
 def _weighed(

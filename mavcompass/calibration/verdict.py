@@ -51,11 +51,12 @@ def judge(
     limits: Limits = DEFAULT_LIMITS,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return what speaks by itself against a four-position fit, and the warnings if it is accepted."""
+    if mounted_wrong := _mounting(fit):
+        return tuple(mounted_wrong), ()  # what else seems wrong only follows from that
     reasons: list[str] = []
     warnings: list[str] = []
     reasons += _geometry(data, fit)
     reasons += _field_size(data, fit)
-    reasons += _mounting(fit)
     _judge_disturbance(data, fit, limits, reasons, warnings)
     _judge_current(data, fit, limits, reasons, warnings)
     sigma = fit.heading_sigma_rad * DEG_PER_RAD

@@ -260,7 +260,9 @@ class _Calibration:
         """Tell whether further positions are worth their time: a person is not asked for them."""
         if isinstance(mover, HandMover) or len(report.windows) >= self.settings.most_positions:
             return False
-        worst_deg = max(result.repeatable_sigma_deg for result in report.results)
+        # One that is mounted turned is as sure as it will be once that is set right.
+        as_mounted = (result.mounting.mended or result for result in report.results)
+        worst_deg = max(result.repeatable_sigma_deg for result in as_mounted)
         if worst_deg <= self.settings.enough_deg:
             return False
         self.desk.context.show("turn", f"Heading within {worst_deg:.1f} deg so far: one more position.")

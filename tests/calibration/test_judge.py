@@ -58,6 +58,9 @@ def test_any_mounting_is_told_and_calibrated_as_it_is(number: int, autopilot: st
     track = replace(recorded(wanted.T, None, None), autopilot=autopilot, parameters=parameters)
     plain, mended = (calibrate_track(track, earth=FIELD, turn=turn) for turn in (False, True))
     assert not plain.accepted and mended.accepted, plain.reasons
+    # The mounting and what tells it: nothing else that a turned compass seems to have.
+    assert "is mounted turned by" in plain.reasons[0] and len(plain.reasons) <= 2
+    assert all("agree with each other and stand" in reason for reason in plain.reasons[1:])
     after = {**parameters, **mended.parameters}
     assert sensor_to_body(autopilot, after, 1) == pytest.approx(wanted, abs=1e-6)
     sound = calibrate_track(recorded(None, None, None), earth=FIELD)

@@ -12,6 +12,7 @@ import pytest
 from bent_vehicles import bent_vehicle
 
 from mavcompass import messages as mav
+from mavcompass.calibration.result import Mounting
 from mavcompass.messages import Message
 from mavcompass.procedure.calibrate import CalibrateSettings, _Calibration
 from mavcompass.procedure.check import CheckSettings, check
@@ -151,7 +152,7 @@ def test_more_positions_are_visited_while_they_help(
 ) -> None:
     desk = desk_of("rover")
     sigmas = ((0.1, 0.5), (repeatable_deg, 1.25))
-    results = [SimpleNamespace(repeatable_sigma_deg=r, heading_sigma_deg=s) for r, s in sigmas]
+    results = [SimpleNamespace(repeatable_sigma_deg=r, mounting=Mounting()) for r, _ in sigmas]
     report: Any = SimpleNamespace(windows=range(positions), results=results)
     mover = HandMover(GyroAngle(), SimpleNamespace()) if by_hand else VehicleMover(GyroAngle(), ())  # type: ignore[arg-type]
     assert calibration(desk).wants_more(report, mover) is more
