@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.verdict import Limits
 from mavcompass.units import DEG_PER_RAD
 
@@ -16,13 +16,7 @@ UNCERTAIN = "The heading would be uncertain"
 
 def compared(result: CalibrationResult) -> CalibrationResult:
     """Add what changes in the heading from the correction in force."""
-    change = heading_change_rad(
-        result.in_force,
-        result.correction,
-        result.horizontal_mgauss,
-        result.vertical_mgauss,
-        turned=result.mounting.turned,
-    )
+    change = result.change_rad()
     return replace(
         result,
         heading_change_deg=math.sqrt(float((change**2).mean())) * DEG_PER_RAD,

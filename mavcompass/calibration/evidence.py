@@ -38,9 +38,9 @@ _AVERAGED = 20
 # Two headings from the same readings agree no better: the wire's whole numbers, and times.
 _FLOOR_RAD = math.radians(0.1)
 # One sigma of A: a compass under a calibration of unknown quality; antennas as they are aligned; an
-# autopilot's yaw; a wheel's or keel's course, and a wing's.
+# autopilot's yaw; a wheel's or keel's course, and a wing's; an accelerometer beside a receiver.
 _IN_FORCE_RAD, _ANTENNA_RAD = math.radians(5.0), math.radians(1.5)
-_AUTOPILOT_RAD, _COURSE_RAD = math.radians(3.0), math.radians(3.0)
+_AUTOPILOT_RAD, _COURSE_RAD, _ACCELERATION_RAD = math.radians(3.0), math.radians(3.0), math.radians(6.0)
 # Of a declination that is not known: where people drive it is rarely beyond 20 degrees.
 _DECLINATION_RAD = math.radians(12.0)
 # Slower than this the receiver's noise turns its course; slower to turn than this, it is straight.
@@ -274,6 +274,11 @@ def _acceleration(moments: _Moments, velocity: Series) -> Iterator[HeadingSource
         return
     told = np.diff(np.interp(at, time, total.real) + 1j * np.interp(at, time, total.imag))
     moved = np.diff(seen)
+    # Only steps in which the compass was heard: between them its heading is not known.
+    heard = np.diff(np.searchsorted(moments.time_s, at)) > 0
+    told, moved = told[heard], moved[heard]
+    if len(told) < _FEWEST_STEPS:
+        return
     # What stays (a biased accelerometer, a lean that is not known) tells nothing.
     told, moved = told - told.mean(), moved - moved.mean()
     both = complex((np.conj(told) * moved).sum())
@@ -283,7 +288,7 @@ def _acceleration(moments: _Moments, velocity: Series) -> Iterator[HeadingSource
         return
     a = math.atan2(both.imag, both.real)
     sigma = math.sqrt((1.0 - coherence) / (2.0 * len(told) * coherence))
-    doubt = math.hypot(_AUTOPILOT_RAD, sigma, moments.declination_sigma_rad)
+    doubt = math.hypot(_ACCELERATION_RAD, sigma, moments.declination_sigma_rad)
     yield HeadingSource.elsewhere("gps-acceleration", a, doubt)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from mavcompass.calibration.comparison import compared, within
 from mavcompass.calibration.evidence import Evidence, expected_field, gather, heading_by
 from mavcompass.calibration.mounting import find_rotation
-from mavcompass.calibration.result import CalibrationResult, Mounting, Witness, heading_change_rad
+from mavcompass.calibration.result import CalibrationResult, Mounting, Witness
 from mavcompass.calibration.verdict import Limits
 from mavcompass.compass_parameters import (
     ardupilot_name,
@@ -130,15 +130,17 @@ def _told(result: CalibrationResult, found: FaultIsolation, track: Track) -> Cal
         return replace(result, evidence=tuple(witnesses), mounting=Mounting(seen=True))
     unseen = (
         "Which way the compass is mounted cannot be seen by turning alone, and nothing else that was recorded"
-        f" tells it: taken from {_orientation_name(track, result.instance)}."
+        f" tells it: taken {_orientation_in_force(track, result.instance)}."
     )
     return replace(result, warnings=(*result.warnings, unseen))
 
 
-def _orientation_name(track: Track, instance: int) -> str:
+def _orientation_in_force(track: Track, instance: int) -> str:
     if track.autopilot == "px4":
-        return px4_name("ROT", instance)
-    return ardupilot_name("ORIENT", instance, ardupilot_naming(track.parameters))
+        return f"from {px4_name('ROT', instance)}"
+    if track.autopilot == "ardupilot":
+        return f"from {ardupilot_name('ORIENT', instance, ardupilot_naming(track.parameters))}"
+    return "as recorded"
 
 
 # --- right already ------------------------------------------------------------------------------------
@@ -156,14 +158,7 @@ def _right_already(result: CalibrationResult) -> CalibrationResult:
     if result.heading_error is not None:
         leaning += [(_LEAN_RAD, 0.0), (-_LEAN_RAD, 0.0), (0.0, _LEAN_RAD), (0.0, -_LEAN_RAD)]
     for roll, pitch in leaning:
-        change = heading_change_rad(
-            result.in_force,
-            result.correction,
-            result.horizontal_mgauss,
-            result.vertical_mgauss,
-            roll,
-            pitch,
-        )
+        change = result.change_rad(roll, pitch)
         sigma = math.radians(result.heading_sigma_deg)
         if (roll or pitch) and result.heading_error is not None:
             sigma = max(sigma, result.heading_error.rms_rad(roll, pitch))

@@ -93,6 +93,7 @@ class CalibrationResult:
         heading_change_max_deg: the largest such difference.
         horizontal_mgauss, vertical_mgauss: the Earth's field the fit arrived at.
         positions: the still positions used.
+        loads: motor loads that stand for those recorded; headings old and new are compared at these.
         evidence: what else tells the heading, and how far that is from this one.
         mounting: what is known of it.
         already_right: True where the values in force are no worse beyond the new ones' sigma.
@@ -119,6 +120,7 @@ class CalibrationResult:
     horizontal_mgauss: float = math.nan
     vertical_mgauss: float = math.nan
     positions: tuple[Position, ...] = ()
+    loads: tuple[float, ...] = (0.0,)
     evidence: tuple[Witness, ...] = ()
     mounting: Mounting = field(default_factory=Mounting)
     already_right: bool = False
@@ -129,6 +131,24 @@ class CalibrationResult:
         """Return the part of the heading's sigma that further positions would lower."""
         shared_deg = math.hypot(*(self.heading_budget_deg.get(name, 0.0) for name in _NOT_AVERAGED))
         return math.sqrt(max(self.heading_sigma_deg**2 - shared_deg**2, 0.0))
+
+    def change_rad(self, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> FloatArray:
+        """Return by how much the heading changes from the values in force, (72 by load), radians."""
+        return np.concatenate(
+            [
+                heading_change_rad(
+                    self.in_force,
+                    self.correction,
+                    self.horizontal_mgauss,
+                    self.vertical_mgauss,
+                    roll_rad,
+                    pitch_rad,
+                    self.mounting.turned,
+                    load,
+                )
+                for load in self.loads
+            ]
+        )
 
     def widened(self, sigma_deg: float, source: str) -> CalibrationResult:
         """Claim a larger heading sigma; what it grows by is counted for a source of the budget."""
@@ -254,8 +274,9 @@ def heading_change_rad(
     roll_rad: float = 0.0,
     pitch_rad: float = 0.0,
     turned: FloatArray | None = None,
+    load: float = 0.0,
 ) -> FloatArray:
-    """Return by how much the heading changes from `old` to `new` at 72 true headings and a tilt, (72,).
+    """Return by how much the heading changes from `old` to `new` at 72 true headings, tilt and load, (72,).
 
     The field is taken to be what `new` makes of the raw readings, so for a good `new` this is the
     error of `old`. Both are for readings in the same axes; `turned` (3, 3) is the rotation into these from
@@ -271,5 +292,7 @@ def heading_change_rad(
         axis=1,
     )
     field_mgauss = level @ level_to_body(roll_rad, pitch_rad).T
-    seen = old.apply(new.undo(field_mgauss)) @ (np.eye(3) if turned is None else turned)
+    raw = new.undo(field_mgauss, load if new.motor_source != "none" else None)
+    seen = old.apply(raw, load if old.motor_source != "none" else None)
+    seen = seen @ (np.eye(3) if turned is None else turned)
     return np.asarray(wrap_pi(tilt_compensated_heading(seen, roll_rad=roll_rad, pitch_rad=pitch_rad) - psi))

@@ -57,7 +57,7 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
         motion.fit,
         honest,
         recorded.earth,
-        motion.load_source,
+        "none" if motion.motors_told else motion.load_source,
         recorded.limits.heading_deg,
     )
     if disturbed is not None:
@@ -92,6 +92,7 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
                 "mounting": math.degrees(mounting),
             },
             heading_error=honest.error,
+            loads=motion.loads,
             horizontal_mgauss=float(honest.state[HORIZONTAL]),
             vertical_mgauss=float(honest.state[VERTICAL]),
         )
@@ -116,13 +117,13 @@ def correction_of(motion: Motion, state: FloatArray) -> FieldCorrection:
     matrix = np.linalg.inv(gain_matrix(state[GAIN]))
     if motion.recorded.earth is None:
         matrix = matrix * 2.0 / (matrix[0, 0] + matrix[1, 1])
+    held = motion.recorded.in_force
+    plain = FieldCorrection.from_matrix(-state[OFFSET], 0.5 * (matrix + matrix.T)).with_motor_of(held)
     if motion.load_source == "none":
-        plain = FieldCorrection.from_matrix(-state[OFFSET], 0.5 * (matrix + matrix.T))
-        return plain.with_motor_of(motion.recorded.in_force)
-    offsets = -state[OFFSET] + motion.sections.load_mean * state[MOTOR]
-    x, y, z = (-matrix @ state[MOTOR]).tolist()
-    return replace(
-        FieldCorrection.from_matrix(offsets, 0.5 * (matrix + matrix.T)),
-        motor_mgauss=(x, y, z),
-        motor_source=motion.load_source,
-    )
+        return plain
+    # Where the motors are not told from the iron, that in force stays: the iron is that at the mean load.
+    motor = -matrix @ state[MOTOR] if motion.motors_told else np.asarray(plain.motor_mgauss)
+    source = motion.load_source if motion.motors_told else plain.motor_source
+    x, y, z = (-state[OFFSET] - motion.sections.load_mean * np.linalg.solve(matrix, motor)).tolist()
+    mx, my, mz = motor.tolist()
+    return replace(plain, offsets_mgauss=(x, y, z), motor_mgauss=(mx, my, mz), motor_source=source)

@@ -65,7 +65,9 @@ def findings(
             "Turn it all the way round."
         )
     gains, crosses = fit.state[GAIN][:3], fit.state[GAIN][3:]
-    if float(gains[:2].min()) < 0.0 or float(np.abs(crosses).max()) > _TURNED_MOUNT:
+    sigma = np.sqrt(np.diag(fit.covariance)[GAIN])
+    crossed = float((np.abs(crosses) - sigma[3:]).max()) > _TURNED_MOUNT
+    if crossed or float((gains + sigma[:3])[:2].min()) < 0.0:
         reasons.append(
             "The field does not turn as the vehicle does: the compass is mounted turned or upside down, or "
             "its orientation parameter is wrong (COMPASS_ORIENT, CAL_MAGn_ROT), or the gyro's axes are not "
@@ -143,7 +145,7 @@ def _cause(sections: Sections, fit: MotionFit, load_source: str) -> str:
     named = _NAMED_SHARE * abs(float(fit.state[HORIZONTAL]))
     swing = float(np.ptp(sections.load))
     per_unit = float(np.linalg.norm(fit.state[MOTOR]))
-    if per_unit * swing > named:
+    if load_source != "none" and per_unit * swing > named:
         load = (
             f"battery current swung by {swing:.0f} A and moves the field by {per_unit:.1f} mG/A"
             if load_source == "current"

@@ -46,6 +46,7 @@ class Motion:
         reference: the attitude reference, None where there is none.
         sections: of the motion. fit: of the sections.
         load_source: the load that the fit has a motor field for.
+        motors_told: True where that field is told from the iron, so that a correction may take it out.
     """
 
     recorded: Recorded
@@ -54,6 +55,7 @@ class Motion:
     sections: Sections
     fit: MotionFit
     load_source: MotorSource
+    motors_told: bool = False
 
     def scatter_left_rad(self, correction: FieldCorrection) -> float:
         """Return the heading scatter that a correction leaves, radians; 0 where nothing can tell.
@@ -87,9 +89,17 @@ class Motion:
         return motors_left_rad(self.sections, self.fit, self.fit.state[MOTOR] - undone)
 
     @property
+    def loads(self) -> tuple[float, ...]:
+        """Return loads that stand for those recorded: quantiles; none where there is no motor field."""
+        if self.load_source == "none":
+            return (0.0,)
+        at = np.percentile(self.sections.load + self.sections.load_mean, [10.0, 30.0, 50.0, 70.0, 90.0])
+        return tuple(at.tolist())
+
+    @property
     def load_doubt_rad(self) -> float:
         """Return what is not known of the motors' field, as a heading at the loads recorded, rms, radians."""
-        if self.load_source == "none":
+        if not self.motors_told:
             return 0.0
         sigma = math.sqrt(float(np.diag(self.fit.covariance)[MOTOR][:2].mean()))
         return float(self.sections.load.std()) * sigma / abs(self.fit.horizontal_mgauss)
@@ -162,21 +172,26 @@ def observe_motion(recorded: Recorded) -> Motion:
     loaded = cut_sections(track, instance, record, track.raw_field(instance), load, reference, tilt_sigma)
     loaded = replace(loaded, tilt_bias_rad=sections.tilt_bias_rad)
     fit = _fitted(recorded, loaded, source)
-    if _motors_told(loaded, fit, math.radians(recorded.limits.heading_deg)):
-        return Motion(recorded, record, reference, loaded, fit, source)
+    if _motors_show(fit):
+        told = _motors_told(loaded, fit, math.radians(recorded.limits.heading_deg))
+        return Motion(recorded, record, reference, loaded, fit, source, told)
     return Motion(recorded, record, reference, sections, _fitted(recorded, sections, "none"), "none")
 
 
-def _motors_told(sections: Sections, fit: MotionFit, limit_rad: float) -> bool:
-    """Tell whether the load varied enough to show the motors' field, and to tell it from the iron.
-
-    It shows where chance does not make as large a field; it is told from the iron where the heading without
-    load, at the end of a line that the load's variation drew, is known within the limit.
-    """
+def _motors_show(fit: MotionFit) -> bool:
+    """Tell whether the load goes with a field that chance does not make as large."""
     field, covariance = fit.state[MOTOR], fit.covariance[MOTOR, MOTOR]
-    shows = float(field @ np.linalg.solve(covariance, field)) > _MOTOR_CHI_SQUARE
-    sigma = math.sqrt(float(np.diag(covariance)[:2].mean()))
-    return shows and sections.load_mean * sigma < limit_rad * fit.horizontal_mgauss
+    return float(field @ np.linalg.solve(covariance, field)) > _MOTOR_CHI_SQUARE
+
+
+def _motors_told(sections: Sections, fit: MotionFit, limit_rad: float) -> bool:
+    """Tell whether the load varied enough to tell the motors' field from the iron.
+
+    It did where the heading without load, at the end of the line that the variation drew, is known within
+    the limit.
+    """
+    sigma = math.sqrt(float(np.diag(fit.covariance)[MOTOR][:2].mean()))
+    return sections.load_mean * sigma < limit_rad * fit.horizontal_mgauss
 
 
 def _fitted(recorded: Recorded, sections: Sections, source: MotorSource) -> MotionFit:
