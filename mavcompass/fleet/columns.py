@@ -53,6 +53,7 @@ _COMMON = [
 _CALIBRATE = [
     Column("method", "text", "of the calibration"),
     Column("accepted", "flag", "worth writing"),
+    Column("already_right", "flag", "the values in force are no worse: nothing to write"),
     Column("reasons", "text", "why not"),
     Column("warnings", "text", "what to know although it is accepted"),
     Column("not_observable", "text", "quantities that this motion does not show, comma-separated"),

@@ -156,6 +156,7 @@ def _calibrated(job: Job, track: Track, instance: int) -> Row:
         "status": "ok" if result.accepted else "not_accepted",
         "method": result.method,
         "accepted": result.accepted,
+        "already_right": result.already_right,
         "reasons": " ".join(result.reasons),
         "warnings": " ".join(result.warnings),
         "not_observable": ",".join(result.not_observable),

@@ -56,7 +56,8 @@ class CalibrationDoubt:
     def __init__(self, sigma_mgauss: float, world: EarthField | None = None) -> None:
         self.sigma_mgauss = sigma_mgauss
         self.world = world
-        self._sums = np.zeros((_SECTORS, 5))  # by sector: weight, and weighed strength, direction, vertical
+        # By sector: weight, and weighed strength, direction, vertical, strength squared.
+        self._sums = np.zeros((_SECTORS, 6))
 
     def add(self, along_mgauss: float, across_mgauss: float, down_mgauss: float, keep: float = 1.0) -> None:
         """Take one level field; `keep` is the share that older ones of the same sector retain."""
@@ -65,7 +66,7 @@ class CalibrationDoubt:
             return
         row = self._sums[int(math.atan2(across_mgauss, along_mgauss) / (2.0 * math.pi) * _SECTORS)]
         row *= keep
-        row += (1.0, strength, along_mgauss / strength, across_mgauss / strength, down_mgauss)
+        row += (1.0, strength, along_mgauss / strength, across_mgauss / strength, down_mgauss, strength**2)
 
     def add_all(self, level_mgauss: FloatArray) -> None:
         """Take level fields, (N, 3): along the nose, to the right, down."""
@@ -73,9 +74,19 @@ class CalibrationDoubt:
         along, across, down = level_mgauss[strength >= 1.0].T
         strength = strength[strength >= 1.0]
         place = (np.arctan2(across, along) / (2.0 * math.pi) * _SECTORS).astype(np.intp) % _SECTORS
-        values = (np.ones(along.size), strength, along / strength, across / strength, down)
+        values = (np.ones(along.size), strength, along / strength, across / strength, down, strength**2)
         for column, weights in enumerate(values):
             self._sums[:, column] += np.bincount(place, weights, _SECTORS)
+
+    @property
+    def scatter_mgauss(self) -> float:
+        """Tell how far single strengths are from their sector's: by noise, and by tilt times the vertical.
+
+        Neither knows the nose, so the field across, which turns the heading, is off by as much.
+        """
+        weight, strength, square = self._sums[:, 0], self._sums[:, 1], self._sums[:, 5]
+        within = square - strength**2 / np.maximum(weight, 1e-9)
+        return math.sqrt(max(float(within.sum()), 0.0) / max(float(weight.sum()), 1e-9))
 
     def iron(self) -> tuple[FloatArray, FloatArray, float]:
         """Return the iron (2,) by (D1), its covariance (2, 2), and the strength of the field, milligauss."""

@@ -166,10 +166,9 @@ class LiveCompass:
 
     def restart(self) -> None:
         """Forget how noisy and how far off the field was: the correction in force has changed."""
-        self._noise_mgauss2 = 0.0
         self._before: Vector | None = None
         self._doubt, self._looked_s = CalibrationDoubt(0.0, self.world), -math.inf
-        self._iron = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        self._iron = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
     def set_world(self, world: EarthField | None) -> None:
         """Say what the field should be."""
@@ -210,11 +209,7 @@ class LiveCompass:
     def _sigma_rad(self, time_s: float, m: Vector, field: Vector, horizontal: float, level: Level) -> float:
         """Combine calibration, noise, tilt and lag; see `heading.doubt`."""
         turning = abs(level.rate_radps)
-        before = self._before
-        if before is None or m != before:  # repeated readings say nothing of the noise
-            if before is not None and turning < 0.03:
-                square = (m[0] - before[0]) ** 2 + (m[1] - before[1]) ** 2
-                self._noise_mgauss2 += 0.05 * (square / 4.0 - self._noise_mgauss2)
+        if m != self._before:  # repeated readings say nothing of the noise
             self._before = m
             self._doubt.add(*field, keep=_KEEP)
         if time_s - self._looked_s >= _LOOK_S:
@@ -222,11 +217,11 @@ class LiveCompass:
             self._doubt.sigma_mgauss, self._looked_s = self.calibration_sigma_rad * usual, time_s
             iron, covariance, strength = self._doubt.iron()
             (x, y), ((xx, xy), (_, yy)) = iron.tolist(), covariance.tolist()
-            self._iron = (x, y, xx, xy, yy, strength)
-        x, y, xx, xy, yy, strength = self._iron
+            self._iron = (x, y, xx, xy, yy, strength, self._doubt.scatter_mgauss**2)
+        x, y, xx, xy, yy, strength, scatter2 = self._iron
         u, v = field[0] / horizontal, field[1] / horizontal
         across2 = (u * y - v * x) ** 2 + v * v * xx - 2.0 * u * v * xy + u * u * yy
-        noise = self._noise_mgauss2 + _QUANTUM_SIGMA_MGAUSS**2
+        noise = scatter2 + _QUANTUM_SIGMA_MGAUSS**2
         tilt = field[2] / horizontal * level.tilt_sigma_rad
         lag = turning * _LAG_SIGMA_S
         variance = across2 / strength**2 + noise / (horizontal * horizontal) + tilt * tilt + lag * lag

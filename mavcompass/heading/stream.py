@@ -136,7 +136,7 @@ def _magnetic_sigma(
     in_force: FieldCorrection | None,
     two_axis: bool,
 ) -> FloatArray:
-    """Add up calibration, tilt times the tangent of the dip, and (two-axis) the estimated Z."""
+    """Add up calibration, scatter, tilt times the tangent of the dip, and (two-axis) the estimated Z."""
     vertical = np.einsum("ij,ij->i", field, down)
     horizontal = np.sqrt(np.maximum((field**2).sum(axis=1) - vertical**2, 1.0))
     usual = world.horizontal_mgauss if world is not None else float(np.median(horizontal))
@@ -149,9 +149,8 @@ def _magnetic_sigma(
         root = np.maximum(np.abs(field[:, 2]), 0.05 * world.total_mgauss)
         z_sigma = math.hypot(*world.sigma_mgauss) * world.total_mgauss / root
     tilt = np.hypot(down[:, 0], down[:, 1])
-    return heading_sigma_rad(
-        doubt.sigma_rad(level[:, 0], level[:, 1]), usual, steep, TILT_SIGMA_RAD, z_sigma * tilt
-    )
+    noise = np.hypot(z_sigma * tilt, doubt.scatter_mgauss)
+    return heading_sigma_rad(doubt.sigma_rad(level[:, 0], level[:, 1]), usual, steep, TILT_SIGMA_RAD, noise)
 
 
 def _result(

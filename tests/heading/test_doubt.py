@@ -76,6 +76,21 @@ def test_reading_by_reading_is_all_at_once() -> None:
         assert a == pytest.approx(b)
 
 
+def test_a_wrong_tilt_shows_in_the_strengths() -> None:
+    """Down that is off by 3 degrees mixes the vertical field into the level one, along and across alike."""
+    rng, psi = np.random.default_rng(5), np.linspace(0.0, 12.0 * math.pi, 3000)
+    seen = field(psi, np.zeros(3))
+    seen[:, :2] += seen[:, 2:] * rng.normal(0.0, math.radians(3.0), (psi.size, 2))
+    doubt = CalibrationDoubt(1.0, WORLD)
+    assert doubt.scatter_mgauss == 0.0
+    doubt.add_all(seen)
+    wrong = abs(float(seen[0, 2])) * math.radians(3.0)
+    assert doubt.scatter_mgauss == pytest.approx(wrong, rel=0.1)
+    rms = math.sqrt(float((error_rad(seen, psi) ** 2).mean()))
+    sigma = heading_sigma_rad(doubt.sigma_rad(seen[:, 0], seen[:, 1]), 200.0, 0.0, 0.0, doubt.scatter_mgauss)
+    assert math.sqrt(float((sigma**2).mean())) == pytest.approx(rms, rel=0.15)
+
+
 @pytest.mark.parametrize("place", [WORLD, None])
 @pytest.mark.parametrize("turn_rad", [0.0, 1.5, 6.2])
 def test_sigma_covers(place: EarthField | None, turn_rad: float) -> None:

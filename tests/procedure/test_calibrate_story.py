@@ -98,13 +98,24 @@ def calibration(desk: Any, instances: tuple[int, ...] = (1,), **settings: Any) -
 
 SLOW = {mav.GlobalPositionInt: 4.0, mav.RcChannels: 4.0, mav.SysStatus: 4.0, mav.Heartbeat: 4.0}
 ESTIMATOR, CLOCK = {mav.EkfStatusReport: 2.0}, {mav.SystemTime: 2.0}
+RECEIVER = {mav.GpsRawInt: 2.0}
 
 
 @pytest.mark.parametrize(
     ("kind", "autopilot", "rate_hz", "wanted"),
     [
-        ("rover", "ardupilot", 25.0, {mav.RawImu: 25.0, mav.Attitude: 10.0} | SLOW | ESTIMATOR | CLOCK),
-        ("boat", "ardupilot", 5.0, {mav.RawImu: 5.0, mav.Attitude: 5.0} | SLOW | ESTIMATOR | CLOCK),
+        (
+            "rover",
+            "ardupilot",
+            25.0,
+            {mav.RawImu: 25.0, mav.Attitude: 10.0} | SLOW | ESTIMATOR | CLOCK | RECEIVER,
+        ),
+        (
+            "boat",
+            "ardupilot",
+            5.0,
+            {mav.RawImu: 5.0, mav.Attitude: 5.0} | SLOW | ESTIMATOR | CLOCK | RECEIVER,
+        ),
         (
             "copter",
             "ardupilot",

@@ -69,11 +69,17 @@ def find_dwells(
         )
     windows = [part for window in _still_windows(record) for part in _steady_current(track, window)]
     rolling = rolls(track, record.time_s)
-    windows = [part for window in windows for part in _standing(record.time_s, rolling, window)]
-    if len(compass.time_s):
-        windows = [w for w in windows if np.ptp(np.searchsorted(compass.time_s, w)) >= 4]
+
+    def standing(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        # What drives leans its accelerometer, whether it turns or not.
+        parts = [part for window in found for part in _standing(record.time_s, rolling, window)]
+        return [
+            w for w in parts if not len(compass.time_s) or np.ptp(np.searchsorted(compass.time_s, w)) >= 4
+        ]
+
+    windows = standing(windows)
     if _spread(record, windows) < math.radians(150.0):
-        cut = _cut_from_turn(record, compass.time_s)
+        cut = standing(_cut_from_turn(record, compass.time_s))
         windows = cut if len(cut) >= 3 else windows
     windows = sorted(sorted(windows, key=lambda w: w[0] - w[1])[:_MOST_DWELLS])
     return [dwell_between(track, instance, start, end, record) for start, end in windows]
