@@ -121,13 +121,15 @@ class TrackBuilder:
         elif isinstance(message, mav.LocalPositionNed):
             self._column("position_ned_m").add(message.time_boot_ms * 1e-3, message.x, message.y, message.z)
         elif isinstance(message, mav.GpsRawInt):
+            time_s = message.time_usec * 1e-6
+            if abs(time_s - self.latest_s) > _OTHER_CLOCK_S:  # some send the time of day here
+                time_s = self.vehicle_time_s(heard.time_s)
             # The receiver's own velocity: the one in GLOBAL_POSITION_INT is bent by a bent compass.
             if message.fix_type >= _FIX_3D and _UNKNOWN_U16 not in (message.vel, message.cog):
-                time_s = message.time_usec * 1e-6
-                if abs(time_s - self.latest_s) > _OTHER_CLOCK_S:  # some send the time of day here
-                    time_s = self.vehicle_time_s(heard.time_s)
                 north, east, _ = telemetry.ground_velocity_mps(message).tolist()
                 self._column("gps_velocity_mps").add(time_s, north, east)
+            if (yaw_rad := float(telemetry.second_antenna_rad(message))) == yaw_rad:
+                self._column("gps_yaw_rad").add(time_s, yaw_rad)
         elif isinstance(message, mav.SystemTime):
             if message.time_unix_usec and message.time_boot_ms:
                 self._utc_offset_s = message.time_unix_usec * 1e-6 - message.time_boot_ms * 1e-3
@@ -218,6 +220,7 @@ class TrackBuilder:
             acc_truncation_mps2=MPS2_PER_MILLI_G,
             gyro_truncation_radps=RADPS_PER_MILLIRADPS,
             attitude_rad=columns_by_name.get("attitude_rad"),
+            gps_yaw_rad=columns_by_name.get("gps_yaw_rad"),
             gps_velocity_mps=_over_ground(columns_by_name.get("gps_velocity_mps")),
             truth_q=columns_by_name.get("truth_q"),
             position_ned_m=columns_by_name.get("position_ned_m"),

@@ -36,7 +36,7 @@ from mavcompass.correction import IDENTITY
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, euler_to_matrix, wrap_pi
-from mavcompass.heading.fault_isolation import FaultIsolation, isolate_faults, named
+from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation, isolate_faults, named
 from mavcompass.track import Series, Track
 
 # A difference of so many sigmas is no chance.
@@ -216,8 +216,8 @@ def _rotation(
     found: FaultIsolation,
 ) -> FloatArray | None:
     """Find how far a compass is turned against what is set, by the surest of the sources that are sound."""
-    believed = [i for i in found.likeliest if i > 0]
-    if not believed or found.undecided:
+    believed = [i for i in found.likeliest if i > 0 and found.sound[i] > RATHER_SOUND]
+    if not believed:
         return None
     source = found.sources[min(believed, key=lambda i: found.sources[i].sigma_rad)]
     declination = 0.0 if earth is None else earth.declination_rad

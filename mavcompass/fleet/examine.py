@@ -156,6 +156,7 @@ def _calibrated(job: Job, track: Track, instance: int) -> Row:
         "status": "ok" if result.accepted else "not_accepted",
         "method": result.method,
         "accepted": result.accepted,
+        "already_right": result.already_right,
         "reasons": " ".join(result.reasons),
         "warnings": " ".join(result.warnings),
         "not_observable": ",".join(result.not_observable),
@@ -175,7 +176,8 @@ def _correction(correction: FieldCorrection) -> Row:
         _numbers("offset_", "_mgauss", correction.offsets_mgauss)
         | _numbers("diagonal_", "", correction.diagonals)
         | _numbers("off_diagonal_", "", correction.off_diagonals, _PAIRS)
-        | {"scale": _number(correction.scale)}
+        | {"scale": _number(correction.scale), "motor_source": correction.motor_source}
+        | _numbers("motor_", "_mgauss", correction.motor_mgauss)
     )
 
 

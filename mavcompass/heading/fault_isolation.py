@@ -32,7 +32,7 @@ _ROOM_RAD = (2.0 * math.pi, math.radians(40.0), math.radians(40.0))
 _WIDER, _LEAST_LOG = 10.0, -5.0
 # A source is blamed where it is rather at fault than sound, and another rather sound; where there is none,
 # one that is sound with less than this chance leaves it open which it is.
-_DOUBTED = 0.9
+RATHER_SOUND, _DOUBTED = 0.6, 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class FaultIsolation:
     def blamed(self) -> tuple[int, ...]:
         """List the sources that are more likely at fault than sound, where another is not."""
         at_fault = np.flatnonzero(self.sound < 0.5)
-        return tuple(int(i) for i in at_fault) if (self.sound > 0.6).any() else ()
+        return tuple(int(i) for i in at_fault) if (self.sound > RATHER_SOUND).any() else ()
 
     @property
     def undecided(self) -> bool:

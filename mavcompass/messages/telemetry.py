@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
 # The compass that each message carries. RAW_IMU of ArduPilot is compass 1, corrected like SCALED_IMU;
 # PX4 sends SCALED_IMU uncorrected and in the sensor's axes.
 MAG_MESSAGES = {"RAW_IMU": 1, "SCALED_IMU": 1, "SCALED_IMU2": 2, "SCALED_IMU3": 3}
+_UNKNOWN_U16 = 65535
 
 
 def _columns(*columns: Any) -> FloatArray:
@@ -57,6 +58,13 @@ def place(global_position: Any) -> FloatArray:
         np.asarray(global_position.lon) * 1.0e-7,
         np.asarray(global_position.alt) * 1.0e-3,
     )
+
+
+def second_antenna_rad(gps_raw: Any) -> FloatArray:
+    """Read a second antenna's true yaw off GPS_RAW_INT, -pi to pi; nan where there is none."""
+    yaw = np.asarray(gps_raw.yaw, dtype=np.float64)
+    known = (yaw > 0) & (yaw != _UNKNOWN_U16)
+    return np.asarray(wrap_pi(np.where(known, np.radians(0.01 * yaw), np.nan)))
 
 
 def ground_velocity_mps(gps_raw: Any) -> FloatArray:

@@ -178,7 +178,8 @@ class _Calibration:
         wanted[mav.Attitude] = min(rate_hz, 10.0)
         # The mode and the arming are told by heartbeats only: one a second is late for ending a motion.
         wanted |= dict.fromkeys((mav.GlobalPositionInt, mav.RcChannels, mav.SysStatus, mav.Heartbeat), 4.0)
-        wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime), 2.0)
+        # A second antenna tells a witness's heading.
+        wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime, mav.GpsRawInt), 2.0)
         if identity.kind == "copter":
             # What hovers sways and shakes: its tilt is told by the receiver's velocity and by as many
             # readings as there are, see `calibration.observation.sway`.

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, euler_to_quaternion, wrap_pi
+from mavcompass.frames import FloatArray, euler_to_quaternion
 from mavcompass.logs.common import finite_series, motor_outputs
 from mavcompass.logs.formats.tlog.clock import Placer, Samples
 from mavcompass.logs.formats.tlog.compasses import HIGHRES
 from mavcompass.messages import telemetry
 from mavcompass.track import Series
-from mavcompass.units import RAD_PER_DEG
 
 _CENTI = 0.01
 _GPS_FIX_3D = 3
@@ -76,10 +75,9 @@ def _gps(placer: Placer) -> dict[str, Series]:
     receiver = placer.take("GPS_RAW_INT")
     if receiver is not None:
         rows: Any = receiver.rows
-        has_yaw = (rows.yaw > 0) & (rows.yaw != _UNKNOWN_U16)
-        if bool(has_yaw.any()):
-            yaw = wrap_pi(rows.yaw[has_yaw] * (_CENTI * RAD_PER_DEG))
-            out["gps_yaw_rad"] = Series.of(receiver.time_s[has_yaw], yaw)
+        yaw = telemetry.second_antenna_rad(rows)
+        if bool((has_yaw := np.isfinite(yaw)).any()):
+            out["gps_yaw_rad"] = Series.of(receiver.time_s[has_yaw], yaw[has_yaw])
         fix = rows.fix_type >= _GPS_FIX_3D
         if bool(fix.any()):
             out["place"] = Series.of(receiver.time_s[fix], telemetry.place(rows[fix]))
