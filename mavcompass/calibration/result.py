@@ -178,6 +178,8 @@ class CalibrationResult:
                 "diagonals": _numbers(c.diagonals),
                 "off_diagonals": _numbers(c.off_diagonals),
                 "scale": _number(c.scale),
+                "motor_mgauss": _numbers(c.motor_mgauss),
+                "motor_source": c.motor_source,
             },
             "covariance": {
                 "names": list(self.covariance_names),

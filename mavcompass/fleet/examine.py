@@ -176,7 +176,8 @@ def _correction(correction: FieldCorrection) -> Row:
         _numbers("offset_", "_mgauss", correction.offsets_mgauss)
         | _numbers("diagonal_", "", correction.diagonals)
         | _numbers("off_diagonal_", "", correction.off_diagonals, _PAIRS)
-        | {"scale": _number(correction.scale)}
+        | {"scale": _number(correction.scale), "motor_source": correction.motor_source}
+        | _numbers("motor_", "_mgauss", correction.motor_mgauss)
     )
 
 
