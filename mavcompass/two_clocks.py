@@ -56,6 +56,9 @@ class TwoClocks:
             self._fell(float(boot_s[at + 1]), float(boot_s[at] - boot_s[at + 1]))
 
     def _fell(self, to_s: float, by_s: float) -> None:
-        self._falls.append((to_s, by_s))
         alike = [at_s for at_s, other_s in self._falls if abs(other_s - by_s) <= _SAME_S]
+        if any(abs(to_s - at_s) < _OVER_S / _FALLS for at_s in alike):
+            return  # fast streams fall so often that what is kept would not reach back far enough
+        self._falls.append((to_s, by_s))
+        alike.append(to_s)
         self.seen |= len(alike) >= _FALLS and max(alike) - min(alike) >= _OVER_S

@@ -291,6 +291,8 @@ def test_the_result_is_json() -> None:
         "diagonals": list(c.diagonals),
         "off_diagonals": list(c.off_diagonals),
         "scale": c.scale,
+        "motor_mgauss": list(c.motor_mgauss),
+        "motor_source": c.motor_source,
     }
     assert entry["raw_offset_mgauss"] == list(result.raw_offset_mgauss)
     for name in ("residual_rms_mgauss", "heading_sigma_deg", "heading_change_deg", "heading_change_max_deg"):

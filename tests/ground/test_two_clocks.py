@@ -33,6 +33,10 @@ def test_two_in_turns_are_seen(apart_s: float, lost: float) -> None:
     assert seen(*turns(apart_s, lost))
 
 
+def test_two_fast_streams_are_seen() -> None:
+    assert seen(*(float(t + start_s) for t in np.arange(0.0, 8.0, 0.02) for start_s in (100.0, 600.0)))
+
+
 def test_who_numbers_on_is_one_whatever_his_clock_says() -> None:
     assert not seen(*turns(40.0, 0.0), goes_on=True)
 
