@@ -1,0 +1,82 @@
+"""A drawn sample of `scripts/campaigns/doors.py`: a situation is judged alike through every door."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+CAMPAIGNS = Path(__file__).parents[2] / "scripts" / "campaigns"
+WHOLE = (
+    "two contradict, rover",
+    "one alone, rover",
+    "load hardly varies, rover",
+    "accelerometer bias, rover",
+    "exactly right, rover",
+    "never calibrated, rover",
+    "priority will change",
+    "duplicate device id",
+    "GPS yaw steers",
+    "two autopilots on an id",
+)
+# Of many mountings each, drawn: how many.
+DRAWN = {"mounted at right angles, rover": 2, "mounted at right angles, px4-copter": 1}
+
+
+@pytest.fixture(scope="module")
+def doors() -> Iterator[Any]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(CAMPAIGNS))
+        yield importlib.import_module("doors")
+
+
+def sampled(doors: Any, name: str) -> list[Any]:
+    family = [one for one in doors.situations(0) if one.family == name]
+    assert family, name
+    count = DRAWN.get(name, len(family))
+    return [family[k] for k in np.random.default_rng(52).permutation(len(family))[:count]]
+
+
+@pytest.mark.parametrize("name", [*WHOLE, *DRAWN])
+def test_a_situation_is_judged_alike_through_every_door(
+    doors: Any, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MAVCOMPASS_UNDO_DIR", str(tmp_path))
+    found = doors.tried(sampled(doors, name))
+    assert doors.contradictions(found) == []
+    assert {one.door for one in found} >= {
+        "turns itself",
+        "by hand",
+        "its .tlog",
+        "fleet",
+        "its .csv",
+        "learnt",
+    }
+
+
+def test_a_contradiction_is_noticed(doors: Any, tmp_path: Path) -> None:
+    """What is expected is told from what is found: the verdict, its words, and the claim."""
+    (right,) = sampled(doors, "exactly right, rover")
+    cell = doors.cell
+    entry = {
+        "accepted": True,
+        "already_right": False,
+        "heading_sigma_deg": 0.01,
+        "warnings": [],
+        "parameters": {"COMPASS_OFS_X": 300.0},
+    }
+    wire = doors.Wire([right.make(True)], right.edit, tmp_path / "a.tlog")
+    before = dict(wire.vehicles[0].firmware.parameters.store.values)
+    wrong = cell(right, "Python", lambda: (entry, False), wire=wire, before=before, mends=False).wrong
+    wire.close()
+    assert [
+        part for part in ("instead of right", "deg off", "not written") if any(part in w for w in wrong)
+    ] == [
+        "instead of right",
+        "deg off",
+        "not written",
+    ]
