@@ -270,7 +270,8 @@ def situations(free: int) -> Iterator[Situation]:
 def said_of(setting: Mapping[str, float]) -> str:
     """Return the words for a mounting: of a numbered one its number, too."""
     name, value = list(setting.items())[-1]
-    return "is mounted turned by" if value >= 100.0 else f"{name} {value:g} is right"
+    numbered = value < 100.0 and name.endswith(("ORIENT", "ROT"))
+    return f"{name} {value:g} is right" if numbered else "is mounted turned by"
 
 
 def mountings(free: int) -> Iterator[tuple[str, FloatArray]]:
