@@ -31,7 +31,7 @@ _MOST_ROWS, _NEAREST_S, _TOGETHER_S = 4000, 0.3, 1.0
 _BINS = 24
 # A source whose calibration is not known is bent by as much as irons bend.
 _BEND_RAD = math.radians(20.0)
-# What moves against the heading by more than this does not turn with the vehicle: it tells no heading.
+# Of two headings that move against each other by more than this one does not turn with the vehicle.
 _NO_HEADING_RAD = math.radians(30.0)
 # Of a bin's readings so many are independent at the most.
 _AVERAGED = 20
@@ -50,6 +50,8 @@ _AHEAD = frozenset({"rover", "ackermann-rover", "boat", "plane"})
 _MOSTLY = 0.8
 # The receiver's velocity is compared over steps of this length; fewer, or less alike, show nothing.
 _STEP_S, _FEWEST_STEPS, _LEAST_COHERENCE = 1.0, 15, 0.5
+# Receivers are 0.1 to 0.2 s late (GPS_DELAY_MS, EKF2_GPS_DELAY), by how much nobody tells.
+_RECEIVER_LATE_S = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,13 +108,13 @@ def gather(
         if found is None:
             continue
         (a, b, c), sigma, left = found
-        if left > _NO_HEADING_RAD:
-            continue
+        turns_alike = left < _NO_HEADING_RAD
         if other is not None and known:
             sure = math.hypot(math.radians(other.repeatable_sigma_deg), _FLOOR_RAD)
-            sources.append(HeadingSource(f"compass {instance}", (a, b, c), sure))
-            scatters.append(left)
-        else:
+            deviation = (a, b, c) if turns_alike else (math.nan, math.nan, math.nan)
+            sources.append(HeadingSource(f"compass {instance}", deviation, sure))
+            scatters += [left] if turns_alike else []
+        elif turns_alike:
             doubt = math.hypot(_IN_FORCE_RAD, sigma)
             sources.append(HeadingSource(f"compass {instance}", (a, math.nan, math.nan), doubt))
     if len(moments.time_s):
@@ -272,24 +274,30 @@ def _acceleration(moments: _Moments, velocity: Series) -> Iterator[HeadingSource
     at, seen = at[inside], seen[inside]
     if len(at) <= _FEWEST_STEPS:
         return
-    told = np.diff(np.interp(at, time, total.real) + 1j * np.interp(at, time, total.imag))
-    moved = np.diff(seen)
     # Only steps in which the compass was heard: between them its heading is not known.
     heard = np.diff(np.searchsorted(moments.time_s, at)) > 0
-    told, moved = told[heard], moved[heard]
-    if len(told) < _FEWEST_STEPS:
+    if int(heard.sum()) < _FEWEST_STEPS:
         return
     # What stays (a biased accelerometer, a lean that is not known) tells nothing.
-    told, moved = told - told.mean(), moved - moved.mean()
-    both = complex((np.conj(told) * moved).sum())
-    power = float((np.abs(told) ** 2).sum() * (np.abs(moved) ** 2).sum())
-    coherence = abs(both) ** 2 / max(power, 1e-12)
+    moved = np.diff(seen)[heard]
+    moved -= moved.mean()
+
+    def agreement(late_s: float) -> complex:
+        then = at - late_s
+        told = np.diff(np.interp(then, time, total.real) + 1j * np.interp(then, time, total.imag))[heard]
+        told -= told.mean()
+        power = float((np.abs(told) ** 2).sum() * (np.abs(moved) ** 2).sum())
+        return complex((np.conj(told) * moved).sum()) / math.sqrt(max(power, 1e-12))
+
+    both = agreement(0.0)
+    coherence = abs(both) ** 2
     if coherence < _LEAST_COHERENCE:
         return
-    a = math.atan2(both.imag, both.real)
-    sigma = math.sqrt((1.0 - coherence) / (2.0 * len(told) * coherence))
-    doubt = math.hypot(_ACCELERATION_RAD, sigma, moments.declination_sigma_rad)
-    yield HeadingSource.elsewhere("gps-acceleration", a, doubt)
+    sigma = math.sqrt((1.0 - coherence) / (2.0 * len(moved) * coherence))
+    # What turns while it accelerates seems turned by as much as it turns within the receiver's delay.
+    by_delay = float(np.angle(agreement(_RECEIVER_LATE_S) / agreement(-_RECEIVER_LATE_S))) / 2.0
+    doubt = math.hypot(_ACCELERATION_RAD, sigma, by_delay, moments.declination_sigma_rad)
+    yield HeadingSource.elsewhere("gps-acceleration", float(np.angle(both)), doubt)
 
 
 def heading_by(

@@ -26,14 +26,15 @@ from mavcompass.calibration.verdict import Limits
 from mavcompass.compass_parameters import (
     ardupilot_name,
     ardupilot_naming,
+    is_calibrated,
     mounting_values,
     px4_name,
     sensor_to_body,
     values,
 )
-from mavcompass.compass_parameters.orientations import NUMBERED, nearest
+from mavcompass.compass_parameters.orientations import NUMBERED, NUMBERED_WITHIN_RAD, nearest
 from mavcompass.correction import IDENTITY
-from mavcompass.earth_field import EarthField
+from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, euler_to_matrix, wrap_pi
 from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation, isolate_faults, named
@@ -48,6 +49,7 @@ _NUMBERED_RAD = math.radians(12.0)
 # What is left after a numbered orientation is an angle of its own from here on.
 _FREE_RAD = math.radians(1.5)
 _LEAN_RAD = math.radians(15.0)
+_PLACELESS = "The place is unknown: nothing is held against the world's magnetic model."
 
 # Calibrates one compass of a recording, unjudged. Raises PoorCalibration where it cannot be.
 Solve = Callable[[Track], CalibrationResult]
@@ -77,52 +79,61 @@ def judge(
 
     evidence = seen(track, result)
     found = isolate_faults(evidence.sources)
-    judged = _told(_weighed(result, evidence, found, limits), found, track)
+    judged = _told(_weighed(result, evidence, found, limits), found, track, earth)
     if judged.accepted:
-        return _right_already(judged)
-    mended = _mended(track, result, others, earth, limits, solve, seen, found)
-    if mended is None:
+        return _right_already(judged, track)
+    as_mounted = _as_mounted(track, result, others, earth, limits, solve, seen, found)
+    if as_mounted is None:
         return judged
     # What else seems wrong with a compass that is turned only follows from that.
-    why = tuple(reason for reason in (_contradiction(found, evidence),) if reason)
-    return replace(judged, mounting=mended, reasons=(_about_mounting(judged, mended), *why))
+    mounting, reasons = as_mounted
+    why = [reason for reason in reasons or (_contradiction(found, evidence),) if reason]
+    return replace(judged, mounting=mounting, reasons=(_about_mounting(judged, mounting), *why))
 
 
 def _weighed(
     result: CalibrationResult, evidence: Evidence, found: FaultIsolation, limits: Limits
 ) -> CalibrationResult:
     """Claim no less than the rms error by all that the sources may show, and judge by that."""
-    own = evidence.sources[0].sigma_rad
-    beyond2 = max(float(found.error_rad[0]) ** 2 - own**2, 0.0) + evidence.scatter_rad**2
-    sigma_deg = math.hypot(result.heading_sigma_deg, math.degrees(math.sqrt(beyond2)))
+    beyond_rad = math.hypot(found.beyond_rad(0), evidence.scatter_rad)
+    sigma_deg = math.hypot(result.heading_sigma_deg, math.degrees(beyond_rad))
     return within(result.widened(sigma_deg, "disagreement"), limits, _contradiction(found, evidence))
 
 
 def _contradiction(found: FaultIsolation, evidence: Evidence) -> str:
-    """Say which evidence contradicts the first source; "" where none does."""
-    mine, others = found.sources[0], found.sources[1:]
+    """Say which evidence speaks most against the first source; "" where there is none."""
+    mine, others = found.sources[0], [s for s in found.sources[1:] if not math.isnan(s.deviation_rad[0])]
+    if not others:
+        rest = [s.name for s in found.sources[1:]]
+        return f"{mine.name.capitalize()} does not turn with {named(rest)}." if rest else ""
     if 0 in found.blamed:
         return found.why(0)
-    if found.undecided or found.sound[0] < 0.5:
-        far = max(others, key=lambda s: abs(float(wrap_pi(s.deviation_rad[0]))))
-        apart = math.degrees(abs(float(wrap_pi(far.deviation_rad[0]))))
-        stands = f"{far.name.capitalize()} stands {apart:.0f} deg from {mine.name}"
-        if apart < math.degrees(_TURNED_RAD):
-            return f"{stands}, and nothing tells which is wrong."
-        return f"{stands}: one of them is mounted turned, or set so, and nothing tells which."
-    if evidence.scatter_rad > math.radians(1.0):
+    if max(evidence.scatter_rad, found.beyond_rad(0)) < mine.sigma_rad:
+        return ""
+    if evidence.scatter_rad > found.beyond_rad(0):
         return (
             f"{mine.name.capitalize()} moves by {math.degrees(evidence.scatter_rad):.1f} deg against"
             f" {named([s.name for s in others])}: something magnetic changes near it, or it is read late."
         )
-    return ""
+    far = max(others, key=lambda s: abs(float(wrap_pi(s.deviation_rad[0]))))
+    apart = math.degrees(abs(float(wrap_pi(far.deviation_rad[0]))))
+    stands = f"{far.name.capitalize()} stands {apart:.0f} deg from {mine.name}"
+    if apart < math.degrees(_TURNED_RAD):
+        return f"{stands}, and nothing tells which is wrong."
+    return f"{stands}: one of them is mounted turned, or set so, and nothing tells which."
 
 
-def _told(result: CalibrationResult, found: FaultIsolation, track: Track) -> CalibrationResult:
+def _told(
+    result: CalibrationResult, found: FaultIsolation, track: Track, earth: EarthField | None
+) -> CalibrationResult:
     """Put the evidence into the result, and say where there was none."""
+    if earth is None and earth_field_of(track) is None:
+        result = replace(result, warnings=(*result.warnings, _PLACELESS))
     mine, witnesses = found.sources[0], []
     for source in found.sources[1:]:
         difference = float(wrap_pi(source.deviation_rad[0]))
+        if math.isnan(difference):
+            continue
         sigma = math.hypot(source.sigma_rad, mine.sigma_rad)
         contradicts = abs(difference) > BEYOND_CHANCE * sigma
         witnesses.append(Witness(source.name, math.degrees(difference), math.degrees(sigma), contradicts))
@@ -146,13 +157,13 @@ def _orientation_in_force(track: Track, instance: int) -> str:
 # --- right already ------------------------------------------------------------------------------------
 
 
-def _right_already(result: CalibrationResult) -> CalibrationResult:
+def _right_already(result: CalibrationResult, track: Track) -> CalibrationResult:
     """Mark a compass whose values in force are no worse than the new ones beyond their sigma.
 
-    ArduPilot takes offsets that are all zero for a compass that was never calibrated, so they do not count.
+    What the autopilot takes for no calibration is written, however right it may be.
     """
-    known = any(result.in_force.offsets_mgauss) and math.isfinite(result.heading_change_deg)
-    if not known or result.mounting.turned is not None:
+    known = is_calibrated(track.autopilot, track.parameters, result.instance, result.in_force)
+    if not known or not math.isfinite(result.heading_change_deg) or result.mounting.turned is not None:
         return result
     leaning = [(0.0, 0.0)]
     if result.heading_error is not None:
@@ -170,7 +181,7 @@ def _right_already(result: CalibrationResult) -> CalibrationResult:
 # --- the mounting -------------------------------------------------------------------------------------
 
 
-def _mended(
+def _as_mounted(
     track: Track,
     result: CalibrationResult,
     others: Mapping[int, CalibrationResult],
@@ -179,30 +190,38 @@ def _mended(
     solve: Solve,
     seen: Callable[[Track, CalibrationResult], Evidence],
     found: FaultIsolation,
-) -> Mounting | None:
-    """Find the mounting with which a refused compass agrees with the sound sources; None for none."""
+) -> tuple[Mounting, tuple[str, ...]] | None:
+    """Find the mounting with which a refused compass agrees with the sound sources; None for none.
+
+    With it come the reasons, if any, not to accept the compass so mounted either.
+    """
     rotation = _rotation(track, result, others, earth, found)
     if rotation is None:
         return None
-    for _ in range(2):
+    in_force = sensor_to_body(track.autopilot, track.parameters, result.instance)
+    for _ in range(3):
         turned = turned_compass(track, result.instance, rotation)
         try:
             solved = solve(turned)
         except PoorCalibration:
             return None
+        free = nearest(rotation @ in_force, NUMBERED)[1] > NUMBERED_WITHIN_RAD
         mounting = Mounting(seen=True, turned=rotation)
         solved = compared(replace(solved, in_force=result.in_force.turned(rotation), mounting=mounting))
         evidence = seen(turned, solved)
         again = isolate_faults(evidence.sources)
         # Readings that are turned clockwise show a heading that much less.
         away = again.apart_rad(0) if solved.accepted else 0.0
-        if abs(away) < _FREE_RAD:
+        if abs(away) < (again.others_sigma_rad(0) if free else _FREE_RAD):
             break
         rotation = euler_to_matrix(0.0, 0.0, away) @ rotation
-    judged = _weighed(solved, evidence, again, limits)
-    if not judged.accepted:
+    if again.sound[0] < RATHER_SOUND:
         return None
-    return _as_set(track, _told(judged, again, track), rotation)
+    if free:  # its angle is known as well as the others' headings
+        sigma_deg = math.hypot(solved.heading_sigma_deg, math.degrees(again.others_sigma_rad(0)))
+        solved = solved.widened(sigma_deg, "mounting")
+    judged = _weighed(solved, evidence, again, limits)
+    return _as_set(track, _told(judged, again, track, earth), rotation), judged.reasons
 
 
 def _rotation(
@@ -250,7 +269,10 @@ def _angle(rotation: FloatArray) -> float:
 
 
 def _as_set(track: Track, judged: CalibrationResult, rotation: FloatArray) -> Mounting:
-    """Spell a mounting in the autopilot's parameters; where it has none, say so."""
+    """Spell a mounting in the autopilot's parameters; where it has none, say so.
+
+    `judged` is the compass so mounted, which the mounting mends if it is accepted.
+    """
     angle_deg = math.degrees(_angle(rotation))
     wanted = rotation @ sensor_to_body(track.autopilot, track.parameters, judged.instance)
     try:
@@ -258,7 +280,10 @@ def _as_set(track: Track, judged: CalibrationResult, rotation: FloatArray) -> Mo
         spelled = values(track.autopilot, track.parameters, judged.instance, judged.correction, rotation)
     except Refused as why:
         return Mounting(seen=True, turned=rotation, angle_deg=angle_deg, no_setting=str(why))
+    setting = {name: value for name, value in setting.items() if track.parameters.get(name) != value}
     mounting = Mounting(seen=True, turned=rotation, angle_deg=angle_deg, setting=setting)
+    if not judged.accepted:
+        return mounting
     mended = replace(judged, mounting=mounting, parameters=spelled)
     return replace(mounting, mended=mended)
 
@@ -270,8 +295,10 @@ def _about_mounting(result: CalibrationResult, mounting: Mounting) -> str:
     if mounting.no_setting:
         return f"{found}. {mounting.no_setting}"
     setting = ", ".join(f"{name} {value:g}" for name, value in mounting.setting.items())
-    sigma = mounting.mended.heading_sigma_deg if mounting.mended else math.nan
-    return f"{found}: {setting} is right (then within {sigma:.2f} deg; --orientation sets it)."
+    if mounting.mended is None:
+        return f"{found}: {setting} is right."
+    sigma_deg = mounting.mended.heading_sigma_deg
+    return f"{found}: {setting} is right (then within {sigma_deg:.2f} deg; --orientation sets it)."
 
 
 def turned_compass(track: Track, instance: int, rotation: FloatArray) -> Track:

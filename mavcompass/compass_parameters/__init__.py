@@ -57,6 +57,7 @@ __all__ = [
     "ardupilot_orientations",
     "ardupilot_sensor_to_body",
     "ardupilot_values",
+    "is_calibrated",
     "mounting_values",
     "px4_correction",
     "px4_name",
@@ -76,6 +77,18 @@ def sensor_to_body(autopilot: str, parameters: Mapping[str, float], instance: in
     """
     read = px4_sensor_to_body if autopilot == "px4" else ardupilot_sensor_to_body
     return read(parameters, instance)
+
+
+def is_calibrated(
+    autopilot: str, parameters: Mapping[str, float], instance: int, in_force: FieldCorrection
+) -> bool:
+    """Tell whether the autopilot takes a compass with this correction in force for calibrated.
+
+    PX4 stores a sensor's id with its calibration, which may be zero; for ArduPilot offsets that are all zero
+    are none.
+    """
+    stored = parameters.get(px4_name("ID", instance)) if autopilot == "px4" else None
+    return any(in_force.offsets_mgauss) if stored is None else stored != 0.0
 
 
 def mounting_values(

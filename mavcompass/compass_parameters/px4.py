@@ -47,6 +47,8 @@ _UNTIL_1_11: Orientations = {
 _READ = {**PX4_ORIENTATIONS, **_UNTIL_1_11}
 _AXES = "XYZ"
 _MOTOR_SOURCES: dict[int, MotorSource] = {1: "throttle", 2: "current"}
+# Gauss at full throttle, but gauss per kiloampere: that is milligauss per ampere.
+_MOTOR_UNIT_MGAUSS = {"throttle": MGAUSS_PER_GAUSS, "current": 1.0, "none": MGAUSS_PER_GAUSS}
 
 
 def px4_name(quantity: str, instance: int) -> str:
@@ -105,8 +107,7 @@ def px4_sensor_correction(parameters: Mapping[str, float], instance: int) -> Fie
         return (float(x), float(y), float(z))
 
     source = _MOTOR_SOURCES.get(int(parameters.get("CAL_MAG_COMP_TYP", 0.0)), "none")
-    # Gauss at full throttle, but gauss per kiloampere: that is milligauss per ampere.
-    load_mgauss = np.array(vector("COMP")) * (1.0 if source == "current" else MGAUSS_PER_GAUSS)
+    load_mgauss = np.array(vector("COMP")) * _MOTOR_UNIT_MGAUSS[source]
     linear = FieldCorrection(diagonals=vector("SCALE", 1.0), off_diagonals=vector("ODIAG")).matrix
     return FieldCorrection.from_matrix(
         -np.array(vector("OFF")) * MGAUSS_PER_GAUSS,
@@ -129,20 +130,26 @@ def px4_values(
 ) -> dict[str, float]:
     """Spell a body-axes correction as PX4 parameters of a sensor mounted with `rotation` (3, 3).
 
-    PX4 has no scalar scale: it goes into the matrix. The motor term is left as it is on the vehicle.
+    PX4 has no scalar scale: it goes into the matrix. Motor terms only where it has a motor source: PX4 takes
+    them before its matrix, so those in force stay right when that changes.
     """
     of_sensor = correction if rotation is None else correction.turned(rotation.T)
     m = of_sensor.matrix
+    source = correction.motor_source
     parts = {
         "OFF": -np.array(of_sensor.offsets_mgauss) / MGAUSS_PER_GAUSS,
         "SCALE": np.diag(m),
         "ODIAG": m[[0, 0, 1], [1, 2, 2]],
     }
-    return {
+    if source != "none":
+        parts["COMP"] = np.linalg.solve(m, np.array(of_sensor.motor_mgauss)) / _MOTOR_UNIT_MGAUSS[source]
+    values = {
         px4_name(f"{axis}{quantity}", instance): float(value)
         for quantity, vector in parts.items()
         for axis, value in zip(_AXES, vector, strict=True)
     }
+    codes = [code for code, named in _MOTOR_SOURCES.items() if named == source]
+    return values | dict.fromkeys(("CAL_MAG_COMP_TYP",) if codes else (), float(sum(codes)))
 
 
 def _angles_deg(parameters: Mapping[str, float], instance: int) -> list[float]:

@@ -15,7 +15,6 @@ import math
 
 import numpy as np
 
-from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
 
@@ -30,19 +29,17 @@ _ANYWHERE_MGAUSS, _ANYWHERE_SIGMA_MGAUSS, _SITE_MGAUSS = 220.0, 80.0, 5.0
 _SECTORS = 24
 
 
-def prior_sigma_mgauss(in_force: FieldCorrection | None, horizontal_mgauss: float) -> float:
-    """Return the iron to be expected under a calibration in force, each axis, before any look at the field.
+def prior_sigma_mgauss(calibrated: bool, horizontal_mgauss: float) -> float:
+    """Return the iron to be expected under what is in force, each axis, before any look at the field.
 
-    Offsets that are all zero are no calibration; None is one that is not known.
+    `calibrated` is False, too, where that is not known.
     """
-    if in_force is None or not any(in_force.offsets_mgauss):
-        return _IRON_MGAUSS
-    return UNKNOWN_CALIBRATION_SIGMA_RAD * horizontal_mgauss
+    return UNKNOWN_CALIBRATION_SIGMA_RAD * horizontal_mgauss if calibrated else _IRON_MGAUSS
 
 
-def prior_sigma_rad(in_force: FieldCorrection | None) -> float:
+def prior_sigma_rad(calibrated: bool) -> float:
     """Return the same as a heading's sigma, in the field of a usual place."""
-    return prior_sigma_mgauss(in_force, _ANYWHERE_MGAUSS) / _ANYWHERE_MGAUSS
+    return prior_sigma_mgauss(calibrated, _ANYWHERE_MGAUSS) / _ANYWHERE_MGAUSS
 
 
 class CalibrationDoubt:

@@ -41,7 +41,7 @@ class HeadingSource:
 
     Attributes:
         name: "compass 2", "gps-yaw", ...
-        deviation_rad: A, and B and C where they were seen (else nan); only differences between sources count.
+        deviation_rad: A, B and C, nan where they were not seen; only differences between sources count.
         sigma_rad: of each of these, where the source is sound.
         by_itself: what else it shows, in sigmas of a sound source, by what it is held against.
         fault: how likely it is to be at fault before anything is seen.
@@ -98,20 +98,30 @@ class FaultIsolation:
         """Tell whether some source is at fault and nothing tells which."""
         return not self.blamed and bool((self.sound < _DOUBTED).any())
 
+    def beyond_rad(self, index: int) -> float:
+        """Return how far a source may be off beyond its own sigma, rms over the circle."""
+        return math.sqrt(max(float(self.error_rad[index]) ** 2 - self.sources[index].sigma_rad ** 2, 0.0))
+
     def apart_rad(self, index: int) -> float:
         """Return a source's A less that of the other sound ones; of all others where there are none."""
-        rest = tuple(i for i in range(len(self.sources)) if i != index)
-        others = tuple(i for i in self.likeliest if i != index) or rest
+        rest = [i for i, s in enumerate(self.sources) if i != index and not math.isnan(s.deviation_rad[0])]
+        others = tuple(i for i in rest if i in self.likeliest) or tuple(rest)
         if not others:
             return 0.0
         centre, _ = _common(self.sources, others)
         return float(wrap_pi(self.sources[index].deviation_rad[0] - centre[0]))
 
+    def others_sigma_rad(self, index: int) -> float:
+        """Return one sigma of the heading by the other sound sources together."""
+        others = [self.sources[i].sigma_rad ** -2.0 for i in self.likeliest if i != index]
+        return sum(others) ** -0.5 if others else math.inf
+
     def why(self, index: int) -> str:
         """Say in a sentence what speaks against a source."""
         mine = self.sources[index]
         apart_deg = abs(math.degrees(self.apart_rad(index)))
-        others = [self.sources[i].name for i in self.likeliest if i != index]
+        seen = [i for i in self.likeliest if not math.isnan(self.sources[i].deviation_rad[0])]
+        others = [self.sources[i].name for i in seen if i != index]
         shows = [name for name, z in mine.by_itself.items() if abs(z) > 2.0]
         also = f"; it disagrees with {' and '.join(shows)} as well" if shows else ""
         stand = (

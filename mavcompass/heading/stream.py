@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavcompass.compass_parameters import is_calibrated
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, middle_place
 from mavcompass.earth_field import earth_field_of as earth_field_of
@@ -18,7 +19,7 @@ from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 from mavcompass.heading.gravity import down_in_body
 from mavcompass.heading.north import grid_heading, true_heading
 from mavcompass.heading.two_axis import two_axis_heading
-from mavcompass.track import MagSeries, Series, Track
+from mavcompass.track import Series, Track
 
 # The date of a recording that does not tell it: the middle of WMM2025's years.
 _UNKNOWN_YEAR = 2027.5
@@ -91,7 +92,9 @@ def heading_of_track(
         )
     else:
         magnetic = np.asarray(tilt_compensated_heading(field, -down))
-    sigma = _magnetic_sigma(field, down, magnetic, world, _in_force(compass, correction), two_axis)
+    sigma = _magnetic_sigma(
+        field, down, magnetic, world, _is_calibrated(track, instance, correction), two_axis
+    )
     if not alone and len(track.compasses) > 1:
         sigma = np.hypot(sigma, _doubted_rad(track, instance, Series(compass.time_s, magnetic), sigma))
     return _result(track, compass.time_s, magnetic, np.minimum(sigma, math.pi), world)
@@ -109,15 +112,16 @@ def _doubted_rad(track: Track, instance: int, mine: Series, sigma: FloatArray) -
             apart_deg = math.degrees(circular_mean(away[np.isfinite(away)]))
             sure_deg = math.degrees(float(np.median(found.magnetic_sigma_rad)))
             sources.append(HeadingSource.at(f"compass {other}", apart_deg, sure_deg))
-    beyond2 = float(isolate_faults(sources).error_rad[0]) ** 2 - sources[0].sigma_rad ** 2
-    return math.sqrt(max(beyond2, 0.0))
+    return isolate_faults(sources).beyond_rad(0)
 
 
-def _in_force(compass: MagSeries, correction: FieldCorrection | None) -> FieldCorrection | None:
-    """Return the correction that makes the heading; None where the recording does not tell it."""
-    if correction is not None or compass.not_applied is not None:
-        return correction or compass.not_applied
-    return compass.in_force[-1].correction if compass.correction_known else None
+def _is_calibrated(track: Track, instance: int, correction: FieldCorrection | None) -> bool:
+    """Tell whether the heading is by a calibration; False where the recording does not tell."""
+    compass = track.compasses[instance]
+    if correction is not None:
+        return any(correction.offsets_mgauss)
+    in_force = compass.not_applied or (compass.in_force[-1].correction if compass.correction_known else None)
+    return in_force is not None and is_calibrated(track.autopilot, track.parameters, instance, in_force)
 
 
 def _field(track: Track, correction: FieldCorrection | None, instance: int) -> FloatArray:
@@ -133,7 +137,7 @@ def _magnetic_sigma(
     down: FloatArray,
     magnetic: FloatArray,
     world: EarthField | None,
-    in_force: FieldCorrection | None,
+    calibrated: bool,
     two_axis: bool,
 ) -> FloatArray:
     """Add up calibration, scatter, tilt times the tangent of the dip, and (two-axis) the estimated Z."""
@@ -141,7 +145,7 @@ def _magnetic_sigma(
     horizontal = np.sqrt(np.maximum((field**2).sum(axis=1) - vertical**2, 1.0))
     usual = world.horizontal_mgauss if world is not None else float(np.median(horizontal))
     level = np.stack([horizontal * np.cos(magnetic), -horizontal * np.sin(magnetic), vertical], axis=1)
-    doubt = CalibrationDoubt(prior_sigma_mgauss(in_force, usual), world)
+    doubt = CalibrationDoubt(prior_sigma_mgauss(calibrated, usual), world)
     doubt.add_all(level)
     steep = np.full(len(field), abs(world.ned_mgauss[2])) if world is not None else np.abs(vertical)
     z_sigma = np.zeros(len(field))

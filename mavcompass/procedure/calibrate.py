@@ -33,7 +33,7 @@ from mavcompass.track import Track
 _PROOF_SHARE = 0.5
 # And so sure a heading: a third of what the field may turn more or less than the gyro.
 _PROOF_ENOUGH_DEG = 0.5
-_PLACELESS = "The vehicle does not know its place: nothing was taken from the world's magnetic model."
+_UNPROVEN = "Not proven by a turn: restart the autopilot, then see with the check that all is right."
 # The Earth's horizontal and vertical field in temperate latitudes, where the place is not known.
 _TYPICAL_MGAUSS = (220.0, 430.0)
 # A compass that is only a witness is averaged over the same stretches.
@@ -156,7 +156,9 @@ class _Calibration:
             mover.halt(desk.context)  # nothing is asked of the vehicle while values are written
             if report.accepted and report.to_write and settings.writing != "never":
                 report = yield from writer.write(report)
-                if report.outcome is not None:
+                if report.takes_effect_later:
+                    report = report.noting(_UNPROVEN)
+                elif report.outcome is not None:
                     report = yield from self.prove_or_undo(report, report.outcome, mover, writer)
             finished = True
             return report
@@ -240,7 +242,6 @@ class _Calibration:
             track=track,
             windows=tuple(windows),
             duration_s=desk.duration_s(),
-            messages=() if world is not None else (_PLACELESS,),
         )
 
     def as_mounted(self, report: CalibrationReport) -> Script[CalibrationReport]:
@@ -274,7 +275,7 @@ class _Calibration:
         own, outcome = self.own, report.outcome
         assert outcome is not None
         yield from own.settle()
-        if self.settings.reboot and own.outcome().is_off:
+        if self.settings.reboot and (own.outcome().is_off or report.takes_effect_later):
             try:
                 yield from restart(self.desk, rates, self.wanted_rates(), outcome)
                 own.restarted()

@@ -34,12 +34,14 @@ class ParameterPlan:
         refusals: sentences why this must not be written (range, arming checks); empty: may be written.
         remarks: what the person should know (reboot wanted, AUTODEC, LEARN, EKF needs time).
         commit_instances: compasses whose device id must be committed beside the parameters.
+        after_restart: the parameters that take effect with the autopilot's next start.
     """
 
     changes: tuple[Change, ...]
     refusals: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     commit_instances: tuple[int, ...] = ()
+    after_restart: tuple[str, ...] = ()
 
     def reversed(self) -> ParameterPlan:
         """Return the plan that puts the old values back, last change first."""

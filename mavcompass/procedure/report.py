@@ -119,6 +119,11 @@ class CalibrationReport:
         return self.outcome is not None and not self.undone
 
     @property
+    def takes_effect_later(self) -> bool:
+        """Tell whether some of the new values wait for the autopilot's next start."""
+        return self.written and self.plan is not None and bool(self.plan.after_restart)
+
+    @property
     def steers_off(self) -> bool:
         """Tell whether the autopilot still steers by another heading than the one that was written."""
         return self.heading is not None and self.heading.is_off

@@ -36,6 +36,9 @@ class Writer:
         if self.asks and not (yield from ask(desk.context, _question(plan))):
             return report.noting("Not written: the answer was no.")
         outcome = yield from desk.dialect.write(desk.context, plan, self.save_undo)
+        report = replace(report, outcome=outcome)
+        if report.takes_effect_later:
+            return report
         now = {**desk.parameters, **outcome.values}
         for instance, correction in corrections.items():
             rotation = desk.dialect.raw_rotation(now, instance)
@@ -45,7 +48,7 @@ class Writer:
                 desk.builder.set_correction(instance, correction)
             elif instance in turned:
                 desk.builder.set_raw(instance, rotation, correction)
-        return replace(report, outcome=outcome)
+        return report
 
     def take_back(self, report: CalibrationReport, why: str) -> Script[None]:
         """Write the old values again. Raises WriteFailed, with the way back, where that fails."""

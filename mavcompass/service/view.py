@@ -7,7 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
-from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, px4_name, px4_sensor_to_body
+from mavcompass.compass_parameters import (
+    ardupilot_name,
+    ardupilot_naming,
+    is_calibrated,
+    px4_name,
+    px4_sensor_to_body,
+)
 from mavcompass.earth_field import EarthField
 from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.heading.live import Heading, Level, LiveCompass
@@ -157,12 +163,13 @@ class VehicleView:
         """Say how good the calibration in force is; None where that is not known."""
         compass = self.compasses.get(instance)
         if compass is not None:
-            known = sigma_deg is not None and math.isfinite(sigma_deg)
-            dialect = make_dialect(self.identity.autopilot)
-            in_force = dialect.correction(self.parameters, instance) if self.parameters else None
-            compass.calibration_sigma_rad = (
-                math.radians(sigma_deg or 0.0) if known else prior_sigma_rad(in_force)
-            )
+            if sigma_deg is not None and math.isfinite(sigma_deg):
+                compass.calibration_sigma_rad = math.radians(sigma_deg)
+                return
+            autopilot = self.identity.autopilot
+            in_force = make_dialect(autopilot).correction(self.parameters, instance)
+            calibrated = is_calibrated(autopilot, self.parameters, instance, in_force)
+            compass.calibration_sigma_rad = prior_sigma_rad(calibrated)
 
     # --- for the watch ------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from mavcompass import messages as mav
+from mavcompass.compass_parameters import is_calibrated
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, NoReply, Refused
 from mavcompass.heading.doubt import prior_sigma_rad
@@ -113,7 +114,9 @@ def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: boo
     dialect = make_dialect(start.identity.autopilot, source)
     rotation = dialect.raw_rotation(start.parameters, instance)
     in_force = dialect.correction(start.parameters, instance)
-    compass.calibration_sigma_rad = prior_sigma_rad(in_force)
+    compass.calibration_sigma_rad = prior_sigma_rad(
+        is_calibrated(start.identity.autopilot, start.parameters, instance, in_force)
+    )
     if rotation is not None:
         compass.set_uncorrected(in_force, rotation)
     flat = (

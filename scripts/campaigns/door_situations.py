@@ -195,13 +195,14 @@ def situations(free: int) -> Iterator[Situation]:
             return f"{name}, {kind}"
 
         for seed, (name, rotation) in enumerate(mountings(free)):
-            if name == "not turned":
+            setting, known = setting_of(kind, rotation), SimulatedAutopilot(kind).firmware.parameters.store
+            if all(known[parameter] == value for parameter, value in setting.items()):
                 continue
             yield Situation(
                 named(name),
                 lambda armed, r=rotation, k=kind, n=seed: turned(k, n % 5, r, armed),
                 "refused",
-                said_of(setting_of(kind, rotation)),
+                said_of(setting),
                 both | {PARAMETERS} if not px4 else frozenset({PARAMETERS}),
                 ("accepted or refused", UNSEEN) if not px4 else ("refused", ""),
                 two_antennas if px4 else as_it_is,
@@ -227,7 +228,8 @@ def situations(free: int) -> Iterator[Situation]:
                 lambda armed, k=kind, s=swing: loaded(
                     vehicle(k, 3, armed, effects=["motor_current:x=2.0,y=-1.2"]), s
                 ),
-                "accepted",
+                # Still positions alone do not part motors from iron: what they cannot tell they refuse.
+                "accepted or refused" if word == "varies" else "accepted",
                 needs=frozenset({PARAMETERS}),
             )
         yield Situation(named("no place"), made("old"), "accepted", "place is unknown", edit=placeless)
@@ -281,7 +283,7 @@ def mountings(free: int) -> Iterator[tuple[str, FloatArray]]:
             matrix = np.zeros((3, 3))
             matrix[range(3), order] = signs
             if np.linalg.det(matrix) > 0.0:
-                yield ("not turned" if np.trace(matrix) == 3.0 else "mounted at right angles"), matrix
+                yield "mounted at right angles", matrix
     rng = np.random.default_rng(2026)
     while free > 0:
         angles = rng.uniform(-math.pi, math.pi, 3)

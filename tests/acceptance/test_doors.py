@@ -14,8 +14,6 @@ CAMPAIGNS = Path(__file__).parents[2] / "scripts" / "campaigns"
 WHOLE = (
     "two contradict, rover",
     "one alone, rover",
-    "load hardly varies, rover",
-    "accelerometer bias, rover",
     "exactly right, rover",
     "never calibrated, rover",
     "priority will change",

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.doubt import (
@@ -31,10 +30,8 @@ def error_rad(seen: FloatArray, heading_rad: FloatArray) -> FloatArray:
 
 
 def test_what_is_known_beforehand() -> None:
-    assert prior_sigma_mgauss(None, 200.0) == prior_sigma_mgauss(FieldCorrection(), 200.0) == 100.0
-    assert prior_sigma_mgauss(FieldCorrection((5.0, 0.0, 0.0)), 200.0) == pytest.approx(
-        200.0 * UNKNOWN_CALIBRATION_SIGMA_RAD
-    )
+    assert prior_sigma_mgauss(False, 200.0) == 100.0
+    assert prior_sigma_mgauss(True, 200.0) == pytest.approx(200.0 * UNKNOWN_CALIBRATION_SIGMA_RAD)
 
 
 def test_where_nothing_was_seen_it_stays() -> None:

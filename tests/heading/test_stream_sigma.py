@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
@@ -23,12 +22,9 @@ LEVEL = np.tile([0.0, 0.0, 1.0], (50, 1))
 TILT = math.radians(0.3)
 
 
-IN_FORCE = FieldCorrection((30.0, -20.0, 10.0))
-
-
 def sigma_of(field: FloatArray, down: FloatArray, world: EarthField | None, two_axis: bool) -> FloatArray:
     magnetic = np.arctan2(-field[:, 1], field[:, 0])
-    return stream._magnetic_sigma(field, down, magnetic, world, IN_FORCE, two_axis)
+    return stream._magnetic_sigma(field, down, magnetic, world, True, two_axis)
 
 
 def test_a_good_compass_that_was_turned_is_as_sure_as_its_tilt() -> None:
@@ -42,7 +38,7 @@ def test_a_calibration_that_was_not_looked_at_is_as_sure_as_calibrations_are() -
     field = np.tile([200.0, 0.0, 400.0], (50, 1))
     unknown = sigma_of(field, LEVEL, None, False)[0]
     assert unknown == pytest.approx(math.hypot(UNKNOWN_CALIBRATION_SIGMA_RAD, TILT * 2.0), rel=0.05)
-    never = stream._magnetic_sigma(field, LEVEL, np.zeros(50), None, FieldCorrection(), False)[0]
+    never = stream._magnetic_sigma(field, LEVEL, np.zeros(50), None, False, False)[0]
     assert math.degrees(never) > 20.0
 
 

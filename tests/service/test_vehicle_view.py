@@ -114,8 +114,8 @@ def test_px4s_raw_readings_are_corrected_by_its_parameters_as_soon_as_these_are_
     ("sigma_deg", "sigma_rad"),
     [
         (1.0, math.radians(1.0)),
-        (None, prior_sigma_rad(None)),
-        (math.nan, prior_sigma_rad(None)),
+        (None, prior_sigma_rad(False)),
+        (math.nan, prior_sigma_rad(False)),
     ],
 )
 def test_how_good_the_calibration_is(sigma_deg: float | None, sigma_rad: float) -> None:

@@ -104,10 +104,10 @@ def _grade(value: float, warn: float, fail: float) -> Verdict:
     return "pass" if value <= warn else "warn" if value <= fail else "fail"
 
 
-def judge_offsets(instance: int, correction: FieldCorrection) -> CheckItem:
-    """Judge the offsets in force: none at all is no calibration, and very large ones hide trouble."""
+def judge_offsets(instance: int, correction: FieldCorrection, calibrated: bool) -> CheckItem:
+    """Judge the offsets in force: none at all may be no calibration, and very large ones hide trouble."""
     size = math.hypot(*correction.offsets_mgauss)
-    if size == 0.0:
+    if not calibrated:
         return CheckItem(
             "offsets",
             "fail",

@@ -15,7 +15,7 @@ import numpy as np
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import Dwell, assemble, dwell_between
-from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, px4_name
+from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, is_calibrated, px4_name
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi
@@ -186,9 +186,11 @@ class _Checker:
             self._add(CheckItem("compass", "fail", "The vehicle has no compass.", "Connect and enable one."))
         for instance in self.desk.instances:
             correction = self.desk.dialect.correction(self.desk.parameters, instance)
-            self._add(items.judge_offsets(instance, correction))
+            of_vehicle = self.desk.identity.autopilot, self.desk.parameters
+            calibrated = is_calibrated(*of_vehicle, instance, correction)
+            self._add(items.judge_offsets(instance, correction, calibrated))
             self._add(items.judge_matrix(instance, correction))
-            for remark in parameter_remarks(self.desk.identity.autopilot, self.desk.parameters, instance):
+            for remark in parameter_remarks(*of_vehicle, instance):
                 if remark.forbids:
                     self._add(CheckItem("switches", "warn", remark.text))
                 else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import datetime
 
+from mavcompass.compass_parameters import is_calibrated
 from mavcompass.procedure.dialect import Dialect
 from mavcompass.service.watch import Finding
 from mavcompass.service.work.history import Entry
@@ -23,14 +24,14 @@ def stale_findings(
     """List why the calibration in force on one compass is not, or no longer, what was calibrated."""
     correction = dialect.correction(parameters, instance)
     findings: list[Finding] = []
-    if not any(correction.offsets_mgauss):
+    if not is_calibrated(dialect.autopilot, parameters, instance, correction):
         findings.append(
             Finding(
                 "uncalibrated",
                 instance,
                 "bad",
                 f"Compass {instance} is not calibrated",
-                f"Compass {instance} has no offsets at all: it was never calibrated.",
+                f"The autopilot holds no calibration of compass {instance}.",
                 "Calibrate it.",
             )
         )

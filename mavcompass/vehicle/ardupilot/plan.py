@@ -16,7 +16,7 @@ from mavcompass.compass_parameters import (
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import Refused
 from mavcompass.frames import FloatArray
-from mavcompass.vehicle.parameters.planning import Judgement, Planner, Wish
+from mavcompass.vehicle.parameters.planning import Judgement, Planner
 from mavcompass.vehicle.parameters.rules import check_correction
 from mavcompass.vehicle.parameters.values import same_value
 
@@ -43,6 +43,7 @@ class ArduPilotPlanner(Planner):
     """Plan by ArduPilot's rules."""
 
     autopilot = "ardupilot"
+    motor_terms, motor_switch = r"COMPASS[123]?_MOT[23]?_[XYZ]", "COMPASS_MOTCT"
     instance_of = staticmethod(instance_of)
     unwatched = "The autopilot's own heading follows a new calibration slowly: restart it before you drive."
 
@@ -56,7 +57,7 @@ class ArduPilotPlanner(Planner):
         instance: int,
         correction: FieldCorrection,
         turned: FloatArray | None,
-    ) -> Wish:
+    ) -> dict[str, float]:
         """Spell a correction as parameters, less what has the same effect already.
 
         An all-zero DIA is no matrix, a SCALE out of its limits is 1; the motor term of a correction that
@@ -84,7 +85,7 @@ class ArduPilotPlanner(Planner):
                 del wanted[ardupilot_name(quantity, instance, naming)]
         if same_value(correction.scale, in_force.scale) or scale_name not in parameters:
             del wanted[scale_name]
-        return Wish(wanted)
+        return wanted
 
     def judge_compass(
         self, before: Mapping[str, float], after: Mapping[str, float], instance: int
@@ -106,12 +107,6 @@ class ArduPilotPlanner(Planner):
         more_refusals, more_remarks = _about_mounting(before, after, instance)
         refusals, remarks = refusals + more_refusals, remarks + more_remarks
         return refusals, remarks
-
-    def judge_vehicle(
-        self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
-    ) -> Judgement:
-        """Check what all compasses share: what the motor terms go with."""
-        return _motor_clash(before, after, judged), []
 
     def uncommitted(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
@@ -139,16 +134,4 @@ def _about_mounting(before: Mapping[str, float], after: Mapping[str, float], ins
         return [], []
     return [], [
         f"Compass {instance} is turned and keeps its offsets, which are in the vehicle's axes: calibrate it."
-    ]
-
-
-def _motor_clash(before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]) -> list[str]:
-    """Refuse to change what the motor terms of a compass that is not being written go with."""
-    if before.get("COMPASS_MOTCT") == after.get("COMPASS_MOTCT"):
-        return []
-    naming = ardupilot_naming(after)
-    return [
-        f"COMPASS_MOTCT is shared: changing it gives compass {other}'s motor terms another meaning."
-        for other in sorted({1, 2, 3} - set(judged))
-        if any(after.get(ardupilot_name(f"MOT_{axis}", other, naming), 0.0) for axis in "XYZ")
     ]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,24 +21,19 @@ from mavcompass.vehicle.parameters.values import is_single, same_value, tidy
 Judgement = tuple[list[str], list[str]]
 
 
-@dataclass(frozen=True, slots=True)
-class Wish:
-    """Say what a correction wants of one compass's parameters."""
-
-    values: Mapping[str, float]
-    remarks: tuple[str, ...] = ()
-
-
 class Planner(ABC):
     """Plan by one autopilot's rules; a subclass knows its parameters.
 
     Attributes:
         autopilot: its name.
+        motor_terms: the names of motor terms, a pattern. motor_switch: what says with which load all go.
         unwatched: what to know of single values written by hand, where nobody sees what the autopilot makes
             of them; a calibration watches its heading.
     """
 
     autopilot: str
+    motor_terms: str
+    motor_switch: str
     unwatched = ""
 
     def __init__(self, rules: ParameterRules) -> None:
@@ -58,7 +54,7 @@ class Planner(ABC):
         instance: int,
         correction: FieldCorrection,
         turned: FloatArray | None,
-    ) -> Wish:
+    ) -> dict[str, float]:
         """Spell a correction of finite numbers as parameters, less what has the same effect already.
 
         `turned` is what must come after the mounting in force, None where that stays. Raises Refused for what
@@ -75,11 +71,17 @@ class Planner(ABC):
         """Put changes in the order of writing, which is undone from its end."""
         return changes
 
-    def judge_vehicle(
+    def _motor_clash(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
-    ) -> Judgement:
-        """Check what all compasses share, given those that are judged."""
-        return [], []
+    ) -> list[str]:
+        """Refuse to change what the motor terms of a compass that is not being written go with."""
+        if before.get(self.motor_switch) == after.get(self.motor_switch):
+            return []
+        held = {self.instance_of(n) for n, v in after.items() if v and re.fullmatch(self.motor_terms, n)}
+        return [
+            f"{self.motor_switch} is shared: changing it gives compass {other}'s motor terms another meaning."
+            for other in sorted({i for i in held if i is not None} - set(judged))
+        ]
 
     def uncommitted(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
@@ -101,7 +103,6 @@ class Planner(ABC):
         present = tuple(present)
         wanted: dict[str, float] = {}
         unwritable: list[str] = []
-        remarks: list[str] = []
         for instance, correction in sorted(corrections.items()):
             if instance not in present:
                 unwritable.append(self.absent(instance))
@@ -110,15 +111,12 @@ class Planner(ABC):
             else:
                 held = {**parameters, **wanted}  # where another compass has just taken a set of free angles
                 try:
-                    wish = self.wish(held, instance, correction, turned.get(instance))
+                    wanted |= self.wish(held, instance, correction, turned.get(instance))
                 except Refused as refusal:
                     unwritable.append(str(refusal))
-                    continue
-                wanted |= wish.values
-                remarks += wish.remarks
         touched = [instance for instance in corrections if instance in present]
         plan = self.plan_values(parameters, wanted, present, touched=touched)
-        return replace(plan, refusals=(*unwritable, *plan.refusals), remarks=(*plan.remarks, *remarks))
+        return replace(plan, refusals=(*unwritable, *plan.refusals))
 
     def plan_values(
         self,
@@ -160,10 +158,8 @@ class Planner(ABC):
             known = parameter_remarks(self.autopilot, after, instance)
             doubts += [*against, *(remark.text for remark in known if remark.forbids)]
             remarks += [*notes, *(remark.text for remark in known if not remark.forbids)]
-        against, notes = self.judge_vehicle(parameters, after, judged)
-        doubts += against
-        remarks += notes
-        if late := [c.name for c in changes if self.rules.wants_reboot(c.name)]:
+        doubts += self._motor_clash(parameters, after, judged)
+        if late := tuple(c.name for c in changes if self.rules.wants_reboot(c.name)):
             takes = "takes" if len(late) == 1 else "take"
             remarks.append(f"{', '.join(late)} {takes} effect after a restart of the autopilot.")
         if changes and judged and not touched:
@@ -173,6 +169,7 @@ class Planner(ABC):
             refusals=tuple(dict.fromkeys(doubts)) if checked else (),
             remarks=tuple(dict.fromkeys(remarks if checked else doubts + remarks)),
             commit_instances=self.uncommitted(parameters, after, judged),
+            after_restart=late,
         )
 
 

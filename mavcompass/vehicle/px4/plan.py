@@ -12,7 +12,6 @@ from mavcompass.compass_parameters import (
     PX4_ANGLES,
     PX4_CUSTOM,
     PX4_ORIENTATIONS,
-    px4_correction,
     px4_name,
     px4_sensor_correction,
     values,
@@ -21,8 +20,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.errors import Refused
 from mavcompass.frames import FloatArray
 from mavcompass.procedure.dialect import Change
-from mavcompass.units import MGAUSS_PER_GAUSS
-from mavcompass.vehicle.parameters.planning import Judgement, Planner, Wish
+from mavcompass.vehicle.parameters.planning import Judgement, Planner
 from mavcompass.vehicle.parameters.rules import check_correction
 
 # PX4 loads a change of the offsets, of the diagonal, of the rest during the run only where it is longer.
@@ -45,6 +43,7 @@ class PX4Planner(Planner):
     """Plan by PX4's rules."""
 
     autopilot = "px4"
+    motor_terms, motor_switch = r"CAL_MAG\d_[XYZ]COMP", "CAL_MAG_COMP_TYP"
     instance_of = staticmethod(instance_of)
 
     def absent(self, instance: int) -> str:
@@ -60,22 +59,16 @@ class PX4Planner(Planner):
         instance: int,
         correction: FieldCorrection,
         turned: FloatArray | None,
-    ) -> Wish:
-        """Spell a correction as parameters, less what has the same effect already.
-
-        PX4 subtracts the motors' field before its matrix, so the motor term in force stays right when the
-        matrix changes; a new one is not written.
-        """
+    ) -> dict[str, float]:
+        """Spell a correction as parameters, less what has the same effect already."""
         if not parameters.get(px4_name("ID", instance)):
             raise Refused(self.absent(instance))
-        before = px4_correction(parameters, instance)
-        wanted = {
+        spelled = values("px4", parameters, instance, correction, turned)
+        return {
             name: value
-            for name, value in values("px4", parameters, instance, correction, turned).items()
+            for name, value in spelled.items()
             if not abs(value - parameters.get(name, math.inf)) < _ROUNDING
         }
-        before = before if turned is None else before.turned(turned)
-        return Wish(wanted, remarks=tuple(_about_motor(instance, before, correction)))
 
     def in_order(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
         """Put ROT before the angles where it becomes 100, and behind them otherwise.
@@ -116,15 +109,3 @@ def _about_mounting(before: Mapping[str, float], after: Mapping[str, float], ins
     if number not in (-1, PX4_CUSTOM) and any(after.get(name, 0.0) for name in angles):
         return [f"{rot} cannot be {number:g} beside angles other than 0: PX4 would make it {PX4_CUSTOM}."]
     return []
-
-
-def _about_motor(instance: int, before: FieldCorrection, wanted: FieldCorrection) -> list[str]:
-    if wanted.motor_source == "none":
-        return []
-    raw_before = np.linalg.solve(before.matrix, before.motor_mgauss)
-    raw_wanted = np.linalg.solve(wanted.matrix, wanted.motor_mgauss)
-    if wanted.motor_source == before.motor_source and np.allclose(
-        raw_before, raw_wanted, atol=1e-3 * MGAUSS_PER_GAUSS
-    ):
-        return []
-    return [f"Compass {instance}: the motor term is left as it is; set it with PX4's own compensation."]

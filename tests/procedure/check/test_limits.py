@@ -46,7 +46,7 @@ def reading(strength: float = 1.0, dip_deg: float = 0.0) -> Reading:
     ],
 )
 def test_offsets(offsets: tuple[float, float, float], verdict: Verdict, said: str) -> None:
-    item = items.judge_offsets(2, FieldCorrection(offsets))
+    item = items.judge_offsets(2, FieldCorrection(offsets), calibrated=any(offsets))
     assert (item.name, item.verdict, item.text, item.instance) == ("offsets", verdict, said, 2)
     assert with_remedy(item) and item.value == max(map(abs, offsets))
     assert item.limit == 400.0 or verdict == "fail"
@@ -271,8 +271,8 @@ def test_what_lies_at_a_limit_is_on_its_better_side(value: float, verdict: Verdi
 
 
 def test_limits_of_offsets_and_of_the_earths_field_are_within() -> None:
-    assert items.judge_offsets(1, FieldCorrection((400.0, 0.0, 0.0))).verdict == "pass"
-    assert items.judge_offsets(1, FieldCorrection((1800.0, 0.0, 0.0))).verdict == "warn"
+    assert items.judge_offsets(1, FieldCorrection((400.0, 0.0, 0.0)), True).verdict == "pass"
+    assert items.judge_offsets(1, FieldCorrection((1800.0, 0.0, 0.0)), True).verdict == "warn"
     for total in (185.0, 720.0):
         (item,) = items.judge_field(Reading(1, total, 0.0, 0.0), None)
         assert item.verdict == "pass" and item.limit == 720.0

@@ -1,23 +1,10 @@
-"""What of a vehicle's own switches speaks against a write, and which source of yaw may be switched off."""
+"""Which source of yaw may be switched off."""
 
 from __future__ import annotations
 
 import pytest
 
-from mavcompass.vehicle.ardupilot.plan import _motor_clash
 from mavcompass.vehicle.ardupilot.yaw import idle_set
-
-
-def test_motor_terms_of_another_compass_keep_their_meaning() -> None:
-    terms = {"COMPASS_MOT2_Y": 3.0}
-    throttle, current = {"COMPASS_MOTCT": 1.0, **terms}, {"COMPASS_MOTCT": 2.0, **terms}
-    assert _motor_clash(throttle, current, (1,))[0].startswith(
-        "COMPASS_MOTCT is shared: changing it gives compass 2's"
-    )
-    assert _motor_clash(throttle, current, (1, 2)) == _motor_clash(throttle, throttle, (1,)) == []
-    assert _motor_clash({"COMPASS_MOTCT": 1.0}, {"COMPASS_MOTCT": 2.0}, (1,)) == []
-    assert len(_motor_clash(throttle, current | {"COMPASS_MOT3_X": 1.0}, (1,))) == 2
-
 
 COMPASS, NONE, OTHER = 1.0, 0.0, 8.0
 

@@ -94,7 +94,6 @@ def test_what_a_person_should_know_is_said() -> None:
     assert "switched off" in remarks(CAL_MAG0_PRIO=0.0)
     assert "SENS_MAG_AUTOCAL" in remarks(SENS_MAG_AUTOCAL=1.0)
     assert "next start" in remarks(FieldCorrection((-20.5, 130.0, -70.0)))
-    assert "motor term" in remarks(replace(GOOD, motor_mgauss=(3.0, 0.0, 0.0), motor_source="current"))
     assert remarks() == ""
 
 
@@ -106,6 +105,20 @@ def test_the_motor_term_in_force_stays_without_a_remark() -> None:
     assert planned.remarks == ()
     new = DIALECT.correction(held | {c.name: c.new for c in planned.changes}, 1)
     assert new.motor_mgauss == pytest.approx(wanted.motor_mgauss)
+
+
+def test_a_motor_term_is_written_with_what_it_goes_by() -> None:
+    held, motor = px4_parameters(CAL_MAG0_ROT=2.0), replace(GOOD, motor_mgauss=(3.0, -1.0, 0.5))
+    planned = DIALECT.plan(held, {1: replace(motor, motor_source="current")})
+    after = held | {c.name: c.new for c in planned.changes}
+    assert not planned.refusals and after["CAL_MAG_COMP_TYP"] == 2.0
+    assert DIALECT.correction(after, 1).motor_mgauss == pytest.approx(motor.motor_mgauss, abs=1e-4)
+    # What the terms of another compass go by is not changed.
+    held["CAL_MAG1_XCOMP"] = 0.2
+    assert (
+        "CAL_MAG_COMP_TYP is shared"
+        in DIALECT.plan(held, {1: replace(motor, motor_source="current")}).refusals[0]
+    )
 
 
 def test_device_ids_are_not_written() -> None:
