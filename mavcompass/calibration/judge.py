@@ -215,7 +215,8 @@ def _as_mounted(
         if abs(away) < (again.others_sigma_rad(0) if free else _FREE_RAD):
             break
         rotation = euler_to_matrix(0.0, 0.0, away) @ rotation
-    if again.sound[0] < RATHER_SOUND:
+    unsure_rad = math.radians(solved.heading_sigma_deg)
+    if again.sound[0] < RATHER_SOUND or _angle(rotation) < BEYOND_CHANCE * unsure_rad:
         return None
     if free:  # its angle is known as well as the others' headings
         sigma_deg = math.hypot(solved.heading_sigma_deg, math.degrees(again.others_sigma_rad(0)))

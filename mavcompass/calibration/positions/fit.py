@@ -178,31 +178,34 @@ class Blend:
 def weigh_cross_terms(
     state: FloatArray, covariance: FloatArray, prior: IronPrior, shared: FloatArray | None = None
 ) -> Blend:
-    """Weigh 'there are cross terms' against 'there are none' and blend the two.
+    """Weigh 'there are cross terms' against 'there are a sensor's own at the most' and blend the two.
 
-    Both are one Gaussian: without cross terms is the fit conditioned on their being 0. The odds are the
-    density of 0 after over that before the data (Savage and Dickey), times the prior odds. Where the
-    data cannot tell, the blend costs less than either: a cross term that is not there is not paid for.
+    Both are one Gaussian: with the narrow prior is the fit with one more observation, that they are 0 within
+    `narrow`, 1 / own^2 = 1 / cross^2 + 1 / narrow^2. The odds are the density of that observation after over
+    that before the data (Savage and Dickey), times the prior odds. Where the data cannot tell, the blend
+    costs less than either: a cross term that is not there is not paid for.
+
+    No sensor's axes are square to nothing: taken for exactly so, a tilt that all readings share, which shows
+    like a cross term, would count as known.
 
     `shared` (P, M) are errors of the state, one sigma each, that are no cross terms and tell nothing of them.
     """
     shared = np.zeros((state.size, 0)) if shared is None else shared
-    horizontal, state, covariance, shared = _spike_and_slab(state, covariance, shared, [6], prior.cross_sigma)
-    vertical, state, covariance, shared = _spike_and_slab(
-        state, covariance, shared, [7, 8], prior.cross_sigma
-    )
+    horizontal, state, covariance, shared = _spike_and_slab(state, covariance, shared, [6], prior)
+    vertical, state, covariance, shared = _spike_and_slab(state, covariance, shared, [7, 8], prior)
     return Blend(state, covariance + shared @ shared.T, shared, (horizontal, vertical))
 
 
 def _spike_and_slab(
-    state: FloatArray, covariance: FloatArray, shared: FloatArray, index: list[int], sigma: float
+    state: FloatArray, covariance: FloatArray, shared: FloatArray, index: list[int], prior: IronPrior
 ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    """Blend a Gaussian with itself conditioned on `state[index]` = 0; returns P(not 0) and the blend."""
-    block = covariance[np.ix_(index, index)]
+    """Blend a Gaussian with itself under the narrow prior of `state[index]`; P(wide) and the blend."""
+    narrow2 = 1.0 / (prior.own_cross_sigma**-2.0 - prior.cross_sigma**-2.0)
+    block = covariance[np.ix_(index, index)] + narrow2 * np.eye(len(index))
     value = state[index]
     gain = covariance[:, index] @ np.linalg.inv(block)
     posterior = -0.5 * float(value @ np.linalg.solve(block, value)) - 0.5 * float(np.linalg.slogdet(block)[1])
-    before = -len(index) * math.log(sigma)
+    before = -0.5 * len(index) * math.log(prior.cross_sigma**2 + narrow2)
     odds = math.log((1.0 - CROSS_TERMS_BEFORE) / CROSS_TERMS_BEFORE)
     log_odds = min(max(posterior - before + odds, -700.0), 700.0)
     spike = 1.0 / (1.0 + math.exp(-log_odds))

@@ -38,7 +38,8 @@ class IronPrior:
     Attributes:
         gain_sigma: of each horizontal gain about 1.
         vertical_gain_sigma: of the vertical gain about the mean of the horizontal ones.
-        cross_sigma: of the cross terms, where there are any.
+        cross_sigma: of the cross terms, where there are any. own_cross_sigma: of a sensor's own without iron:
+            axes are square, and set to the vehicle's, within a third of a degree.
         site_sigma_mgauss: what rocks, buildings and parked cars add to the world model, each component.
         motor_sigma_mgauss_per_a: of the field of the battery current, each axis.
         vertical_offset_sigma_mgauss: of the offset in force on Z, where there is no world model.
@@ -47,6 +48,7 @@ class IronPrior:
     gain_sigma: float = 0.25
     vertical_gain_sigma: float = 0.05
     cross_sigma: float = 0.04
+    own_cross_sigma: float = 0.005
     site_sigma_mgauss: float = 5.0
     motor_sigma_mgauss_per_a: float = 0.5
     vertical_offset_sigma_mgauss: float = 100.0

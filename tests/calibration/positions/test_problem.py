@@ -235,21 +235,38 @@ def test_the_next_pose_lowers_what_is_not_known_and_says_how() -> None:
 
 
 def test_cross_terms_are_blended_by_their_odds() -> None:
-    """Savage and Dickey, in one dimension: the density of 0 after over before, times three."""
+    """Savage and Dickey, in one dimension: the density of 0 within `narrow`, after over before."""
     state, covariance = np.zeros(20), np.eye(20) * 1e-6
-    sigma = 0.01
+    sigma, own, wide = 0.01, DEFAULT_PRIOR.own_cross_sigma, DEFAULT_PRIOR.cross_sigma
+    narrow2 = 1.0 / (own**-2.0 - wide**-2.0)
+    both2 = sigma**2 + narrow2
     for value in (0.0, 0.02, 0.05):
         state[6], covariance[6, 6], covariance[0, 6], covariance[6, 0] = value, sigma**2, 0.02, 0.02
         covariance[0, 0] = 9.0
-        after = math.exp(-0.5 * (value / sigma) ** 2) / sigma
-        odds = after * DEFAULT_PRIOR.cross_sigma * 3.0
+        after = math.exp(-0.5 * value**2 / both2) / math.sqrt(both2)
+        odds = after * math.sqrt(wide**2 + narrow2) * 3.0
         share = odds / (1.0 + odds)
         blend = weigh_cross_terms(state, covariance, DEFAULT_PRIOR)
+        held = share * sigma**2 / both2
         assert blend.cross_probability[0] == pytest.approx(1.0 - share, rel=1e-6)
-        assert blend.state[6] == pytest.approx((1.0 - share) * value, abs=1e-12)
-        assert blend.state[0] == pytest.approx(-share * 0.02 / sigma**2 * value, abs=1e-9)
-        spread = share * (1.0 - share) * value**2
-        assert blend.covariance[6, 6] == pytest.approx((1.0 - share) * sigma**2 + spread, rel=1e-6)
+        assert blend.state[6] == pytest.approx((1.0 - held) * value, abs=1e-12)
+        assert blend.state[0] == pytest.approx(-share * 0.02 / both2 * value, abs=1e-9)
+        spread = share * (1.0 - share) * (sigma**2 / both2 * value) ** 2
+        assert blend.covariance[6, 6] == pytest.approx((1.0 - held) * sigma**2 + spread, rel=1e-6)
+
+
+def test_a_lean_that_all_readings_share_is_not_told_by_cross_terms() -> None:
+    """With axes taken for exactly square the blend knew the lean: 0.02 claimed where 0.2 are true."""
+    state, covariance = np.zeros(20), np.eye(20) * 1e-6
+    vertical, lean, cross = 530.0, 0.0016, 0.0002
+    # A lean shows as a cross term and as twice its field in the offset: on the level, as its field.
+    shared = np.zeros((20, 1))
+    shared[1], shared[8] = 2.0 * vertical * lean, -lean
+    covariance[8, 8], covariance[1, 8] = cross**2 + lean**2, -2.0 * vertical * lean**2
+    covariance[8, 1], covariance[1, 1] = covariance[1, 8], (2.0 * vertical * lean) ** 2 + 0.04
+    blend = weigh_cross_terms(state, covariance, DEFAULT_PRIOR, shared)
+    level = blend.shared[1, 0] + vertical * blend.shared[8, 0]
+    assert level == pytest.approx(vertical * lean, rel=0.2)
 
 
 def test_a_fit_may_begin_at_one_that_is_nearly_the_same() -> None:
