@@ -82,7 +82,8 @@ ROWS = {
     "calibration": [
         {"calibrate"},
         {"judge"},
-        {"evidence", "mounting"},
+        {"mounting"},
+        {"evidence"},
         {"methods"},
         {"motion"},
         {"judged"},

@@ -19,33 +19,37 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.calibration.comparison import compared, within
-from mavcompass.calibration.evidence import Evidence, expected_field, gather, heading_by
-from mavcompass.calibration.mounting import find_rotation
+from mavcompass.calibration.evidence import Evidence, gather
+from mavcompass.calibration.mounting import (
+    TURNED_RAD,
+    as_set,
+    mounted_turned,
+    mounting_words,
+    turned_compass,
+)
 from mavcompass.calibration.result import CalibrationResult, Mounting, Witness
 from mavcompass.calibration.verdict import Limits
 from mavcompass.compass_parameters import (
     ardupilot_name,
     ardupilot_naming,
     is_calibrated,
-    mounting_values,
     px4_name,
     sensor_to_body,
-    values,
 )
-from mavcompass.compass_parameters.orientations import NUMBERED, NUMBERED_WITHIN_RAD, nearest
-from mavcompass.correction import IDENTITY
+from mavcompass.compass_parameters.orientations import (
+    NUMBERED,
+    NUMBERED_WITHIN_RAD,
+    angle_between,
+    nearest,
+)
 from mavcompass.earth_field import EarthField, earth_field_of
-from mavcompass.errors import PoorCalibration, Refused
-from mavcompass.frames import FloatArray, euler_to_matrix, wrap_pi
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import euler_to_matrix, wrap_pi
 from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation, isolate_faults, named
-from mavcompass.track import Series, Track
+from mavcompass.track import Track
 
 # A difference of so many sigmas is no chance.
 BEYOND_CHANCE = 3.0
-# A heading that is off by less is no matter of the mounting: boards are set by eye, irons bend as much.
-_TURNED_RAD = math.radians(20.0)
-# Soft iron bends a measured rotation by up to this: nearer to a numbered orientation, it is that one.
-_NUMBERED_RAD = math.radians(12.0)
 # What is left after a numbered orientation is an angle of its own from here on.
 _FREE_RAD = math.radians(1.5)
 _LEAN_RAD = math.radians(15.0)
@@ -88,7 +92,7 @@ def judge(
     # What else seems wrong with a compass that is turned only follows from that.
     mounting, reasons = as_mounted
     why = [reason for reason in reasons or (_contradiction(found, evidence),) if reason]
-    return replace(judged, mounting=mounting, reasons=(_about_mounting(judged, mounting), *why))
+    return replace(judged, mounting=mounting, reasons=(mounting_words(judged, mounting), *why))
 
 
 def _weighed(
@@ -118,7 +122,7 @@ def _contradiction(found: FaultIsolation, evidence: Evidence) -> str:
     far = max(others, key=lambda s: abs(float(wrap_pi(s.deviation_rad[0]))))
     apart = math.degrees(abs(float(wrap_pi(far.deviation_rad[0]))))
     stands = f"{far.name.capitalize()} stands {apart:.0f} deg from {mine.name}"
-    if apart < math.degrees(_TURNED_RAD):
+    if apart < math.degrees(TURNED_RAD):
         return f"{stands}, and nothing tells which is wrong."
     return f"{stands}: one of them is mounted turned, or set so, and nothing tells which."
 
@@ -195,7 +199,7 @@ def _as_mounted(
 
     With it come the reasons, if any, not to accept the compass so mounted either.
     """
-    rotation = _rotation(track, result, others, earth, found)
+    rotation = mounted_turned(track, result, others, earth, found)
     if rotation is None:
         return None
     in_force = sensor_to_body(track.autopilot, track.parameters, result.instance)
@@ -216,101 +220,10 @@ def _as_mounted(
             break
         rotation = euler_to_matrix(0.0, 0.0, away) @ rotation
     unsure_rad = math.radians(solved.heading_sigma_deg)
-    if again.sound[0] < RATHER_SOUND or _angle(rotation) < BEYOND_CHANCE * unsure_rad:
+    if again.sound[0] < RATHER_SOUND or angle_between(rotation, np.eye(3)) < BEYOND_CHANCE * unsure_rad:
         return None
     if free:  # its angle is known as well as the others' headings
         sigma_deg = math.hypot(solved.heading_sigma_deg, math.degrees(again.others_sigma_rad(0)))
         solved = solved.widened(sigma_deg, "mounting")
     judged = _weighed(solved, evidence, again, limits)
-    return _as_set(track, _told(judged, again, track, earth), rotation), judged.reasons
-
-
-def _rotation(
-    track: Track,
-    result: CalibrationResult,
-    others: Mapping[int, CalibrationResult],
-    earth: EarthField | None,
-    found: FaultIsolation,
-) -> FloatArray | None:
-    """Find how far a compass is turned against what is set, by the surest of the sources that are sound."""
-    believed = [i for i in found.likeliest if i > 0 and found.sound[i] > RATHER_SOUND]
-    if not believed:
-        return None
-    source = found.sources[min(believed, key=lambda i: found.sources[i].sigma_rad)]
-    declination = 0.0 if earth is None else earth.declination_rad
-    heading = heading_by(track, source.name, others, declination)
-    if heading is None:
-        # What tells no heading at each moment tells by how much this one is off.
-        rotation = euler_to_matrix(0.0, 0.0, -source.deviation_rad[0])
-    else:
-        strength = (
-            (earth.horizontal_mgauss, earth.ned_mgauss[2])
-            if earth is not None
-            else (result.horizontal_mgauss, result.vertical_mgauss)
-        )
-        time = track.compasses[result.instance].time_s
-        try:
-            seen = find_rotation(
-                track.raw_field(result.instance), expected_field(track, heading, time, *strength)
-            )
-        except PoorCalibration:
-            return None
-        if not seen.believed:
-            return None
-        rotation = seen.matrix
-    in_force = sensor_to_body(track.autopilot, track.parameters, result.instance)
-    number, off = nearest(rotation @ in_force, NUMBERED)
-    if off < _NUMBERED_RAD:
-        rotation = NUMBERED[number] @ in_force.T
-    return rotation if _angle(rotation) > _TURNED_RAD else None
-
-
-def _angle(rotation: FloatArray) -> float:
-    return math.acos(min(max(0.5 * (float(np.trace(rotation)) - 1.0), -1.0), 1.0))
-
-
-def _as_set(track: Track, judged: CalibrationResult, rotation: FloatArray) -> Mounting:
-    """Spell a mounting in the autopilot's parameters; where it has none, say so.
-
-    `judged` is the compass so mounted, which the mounting mends if it is accepted.
-    """
-    angle_deg = math.degrees(_angle(rotation))
-    wanted = rotation @ sensor_to_body(track.autopilot, track.parameters, judged.instance)
-    try:
-        setting = mounting_values(track.autopilot, track.parameters, judged.instance, wanted)
-        spelled = values(track.autopilot, track.parameters, judged.instance, judged.correction, rotation)
-    except Refused as why:
-        return Mounting(seen=True, turned=rotation, angle_deg=angle_deg, no_setting=str(why))
-    setting = {name: value for name, value in setting.items() if track.parameters.get(name) != value}
-    mounting = Mounting(seen=True, turned=rotation, angle_deg=angle_deg, setting=setting)
-    if not judged.accepted:
-        return mounting
-    mended = replace(judged, mounting=mounting, parameters=spelled)
-    return replace(mounting, mended=mended)
-
-
-def _about_mounting(result: CalibrationResult, mounting: Mounting) -> str:
-    found = (
-        f"Compass {result.instance} is mounted turned by {mounting.angle_deg:.0f} degrees against what is set"
-    )
-    if mounting.no_setting:
-        return f"{found}. {mounting.no_setting}"
-    setting = ", ".join(f"{name} {value:g}" for name, value in mounting.setting.items())
-    if mounting.mended is None:
-        return f"{found}: {setting} is right."
-    sigma_deg = mounting.mended.heading_sigma_deg
-    return f"{found}: {setting} is right (then within {sigma_deg:.2f} deg; --orientation sets it)."
-
-
-def turned_compass(track: Track, instance: int, rotation: FloatArray) -> Track:
-    """Return the recording as if one compass had a further rotation (3, 3) after the mounting in force."""
-    compass = track.compasses[instance]
-    raw = np.asarray(track.raw_field(instance)) @ np.asarray(rotation).T
-    reading = replace(
-        compass,
-        reported=Series(compass.time_s, raw),
-        in_force=(replace(compass.in_force[0], correction=IDENTITY),),
-        truncated=False,
-        not_applied=None,
-    )
-    return replace(track, compasses={**track.compasses, instance: reading})
+    return as_set(track, _told(judged, again, track, earth), rotation), judged.reasons

@@ -11,14 +11,27 @@ A sensor whose driver has an axis the wrong way round fits better with -d: no ro
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray
+from mavcompass.calibration.evidence import expected_field, heading_by
+from mavcompass.calibration.result import CalibrationResult, Mounting
+from mavcompass.compass_parameters import mounting_values, sensor_to_body, values
+from mavcompass.compass_parameters.orientations import NUMBERED, angle_between, nearest
+from mavcompass.correction import IDENTITY
+from mavcompass.earth_field import EarthField
+from mavcompass.errors import PoorCalibration, Refused
+from mavcompass.frames import FloatArray, euler_to_matrix
+from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation
+from mavcompass.track import Series, Track
 
+# A heading that is off by less is no matter of the mounting: boards are set by eye, irons bend as much.
+TURNED_RAD = math.radians(20.0)
+# Soft iron bends a measured rotation by up to this: nearer to a numbered orientation, it is that one.
+_NUMBERED_RAD = math.radians(12.0)
 # A field that moves less than this in a second direction leaves the rotation open.
 _LEAST_SPREAD_MGAUSS = 20.0
 # A mirrored axis is said where it leaves less by this factor; what is believed leaves less of the field.
@@ -44,7 +57,7 @@ class Rotation:
     @property
     def angle_rad(self) -> float:
         """Return the angle of the rotation."""
-        return math.acos(min(max(0.5 * (float(np.trace(self.matrix)) - 1.0), -1.0), 1.0))
+        return angle_between(self.matrix, np.eye(3))
 
 
 def find_rotation(raw_mgauss: ArrayLike, expected_mgauss: ArrayLike) -> Rotation:
@@ -82,3 +95,90 @@ def find_rotation(raw_mgauss: ArrayLike, expected_mgauss: ArrayLike) -> Rotation
         mirrored=bool(mirrored),
         believed=not mirrored and rest(flip) < _BELIEVED_SHARE * math.sqrt(power / expected.size),
     )
+
+
+def mounted_turned(
+    track: Track,
+    result: CalibrationResult,
+    others: Mapping[int, CalibrationResult],
+    earth: EarthField | None,
+    found: FaultIsolation,
+) -> FloatArray | None:
+    """Find how far a compass is turned against what is set, by the surest of the sources that are sound."""
+    believed = [i for i in found.likeliest if i > 0 and found.sound[i] > RATHER_SOUND]
+    if not believed:
+        return None
+    source = found.sources[min(believed, key=lambda i: found.sources[i].sigma_rad)]
+    declination = 0.0 if earth is None else earth.declination_rad
+    heading = heading_by(track, source.name, others, declination)
+    if heading is None:
+        # What tells no heading at each moment tells by how much this one is off.
+        rotation = euler_to_matrix(0.0, 0.0, -source.deviation_rad[0])
+    else:
+        strength = (
+            (earth.horizontal_mgauss, earth.ned_mgauss[2])
+            if earth is not None
+            else (result.horizontal_mgauss, result.vertical_mgauss)
+        )
+        time = track.compasses[result.instance].time_s
+        try:
+            seen = find_rotation(
+                track.raw_field(result.instance), expected_field(track, heading, time, *strength)
+            )
+        except PoorCalibration:
+            return None
+        if not seen.believed:
+            return None
+        rotation = seen.matrix
+    in_force = sensor_to_body(track.autopilot, track.parameters, result.instance)
+    number, off = nearest(rotation @ in_force, NUMBERED)
+    if off < _NUMBERED_RAD:
+        rotation = NUMBERED[number] @ in_force.T
+    return rotation if angle_between(rotation, np.eye(3)) > TURNED_RAD else None
+
+
+def turned_compass(track: Track, instance: int, rotation: FloatArray) -> Track:
+    """Return the recording as if one compass had a further rotation (3, 3) after the mounting in force."""
+    compass = track.compasses[instance]
+    raw = np.asarray(track.raw_field(instance)) @ np.asarray(rotation).T
+    reading = replace(
+        compass,
+        reported=Series(compass.time_s, raw),
+        in_force=(replace(compass.in_force[0], correction=IDENTITY),),
+        truncated=False,
+        not_applied=None,
+    )
+    return replace(track, compasses={**track.compasses, instance: reading})
+
+
+def as_set(track: Track, judged: CalibrationResult, rotation: FloatArray) -> Mounting:
+    """Spell a mounting in the autopilot's parameters; where it has none, say so.
+
+    `judged` is the compass so mounted, which the mounting mends if it is accepted.
+    """
+    angle_deg = math.degrees(angle_between(rotation, np.eye(3)))
+    wanted = rotation @ sensor_to_body(track.autopilot, track.parameters, judged.instance)
+    try:
+        setting = mounting_values(track.autopilot, track.parameters, judged.instance, wanted)
+        spelled = values(track.autopilot, track.parameters, judged.instance, judged.correction, rotation)
+    except Refused as why:
+        return Mounting(seen=True, turned=rotation, angle_deg=angle_deg, no_setting=str(why))
+    setting = {name: value for name, value in setting.items() if track.parameters.get(name) != value}
+    mounting = Mounting(seen=True, turned=rotation, angle_deg=angle_deg, setting=setting)
+    if not judged.accepted:
+        return mounting
+    mended = replace(judged, mounting=mounting, parameters=spelled)
+    return replace(mounting, mended=mended)
+
+
+def mounting_words(result: CalibrationResult, mounting: Mounting) -> str:
+    found = (
+        f"Compass {result.instance} is mounted turned by {mounting.angle_deg:.0f} degrees against what is set"
+    )
+    if mounting.no_setting:
+        return f"{found}. {mounting.no_setting}"
+    setting = ", ".join(f"{name} {value:g}" for name, value in mounting.setting.items())
+    if mounting.mended is None:
+        return f"{found}: {setting} is right."
+    sigma_deg = mounting.mended.heading_sigma_deg
+    return f"{found}: {setting} is right (then within {sigma_deg:.2f} deg; --orientation sets it)."

@@ -10,7 +10,7 @@ import pytest
 from calibration_worlds import FIELD, Iron, turning_track
 
 from mavcompass.calibration import calibrate_compasses, calibrate_track
-from mavcompass.calibration.judge import turned_compass
+from mavcompass.calibration.mounting import turned_compass
 from mavcompass.calibration.observation import turn_record
 from mavcompass.calibration.result import heading_change_rad
 from mavcompass.compass_parameters import sensor_to_body
