@@ -91,8 +91,8 @@ def judge(
         return judged
     # What else seems wrong with a compass that is turned only follows from that.
     mounting, reasons = as_mounted
-    why = [reason for reason in reasons or (_contradiction(found, evidence),) if reason]
-    return replace(judged, mounting=mounting, reasons=(mounting_words(judged, mounting), *why))
+    told_by = [found.sources[i].name for i in found.likeliest if i > 0]
+    return replace(judged, mounting=mounting, reasons=(mounting_words(judged, mounting, told_by), *reasons))
 
 
 def _weighed(

@@ -11,7 +11,7 @@ A sensor whose driver has an axis the wrong way round fits better with -d: no ro
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from mavcompass.correction import IDENTITY
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, euler_to_matrix
-from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation
+from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation, named
 from mavcompass.track import Series, Track
 
 # A heading that is off by less is no matter of the mounting: boards are set by eye, irons bend as much.
@@ -171,9 +171,12 @@ def as_set(track: Track, judged: CalibrationResult, rotation: FloatArray) -> Mou
     return replace(mounting, mended=mended)
 
 
-def mounting_words(result: CalibrationResult, mounting: Mounting) -> str:
+def mounting_words(result: CalibrationResult, mounting: Mounting, told_by: Sequence[str]) -> str:
+    """Say how a compass is mounted, which sources of the heading tell it, and what mends it."""
+    show = "shows" if len(told_by) == 1 else "show"
     found = (
-        f"Compass {result.instance} is mounted turned by {mounting.angle_deg:.0f} degrees against what is set"
+        f"Compass {result.instance} is mounted turned by {mounting.angle_deg:.0f} degrees against what is"
+        f" set, as {named(told_by)} {show}"
     )
     if mounting.no_setting:
         return f"{found}. {mounting.no_setting}"
