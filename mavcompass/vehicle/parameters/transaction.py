@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mavcompass.errors import MavCompassError, Refused, WriteFailed
-from mavcompass.installation.invocation import program
+from mavcompass.installation.invocation import consent, program
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters import protocol
-from mavcompass.vehicle.parameters.undo import written_file
+from mavcompass.vehicle.parameters.undo import remove_record, written_file
 from mavcompass.vehicle.parameters.values import Encoding, Parameter, holds, is_single
 
 # After a stop a script has `script.CLEAN_UP_S` to put things back; a silent vehicle is given up before.
@@ -80,10 +80,16 @@ class Transaction:
                     undo_file,
                 ) from why
             raise
+
+        def take_back(context: Context, why: str) -> Script[None]:
+            stop = yield from self._put_back(context, old, undo_file, Refused(why))
+            remove_record(undo_file)
+            if stop is not None:
+                raise stop
+
         values = {name: p.value for name, p in new.items()}
-        return WriteOutcome(
-            True, undo_file, values, remarks, command, again_command(self.source, undo_file, context.system)
-        )
+        again = again_command(self.source, undo_file, context.system)
+        return WriteOutcome(True, undo_file, values, remarks, command, again, take_back)
 
     def _read_before(self, context: Context, plan: ParameterPlan) -> Script[dict[str, Parameter]]:
         """Read the parameters that will change; nothing is written where they are not as planned."""
@@ -105,16 +111,21 @@ class Transaction:
 
     def _put_back(
         self, context: Context, old: Mapping[str, Parameter], undo_file: Path, why: Exception
-    ) -> Script[None]:
-        """Write the old values, last change first, and prove them; raise WriteFailed where that fails."""
+    ) -> Script[Refused | None]:
+        """Write the old values, last change first, and prove them; return the stop that came meanwhile.
+
+        Raises WriteFailed where that fails.
+        """
+        stopped: Refused | None = None
         context.show("undo", f"{_sentence(why)} Putting {counted(len(old))} back.")
         back = {name: old[name] for name in reversed(list(old))}
         while True:
             try:
                 echoes_s = yield from protocol.write(context, back, self.encoding, _UNDO_SILENCE_S)
                 yield from protocol.prove(context, back, self.encoding, echoes_s, _UNDO_SILENCE_S)
-            except Refused:
-                continue  # a stop, which comes once: the vehicle is still, and half a calibration is worse
+            except Refused as stop:  # which comes once: the vehicle is still, half a calibration is worse
+                stopped = stop
+                continue
             except GeneratorExit:
                 raise self._left(context, undo_file, _sentence(why)) from None
             except MavCompassError as trouble:
@@ -122,7 +133,7 @@ class Transaction:
                 context.show("undo", str(left))  # whatever becomes of the error on its way out
                 raise left from trouble
             context.show("undo", "The old parameters are back.")
-            return
+            return stopped
 
     def _left(self, context: Context, undo_file: Path, why: str) -> WriteFailed:
         command = restore_command(self.source, undo_file, context.system)
@@ -163,7 +174,8 @@ def again_command(source: str, undo_file: Path, system: int) -> str:
 
 
 def _spelt(verb: str, source: str, file: Path, system: int) -> str:
-    return f"{program()} params {verb} {shlex.quote(source)} {shlex.quote(str(file))} --system {system}"
+    what = f"{shlex.quote(source)} {shlex.quote(str(file))} --system {system}{consent()}"
+    return f"{program()} params {verb} {what}"
 
 
 def _sentence(error: Exception) -> str:

@@ -89,9 +89,10 @@ def test_leaving_no_matrix_writes_all_of_it_where_it_was_disabled() -> None:
     assert {c.name for c in planned.changes} == {"COMPASS_ODI_X", *(f"COMPASS_DIA_{a}" for a in "XYZ")}
 
 
-def test_offsets_come_first_and_single_values_are_listed_once() -> None:
+def test_offsets_come_last_and_single_values_are_listed_once() -> None:
     names = [c.name for c in plan().changes]
-    assert names[:3] == ["COMPASS_OFS_X", "COMPASS_OFS_Y", "COMPASS_OFS_Z"]
+    # The estimator forgets what it has learnt of a compass when the offsets change: then all else is there.
+    assert names[-3:] == ["COMPASS_OFS_X", "COMPASS_OFS_Y", "COMPASS_OFS_Z"]
     assert len(set(names)) == len(names)
 
 
