@@ -52,6 +52,8 @@ _UNLEARNED_PER_S = 0.01
 _SAMPLE_S = 1.2
 # What noise may leave of a sample; noisy sensors take longer samples, and everything with them.
 _TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS, _LONGEST_SAMPLE_S = math.radians(0.5), 3.0, 5.0
+# A parameter, or a calibration that was loaded, is in force by then.
+_TAKES_S = 0.6
 # Its filter lags, and so does its telemetry.
 _LAG_S = 0.8
 _PATIENCE_S, _PATIENCE_WITHOUT_A_WAY_S = 120.0, 45.0
@@ -137,8 +139,8 @@ class OwnHeading:
 
     def expect(self) -> Script[None]:
         """Have a flying estimator follow its compass promptly from the write on, where that is worth it."""
-        values = self.desk.dialect.prompt_estimator(self.desk.parameters) if self.flying else {}
-        if abs(self.error_deg) > _WORTH_DEG and values:
+        values = self._prompt_values()
+        if abs(self.error_deg) > _WORTH_DEG and values and self.flying:
             self._follows = yield from self.overrides.hold(self._context, values)
 
     def written(self, values: Mapping[str, float]) -> Script[None]:
@@ -186,6 +188,7 @@ class OwnHeading:
                 if 2.0 * self.wander_deg > _GOOD_DEG and as_good_as_it_gets:
                     return
                 if self._may_help() and (yield from self._put_right(self.error_deg)):
+                    began_s = self._context.now
                     continue
                 if self.samples and self._context.now - began_s > _SLOPE_AT_LEAST_S * self._slowness + 1.0:
                     text = f"The autopilot still steers {abs(self.error_deg):.1f} deg off; waiting for it."
@@ -310,6 +313,21 @@ class OwnHeading:
         self.not_loaded = not (yield from self._put_right(self.error_deg))
         return not self.not_loaded
 
+    def _prompt_values(self) -> Mapping[str, float]:
+        return self.desk.dialect.prompt_estimator(self.desk.parameters, self.flying)
+
+    def _load_believing(self) -> Script[str]:
+        """Have the autopilot load what was written while its estimator believes its compass."""
+        try:
+            if values := self._prompt_values():
+                yield from self.overrides.hold(self._context, values)
+                yield from pause(self._context, _TAKES_S)
+            how = yield from self.desk.dialect.load_written(self._context, self._values)
+            yield from pause(self._context, _TAKES_S)
+        finally:
+            yield from self.overrides.release(self._context, "The autopilot's estimator is as it was.")
+        return how
+
     def _may_help(self) -> bool:
         """Tell whether taking the compass's yaw over leaves less error: not while the bias is yet to go.
 
@@ -318,7 +336,8 @@ class OwnHeading:
         error_deg = abs(self.error_deg)
         falling = -self.slope_dps * math.copysign(1.0, self.error_deg)
         unlearned = falling > _UNLEARNED_PER_S * error_deg
-        stays_off = self.desk.dialect.loads_disarmed and math.isfinite(self.slope_dps)
+        settled = abs(self.slope_dps) * _SWING_S < error_deg
+        stays_off = self.desk.dialect.loads_disarmed and settled
         return (
             self._has_a_way and not self.flying and error_deg > _STILL_WORTH_DEG and (unlearned or stays_off)
         )
@@ -336,8 +355,7 @@ class OwnHeading:
     def _take_over(self) -> Script[str]:
         desk = self.desk
         if self._values and desk.dialect.loads_disarmed:
-            on_the_ground = not desk.state.armed
-            how = (yield from desk.dialect.load_written(desk.context, self._values)) if on_the_ground else ""
+            how = "" if desk.state.armed else (yield from self._load_believing())
             self._has_a_way = bool(how) and self.by.count(how) < _LOADS
         else:
             how = yield from desk.dialect.take_compass_yaw(desk.context, desk.parameters, self.flying)

@@ -19,7 +19,7 @@ from mavcompass.errors import LinkLost, PoorCalibration, Refused
 from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
-from mavcompass.procedure.dialect import Dialect, Overrides, SaveUndo, WriteOutcome
+from mavcompass.procedure.dialect import CutShort, Dialect, Overrides, SaveUndo, WriteOutcome
 from mavcompass.procedure.motion import Motion, Permissions, SafetyLimits, Wishes
 from mavcompass.procedure.positions import DwellSettings, HandMover, Mover, Window, prove, visit
 from mavcompass.procedure.report import CalibrationReport
@@ -94,6 +94,7 @@ class Services:
     dialect_for: Callable[[str], Dialect]
     save_undo: SaveUndo
     solve: Solve
+    cut_short: CutShort = lambda vehicle: ()
 
 
 def calibrate(context: Context, services: Services, settings: CalibrateSettings) -> Script[CalibrationReport]:
@@ -132,6 +133,8 @@ class _Calibration:
         context, rates = self.desk.context, MessageRates()
         self.desk.rest.compasses = self.instances
         try:
+            if self.settings.writing != "never":
+                yield from self.overrides.put_back_left(context, self.services.cut_short)
             yield from rates.ask(context, self.wanted_rates())
             report = yield from self.calibrate()
             if report.written:

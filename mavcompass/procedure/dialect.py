@@ -34,17 +34,23 @@ class ParameterPlan:
         refusals: sentences why this must not be written (range, arming checks); empty: may be written.
         remarks: what the person should know (reboot wanted, AUTODEC, LEARN, EKF needs time).
         commit_instances: compasses whose device id must be committed beside the parameters.
+        for_now: True where the old values are to come back at the end of the run.
     """
 
     changes: tuple[Change, ...]
     refusals: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     commit_instances: tuple[int, ...] = ()
+    for_now: bool = False
 
     def reversed(self) -> ParameterPlan:
         """Return the plan that puts the old values back, last change first."""
         back = tuple(Change(c.name, c.new, c.old) for c in reversed(self.changes))
         return ParameterPlan(back)
+
+
+def _nothing_to_take_back(context: Context, why: str) -> Script[None]:
+    return nothing(None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +68,7 @@ class WriteOutcome:
     remarks: tuple[str, ...] = ()
     restore_command: str = ""
     again_command: str = ""
-    take_back: Callable[[Context, str], Script[None]] = lambda context, why: nothing(None)
+    take_back: Callable[[Context, str], Script[None]] = _nothing_to_take_back
 
 
 NOT_TURNED: Mapping[int, FloatArray] = MappingProxyType({})
@@ -70,6 +76,9 @@ NOT_TURNED: Mapping[int, FloatArray] = MappingProxyType({})
 # Puts an undo record of a vehicle on disk before the first write and returns its path; injected, as
 # procedures do not touch files.
 SaveUndo = Callable[[ParameterPlan, Mapping[str, float], Nameplate], Path]
+# Lists what runs that were cut short have left at other values on a vehicle, the last first: the old values,
+# their record, and what removes it; injected, too.
+CutShort = Callable[[Nameplate], Sequence[tuple[Mapping[str, float], Path, Callable[[], None]]]]
 
 
 class Dialect(Protocol):
@@ -88,8 +97,8 @@ class Dialect(Protocol):
         """
         ...
 
-    def prompt_estimator(self, parameters: Mapping[str, float]) -> Mapping[str, float]:
-        """Return parameters at which a flying estimator follows its compass within seconds; {} for none."""
+    def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
+        """Return parameters at which the estimator follows its compass within seconds; {} where none do."""
         ...
 
     @property
@@ -191,11 +200,23 @@ class Overrides:
         known = yield from self.dialect.read_parameters(context, tuple(values))
         if set(known) != set(values):
             return False
-        plan = ParameterPlan(tuple(Change(n, known[n], v) for n, v in values.items() if known[n] != v))
+        changes = tuple(Change(n, known[n], v) for n, v in values.items() if known[n] != v)
+        plan = ParameterPlan(changes, for_now=True)
         outcome = yield from self.dialect.write(context, plan, self.save_undo)
         if outcome.undo_file is not None:
             self._held.append((plan, outcome))
         return True
+
+    def put_back_left(self, context: Context, cut_short: CutShort) -> Script[None]:
+        """Put back what earlier runs have left, which were killed. Raises what a transaction raises."""
+        vehicle = yield from self.dialect.claim(context, {})
+        for before, record, done in cut_short(vehicle):
+            now = yield from self.dialect.read_parameters(context, tuple(before))
+            changes = tuple(Change(n, now[n], old) for n, old in before.items() if now.get(n, old) != old)
+            if changes:
+                context.show("undo", f"An earlier run was cut short: {changes[0].name} is put back.")
+                yield from self.dialect.write(context, ParameterPlan(changes), lambda *_, at=record: at)
+            done()
 
     def release(self, context: Context, why: str) -> Script[None]:
         """Put back all that is held, the last first. Raises WriteFailed where that fails."""

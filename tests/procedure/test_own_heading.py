@@ -44,7 +44,7 @@ def own(
             loads_disarmed=loads_disarmed,
             take_compass_yaw=take,
             load_written=lambda context, values: nothing(how),
-            prompt_estimator=lambda parameters: {"EK3_GBIAS_P_NSE": 0.03},
+            prompt_estimator=lambda parameters, flying: {"EK3_GBIAS_P_NSE": 0.03} if flying else {},
         ),
         parameters={},
         took=took,
@@ -117,7 +117,8 @@ def test_taking_the_yaw_over_helps_once_the_bias_is_unlearned(
 def run(script: Any, watched: OwnHeading) -> Any:
     machine = Machine(lambda context: script)
     machine.context = watched.desk.context
-    machine.step(Tick(100.0))
+    for tick in range(20):  # two seconds are no waiting
+        machine.step(Tick(100.0 + 0.1 * tick))
     assert machine.done, "it waits"
     if machine.error:
         raise machine.error

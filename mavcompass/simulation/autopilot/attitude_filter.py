@@ -20,6 +20,8 @@ from mavcompass.units import RAD_PER_DEG
 _READING_RAD, _YAW_RAD, _BIAS_RADPS = 0.25, 0.0046, 1.2e-4
 # The variances of yaw and bias, and what they share, that it then settles at, read ten times a second.
 _STEADY = (5.0e-4, -9.4e-6, 7.5e-7)
+# What a resting gyro tells, per root of a second (EKF2_GYR_NOISE, five times a second).
+_GYRO_RADPS = 0.015 * math.sqrt(0.2)
 # How well a yaw is known that was just taken over.
 _TAKEN_RAD = 0.5
 # The gains hold for what a reading is off by up to this.
@@ -123,6 +125,13 @@ class AttitudeFilter:
         self.bias_radps = max(-BIAS_MAX_RADPS, min(BIAS_MAX_RADPS, bias))
         target = abs(self.innovation_rad) / _VARIANCE_SCALE_RAD
         self.compass_variance += (target - self.compass_variance) * dt_s / _VARIANCE_TIME_S
+
+    def rest(self, dt_s: float, rate_radps: float) -> None:
+        """Learn the bias from a vehicle that is known to stand: what its gyro tells is all bias."""
+        yaw, both, bias = self._doubt
+        gain = bias * dt_s / _GYRO_RADPS**2
+        self.bias_radps += gain * (rate_radps - self.bias_radps)
+        self._doubt = (yaw, both * (1.0 - gain), bias * (1.0 - gain))
 
     def _gains(self, dt_s: float, reading_rad: float, bias_radps: float) -> tuple[float, float]:
         """Carry the doubt of yaw and bias over a step and a reading; return the reading's gains."""

@@ -75,9 +75,9 @@ class ArduPilotDialect(CompassDialect):
         """Return what leaves the compass out of the arming checks; see `vehicle.ardupilot.arming`."""
         return (yield from exemption(said, lambda names: self.read_parameters(context, names)))
 
-    def prompt_estimator(self, parameters: Mapping[str, float]) -> Mapping[str, float]:
-        """Return at what EKF3 follows its compass within seconds; see `vehicle.ardupilot.yaw`."""
-        return prompt_estimator(parameters)
+    def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
+        """Return at what EKF3 follows its compass in flight; see `vehicle.ardupilot.yaw`."""
+        return prompt_estimator(parameters) if flying else {}
 
     def take_compass_yaw(
         self, context: Context, parameters: Mapping[str, float], flying: bool

@@ -140,8 +140,8 @@ class CompassDialect(ABC):
     def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
         """Return the parameters that keep one arming check from looking at the compass's calibration."""
 
-    def prompt_estimator(self, parameters: Mapping[str, float]) -> Mapping[str, float]:
-        """Return at what a flying estimator follows its compass; by itself a dialect knows no such values."""
+    def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
+        """Return at what the estimator follows its compass; by itself a dialect knows no such values."""
         return {}
 
     def take_compass_yaw(

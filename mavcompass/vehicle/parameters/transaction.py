@@ -61,6 +61,7 @@ class Transaction:
         old = yield from self._read_before(context, plan)
         new = {c.name: Parameter(c.new, old[c.name].type) for c in plan.changes}
         undo_file = save_undo(plan, {name: p.value for name, p in old.items()}, vehicle)
+        way_back = WayBack(self.encoding, self.source, old, undo_file)
         command = restore_command(self.source, undo_file, context.system)
         context.show("write", f"Writing {counted(len(new))}; to put the old values back: {command}")
         remarks: tuple[str, ...] = ()
@@ -70,9 +71,9 @@ class Transaction:
                 remarks = yield from self.commit(context, plan)
             yield from protocol.prove(context, new, self.encoding, echoes_s)
         except GeneratorExit:
-            raise self._left(context, undo_file, "the procedure was ended") from None
+            raise way_back.left(context, "the procedure was ended") from None
         except Exception as why:
-            yield from self._put_back(context, old, undo_file, why)
+            yield from way_back.take(context, why)
             if isinstance(why, MavCompassError) and not isinstance(why, Refused):
                 raise WriteFailed(
                     f"{why.what} What was written was put back, and {counted(len(old))} read back as before.",
@@ -81,15 +82,9 @@ class Transaction:
                 ) from why
             raise
 
-        def take_back(context: Context, why: str) -> Script[None]:
-            stop = yield from self._put_back(context, old, undo_file, Refused(why))
-            remove_record(undo_file)
-            if stop is not None:
-                raise stop
-
         values = {name: p.value for name, p in new.items()}
         again = again_command(self.source, undo_file, context.system)
-        return WriteOutcome(True, undo_file, values, remarks, command, again, take_back)
+        return WriteOutcome(True, undo_file, values, remarks, command, again, way_back)
 
     def _read_before(self, context: Context, plan: ParameterPlan) -> Script[dict[str, Parameter]]:
         """Read the parameters that will change; nothing is written where they are not as planned."""
@@ -109,16 +104,38 @@ class Transaction:
                 )
         return old
 
-    def _put_back(
-        self, context: Context, old: Mapping[str, Parameter], undo_file: Path, why: Exception
-    ) -> Script[Refused | None]:
+
+@dataclass(frozen=True, slots=True)
+class WayBack:
+    """Hold what leads back from a write: the old values, and the record of them on the disk.
+
+    Attributes:
+        encoding, source: as of the transaction. old: by name, in the order of writing.
+    """
+
+    encoding: Encoding
+    source: str
+    old: Mapping[str, Parameter]
+    undo_file: Path
+
+    def __call__(self, context: Context, why: str) -> Script[None]:
+        """Go it, because of a sentence, and remove the record: all is as before. Raises as `take` does.
+
+        A stop that came meanwhile is raised at the end.
+        """
+        stop = yield from self.take(context, Refused(why))
+        remove_record(self.undo_file)
+        if stop is not None:
+            raise stop
+
+    def take(self, context: Context, why: Exception) -> Script[Refused | None]:
         """Write the old values, last change first, and prove them; return the stop that came meanwhile.
 
         Raises WriteFailed where that fails.
         """
         stopped: Refused | None = None
-        context.show("undo", f"{_sentence(why)} Putting {counted(len(old))} back.")
-        back = {name: old[name] for name in reversed(list(old))}
+        context.show("undo", f"{_sentence(why)} Putting {counted(len(self.old))} back.")
+        back = {name: self.old[name] for name in reversed(list(self.old))}
         while True:
             try:
                 echoes_s = yield from protocol.write(context, back, self.encoding, _UNDO_SILENCE_S)
@@ -127,21 +144,22 @@ class Transaction:
                 stopped = stop
                 continue
             except GeneratorExit:
-                raise self._left(context, undo_file, _sentence(why)) from None
+                raise self.left(context, _sentence(why)) from None
             except MavCompassError as trouble:
-                left = self._left(context, undo_file, f"{_sentence(why)} Then: {trouble.what}")
+                left = self.left(context, f"{_sentence(why)} Then: {trouble.what}")
                 context.show("undo", str(left))  # whatever becomes of the error on its way out
                 raise left from trouble
             context.show("undo", "The old parameters are back.")
             return stopped
 
-    def _left(self, context: Context, undo_file: Path, why: str) -> WriteFailed:
-        command = restore_command(self.source, undo_file, context.system)
+    def left(self, context: Context, why: str) -> WriteFailed:
+        """Say that it could not be gone, and the command that does it."""
+        command = restore_command(self.source, self.undo_file, context.system)
         return WriteFailed(
             f"Writing was cut short and could not be undone ({why.rstrip('.')}): the vehicle may hold some"
             " new and some old values.",
             f"Bring the link back, then put the old values back with: {command}",
-            undo_file,
+            self.undo_file,
             command,
         )
 

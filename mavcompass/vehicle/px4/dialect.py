@@ -13,7 +13,7 @@ from mavcompass.steering import PX4_COMPASSES
 from mavcompass.vehicle.parameters.dialect import CompassDialect, no_answer
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
 from mavcompass.vehicle.px4.arming import exemption
-from mavcompass.vehicle.px4.loading import load
+from mavcompass.vehicle.px4.loading import RECEIVERS, load
 from mavcompass.vehicle.px4.plan import PX4Planner
 
 
@@ -55,6 +55,10 @@ class PX4Dialect(CompassDialect):
     def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
         """Return what leaves the compass out of the arming checks; see `vehicle.px4.arming`."""
         return (yield from nothing(exemption(said)))
+
+    def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
+        """Return at what EKF2 follows its compass on the ground; see `vehicle.px4.loading`."""
+        return {} if flying or not parameters.get(RECEIVERS) else {RECEIVERS: 0.0}
 
     def load_written(self, context: Context, written: Mapping[str, float]) -> Script[str]:
         """Have PX4 load its calibration, which resets the heading; see `vehicle.px4.loading`."""

@@ -8,7 +8,8 @@ bias that its estimator learnt in flight, over whatever was written meanwhile.
 The reset lasts where the estimator's tilt and gyro bias are good. Right after a landing they were seen not to
 be, and the heading slid off by ten degrees in two seconds: then it is loaded again. Where the heading was
 more than some 17 degrees off the compass's (EKF2_HEAD_NOISE), the estimator believes no compass any more
-and resets nothing while it stands; a restart is what helps then.
+and resets nothing while it stands (`mag_heading_consistent`) unless it has no receiver's velocity to hold the
+compass against: EKF2_GPS_CTRL is 0 while a calibration is loaded.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.values import holds
 
+RECEIVERS = "EKF2_GPS_CTRL"
 HOW = "PX4's own reset when it loads a calibration on the ground"
 
 # What PX4 takes for another calibration is a change by more than 0.005 gauss, or by 0.01 of the diagonal or

@@ -8,18 +8,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from bent_vehicles import calibrated
+from bent_vehicles import calibrated, perform
 
 from mavcompass.errors import Refused
 from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.motion import Permissions
-from mavcompass.procedure.script import nothing
+from mavcompass.procedure.script import Context, Script, nothing
+from mavcompass.procedure.vehicle_state import VehicleState
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.physics.noise import generator
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.ardupilot.arming import exemption
-from mavcompass.vehicle.parameters.undo import load_record
+from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.parameters.undo import load_record, undo_saver
 from mavcompass.vehicle.px4.arming import exemption as px4_exemption
 
 CALIBRATION = ("COMPASS_OFS_", "COMPASS_DIA_", "COMPASS_ODI_", "COMPASS_SCALE", "CAL_MAG0_", "STAT_")
@@ -66,7 +69,7 @@ def test_it_is_calibrated_in_one_go_and_all_but_the_calibration_is_as_before(
     # estimator was told to believe its compass, and leads back from that too.
     (record,) = (tmp_path / "yes").glob("*.json")
     beside = {n: v for n, v in load_record(record).before.items() if not n.startswith(CALIBRATION)}
-    assert "ARMING_CHECK" not in beside and beside == {name: after[name] for name in beside}
+    assert "ARMING_CHECK" not in beside and beside == pytest.approx({n: after[n] for n in beside})
 
 
 def test_what_else_forbids_arming_is_put_right_by_nobody(tmp_path: Path) -> None:
@@ -116,3 +119,21 @@ def test_one_bit_is_set_aside_for_the_calibration_alone(
 )
 def test_px4_has_a_parameter_for_some_of_it(said: Sequence[str], values: dict[str, float]) -> None:
     assert px4_exemption(said) == values
+
+
+def test_what_a_killed_run_has_left_is_put_back_by_the_next(tmp_path: Path) -> None:
+    vehicle = with_iron("rover", 3, 300.0)
+
+    def hold_and_die(context: Context, state: VehicleState) -> Script[bool]:
+        overrides = Overrides(make_dialect("ardupilot", "sim:test"), undo_saver("sim:test", tmp_path))
+        return (yield from overrides.hold(context, {"ARMING_CHECK": ALL_BUT_THE_COMPASS}))
+
+    assert perform(vehicle, hold_and_die)
+    (record,) = tmp_path.glob("*.json")
+    assert load_record(record).before == {"ARMING_CHECK": 1.0} and load_record(record).for_now
+    shown: list[str] = []
+    with pytest.raises(Refused, match="refused to arm"):
+        calibrated(vehicle, tmp_path, settings("rover", "never"), shown=shown)
+    assert "An earlier run was cut short: ARMING_CHECK is put back." in shown
+    assert vehicle.firmware.store.values["ARMING_CHECK"] == 1.0
+    assert list(tmp_path.glob("*.json")) == []
