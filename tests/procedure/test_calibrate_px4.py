@@ -144,7 +144,7 @@ def test_where_its_yaw_wanders_on_the_ground_nothing_is_promised(tmp_path: Path)
     assert abs(report.heading.error_after_deg) < 2.0 and 0.8 < report.heading.wander_deg < 1.5
     assert "but may wander by" in report.heading.summary()
     # Waiting does not help, and is not done: no longer than it takes to load a few times and look on.
-    assert report.heading.seconds < 75.0
+    assert report.heading.seconds < 100.0
 
 
 def test_with_the_noise_of_px4s_own_simulator_its_heading_is_not_promised(tmp_path: Path) -> None:

@@ -22,8 +22,6 @@ _READING_RAD, _YAW_RAD, _BIAS_RADPS = 0.25, 0.0046, 1.2e-4
 _STEADY = (5.0e-4, -9.4e-6, 7.5e-7)
 # What a resting gyro tells, per root of a second (EKF2_GYR_NOISE, five times a second).
 _GYRO_RADPS = 0.015 * math.sqrt(0.2)
-# How well a yaw is known that was just taken over.
-_TAKEN_RAD = 0.5
 # The gains hold for what a reading is off by up to this.
 _INNOVATION_MAX_RAD = 22.5 * RAD_PER_DEG
 BIAS_MAX_RADPS = 0.5 * RAD_PER_DEG
@@ -81,9 +79,9 @@ class AttitudeFilter:
         self.innovation_rad = 0.0
 
     def take_yaw(self, yaw_rad: float) -> None:
-        """Take a yaw over at once; the bias stays as it has been learnt."""
+        """Take a yaw over at once; the bias stays as it was learnt, and is blamed for little at first."""
         self.yaw_rad, self.innovation_rad = yaw_rad, 0.0
-        self._doubt = (_TAKEN_RAD**2, 0.0, self._doubt[2])
+        self._doubt = (_STEADY[0], 0.0, self._doubt[2])
 
     def predict(self, dt_s: float, gyro: Vector, true_roll_rad: float, true_pitch_rad: float) -> None:
         """Carry the attitude on with the gyro (tilt is observed well by gravity and GPS)."""
