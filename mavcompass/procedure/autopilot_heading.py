@@ -63,10 +63,16 @@ _LANDING_PATIENCE_S, _LOADS_WITHIN_S, _LOADS = 60.0, 3.0, 4
 
 
 def yaw_error_rad(
-    track: Track, result: CalibrationResult, world: EarthField, start_s: float, end_s: float
+    track: Track,
+    result: CalibrationResult,
+    world: EarthField,
+    start_s: float,
+    end_s: float,
+    turned: FloatArray | None = None,
 ) -> float:
     """Return the autopilot's yaw less the true heading by a calibrated compass, over a still stretch.
 
+    `turned` (3, 3) makes what was recorded what the compass reads as it is mounted.
     Raises PoorCalibration where the recording holds too little of either.
     """
     attitude = track.attitude_rad
@@ -74,8 +80,9 @@ def yaw_error_rad(
     if said is None or not len(said):
         raise PoorCalibration("The autopilot did not tell its attitude.")
     seen = dwell_between(track, result.instance, start_s, end_s)
+    raw = seen.mean_mgauss if turned is None else turned @ seen.mean_mgauss
     heading = tilt_compensated_heading(
-        result.correction.apply(seen.mean_mgauss), roll_rad=seen.roll_rad, pitch_rad=seen.pitch_rad
+        result.correction.apply(raw), roll_rad=seen.roll_rad, pitch_rad=seen.pitch_rad
     )
     yaw = float(np.angle(np.exp(1j * said.values[:, 2]).mean()))
     return float(wrap_pi(yaw - float(heading) - world.declination_rad))
@@ -116,6 +123,7 @@ class OwnHeading:
     _noise_radps_mgauss: float = 0.0
     _has_a_way: bool = True
     _follows: bool = False
+    _turned: FloatArray | None = None
     _not_before_s: float = -math.inf
 
     # --- while the calibration goes on ----------------------------------------------------------------
@@ -132,6 +140,8 @@ class OwnHeading:
     def found(self, results: Sequence[CalibrationResult], windows: Sequence[tuple[float, float]]) -> None:
         """Measure the error at the first and at the last of the dwells, before anything is written."""
         self.result = surest(results)
+        # What was recorded is by the mounting that is set; a calibration of the right one is not for that.
+        self._turned = self.result.mounting.turned if self.result.accepted else None
         self._sample(*windows[0])
         self.before_deg = self.error_deg
         self._sample(*windows[-1])
@@ -145,7 +155,7 @@ class OwnHeading:
 
     def written(self, values: Mapping[str, float]) -> Script[None]:
         """Have the autopilot take the new heading over; `values` are the parameters that were written."""
-        self._written_s, self._values = self._context.now, values
+        self._written_s, self._values, self._turned = self._context.now, values, None
         self.not_loaded = self.desk.dialect.loads_disarmed and self.desk.state.armed
         if self._follows:
             off_deg, self._follows = abs(self.error_deg), False
@@ -374,7 +384,7 @@ class OwnHeading:
         if world is None or self.result is None:
             return
         try:
-            error = yaw_error_rad(track, self.result, world, start_s, end_s)
+            error = yaw_error_rad(track, self.result, world, start_s, end_s, self._turned)
         except (PoorCalibration, KeyError):
             return
         self._latest_deg = math.degrees(error)

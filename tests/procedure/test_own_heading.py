@@ -303,7 +303,9 @@ def watching(
 
     monkeypatch.setattr(OwnHeading, "_sample", sample)
     watched = own(**more)
-    watched.found([SimpleNamespace(heading_sigma_deg=0.1, instance=1)], [(3.0, 4.5), (30.0, 31.5)])  # type: ignore[list-item]
+    watched.found(
+        [SimpleNamespace(heading_sigma_deg=0.1, instance=1, accepted=False)], [(3.0, 4.5), (30.0, 31.5)]
+    )  # type: ignore[list-item]
     return watched, stretches
 
 
