@@ -43,11 +43,6 @@ class ParameterPlan:
     commit_instances: tuple[int, ...] = ()
     for_now: bool = False
 
-    def reversed(self) -> ParameterPlan:
-        """Return the plan that puts the old values back, last change first."""
-        back = tuple(Change(c.name, c.new, c.old) for c in reversed(self.changes))
-        return ParameterPlan(back)
-
 
 def _nothing_to_take_back(context: Context, why: str) -> Script[None]:
     return nothing(None)
