@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -43,13 +44,21 @@ from mavcompass.vehicle.transport import Recording, parse_address
     help="Turn by the pilot's own controls, in MANUAL, instead of by targets (auto).",
 )
 @click.option("--set-mode", is_flag=True, help="Allow changing the flight mode; it is put back afterwards.")
-@click.option("--arm", is_flag=True, help="Allow arming; it is disarmed afterwards.")
+@click.option(
+    "--arm",
+    is_flag=True,
+    help="Allow arming; it is disarmed afterwards. Where it refuses for its compass alone, you are asked (not"
+    " with --yes) whether that one check may be set aside until it is armed.",
+)
 @click.option(
     "--takeoff",
     "takeoff_m",
     type=click.FloatRange(2.0, 100.0),
     metavar="M",
     help="Allow a copter to take off to M metres; it lands afterwards.",
+)
+@click.option(
+    "--land", is_flag=True, help="Allow landing a copter that flies; PX4 loads the values on the ground."
 )
 @compass_option
 @click.option("--yes", is_flag=True, help="Write without asking.")
@@ -111,6 +120,7 @@ def command(
     set_mode: bool,
     arm: bool,
     takeoff_m: float | None,
+    land: bool,
     instances: tuple[int, ...],
     yes: bool,
     dry_run: bool,
@@ -162,14 +172,15 @@ def command(
     from mavcompass.procedure.motion import Permissions
     from mavcompass.procedure.positions import DwellSettings
 
+    writing: Literal["ask", "yes", "never"] = "yes" if yes else "never" if dry_run else "ask"
     settings = CalibrateSettings(
         instances=instances,
         motion=motion,  # type: ignore[arg-type]
         turn_by=turn_by,  # type: ignore[arg-type]
-        permissions=Permissions(set_mode, arm, takeoff_m or 0.0),
+        permissions=Permissions(set_mode, arm, takeoff_m or 0.0, land, exempt=writing),
         positions=positions,
         step_rad=math.radians(step_deg),
-        writing="yes" if yes else "never" if dry_run else "ask",
+        writing=writing,
         system=None if isinstance(system, str) else system,
         year=this_year(),
         reboot=reboot,

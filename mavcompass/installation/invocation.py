@@ -21,6 +21,11 @@ def program() -> str:
     return "mavcompass"
 
 
+def consent() -> str:
+    """Spell the option that a writing command needs here: none where a person can be asked."""
+    return "" if sys.stdin is not None and sys.stdin.isatty() else " --yes"
+
+
 def pip_install(requirement: str) -> str:
     """Spell the command that installs into the environment that runs this, whichever is active."""
     beside = Path(sys.executable).parent

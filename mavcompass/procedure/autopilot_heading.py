@@ -20,12 +20,19 @@ from mavcompass.errors import LinkError, PoorCalibration, Refused
 from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.procedure.desk import Desk
+from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.report import AutopilotHeading
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.track import Track
 
-# Less is not worth an intervention after the write.
-_WORTH_DEG = 2.0
+# Less is not worth an intervention: it is what a filter leaves whose compass is perfect, of the gyro's drift
+# (0.5 to 1.6 degrees on ArduPilot 4.5.7), and three times what one reading of the compass tells (0.25).
+_WORTH_DEG = 0.75
+# Later on more is: what is left may be what the tilt tells wrong, of the compass or of the autopilot.
+_STILL_WORTH_DEG = 1.0
+# A flying estimator that is told to believe its compass (`prompt_estimator`) follows within this time, its
+# gyro's bias, which a half-written calibration disturbs, too: 2 to 7 s were seen on ArduPilot 4.5.7.
+_PROMPTLY_S, _AT_MOST_S = 6.5, 9.0
 # An error that grows at a rate comes to so many seconds of it, by measurements on ArduPilot 4.5.7: the old
 # compass has bent the filter's gyro bias, which it unlearns in a minute or two.
 _SWING_S = 17.0
@@ -45,6 +52,8 @@ _UNLEARNED_PER_S = 0.01
 _SAMPLE_S = 1.2
 # What noise may leave of a sample; noisy sensors take longer samples, and everything with them.
 _TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS, _LONGEST_SAMPLE_S = math.radians(0.5), 3.0, 5.0
+# A parameter, or a calibration that was loaded, is in force by then.
+_TAKES_S = 0.6
 # Its filter lags, and so does its telemetry.
 _LAG_S = 0.8
 _PATIENCE_S, _PATIENCE_WITHOUT_A_WAY_S = 120.0, 45.0
@@ -54,10 +63,16 @@ _LANDING_PATIENCE_S, _LOADS_WITHIN_S, _LOADS = 60.0, 3.0, 4
 
 
 def yaw_error_rad(
-    track: Track, result: CalibrationResult, world: EarthField, start_s: float, end_s: float
+    track: Track,
+    result: CalibrationResult,
+    world: EarthField,
+    start_s: float,
+    end_s: float,
+    turned: FloatArray | None = None,
 ) -> float:
     """Return the autopilot's yaw less the true heading by a calibrated compass, over a still stretch.
 
+    `turned` (3, 3) makes what was recorded what the compass reads as it is mounted.
     Raises PoorCalibration where the recording holds too little of either.
     """
     attitude = track.attitude_rad
@@ -65,8 +80,9 @@ def yaw_error_rad(
     if said is None or not len(said):
         raise PoorCalibration("The autopilot did not tell its attitude.")
     seen = dwell_between(track, result.instance, start_s, end_s)
+    raw = seen.mean_mgauss if turned is None else turned @ seen.mean_mgauss
     heading = tilt_compensated_heading(
-        result.correction.apply(seen.mean_mgauss), roll_rad=seen.roll_rad, pitch_rad=seen.pitch_rad
+        result.correction.apply(raw), roll_rad=seen.roll_rad, pitch_rad=seen.pitch_rad
     )
     yaw = float(np.angle(np.exp(1j * said.values[:, 2]).mean()))
     return float(wrap_pi(yaw - float(heading) - world.declination_rad))
@@ -86,14 +102,16 @@ class OwnHeading:
     """Watch the autopilot's own heading and bring it to the calibrated one.
 
     Attributes:
+        overrides: what is held at other values for a while.
         result: the calibrated compass that the heading is compared with; None before there is one.
-        before_deg: the error at the write.
+        before_deg: the error at the start, before the vehicle was turned.
         by: what brought it there. samples: vehicle time and error, degrees, since the last intervention.
         not_loaded: True while the autopilot flies on with the calibration that it took off with.
     """
 
     desk: Desk
     year: float
+    overrides: Overrides
     result: CalibrationResult | None = None
     before_deg: float = math.nan
     by: list[str] = field(default_factory=list)
@@ -104,6 +122,8 @@ class OwnHeading:
     _latest_deg: float = math.nan
     _noise_radps_mgauss: float = 0.0
     _has_a_way: bool = True
+    _follows: bool = False
+    _turned: FloatArray | None = None
     _not_before_s: float = -math.inf
 
     # --- while the calibration goes on ----------------------------------------------------------------
@@ -117,24 +137,47 @@ class OwnHeading:
         if self._has_a_way:
             yield from self._take_over()
 
-    def written(
-        self,
-        results: Sequence[CalibrationResult],
-        values: Mapping[str, float],
-        start_s: float,
-        end_s: float,
-    ) -> Script[None]:
-        """Measure the error over the last dwell, and have the autopilot take the new heading over.
-
-        `values` are the parameters that were written.
-        """
-        self._written_s, self.result, self._values = self._context.now, surest(results), values
-        self.not_loaded = self.desk.dialect.loads_disarmed and self.desk.state.armed
-        self._sample(start_s, end_s)
+    def found(self, results: Sequence[CalibrationResult], windows: Sequence[tuple[float, float]]) -> None:
+        """Measure the error at the first and at the last of the dwells, before anything is written."""
+        self.result = surest(results)
+        # What was recorded is by the mounting that is set; a calibration of the right one is not for that.
+        self._turned = self.result.mounting.turned if self.result.accepted else None
+        self._sample(*windows[0])
         self.before_deg = self.error_deg
+        self._sample(*windows[-1])
         self.samples.clear()
-        if abs(self.before_deg) > _WORTH_DEG:
-            yield from self._put_right(self.before_deg)
+
+    def expect(self) -> Script[None]:
+        """Have a flying estimator follow its compass promptly from the write on, where that is worth it."""
+        values = self._prompt_values()
+        if abs(self.error_deg) > _WORTH_DEG and values and self.flying:
+            self._follows = yield from self.overrides.hold(self._context, values)
+
+    def written(self, values: Mapping[str, float]) -> Script[None]:
+        """Have the autopilot take the new heading over; `values` are the parameters that were written."""
+        self._written_s, self._values, self._turned = self._context.now, values, None
+        self.not_loaded = self.desk.dialect.loads_disarmed and self.desk.state.armed
+        if self._follows:
+            off_deg, self._follows = abs(self.error_deg), False
+            self._context.show(
+                "heading", f"The autopilot steers {off_deg:.1f} deg off; it follows its compass now."
+            )
+            yield from self._until_it_follows()
+            yield from self.overrides.release(self._context, "The autopilot's estimator is as it was.")
+            self.by.append("believing its compass for some seconds")
+            self.samples.clear()
+        elif abs(self.error_deg) > _WORTH_DEG:
+            yield from self._put_right(self.error_deg)
+
+    def _until_it_follows(self) -> Script[None]:
+        """Wait until a flying estimator has followed its compass, all of a sample long."""
+        began_s, self._not_before_s = self._context.now, self.desk.rest.time_s + _LAG_S + self._sample_s
+        yield from pause(self._context, _PROMPTLY_S)
+        while self._context.now - began_s < _AT_MOST_S:
+            self._look()
+            if self.samples and abs(self.error_deg) < 0.5 * _WORTH_DEG:
+                return
+            yield from pause(self._context, 0.5)
 
     def settle(self) -> Script[None]:
         """Wait, with progress, until the heading is right and will stay so, helping where there is a way.
@@ -144,16 +187,18 @@ class OwnHeading:
         told = False
         try:
             if self.not_loaded and not (yield from self._load()):
+                self._look()
                 return
             began_s = self._context.now
             while self._context.now - began_s < self._patience_s() and math.isfinite(self.before_deg):
                 self._look()
                 if self.worst_deg <= _GOOD_DEG or (self.set_aside and math.isfinite(self.worst_deg)):
                     return
-                as_good_as_it_gets = abs(self.error_deg) <= _WORTH_DEG or not self._has_a_way
+                as_good_as_it_gets = abs(self.error_deg) <= _STILL_WORTH_DEG or not self._has_a_way
                 if 2.0 * self.wander_deg > _GOOD_DEG and as_good_as_it_gets:
                     return
                 if self._may_help() and (yield from self._put_right(self.error_deg)):
+                    began_s = self._context.now
                     continue
                 if self.samples and self._context.now - began_s > _SLOPE_AT_LEAST_S * self._slowness + 1.0:
                     text = f"The autopilot still steers {abs(self.error_deg):.1f} deg off; waiting for it."
@@ -180,6 +225,7 @@ class OwnHeading:
             wander_deg=self.wander_deg,
             set_aside=self.set_aside,
             not_loaded=self.not_loaded,
+            flying=self.flying,
         )
 
     # --- what is known of it ------------------------------------------------------------------------
@@ -274,8 +320,23 @@ class OwnHeading:
         if state.armed:
             return False
         yield from pause(context, _LOADS_WITHIN_S)
-        self.not_loaded = not (yield from self._put_right(self.before_deg))
+        self.not_loaded = not (yield from self._put_right(self.error_deg))
         return not self.not_loaded
+
+    def _prompt_values(self) -> Mapping[str, float]:
+        return self.desk.dialect.prompt_estimator(self.desk.parameters, self.flying)
+
+    def _load_believing(self) -> Script[str]:
+        """Have the autopilot load what was written while its estimator believes its compass."""
+        try:
+            if values := self._prompt_values():
+                yield from self.overrides.hold(self._context, values)
+                yield from pause(self._context, _TAKES_S)
+            how = yield from self.desk.dialect.load_written(self._context, self._values)
+            yield from pause(self._context, _TAKES_S)
+        finally:
+            yield from self.overrides.release(self._context, "The autopilot's estimator is as it was.")
+        return how
 
     def _may_help(self) -> bool:
         """Tell whether taking the compass's yaw over leaves less error: not while the bias is yet to go.
@@ -285,8 +346,11 @@ class OwnHeading:
         error_deg = abs(self.error_deg)
         falling = -self.slope_dps * math.copysign(1.0, self.error_deg)
         unlearned = falling > _UNLEARNED_PER_S * error_deg
-        stays_off = self.desk.dialect.loads_disarmed and math.isfinite(self.slope_dps)
-        return self._has_a_way and not self.flying and error_deg > _WORTH_DEG and (unlearned or stays_off)
+        settled = abs(self.slope_dps) * _SWING_S < error_deg
+        stays_off = self.desk.dialect.loads_disarmed and settled
+        return (
+            self._has_a_way and not self.flying and error_deg > _STILL_WORTH_DEG and (unlearned or stays_off)
+        )
 
     def _put_right(self, error_deg: float) -> Script[bool]:
         """Have the autopilot take its compass's yaw over, and say so; False where it knows no way."""
@@ -301,8 +365,7 @@ class OwnHeading:
     def _take_over(self) -> Script[str]:
         desk = self.desk
         if self._values and desk.dialect.loads_disarmed:
-            on_the_ground = not desk.state.armed
-            how = (yield from desk.dialect.load_written(desk.context, self._values)) if on_the_ground else ""
+            how = "" if desk.state.armed else (yield from self._load_believing())
             self._has_a_way = bool(how) and self.by.count(how) < _LOADS
         else:
             how = yield from desk.dialect.take_compass_yaw(desk.context, desk.parameters, self.flying)
@@ -321,7 +384,7 @@ class OwnHeading:
         if world is None or self.result is None:
             return
         try:
-            error = yaw_error_rad(track, self.result, world, start_s, end_s)
+            error = yaw_error_rad(track, self.result, world, start_s, end_s, self._turned)
         except (PoorCalibration, KeyError):
             return
         self._latest_deg = math.degrees(error)

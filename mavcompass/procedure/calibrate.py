@@ -19,7 +19,7 @@ from mavcompass.errors import LinkLost, PoorCalibration, Refused
 from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
-from mavcompass.procedure.dialect import Dialect, SaveUndo, WriteOutcome
+from mavcompass.procedure.dialect import CutShort, Dialect, Overrides, SaveUndo, WriteOutcome
 from mavcompass.procedure.motion import Motion, Permissions, SafetyLimits, Wishes
 from mavcompass.procedure.positions import DwellSettings, HandMover, Mover, Window, prove, visit
 from mavcompass.procedure.report import CalibrationReport
@@ -94,6 +94,7 @@ class Services:
     dialect_for: Callable[[str], Dialect]
     save_undo: SaveUndo
     solve: Solve
+    cut_short: CutShort = lambda vehicle: ()
 
 
 def calibrate(context: Context, services: Services, settings: CalibrateSettings) -> Script[CalibrationReport]:
@@ -104,8 +105,9 @@ def calibrate(context: Context, services: Services, settings: CalibrateSettings)
     A solution that is not good enough is in the report, not accepted, and nothing is written.
     """
     desk = yield from Desk.open(context, services.dialect_for, settings.system)
-    own = OwnHeading(desk, settings.year)
-    work = _Calibration(desk, services, settings, desk.chosen(settings.instances), own)
+    overrides = Overrides(desk.dialect, services.save_undo)
+    own = OwnHeading(desk, settings.year, overrides)
+    work = _Calibration(desk, services, settings, desk.chosen(settings.instances), overrides, own)
     try:
         return (yield from work.run())
     except Refused as why:
@@ -123,6 +125,7 @@ class _Calibration:
     services: Services
     settings: CalibrateSettings
     instances: tuple[int, ...]
+    overrides: Overrides
     own: OwnHeading
 
     def run(self) -> Script[CalibrationReport]:
@@ -130,10 +133,14 @@ class _Calibration:
         context, rates = self.desk.context, MessageRates()
         self.desk.rest.compasses = self.instances
         try:
+            if self.settings.writing != "never":
+                yield from self.overrides.put_back_left(context, self.services.cut_short)
             yield from rates.ask(context, self.wanted_rates())
             report = yield from self.calibrate()
             if report.written:
                 report = yield from self.steer_by_it(report, rates)
+            elif report.accepted and not report.to_write:
+                report = replace(report, heading=replace(self.own.outcome(), written=False))
             return report
         finally:
             yield from _whatever_comes(lambda _: rates.restore(context))
@@ -142,9 +149,9 @@ class _Calibration:
         """Visit the positions, solve, write, prove; give the vehicle back however it ends."""
         desk, settings, finished = self.desk, self.settings, False
         mobility = desk.mobility(
-            Wishes(settings.motion, settings.turn_by, settings.permissions, settings.limits)
+            Wishes(settings.motion, settings.turn_by, settings.permissions, settings.limits), self.overrides
         )
-        writer = Writer(desk, self.services.save_undo, asks=settings.writing == "ask")
+        writer = Writer(desk, self.overrides.save_undo, settings.writing == "ask", self.own.expect)
         try:
             mover = yield from mobility.take_charge(desk.context, desk.parameters)
             report = self.solve((yield from self.visit(mover)))
@@ -154,6 +161,7 @@ class _Calibration:
                 desk.context.show("solve", summary(result), settings.positions / (settings.positions + 1.0))
             report = yield from self.as_mounted(report)
             mover.halt(desk.context)  # nothing is asked of the vehicle while values are written
+            self.own.found(report.results, [(w.start_s, w.end_s) for w in report.windows])
             if report.accepted and report.to_write and settings.writing != "never":
                 report = yield from writer.write(report)
                 if report.takes_effect_later:
@@ -164,7 +172,11 @@ class _Calibration:
             return report
         finally:
             hurry = not finished
-            yield from _whatever_comes(lambda hurried: mobility.end(desk.context, hurry or hurried))
+            try:
+                yield from _whatever_comes(lambda hurried: mobility.end(desk.context, hurry or hurried))
+            finally:
+                why = "What was set for the calibration alone is put back."
+                yield from _whatever_comes(lambda _: self.overrides.release(desk.context, why))
 
     def wanted_rates(self) -> dict[type[mav.Message], float]:
         """List the messages to ask for: fast ones for the calibration, slow ones for safety."""
@@ -293,10 +305,13 @@ class _Calibration:
         """
         context, last = self.desk.context, report.windows[-1]
         try:
-            yield from self.own.written(report.results, outcome.values, last.start_s, last.end_s)
+            yield from self.own.written(outcome.values)
             context.show("prove", "One more turn proves the new values.")
-            share = 1.0 if isinstance(mover, HandMover) else _PROOF_SHARE
-            yield from mover.next(context, share * self.settings.step_rad, 1)
+            angle_rad = self.settings.step_rad
+            if not isinstance(mover, HandMover):
+                # What the autopilot has turned by itself, its heading being right now, counts.
+                angle_rad = _PROOF_SHARE * angle_rad - (self.desk.gyro.angle_rad - last.turned_rad)
+            yield from mover.next(context, angle_rad, 1)
             enough = replace(self.settings.dwell, enough_deg=_PROOF_ENOUGH_DEG)
             window = yield from self.desk.dwell(mover, enough, self.sureness_deg)
             yield from mover.release(context)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
@@ -12,7 +12,7 @@ from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.messages import telemetry
 from mavcompass.procedure.nameplate import Nameplate
-from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.script import Context, Script, nothing
 from mavcompass.track_builder import TrackBuilder
 
 
@@ -35,6 +35,7 @@ class ParameterPlan:
         remarks: what the person should know (reboot wanted, AUTODEC, LEARN, EKF needs time).
         commit_instances: compasses whose device id must be committed beside the parameters.
         after_restart: the parameters that take effect with the autopilot's next start.
+        for_now: True where the old values are to come back at the end of the run.
     """
 
     changes: tuple[Change, ...]
@@ -42,11 +43,11 @@ class ParameterPlan:
     remarks: tuple[str, ...] = ()
     commit_instances: tuple[int, ...] = ()
     after_restart: tuple[str, ...] = ()
+    for_now: bool = False
 
-    def reversed(self) -> ParameterPlan:
-        """Return the plan that puts the old values back, last change first."""
-        back = tuple(Change(c.name, c.new, c.old) for c in reversed(self.changes))
-        return ParameterPlan(back)
+
+def _nothing_to_take_back(context: Context, why: str) -> Script[None]:
+    return nothing(None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,8 @@ class WriteOutcome:
     """Say how a write ended: every value read back equal, where its undo lies, what else to know.
 
     `restore_command` is what a person types to put the old values back, `again_command` to write the new ones
-    once more.
+    once more. `take_back`, given the time and a sentence why, writes the old values again, proves them and
+    removes the undo record; it raises WriteFailed where that fails.
     """
 
     verified: bool
@@ -63,6 +65,7 @@ class WriteOutcome:
     remarks: tuple[str, ...] = ()
     restore_command: str = ""
     again_command: str = ""
+    take_back: Callable[[Context, str], Script[None]] = _nothing_to_take_back
 
 
 NOT_TURNED: Mapping[int, FloatArray] = MappingProxyType({})
@@ -70,6 +73,9 @@ NOT_TURNED: Mapping[int, FloatArray] = MappingProxyType({})
 # Puts an undo record of a vehicle on disk before the first write and returns its path; injected, as
 # procedures do not touch files.
 SaveUndo = Callable[[ParameterPlan, Mapping[str, float], Nameplate], Path]
+# Lists what runs that were cut short have left at other values on a vehicle, the last first: the old values,
+# their record, and what removes it; injected, too.
+CutShort = Callable[[Nameplate], Sequence[tuple[Mapping[str, float], Path, Callable[[], None]]]]
 
 
 class Dialect(Protocol):
@@ -78,6 +84,18 @@ class Dialect(Protocol):
     @property
     def autopilot(self) -> str:
         """Return "ardupilot" or "px4"."""
+        ...
+
+    def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
+        """Return the parameters that keep one arming check from looking at the compass's calibration.
+
+        `said` are the vehicle's texts since it was to arm; empty where they name anything beside that, or
+        nothing.
+        """
+        ...
+
+    def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
+        """Return parameters at which the estimator follows its compass within seconds; {} where none do."""
         ...
 
     @property
@@ -152,6 +170,56 @@ class Dialect(Protocol):
         Returns how that brings its heading right, in words that follow "by"; "" where it does not.
         """
         ...
+
+
+@dataclass(slots=True)
+class Overrides:
+    """Hold parameters of a vehicle at other values for a while.
+
+    Each set is written as a transaction with an undo record of its own, which is removed with it. Records
+    that are saved meanwhile hold its old values too: after a kill the newest one leads back to everything.
+    """
+
+    dialect: Dialect
+    save: SaveUndo
+    _held: list[tuple[ParameterPlan, WriteOutcome]] = field(default_factory=list)
+
+    def save_undo(self, plan: ParameterPlan, parameters: Mapping[str, float], vehicle: Nameplate) -> Path:
+        """Save an undo record, with what is held now."""
+        held = tuple(Change(c.name, c.old, c.old) for taken, _ in self._held for c in taken.changes)
+        return self.save(replace(plan, changes=(*plan.changes, *held)), parameters, vehicle)
+
+    def hold(self, context: Context, values: Mapping[str, float]) -> Script[bool]:
+        """Write these values for now; False, and nothing written, where the vehicle lacks one of them.
+
+        Raises what a transaction raises.
+        """
+        known = yield from self.dialect.read_parameters(context, tuple(values))
+        if set(known) != set(values):
+            return False
+        changes = tuple(Change(n, known[n], v) for n, v in values.items() if known[n] != v)
+        plan = ParameterPlan(changes, for_now=True)
+        outcome = yield from self.dialect.write(context, plan, self.save_undo)
+        if outcome.undo_file is not None:
+            self._held.append((plan, outcome))
+        return True
+
+    def put_back_left(self, context: Context, cut_short: CutShort) -> Script[None]:
+        """Put back what earlier runs have left, which were killed. Raises what a transaction raises."""
+        vehicle = yield from self.dialect.claim(context, {})
+        for before, record, done in cut_short(vehicle):
+            now = yield from self.dialect.read_parameters(context, tuple(before))
+            changes = tuple(Change(n, now[n], old) for n, old in before.items() if now.get(n, old) != old)
+            if changes:
+                context.show("undo", f"An earlier run was cut short: {changes[0].name} is put back.")
+                yield from self.dialect.write(context, ParameterPlan(changes), lambda *_, at=record: at)
+            done()
+
+    def release(self, context: Context, why: str) -> Script[None]:
+        """Put back all that is held, the last first. Raises WriteFailed where that fails."""
+        while self._held:
+            yield from self._held[-1][1].take_back(context, why)
+            self._held.pop()
 
 
 def describe_compasses(builder: TrackBuilder, dialect: Dialect, parameters: Mapping[str, float]) -> None:

@@ -15,7 +15,7 @@ from mavcompass.errors import Refused
 from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
-from mavcompass.procedure.dialect import Dialect, ParameterPlan, SaveUndo
+from mavcompass.procedure.dialect import Dialect, Overrides, ParameterPlan, SaveUndo
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Script, expect, pause
@@ -66,7 +66,8 @@ def write_learnt(
         _refuse_armed(desk)  # the answer may have taken a while
         return save_undo(plan, values, vehicle)
 
-    rates, own = MessageRates(), OwnHeading(desk, settings.year)
+    overrides = Overrides(desk.dialect, save_if_disarmed)
+    rates, own = MessageRates(), OwnHeading(desk, settings.year, overrides)
     report = CalibrationReport(
         identity=desk.identity,
         results=tuple(results),
@@ -89,7 +90,8 @@ def write_learnt(
         report = yield from Writer(desk, save_if_disarmed, settings.asks).write(report)
         if report.outcome is not None and (yield from _rested(desk)):
             now_s = desk.rest.time_s
-            yield from own.written(results, report.outcome.values, now_s - _REST_S, now_s)
+            own.found(results, [(now_s - _REST_S, now_s)])
+            yield from own.written(report.outcome.values)
             yield from own.settle()
             report = replace(report, heading=own.outcome())
         return replace(report, track=desk.builder.build(), duration_s=desk.duration_s())

@@ -22,12 +22,14 @@ class AutopilotHeading:
     """Say how far the autopilot's own yaw was from the calibrated heading, and how it was brought there.
 
     Attributes:
-        error_before_deg: at the write. error_after_deg: at the end; nan where it could not be told.
+        error_before_deg: at the start. error_after_deg: at the end; nan where it could not be told.
         by: what brought it there. seconds: from the write to the end.
         worst_deg: the largest error to expect in the minutes to come.
         wander_deg: by how much it may change by itself, 1 sigma; nan where that could not be told.
         set_aside: True where the autopilot follows no compass any more.
         not_loaded: True where the autopilot has not loaded the new calibration, and may lose it.
+        flying: True where it is in the air.
+        written: False where the values in force were left alone.
     """
 
     error_before_deg: float
@@ -38,6 +40,8 @@ class AutopilotHeading:
     wander_deg: float = 0.0
     set_aside: bool = False
     not_loaded: bool = False
+    flying: bool = False
+    written: bool = True
 
     @property
     def known(self) -> bool:
@@ -47,6 +51,8 @@ class AutopilotHeading:
     @property
     def is_off(self) -> bool:
         """Tell whether the vehicle is known to steer by another heading than the calibrated one."""
+        if not self.written:
+            return self.known and abs(self.error_after_deg) > RIGHT_DEG
         worst_deg = self.worst_deg if math.isfinite(self.worst_deg) else abs(self.error_after_deg)
         may_wander = math.isnan(self.wander_deg)
         return self.not_loaded or (self.known and (may_wander or worst_deg > RIGHT_DEG))
@@ -55,15 +61,19 @@ class AutopilotHeading:
         """Return the sentence for the person."""
         before_deg, after_deg = abs(self.error_before_deg), abs(self.error_after_deg)
         if self.not_loaded:
+            off = f" and steers {after_deg:.1f} deg off now" if self.known else ""
             return (
-                "The autopilot still flies by the old calibration: it loads the new one when it is disarmed,"
-                " and may put other values in its place then."
+                f"The autopilot still flies by the old calibration{off}: it loads the new one on the ground,"
+                " and puts what it has learnt in flight in its place when it is disarmed."
             )
         if not self.known:
             return "Whether the autopilot steers by the new heading could not be told."
+        if not self.written:
+            then = ": see that it is right before you drive" if self.is_off else ""
+            return f"The autopilot's own heading is {after_deg:.1f} deg off{then}."
         if not self.is_off:
             return (
-                f"The autopilot's own heading was {before_deg:.1f} deg off at the write and is"
+                f"The autopilot's own heading was {before_deg:.1f} deg off at the start and is"
                 f" {after_deg:.1f} deg off now, by {self.by}."
             )
         if after_deg <= RIGHT_DEG and self.wander_deg:
@@ -74,7 +84,8 @@ class AutopilotHeading:
                 " right before you drive."
             )
         aside = " and has set its compasses aside" if self.set_aside else ""
-        return f"The autopilot still steers {after_deg:.1f} deg off{aside}; restart it before you drive."
+        then = "land it, and restart it before you fly on" if self.flying else "restart it before you drive"
+        return f"The autopilot still steers {after_deg:.1f} deg off{aside}; {then}."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +137,7 @@ class CalibrationReport:
     @property
     def steers_off(self) -> bool:
         """Tell whether the autopilot still steers by another heading than the one that was written."""
-        return self.heading is not None and self.heading.is_off
+        return self.written and self.heading is not None and self.heading.is_off
 
     def noting(self, *sentences: str) -> CalibrationReport:
         """Return the report with more to tell the person."""

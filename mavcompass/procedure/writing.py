@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from mavcompass.errors import LinkError, WriteFailed
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.procedure.script import Script, ask
+from mavcompass.procedure.script import Script, ask, nothing
 
 
 @dataclass(slots=True)
 class Writer:
-    """Write what a calibration found; `save_undo` puts the way back on disk before anything is changed."""
+    """Write what a calibration found; `save_undo` puts the way back on disk before anything is changed.
+
+    `just_before` is done between a person's consent and the write.
+    """
 
     desk: Desk
     save_undo: SaveUndo
     asks: bool
+    just_before: Callable[[], Script[None]] = lambda: nothing(None)
 
     def write(self, report: CalibrationReport) -> Script[CalibrationReport]:
         """Plan, ask where wanted, write and read back; without an outcome nothing was written.
@@ -35,6 +39,7 @@ class Writer:
             return report
         if self.asks and not (yield from ask(desk.context, _question(plan))):
             return report.noting("Not written: the answer was no.")
+        yield from self.just_before()
         outcome = yield from desk.dialect.write(desk.context, plan, self.save_undo)
         report = replace(report, outcome=outcome)
         if report.takes_effect_later:
@@ -52,18 +57,8 @@ class Writer:
 
     def take_back(self, report: CalibrationReport, why: str) -> Script[None]:
         """Write the old values again. Raises WriteFailed, with the way back, where that fails."""
-        assert report.plan is not None and report.outcome is not None
-        self.desk.context.show("undo", f"{why} Putting the old values back.")
-        try:
-            yield from self.desk.dialect.write(self.desk.context, report.plan.reversed(), self.save_undo)
-        except (WriteFailed, LinkError) as trouble:
-            outcome = report.outcome
-            raise WriteFailed(
-                f"{why} The new values could not be taken back: {trouble.what}",
-                f"Bring the link back, then put the old values back with: {outcome.restore_command}",
-                outcome.undo_file,
-                outcome.restore_command,
-            ) from trouble
+        assert report.outcome is not None
+        yield from report.outcome.take_back(self.desk.context, why)
 
 
 def _question(plan: ParameterPlan) -> str:

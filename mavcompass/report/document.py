@@ -55,7 +55,9 @@ def live_document(source: str, report: CalibrationReport, method: str) -> dict[s
     document |= {
         "written": report.written,
         "verified": report.written and outcome is not None and outcome.verified,
-        "undo_file": None if outcome is None or outcome.undo_file is None else str(outcome.undo_file),
+        "undo_file": None
+        if outcome is None or outcome.undo_file is None or report.undone
+        else str(outcome.undo_file),
         "duration_s": report.duration_s,
         "on_vehicle_s": report.on_vehicle_s,
         "messages": list(report.messages),
@@ -66,7 +68,7 @@ def live_document(source: str, report: CalibrationReport, method: str) -> dict[s
             "error_after_deg": _number(heading.error_after_deg),
             "wander_deg": _number(heading.wander_deg),
             "by": heading.by,
-            "seconds": heading.seconds,
+            "seconds": _number(heading.seconds),
             "right": not heading.is_off if heading.known else None,
         }
     if proof is not None:

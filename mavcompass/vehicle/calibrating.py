@@ -17,7 +17,7 @@ from mavcompass.track import Track
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import PollAnswer, run
 from mavcompass.vehicle.link import Link
-from mavcompass.vehicle.parameters.undo import undo_saver
+from mavcompass.vehicle.parameters.undo import cut_short, undo_saver
 from mavcompass.vehicle.stopping import StopRequest
 
 
@@ -54,6 +54,7 @@ def calibration_machine(
         dialect_for=lambda autopilot: make_dialect(autopilot, source),
         save_undo=undo_saver(source, undo_directory),
         solve=solver(method, max_heading_error_deg),
+        cut_short=cut_short(undo_directory),
     )
     return Machine(lambda context: calibrate(context, services, settings))
 

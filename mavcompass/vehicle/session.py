@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mavcompass.errors import BadRecording, Refused, UsageError
@@ -110,17 +110,18 @@ def read_wanted(path: Path) -> dict[str, float]:
     return dict(load_record(path).before) if path.suffix == ".json" else read_parameter_file(path)
 
 
-def compass_part(wanted: Mapping[str, float], held: HeldParameters, origin: str) -> dict[str, float]:
-    """Pick the compass parameters that may be written out of all that a file holds.
+def compass_part(file: Path, held: HeldParameters) -> dict[str, float]:
+    """Pick the compass parameters that may be written out of all that a file holds; all of an undo file.
 
     Raises UsageError where there are none, and Refused where the file's device ids are another
     sensor's: its calibration is worth nothing on this one.
     """
-    prefix, rules = held.dialect.prefix, held.dialect.rules
-    own = {name: value for name, value in wanted.items() if name.startswith(prefix)}
+    prefix, rules, wanted = held.dialect.prefix, held.dialect.rules, read_wanted(file)
+    # What was set aside for a calibration is in its undo file, too.
+    own = {name: v for name, v in wanted.items() if file.suffix == ".json" or name.startswith(prefix)}
     if not own:
         raise UsageError(
-            f"{origin} holds no compass parameter ({prefix[0]}...) of this vehicle's autopilot.",
+            f"{file} holds no compass parameter ({prefix[0]}...) of this vehicle's autopilot.",
             "Check that file and vehicle belong together.",
         )
     for name, value in own.items():
@@ -128,7 +129,7 @@ def compass_part(wanted: Mapping[str, float], held: HeldParameters, origin: str)
         if instance in held.compasses and name.endswith(("_ID", f"_ID{instance}")) and now is not None:
             if not same_value(value, now):
                 raise Refused(
-                    f"{origin} was made for another sensor: its {name} is {value:.0f}, the vehicle's is"
+                    f"{file} was made for another sensor: its {name} is {value:.0f}, the vehicle's is"
                     f" {now:.0f}.",
                     "Calibrate this compass instead, or take that compass's lines out of the file.",
                 )
@@ -154,7 +155,10 @@ def write_values(
     """
     held = yield from read_vehicle(context, source, system)
     vehicle = yield from held.dialect.claim(context, held.values)
-    plan = held.dialect.plan_values(held.values, wanted(held, vehicle), checked, held.reporting)
+    values = wanted(held, vehicle)
+    others = yield from held.dialect.read_typed(context, [name for name in values if name not in held.typed])
+    held = replace(held, typed={**held.typed, **others})
+    plan = held.dialect.plan_values(held.values, values, checked, held.reporting)
     question = consent(held, plan)
     if question is None or (not plan.changes and not plan.refusals):
         return WriteReport(held, plan, None)

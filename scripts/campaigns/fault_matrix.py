@@ -40,7 +40,6 @@ from fault_cells.scene import Fault, Hung, Killed, Scene, Step, watched_files
 from fault_cells.works import WORKS, Ending, Work
 
 from mavcompass.errors import MavCompassError
-from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle import driver
 from mavcompass.vehicle.parameters.values import same_value
 
@@ -86,7 +85,7 @@ class Outcome:
 
 def new_scene(work: Work, folder: Path) -> Scene:
     """Build a vehicle for a procedure, and what it needs."""
-    scene = Scene(SimulatedAutopilot(work.kind, seed=3), folder)
+    scene = Scene(work.vehicle(), folder)
     work.prepare(scene)
     scene.told.clear()
     scene.before = scene.compass_values()

@@ -9,9 +9,12 @@ from pathlib import Path
 import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
+from mavcompass.cli.calibration.words import say_outcome
+from mavcompass.cli.options import Output
 from mavcompass.frames import wrap_pi
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.motion import Permissions
+from mavcompass.procedure.positions.proof import CompassProof, Proof
 from mavcompass.procedure.report import AutopilotHeading
 from mavcompass.report.document import live_document
 from mavcompass.simulation.ardupilot import ArduPilot
@@ -97,3 +100,28 @@ def test_without_the_permission_the_last_line_says_what_to_do(tmp_path: Path) ->
 )
 def test_an_error_that_is_going_to_grow_counts(after_deg: float, worst_deg: float, off: bool) -> None:
     assert AutopilotHeading(10.0, after_deg, "its own filter", 9.0, worst_deg).is_off is off
+
+
+def test_a_compass_that_stood_turned_is_held_against_the_autopilot_as_it_is_mounted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    vehicle = SimulatedAutopilot(
+        "rover", seed=3, calibration="exact", parameters={"COMPASS_USE": 0.0, "COMPASS_EXTERNAL": 1.0}
+    )
+    vehicle.firmware.store.set("COMPASS_ORIENT", 4.0)
+    vehicle.firmware.compasses.parameters_changed()
+    vehicle.advance(2.0)
+    report = calibrated(vehicle, tmp_path, CalibrateSettings(writing="yes", orientation=True))
+    # Another compass steers it, and well: nothing of the half turn is the autopilot's.
+    assert report.written and report.heading is not None
+    assert abs(report.heading.error_before_deg) < 1.0 and abs(report.heading.error_after_deg) < 1.0
+    say_outcome(Output(None), report)
+    assert "COMPASS_ORIENT 4 -> 0" in capsys.readouterr().out
+
+
+def test_the_gyro_alone_proves_nothing_where_the_vehicle_ends_where_it_began() -> None:
+    told = CompassProof(1, field_turned_deg=6.7, gyro_turned_deg=6.9, tolerance_deg=1.5)
+    round_and_on = CompassProof(1, field_turned_deg=366.7, gyro_turned_deg=366.9, tolerance_deg=1.5)
+    assert not Proof((told,)).passed and not Proof((round_and_on,)).passed
+    assert "too small a turn to prove anything" in Proof((told,)).summary()
+    assert CompassProof(1, 45.2, 45.0, 1.5).passed

@@ -93,7 +93,14 @@ def desk_of(kind: str, autopilot: str = "ardupilot", instances: tuple[int, ...] 
 
 
 def calibration(desk: Any, instances: tuple[int, ...] = (1,), **settings: Any) -> _Calibration:
-    return _Calibration(desk, SimpleNamespace(), CalibrateSettings(**settings), instances, SimpleNamespace())  # type: ignore[arg-type]
+    return _Calibration(
+        desk,
+        SimpleNamespace(),
+        CalibrateSettings(**settings),
+        instances,
+        SimpleNamespace(),
+        SimpleNamespace(),
+    )  # type: ignore[arg-type]
 
 
 SLOW = {mav.GlobalPositionInt: 4.0, mav.RcChannels: 4.0, mav.SysStatus: 4.0, mav.Heartbeat: 4.0}

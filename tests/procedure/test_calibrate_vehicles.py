@@ -47,13 +47,14 @@ def test_one_command_brings_the_heading_within_half_a_degree(kind: str, tmp_path
     assert untouched(vehicle) == before
 
 
-@pytest.mark.parametrize("kind", ["rover", "copter"])
-def test_four_dwells_and_the_proof_turn_take_22_seconds(kind: str, tmp_path: Path) -> None:
+# What flies waits, before it turns on, until its estimator has followed the new compass: 9 s at the most.
+@pytest.mark.parametrize(("kind", "within_s"), [("rover", 22.0), ("copter", 22.0 + 9.0)])
+def test_four_dwells_and_the_proof_turn_take_22_seconds(kind: str, within_s: float, tmp_path: Path) -> None:
     vehicle = SimulatedAutopilot(kind, seed=11)
     report = calibrated(vehicle, tmp_path, CalibrateSettings(writing="yes", most_positions=4))
     time_s = report.track.compasses[1].time_s
     assert len(report.windows) == 4
-    assert float(time_s[-1]) - report.windows[0].start_s <= 22.0
+    assert float(time_s[-1]) - report.windows[0].start_s <= within_s
 
 
 def test_the_proof_stands_no_longer_than_it_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,11 +44,18 @@ def own(
             loads_disarmed=loads_disarmed,
             take_compass_yaw=take,
             load_written=lambda context, values: nothing(how),
+            prompt_estimator=lambda parameters, flying: {"EK3_GBIAS_P_NSE": 0.03} if flying else {},
         ),
         parameters={},
         took=took,
     )
-    watched = OwnHeading(desk, 2026.5)
+    held: list[Any] = []
+    overrides: Any = SimpleNamespace(
+        hold=lambda context, values: nothing(held.append(values) is None),
+        release=lambda context, why: nothing(held.append("back")),
+        held=held,
+    )
+    watched = OwnHeading(desk, 2026.5, overrides)
     watched.samples = list(samples or [])
     watched._latest_deg = watched.samples[-1][1] if watched.samples else math.nan
     return watched
@@ -91,7 +98,7 @@ def test_the_worst_is_what_it_will_come_to() -> None:
         (falling(5.0, -0.04), {}, False),  # the bias is yet to go
         (falling(-5.0, 0.2), {}, True),
         (falling(5.0, 0.2), {}, False),
-        (falling(2.6, -0.1), {}, False),  # 1.8 degrees are not worth it
+        (falling(1.6, -0.1), {}, False),  # 0.8 degrees are not worth it
         (falling(5.0, -0.2), {"kind": "copter", "armed": True}, False),
         (falling(5.0, -0.2), {"kind": "copter"}, True),
         (falling(5.0, 0.2), {"loads_disarmed": True}, True),  # what has slid off does not come back
@@ -110,7 +117,8 @@ def test_taking_the_yaw_over_helps_once_the_bias_is_unlearned(
 def run(script: Any, watched: OwnHeading) -> Any:
     machine = Machine(lambda context: script)
     machine.context = watched.desk.context
-    machine.step(Tick(100.0))
+    for tick in range(20):  # two seconds are no waiting
+        machine.step(Tick(100.0 + 0.1 * tick))
     assert machine.done, "it waits"
     if machine.error:
         raise machine.error
@@ -219,10 +227,13 @@ def heading(before: float = -8.0, after: float = 1.0, worst: float = 1.5, **more
 @pytest.mark.parametrize(
     ("told", "off", "says"),
     [
-        (heading(), False, "was 8.0 deg off at the write and is 1.0 deg off now, by a switch"),
+        (heading(), False, "was 8.0 deg off at the start and is 1.0 deg off now, by a switch"),
         (heading(worst=2.0), False, "is 1.0 deg off now"),
         (heading(after=2.0, worst=5.0, wander_deg=1.5), True, "2.0 deg off now, but may wander by 1.5 deg"),
         (heading(after=-2.0, worst=5.0), True, "still steers 2.0 deg off; restart"),
+        (heading(after=-2.0, worst=5.0, flying=True), True, "2.0 deg off; land it, and restart it before"),
+        (heading(after=24.0, written=False), True, "own heading is 24.0 deg off: see that it is right"),
+        (heading(after=0.4, written=False), False, "The autopilot's own heading is 0.4 deg off."),
         (heading(after=-1.9, worst=2.1), True, "still steers 1.9 deg off; restart it"),
         (heading(after=-1.9, worst=math.nan), False, "is 1.9 deg off now"),
         (heading(after=-2.1, worst=math.nan), True, "still steers 2.1 deg off;"),
@@ -236,7 +247,7 @@ def heading(before: float = -8.0, after: float = 1.0, worst: float = 1.5, **more
         (heading(after=math.nan, worst=math.nan, wander_deg=math.nan), False, "could not be told"),
         (heading(after=2.5, worst=5.5, wander_deg=1.5), True, "still steers 2.5 deg off"),
         (heading(after=math.nan, worst=math.nan), False, "could not be told"),
-        (heading(not_loaded=True), True, "still flies by the old calibration"),
+        (heading(after=17.0, not_loaded=True), True, "by the old calibration and steers 17.0 deg off now"),
     ],
 )
 def test_what_a_person_is_told_of_it(told: AutopilotHeading, off: bool, says: str) -> None:
@@ -279,17 +290,56 @@ def test_what_stays_right_or_is_set_aside_is_not_waited_for(
     assert machine.done is not waits
 
 
-@pytest.mark.parametrize(("error_deg", "helped"), [(2.0, False), (2.01, True), (-2.01, True)])
-def test_an_error_of_two_degrees_at_the_write_is_left_to_the_filter(
-    error_deg: float, helped: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def watching(
+    monkeypatch: pytest.MonkeyPatch, errors_deg: list[float], **more: Any
+) -> tuple[OwnHeading, list[tuple[float, float]]]:
+    """Watch an autopilot that is off by these, stretch by stretch; return the stretches, too."""
+    stretches: list[tuple[float, float]] = []
+
     def sample(self: OwnHeading, start_s: float, end_s: float) -> None:
-        assert (start_s, end_s) == (3.0, 4.5)
-        self._latest_deg = error_deg
-        self.samples.append((end_s, error_deg))
+        stretches.append((start_s, end_s))
+        self._latest_deg = errors_deg[min(len(stretches), len(errors_deg)) - 1]
+        self.samples.append((end_s, self._latest_deg))
 
     monkeypatch.setattr(OwnHeading, "_sample", sample)
-    watched, result = own(), SimpleNamespace(heading_sigma_deg=0.1, instance=1)
-    run(watched.written([result], {"A": 1.0}, 3.0, 4.5), watched)  # type: ignore[list-item]
-    assert (watched.before_deg, watched.samples, watched._written_s) == (error_deg, [], 100.0)
-    assert bool(watched.by) is helped and watched.result is result and not watched.not_loaded
+    watched = own(**more)
+    watched.found(
+        [SimpleNamespace(heading_sigma_deg=0.1, instance=1, accepted=False)], [(3.0, 4.5), (30.0, 31.5)]
+    )  # type: ignore[list-item]
+    return watched, stretches
+
+
+@pytest.mark.parametrize(("error_deg", "helped"), [(0.75, False), (0.76, True), (-0.76, True)])
+def test_what_a_perfect_compass_leaves_is_left_to_the_filter(
+    error_deg: float, helped: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watched, stretches = watching(monkeypatch, [63.0, error_deg])
+    # What is told as before is that of the start, not what the turning has left of it.
+    assert stretches == [(3.0, 4.5), (30.0, 31.5)] and watched.before_deg == 63.0
+    run(watched.written({"A": 1.0}), watched)
+    assert (watched.samples, watched._written_s) == ([], 100.0)
+    assert bool(watched.by) is helped and not watched.not_loaded
+
+
+@pytest.mark.parametrize(
+    ("kind", "armed", "error_deg", "holds"),
+    [("copter", True, 5.0, True), ("copter", True, 0.7, False), ("copter", False, 5.0, False),
+     ("rover", True, 5.0, False)],
+)  # fmt: skip
+def test_a_flying_estimator_believes_its_compass_from_the_write_until_it_follows(
+    kind: str, armed: bool, error_deg: float, holds: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watched, _ = watching(monkeypatch, [40.0, error_deg, 0.1], kind=kind, armed=armed)
+    run(watched.expect(), watched)
+    assert watched.overrides.held == ([{"EK3_GBIAS_P_NSE": 0.03}] if holds else [])  # type: ignore[attr-defined]
+    if not holds:
+        return
+    machine = Machine(lambda context: watched.written({"A": 1.0}))
+    machine.context, watched.desk.rest.time_s = watched.desk.context, 60.0
+    for tick in range(40):
+        machine.step(Tick(100.0 + 0.5 * tick))
+        watched.desk.rest.time_s = 60.0 + 0.5 * tick
+        if machine.done:
+            break
+    assert machine.done and 106.5 <= machine.context.now <= 109.5
+    assert watched.overrides.held[-1] == "back" and watched.by == ["believing its compass for some seconds"]  # type: ignore[attr-defined]

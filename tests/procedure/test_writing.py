@@ -12,10 +12,9 @@ import pytest
 
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
-from mavcompass.errors import LinkLost, WriteFailed
 from mavcompass.procedure.dialect import Change, ParameterPlan, WriteOutcome
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.procedure.script import Answer, Ask, Context, Machine, Show, Tick, nothing
+from mavcompass.procedure.script import Answer, Ask, Context, Machine, Tick, nothing
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.procedure.writing import Writer
 from mavcompass.track import Track
@@ -103,30 +102,20 @@ def test_a_person_is_asked_with_old_and_new(yes: bool) -> None:
     assert ("Not written: the answer was no." in machine.result.messages) is not yes
 
 
-def test_the_old_values_are_put_back_last_change_first() -> None:
-    vehicle = Vehicle()
-    machine, actions = vehicle.does(
-        writer(vehicle).take_back(report(plan=PLAN, outcome=OUTCOME), "Not proven.")
-    )
-    assert machine.done and machine.error is None
-    (back,) = vehicle.written
-    assert [(c.name, c.old, c.new) for c in back.changes] == [
-        ("COMPASS_OFS_Y", -40.0, 0.0), ("COMPASS_OFS_X", 60.0, 5.0),
-    ]  # fmt: skip
-    assert [a.text for a in actions if isinstance(a, Show)] == ["Not proven. Putting the old values back."]
+def test_it_is_taken_back_by_the_way_that_the_write_left() -> None:
+    vehicle, taken = Vehicle(), []
+    outcome = replace(OUTCOME, take_back=lambda context, why: nothing(taken.append(why)))
+    machine, _ = vehicle.does(writer(vehicle).take_back(report(plan=PLAN, outcome=outcome), "Not proven."))
+    assert machine.done and machine.error is None and taken == ["Not proven."]
 
 
-@pytest.mark.parametrize(
-    "trouble", [LinkLost("It fell silent.", "x"), WriteFailed("It is torn.", "x", None, "")]
-)
-def test_where_that_fails_the_way_back_is_told(trouble: Exception) -> None:
-    vehicle = Vehicle(trouble=trouble)
-    machine, _ = vehicle.does(writer(vehicle).take_back(report(plan=PLAN, outcome=OUTCOME), "Not proven."))
-    error = machine.error
-    assert (
-        isinstance(error, WriteFailed) and "Not proven. The new values could not be taken back" in error.what
-    )
-    assert "restore u.json" in error.remedy and error.undo_file == Path("u.json")
+def test_what_comes_just_before_the_write_comes_after_the_consent() -> None:
+    vehicle, order = Vehicle(), []
+    careful = Writer(vehicle.desk, writer(vehicle).save_undo, True, lambda: nothing(order.append("before")))
+    vehicle.does(careful.write(report()), False)
+    assert order == [] and vehicle.written == []
+    vehicle.does(careful.write(report()), True)
+    assert order == ["before"] and vehicle.written == [PLAN]
 
 
 def test_a_report_of_no_compass_is_not_accepted_and_one_that_was_undone_not_written() -> None:

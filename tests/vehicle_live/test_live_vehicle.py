@@ -76,7 +76,7 @@ def test_a_parameter_is_written_read_back_and_restored(vehicle: Vehicle, tmp_pat
     def script(context: Context) -> Script[float]:
         context.system, context.component = vehicle.identity.system, vehicle.identity.component
         outcome = yield from dialect.write(context, plan, save)
-        yield from dialect.write(context, plan.reversed(), save)
+        yield from outcome.take_back(context, "It was a test.")
         return outcome.values[name]
 
     assert run(Machine(script), vehicle.link) == pytest.approx(before[name] + step, rel=1e-5)

@@ -20,6 +20,8 @@ def say_outcome(output: Output, report: CalibrationReport) -> None:
     outcome = report.outcome
     if report.written and outcome is not None:
         output.say("Written and read back.")
+        for line in _mounting(report):
+            output.say(line)
         if report.proof is not None:
             output.say(report.proof.summary())
         if outcome.undo_file is not None:
@@ -27,9 +29,18 @@ def say_outcome(output: Output, report: CalibrationReport) -> None:
         if report.heading is not None:
             said = report.heading.summary()
             if report.heading.not_loaded:
-                said += f" Land and disarm it, then: {outcome.again_command}"
+                said += f" Land and disarm it, then: {outcome.again_command}; or have it landed, with --land."
             output.say(styled(said, fg="red") if report.steers_off else said)
     elif report.undone:
         output.say("The old values are back on the vehicle.")
     else:
         output.say("Nothing was written.")
+        if report.heading is not None and report.heading.known:
+            output.say(report.heading.summary())
+
+
+def _mounting(report: CalibrationReport) -> list[str]:
+    """Say how a compass was set to be mounted, where that was written too."""
+    found = [name for r in report.results for name in r.mounting.setting]
+    changes = [] if report.plan is None else [c for c in report.plan.changes if c.name in found]
+    return [f"Mounted otherwise than was set: {c.name} {c.old:g} -> {c.new:g}." for c in changes]

@@ -87,11 +87,11 @@ def diff(source: str, file: Path, system: int | None, output: Output) -> None:
     from mavcompass.vehicle.session import compass_part, read_wanted
 
     require_for(source)
-    wanted = read_wanted(file)
+    read_wanted(file)  # what is wrong with it is told before the vehicle is asked
     held = _read(source, system)
     differing = {
         name: (held.values.get(name), value)
-        for name, value in compass_part(wanted, held, str(file)).items()
+        for name, value in compass_part(file, held).items()
         if name not in held.values or not same_value(held.values[name], value)
     }
     show_difference(output, held, differing)
@@ -257,7 +257,7 @@ def _write(
         document["file"] = path = _last_of(vehicle) if file is None else file
         if not other_vehicle:
             refuse_other_vehicle(path, vehicle)
-        return compass_part(read_wanted(path), held, str(path))
+        return compass_part(path, held)
 
     def consent(held: HeldParameters, plan: ParameterPlan) -> str | None:
         document.update(_head(action, source, held), **_plan_part(plan))

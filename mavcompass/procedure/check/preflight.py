@@ -185,11 +185,13 @@ class _Checker:
         if not self.desk.instances:
             self._add(CheckItem("compass", "fail", "The vehicle has no compass.", "Connect and enable one."))
         for instance in self.desk.instances:
-            correction = self.desk.dialect.correction(self.desk.parameters, instance)
             of_vehicle = self.desk.identity.autopilot, self.desk.parameters
-            calibrated = is_calibrated(*of_vehicle, instance, correction)
-            self._add(items.judge_offsets(instance, correction, calibrated))
-            self._add(items.judge_matrix(instance, correction))
+            # Of what was never heard the readings are judged as missing; its numbers may be of a sensor gone.
+            if instance in self.desk.state.reporting:
+                correction = self.desk.dialect.correction(self.desk.parameters, instance)
+                calibrated = is_calibrated(*of_vehicle, instance, correction)
+                self._add(items.judge_offsets(instance, correction, calibrated))
+                self._add(items.judge_matrix(instance, correction))
             for remark in parameter_remarks(*of_vehicle, instance):
                 if remark.forbids:
                     self._add(CheckItem("switches", "warn", remark.text))

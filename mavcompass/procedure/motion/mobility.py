@@ -8,6 +8,7 @@ from typing import Literal
 
 from mavcompass.errors import Refused
 from mavcompass.kinds import Kind
+from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.calm import wait_until_calm
 from mavcompass.procedure.motion.readiness import Permissions, Readiness
@@ -47,6 +48,7 @@ class Mobility:
     gyro: GyroAngle
     rest: Rest
     wishes: Wishes
+    overrides: Overrides | None = None
     mover: Mover | None = None
     _modes: ModeKeeper = field(init=False)
     _readiness: Readiness | None = None
@@ -70,7 +72,9 @@ class Mobility:
             return self.mover
         strategies = self._strategies(parameters)
         controls = self.wishes.turn_by != "auto"
-        self._readiness = Readiness(self.identity, self.state, self._modes, permissions, controls)
+        self._readiness = Readiness(
+            self.identity, self.state, self._modes, permissions, controls, self.overrides
+        )
         yield from self._readiness.make(context)
         if self.identity.kind == "copter":
             yield from wait_until_calm(context, self.state, self.rest)

@@ -1,18 +1,24 @@
 """Make a vehicle ready to turn itself, as far as a person asked for it, and put it back afterwards.
 
-Nothing is armed, switched in mode or taken off without its own permission.
+Nothing is armed, switched in mode or taken off without its own permission. Where arming is refused for the
+compass alone, which is the one to be calibrated, that check is set aside until it is armed, with consent.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from mavcompass.enums import CopterMode, MavCmd, MavResult
 from mavcompass.errors import NoReply, Refused
+from mavcompass.messages import Incoming, Statustext
+from mavcompass.printable import printable
 from mavcompass.procedure.commands import command
+from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.modes import ModeKeeper, mode_name, turning_mode
-from mavcompass.procedure.script import Context, Script, pause
+from mavcompass.procedure.script import Context, Script, ask, pause
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 
 _CLIMB_PATIENCE_S = 40.0
@@ -30,11 +36,15 @@ class Permissions:
 
     Attributes:
         set_mode: change the flight mode. arm: arm it. takeoff_m: take off to this height (0: never).
+        land: land a copter afterwards that was flying before.
+        exempt: set the compass's arming check aside where that alone keeps it from arming.
     """
 
     set_mode: bool = False
     arm: bool = False
     takeoff_m: float = 0.0
+    land: bool = False
+    exempt: Literal["ask", "yes", "never"] = "ask"
 
 
 @dataclass(slots=True)
@@ -46,6 +56,7 @@ class Readiness:
     modes: ModeKeeper
     permissions: Permissions = Permissions()
     by_controls: bool = False
+    overrides: Overrides | None = None
     _armed_by_us: bool = field(default=False)
     _in_the_air_by_us: bool = field(default=False)
 
@@ -74,7 +85,7 @@ class Readiness:
         if self.modes.is_foreign():
             return
         try:
-            if self._in_the_air_by_us:
+            if self._in_the_air_by_us or (self.permissions.land and self._flies()):
                 yield from self._land(context, _HURRIED_S if in_a_hurry else _LANDING_PATIENCE_S)
             elif self._armed_by_us:
                 yield from command(context, MavCmd.COMPONENT_ARM_DISARM, 0.0, what="disarming")
@@ -110,17 +121,61 @@ class Readiness:
                 "Arm it (a copter: take off), allow that with --arm, or turn it by hand with --motion hand.",
             )
         context.show("ready", "Arming.")
-        result = yield from command(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
-        # The texts that say why come beside the answer.
-        end_s = context.now + 3.0
-        while context.now < end_s and not self.state.armed:
-            yield from pause(context, 0.1)
-        if result != MavResult.ACCEPTED or not self.state.armed:
-            raise Refused(
-                f"The vehicle refused to arm.{self._last_words()}",
-                "Put right what it names, then run again; turning it by hand needs no arming.",
-            )
-        self._armed_by_us = True
+        said = yield from self._ask_to_arm(context)
+        if not self.state.armed:
+            exemption = yield from self._exemption(context, said)
+            if exemption and self.overrides is not None:
+                try:
+                    yield from self.overrides.hold(context, exemption)
+                    yield from self._ask_to_arm(context)
+                finally:
+                    yield from self.overrides.release(context, "The arming check is asked again.")
+            if not self.state.armed:
+                raise Refused(
+                    f"The vehicle refused to arm.{self._last_words()}",
+                    "Put right what it names, then run again; turning it by hand needs no arming.",
+                )
+
+    def _ask_to_arm(self, context: Context) -> Script[tuple[str, ...]]:
+        """Arm it; return what it said meanwhile: the texts that say why not come beside the answer."""
+        said: list[str] = []
+
+        def note(incoming: Incoming) -> None:
+            if isinstance(incoming.message, Statustext):
+                said.append(printable(incoming.message.text))
+
+        context.listeners.append(note)
+        try:
+            yield from command(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
+            end_s = context.now + 3.0
+            while context.now < end_s and not self.state.armed:
+                yield from pause(context, 0.1)
+        finally:
+            context.listeners.remove(note)
+            self._armed_by_us = self.state.armed
+        return tuple(said)
+
+    def _exemption(self, context: Context, said: tuple[str, ...]) -> Script[Mapping[str, float]]:
+        """Return what sets the compass's arming check aside, where that alone refuses and a person agrees."""
+        if self.overrides is None:
+            return {}
+        values = yield from self.overrides.dialect.arming_exemption(context, said)
+        if not values:
+            return {}
+        what = "It refuses to arm for nothing but the compass, which is the one to be calibrated"
+        aside = " and ".join(f"{name} {value:.0f}" for name, value in values.items())
+        match self.permissions.exempt:
+            case "yes":
+                context.show("ready", f"{what}: arming with that check set aside ({aside}).")
+            case "ask":
+                question = (
+                    f"{what}.{self._last_words()} Set that check aside until it is armed ({aside})? All"
+                    " others stay."
+                )
+                return values if (yield from ask(context, question)) else {}
+            case "never":
+                return {}
+        return values
 
     def _take_off(self, context: Context) -> Script[None]:
         height_m = self.permissions.takeoff_m
@@ -165,6 +220,9 @@ class Readiness:
             yield from pause(context, 0.2)
         if self.state.armed:
             self.modes.before.clear()
+
+    def _flies(self) -> bool:
+        return self.identity.kind == "copter" and self.state.armed
 
     def _height_m(self) -> float:
         return 0.0 if self.state.place is None else self.state.place.relative_alt * 1e-3

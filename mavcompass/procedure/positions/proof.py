@@ -23,6 +23,8 @@ from mavcompass.track import Track
 # What a right calibration may differ by all the same: three sigmas, and never less than this.
 _LEAST_TOLERANCE_RAD = math.radians(1.5)
 _LEAST_CHANGE_DEG = 0.75
+# A turn by a shows 2 sin(a/2) of what an offset bends: half of it from here on. Less proves nothing.
+_LEAST_TURN_RAD = math.radians(29.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +51,15 @@ class CompassProof:
         return math.degrees(float(wrap_pi(math.radians(self.field_turned_deg - self.gyro_turned_deg))))
 
     @property
+    def tells(self) -> bool:
+        """Tell whether it ended far enough from where it began to show anything."""
+        return abs(float(wrap_pi(math.radians(self.gyro_turned_deg)))) >= _LEAST_TURN_RAD
+
+    @property
     def passed(self) -> bool:
-        """Tell whether the turns agree and the solution stands."""
+        """Tell whether the turn tells, the turns agree and the solution stands."""
         turned_alike = abs(self.difference_deg) <= self.tolerance_deg
-        return turned_alike and self.change_deg <= self.change_allowed_deg and not self.doubts
+        return self.tells and turned_alike and self.change_deg <= self.change_allowed_deg and not self.doubts
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +79,8 @@ class Proof:
             f"compass {c.instance} turned {c.field_turned_deg:.1f} deg, the gyro {c.gyro_turned_deg:.1f} deg"
             for c in self.compasses
         ]
+        if not all(compass.tells for compass in self.compasses):
+            parts.append("too small a turn to prove anything")
         for compass in self.compasses:
             if compass.change_deg > compass.change_allowed_deg:
                 parts.append(

@@ -27,6 +27,8 @@ _GATHERS_WAY_S = 0.5
 _LATE_S = 0.1
 _BOOST_GAIN, _MOST_BOOST = 0.15, 1.6
 _SLOW_RADPS = math.radians(5.0)
+# Events come at least this often; a longer step is our own computer's, which solved or slept meanwhile.
+_LONGEST_STEP_S = 0.2
 # What holds an angle and is stopped dead swings back: it turns on for so long, per rate, at half of it.
 _LAST_S = 0.1
 
@@ -124,13 +126,15 @@ class SteeredTurn:
     def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
         """Command the rate until the gyro says that the rest is what stopping takes."""
         self._learn_coasting(gyro)
-        start_rad, start_s = gyro.angle_rad, context.now
+        start_rad, looked_s, so_far_s = gyro.angle_rad, context.now, 0.0
         sign = math.copysign(1.0, angle_rad)
         longest_s = _MOVES_WITHIN_S + 3.0 * abs(angle_rad) / self.slowest_radps
         said_s, boost, most = -math.inf, 1.0, self._most_radps(abs(angle_rad))
         while True:
+            so_far_s += min(context.now - looked_s, _LONGEST_STEP_S)
+            looked_s = context.now
             turned = (gyro.angle_rad - start_rad) * sign
-            left, speed, so_far_s = abs(angle_rad) - turned, gyro.rate_radps * sign, context.now - start_s
+            left, speed = abs(angle_rad) - turned, gyro.rate_radps * sign
             if so_far_s > _MOVES_WITHIN_S and turned < _MOVED_RAD:
                 self.halt(context)
                 return False

@@ -25,7 +25,7 @@ from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Task
 from mavcompass.service.work.worker import Worker
 from mavcompass.service.work.worker import solve as solve_there
 from mavcompass.vehicle.dialects import make_dialect
-from mavcompass.vehicle.parameters.undo import load_record, refuse_other_vehicle, undo_saver
+from mavcompass.vehicle.parameters.undo import cut_short, load_record, refuse_other_vehicle, undo_saver
 
 MAX_HEADING_ERROR_DEG = 2.0
 
@@ -75,6 +75,7 @@ def calibration(
         dialect_for=lambda make: make_dialect(make, source),
         save_undo=undo_saver(source, undo_folder, clock.now),
         solve=solve,
+        cut_short=cut_short(undo_folder),
     )
     settings = CalibrateSettings(
         instances=request.compasses,
@@ -135,7 +136,10 @@ def undo(undo_file: Path, source: str, system: int, undo_folder: Path) -> Machin
         dialect = make_dialect(identity.autopilot, source)
         parameters = yield from dialect.compass_parameters(context)
         refuse_other_vehicle(undo_file, (yield from dialect.claim(context, parameters)))
-        plan = dialect.plan_values(parameters, record.before, checked=False)
+        others = yield from dialect.read_parameters(
+            context, [n for n in record.before if n not in parameters]
+        )
+        plan = dialect.plan_values({**parameters, **others}, record.before, checked=False)
         context.show("write", f"Putting back {len(plan.changes)} parameters.", 0.5)
         save = undo_saver(source, undo_folder, clock.now)
         return (yield from dialect.write(context, plan, save))

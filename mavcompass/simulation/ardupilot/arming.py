@@ -52,9 +52,9 @@ class Arming:
             self.board.say("Disarming motors" if self.board.profile.hovers else "Throttle disarmed")
 
     def tell_refusals(self, prefix: str) -> bool:
-        """Send why it will not arm; True where there is a reason."""
+        """Send why it will not arm, every reason; True where there is one."""
         reasons = self.refusals()
-        for reason in reasons if prefix == "PreArm" else reasons[:1]:
+        for reason in reasons:
             self.board.say(f"{prefix}: {reason}", MavSeverity.CRITICAL)
         return bool(reasons)
 

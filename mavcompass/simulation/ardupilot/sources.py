@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 from mavcompass.simulation.autopilot import Board, ParameterStore
 
 _SETS = (1, 2, 3)
 _COMPASS, _COMPASS_AS_FALLBACK = 1.0, 3.0
+_HEADING_ONLY = 2.0  # EK3_MAG_CAL
+_NOISES = ("EK3_GBIAS_P_NSE", "EK3_MAG_M_NSE")
+_SUREST_READING = 0.2  # of what is shipped; less is not taken
 
 
 class Sources:
@@ -38,10 +43,25 @@ class Sources:
 
     def correct(self, dt_s: float, compass_yaw_rad: float | None) -> None:
         """Let the filter follow the compass, where that is its source of yaw."""
-        estimate, flying = self._board.filter, self._board.profile.hovers and not self._board.body.landed
+        # A submarine does not climb, which is what the filter begins to learn the field at (EK3_MAG_CAL 3).
+        estimate = self._board.filter
+        flying = self._board.profile.chassis == "copter" and not self._board.body.landed
         named = self._store.get(f"EK3_SRC{self.number}_YAW", 1.0) in (_COMPASS, _COMPASS_AS_FALLBACK)
         follows = named and not self.compasses_aside
         if follows and not self._followed and compass_yaw_rad is not None and not flying:
             estimate.take_yaw(compass_yaw_rad)
-        estimate.correct(dt_s, compass_yaw_rad if follows else None)
+        yaw_rad = compass_yaw_rad if follows else None
+        if flying and self._store["EK3_MAG_CAL"] != _HEADING_ONLY:
+            estimate.correct(dt_s, yaw_rad, self._learns_within_rad(), *self._noises())
+        else:
+            estimate.correct(dt_s, yaw_rad)
         self._followed = follows
+
+    def _learns_within_rad(self) -> float:
+        """Return how far the direction of the field may be learnt to be off the world model's."""
+        return math.asin(min(1.0, self._store["EK3_MAG_EF_LIM"] / self._board.world.horizontal_mgauss))
+
+    def _noises(self) -> tuple[float, float]:
+        """Return how much surer a reading counts than as shipped, and how much more the bias may wander."""
+        bias, reading = (self._store[name] / self._store.factory_value(name) for name in _NOISES)
+        return 1.0 / max(reading, _SUREST_READING), bias

@@ -3,7 +3,8 @@
 Yaw is carried by the gyro and pulled to the compass selected at power-up, slowly and with a bounded
 pull, as a filter does whose field and bias states share the blame. The constants follow recordings of
 real firmware: with a compass 30 to 60 degrees off the yaw creeps by 1.7 to 3 degrees per second, a
-small disagreement is worked off over ten seconds, and a part of it goes into the gyro's bias.
+small disagreement is worked off over ten seconds, and a part of it goes into the gyro's bias. In flight
+another part goes into the direction that the Earth's field is believed to have, which new offsets leave.
 """
 
 from __future__ import annotations
@@ -14,16 +15,24 @@ from mavcompass.correction import Vector
 from mavcompass.simulation.physics.noise import NoiseTape, generator
 from mavcompass.units import RAD_PER_DEG
 
-YAW_PULL_PER_S = 0.08
-YAW_PULL_MAX_RADPS = 1.8 * RAD_PER_DEG
-BIAS_PULL_PER_S2 = 0.0015
+# The noises of a Kalman filter of yaw and gyro bias: a reading's (0.05 of 0.2 gauss across), and per root
+# of a second the yaw's and the bias's. As shipped its gains come to 0.08 and 0.0015 per second.
+_READING_RAD, _YAW_RAD, _BIAS_RADPS = 0.25, 0.0046, 1.2e-4
+# The variances of yaw and bias, and what they share, that it then settles at, read ten times a second.
+_STEADY = (5.0e-4, -9.4e-6, 7.5e-7)
+# What a resting gyro tells, per root of a second (EKF2_GYR_NOISE, five times a second).
+_GYRO_RADPS = 0.015 * math.sqrt(0.2)
+# The gains hold for what a reading is off by up to this.
+_INNOVATION_MAX_RAD = 22.5 * RAD_PER_DEG
 BIAS_MAX_RADPS = 0.5 * RAD_PER_DEG
+# A filter that learns the field puts so much of a disagreement per second there, and forgets it in so long,
+# as it holds the field against the declination: a copter of ArduPilot 4.5.7 was 5 to 7 degrees off for half
+# a minute after its compass had become right, and 3 after a minute.
+_FIELD_PULL_PER_S, _FIELD_FORGOTTEN_S = 0.02, 60.0
 _TILT_ERROR_SIGMA_RAD = 0.1 * RAD_PER_DEG
 _TILT_ERROR_TIME_S = 40.0
 # What is told as the compass's variance is the disagreement in units of three sigmas of the yaw noise.
 _VARIANCE_SCALE_RAD = 3.0 * 0.5
-# After a yaw was taken over the gyro's bias is blamed for little, and fully after so long.
-_BLAME_TIME_S = 40.0
 _VARIANCE_TIME_S = 2.0
 
 
@@ -57,7 +66,8 @@ class AttitudeFilter:
         self.bias_radps = 0.0
         self.innovation_rad = 0.0
         self.compass_variance = 0.0
-        self._blame = 1.0
+        self.learnt_rad = 0.0
+        self._doubt = _STEADY
 
     def align(self, roll_rad: float, pitch_rad: float, compass_yaw_rad: float | None) -> None:
         """Take over the compass's yaw at once, as at power-up; north where there is none."""
@@ -69,8 +79,9 @@ class AttitudeFilter:
         self.innovation_rad = 0.0
 
     def take_yaw(self, yaw_rad: float) -> None:
-        """Take a yaw over at once; the bias stays as it has been learnt."""
-        self.yaw_rad, self.innovation_rad, self._blame = yaw_rad, 0.0, 0.0
+        """Take a yaw over at once; the bias stays as it was learnt, and is blamed for little at first."""
+        self.yaw_rad, self.innovation_rad = yaw_rad, 0.0
+        self._doubt = (_STEADY[0], 0.0, self._doubt[2])
 
     def predict(self, dt_s: float, gyro: Vector, true_roll_rad: float, true_pitch_rad: float) -> None:
         """Carry the attitude on with the gyro (tilt is observed well by gravity and GPS)."""
@@ -85,20 +96,50 @@ class AttitudeFilter:
         yaw_rate = (q * math.sin(self.roll_rad) + r * math.cos(self.roll_rad)) / math.cos(self.pitch_rad)
         self.yaw_rad = wrap_angle(self.yaw_rad + yaw_rate * dt_s)
 
-    def correct(self, dt_s: float, compass_yaw_rad: float | None) -> None:
-        """Be pulled towards the compass's yaw; None or nan where there is no compass to believe."""
+    def correct(
+        self,
+        dt_s: float,
+        compass_yaw_rad: float | None,
+        learns_within_rad: float = 0.0,
+        surer: float = 1.0,
+        wandering: float = 1.0,
+    ) -> None:
+        """Be pulled towards the compass's yaw; None or nan where there is no compass to believe.
+
+        The direction of the Earth's field is learnt, within an angle. A reading's noise is as shipped over
+        `surer`, that of the gyro's bias `wandering` times as much.
+        """
+        yaw_gain = bias_gain = 0.0
+        self.learnt_rad = max(-learns_within_rad, min(learns_within_rad, self.learnt_rad))
         if compass_yaw_rad is None or not math.isfinite(compass_yaw_rad):
             self.innovation_rad = self.compass_variance = 0.0
         else:
-            self.innovation_rad = wrap_angle(compass_yaw_rad - self.yaw_rad)
-        limit = YAW_PULL_MAX_RADPS / YAW_PULL_PER_S
-        pull = max(-limit, min(limit, self.innovation_rad))
-        self.yaw_rad = wrap_angle(self.yaw_rad + YAW_PULL_PER_S * pull * dt_s)
-        self._blame = min(1.0, self._blame + dt_s / _BLAME_TIME_S)
-        bias = self.bias_radps - BIAS_PULL_PER_S2 * self._blame * pull * dt_s
+            self.innovation_rad = wrap_angle(compass_yaw_rad + self.learnt_rad - self.yaw_rad)
+            yaw_gain, bias_gain = self._gains(dt_s, _READING_RAD / surer, wandering * _BIAS_RADPS)
+        pull = max(-_INNOVATION_MAX_RAD, min(_INNOVATION_MAX_RAD, self.innovation_rad))
+        self.yaw_rad = wrap_angle(self.yaw_rad + yaw_gain * pull)
+        self.learnt_rad -= (_FIELD_PULL_PER_S * pull + self.learnt_rad / _FIELD_FORGOTTEN_S) * dt_s
+        bias = self.bias_radps + bias_gain * pull
         self.bias_radps = max(-BIAS_MAX_RADPS, min(BIAS_MAX_RADPS, bias))
         target = abs(self.innovation_rad) / _VARIANCE_SCALE_RAD
         self.compass_variance += (target - self.compass_variance) * dt_s / _VARIANCE_TIME_S
+
+    def rest(self, dt_s: float, rate_radps: float) -> None:
+        """Learn the bias from a vehicle that is known to stand: what its gyro tells is all bias."""
+        yaw, both, bias = self._doubt
+        gain = bias * dt_s / _GYRO_RADPS**2
+        self.bias_radps += gain * (rate_radps - self.bias_radps)
+        self._doubt = (yaw, both * (1.0 - gain), bias * (1.0 - gain))
+
+    def _gains(self, dt_s: float, reading_rad: float, bias_radps: float) -> tuple[float, float]:
+        """Carry the doubt of yaw and bias over a step and a reading; return the reading's gains."""
+        yaw, both, bias = self._doubt
+        yaw += dt_s * (_YAW_RAD**2 - 2.0 * both + dt_s * bias)
+        both, bias = both - dt_s * bias, bias + dt_s * bias_radps**2
+        variance = yaw + reading_rad**2
+        yaw_gain, bias_gain = yaw / variance, both / variance
+        self._doubt = (yaw * (1.0 - yaw_gain), both * (1.0 - yaw_gain), bias - bias_gain * both)
+        return yaw_gain, bias_gain
 
     def _tilt(self, roll_rad: float, pitch_rad: float) -> None:
         self.roll_rad = roll_rad + self._tilt_error[0]

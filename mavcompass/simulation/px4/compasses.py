@@ -17,11 +17,13 @@ from mavcompass.compass_parameters import (
     px4_values,
 )
 from mavcompass.correction import FieldCorrection, Vector
-from mavcompass.simulation.autopilot import Board, Compasses, ParameterStore, Status
+from mavcompass.simulation.autopilot import Board, Compasses, ParameterStore, Status, wrap_angle
 
 INSTANCES = (1, 2)
 # Changes of the offset, and of the matrix, that are no longer than this are not loaded.
 _SMALLEST_CHANGE_MGAUSS, _SMALLEST_CHANGE = 5.0, 0.01
+# A heading that is further off than this is not believed (EKF2_HEAD_NOISE).
+_BELIEVED_RAD = 0.3
 # What the estimator learns of an offset in a flight, as a share of it.
 _LEARNT = 0.6
 
@@ -94,9 +96,13 @@ class Px4Compasses(Compasses):
         self._reset_heading()
 
     def _reset_heading(self) -> None:
+        """Take the compass's heading over; aided by a receiver, the filter believes none that is far off."""
         self.read()
-        if (yaw_rad := self.yaw()) is not None:
-            self._board.filter.take_yaw(yaw_rad)
+        yaw_rad, estimate = self.yaw(), self._board.filter
+        if yaw_rad is None:
+            return
+        if not self._store["EKF2_GPS_CTRL"] or abs(wrap_angle(yaw_rad - estimate.yaw_rad)) < _BELIEVED_RAD:
+            estimate.take_yaw(yaw_rad)
 
     def read(self) -> None:
         """Take the new readings, turn them into the sensors' axes, correct them."""

@@ -81,6 +81,12 @@ class Px4(Firmware):
             case m.RcChannelsOverride() | m.ManualControl():
                 self.radio.override(message, self.board.boot_time_s)
 
+    def use_compasses(self, dt_s: float) -> None:
+        """Correct the new readings for the filter, which learns the gyro's bias where the vehicle stands."""
+        super().use_compasses(dt_s)
+        if self.board.body.landed and not self.status.armed:
+            self.board.filter.rest(dt_s, self.board.sensors.samples[0].gyro_radps[2])
+
     def attend(self) -> None:
         """Time-outs and lists."""
         self.flight.watch_setpoints()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from mavcompass.compass_parameters import (
@@ -16,9 +16,10 @@ from mavcompass.compass_parameters import (
 from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.script import Context, Script
 from mavcompass.steering import ARDUPILOT_COMPASSES
+from mavcompass.vehicle.ardupilot.arming import exemption
 from mavcompass.vehicle.ardupilot.commit import commit_device_ids
 from mavcompass.vehicle.ardupilot.plan import ArduPilotPlanner
-from mavcompass.vehicle.ardupilot.yaw import take_compass_yaw
+from mavcompass.vehicle.ardupilot.yaw import prompt_estimator, take_compass_yaw
 from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.dialect import CompassDialect, no_answer
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
@@ -69,6 +70,14 @@ class ArduPilotDialect(CompassDialect):
     def raw_rotation(self, parameters: Mapping[str, float], instance: int) -> None:
         """Return None: RAW_IMU and SCALED_IMU carry the corrected field in body axes."""
         return None
+
+    def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
+        """Return what leaves the compass out of the arming checks; see `vehicle.ardupilot.arming`."""
+        return (yield from exemption(said, lambda names: self.read_parameters(context, names)))
+
+    def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
+        """Return at what EKF3 follows its compass in flight; see `vehicle.ardupilot.yaw`."""
+        return prompt_estimator(parameters) if flying else {}
 
     def take_compass_yaw(
         self, context: Context, parameters: Mapping[str, float], flying: bool

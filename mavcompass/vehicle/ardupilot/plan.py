@@ -16,6 +16,7 @@ from mavcompass.compass_parameters import (
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import Refused
 from mavcompass.frames import FloatArray
+from mavcompass.procedure.dialect import Change
 from mavcompass.vehicle.parameters.planning import Judgement, Planner
 from mavcompass.vehicle.parameters.rules import check_correction
 from mavcompass.vehicle.parameters.values import same_value
@@ -86,6 +87,10 @@ class ArduPilotPlanner(Planner):
         if same_value(correction.scale, in_force.scale) or scale_name not in parameters:
             del wanted[scale_name]
         return wanted
+
+    def in_order(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
+        """Put the offsets last: what EKF3 has learnt of a compass it forgets when they change, not before."""
+        return tuple(sorted(changes, key=lambda change: "OFS" in change.name))
 
     def judge_compass(
         self, before: Mapping[str, float], after: Mapping[str, float], instance: int

@@ -136,6 +136,14 @@ class CompassDialect(ABC):
         parameters = {} if known else (yield from self.compass_parameters(context))
         return (yield from self.claim(context, parameters))
 
+    @abstractmethod
+    def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
+        """Return the parameters that keep one arming check from looking at the compass's calibration."""
+
+    def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
+        """Return at what the estimator follows its compass; by itself a dialect knows no such values."""
+        return {}
+
     def take_compass_yaw(
         self, context: Context, parameters: Mapping[str, float], flying: bool
     ) -> Script[str]:

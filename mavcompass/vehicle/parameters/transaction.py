@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mavcompass.errors import MavCompassError, Refused, WriteFailed
-from mavcompass.installation.invocation import program
+from mavcompass.installation.invocation import consent, program
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.parameters import protocol
-from mavcompass.vehicle.parameters.undo import written_file
+from mavcompass.vehicle.parameters.undo import remove_record, written_file
 from mavcompass.vehicle.parameters.values import Encoding, Parameter, holds, is_single
 
 # After a stop a script has `script.CLEAN_UP_S` to put things back; a silent vehicle is given up before.
@@ -61,6 +61,7 @@ class Transaction:
         old = yield from self._read_before(context, plan)
         new = {c.name: Parameter(c.new, old[c.name].type) for c in plan.changes}
         undo_file = save_undo(plan, {name: p.value for name, p in old.items()}, vehicle)
+        way_back = WayBack(self.encoding, self.source, old, undo_file)
         command = restore_command(self.source, undo_file, context.system)
         context.show("write", f"Writing {counted(len(new))}; to put the old values back: {command}")
         remarks: tuple[str, ...] = ()
@@ -70,9 +71,9 @@ class Transaction:
                 remarks = yield from self.commit(context, plan)
             yield from protocol.prove(context, new, self.encoding, echoes_s)
         except GeneratorExit:
-            raise self._left(context, undo_file, "the procedure was ended") from None
+            raise way_back.left(context, "the procedure was ended") from None
         except Exception as why:
-            yield from self._put_back(context, old, undo_file, why)
+            yield from way_back.take(context, why)
             if isinstance(why, MavCompassError) and not isinstance(why, Refused):
                 raise WriteFailed(
                     f"{why.what} What was written was put back, and {counted(len(old))} read back as before.",
@@ -80,10 +81,10 @@ class Transaction:
                     undo_file,
                 ) from why
             raise
+
         values = {name: p.value for name, p in new.items()}
-        return WriteOutcome(
-            True, undo_file, values, remarks, command, again_command(self.source, undo_file, context.system)
-        )
+        again = again_command(self.source, undo_file, context.system)
+        return WriteOutcome(True, undo_file, values, remarks, command, again, way_back)
 
     def _read_before(self, context: Context, plan: ParameterPlan) -> Script[dict[str, Parameter]]:
         """Read the parameters that will change; nothing is written where they are not as planned."""
@@ -103,34 +104,62 @@ class Transaction:
                 )
         return old
 
-    def _put_back(
-        self, context: Context, old: Mapping[str, Parameter], undo_file: Path, why: Exception
-    ) -> Script[None]:
-        """Write the old values, last change first, and prove them; raise WriteFailed where that fails."""
-        context.show("undo", f"{_sentence(why)} Putting {counted(len(old))} back.")
-        back = {name: old[name] for name in reversed(list(old))}
+
+@dataclass(frozen=True, slots=True)
+class WayBack:
+    """Hold what leads back from a write: the old values, and the record of them on the disk.
+
+    Attributes:
+        encoding, source: as of the transaction. old: by name, in the order of writing.
+    """
+
+    encoding: Encoding
+    source: str
+    old: Mapping[str, Parameter]
+    undo_file: Path
+
+    def __call__(self, context: Context, why: str) -> Script[None]:
+        """Go it, because of a sentence, and remove the record: all is as before. Raises as `take` does.
+
+        A stop that came meanwhile is raised at the end.
+        """
+        stop = yield from self.take(context, Refused(why))
+        remove_record(self.undo_file)
+        if stop is not None:
+            raise stop
+
+    def take(self, context: Context, why: Exception) -> Script[Refused | None]:
+        """Write the old values, last change first, and prove them; return the stop that came meanwhile.
+
+        Raises WriteFailed where that fails.
+        """
+        stopped: Refused | None = None
+        context.show("undo", f"{_sentence(why)} Putting {counted(len(self.old))} back.")
+        back = {name: self.old[name] for name in reversed(list(self.old))}
         while True:
             try:
                 echoes_s = yield from protocol.write(context, back, self.encoding, _UNDO_SILENCE_S)
                 yield from protocol.prove(context, back, self.encoding, echoes_s, _UNDO_SILENCE_S)
-            except Refused:
-                continue  # a stop, which comes once: the vehicle is still, and half a calibration is worse
+            except Refused as stop:  # which comes once: the vehicle is still, half a calibration is worse
+                stopped = stop
+                continue
             except GeneratorExit:
-                raise self._left(context, undo_file, _sentence(why)) from None
+                raise self.left(context, _sentence(why)) from None
             except MavCompassError as trouble:
-                left = self._left(context, undo_file, f"{_sentence(why)} Then: {trouble.what}")
+                left = self.left(context, f"{_sentence(why)} Then: {trouble.what}")
                 context.show("undo", str(left))  # whatever becomes of the error on its way out
                 raise left from trouble
             context.show("undo", "The old parameters are back.")
-            return
+            return stopped
 
-    def _left(self, context: Context, undo_file: Path, why: str) -> WriteFailed:
-        command = restore_command(self.source, undo_file, context.system)
+    def left(self, context: Context, why: str) -> WriteFailed:
+        """Say that it could not be gone, and the command that does it."""
+        command = restore_command(self.source, self.undo_file, context.system)
         return WriteFailed(
             f"Writing was cut short and could not be undone ({why.rstrip('.')}): the vehicle may hold some"
             " new and some old values.",
             f"Bring the link back, then put the old values back with: {command}",
-            undo_file,
+            self.undo_file,
             command,
         )
 
@@ -163,7 +192,8 @@ def again_command(source: str, undo_file: Path, system: int) -> str:
 
 
 def _spelt(verb: str, source: str, file: Path, system: int) -> str:
-    return f"{program()} params {verb} {shlex.quote(source)} {shlex.quote(str(file))} --system {system}"
+    what = f"{shlex.quote(source)} {shlex.quote(str(file))} --system {system}{consent()}"
+    return f"{program()} params {verb} {what}"
 
 
 def _sentence(error: Exception) -> str:

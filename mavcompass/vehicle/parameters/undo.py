@@ -15,11 +15,12 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from mavcompass.errors import Refused, UsageError, WriteFailed
 from mavcompass.installation.private_files import locked, private_folder, state_directory, write_private
-from mavcompass.procedure.dialect import ParameterPlan, SaveUndo
+from mavcompass.procedure.dialect import CutShort, ParameterPlan, SaveUndo
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.vehicle.parameters.files import parameter_text
 
@@ -38,6 +39,7 @@ class UndoRecord:
         before, planned: the values of the parameters that the write was to change.
         parameters: everything that was known of the vehicle's compasses at that time.
         vehicle: whose they are; None in a record of an earlier version, which did not note it.
+        for_now: True of values that the run was to put back itself, and so of one that was cut short.
     """
 
     made_at: str
@@ -47,6 +49,7 @@ class UndoRecord:
     planned: Mapping[str, float]
     parameters: Mapping[str, float]
     vehicle: Nameplate | None = None
+    for_now: bool = False
 
 
 def undo_directory() -> Path:
@@ -75,6 +78,7 @@ def undo_saver(
             {c.name: c.new for c in plan.changes},
             dict(parameters),
             vehicle,
+            plan.for_now,
         )
         folder = directory or undo_directory()
         try:
@@ -112,6 +116,7 @@ def save_record(record: UndoRecord, folder: Path) -> Path:
             "autopilot": record.autopilot,
             "source": record.source,
             "vehicle": None if record.vehicle is None else record.vehicle.document(),
+            "for_now": record.for_now,
             "before": dict(record.before),
             "planned": dict(record.planned),
             "parameters": dict(record.parameters),
@@ -152,7 +157,8 @@ def load_record(path: Path) -> UndoRecord:
             for key in ("before", "planned", "parameters")
         )
         whose = None if vehicle is None else Nameplate.of_document(vehicle)
-        return UndoRecord(made_at, autopilot, source, before, planned, parameters, whose)
+        for_now = bool(document.get("for_now"))
+        return UndoRecord(made_at, autopilot, source, before, planned, parameters, whose, for_now)
     except OSError as error:
         raise UsageError(f"{path} cannot be read ({error.strerror}).", "Check the path.") from error
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
@@ -162,12 +168,31 @@ def load_record(path: Path) -> UndoRecord:
         ) from error
 
 
+def cut_short(directory: Path | None = None) -> CutShort:
+    """Build the function that lists what runs which were cut short have left at other values on a vehicle."""
+
+    def left(vehicle: Nameplate) -> list[tuple[Mapping[str, float], Path, Callable[[], None]]]:
+        found: list[tuple[Mapping[str, float], Path, Callable[[], None]]] = []
+        for path in _newest_first(directory or undo_directory()):
+            with suppress(UsageError):  # somebody else's file
+                record = load_record(path)
+                if record.for_now and record.vehicle is not None and record.vehicle.is_same(vehicle):
+                    found.append((record.before, path, partial(remove_record, path)))
+        return found
+
+    return left
+
+
+def _newest_first(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.json"), key=lambda path: (_number(path), path.name), reverse=True)
+
+
 def newest_record(vehicle: Nameplate | None, folder: Path, known: Collection[str] = ()) -> Path | None:
     """Find the last undo record of a vehicle (None: the last that does not say whose it is), but for `known`.
 
     Returns None where there is none.
     """
-    for path in sorted(folder.glob("*.json"), key=lambda path: (_number(path), path.name), reverse=True):
+    for path in _newest_first(folder):
         if str(path) in known:
             continue
         try:

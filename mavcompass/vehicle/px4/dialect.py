@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from mavcompass.compass_parameters import px4_correction, px4_name, px4_sensor_to_body
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
-from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.script import Context, Script, nothing
 from mavcompass.steering import PX4_COMPASSES
 from mavcompass.vehicle.parameters.dialect import CompassDialect, no_answer
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
-from mavcompass.vehicle.px4.loading import load
+from mavcompass.vehicle.px4.arming import exemption
+from mavcompass.vehicle.px4.loading import RECEIVERS, load
 from mavcompass.vehicle.px4.plan import PX4Planner
 
 
@@ -50,6 +51,14 @@ class PX4Dialect(CompassDialect):
     def raw_rotation(self, parameters: Mapping[str, float], instance: int) -> FloatArray | None:
         """Return how the sensor is mounted: SCALED_IMU carries its readings as they are."""
         return px4_sensor_to_body(parameters, instance)
+
+    def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
+        """Return what leaves the compass out of the arming checks; see `vehicle.px4.arming`."""
+        return (yield from nothing(exemption(said)))
+
+    def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
+        """Return at what EKF2 follows its compass on the ground; see `vehicle.px4.loading`."""
+        return {} if flying or not parameters.get(RECEIVERS) else {RECEIVERS: 0.0}
 
     def load_written(self, context: Context, written: Mapping[str, float]) -> Script[str]:
         """Have PX4 load its calibration, which resets the heading; see `vehicle.px4.loading`."""

@@ -79,7 +79,8 @@ def judge_way_back(scene: Scene, known: frozenset[Path]) -> list[str]:
         return [f"changed {', '.join(sorted(changed - foreign))} without an undo file"]
     # A run that was killed between its undo file and the sentence had changed nothing.
     named = _named(scene)
-    path, record = next(((p, r) for p, r in records if p in named), records[0])
+    told = [(p, r) for p, r in records if p in named] or records
+    path, record = next(((p, r) for p, r in told if changed - foreign <= set(r.before)), told[0])
     wrong = []
     if uncovered := changed - foreign - set(record.before):
         wrong.append(f"the undo file lacks {', '.join(sorted(uncovered))}")

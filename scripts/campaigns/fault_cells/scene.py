@@ -22,7 +22,8 @@ from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
 StepKind = Literal["send", "hear", "file", "state"]
-COMPASS = ("COMPASS", "CAL_MAG")
+# What a calibration changes, and what it holds at another value meanwhile.
+COMPASS = ("COMPASS", "CAL_MAG", "ARMING_CHECK", "EK3_", "EKF2_GPS_CTRL")
 TURNING_RADPS = math.radians(5.0)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -14,20 +14,25 @@ from mavcompass.errors import MavCompassError
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.check import CheckSettings
 from mavcompass.procedure.check import check as check_script
+from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.script import Machine
 from mavcompass.service import station as station_module
 from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfig
 from mavcompass.service.work import procedures
 from mavcompass.service.work.history import History
 from mavcompass.service.work.tasks import CalibrationRequest, Request, Task, UndoRequest
+from mavcompass.simulation.physics.compasses import draw_compasses
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.parameters.files import write_parameter_file
 from mavcompass.vehicle.parameters.undo import undo_saver
-from mavcompass.vehicle.session import WriteReport, compass_part, read_wanted, write_values
+from mavcompass.vehicle.session import WriteReport, compass_part, write_values
 
 SOURCE = "sim:vehicle"
+AT_ONCE = CalibrateSettings(motion="vehicle", writing="yes")
+IRON_MGAUSS = 300.0
 NOW = "2026-05-01T00:00:00+00:00"
 
 
@@ -48,6 +53,7 @@ class Work:
     """Be one procedure on one kind of vehicle.
 
     Attributes:
+        on_the_ground: it begins disarmed, with iron beside its compass for which it would not arm.
         share: of the cells, in proportion. moves: it turns the vehicle. goes_on: after a fault, by itself.
         flies_on_s: so long the autopilot follows a target whose successor never came.
     """
@@ -60,11 +66,30 @@ class Work:
     moves: bool = False
     goes_on: bool = False
     flies_on_s: float = 0.0
+    on_the_ground: bool = False
+
+    def vehicle(self) -> SimulatedAutopilot:
+        """Make the vehicle that it is done to."""
+        if not self.on_the_ground:
+            return SimulatedAutopilot(self.kind, seed=3)
+        setups = list(draw_compasses(3, SimulatedAutopilot(self.kind, seed=3).world.horizontal_mgauss, "old"))
+        iron = setups[0].model.iron
+        x, y, z = iron.offsets_mgauss
+        setups[0] = replace(setups[0], in_force=replace(iron, offsets_mgauss=(x + IRON_MGAUSS, y, z)))
+        made = SimulatedAutopilot(self.kind, seed=3, compasses=setups, armed=False, ready_s=2.0)
+        made.advance(8.0)
+        return made
 
 
-def calibrate(scene: Scene) -> bool:
+def arm(scene: Scene) -> bool:
+    """Calibrate a vehicle that must be armed for it, and would not for its compass."""
+    permissions = Permissions(set_mode=True, arm=True, exempt="yes")
+    settings = CalibrateSettings(motion="vehicle", writing="yes", permissions=permissions)
+    return calibrate(scene, settings)
+
+
+def calibrate(scene: Scene, settings: CalibrateSettings = AT_ONCE) -> bool:
     """Calibrate, and write without asking."""
-    settings = CalibrateSettings(motion="vehicle", writing="yes")
     with scene.link() as link:
         report = calibrate_on(link, SOURCE, settings, on_show=scene.show, undo_directory=scene.undo_folder)
     scene.told += report.messages
@@ -91,12 +116,11 @@ def restore(scene: Scene) -> bool:
 
 def write_file(scene: Scene, path: Path, checked: bool) -> bool:
     """Do what `params write` and `params restore` do."""
-    wanted = read_wanted(path)
     machine: Machine[WriteReport] = Machine(
         lambda context: write_values(
             context,
             SOURCE,
-            lambda held, vehicle: compass_part(wanted, held, str(path)),
+            lambda held, vehicle: compass_part(path, held),
             undo_saver(SOURCE, scene.undo_folder),
             checked=checked,
             consent=lambda held, plan: "",
@@ -158,6 +182,7 @@ WORKS = (
     Work("calibrate", "rover", calibrate, share=0.8, moves=True),
     Work("calibrate", "copter", calibrate, share=0.05, moves=True),
     Work("calibrate", "px4-copter", calibrate, share=0.01, moves=True, flies_on_s=1.0),  # COM_OF_LOSS_T
+    Work("arm", "rover", arm, share=0.3, moves=True, flies_on_s=3.0, on_the_ground=True),  # a target lasts
     Work("check", "rover", check, share=1.5, moves=True),
     Work("write", "rover", write, prepare_write, share=2.5),
     Work("write", "px4-copter", write, prepare_write, share=1.2),

@@ -85,6 +85,20 @@ def test_a_copter_and_a_px4_vehicle_are_checked_too() -> None:
         assert verdicts(report, "dip") == ["pass"], kind
 
 
+def test_a_sensor_that_is_not_there_is_blamed_for_nothing() -> None:
+    # PX4 keeps the id of a sensor that is gone, and has no numbers for it.
+    vehicle = SimulatedAutopilot("px4-copter", seed=2, calibration="exact")
+    gone = {
+        name: 0.0 for name in vehicle.firmware.store.values if name.startswith("CAL_MAG1_") and "OFF" in name
+    }
+    vehicle.firmware.store.values.update(gone)
+    vehicle.firmware.reports.builders[mav.ScaledImu2] = lambda time_us, share: None
+    report = checked(vehicle, "none")
+    assert [item.text for item in report.items if item.instance == 2] == []
+    assert any("CAL_MAG1_ID may hold the id of a sensor that is gone" in remark for remark in report.remarks)
+    assert report.verdict == "pass", report.summary()
+
+
 @pytest.mark.parametrize(
     ("correction", "name", "verdict"),
     [

@@ -50,12 +50,14 @@ class Vehicle:
         self.gyro.rate_radps = self.share * self.wanted_radps
 
 
-def turned(turn: SteeredTurn, vehicle: Vehicle, degrees: float) -> tuple[bool | None, float, float]:
-    """Turn once; return whether it moved, how far, and how long that took."""
+def turned(
+    turn: SteeredTurn, vehicle: Vehicle, degrees: float, busy_s: float = 0.0
+) -> tuple[bool | None, float, float]:
+    """Turn once, our computer being busy at first; return whether it moved, how far, how long that took."""
     before = vehicle.gyro.angle_rad
     machine = Machine(lambda context: turn.turn(context, vehicle.gyro, degrees * DEG))
     for step in range(2000):
-        machine.step(Tick(STEP_S * step))
+        machine.step(Tick(STEP_S * step + (busy_s if step else 0.0)))
         if machine.done:
             return machine.result, math.degrees(vehicle.gyro.angle_rad - before), STEP_S * step
         vehicle.moves()
@@ -64,6 +66,13 @@ def turned(turn: SteeredTurn, vehicle: Vehicle, degrees: float) -> tuple[bool | 
 
 def steered(vehicle: Vehicle, **more: Any) -> SteeredTurn:
     return SteeredTurn(vehicle, 40.0 * DEG, **more)
+
+
+def test_time_in_which_our_computer_solved_is_not_the_vehicles() -> None:
+    assert turned(steered(Vehicle(GyroAngle())), Vehicle(GyroAngle()), 90.0)[0] is False
+    vehicle = Vehicle(GyroAngle())
+    moved, degrees, _ = turned(steered(vehicle, coast_s=0.0), vehicle, 90.0, busy_s=8.0)
+    assert moved and degrees == pytest.approx(90.0, abs=2.0)
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])

@@ -147,7 +147,7 @@ def test_rot_is_written_where_no_angle_can_make_it_100_again_both_ways() -> None
     back = rotation_of((10.0, 20.0, 30.0)).T
     numbered = DIALECT.plan(held, {1: GOOD}, {1: back})
     assert not numbered.refusals and numbered.changes[-1].name == "CAL_MAG0_ROT"
-    assert (numbered.changes[-1].new, numbered.reversed().changes[0].new) == (2.0, 100.0)
+    assert (numbered.changes[-1].old, numbered.changes[-1].new) == (100.0, 2.0)
     # So does what a person writes, or restores from a file.
     wanted = {"CAL_MAG0_ROT": 4.0, "CAL_MAG0_YAW": 0.0, "CAL_MAG0_ROLL": 0.0, "CAL_MAG0_PITCH": 0.0}
     assert DIALECT.plan_values(held, wanted).changes[-1].name == "CAL_MAG0_ROT"

@@ -1,0 +1,139 @@
+"""The compass that keeps a vehicle from arming is the one to be calibrated: that check alone is set aside."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from bent_vehicles import calibrated, perform
+
+from mavcompass.errors import Refused
+from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.dialect import Overrides
+from mavcompass.procedure.motion import Permissions
+from mavcompass.procedure.script import Context, Script, nothing
+from mavcompass.procedure.vehicle_state import VehicleState
+from mavcompass.simulation.heading_error import heading_error_rms_deg
+from mavcompass.simulation.physics.compasses import draw_compasses
+from mavcompass.simulation.physics.noise import generator
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.ardupilot.arming import exemption
+from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.parameters.undo import load_record, undo_saver
+from mavcompass.vehicle.px4.arming import exemption as px4_exemption
+
+CALIBRATION = ("COMPASS_OFS_", "COMPASS_DIA_", "COMPASS_ODI_", "COMPASS_SCALE", "CAL_MAG0_", "STAT_")
+ALL_BUT_THE_COMPASS = float(sum(1 << bit for bit in range(1, 21)) - 4)
+
+
+def with_iron(kind: str, seed: int, mgauss: float, **parameters: float) -> SimulatedAutopilot:
+    """Make a vehicle on the ground whose first compass has iron beside it that nothing in force knows."""
+    world = SimulatedAutopilot(kind, seed=seed).world
+    setups = list(draw_compasses(seed, world.horizontal_mgauss, "old"))
+    iron, toward = setups[0].model.iron, float(generator(seed, "iron").uniform(0.0, 2.0 * math.pi))
+    x, y, z = iron.offsets_mgauss
+    bent = (x + mgauss * math.cos(toward), y + mgauss * math.sin(toward), z)
+    setups[0] = replace(setups[0], in_force=replace(iron, offsets_mgauss=bent))
+    vehicle = SimulatedAutopilot(
+        kind, seed=seed, compasses=setups, armed=False, ready_s=2.0, parameters=parameters
+    )
+    vehicle.advance(8.0)
+    return vehicle
+
+
+def settings(kind: str, exempt: str) -> CalibrateSettings:
+    takeoff_m = 5.0 if kind.endswith("copter") else 0.0
+    permissions = Permissions(set_mode=True, arm=True, takeoff_m=takeoff_m, exempt=exempt)  # type: ignore[arg-type]
+    return CalibrateSettings(motion="vehicle", writing="yes", permissions=permissions)
+
+
+@pytest.mark.parametrize("kind", ["rover", "boat", "sub", "copter", "px4-copter"])
+def test_it_is_calibrated_in_one_go_and_all_but_the_calibration_is_as_before(
+    kind: str, tmp_path: Path
+) -> None:
+    vehicle = with_iron(kind, 3, 300.0)
+    before = dict(vehicle.firmware.store.values)
+    with pytest.raises(Refused, match="refused to arm"):
+        calibrated(with_iron(kind, 3, 300.0), tmp_path / "never", settings(kind, "never"))
+    shown: list[str] = []
+    report = calibrated(vehicle, tmp_path / "yes", settings(kind, "yes"), shown=shown)
+    assert any("with that check set aside" in text for text in shown), shown
+    assert report.written and heading_error_rms_deg(vehicle) < 0.75
+    after, armed = vehicle.firmware.store.values, vehicle.firmware.status.armed
+    assert not armed
+    assert [n for n in before if before[n] != after[n] and not n.startswith(CALIBRATION)] == []
+    # What is left of it on the disk is the way back from the calibration; a copter's was saved while its
+    # estimator was told to believe its compass, and leads back from that too.
+    (record,) = (tmp_path / "yes").glob("*.json")
+    beside = {n: v for n, v in load_record(record).before.items() if not n.startswith(CALIBRATION)}
+    assert "ARMING_CHECK" not in beside and beside == pytest.approx({n: after[n] for n in beside})
+
+
+def test_what_else_forbids_arming_is_put_right_by_nobody(tmp_path: Path) -> None:
+    vehicle = with_iron("rover", 3, 300.0)
+    vehicle.firmware.calibration.start(1)  # type: ignore[attr-defined]
+    before = dict(vehicle.firmware.store.values)
+    with pytest.raises(Refused, match="refused to arm"):
+        calibrated(vehicle, tmp_path, settings("rover", "yes"))
+    assert vehicle.firmware.store.values["ARMING_CHECK"] == before["ARMING_CHECK"]
+    assert list(tmp_path.glob("*.json")) == []
+
+
+@pytest.mark.parametrize(
+    ("said", "held", "exempt"),
+    [
+        (["Arm: Check mag field (xy diff:130>100)"], {"ARMING_CHECK": 1.0}, ALL_BUT_THE_COMPASS),
+        (["PreArm: Compasses inconsistent", "Arming"], {"ARMING_CHECK": 1.0}, ALL_BUT_THE_COMPASS),
+        (["Arm: Compass not calibrated"], {"ARMING_CHECK": 20.0}, 16.0),
+        (["Arm: Compass offsets too high"], {"ARMING_SKIPCHK": 2.0, "ARMING_CHECK": 1.0}, 6.0),
+        (["Arm: Check mag field (z diff:250>200)", "Arm: Battery low"], {"ARMING_CHECK": 1.0}, None),
+        (["Arm: Compass not healthy"], {"ARMING_CHECK": 1.0}, None),
+        (["Arm: Compass calibrated requires reboot"], {"ARMING_CHECK": 1.0}, None),
+        (["Arm: Check mag field: 900, max 875, min 185"], {}, None),
+        ([], {"ARMING_CHECK": 1.0}, None),
+    ],
+)
+def test_one_bit_is_set_aside_for_the_calibration_alone(
+    said: Sequence[str], held: dict[str, float], exempt: float | None
+) -> None:
+    script = exemption(said, lambda names: nothing({n: held[n] for n in names if n in held}))
+    try:
+        while True:
+            next(script)
+    except StopIteration as end:
+        assert list(end.value.values()) == ([] if exempt is None else [exempt])
+
+
+@pytest.mark.parametrize(
+    ("said", "values"),
+    [
+        (["Preflight Fail: Compasses 74° inconsistent"], {"COM_ARM_MAG_ANG": -1.0}),
+        (["Preflight Fail: Strong magnetic interference"], {"COM_ARM_MAG_STR": 2.0}),
+        (["Preflight Fail: Compasses inconsistent", "Preflight Fail: ekf2 missing data"], {}),
+        (["Preflight Fail: Compass 0 uncalibrated"], {}),
+        (["Arming denied: Resolve system health failures first"], {}),
+    ],
+)
+def test_px4_has_a_parameter_for_some_of_it(said: Sequence[str], values: dict[str, float]) -> None:
+    assert px4_exemption(said) == values
+
+
+def test_what_a_killed_run_has_left_is_put_back_by_the_next(tmp_path: Path) -> None:
+    vehicle = with_iron("rover", 3, 300.0)
+
+    def hold_and_die(context: Context, state: VehicleState) -> Script[bool]:
+        overrides = Overrides(make_dialect("ardupilot", "sim:test"), undo_saver("sim:test", tmp_path))
+        return (yield from overrides.hold(context, {"ARMING_CHECK": ALL_BUT_THE_COMPASS}))
+
+    assert perform(vehicle, hold_and_die)
+    (record,) = tmp_path.glob("*.json")
+    assert load_record(record).before == {"ARMING_CHECK": 1.0} and load_record(record).for_now
+    shown: list[str] = []
+    with pytest.raises(Refused, match="refused to arm"):
+        calibrated(vehicle, tmp_path, settings("rover", "never"), shown=shown)
+    assert "An earlier run was cut short: ARMING_CHECK is put back." in shown
+    assert vehicle.firmware.store.values["ARMING_CHECK"] == 1.0
+    assert list(tmp_path.glob("*.json")) == []
