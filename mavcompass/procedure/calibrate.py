@@ -241,6 +241,7 @@ class _Calibration:
             windows=tuple(windows),
             duration_s=desk.duration_s(),
             messages=() if world is not None else (_PLACELESS,),
+            vehicle=desk.vehicle,
         )
 
     def as_mounted(self, report: CalibrationReport) -> Script[CalibrationReport]:

@@ -24,8 +24,8 @@ from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.parameters.files import write_parameter_file
-from mavcompass.vehicle.parameters.undo import undo_saver
-from mavcompass.vehicle.session import WriteReport, compass_part, read_wanted, write_values
+from mavcompass.vehicle.parameters.undo import read_kept, undo_saver
+from mavcompass.vehicle.session import WriteReport, compass_part, write_values
 
 SOURCE = "sim:vehicle"
 NOW = "2026-05-01T00:00:00+00:00"
@@ -91,7 +91,7 @@ def restore(scene: Scene) -> bool:
 
 def write_file(scene: Scene, path: Path, checked: bool) -> bool:
     """Do what `params write` and `params restore` do."""
-    wanted = read_wanted(path)
+    wanted = read_kept(path).values
     machine: Machine[WriteReport] = Machine(
         lambda context: write_values(
             context,
