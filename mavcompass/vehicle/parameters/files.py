@@ -19,7 +19,7 @@ import numpy as np
 
 from mavcompass.enums import MavParamType
 from mavcompass.errors import UsageError
-from mavcompass.files import read_text
+from mavcompass.files import read_text, write_text
 
 Form = Literal["param", "parm", "params"]
 FORMS: tuple[Form, ...] = ("param", "parm", "params")
@@ -113,13 +113,7 @@ def write_parameter_file(
     `types` are MAV_PARAM_TYPE numbers by name, which only .params holds (default: a 32-bit float).
     Raises UsageError for another suffix and where the file cannot be written.
     """
-    text = parameter_text(values, parameter_form(path), comment, types)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"{path} cannot be written ({error.strerror}).", "Give a file in a folder that you may write to."
-        ) from error
+    write_text(path, parameter_text(values, parameter_form(path), comment, types), "The parameters")
 
 
 def parameter_text(
