@@ -54,8 +54,8 @@ def replacing(path: Path, mode: int = 0o666) -> Iterator[Path]:
     What is no plain file in a folder of one's own (a pipe, a device, a link) is written into as it is.
     It is made empty, with `mode`. Raises OSError, nothing being left of the new one.
     """
-    is_own = not path.is_symlink() and os.access(path.parent, os.W_OK)
-    if path.exists() and not (is_own and path.is_file()):
+    is_own = path.is_file() and os.access(path.parent, os.W_OK)
+    if path.is_symlink() or (path.exists() and not is_own):
         yield path
         return
     half = path.with_name(path.name + ".part")
