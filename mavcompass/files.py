@@ -1,9 +1,13 @@
-"""Files that a person names: recordings are those that have an end, texts are read as far as a text goes."""
+"""Files that a person names: recordings have an end, texts are read as far as one goes, results are whole."""
 
 from __future__ import annotations
 
 import hashlib
+import os
+import shutil
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mavcompass.errors import UsageError
@@ -41,6 +45,44 @@ def read_text(path: Path, encoding: str = "utf-8") -> str:
             f"{path} has more than {_MOST_TEXT_BYTES >> 20} MB.", "Give a file of the kind asked for."
         )
     return content.decode(encoding)
+
+
+@contextmanager
+def replacing(path: Path, mode: int = 0o666) -> Iterator[Path]:
+    """Give a file to write in place of another: an older one stays until the new one is whole.
+
+    What is no plain file in a folder of one's own (a pipe, a device, a link) is written into as it is.
+    It is made empty, with `mode`. Raises OSError, nothing being left of the new one.
+    """
+    is_own = path.is_file() and os.access(path.parent, os.W_OK)
+    if path.is_symlink() or (path.exists() and not is_own):
+        yield path
+        return
+    half = path.with_name(path.name + ".part")
+    with suppress(FileNotFoundError):
+        half.unlink()  # of a program that was killed; a link that somebody laid there is not followed
+    os.close(os.open(half, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode))
+    try:
+        yield half
+        half.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            half.unlink()
+        raise
+
+
+def write_text(path: Path, text: str, what: str = "The result") -> None:
+    """Write a text to a file that a person named; see `replacing`. Raises UsageError where that fails."""
+    try:
+        with replacing(path) as file:
+            file.write_text(text, encoding="utf-8")
+            if path.is_file() and file != path:
+                shutil.copymode(path, file)
+    except OSError as error:
+        raise UsageError(
+            f"{what} could not be written to {path} ({error.strerror}).",
+            "Name a file in a folder that you may write to, on a disk with room.",
+        ) from error
 
 
 def sha256_of(path: Path) -> str:

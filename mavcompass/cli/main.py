@@ -6,6 +6,7 @@ is asked for is imported: `mavcompass --help` and `--version` load nothing but c
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -142,6 +143,9 @@ def _told(error: BaseException) -> int:
             _complain(str(error))
             _log_traceback(error, "debug")  # an ordinary refusal says all in its sentence
             return error.exit_code
+        case OSError(errno=errno.ENOSPC | errno.EDQUOT | errno.EFBIG | errno.EROFS):
+            _complain(f"{error}: what was to be written is not whole. Make room, or name another place.")
+            return WRONG_USAGE
     _complain(
         f"unexpected {type(error).__name__}: {error}. This is a mistake in mavcompass: please report it"
         " with what `mavcompass -v ...` prints."

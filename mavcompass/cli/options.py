@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import click
 
-from mavcompass.errors import UsageError
+from mavcompass.files import write_text
 from mavcompass.printable import printable
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -73,13 +73,7 @@ class Output:
         if self.json_file == "-":
             _print(text)
             return
-        try:
-            Path(self.json_file).write_text(f"{text}\n", encoding="utf-8")
-        except OSError as error:
-            raise UsageError(
-                f"The result could not be written to {self.json_file} ({error.strerror}).",
-                "Give --json a file in a folder that you may write to.",
-            ) from error
+        write_text(Path(self.json_file), f"{text}\n")
 
 
 def _print(text: str) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from mavcompass.errors import UsageError
+from mavcompass.files import replacing
 from mavcompass.fleet.examine import Row, Work
 from mavcompass.installation.parts import require
 
@@ -124,12 +124,10 @@ def write_parquet(rows: Sequence[Row], work: Work, path: Path) -> None:
     fields = [pa.field(c.name, kinds[c.kind], metadata={"about": c.about}) for c in columns]
     arrays = [pa.array([_value(row, c) for row in rows], kinds[c.kind]) for c in columns]
     schema = pa.schema(fields, metadata={"schema": f"mavcompass.fleet-{work}/1"})
-    unfinished = path.with_name(f".{path.name}.unfinished")
     try:
-        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), unfinished)
-        os.replace(unfinished, path)
+        with replacing(path) as file:
+            pq.write_table(pa.Table.from_arrays(arrays, schema=schema), file)
     except OSError as error:
-        unfinished.unlink(missing_ok=True)
         raise UsageError(
             f"{path} could not be written ({error.strerror or error}).",
             "Give --out a file in a folder that you may write to, and run again: nothing is done twice.",

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from mavcompass.files import replacing
+
 
 def state_directory() -> Path:
     """Return where the program keeps what must outlive it: mavcompass in the XDG state folder."""
@@ -46,19 +48,11 @@ def write_private(path: Path, content: str | bytes | bytearray, flushed: bool = 
 
     Raises OSError, nothing being left of the new one.
     """
-    half = path.with_name(path.name + ".part")
-    try:
-        private_file(half)
-        with half.open("wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-            file.flush()
-            if flushed:
-                os.fsync(file.fileno())
-        half.replace(path)
-    except OSError:
-        with suppress(OSError):
-            half.unlink()
-        raise
+    with replacing(path, 0o600) as half, half.open("wb") as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+        file.flush()
+        if flushed:
+            os.fsync(file.fileno())
     if flushed:
         folder = os.open(path.parent, os.O_RDONLY)
         try:

@@ -254,6 +254,7 @@ class _Calibration:
             track=track,
             windows=tuple(windows),
             duration_s=desk.duration_s(),
+            vehicle=desk.vehicle,
         )
 
     def as_mounted(self, report: CalibrationReport) -> Script[CalibrationReport]:

@@ -10,6 +10,7 @@ from mavcompass.calibration.observation import WHEELED
 from mavcompass.errors import Refused
 from mavcompass.procedure.dialect import Dialect, Overrides, describe_compasses
 from mavcompass.procedure.motion import Mobility, Wishes
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Sureness, Window, dwell
 from mavcompass.procedure.script import Context, Script, expect
 from mavcompass.procedure.turning import GyroAngle
@@ -28,6 +29,7 @@ class Desk:
         parameters: in force when the desk was opened.
         builder: records from then on.
         began_s: when the desk began to wait for the vehicle.
+        vehicle: which one it is; None in a test without one.
     """
 
     context: Context
@@ -39,6 +41,7 @@ class Desk:
     began_s: float
     gyro: GyroAngle = field(default_factory=GyroAngle)
     rest: Rest = field(default_factory=Rest)
+    vehicle: Nameplate | None = None
 
     @classmethod
     def open(
@@ -57,14 +60,16 @@ class Desk:
         context.show("connect", f"Found {identity.autopilot} {identity.kind} (system {identity.system}).")
         dialect = dialect_for(identity.autopilot)
         parameters = yield from dialect.compass_parameters(context)
-        yield from dialect.claim(context, parameters)
+        vehicle = yield from dialect.claim(context, parameters)
         builder = TrackBuilder(identity.autopilot, identity.kind)
         builder.parameters.update(parameters)
         describe_compasses(builder, dialect, parameters)
         if not dialect.instances(parameters, state.reporting):
             yield from expect(context, mav.RawImu, timeout_s=_FIRST_READING_S)
         rest = Rest(wheels=identity.kind in WHEELED)
-        desk = cls(context, identity, dialect, parameters, state, builder, began_s, rest=rest)
+        desk = cls(
+            context, identity, dialect, parameters, state, builder, began_s, rest=rest, vehicle=vehicle
+        )
         context.listeners += [builder.add, desk.gyro.hear, desk.rest.hear]
         return desk
 

@@ -75,6 +75,7 @@ def write_learnt(
         track=desk.builder.build(),
         windows=(),
         duration_s=0.0,
+        vehicle=desk.vehicle,
     )
     if not settings.writes:
         return report

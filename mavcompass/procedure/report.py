@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.dialect import ParameterPlan, WriteOutcome
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.positions import Proof, Window
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.track import Track
@@ -98,6 +99,7 @@ class CalibrationReport:
         on_vehicle_s: from the first position to the end of the proof, by the vehicle's clock.
         undone: True where the proof failed and the old values were put back.
         heading: the autopilot's own heading after the write; None where nothing is written.
+        vehicle: whose calibration it is.
     """
 
     identity: VehicleIdentity
@@ -113,6 +115,7 @@ class CalibrationReport:
     undone: bool = False
     heading: AutopilotHeading | None = None
     messages: tuple[str, ...] = ()
+    vehicle: Nameplate | None = None
 
     @property
     def accepted(self) -> bool:

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from mavcompass import __version__
-from mavcompass.errors import UsageError
+from mavcompass.files import write_text
 from mavcompass.installation.parts import require
 
 _TEMPLATES = Path(__file__).with_name("templates")
@@ -30,10 +30,4 @@ def write_page(path: Path, template: str, values: Mapping[str, object]) -> None:
     )
     made = {"made_at": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), "version": __version__}
     html = environment.get_template(template).render({**values, **made})
-    try:
-        path.write_text(html, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"The report could not be written to {path} ({error.strerror}).",
-            "Name a file in a folder that you may write to.",
-        ) from error
+    write_text(path, html, "The report")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import TracebackType
 
 from mavcompass.messages import Incoming
 from mavcompass.procedure.calibrate import CalibrateSettings
@@ -37,12 +36,7 @@ class Vehicle:
         """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the link."""
         self.close()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from mavcompass.errors import BadRecording, Refused, UsageError
 from mavcompass.messages import Incoming
@@ -14,8 +13,7 @@ from mavcompass.procedure.script import Context, Script, ask
 from mavcompass.procedure.vehicle_state import VehicleState, find_vehicle
 from mavcompass.vehicle.dialects import DIALECTS, make_dialect
 from mavcompass.vehicle.parameters.dialect import CompassDialect
-from mavcompass.vehicle.parameters.files import read_parameter_file
-from mavcompass.vehicle.parameters.undo import load_record
+from mavcompass.vehicle.parameters.undo import KeptValues
 from mavcompass.vehicle.parameters.values import Parameter, same_value
 
 
@@ -27,6 +25,7 @@ class HeldParameters:
         system: its MAVLink system id, 0 for a recording.
         armed: None where that is not known.
         reporting: the compasses, from 1, that readings came of.
+        vehicle: who it says it is, where it was asked.
     """
 
     dialect: CompassDialect
@@ -34,6 +33,7 @@ class HeldParameters:
     armed: bool | None
     typed: Mapping[str, Parameter]
     reporting: tuple[int, ...] = ()
+    vehicle: Nameplate | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -69,10 +69,12 @@ class WriteReport:
     outcome: WriteOutcome | None
 
 
-def read_vehicle(context: Context, source: str, system: int | None = None) -> Script[HeldParameters]:
-    """Find the vehicle and read its compass parameters.
+def read_vehicle(
+    context: Context, source: str, system: int | None = None, marked: bool = False
+) -> Script[HeldParameters]:
+    """Find the vehicle and read its compass parameters; `marked`: ask who it is, too.
 
-    Raises NoVehicle where none is heard, NoReply where it does not answer.
+    Raises NoVehicle where none is heard, NoReply where it does not answer, Refused where two answer.
     """
     states: dict[tuple[int, int], VehicleState] = {}
 
@@ -84,11 +86,13 @@ def read_vehicle(context: Context, source: str, system: int | None = None) -> Sc
         found = yield from find_vehicle(context, system)
         dialect = make_dialect(found.autopilot, source)
         typed = yield from dialect.compass_parameters_typed(context)
+        values = {name: parameter.value for name, parameter in typed.items()}
+        vehicle = (yield from dialect.nameplate(context, values)) if marked else None
     finally:
         context.listeners.remove(note)
     state = states.get((found.system, found.component), VehicleState())
     armed = state.armed if state.heartbeat else None
-    return HeldParameters(dialect, found.system, armed, typed, tuple(state.reporting))
+    return HeldParameters(dialect, found.system, armed, typed, tuple(state.reporting), vehicle)
 
 
 def recorded_parameters(
@@ -105,20 +109,15 @@ def recorded_parameters(
     )
 
 
-def read_wanted(path: Path) -> dict[str, float]:
-    """Read what a file asks for: an undo file's old values, or a parameter file's."""
-    return dict(load_record(path).before) if path.suffix == ".json" else read_parameter_file(path)
-
-
-def compass_part(file: Path, held: HeldParameters) -> dict[str, float]:
+def compass_part(kept: KeptValues, held: HeldParameters) -> dict[str, float]:
     """Pick the compass parameters that may be written out of all that a file holds; all of an undo file.
 
     Raises UsageError where there are none, and Refused where the file's device ids are another
     sensor's: its calibration is worth nothing on this one.
     """
-    prefix, rules, wanted = held.dialect.prefix, held.dialect.rules, read_wanted(file)
+    prefix, rules, file = held.dialect.prefix, held.dialect.rules, kept.path
     # What was set aside for a calibration is in its undo file, too.
-    own = {name: v for name, v in wanted.items() if file.suffix == ".json" or name.startswith(prefix)}
+    own = {name: v for name, v in kept.values.items() if file.suffix == ".json" or name.startswith(prefix)}
     if not own:
         raise UsageError(
             f"{file} holds no compass parameter ({prefix[0]}...) of this vehicle's autopilot.",

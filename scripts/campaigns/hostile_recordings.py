@@ -71,7 +71,8 @@ class Outcome:
     def wrong(self) -> bool:
         """Tell whether a budget or a promise did not hold."""
         over = self.seconds > budgets.HOSTILE_S or self.megabytes > budgets.HOSTILE_MB
-        return over or self.code not in ALLOWED or "Traceback" in self.said
+        silent = self.code in (2, 4) and not self.said
+        return over or silent or self.code not in ALLOWED or "Traceback" in self.said
 
 
 def run(words: list[str], name: str, command: str) -> Outcome:

@@ -42,7 +42,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "correction, frames": ("correction.py", "frames.py"),
     "heading": ("heading",),
     "procedure": ("procedure",),
-    "transactions": ("vehicle/parameters", "vehicle/ardupilot", "vehicle/px4"),
+    "service": ("service",),
+    "vehicle": ("vehicle",),
     "gap verdicts": ("gap/answer/verdict.py", "gap/selection"),
 }
 # These try the project's folder itself, which a copy is not.

@@ -5,7 +5,8 @@
 
 Each history draws two or three vehicles that differ in little (their unique id, their system id, a compass,
 their board), and then lets `mavcompass params write` and `restore` be called, with and without a file, on
-one or other of them at one or other address, while the clock jumps about. Every value that is ever written is
+one or other of them at one or other address, of records and backups and copies of them elsewhere, while the
+clock jumps about. Every value that is ever written is
 another one, so that each tells whose it is. A vehicle must never hold a value that was not written to itself,
 and `restore` without a file must bring back what its last write replaced.
 """
@@ -16,6 +17,7 @@ import argparse
 import io
 import json
 import random
+import shutil
 import sys
 import tempfile
 from collections import deque
@@ -153,7 +155,12 @@ class History:
     def _step(self, vehicle: Vehicle, address: str) -> None:
         chance, before = self.chance, dict(vehicle.values)
         records = sorted(self.folder.glob("undo/*.json"))
-        match chance.choice(("write", "write", "restore", "restore", "file", "file", "again")):
+        kept = [
+            *records,
+            *(path.with_suffix(".new.param") for path in records),
+            *self.folder.glob("backup.*"),
+        ]
+        match chance.choice(("write", "write", "restore", "restore", "file", "file", "again", "backup")):
             case "write":
                 names = chance.sample(OFFSETS, chance.randint(1, 3))
                 values = {name: float(self._next()) for name in names}
@@ -178,8 +185,14 @@ class History:
                     if self._call(vehicle, "restore", address, record) != 7:
                         self.wrong.append("a record of nobody knows whom was restored")
                 self._call(vehicle, "restore", address, record)
-            case "again" if records:
-                self._call(vehicle, "write", address, chance.choice(records).with_suffix(".new.param"))
+            case "again" if kept:
+                path = chance.choice(kept)
+                if chance.random() < 0.5:
+                    path = Path(shutil.copy(path, self.folder / f"copied{path.suffix}"))
+                self._call(vehicle, chance.choice(("write", "restore")), address, path)
+            case "backup":
+                path = self.folder / f"backup.{chance.choice(('param', 'parm', 'params'))}"
+                self._call(vehicle, "backup", address, path)
         changed = {name: before[name] for name in OFFSETS if before[name] != vehicle.values[name]}
         if changed:
             self.last[vehicle.number] = changed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
@@ -284,6 +285,13 @@ def test_json_that_cannot_be_written_is_wrong_usage(
     probe(speak_and_write)
     assert main(["probe", "--json", str(tmp_path)]) == 2
     assert "could not be written" in capsys.readouterr().err
+
+
+def test_a_full_disk_is_no_mistake_of_ours(probe: Probe, capsys: pytest.CaptureFixture[str]) -> None:
+    probe(raising(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))))
+    assert main(["probe"]) == 2
+    told = capsys.readouterr().err
+    assert "No space left on device" in told and "mistake" not in told
 
 
 def test_json_takes_arrays_and_writes_null_for_what_is_not_finite() -> None:

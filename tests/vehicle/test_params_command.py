@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import shlex
+import shutil
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -108,14 +111,18 @@ def test_what_was_kept_of_another_vehicle_is_refused_with_both_identities(
     first = f"{hangar.autopilot.board.uid:016x}"
     assert main(["params", "write", SOURCE, str(compass_file), "--yes"]) == 0
     (undo_file,) = compass_file.parent.glob("undo/*.json")
+    folder = compass_file.parent
+    assert main(["params", "backup", SOURCE, str(folder / "backup.params")]) == 0
+    elsewhere = Path(shutil.copy(undo_file.with_suffix(".param"), folder / "copied.param"))
     hangar.autopilot = SimulatedAutopilot("rover", seed=2, system=2, armed=False)
     second = f"{hangar.autopilot.board.uid:016x}"
     before = held(capsys)
     assert main(["params", "restore", SOURCE, "--yes"]) == 2
     assert "no undo file of this vehicle (system 2, ardupilot 4.6.3, board" in capsys.readouterr().err
     written = undo_file.with_suffix(".new.param")
-    for words in (["restore", SOURCE, str(undo_file)], ["write", SOURCE, str(written)]):
-        assert main(["params", *words, "--yes"]) == 7
+    for file in (undo_file, written, elsewhere, folder / "backup.params"):
+        verb = "restore" if file is undo_file else "write"
+        assert main(["params", verb, SOURCE, str(file), "--yes"]) == 7
         told = capsys.readouterr().err
         assert "of another vehicle: system 1, ardupilot 4.6.3" in told and first in told and second in told
         assert "--other-vehicle" in told
@@ -199,6 +206,26 @@ def test_what_is_there_already_is_not_written(
     code, report = run_json(capsys, "params", "write", SOURCE, file, "--yes")
     assert code == 0 and not report["written"] and report["changes"] == []
     assert not (tmp_path / "undo").exists()
+
+
+def test_values_come_through_a_pipe_too(hangar: Hangar, tmp_path: Path) -> None:
+    """It can be read once."""
+    os.mkfifo(pipe := tmp_path / "pipe")
+    writer = threading.Thread(target=pipe.write_text, args=("COMPASS_OFS_X,120\n",))
+    writer.start()
+    assert main(["params", "write", SOURCE, str(pipe), "--yes"]) == 0
+    writer.join()
+    assert hangar.autopilot.firmware.store["COMPASS_OFS_X"] == 120.0
+
+
+@pytest.mark.parametrize("damage", ["{", '{"system": 1}', '{"system": []}'])
+def test_a_file_whose_line_of_the_vehicle_is_damaged_is_not_written_unasked(
+    hangar: Hangar, tmp_path: Path, damage: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (file := tmp_path / "mine.param").write_text(f"# vehicle {damage}\nCOMPASS_OFS_X,120\n")
+    assert main(["params", "write", SOURCE, str(file), "--yes"]) == 7
+    assert "its line of the vehicle is damaged" in capsys.readouterr().err
+    assert main(["params", "write", SOURCE, str(file), "--yes", "--other-vehicle"]) == 0
 
 
 @pytest.mark.parametrize("suffix", ["param", "parm", "params"])

@@ -60,7 +60,7 @@ def calibrate_one(
         )
         document["true_heading_error_deg"] = {"before": before_deg, "after": after_deg}
     if report.accepted:
-        wanted.write_params(document)
+        wanted.write_params(document, report.vehicle)
     if wanted.report_file is not None:
         from mavcompass.report.calibration import write_report
 

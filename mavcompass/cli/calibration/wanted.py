@@ -10,6 +10,7 @@ from mavcompass.cli.options import Output
 from mavcompass.errors import PoorCalibration
 
 if TYPE_CHECKING:
+    from mavcompass.procedure.nameplate import Nameplate
     from mavcompass.track import Track
 
 NOT_ACCEPTED = 5
@@ -45,16 +46,19 @@ class Wanted:
 
         return replace(self, params_out=named(self.params_out), report_file=named(self.report_file))
 
-    def write_params(self, document: dict[str, Any]) -> None:
-        """Write the parameters of an accepted calibration where a file was named."""
+    def write_params(self, document: dict[str, Any], vehicle: Nameplate | None = None) -> None:
+        """Write the parameters of an accepted calibration where a file was named, and whose they are."""
         if self.params_out is None:
             return
         from mavcompass.vehicle.parameters.files import write_parameter_file
+        from mavcompass.vehicle.parameters.undo import marked
 
         values: dict[str, float] = {}
         for compass in document["compasses"]:
             values |= compass["parameters"]
         write_parameter_file(
-            self.params_out, values, (f"Compass calibration from {self.source}, by mavcompass.",)
+            self.params_out,
+            values,
+            marked(vehicle, f"Compass calibration from {self.source}, by mavcompass."),
         )
         self.output.say(f"Parameters: {self.params_out}")

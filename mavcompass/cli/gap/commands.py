@@ -13,6 +13,7 @@ from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
 from mavcompass.cli.source import reference_option
 from mavcompass.errors import UsageError
+from mavcompass.files import write_text
 from mavcompass.installation.invocation import program
 
 if TYPE_CHECKING:
@@ -167,13 +168,7 @@ def export(
     vehicle = found_in(diagnosis, log.name)
     exported = TARGETS[target](vehicle)
     promised = vehicle.promised(exported)
-    try:
-        file.write_text(exported.text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"{file} could not be written ({error.strerror}).",
-            "Name a file in a folder that you may write to.",
-        ) from error
+    write_text(file, exported.text, "The export")
     found = ", ".join(sorted(diagnosis.effects)) or "no effect"
     output.say(f"{file}: the vehicle's known iron and {found} ({VERDICTS[diagnosis.verdict]}).")
     for sentence in exported.lacking:

@@ -83,15 +83,16 @@ def diff(source: str, file: Path, system: int | None, output: Output) -> None:
     Example: mavcompass params diff udpin:0.0.0.0:14550 compass.param
     """
     from mavcompass.cli.params.view import show_difference
+    from mavcompass.vehicle.parameters.undo import read_kept
     from mavcompass.vehicle.parameters.values import same_value
-    from mavcompass.vehicle.session import compass_part, read_wanted
+    from mavcompass.vehicle.session import compass_part
 
     require_for(source)
-    read_wanted(file)  # what is wrong with it is told before the vehicle is asked
+    kept = read_kept(file)  # what is wrong with it is told before the vehicle is asked
     held = _read(source, system)
     differing = {
         name: (held.values.get(name), value)
-        for name, value in compass_part(file, held).items()
+        for name, value in compass_part(kept, held).items()
         if name not in held.values or not same_value(held.values[name], value)
     }
     show_difference(output, held, differing)
@@ -176,15 +177,16 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     """
     from mavcompass.vehicle.parameters.files import parameter_form, parameter_text, write_parameter_file
     from mavcompass.vehicle.parameters.transaction import counted
+    from mavcompass.vehicle.parameters.undo import marked
 
     require_for(source)
     if file is not None:
         parameter_form(file)  # a wrong suffix is told before the vehicle is asked
         if file.exists() and not yes:
             raise UsageError(f"{file} exists.", "Give another name, or --yes to replace it.")
-    held = _read(source, system)
+    held = _read(source, system, marked=True)
     values = held.compass_values
-    comment = (f"Compass parameters of {source}, by mavcompass.",)
+    comment = marked(held.vehicle, f"Compass parameters of {source}, by mavcompass.")
     if file is None:
         output.say(*parameter_text(values, "param", comment).splitlines())
     else:
@@ -206,7 +208,8 @@ def _head(action: str, source: str, held: HeldParameters) -> dict[str, object]:
     }
 
 
-def _read(source: str, system: int | None) -> HeldParameters:
+def _read(source: str, system: int | None, marked: bool = False) -> HeldParameters:
+    """Read what a vehicle or a recording holds; `marked`: with the vehicle's nameplate."""
     from mavcompass.vehicle.session import read_vehicle, recorded_parameters
     from mavcompass.vehicle.transport import Recording, parse_address
 
@@ -218,7 +221,7 @@ def _read(source: str, system: int | None) -> HeldParameters:
         except NoMagnetometer as lacking:  # its parameters may be there all the same
             return recorded_parameters(lacking.parameters, source)
         return recorded_parameters(track.parameters, source, tuple(track.compasses))
-    held: HeldParameters = _run(source, lambda context: read_vehicle(context, source, system))
+    held: HeldParameters = _run(source, lambda context: read_vehicle(context, source, system, marked))
     return held
 
 
@@ -244,20 +247,20 @@ def _write(
 ) -> None:
     """Write what a file holds; without one, what the vehicle's last undo file holds."""
     from mavcompass.vehicle.parameters.transaction import counted
-    from mavcompass.vehicle.parameters.undo import refuse_other_vehicle, undo_saver
-    from mavcompass.vehicle.session import compass_part, read_wanted, write_values
+    from mavcompass.vehicle.parameters.undo import read_kept, undo_saver
+    from mavcompass.vehicle.session import compass_part, write_values
 
     _check_call(source, yes, dry_run)
     require_for(source)
-    if file is not None:
-        read_wanted(file)  # what is wrong with it is told before the vehicle is asked
+    named = None if file is None else read_kept(file)  # what is wrong with it is told first
     document: dict[str, object] = {"schema": SCHEMA, "action": action, "source": source, "file": file}
 
     def wanted(held: HeldParameters, vehicle: Nameplate) -> Mapping[str, float]:
-        document["file"] = path = _last_of(vehicle) if file is None else file
+        kept = named or read_kept(_last_of(vehicle))
+        document["file"] = kept.path
         if not other_vehicle:
-            refuse_other_vehicle(path, vehicle)
-        return compass_part(path, held)
+            kept.refuse_other(vehicle)
+        return compass_part(kept, held)
 
     def consent(held: HeldParameters, plan: ParameterPlan) -> str | None:
         document.update(_head(action, source, held), **_plan_part(plan))

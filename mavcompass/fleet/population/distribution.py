@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mavcompass.errors import UsageError
+from mavcompass.files import write_text
 from mavcompass.fleet.examine import Row
 from mavcompass.fleet.population.estimates import IRON, SIZES, Vehicle, vehicles_of
 from mavcompass.fleet.population.odd import FALSE_NAMES, Odd, odd_ones
@@ -191,12 +191,6 @@ def write_distribution(distribution: Distribution, path: Path, presets: int = 0)
         file = path.with_name(f"{path.stem}.{number + 1:03d}.preset.json")
         effects = distribution.preset(rng)
         documents[file] = {"schema": PRESET_SCHEMA, "source": path.name, "effects": effects}
-    try:
-        for file, document in documents.items():
-            file.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"{path} could not be written ({error.strerror}).",
-            "Name a file in a folder that you may write to.",
-        ) from error
+    for file, document in documents.items():
+        write_text(file, json.dumps(document, indent=1) + "\n", "The distribution")
     return list(documents)

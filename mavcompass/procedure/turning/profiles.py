@@ -24,6 +24,7 @@ class TurnWay:
         gain_per_s: rate of turn per radian of heading error, for ways that name a heading.
         forward_mps: speed while turning, for what cannot turn on the spot.
         speed_up_s: the rate grows to its full size in so long.
+        ends_within_s: the vehicle stands so soon after the last heading that it was told, its link dead.
     """
 
     name: str
@@ -33,6 +34,7 @@ class TurnWay:
     gain_per_s: float = 2.0
     forward_mps: float = 0.0
     speed_up_s: float = 0.0
+    ends_within_s: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,9 +26,12 @@ _GATHERS_WAY_S = 0.5
 # A command, and what the gyro tells of it, come so late.
 _LATE_S = 0.1
 _BOOST_GAIN, _MOST_BOOST = 0.15, 1.6
-_SLOW_RADPS = math.radians(5.0)
 # Events come at least this often; a longer step is our own computer's, which solved or slept meanwhile.
 _LONGEST_STEP_S = 0.2
+# Below it, what was to turn stands.
+SLOW_RADPS = math.radians(5.0)
+# So long a body runs on when its target is reached; one bent by a bad compass creeps (fault matrix: 0.14 s).
+RUNS_ON_S = 0.15
 # What holds an angle and is stopped dead swings back: it turns on for so long, per rate, at half of it.
 _LAST_S = 0.1
 
@@ -155,7 +158,7 @@ class SteeredTurn:
 
     def _is_there(self, left: float, speed: float, turned: float) -> bool:
         if self.arrives:
-            return left < _MOVED_RAD or (turned > 0.6 * (turned + left) and speed < _SLOW_RADPS)
+            return left < _MOVED_RAD or (turned > 0.6 * (turned + left) and speed < SLOW_RADPS)
         coast_s = self.coast_s if self._learned_s is None else self._learned_s
         return left <= max(speed, 0.0) * coast_s
 
@@ -175,7 +178,7 @@ class SteeredTurn:
 
     def _learn_coasting(self, gyro: GyroAngle) -> None:
         """Compare where the vehicle came to rest with where the last turn's commands ended."""
-        if self._ended is not None and abs(self._ended[1]) > _SLOW_RADPS:
+        if self._ended is not None and abs(self._ended[1]) > SLOW_RADPS:
             coasted_s = (gyro.angle_rad - self._ended[0]) / self._ended[1]
             self._learned_s = max(0.1, min(2.5, coasted_s))
         self._ended = None

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
-import os
 import secrets
 import socket
 from collections.abc import Collection
@@ -22,6 +21,7 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from mavcompass.errors import UsageError
+from mavcompass.installation.private_files import write_private
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 MOST_BODY_BYTES = 65_536
@@ -44,9 +44,7 @@ def load_token(path: Path) -> str:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.exists():
-            handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
-            with os.fdopen(handle, "w") as file:
-                file.write(secrets.token_urlsafe(_TOKEN_BYTES) + "\n")
+            write_private(path, secrets.token_urlsafe(_TOKEN_BYTES) + "\n")
         token = path.read_text().strip()
     except OSError as error:
         raise UsageError(

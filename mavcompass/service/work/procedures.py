@@ -25,7 +25,7 @@ from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Task
 from mavcompass.service.work.worker import Worker
 from mavcompass.service.work.worker import solve as solve_there
 from mavcompass.vehicle.dialects import make_dialect
-from mavcompass.vehicle.parameters.undo import cut_short, load_record, refuse_other_vehicle, undo_saver
+from mavcompass.vehicle.parameters.undo import cut_short, read_kept, undo_saver
 
 MAX_HEADING_ERROR_DEG = 2.0
 
@@ -128,18 +128,16 @@ def check(
 
 def undo(undo_file: Path, source: str, system: int, undo_folder: Path) -> Machine[WriteOutcome]:
     """Build the procedure that puts back what an undo file holds, as a transaction of its own."""
-    record = load_record(undo_file)
+    kept = read_kept(undo_file)
 
     def script(context: Context) -> Script[WriteOutcome]:
         context.show("connect", "Waiting for the vehicle's heartbeat.", 0.0)
         identity = yield from find_vehicle(context, system)
         dialect = make_dialect(identity.autopilot, source)
         parameters = yield from dialect.compass_parameters(context)
-        refuse_other_vehicle(undo_file, (yield from dialect.claim(context, parameters)))
-        others = yield from dialect.read_parameters(
-            context, [n for n in record.before if n not in parameters]
-        )
-        plan = dialect.plan_values({**parameters, **others}, record.before, checked=False)
+        kept.refuse_other((yield from dialect.claim(context, parameters)))
+        others = yield from dialect.read_parameters(context, [n for n in kept.values if n not in parameters])
+        plan = dialect.plan_values({**parameters, **others}, kept.values, checked=False)
         context.show("write", f"Putting back {len(plan.changes)} parameters.", 0.5)
         save = undo_saver(source, undo_folder, clock.now)
         return (yield from dialect.write(context, plan, save))

@@ -19,7 +19,7 @@ import numpy as np
 
 from mavcompass.enums import MavParamType
 from mavcompass.errors import UsageError
-from mavcompass.files import read_text
+from mavcompass.files import read_text, write_text
 
 Form = Literal["param", "parm", "params"]
 FORMS: tuple[Form, ...] = ("param", "parm", "params")
@@ -39,22 +39,26 @@ def parameter_form(path: Path) -> Form:
 
 
 def read_parameter_file(path: Path) -> dict[str, float]:
-    """Read the parameters of a file of any of the three forms, whatever its suffix.
+    """Read the parameters of a file; see `parse_parameters` and `read_parameter_text`."""
+    return parse_parameters(read_parameter_text(path), str(path))
 
-    Raises UsageError, with the line's number, for what is not a parameter, and for a name that comes
-    twice with different values.
-    """
+
+def read_parameter_text(path: Path) -> str:
+    """Read a parameter file of any of the three forms, whatever its suffix. Raises UsageError for none."""
     try:
-        text = read_text(path, "utf-8-sig")
+        return read_text(path, "utf-8-sig")
     except OSError as error:
         raise UsageError(f"{path} cannot be read ({error.strerror}).", "Check the path.") from error
     except UnicodeDecodeError as error:
         raise UsageError(f"{path} is not a text file.", "Give a .param, .parm or .params file.") from error
-    return parse_parameters(text, str(path))
 
 
 def parse_parameters(text: str, origin: str = "the parameter file") -> dict[str, float]:
-    """Read parameters from a text; `origin` names it in errors. See `read_parameter_file`."""
+    """Read parameters from a text of any of the three forms; `origin` names it in errors.
+
+    Raises UsageError, with the line's number, for what is not a parameter, and for a name that comes
+    twice with different values.
+    """
     values: dict[str, float] = {}
     lines: dict[str, int] = {}
     for number, line in enumerate(text.splitlines(), start=1):
@@ -109,13 +113,7 @@ def write_parameter_file(
     `types` are MAV_PARAM_TYPE numbers by name, which only .params holds (default: a 32-bit float).
     Raises UsageError for another suffix and where the file cannot be written.
     """
-    text = parameter_text(values, parameter_form(path), comment, types)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"{path} cannot be written ({error.strerror}).", "Give a file in a folder that you may write to."
-        ) from error
+    write_text(path, parameter_text(values, parameter_form(path), comment, types), "The parameters")
 
 
 def parameter_text(

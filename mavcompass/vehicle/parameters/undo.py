@@ -13,7 +13,7 @@ import os
 import re
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -22,11 +22,12 @@ from mavcompass.errors import Refused, UsageError, WriteFailed
 from mavcompass.installation.private_files import locked, private_folder, state_directory, write_private
 from mavcompass.procedure.dialect import CutShort, ParameterPlan, SaveUndo
 from mavcompass.procedure.nameplate import Nameplate
-from mavcompass.vehicle.parameters.files import parameter_text
+from mavcompass.vehicle.parameters.files import parameter_text, parse_parameters, read_parameter_text
 
 SCHEMA = "mavcompass.undo/1"
 DIRECTORY_VARIABLE = "MAVCOMPASS_UNDO_DIR"
 _NUMBERED = re.compile(r"(\d{8})-")
+_MARK = re.compile(r"^# vehicle (\{.*)$", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +107,8 @@ def save_record(record: UndoRecord, folder: Path) -> Path:
         whose = f"the vehicle at {record.source}"
         if record.vehicle is not None:
             whose += f" ({record.vehicle})"
-        comment = (
-            f"What {whose} held before mavcompass changed it, {record.made_at}.",
-            "Load this file to put it back.",
-        )
+        held = f"What {whose} held before mavcompass changed it, {record.made_at}."
+        comment = marked(record.vehicle, held, "Load this file to put it back.")
         document = {
             "schema": SCHEMA,
             "made_at": record.made_at,
@@ -121,7 +120,7 @@ def save_record(record: UndoRecord, folder: Path) -> Path:
             "planned": dict(record.planned),
             "parameters": dict(record.parameters),
         }
-        written = (f"What mavcompass wrote to {whose}, {record.made_at}.",)
+        written = marked(record.vehicle, f"What mavcompass wrote to {whose}, {record.made_at}.")
         try:
             write_private(path.with_suffix(".param"), parameter_text(record.before, "param", comment))
             write_private(written_file(path), parameter_text(record.planned, "param", written))
@@ -204,29 +203,68 @@ def newest_record(vehicle: Nameplate | None, folder: Path, known: Collection[str
     return None
 
 
-def refuse_other_vehicle(path: Path, vehicle: Nameplate) -> None:
-    """Raise Refused where a record, or a file that lies beside it, is not of this vehicle.
+@dataclass(frozen=True, slots=True)
+class KeptValues:
+    """Hold the values that a file asks for, and whose they are.
 
-    A parameter file of anybody else's making says nothing of vehicles, and may be written.
+    Attributes:
+        vehicle: None where the file does not tell. unmarked: what made it, where it should have told;
+            "" for a parameter file of anybody's making, which may be written to any vehicle.
     """
-    beside = path.with_name(path.name.split(".")[0] + ".json")
-    if not beside.exists():
-        return
+
+    path: Path
+    values: Mapping[str, float]
+    vehicle: Nameplate | None = None
+    unmarked: str = ""
+
+    def refuse_other(self, vehicle: Nameplate) -> None:
+        """Raise Refused where the values are not this vehicle's."""
+        if self.unmarked:
+            raise Refused(
+                f"{self.path} does not say which vehicle it is of: {self.unmarked}. This is {vehicle}.",
+                "Where that is the same vehicle, add --other-vehicle.",
+            )
+        if self.vehicle is not None and not self.vehicle.is_same(vehicle):
+            raise Refused(
+                f"{self.path} is of another vehicle: {self.vehicle}. This is {vehicle}.",
+                "Connect that vehicle, choose a file of this one, or write it all the same with"
+                " --other-vehicle.",
+            )
+
+
+def read_kept(path: Path) -> KeptValues:
+    """Read an undo file's old values, or a parameter file's. Raises UsageError where it is neither.
+
+    The file is read once: it may be a pipe.
+    """
+    if path.suffix == ".json":
+        return _kept_of(load_record(path), path)
+    text = read_parameter_text(path)
+    values = parse_parameters(text, str(path))
+    if (marked := _MARK.search(text)) is not None:
+        try:
+            return KeptValues(path, values, Nameplate.of_document(json.loads(marked[1])))
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            return KeptValues(path, values, None, "its line of the vehicle is damaged")
+    beside = path.with_name(path.name.split(".")[0] + ".json")  # an earlier version's record
     try:
         record = load_record(beside)
     except UsageError:
-        return
-    if record.vehicle is None:
-        raise Refused(
-            f"{path} does not say which vehicle it is of: an earlier mavcompass made it, {record.made_at}, of"
-            f" the vehicle ({record.autopilot}) that was then at {record.source}. This is {vehicle}.",
-            "Where that is the same vehicle, add --other-vehicle.",
-        )
-    if not record.vehicle.is_same(vehicle):
-        raise Refused(
-            f"{path} is of another vehicle: {record.vehicle}. This is {vehicle}.",
-            "Connect that vehicle, choose a file of this one, or write it all the same with --other-vehicle.",
-        )
+        return KeptValues(path, values)
+    return replace(_kept_of(record, path), values=values)
+
+
+def _kept_of(record: UndoRecord, path: Path) -> KeptValues:
+    old = (
+        f"an earlier mavcompass made it, {record.made_at}, of the vehicle ({record.autopilot}) that was then"
+        f" at {record.source}"
+    )
+    return KeptValues(path, record.before, record.vehicle, "" if record.vehicle else old)
+
+
+def marked(vehicle: Nameplate | None, *comment: str) -> tuple[str, ...]:
+    """Return a parameter file's comment with the line that tells whose it is, wherever it is copied."""
+    return comment if vehicle is None else (*comment, f"vehicle {json.dumps(vehicle.document())}")
 
 
 def _number(path: Path) -> int:

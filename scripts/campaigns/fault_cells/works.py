@@ -27,7 +27,7 @@ from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.parameters.files import write_parameter_file
-from mavcompass.vehicle.parameters.undo import undo_saver
+from mavcompass.vehicle.parameters.undo import read_kept, undo_saver
 from mavcompass.vehicle.session import WriteReport, compass_part, write_values
 
 SOURCE = "sim:vehicle"
@@ -116,11 +116,12 @@ def restore(scene: Scene) -> bool:
 
 def write_file(scene: Scene, path: Path, checked: bool) -> bool:
     """Do what `params write` and `params restore` do."""
+    kept = read_kept(path)
     machine: Machine[WriteReport] = Machine(
         lambda context: write_values(
             context,
             SOURCE,
-            lambda held, vehicle: compass_part(path, held),
+            lambda held, vehicle: compass_part(kept, held),
             undo_saver(SOURCE, scene.undo_folder),
             checked=checked,
             consent=lambda held, plan: "",

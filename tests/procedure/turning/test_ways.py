@@ -94,7 +94,7 @@ def target(**more: float) -> mav.SetPositionTargetLocalNed:
 
 @pytest.mark.parametrize(
     ("rate_deg_s", "gain_per_s", "ahead_deg"),
-    [(30.0, 2.0, 15.0), (-30.0, 2.0, -15.0), (30.0, 1.0, 30.0), (99.0, 2.0, 45.0), (-99.0, 2.0, -45.0)],
+    [(25.0, 2.0, 12.5), (-25.0, 2.0, -12.5), (10.0, 1.0, 10.0), (99.0, 2.0, 13.68), (-99.0, 2.0, -13.68)],
 )
 def test_a_heading_ahead_is_as_far_as_makes_the_rate(
     rate_deg_s: float, gain_per_s: float, ahead_deg: float
@@ -102,9 +102,22 @@ def test_a_heading_ahead_is_as_far_as_makes_the_rate(
     """Of SET_POSITION_TARGET_LOCAL_NED's type_mask all but the yaw is to be ignored: 0x9FF."""
     message = sent(HeadingAhead(gain_per_s), rate_deg_s)
     assert isinstance(message, mav.SetPositionTargetLocalNed)
-    assert message.yaw == pytest.approx(ahead_deg * DEG)
+    assert message.yaw == pytest.approx(ahead_deg * DEG, rel=1e-3)
     assert (message.type_mask, message.coordinate_frame) == (0x9FF, MavFrame.BODY_OFFSET_NED)
     assert sent_after(HeadingAhead()) == [target(type_mask=0x5FF, coordinate_frame=MavFrame.BODY_NED)]
+
+
+@pytest.mark.parametrize("gain_per_s", [0.5, 2.0, 4.0])
+@pytest.mark.parametrize("ends_within_s", [1.0, 2.5])
+def test_the_heading_named_last_is_one_that_ends_in_time(gain_per_s: float, ends_within_s: float) -> None:
+    """Follow it as the vehicle does, after the 0.15 s that its body is late: 5 degrees a second at most."""
+    message = sent(HeadingAhead(gain_per_s, ends_within_s), 1000.0)
+    assert isinstance(message, mav.SetPositionTargetLocalNed)
+    left_rad, step_s = message.yaw, 1e-4
+    for _ in range(round((ends_within_s - 0.15) / step_s)):
+        left_rad -= gain_per_s * left_rad * step_s
+    assert gain_per_s * left_rad <= 5.0 * DEG * 1.001
+    assert message.yaw <= 90.0 * DEG
 
 
 @pytest.mark.parametrize(
@@ -132,9 +145,15 @@ def test_an_attitude_target_asks_for_the_yaw_rate_and_no_thrust() -> None:
 
 @pytest.mark.parametrize(
     ("rate_deg_s", "left_deg", "step_deg", "sense"),
-    [(51.0, 90.0, 8.0, 1.0), (-51.0, 90.0, 8.0, -1.0), (20.0, 5.0, 5.0, 1.0), (20.0, -3.0, 0.0, 1.0)],
+    [
+        (51.0, 90.0, 8.0, 1.0),
+        (-51.0, 90.0, 8.0, -1.0),
+        (20.0, 5.0, 5.0, 1.0),
+        (20.0, -3.0, 0.0, 1.0),
+        (-5.0, 90.0, 4.25, -1.0),
+    ],
 )
-def test_a_yaw_step_is_relative_and_no_farther_than_what_is_left(
+def test_a_yaw_step_is_relative_and_no_farther_than_what_is_left_or_ends_in_time(
     rate_deg_s: float, left_deg: float, step_deg: float, sense: float
 ) -> None:
     message = sent(YawStep(), rate_deg_s, left_deg)
@@ -150,16 +169,16 @@ def test_a_yaw_step_is_relative_and_no_farther_than_what_is_left(
 @pytest.mark.parametrize(
     ("way", "steer", "arrives"),
     [
-        ("heading targets", HeadingAhead(1.25), False),
+        ("heading targets", HeadingAhead(1.25, 2.0), False),
         ("attitude targets", AttitudeRate(), False),
-        ("CONDITION_YAW", YawStep(), True),
+        ("CONDITION_YAW", YawStep(ends_within_s=2.0), True),
         ("yaw rate targets", YawRate(), False),
         ("yaw rate targets at a standstill", YawRate(0x5C7, name="yaw rate targets at a standstill"), False),
         ("slow arcs", YawRate(0x5C7, 1.5, "slow arcs"), False),
     ],
 )
 def test_a_way_is_built_from_the_numbers_of_a_profile(way: str, steer: Steer, arrives: bool) -> None:
-    turn = known_ways()[way](TurnWay(way, 0.5, 0.7, 0.4, 1.25, 1.5, 0.9), None)
+    turn = known_ways()[way](TurnWay(way, 0.5, 0.7, 0.4, 1.25, 1.5, 0.9, 2.0), None)
     assert turn.steer == steer and turn.arrives is arrives  # type: ignore[attr-defined]
     assert turn.rate_radps == 0.5 and turn.name == way  # type: ignore[attr-defined]
 

@@ -88,7 +88,7 @@ def test_what_is_no_parameter_file_is_told(tmp_path: Path) -> None:
         read_parameter_file(tmp_path / "absent.param")
     with pytest.raises(UsageError, match="which form"):
         write_parameter_file(tmp_path / "compass.txt", {"A": 1.0})
-    with pytest.raises(UsageError, match="cannot be written"):
+    with pytest.raises(UsageError, match="could not be written"):
         write_parameter_file(tmp_path / "absent" / "a.param", {"A": 1.0})
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mavcompass.files import replacing
 from mavcompass.frames import FloatArray
 from mavcompass.logs.formats.csv.columns import MOTORS, SCALARS, TIME, VECTORS
 from mavcompass.track import Series, Track
@@ -29,7 +30,7 @@ def write_track_csv(track: Track, path: Path, instance: int = 1) -> None:
         columns += _column_of(track, "motors", MOTORS[: track.motors.values.shape[1]])
     times, table = _tabulate([series for _, series in columns])
     header = ",".join([TIME, *(name for names, _ in columns for name in names)])
-    with path.open("w", encoding="utf-8", newline="\n") as file:
+    with replacing(path) as half, half.open("w", encoding="utf-8", newline="\n") as file:
         file.write(header + "\n")
         for moment, row in zip(times.tolist(), table.tolist(), strict=True):
             file.write(f"{moment!r}," + ",".join("" if v != v else repr(v) for v in row) + "\n")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 from struct import Struct
-from types import TracebackType
 from typing import BinaryIO
 
 _TIME_STAMP = Struct(">Q")
@@ -36,8 +35,6 @@ class TlogWriter:
         """Return the writer itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Finish the file."""
         self.close()
