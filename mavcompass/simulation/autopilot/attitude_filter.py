@@ -12,7 +12,7 @@ import math
 
 from mavcompass.correction import Vector
 from mavcompass.simulation.physics.noise import NoiseTape, generator
-from mavcompass.units import RAD_PER_DEG
+from mavcompass.units import RAD_PER_DEG, STANDARD_GRAVITY_MPS2
 
 YAW_PULL_PER_S = 0.08
 YAW_PULL_MAX_RADPS = 1.8 * RAD_PER_DEG
@@ -20,6 +20,8 @@ BIAS_PULL_PER_S2 = 0.0015
 BIAS_MAX_RADPS = 0.5 * RAD_PER_DEG
 _TILT_ERROR_SIGMA_RAD = 0.1 * RAD_PER_DEG
 _TILT_ERROR_TIME_S = 40.0
+# A yaw that is off turns the acceleration that the filter holds against its velocities.
+_TILT_BEND_TIME_S = 10.0
 # What is told as the compass's variance is the disagreement in units of three sigmas of the yaw noise.
 _VARIANCE_SCALE_RAD = 3.0 * 0.5
 # After a yaw was taken over the gyro's bias is blamed for little, and fully after so long.
@@ -52,6 +54,7 @@ class AttitudeFilter:
         self._tape = NoiseTape(generator(self._seed, f"attitude filter {boot}"), 2)
         start = self._tape.row()
         self._tilt_error = [_TILT_ERROR_SIGMA_RAD * start[0], _TILT_ERROR_SIGMA_RAD * start[1]]
+        self._tilt_bend = [0.0, 0.0]
         self.roll_rad = self.pitch_rad = self.yaw_rad = 0.0
         self.rate_radps: Vector = (0.0, 0.0, 0.0)
         self.bias_radps = 0.0
@@ -72,14 +75,31 @@ class AttitudeFilter:
         """Take a yaw over at once; the bias stays as it has been learnt."""
         self.yaw_rad, self.innovation_rad, self._blame = yaw_rad, 0.0, 0.0
 
-    def predict(self, dt_s: float, gyro: Vector, true_roll_rad: float, true_pitch_rad: float) -> None:
-        """Carry the attitude on with the gyro (tilt is observed well by gravity and GPS)."""
+    def predict(
+        self,
+        dt_s: float,
+        gyro: Vector,
+        true: tuple[float, float, float],
+        acceleration_mps2: tuple[float, float],
+    ) -> None:
+        """Carry the attitude on with the gyro.
+
+        Tilt is observed well by gravity and GPS, but for what a wrong yaw makes of the acceleration (ahead
+        and to the right). `true` is roll, pitch and yaw.
+        """
+        roll, pitch, yaw = true
+        ahead, right = acceleration_mps2
+        off = self.yaw_rad - yaw
+        c, s = math.cos(off) - 1.0, math.sin(off)
+        b, share = self._tilt_bend, dt_s / _TILT_BEND_TIME_S
+        b[0] += share * ((right * c - ahead * s) / STANDARD_GRAVITY_MPS2 - b[0])
+        b[1] += share * (-(ahead * c + right * s) / STANDARD_GRAVITY_MPS2 - b[1])
         n = self._tape.row()
         keep = 1.0 - dt_s / _TILT_ERROR_TIME_S
         push = _TILT_ERROR_SIGMA_RAD * math.sqrt(2.0 * dt_s / _TILT_ERROR_TIME_S)
         e = self._tilt_error
         e[0], e[1] = e[0] * keep + push * n[0], e[1] * keep + push * n[1]
-        self._tilt(true_roll_rad, true_pitch_rad)
+        self._tilt(roll, pitch)
         p, q, r = gyro[0], gyro[1], gyro[2] - self.bias_radps
         self.rate_radps = (p, q, r)
         yaw_rate = (q * math.sin(self.roll_rad) + r * math.cos(self.roll_rad)) / math.cos(self.pitch_rad)
@@ -101,5 +121,5 @@ class AttitudeFilter:
         self.compass_variance += (target - self.compass_variance) * dt_s / _VARIANCE_TIME_S
 
     def _tilt(self, roll_rad: float, pitch_rad: float) -> None:
-        self.roll_rad = roll_rad + self._tilt_error[0]
-        self.pitch_rad = pitch_rad + self._tilt_error[1]
+        self.roll_rad = roll_rad + self._tilt_error[0] + self._tilt_bend[0]
+        self.pitch_rad = pitch_rad + self._tilt_error[1] + self._tilt_bend[1]
