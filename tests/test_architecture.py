@@ -21,12 +21,13 @@ import mavcompass
 
 MAY_IMPORT = {  # each also its own files and the ground floor
     "mavlink": set(),
-    "heading": set(),
-    "calibration": {"heading"},
+    "attitude": set(),
+    "heading": {"attitude"},
+    "calibration": {"attitude", "heading"},
     "simulation": {"heading"},
     "gap": {"simulation", "calibration"},
     "procedure": {"calibration", "heading"},
-    "vehicle": {"heading", "calibration", "simulation", "gap", "procedure", "mavlink"},
+    "vehicle": {"attitude", "heading", "calibration", "simulation", "gap", "procedure", "mavlink"},
     "logs": {"mavlink"},
 }
 # What lives in a room, from the top down: a row may import the rows below it, and nothing of its own row.
@@ -122,7 +123,7 @@ MODULES_IN_A_FOLDER = 13
 MAY_IMPORT_EVERYTHING = {"service", "report", "cli", "fleet", "plot", "api", "__main__"}
 
 THIRD_PARTIES_OF_THE_GROUND_FLOOR = {"numpy", "scipy", "pygeomag"}
-WITHOUT_MAVLINK = {"heading", "calibration", "simulation", "gap", "procedure"}
+WITHOUT_MAVLINK = {"attitude", "heading", "calibration", "simulation", "gap", "procedure"}
 MAVLINK = {"pymavlink", "mavsdk"}
 
 FOR_TYPES_ONLY = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    "

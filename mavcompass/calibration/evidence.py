@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.attitude import ON_THE_GROUND, down_in_body
 from mavcompass.calibration.observation import centred, field_lag_s
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi
 from mavcompass.heading.fault_isolation import HeadingSource
-from mavcompass.heading.gravity import ON_THE_GROUND, down_in_body
 from mavcompass.heading.stream import heading_of_track
 from mavcompass.steering import steering_source
 from mavcompass.track import Series, Track

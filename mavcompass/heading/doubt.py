@@ -25,6 +25,8 @@ _IRON_MGAUSS = 100.0
 # Strength of the horizontal field where people drive, for a place that is not known; and what rocks, steel in
 # the ground and the calibration's gains leave of it where the place is.
 _ANYWHERE_MGAUSS, _ANYWHERE_SIGMA_MGAUSS, _SITE_MGAUSS = 220.0, 80.0, 5.0
+# What an accelerometer, as it is mounted, is off by in roll and pitch, each, beside what motion hides.
+TILT_SIGMA_RAD = math.radians(0.3)
 # Seen over and over again at one heading, a strength is one observation, not a thousand.
 _SECTORS = 24
 

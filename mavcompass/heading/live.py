@@ -12,20 +12,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from mavcompass.attitude import Level
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
-from mavcompass.heading.doubt import UNKNOWN_CALIBRATION_SIGMA_RAD, CalibrationDoubt
-from mavcompass.units import STANDARD_GRAVITY_MPS2
+from mavcompass.heading.doubt import TILT_SIGMA_RAD, UNKNOWN_CALIBRATION_SIGMA_RAD, CalibrationDoubt
 
 Vector = tuple[float, float, float]
 
 _TWO_PI = 2.0 * math.pi
-_G = STANDARD_GRAVITY_MPS2
-# Autopilots average the compass over 100 ms: a turning vehicle's reading is old by about this much.
-_LAG_SIGMA_S = 0.1
+# Autopilots average the compass over 100 ms and repeat it: a turning vehicle's reading is old by about this
+# much, and by as much more or less.
+_LAG_S = _LAG_SIGMA_S = 0.1
 _QUANTUM_SIGMA_MGAUSS = 1.0 / math.sqrt(12.0)
-_LONGEST_STEP_S = 0.5
 # What the field's strength tells of the calibration is averaged over some fifty readings a sector, and looked
 # at so often.
 _KEEP, _LOOK_S = 0.98, 0.5
@@ -33,81 +32,6 @@ _KEEP, _LOOK_S = 0.98, 0.5
 
 def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-class Level:
-    """Keep which way is down, in body axes, from accelerometer and gyro; and the angle turned about it.
-
-    The gyro carries the direction, the accelerometer corrects it within about half a second while the
-    specific force is near one standard gravity, ten times slower while it is not.
-
-    Attributes:
-        down: unit vector. turned_rad: about the vertical since the start, clockwise positive, bias taken
-            out. rate_radps: of that turn. tilt_sigma_rad: how far accelerometer and gyro disagree.
-    """
-
-    def __init__(self) -> None:
-        self.down: Vector = (0.0, 0.0, 1.0)
-        self.turned_rad = 0.0
-        self.rate_radps = 0.0
-        self.bias_radps = 0.0
-        self.tilt_sigma_rad = math.radians(0.3)
-        self._misfit: Vector = (0.0, 0.0, 0.0)
-        self._time_s = -math.inf
-
-    def restart(self) -> None:
-        """Begin anew after a silence or a reboot: the direction of then says nothing of now."""
-        self._time_s = -math.inf
-
-    def update(self, time_s: float, acc_mps2: Vector, gyro_radps: Vector) -> None:
-        """Take one reading; times are the vehicle's, and one that is not later is passed over."""
-        step_s = time_s - self._time_s
-        if step_s <= 0.0:
-            return
-        self._time_s = time_s
-        ax, ay, az = acc_mps2
-        norm = math.sqrt(ax * ax + ay * ay + az * az)
-        if step_s > _LONGEST_STEP_S:
-            if norm > 1.0:
-                self.down = (-ax / norm, -ay / norm, -az / norm)
-            self.rate_radps = _dot(gyro_radps, self.down) - self.bias_radps
-            return
-        wx, wy, wz = gyro_radps
-        dx, dy, dz = self.down
-        # A direction that stands still in the world turns the other way round in the body.
-        dx, dy, dz = (
-            dx + step_s * (dy * wz - dz * wy),
-            dy + step_s * (dz * wx - dx * wz),
-            dz + step_s * (dx * wy - dy * wx),
-        )
-        if norm > 1.0:
-            at_rest = abs(norm - _G) < 0.1 * _G
-            gain = min(step_s / (0.5 if at_rest else 5.0), 1.0)
-            ex, ey, ez = -ax / norm - dx, -ay / norm - dy, -az / norm - dz
-            dx, dy, dz = dx + gain * ex, dy + gain * ey, dz + gain * ez
-            self._note_misfit((ex, ey, ez), min(step_s / 0.3, 1.0))
-        length = math.sqrt(dx * dx + dy * dy + dz * dz) or 1.0
-        self.down = (dx / length, dy / length, dz / length)
-        raw_rate = _dot(gyro_radps, self.down)
-        if abs(raw_rate) < 0.02:  # standing, or as good as
-            self.bias_radps += min(step_s / 10.0, 1.0) * (raw_rate - self.bias_radps)
-        self.rate_radps = raw_rate - self.bias_radps
-        self.turned_rad += self.rate_radps * step_s
-
-    def _note_misfit(self, misfit: Vector, gain: float) -> None:
-        x, y, z = (m + gain * (e - m) for m, e in zip(self._misfit, misfit, strict=True))
-        self._misfit = (x, y, z)
-        self.tilt_sigma_rad = math.hypot(math.radians(0.3), x, y, z)
-
-    @property
-    def roll_rad(self) -> float:
-        """Return the roll."""
-        return math.atan2(self.down[1], self.down[2])
-
-    @property
-    def pitch_rad(self) -> float:
-        """Return the pitch."""
-        return math.asin(max(-1.0, min(1.0, -self.down[0])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +44,7 @@ class Heading:
         magnetic_rad, true_rad: in [0, 2 pi); true is None where the declination is not known.
         sigma_rad: standard deviation of the magnetic heading.
         level_mgauss: the field along forward, right and down of the levelled vehicle.
+        turned_rad: the gyro's angle at the moment that the reading is of.
     """
 
     time_s: float
@@ -129,6 +54,7 @@ class Heading:
     true_rad: float | None
     sigma_rad: float
     level_mgauss: Vector
+    turned_rad: float = 0.0
 
     @property
     def total_mgauss(self) -> float:
@@ -203,7 +129,9 @@ class LiveCompass:
         magnetic = math.atan2(-across, along) % _TWO_PI
         true = None if self._declination_rad is None else (magnetic + self._declination_rad) % _TWO_PI
         sigma = self._sigma_rad(time_s, m, (along, across, below), horizontal, level)
-        self.latest = Heading(time_s, boot_s, self.instance, magnetic, true, sigma, (along, across, below))
+        turned = level.turned_at(boot_s - _LAG_S)
+        field = (along, across, below)
+        self.latest = Heading(time_s, boot_s, self.instance, magnetic, true, sigma, field, turned)
         return self.latest
 
     def _sigma_rad(self, time_s: float, m: Vector, field: Vector, horizontal: float, level: Level) -> float:
@@ -222,7 +150,7 @@ class LiveCompass:
         u, v = field[0] / horizontal, field[1] / horizontal
         across2 = (u * y - v * x) ** 2 + v * v * xx - 2.0 * u * v * xy + u * u * yy
         noise = scatter2 + _QUANTUM_SIGMA_MGAUSS**2
-        tilt = field[2] / horizontal * level.tilt_sigma_rad
+        tilt = field[2] / horizontal * math.hypot(level.sigma_rad, TILT_SIGMA_RAD)
         lag = turning * _LAG_SIGMA_S
         variance = across2 / strength**2 + noise / (horizontal * horizontal) + tilt * tilt + lag * lag
         return min(math.sqrt(variance), math.pi)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavcompass.attitude import levels
 from mavcompass.compass_parameters import is_calibrated
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, middle_place
@@ -14,9 +15,8 @@ from mavcompass.earth_field import earth_field_of as earth_field_of
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, circular_mean, tilt_from_acceleration
 from mavcompass.heading.compute import tilt_compensated_heading
-from mavcompass.heading.doubt import CalibrationDoubt, heading_sigma_rad, prior_sigma_mgauss
+from mavcompass.heading.doubt import TILT_SIGMA_RAD, CalibrationDoubt, heading_sigma_rad, prior_sigma_mgauss
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
-from mavcompass.heading.gravity import down_in_body
 from mavcompass.heading.north import grid_heading, true_heading
 from mavcompass.heading.two_axis import two_axis_heading
 from mavcompass.track import Series, Track
@@ -25,8 +25,6 @@ from mavcompass.track import Series, Track
 _UNKNOWN_YEAR = 2027.5
 # Readings of two compasses no further apart in time are compared.
 _TOGETHER_S = 0.3
-# Roll and pitch of a MEMS accelerometer or an autopilot's attitude, each, beside its noise.
-TILT_SIGMA_RAD = math.radians(0.3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +77,8 @@ def heading_of_track(
         )
     world = earth_field_of(track, _UNKNOWN_YEAR)
     field = _field(track, correction, instance)
-    down = down_in_body(track, compass.time_s)
+    level = levels(track)
+    down, leaning = level.at(compass.time_s), level.sigma_rad.at(compass.time_s)
     roll, pitch = tilt_from_acceleration(-down)
     if two_axis:
         if world is None:
@@ -92,9 +91,8 @@ def heading_of_track(
         )
     else:
         magnetic = np.asarray(tilt_compensated_heading(field, -down))
-    sigma = _magnetic_sigma(
-        field, down, magnetic, world, _is_calibrated(track, instance, correction), two_axis
-    )
+    calibrated = _is_calibrated(track, instance, correction)
+    sigma = _magnetic_sigma(field, down, leaning, magnetic, world, calibrated, two_axis)
     if not alone and len(track.compasses) > 1:
         sigma = np.hypot(sigma, _doubted_rad(track, instance, Series(compass.time_s, magnetic), sigma))
     return _result(track, compass.time_s, magnetic, np.minimum(sigma, math.pi), world)
@@ -135,6 +133,7 @@ def _field(track: Track, correction: FieldCorrection | None, instance: int) -> F
 def _magnetic_sigma(
     field: FloatArray,
     down: FloatArray,
+    leaning: FloatArray,
     magnetic: FloatArray,
     world: EarthField | None,
     calibrated: bool,
@@ -153,8 +152,9 @@ def _magnetic_sigma(
         root = np.maximum(np.abs(field[:, 2]), 0.05 * world.total_mgauss)
         z_sigma = math.hypot(*world.sigma_mgauss) * world.total_mgauss / root
     tilt = np.hypot(down[:, 0], down[:, 1])
+    leaning = np.hypot(leaning, TILT_SIGMA_RAD)
     noise = np.hypot(z_sigma * tilt, doubt.scatter_mgauss)
-    return heading_sigma_rad(doubt.sigma_rad(level[:, 0], level[:, 1]), usual, steep, TILT_SIGMA_RAD, noise)
+    return heading_sigma_rad(doubt.sigma_rad(level[:, 0], level[:, 1]), usual, steep, leaning, noise)
 
 
 def _result(

@@ -196,7 +196,7 @@ class _Calibration:
         wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime, mav.GpsRawInt), 2.0)
         if identity.kind == "copter":
             # What hovers sways and shakes: its tilt is told by the receiver's velocity and by as many
-            # readings as there are, see `calibration.observation.sway`.
+            # readings as there are, see `attitude.level`.
             wanted[mav.GpsRawInt] = 5.0
             wanted[first] = 2.0 * rate_hz
         if identity.autopilot == "px4":

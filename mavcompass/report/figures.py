@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mavcompass.attitude import down_in_body
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.heading.compute import level_heading
-from mavcompass.heading.gravity import down_in_body
 from mavcompass.report.svg import Plot, bars, limits
 from mavcompass.track import Track
 

@@ -266,7 +266,7 @@ def _wanted_rates(identity: VehicleIdentity, rate_hz: float) -> dict[type[mav.Me
         mav.ScaledImu3: slow_hz,
         mav.Attitude: slow_hz,
         mav.GlobalPositionInt: 2.0,
-        mav.GpsRawInt: 2.0,
+        mav.GpsRawInt: 5.0,
         mav.SysStatus: 2.0,
         mav.SystemTime: 1.0,
     }

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
+from mavcompass.attitude import Level
+from mavcompass.attitude.heard import hear
 from mavcompass.compass_parameters import (
     ardupilot_name,
     ardupilot_naming,
@@ -16,11 +18,10 @@ from mavcompass.compass_parameters import (
 )
 from mavcompass.earth_field import EarthField
 from mavcompass.heading.doubt import prior_sigma_rad
-from mavcompass.heading.live import Heading, Level, LiveCompass
+from mavcompass.heading.live import Heading, LiveCompass
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 from mavcompass.service.watch import Glance
 from mavcompass.steering import compasses_of
-from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 from mavcompass.vehicle.dialects import make_dialect
 
 # Silence after which the vehicle counts as gone.
@@ -47,7 +48,7 @@ class VehicleView:
     key: str
     year: float
     state: VehicleState = field(default_factory=VehicleState)
-    level: Level = field(default_factory=Level)
+    level: Level = field(init=False)
     compasses: dict[int, LiveCompass] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
     fresh: bool = False
@@ -59,6 +60,10 @@ class VehicleView:
     _preferred_s: float = -math.inf
     _world_at: mav.GlobalPositionInt | None = None
 
+    def __post_init__(self) -> None:
+        """Begin to keep its level."""
+        self.level = Level(self.identity.kind)
+
     def hear(self, heard: mav.Incoming) -> Heading | None:
         """Take one message; the heading, where it brought one."""
         message = heard.message
@@ -69,6 +74,7 @@ class VehicleView:
         if kind is mav.ScaledImu or kind is mav.ScaledImu2 or kind is mav.ScaledImu3:
             return self._scaled(heard.time_s, message)  # type: ignore[arg-type]
         self.state.hear(heard)
+        hear(self.level, message)
         if kind is mav.GlobalPositionInt:
             self._look_up_world(message)  # type: ignore[arg-type]
         return None
@@ -89,9 +95,7 @@ class VehicleView:
 
     def _body(self, time_s: float, boot_s: float, imu: mav.RawImu | mav.ScaledImu) -> Heading | None:
         self.boot_s = boot_s
-        g, w = MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
-        acceleration = (imu.xacc * g, imu.yacc * g, imu.zacc * g)
-        self.level.update(boot_s, acceleration, (imu.xgyro * w, imu.ygyro * w, imu.zgyro * w))
+        hear(self.level, imu)
         return self._compass(1, time_s, boot_s, imu)
 
     def _compass(
@@ -182,8 +186,8 @@ class VehicleView:
             time_s=time_s,
             headings={i: c.latest for i, c in self.compasses.items() if c.latest is not None},
             world=self.world,
-            turned_rad=self.level.turned_rad,
             rate_radps=self.level.rate_radps,
+            tilt_sigma_rad=self.level.sigma_rad,
             kind=self.identity.kind,
             course_rad=math.radians(gps.cog * 0.01) if fixed and gps is not None else None,
             speed_mps=gps.vel * 0.01 if fixed and gps is not None and gps.vel != 65535 else 0.0,

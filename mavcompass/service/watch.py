@@ -55,15 +55,15 @@ class Glance:
 
     Attributes:
         time_s: on the link's clock. headings: the latest of each compass.
-        turned_rad, rate_radps: by the gyro, about the vertical. kind: of vehicle.
+        rate_radps: by the gyro, about the vertical. tilt_sigma_rad: of roll and pitch. kind: of vehicle.
         course_rad, speed_mps: over ground by GPS; None without a fix. current_a: None where not measured.
     """
 
     time_s: float
     headings: Mapping[int, Heading]
     world: EarthField | None
-    turned_rad: float = 0.0
     rate_radps: float = 0.0
+    tilt_sigma_rad: float = 0.0
     kind: str = "unknown"
     course_rad: float | None = None
     speed_mps: float = 0.0
@@ -176,10 +176,16 @@ class _CompassRecord:
     strength: _Average = field(default_factory=lambda: _Average(10.0))
     dip: _Average = field(default_factory=lambda: _Average(10.0))
     apart: _Average = field(default_factory=lambda: _Average(10.0))
+    leaning: _Average = field(default_factory=lambda: _Average(10.0))
     course: _Average = field(default_factory=lambda: _Average(20.0))
     gyro: _GyroComparison = field(default_factory=_GyroComparison)
     current: _CurrentCoupling = field(default_factory=_CurrentCoupling)
     latches: dict[str, _Latch] = field(default_factory=dict)
+
+    def beyond_level_deg(self, value_deg: float, steepness: float) -> float:
+        """Take out of a value what the level may be off by, at two sigmas, `steepness` times."""
+        chance = 2.0 * steepness * self.leaning.value
+        return math.copysign(math.sqrt(max(value_deg**2 - chance**2, 0.0)), value_deg)
 
 
 class CompassWatch:
@@ -190,6 +196,7 @@ class CompassWatch:
         self.findings: tuple[Finding, ...] = ()
         self._records: dict[int, _CompassRecord] = {}
         self._latest_s = -math.inf
+        self._steep = 2.0  # the dip's tangent where most people live
 
     def restart(self) -> None:
         """Forget everything: the vehicle was restarted or its calibration was changed."""
@@ -205,6 +212,8 @@ class CompassWatch:
             return self.findings
         findings: list[Finding] = []
         fresh = {i: h for i, h in glance.headings.items() if glance.time_s - h.time_s <= 1.0}
+        if glance.world is not None:
+            self._steep = math.tan(abs(glance.world.inclination_rad))
         for instance, heading in fresh.items():
             record = self._records.setdefault(instance, _CompassRecord())
             self._learn(record, heading, glance, step_s)
@@ -215,6 +224,7 @@ class CompassWatch:
         return self.findings
 
     def _learn(self, record: _CompassRecord, heading: Heading, glance: Glance, step_s: float) -> None:
+        record.leaning.add(glance.tilt_sigma_rad / _DEG, step_s)
         world = glance.world
         if world is not None:
             strength = 100.0 * (heading.total_mgauss / world.total_mgauss - 1.0)
@@ -223,7 +233,7 @@ class CompassWatch:
         first = glance.headings.get(1)
         if first is not None and heading.instance != 1 and glance.time_s - first.time_s < 1.0:
             record.apart.add(_wrap(heading.magnetic_rad - first.magnetic_rad) / _DEG, step_s)
-        record.gyro.add(heading.magnetic_rad, glance.turned_rad)
+        record.gyro.add(heading.magnetic_rad, heading.turned_rad)
         course = glance.course_rad
         if course is not None and heading.true_rad is not None and _drives_straight_ahead(glance):
             off = _wrap(course - heading.true_rad) / _DEG
@@ -246,14 +256,16 @@ class CompassWatch:
     def _source(self, instance: int) -> HeadingSource:
         """Return what one compass shows; what the limits allow counts as two sigmas of a sound one."""
         limits, record, unknown = self.limits, self._records[instance], math.nan
+        gyro_deg = record.beyond_level_deg(record.gyro.rms_rad / _DEG, self._steep)
+        dip_deg = record.beyond_level_deg(record.dip.value, 1.0)
         return HeadingSource.at(
             f"compass {instance}",
             record.apart.value,
             # Two compasses are apart by five of these in one case of a hundred where both are sound, and half
             # the limit is what the latch below still counts as apart.
             0.1 * limits.agreement_deg,
-            gyro=2.0 * record.gyro.rms_rad / _DEG / limits.gyro_deg if record.gyro.known else unknown,
-            dip=2.0 * record.dip.value / limits.dip_deg if record.dip.known else unknown,
+            gyro=2.0 * gyro_deg / limits.gyro_deg if record.gyro.known else unknown,
+            dip=2.0 * dip_deg / limits.dip_deg if record.dip.known else unknown,
             strength=2.0 * record.strength.value / limits.field_percent if record.strength.known else unknown,
         )
 
@@ -262,14 +274,16 @@ class CompassWatch:
     ) -> list[Finding]:
         horizontal = glance.headings[instance].horizontal_mgauss
         swing_deg = math.degrees(record.current.swing_mgauss() / max(horizontal, 1.0) / math.sqrt(2.0))
-        limits = self.limits
+        course_deg = record.course.value if record.course.known else 0.0
+        # What the level is off by turns a heading by as much as the field is steep.
+        limits, beyond, steep = self.limits, record.beyond_level_deg, self._steep
         measured = {
             "field": (record.strength.value, limits.field_percent),
-            "dip": (record.dip.value, limits.dip_deg),
+            "dip": (beyond(record.dip.value, 1.0), limits.dip_deg),
             "agreement": (0.0 if apart is None else apart[0], limits.agreement_deg),
-            "gyro": (record.gyro.rms_rad / _DEG, limits.gyro_deg),
-            "course": (record.course.value if record.course.known else 0.0, limits.course_deg),
-            "current": (swing_deg, limits.current_deg),
+            "gyro": (beyond(record.gyro.rms_rad / _DEG, steep), limits.gyro_deg),
+            "course": (beyond(course_deg, steep), limits.course_deg),
+            "current": (beyond(swing_deg, steep), limits.current_deg),
         }
         findings = []
         for name, (value, limit) in measured.items():

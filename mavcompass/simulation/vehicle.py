@@ -181,7 +181,8 @@ class SimulatedAutopilot(Happenings):
             if board.now_us >= board.silent_until_us:
                 self._power_up()
             return
-        board.filter.predict(dt, board.sensors.samples[0].gyro_radps, body.roll_rad, body.pitch_rad)
+        attitude = body.roll_rad, body.pitch_rad, body.yaw_rad
+        board.filter.predict(dt, board.sensors.samples[0].gyro_radps, attitude, body.acceleration_mps2)
         if board.now_us % COMPASS_PERIOD_US == 0:
             board.sensors.read_compasses()
             self.firmware.use_compasses(COMPASS_PERIOD_US * 1e-6)

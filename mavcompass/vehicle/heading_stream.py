@@ -7,14 +7,16 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from mavcompass import messages as mav
+from mavcompass.attitude import Level
+from mavcompass.attitude.heard import hear
 from mavcompass.compass_parameters import is_calibrated
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, NoReply, Refused
 from mavcompass.heading.doubt import prior_sigma_rad
-from mavcompass.heading.live import Level, LiveCompass
+from mavcompass.heading.live import LiveCompass
 from mavcompass.heading.north import grid_convergence_rad
 from mavcompass.heading.two_axis import TwoAxisCompass
-from mavcompass.messages.telemetry import acceleration_mps2, angular_rate_radps, field_mgauss, imu_time_s
+from mavcompass.messages.telemetry import field_mgauss, imu_time_s
 from mavcompass.parameter_remarks import remarks_said
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.script import Context, Machine, Script, expect
@@ -92,6 +94,7 @@ def _begin(
     rates = MessageRates()
     first = mav.ScaledImu if identity.autopilot == "px4" else mav.RawImu
     wanted: dict[type[mav.Message], float] = {first: rate_hz, mav.GlobalPositionInt: 2.0, mav.SystemTime: 1.0}
+    wanted |= {mav.Attitude: rate_hz, mav.GpsRawInt: 5.0}
     if instance > 1:
         wanted[_KINDS[instance]] = rate_hz
     yield from rates.ask(context, wanted)
@@ -109,7 +112,7 @@ def _begin(
 
 
 def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: bool) -> Iterator[LiveHeading]:
-    compass, level = LiveCompass(instance), Level()
+    compass, level = LiveCompass(instance), Level(start.identity.kind)
     compass.set_world(start.world)
     dialect = make_dialect(start.identity.autopilot, source)
     rotation = dialect.raw_rotation(start.parameters, instance)
@@ -137,12 +140,7 @@ def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: boo
             continue
         heard_s = heard.time_s
         message = heard.message
-        if type(message) in (mav.RawImu, mav.ScaledImu):
-            level.update(
-                float(imu_time_s(message)),
-                _three(acceleration_mps2(message)),
-                _three(angular_rate_radps(message)),
-            )
+        hear(level, message)
         if type(message) not in kinds or chosen not in (None, type(message)):
             continue
         chosen = type(message)  # RAW_IMU and SCALED_IMU both carry compass 1: one of them is enough

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turning_track
 
+from mavcompass.attitude import down_in_body
 from mavcompass.calibration import Limits, calibrate_compasses, calibrate_track, find_dwells, method_names
 from mavcompass.calibration.model import GAIN, HORIZONTAL, OFFSET, gain_matrix, level_to_body
 from mavcompass.calibration.observation import turn_record
@@ -18,7 +19,6 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 from mavcompass.frames import matrix_to_euler, quaternion_to_matrix, wrap_pi
 from mavcompass.heading import earth_field_of, heading_of_track
-from mavcompass.heading.gravity import down_in_body
 from mavcompass.logs import read_track
 from mavcompass.track import InForce, MagSeries, Series, Track
 

@@ -1,4 +1,4 @@
-"""How sure a recording's heading is, and which way is down in it: against closed forms."""
+"""How sure a recording's heading is: against closed forms."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.heading import stream
 from mavcompass.heading.doubt import UNKNOWN_CALIBRATION_SIGMA_RAD
-from mavcompass.heading.gravity import down_in_body, moving_average
 from mavcompass.heading.stream import heading_of_track
 from mavcompass.track import MagSeries, Series, Track
 
@@ -24,7 +23,7 @@ TILT = math.radians(0.3)
 
 def sigma_of(field: FloatArray, down: FloatArray, world: EarthField | None, two_axis: bool) -> FloatArray:
     magnetic = np.arctan2(-field[:, 1], field[:, 0])
-    return stream._magnetic_sigma(field, down, magnetic, world, True, two_axis)
+    return stream._magnetic_sigma(field, down, np.zeros(len(field)), magnetic, world, True, two_axis)
 
 
 def test_a_good_compass_that_was_turned_is_as_sure_as_its_tilt() -> None:
@@ -38,7 +37,7 @@ def test_a_calibration_that_was_not_looked_at_is_as_sure_as_calibrations_are() -
     field = np.tile([200.0, 0.0, 400.0], (50, 1))
     unknown = sigma_of(field, LEVEL, None, False)[0]
     assert unknown == pytest.approx(math.hypot(UNKNOWN_CALIBRATION_SIGMA_RAD, TILT * 2.0), rel=0.05)
-    never = stream._magnetic_sigma(field, LEVEL, np.zeros(50), None, False, False)[0]
+    never = stream._magnetic_sigma(field, LEVEL, np.zeros(50), np.zeros(50), None, False, False)[0]
     assert math.degrees(never) > 20.0
 
 
@@ -103,49 +102,3 @@ def test_what_is_asked_of_a_recording_has_to_be_there() -> None:
         heading_of_track(Track())
     with pytest.raises(BadRecording, match="does not tell its place"):
         heading_of_track(placed(place=None), two_axis=True)
-
-
-def test_a_moving_average_is_of_what_is_near_in_time() -> None:
-    time = np.array([0.0, 0.1, 0.2, 5.0, 5.25, 5.5])
-    values = np.array([[1.0, 0.0], [2.0, 0.0], [6.0, 3.0], [0.0, 1.0], [3.0, 1.0], [9.0, 1.0]])
-    mean = moving_average(time, values, 0.5)
-    assert mean[:, 0].tolist() == [3.0, 3.0, 3.0, 1.5, 4.0, 6.0] and mean[:, 1].tolist() == [1.0] * 6
-
-
-FORCE = Series.of(TIME, np.tile([0.0, -4.9033, -8.4928], (50, 1)))  # rolled by 30 degrees
-NOTHING, UNKNOWN = Series.of([], np.empty((0, 3))), Series.of(TIME, np.full((50, 3), np.nan))
-ATTITUDE = Series.of(TIME, np.tile([math.radians(10.0), math.radians(-20.0), 1.0], (50, 1)))
-
-
-@pytest.mark.parametrize(
-    ("track", "roll_deg", "pitch_deg"),
-    [
-        (Track(), 0.0, 0.0),
-        (Track(acc_mps2=FORCE), 30.0, 0.0),
-        (Track(attitude_rad=ATTITUDE), 10.0, -20.0),
-        (Track(acc_mps2=FORCE, attitude_rad=ATTITUDE, vehicle="copter"), 10.0, -20.0),
-        (Track(acc_mps2=FORCE, attitude_rad=ATTITUDE, vehicle="rover"), 30.0, 0.0),
-        (Track(acc_mps2=FORCE, attitude_rad=ATTITUDE, vehicle="boat"), 30.0, 0.0),
-        (Track(acc_mps2=NOTHING, attitude_rad=ATTITUDE, vehicle="rover"), 10.0, -20.0),
-        (Track(acc_mps2=UNKNOWN, attitude_rad=ATTITUDE, vehicle="boat"), 10.0, -20.0),
-        (Track(acc_mps2=FORCE, attitude_rad=UNKNOWN), 30.0, 0.0),
-    ],
-)  # fmt: skip
-def test_down_is_the_accelerometers_on_the_ground_and_the_estimators_in_flight(
-    track: Track, roll_deg: float, pitch_deg: float
-) -> None:
-    x, y, z = down_in_body(track, np.array([2.0]))[0]
-    assert math.degrees(math.atan2(y, z)) == pytest.approx(roll_deg, abs=0.01)
-    assert math.degrees(math.asin(-x)) == pytest.approx(pitch_deg, abs=0.01)
-    assert math.hypot(x, y, z) == pytest.approx(1.0)
-
-
-def test_shaking_averages_out_of_down_over_six_tenths_of_a_second() -> None:
-    force = np.tile([0.0, 0.0, -9.8], (50, 1))
-    force[20, 0] = -7.0
-    down = down_in_body(Track(acc_mps2=Series.of(TIME, force)), TIME)
-    assert down[20, 0] == pytest.approx(7.0 / 9.8 / 6.5, rel=0.1)  # one of six or seven readings
-    assert (down[:, 0] > 0.0).sum() in (6, 7)
-    holed = force.copy()
-    holed[30] = np.nan
-    assert np.isfinite(down_in_body(Track(acc_mps2=Series.of(TIME, holed)), TIME)).all()

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mavcompass.attitude import Level
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import euler_to_matrix, rotate_back, sensor_orientation_matrix, wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
-from mavcompass.heading.live import Level, LiveCompass
+from mavcompass.heading.live import LiveCompass
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 G = STANDARD_GRAVITY_MPS2
@@ -24,7 +25,8 @@ DEG = math.pi / 180.0
 def resting(roll: float, pitch: float) -> Level:
     level = Level()
     acc = rotate_back(euler_to_matrix(roll, pitch, 0.0), [0.0, 0.0, -G])
-    level.update(0.0, tuple(acc), (0.0, 0.0, 0.0))
+    for k in range(100):
+        level.update(0.05 * k, tuple(acc), (0.0, 0.0, 0.0))
     return level
 
 
@@ -117,35 +119,3 @@ def test_sigma_covers_the_error_of_disturbed_compasses() -> None:
         normalised.append(abs(float(wrap_pi(heading.magnetic_rad - magnetic))) / heading.sigma_rad)
     assert np.mean(np.array(normalised) < 3.0) > 0.9
     assert np.median(normalised) > 0.2  # nor is it absurdly large
-
-
-def test_the_turned_angle_follows_a_tilted_vehicle_around() -> None:
-    level, step_s, rate = Level(), 0.01, 0.6
-    for k in range(2000):
-        t = k * step_s
-        attitude = euler_to_matrix(0.2, -0.1, rate * t)
-        acc = rotate_back(attitude, [0.0, 0.0, -G])
-        gyro = rotate_back(attitude, [0.0, 0.0, rate])
-        level.update(t, tuple(acc), tuple(gyro))
-    assert level.turned_rad == pytest.approx(rate * 1999 * step_s, rel=0.002)
-    assert level.roll_rad == pytest.approx(0.2, abs=0.002)
-    assert level.pitch_rad == pytest.approx(-0.1, abs=0.002)
-
-
-def test_a_gyro_bias_is_learnt_at_rest() -> None:
-    level = Level()
-    for k in range(6000):
-        level.update(k * 0.01, (0.0, 0.0, -G), (0.0, 0.0, 0.01))
-    before = level.turned_rad
-    for k in range(6000, 7000):
-        level.update(k * 0.01, (0.0, 0.0, -G), (0.0, 0.0, 0.01))
-    assert abs(level.turned_rad - before) < 0.002
-
-
-def test_late_readings_and_gaps_do_no_harm() -> None:
-    level = Level()
-    level.update(1.0, (0.0, 0.0, -G), (0.0, 0.0, 1.0))
-    level.update(0.9, (G, 0.0, 0.0), (9.0, 9.0, 9.0))
-    assert level.down == (0.0, 0.0, 1.0)
-    level.update(30.0, (0.0, 0.0, -G), (0.0, 0.0, 1.0))
-    assert level.turned_rad == 0.0

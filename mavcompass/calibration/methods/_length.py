@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mavcompass.attitude import down_in_body
 from mavcompass.calibration.comparison import compared, within
 from mavcompass.calibration.fits.length import LengthFit
 from mavcompass.calibration.model import (
@@ -24,7 +25,6 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
-from mavcompass.heading.gravity import down_in_body
 
 _LEAST_COVERAGE = 0.3
 

@@ -62,10 +62,6 @@ def learn(recorded: Recorded) -> Learnt:
 
     Raises PoorCalibration where the recording has no gyro, or hardly turned.
     """
-    track = recorded.track
-    if track.attitude_rad is not None and len(track.attitude_rad):
-        # The accelerometer of what drives feels its bends and brakes, too: the estimator knows down better.
-        recorded = replace(recorded, track=replace(track, acc_mps2=None))
     motion, change = _since_it_changed(observe_motion(recorded))
     result = calibrate_motion(motion)
     reasons = result.reasons

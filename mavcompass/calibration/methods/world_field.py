@@ -8,12 +8,21 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.calibration.comparison import compared, within
-from mavcompass.calibration.model import GAIN, HORIZONTAL, MOTOR, OFFSET, VERTICAL, gain_matrix
+from mavcompass.calibration.model import (
+    GAIN,
+    HORIZONTAL,
+    MOTOR,
+    OFFSET,
+    VERTICAL,
+    gain_matrix,
+    gain_parameters,
+)
 from mavcompass.calibration.motion.findings import findings
 from mavcompass.calibration.motion.honesty import weigh_honestly
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.motion.stops import without_disturbed_stop
 from mavcompass.calibration.positions.budget import ACCELEROMETER
+from mavcompass.calibration.positions.observability import hardly_known
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
@@ -21,6 +30,8 @@ from mavcompass.frames import FloatArray
 
 # Two halves of a recording may contradict each other by so many sigmas.
 _BY_CHANCE = 2.0
+# Values in force that lie farther off than this, each, in squared sigmas, contradict the motion.
+_HELD_CHI_SQUARE = 2.0
 COVARIANCE_NAMES = (
     *(f"offset_{a}" for a in "xyz"),
     *(f"gain_{p}" for p in ("xx", "yy", "zz", "xy", "xz", "yz")),
@@ -42,6 +53,9 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
     if disturbed is not None:
         motion = disturbed.motion
     honest = weigh_honestly(motion.sections, motion.fit, recorded.prior)
+    if recorded.earth is not None:
+        held = held_in_force(honest.state, motion.fit.covariance[:9, :9], recorded.in_force)
+        honest = replace(honest, state=held)
     correction = correction_of(motion, honest.state)
     honest = honest.at_least(motion.scatter_left_rad(correction))
     honest = honest.at_least(math.hypot(honest.error.rms_rad(), motion.load_doubt_rad))
@@ -98,6 +112,28 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
         )
     )
     return within(result, recorded.limits)
+
+
+def held_in_force(state: FloatArray, covariance: FloatArray, in_force: FieldCorrection) -> FloatArray:
+    """Return the state at which what the motion hardly shows is as in force, unless that contradicts it.
+
+    What is said of it would be the prior's opinion: a calibration knows better. Its sigma stays the fit's.
+    Offsets that are all zero are no calibration.
+    """
+    if not any(in_force.offsets_mgauss):
+        return state
+    known = np.concatenate([-np.asarray(in_force.offsets_mgauss), gain_parameters(in_force.inverse)])
+    away = known - state[:9]
+    hidden = hardly_known(covariance)
+    while hidden.size:
+        inside = covariance[np.ix_(hidden, hidden)]
+        pull = np.linalg.lstsq(inside, away[hidden], rcond=1e-9)[0]
+        if float(away[hidden] @ pull) <= _HELD_CHI_SQUARE * hidden.size:
+            held = state.copy()
+            held[:9] += covariance[:, hidden] @ pull
+            return held
+        hidden = np.delete(hidden, int(np.argmax(away[hidden] ** 2 / np.diag(inside))))
+    return state
 
 
 def _mounting_rad(motion: Motion) -> float:

@@ -58,7 +58,8 @@ def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
     kept_out = _since_the_beginning_was_kept_out(motion)
     if kept_out is not None:
         return kept_out
-    if motion.fit.model_mgauss < _WORTH_IT_RAD * motion.fit.horizontal_mgauss:
+    worth_it = _WORTH_IT_RAD * motion.fit.horizontal_mgauss
+    if motion.fit.model_mgauss < worth_it:
         return motion, None
     found: tuple[Motion, float] | None = None
     for start in _candidates(motion):
@@ -66,6 +67,8 @@ def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
         if later is None:
             continue
         best = motion.fit.model_mgauss if found is None else found[0].fit.model_mgauss
+        if best < worth_it:
+            break
         if later.fit.model_mgauss < _BETTER * best:
             found = later, start
     if found is None:

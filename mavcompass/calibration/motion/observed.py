@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcompass.attitude import LASTS_S, levels
 from mavcompass.calibration.model import MOTOR
 from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, circle_seen_rad, sparse_words
 from mavcompass.calibration.motion.fit import MotionFit, fit_motion, level_headings, sigma_of
@@ -21,12 +22,10 @@ from mavcompass.calibration.observation import (
     uncorrected_field,
 )
 from mavcompass.calibration.observation.turning import TurnRecord
-from mavcompass.calibration.observation.upright import upright
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection, MotorSource
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.heading.gravity import ON_THE_GROUND, down_in_body
 from mavcompass.track import Track
 
 # A load that varies less than this shows no motor field.
@@ -60,14 +59,10 @@ class Motion:
     def scatter_left_rad(self, correction: FieldCorrection) -> float:
         """Return the heading scatter that a correction leaves, radians; 0 where nothing can tell.
 
-        That is where the gyro was recorded too seldom, and of a thing held by hand, whose accelerometer does
-        not show which way is down while it moves.
+        That is where the gyro was recorded too seldom, and where roll and pitch are hardly known.
         """
         track, instance = self.recorded.track, self.recorded.instance
-        levelled = (
-            self.reference is not None or track.attitude_rad is not None or track.vehicle in ON_THE_GROUND
-        )
-        if not levelled or sparse_words(self.sections):
+        if sparse_words(self.sections):
             return 0.0
         time = track.compasses[instance].time_s
         if correction.motor_source == "none":
@@ -75,7 +70,7 @@ class Motion:
         else:
             load = track.motor_load(time, correction.motor_source)
             field = correction.apply(track.raw_field(instance), load)
-        down = self.reference.down_at(track, time) if self.reference else down_in_body(track, time)
+        down = (levels(track) if self.reference is None else self.reference.levels(track)).at(time)
         left = scatter_left_rad(track, instance, field, down, self.record, self.sections, self.fit)
         return math.hypot(left, self._motors_left_rad(correction))
 
@@ -143,8 +138,6 @@ def observe_motion(recorded: Recorded) -> Motion:
     Raises PoorCalibration where the recording has neither gyro nor reference, or turned too little.
     """
     track, instance = centred(recorded.track, recorded.instance), recorded.instance
-    mended = upright(track)
-    track, tilt_sigma = (track, None) if mended is None else (mended.track, mended.sigma_rad)
     recorded = replace(recorded, track=track)
     reference = reference_turn(track)
     record = reference.record if reference is not None else turn_record(track, instance)
@@ -154,9 +147,7 @@ def observe_motion(recorded: Recorded) -> Motion:
             "and the recording has no gyro either.",
             "Record a gyro, GPS yaw or an external reference.",
         )
-    sections = cut_sections(
-        track, instance, record, uncorrected_field(track, instance), None, reference, tilt_sigma
-    )
+    sections = cut_sections(track, instance, record, uncorrected_field(track, instance), None, reference)
     stood = [] if reference is not None else find_dwells(track, instance, record)
     if reference is None:
         sections = replace(sections, tilt_bias_rad=accelerometer_of(track, stood))
@@ -169,19 +160,24 @@ def observe_motion(recorded: Recorded) -> Motion:
     if load is None:
         fit = _fitted(recorded, sections, "none")
         return Motion(recorded, record, reference, sections, fit, "none")
-    loaded = cut_sections(track, instance, record, track.raw_field(instance), load, reference, tilt_sigma)
+    loaded = cut_sections(track, instance, record, track.raw_field(instance), load, reference)
     loaded = replace(loaded, tilt_bias_rad=sections.tilt_bias_rad)
     fit = _fitted(recorded, loaded, source)
-    if _motors_show(fit):
+    if _motors_show(loaded, fit):
         told = _motors_told(loaded, fit, math.radians(recorded.limits.heading_deg))
         return Motion(recorded, record, reference, loaded, fit, source, told)
     return Motion(recorded, record, reference, sections, _fitted(recorded, sections, "none"), "none")
 
 
-def _motors_show(fit: MotionFit) -> bool:
-    """Tell whether the load goes with a field that chance does not make as large."""
+def _motors_show(sections: Sections, fit: MotionFit) -> bool:
+    """Tell whether the load goes with a field that chance does not make as large.
+
+    What drives harder leans and pushes as its load goes: sections as short as the level errs the same way for
+    are not so many witnesses.
+    """
     field, covariance = fit.state[MOTOR], fit.covariance[MOTOR, MOTOR]
-    return float(field @ np.linalg.solve(covariance, field)) > _MOTOR_CHI_SQUARE
+    alike = max(LASTS_S / float(np.mean(sections.end_s - sections.start_s) + 1e-9), 1.0)
+    return float(field @ np.linalg.solve(covariance, field)) > _MOTOR_CHI_SQUARE * alike
 
 
 def _motors_told(sections: Sections, fit: MotionFit, limit_rad: float) -> bool:

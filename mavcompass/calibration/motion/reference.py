@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavcompass.attitude import Levels, levels
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.frames import FloatArray, quaternion_to_matrix
-from mavcompass.heading.gravity import down_in_body
 from mavcompass.track import Series, Track
 
 _OPTICAL_SIGMA_RAD, _GPS_SIGMA_RAD = math.radians(0.3), math.radians(0.7)
@@ -22,14 +22,11 @@ class ReferenceTurn:
 
     record: TurnRecord
     sigma_rad: float
-    down: Series | None = None
+    own: Levels | None = None
 
-    def down_at(self, track: Track, time_s: FloatArray) -> FloatArray:
-        """Return the direction of down in the body, (N, 3)."""
-        if self.down is None:
-            return down_in_body(track, time_s)
-        down = np.asarray(self.down.at(time_s))
-        return np.asarray(down / np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9))
+    def levels(self, track: Track) -> Levels:
+        """Return roll and pitch by the reference, or by the recording where it tells yaw only."""
+        return self.own or levels(track)
 
 
 def reference_turn(track: Track) -> ReferenceTurn | None:
@@ -38,7 +35,10 @@ def reference_turn(track: Track) -> ReferenceTurn | None:
         time, q = track.reference_q.time_s, np.asarray(track.reference_q.values)
         to_world = quaternion_to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
         yaw = np.unwrap(np.arctan2(to_world[:, 1, 0], to_world[:, 0, 0]))
-        return ReferenceTurn(_record(time, yaw), _OPTICAL_SIGMA_RAD, Series.of(time, to_world[:, 2, :]))
+        sigma = Series.of(time, np.full(time.size, _OPTICAL_SIGMA_RAD))
+        return ReferenceTurn(
+            _record(time, yaw), _OPTICAL_SIGMA_RAD, Levels(Series.of(time, to_world[:, 2, :]), sigma)
+        )
     if track.gps_yaw_rad is None:
         return None
     known = np.isfinite(track.gps_yaw_rad.values)

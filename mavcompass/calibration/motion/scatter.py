@@ -75,7 +75,7 @@ def scatter_left_rad(
     mean = np.bincount(second, sound * off)[kept] / weight[kept]
     fresh = float(sections.samples.sum() / max((sections.end_s - sections.start_s).sum(), 1e-9))
     dip = float(fit.state[VERTICAL] / fit.state[HORIZONTAL])
-    tilt = np.bincount(second, sections.second_tilt_rad[section])[kept] / readings[kept]
+    tilt = np.bincount(second, sections.tilt_sigma_rad[section])[kept] / readings[kept]
     noise = (sections.noise_mgauss / float(fit.state[HORIZONTAL])) ** 2 / np.minimum(
         readings[kept], max(fresh, 1.0)
     ) + (tilt * dip) ** 2

@@ -16,18 +16,17 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.attitude import Levels, levels
 from mavcompass.calibration.model import level_to_body
 from mavcompass.calibration.motion.reference import ReferenceTurn
 from mavcompass.calibration.observation import field_lag_s
-from mavcompass.calibration.observation.tilt import ESTIMATOR_SIGMA_RAD, TILT_BIAS_SIGMA_RAD
+from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.observation.turning import (
     GYRO_SCALE_SIGMA,
     TurnRecord,
 )
-from mavcompass.calibration.observation.upright import STANDING_SIGMA_RAD
 from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs
 from mavcompass.frames import FloatArray, tilt_from_acceleration
-from mavcompass.heading.gravity import ON_THE_GROUND, down_in_body
 from mavcompass.track import Series, Track
 
 _WIDEST_TURN_RAD = math.radians(20.0)
@@ -37,8 +36,6 @@ _LONGEST_GAP_S = 1.0
 _MOST_SECTIONS = 160
 # The cutting looks at means over this time; inside a section every reading counts.
 _GRAIN_S = 0.1
-# A wheel's or a wave's rocking lasts about this long.
-_ROCKING_S = 1.0
 # A gyro's bias wanders by this much between sections.
 _WANDER_RADPS = math.radians(0.01)
 _LEAST_NOISE_MGAUSS, _USUAL_NOISE_MGAUSS = 0.2, 3.0
@@ -59,7 +56,6 @@ class Sections:
         mapping: A of equation S1, (K, 3, 3). by_lag: its change per second of the field's lag, (K, 3, 3).
         tilt_sigma_rad: what is not known of roll and pitch, (K,).
         tilt_bias_rad: what its source is off by all along, 1 sigma.
-        rocking: whether that is the rocking of what stands, which averages out.
         turned_rad: the gyro's angle at the middles, (K,), clockwise.
         step_sigma_rad: of the K - 1 differences of `turned_rad`, without the gyro's scale and bias.
         bias_sigma_radps, scale_sigma: of the gyro, common to all.
@@ -78,7 +74,6 @@ class Sections:
     by_lag: FloatArray
     tilt_sigma_rad: FloatArray
     tilt_bias_rad: float
-    rocking: bool
     turned_rad: FloatArray
     step_sigma_rad: FloatArray
     bias_sigma_radps: float
@@ -96,12 +91,6 @@ class Sections:
     def middle_s(self) -> FloatArray:
         """Return the middles in time, (K,)."""
         return 0.5 * (self.start_s + self.end_s)
-
-    @property
-    def second_tilt_rad(self) -> FloatArray:
-        """Return what is not known of the tilt in one second of each section, (K,)."""
-        lasted = np.maximum(self.end_s - self.start_s, _ROCKING_S) / _ROCKING_S
-        return np.asarray(self.tilt_sigma_rad * (np.sqrt(lasted) if self.rocking else 1.0))
 
     def between(self, start_s: float, end_s: float) -> Sections:
         """Keep the sections whose middle lies between two times."""
@@ -132,7 +121,6 @@ def cut_sections(
     raw_mgauss: FloatArray,
     load: FloatArray | None = None,
     reference: ReferenceTurn | None = None,
-    tilt_sigma_rad: Series | None = None,
 ) -> Sections:
     """Cut the motion of one compass into sections.
 
@@ -143,12 +131,9 @@ def cut_sections(
         raw_mgauss: (N, 3), at the compass's times.
         load: motor load, (N,).
         reference: the attitude reference that `record` comes from.
-        tilt_sigma_rad: of the recording's roll and pitch, each; None where nothing tells.
     """
 
-    def down_at(times: FloatArray) -> FloatArray:
-        return down_in_body(track, times) if reference is None else reference.down_at(track, times)
-
+    level = levels(track) if reference is None else reference.levels(track)
     compass = track.compasses[instance]
     time = compass.time_s
     usable = np.isfinite(raw_mgauss).all(axis=1)
@@ -159,7 +144,8 @@ def cut_sections(
     loads = np.zeros(time.size) if load is None else load[usable]
     lag = field_lag_s(track)
     angle = record.angle_at(time - lag)
-    down = down_at(time - lag)
+    level = leaning_as_seen(level, time - lag)
+    down = level.at(time - lag)
     edges, visit = _edges(time, angle, down, loads)
     first, last = edges[:-1], edges[1:]
     fresh, _ = effective_count(raw)
@@ -171,12 +157,13 @@ def cut_sections(
         total = np.add.reduceat(values, first, axis=0)
         return total / count.reshape(-1, *[1] * (values.ndim - 1))
 
-    known = None if tilt_sigma_rad is None else mean(np.asarray(tilt_sigma_rad.at(time)))
     turned = mean(angle)
     section = np.repeat(np.arange(len(first)), last - first)
     mapping = turned_mapping(down, angle - turned[section])
     later = 0.02
-    moved = turned_mapping(down_at(time - lag - later), record.angle_at(time - lag - later) - turned[section])
+    moved = turned_mapping(
+        level.at(time - lag - later), record.angle_at(time - lag - later) - turned[section]
+    )
     middle = 0.5 * (time[first] + time[last - 1]) if len(first) else np.empty(0)
     steps = np.diff(middle)
     middle_load = float(loads.mean()) if loads.size else 0.0
@@ -194,9 +181,8 @@ def cut_sections(
         hidden_mgauss=hidden_in_runs(compass.reported.values[usable], first, compass.quantum_mgauss),
         mapping=mean(mapping),
         by_lag=(mean(moved) - mean(mapping)) / later,
-        tilt_sigma_rad=_tilt_sigma(track, mean(down), mean(down**2), time[first], time[last - 1], known),
+        tilt_sigma_rad=np.sqrt(mean(level.sigma_rad.at(time - lag) ** 2)),
         tilt_bias_rad=TILT_BIAS_SIGMA_RAD if reference is None else 0.0,
-        rocking=track.vehicle in ON_THE_GROUND,
         turned_rad=turned,
         step_sigma_rad=sigma,
         bias_sigma_radps=record.bias_sigma_radps,
@@ -216,6 +202,19 @@ def unsettled(track: Track, instance: int) -> NDArray[np.bool_]:
     return np.asarray(nearest < _PARAMETERS_SETTLE_S)
 
 
+def leaning_as_seen(level: Levels, time_s: FloatArray) -> Levels:
+    """Shrink what roll and pitch move by to what is more than their own error (errors in variables).
+
+    Noise in a lean that the field does not follow would be taken for a gain of the vertical axis.
+    """
+    down = level.at(time_s)
+    middle = down.mean(axis=0) if time_s.size else np.zeros(3)
+    moved2 = float(((down - middle) ** 2).sum(axis=1).mean()) / 2.0 if time_s.size else 0.0
+    own2 = float((level.sigma_rad.at(time_s) ** 2).mean()) if time_s.size else 0.0
+    seen = max(1.0 - own2 / max(moved2, 1e-12), 0.0)
+    return replace(level, down=Series(level.down.time_s, middle + seen * (level.down.values - middle)))
+
+
 def turned_mapping(down: FloatArray, turned: FloatArray) -> FloatArray:
     """Return L R(turned), (N, 3, 3): level axes at the section's heading to body axes."""
     level = level_to_body(*tilt_from_acceleration(-down))
@@ -226,25 +225,6 @@ def turned_mapping(down: FloatArray, turned: FloatArray) -> FloatArray:
     out[:, :, 1] = level[:, :, 0] * sin[:, np.newaxis] + level[:, :, 1] * cos[:, np.newaxis]
     out[:, :, 2] = level[:, :, 2]
     return out
-
-
-def _tilt_sigma(
-    track: Track,
-    mean: FloatArray,
-    square: FloatArray,
-    start_s: FloatArray,
-    end_s: FloatArray,
-    known: FloatArray | None = None,
-) -> FloatArray:
-    """Return what rocking leaves unknown of each section's tilt, (K,), beside what its source is good for."""
-    stands = track.vehicle in ON_THE_GROUND and (known is not None or track.acc_mps2 is not None)
-    usual = STANDING_SIGMA_RAD if stands else ESTIMATOR_SIGMA_RAD
-    good_for = np.full(start_s.size, usual) if known is None else known
-    if not stands:
-        return good_for
-    swing = np.sqrt(np.maximum(square - mean**2, 0.0).sum(axis=1) / 2.0)
-    share = np.sqrt(np.minimum(1.0, _ROCKING_S / np.maximum(end_s - start_s, 1e-3)))
-    return np.asarray(np.hypot(good_for, swing * share))
 
 
 def _step_sigma(record: TurnRecord, start_s: float, end_s: float) -> float:

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.attitude import down_in_body
 from mavcompass.calibration.observation.tilt import TILT_FLOOR_RAD, tilt_during
 from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord, turn_record
 from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs, unquantise
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
-from mavcompass.heading.gravity import down_in_body
 from mavcompass.track import MagSeries, Series, Track, uncut
 
 # The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.

@@ -13,9 +13,9 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.observation.sway import integral, white_noise
+from mavcompass.attitude import moving_average
+from mavcompass.calibration.observation.wire import white_noise
 from mavcompass.frames import FloatArray
-from mavcompass.heading.gravity import moving_average
 from mavcompass.track import Track
 
 WHEELED = frozenset({"rover", "ackermann-rover"})
@@ -77,7 +77,7 @@ def rolls(track: Track, time_s: FloatArray) -> NDArray[np.bool_]:
         return none
     felt_at, felt = acc.time_s[usable], np.asarray(acc.values)[usable]
     rate = np.nan_to_num(np.asarray(gyro.at(felt_at)))
-    turned = integral(felt_at, rate)
+    turned = _integral(felt_at, rate)
     force, angle = (moving_average(felt_at, values, HALF_S) for values in (felt, turned))
 
     def at(values: FloatArray, later_s: float) -> FloatArray:
@@ -88,3 +88,10 @@ def rolls(track: Track, time_s: FloatArray) -> NDArray[np.bool_]:
     noise = float(np.linalg.norm(white_noise(felt_at, felt))) / math.sqrt(3.0)
     readings = HALF_S / max(float(np.median(np.diff(felt_at))), 1e-3)
     return np.asarray(step > least_step_mps2(noise, readings))
+
+
+def _integral(time: FloatArray, values: FloatArray) -> FloatArray:
+    """Integrate over time from the first sample on by the trapezoid's rule, along axis 0."""
+    steps = np.diff(time).reshape(-1, *[1] * (values.ndim - 1))
+    parts = 0.5 * (values[1:] + values[:-1]) * steps
+    return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(parts, axis=0)])

@@ -12,9 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from mavcompass.calibration.observation.sway import white_noise
+from mavcompass.attitude import down_in_body, moving_average
+from mavcompass.calibration.observation.wire import white_noise
 from mavcompass.frames import FloatArray, tilt_from_acceleration, wrap_pi
-from mavcompass.heading.gravity import down_in_body, moving_average
 from mavcompass.track import Track, uncut
 
 # Autopilots zero their gyros at power-up; what is left drifts with temperature.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,8 @@ from mavcompass.frames import FloatArray
 
 # A noise-free reading of 0 after truncation may be anything in (-1, 1).
 _ZERO_CELL_SD = 1.0 / math.sqrt(3.0)
+# Noise is told by means over this time.
+_MEAN_S = 0.025
 _HARMONICS = np.arange(1, 9)
 _NOISE_GRID = np.linspace(0.0, 1.0, 101)
 
@@ -126,3 +129,19 @@ def effective_count(values: FloatArray) -> tuple[NDArray[np.bool_], int]:
     if len(values) > 1:
         fresh[1:] = np.any(values[1:] != values[:-1], axis=1)
     return fresh, int(fresh.sum())
+
+
+def white_noise(time: FloatArray, values: FloatArray, quantile: float = 0.5) -> FloatArray:
+    """Return each axis's noise of one of (N, M) samples, as far as it adds up like white noise: (M,).
+
+    By second differences, which smooth motion hardly shows, and of means: a filter ahead of a fast recording
+    takes noise out of the difference of neighbours and leaves it in their sum. `quantile` of the differences
+    tells; a smaller one looks at the calmer part of a motion.
+    """
+    interval_s = max(float(np.median(np.diff(time))), 1e-6)
+    count = max(min(round(_MEAN_S / interval_s), len(values) // 8), 1)
+    whole = len(values) // count
+    means = values[: whole * count].reshape(whole, count, -1).mean(axis=1)
+    bends = np.quantile(np.abs(np.diff(means, 2, axis=0)), quantile, axis=0)
+    normal = NormalDist().inv_cdf(0.5 + 0.5 * quantile)
+    return np.asarray(bends / normal * math.sqrt(count / 6.0) + 1e-9)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.calibration.model import NAMES, HeadingError
 from mavcompass.calibration.observation import FourPositionData, Step
@@ -36,14 +37,15 @@ def unobserved(fit: FourPositionsResult, prior: IronPrior = DEFAULT_PRIOR) -> tu
 
     "mounting_yaw", a turn of the whole compass about the vertical, shows in no relative measurement.
     """
-    sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    hidden = []
-    for place, name in enumerate(NAMES[:9]):
-        limit = _OFFSET_KNOWN_MGAUSS if place < 3 else _GAIN_KNOWN
-        limit = 0.5 * prior.cross_sigma if place > 5 else limit
-        if sigma[place] > limit:
-            hidden.append(_REPORTED[name])
+    hidden = [_REPORTED[NAMES[place]] for place in hardly_known(fit.covariance, prior)]
     return (*hidden, "mounting_yaw")
+
+
+def hardly_known(covariance: FloatArray, prior: IronPrior = DEFAULT_PRIOR) -> NDArray[np.intp]:
+    """Return the places of offsets and gains that a fit of this covariance could not determine."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance)[:9], 0.0))
+    limits = [_OFFSET_KNOWN_MGAUSS] * 3 + [_GAIN_KNOWN] * 3 + [0.5 * prior.cross_sigma] * 3
+    return np.flatnonzero(sigma > np.array(limits))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ import math
 
 from mavcompass.correction import Vector
 from mavcompass.simulation.physics.noise import NoiseTape, generator
-from mavcompass.units import RAD_PER_DEG
+from mavcompass.units import RAD_PER_DEG, STANDARD_GRAVITY_MPS2
 
 # The noises of a Kalman filter of yaw and gyro bias: a reading's (0.05 of 0.2 gauss across), and per root
 # of a second the yaw's and the bias's. As shipped its gains come to 0.08 and 0.0015 per second.
@@ -31,6 +31,8 @@ BIAS_MAX_RADPS = 0.5 * RAD_PER_DEG
 _FIELD_PULL_PER_S, _FIELD_FORGOTTEN_S = 0.02, 60.0
 _TILT_ERROR_SIGMA_RAD = 0.1 * RAD_PER_DEG
 _TILT_ERROR_TIME_S = 40.0
+# A yaw that is off turns the acceleration that the filter holds against its velocities.
+_TILT_BEND_TIME_S = 10.0
 # What is told as the compass's variance is the disagreement in units of three sigmas of the yaw noise.
 _VARIANCE_SCALE_RAD = 3.0 * 0.5
 _VARIANCE_TIME_S = 2.0
@@ -61,6 +63,7 @@ class AttitudeFilter:
         self._tape = NoiseTape(generator(self._seed, f"attitude filter {boot}"), 2)
         start = self._tape.row()
         self._tilt_error = [_TILT_ERROR_SIGMA_RAD * start[0], _TILT_ERROR_SIGMA_RAD * start[1]]
+        self._tilt_bend = [0.0, 0.0]
         self.roll_rad = self.pitch_rad = self.yaw_rad = 0.0
         self.rate_radps: Vector = (0.0, 0.0, 0.0)
         self.bias_radps = 0.0
@@ -83,14 +86,31 @@ class AttitudeFilter:
         self.yaw_rad, self.innovation_rad = yaw_rad, 0.0
         self._doubt = (_STEADY[0], 0.0, self._doubt[2])
 
-    def predict(self, dt_s: float, gyro: Vector, true_roll_rad: float, true_pitch_rad: float) -> None:
-        """Carry the attitude on with the gyro (tilt is observed well by gravity and GPS)."""
+    def predict(
+        self,
+        dt_s: float,
+        gyro: Vector,
+        true: tuple[float, float, float],
+        acceleration_mps2: tuple[float, float],
+    ) -> None:
+        """Carry the attitude on with the gyro.
+
+        Tilt is observed well by gravity and GPS, but for what a wrong yaw makes of the acceleration (ahead
+        and to the right). `true` is roll, pitch and yaw.
+        """
+        roll, pitch, yaw = true
+        ahead, right = acceleration_mps2
+        off = self.yaw_rad - yaw
+        c, s = math.cos(off) - 1.0, math.sin(off)
+        b, share = self._tilt_bend, dt_s / _TILT_BEND_TIME_S
+        b[0] += share * ((right * c - ahead * s) / STANDARD_GRAVITY_MPS2 - b[0])
+        b[1] += share * (-(ahead * c + right * s) / STANDARD_GRAVITY_MPS2 - b[1])
         n = self._tape.row()
         keep = 1.0 - dt_s / _TILT_ERROR_TIME_S
         push = _TILT_ERROR_SIGMA_RAD * math.sqrt(2.0 * dt_s / _TILT_ERROR_TIME_S)
         e = self._tilt_error
         e[0], e[1] = e[0] * keep + push * n[0], e[1] * keep + push * n[1]
-        self._tilt(true_roll_rad, true_pitch_rad)
+        self._tilt(roll, pitch)
         p, q, r = gyro[0], gyro[1], gyro[2] - self.bias_radps
         self.rate_radps = (p, q, r)
         yaw_rate = (q * math.sin(self.roll_rad) + r * math.cos(self.roll_rad)) / math.cos(self.pitch_rad)
@@ -142,5 +162,5 @@ class AttitudeFilter:
         return yaw_gain, bias_gain
 
     def _tilt(self, roll_rad: float, pitch_rad: float) -> None:
-        self.roll_rad = roll_rad + self._tilt_error[0]
-        self.pitch_rad = pitch_rad + self._tilt_error[1]
+        self.roll_rad = roll_rad + self._tilt_error[0] + self._tilt_bend[0]
+        self.pitch_rad = pitch_rad + self._tilt_error[1] + self._tilt_bend[1]

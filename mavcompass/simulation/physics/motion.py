@@ -26,6 +26,8 @@ _STREAM_MPS = 0.06
 _SPEED_ACCELERATION_MPS2 = 1.5
 _TREMOR_RAD, _TREMOR_PERIOD_S = math.radians(0.5), 0.8
 _STICTION_RADPS = math.radians(0.25)
+# A suspension, a hull, an airframe takes so long to lean.
+_LEAN_LAG_S = 0.2
 # A position controller leans a copter back by so much acceleration per metre and per metre per second.
 _HOLD_PER_S2, _HOLD_PER_S = 0.3, 1.0
 
@@ -79,6 +81,8 @@ class Body:
         self.speed_mps = self.climb_mps = 0.0
         self.velocity_ned_mps: Vector = (0.0, 0.0, 0.0)
         self.forward_acceleration_mps2 = 0.0
+        # How far it leans right and nose up by its own acceleration, and how fast.
+        self._leaning = [0.0, 0.0, 0.0, 0.0]
         self.time_s = 0.0
         self.motors_on = False
         self.hand = Hand()
@@ -130,7 +134,22 @@ class Body:
         self._sway_on(dt_s)
         self._translate(dt_s, drive)
         self._tilt(dt_s, noise)
+        self._lean_on(dt_s)
         self._settle()
+
+    @property
+    def acceleration_mps2(self) -> tuple[float, float]:
+        """Return the acceleration ahead and to the right, level, by what it drives: speed and bend."""
+        return self.forward_acceleration_mps2, self.speed_mps * self.yaw_rate_radps
+
+    def _lean_on(self, dt: float) -> None:
+        """Lean by its own acceleration: a copter to make it, wheels out of the bend, a hull into it."""
+        ahead, right = self.acceleration_mps2
+        each = 1.0 / STANDARD_GRAVITY_MPS2 if self.profile.leans_to_move else self.profile.lean_rad_per_mps2
+        j = self._leaning
+        for i, target in enumerate((each * right, -each * ahead)):
+            j[2 + i] = (target - j[i]) / _LEAN_LAG_S
+            j[i] += j[2 + i] * dt
 
     def _turn(self, dt: float, drive: Drive, measured: float, noise: float) -> None:
         p = self.profile
@@ -235,7 +254,9 @@ class Body:
             tilt = self.world.water_tilt(self.time_s)
         else:
             tilt = self._hover_tilt()
-        self.roll_rad, self.pitch_rad, self.roll_rate_radps, self.pitch_rate_radps = tilt
+        self.roll_rad, self.pitch_rad, self.roll_rate_radps, self.pitch_rate_radps = (
+            a + b for a, b in zip(tilt, self._leaning, strict=True)
+        )
         self.rotation = rotation_matrix(self.roll_rad, self.pitch_rad, self.yaw_rad)
         self.rate_radps = self._body_rate()
         self.specific_force_mps2 = self._specific_force()
@@ -277,12 +298,8 @@ class Body:
 
     def _specific_force(self) -> Vector:
         m, g = self.rotation, STANDARD_GRAVITY_MPS2
-        x, y, z = -g * m[6], -g * m[7], -g * m[8]
-        if self.landed_on_ground or self.profile.chassis == "boat":
-            return (
-                x + self.forward_acceleration_mps2,
-                y + self.speed_mps * self.yaw_rate_radps,
-                z,
-            )
+        ahead, right = self.acceleration_mps2
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         north, east = self._sway[2]
-        return x + m[0] * north + m[3] * east, y + m[1] * north + m[4] * east, z + m[2] * north + m[5] * east
+        north, east = north + ahead * c - right * s, east + ahead * s + right * c
+        return tuple(m[i] * north + m[3 + i] * east - g * m[6 + i] for i in range(3))  # type: ignore[return-value]

@@ -37,6 +37,7 @@ class VehicleProfile:
         jitter_rad: standard deviation of roll and pitch of a hovering vehicle.
         vibration_mps2: accelerometer noise that the running motors add.
         slope_rad, wave_rad: how much the ground or the water tilts it, at most.
+        lean_rad_per_mps2: how far its own acceleration tilts it: out of a bend (negative) or into it.
     """
 
     name: str
@@ -62,6 +63,7 @@ class VehicleProfile:
     jitter_period_s: float = 2.0
     vibration_mps2: float = 0.0
     slope_rad: float = 0.0
+    lean_rad_per_mps2: float = 0.0
     wave_rad: float = 0.0
     yaw_unrest_radps: float = 0.0
 
@@ -93,6 +95,7 @@ _ROVER = VehicleProfile(
     guided_mode=RoverMode.GUIDED,
     initial_mode=RoverMode.MANUAL,
     slope_rad=1.5 * _DEG,
+    lean_rad_per_mps2=-0.6 * _DEG,
     vibration_mps2=0.15,
 )
 
@@ -146,6 +149,7 @@ PROFILES: dict[str, VehicleProfile] = {
             coast_radps2=12.0 * _DEG,
             currents_a=(0.8, 6.0, 8.0),
             vibration_mps2=0.1,
+            lean_rad_per_mps2=1.0 * _DEG,
             wave_rad=1.5 * _DEG,
             yaw_unrest_radps=0.6 * _DEG,
         ),

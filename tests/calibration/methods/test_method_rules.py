@@ -269,7 +269,7 @@ def test_a_reference_is_a_turn_with_its_tilt() -> None:
     )
     assert record.tilt_rate_radps.tolist() == [0.0] * 40
     down = np.array([math.sin(0.2), math.cos(0.2) * math.sin(0.1), math.cos(0.2) * math.cos(0.1)])
-    assert found.down_at(Track(), np.array([3.25]))[0] == pytest.approx(down)
+    assert found.levels(Track()).at(np.array([3.25]))[0] == pytest.approx(down)
     assert reference_turn(Track(reference_q=Series.of(time[:9], q[:9]))) is None
     assert reference_turn(Track(reference_q=Series.of(time[:10], q[:10]))) is not None
 
@@ -281,7 +281,7 @@ def test_a_yaw_by_satellites_is_a_turn_without_tilt() -> None:
     found = reference_turn(Track(gps_yaw_rad=Series.of(time, yaw)))
     assert found is not None and found.sigma_rad == math.radians(0.7) and found.record.time_s.size == 37
     assert found.record.angle_rad[-1] == pytest.approx(0.4 * 19.5)
-    assert found.down_at(Track(), np.array([1.0])).tolist() == [[0.0, 0.0, 1.0]]
+    assert found.levels(Track()).at(np.array([1.0])).tolist() == [[0.0, 0.0, 1.0]]
     yaw[9:] = np.nan
     assert reference_turn(Track(gps_yaw_rad=Series.of(time, yaw))) is None and reference_turn(Track()) is None
 

@@ -63,7 +63,6 @@ def sections_of(
         "by_lag": np.zeros((k, 3, 3)),
         "tilt_sigma_rad": np.full(k, 1e-4),
         "tilt_bias_rad": 0.001,
-        "rocking": True,
         "turned_rad": psi - psi[0],
         "step_sigma_rad": np.full(k - 1, 0.002),
         "bias_sigma_radps": 1e-4,

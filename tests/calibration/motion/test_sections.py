@@ -11,7 +11,6 @@ import pytest
 
 from mavcompass.calibration.motion import sections
 from mavcompass.calibration.observation import wire
-from mavcompass.track import Series, Track
 
 TIME = np.arange(0.0, 20.0, 0.1)
 STILL, LEVEL = np.zeros(TIME.size), np.tile([0.0, 0.0, 1.0], (TIME.size, 1))
@@ -80,31 +79,6 @@ def test_what_never_rests_is_cut_more_coarsely_but_no_more_than_need_be(what: st
     rest = {"time": time, "angle": 0.0 * time, "down": np.tile(LEVEL[0], (time.size, 1)), "load": 0.0 * time}
     begins, _ = cut(**{**rest, **changed})
     assert 110 <= len(begins) <= 160
-
-
-def track(kind: str, force: bool = True) -> Track:
-    return Track(vehicle=kind, acc_mps2=Series.of(TIME, LEVEL) if force else None)
-
-
-def test_rocking_averages_out_of_what_stands_and_not_of_what_flies() -> None:
-    mean = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
-    square = mean**2 + [[0.0002, 0.0002, 0.0], [0.0, 0.0, 0.0]]  # swings by 0.0141 rms
-    begun, lasted = np.zeros(2), np.array([4.0, 4.0])
-    least = math.radians(0.02)
-    found = sections._tilt_sigma(track("rover"), mean, square, begun, lasted)
-    # One second of independent rocking: a quarter of the variance in four seconds.
-    assert found == pytest.approx([math.hypot(least, 0.5 * math.sqrt(0.0002)), least])
-    assert sections._tilt_sigma(track("rover"), mean, square, begun, lasted / 8.0) == pytest.approx(
-        [math.hypot(least, math.sqrt(0.0002)), least]
-    )
-    for other in (track("copter"), track("rover", force=False)):
-        assert sections._tilt_sigma(other, mean, square, begun, lasted) == pytest.approx(
-            [math.radians(0.3)] * 2
-        )
-    known = np.array([0.01, 0.02])
-    assert sections._tilt_sigma(track("copter"), mean, square, begun, lasted, known) is known
-    driven = sections._tilt_sigma(track("rover", force=False), mean, square, begun, lasted, known)
-    assert driven == pytest.approx([math.hypot(0.01, 0.5 * math.sqrt(0.0002)), 0.02])
 
 
 @pytest.mark.parametrize(("interval_s", "times"), [(0.02, 1.0), (0.1, 1.0), (0.3, 3.0), (5.0, 5.0)])

@@ -83,7 +83,6 @@ def test_sections(motion: Motion, as_stored: AsStored) -> None:
                 s.bias_sigma_radps,
                 s.scale_sigma,
                 s.load_mean,
-                s.rocking,
             ],
             "rate": s.gyro_rate_hz,
             "source": motion.load_source,

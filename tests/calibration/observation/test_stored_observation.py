@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from made_up_recordings import four_stops, hovering, tumbling, wandering, with_magnet
 
+from mavcompass.attitude import levels
 from mavcompass.calibration.observation import (
     StillnessDetector,
     find_dwells,
@@ -17,9 +18,7 @@ from mavcompass.calibration.observation import (
     turns_between,
 )
 from mavcompass.calibration.observation.dwells import dwell_between
-from mavcompass.calibration.observation.sway import level_by_newton, sway
 from mavcompass.calibration.observation.tilt import tilt_during
-from mavcompass.calibration.observation.upright import upright
 from mavcompass.track import Track
 
 AsStored = Callable[[Any], None]
@@ -68,19 +67,14 @@ def test_stretches(track: Track, as_stored: AsStored) -> None:
 
 
 def test_down(track: Track, as_stored: AsStored) -> None:
-    mended, swaying = upright(track), sway(track, 14.0, 15.6)
-    by_newton = level_by_newton(track, 14.0, 20.0, hovers=True)
+    level = levels(track)
     as_stored(
         {
-            "tilt": None if mended is None or mended.track.attitude_rad is None
-            else mended.track.attitude_rad.values[::70],
-            "sigma": None if mended is None else mended.sigma_rad.values[::70],
-            "sway": swaying,
-            "newton": None if by_newton is None
-            else [by_newton.down()[::30], by_newton.sigma_rad()[::30], by_newton.state],
+            "down": level.down.values[::70],
+            "sigma": level.sigma_rad.values[::70],
             "rolls": np.flatnonzero(rolls(track, track.compasses[1].time_s)),
         }
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("wheels", [False, True])

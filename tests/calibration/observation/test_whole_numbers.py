@@ -7,13 +7,19 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.calibration.observation.wire import effective_count, hidden_beside_noise, unquantise
+from mavcompass.calibration.observation.wire import (
+    effective_count,
+    hidden_beside_noise,
+    unquantise,
+    white_noise,
+)
 from mavcompass.frames import FloatArray
 
 CHANCE = np.random.default_rng(11)
 # Averages at every place in a step, and readings about them.
 PLACES = 20.0 + (np.arange(200) + 0.5) / 200.0
 READINGS = CHANCE.normal(size=(400, 200))
+TIME = np.arange(1201.0) * 0.02  # 24 s
 
 
 def converted(noise: float, truncated: bool, quantum: float = 1.0) -> tuple[FloatArray, FloatArray]:
@@ -73,3 +79,23 @@ def test_fresh_is_what_differs_from_the_reading_before() -> None:
     assert mask.tolist() == [True, False, True, True, False] and count == 3
     assert effective_count(readings[:1])[1] == 1 and effective_count(readings[:2])[1] == 1
     assert effective_count(readings[:0])[1] == 0
+
+
+def test_white_noise_is_seen_beside_smooth_motion() -> None:
+    chance = np.random.default_rng(5)
+    values = (
+        chance.normal(size=(4000, 3)) * [1.0, 2.0, 0.0] + 30.0 * np.sin(TIME[:1000].repeat(4))[:, None] * 0.1
+    )
+    time = 0.04 * np.arange(4000)
+    assert white_noise(time, values)[:2] == pytest.approx([1.0, 2.0], rel=0.06)
+    assert white_noise(time, values, quantile=0.25)[:2] == pytest.approx([1.0, 2.0], rel=0.08)
+    assert white_noise(TIME, np.outer(TIME, [1.0, 2.0, 3.0])) == pytest.approx(np.full(3, 1e-9), abs=1e-9)
+
+
+def test_noise_behind_a_filter_adds_up_as_it_did_before_it() -> None:
+    white = np.random.default_rng(5).normal(size=(20_000, 1))
+    filtered = (white[:-3] + white[1:-2] + white[2:-1] + white[3:]) / 4.0
+    time = 0.004 * np.arange(len(filtered))
+    assert white_noise(time, filtered) == pytest.approx([1.0], rel=0.2)
+    # Neighbours alone show a third of it.
+    assert white_noise(10.0 * time, filtered) < 0.4

@@ -1,0 +1,341 @@
+"""Roll and pitch of what moves, reading by reading, with their sigma: one causal filter for every door.
+
+A frame that the gyro carries along is level but for a small rotation tau, and Newton's law tells that from
+acceleration (horizontal vectors are complex numbers, forward + i right at the start; f is the specific force,
+b the gyro's bias in the body, E the body's x axis in the frame):
+
+    v' = f + i g tau,    tau' = -E b,    v = c u,    tau_a = tau + e                                     (L1)
+
+The receiver's velocity u lies in the frame under an unknown rotation c, so that no compass has a say: where c
+is not known yet its speed bounds v, and acceleration tells c. Where nothing measures u, what moves is bounded
+by what such things do. The autopilot's roll and pitch tau_a err by e, which lasts: it turns the acceleration
+that it sees by as much as its yaw is wrong. All of (L1) is linear, alike in both axes, and a Kalman filter of
+five complex numbers (v, tau, b, c, e); variances are those of one axis.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+Vector = tuple[float, float, float]
+
+_G = STANDARD_GRAVITY_MPS2
+_V, _TAU, _B, _C, _E = range(5)
+# What stands, floats or is held upright by its buoyancy, and a box of sensors of which nothing is known:
+# where these are still, the accelerometer shows gravity. What hovers leans with its thrust, and reads level.
+ON_THE_GROUND = frozenset({"rover", "ackermann-rover", "boat"})
+UPHELD = ON_THE_GROUND | {"sub", "unknown"}
+# Of one velocity of a satellite receiver; its error lasts for about a second. And its delay.
+RECEIVER_SIGMA_MPS, _RECEIVER_MEMORY_S, RECEIVER_LAG_S = 0.1, 1.0, 0.11
+# Where nothing measures the velocity: what a hovering copter, a hand and what drives do.
+_BOUND_MPS = {"copter": 1.0, "unknown": 0.5}
+_DRIVEN_MPS, _BOUND_EVERY_S = 3.0, 1.0
+_SPEED_KNOWN_S = 2.0
+# Of the first reading taken for gravity, and of a gyro's bias as autopilots leave it.
+_TILT_SIGMA_RAD, _BIAS_SIGMA_RADPS = math.radians(8.0), math.radians(0.2)
+# What (L1) leaves out: sensors that are not quite square to each other.
+FLOOR_RAD = math.radians(0.05)
+# What whole numbers of a wire hide of a rate that stays lasts for about a second.
+_HIDDEN_RADPS, _HIDDEN_MPS2 = 0.001 / math.sqrt(12.0), 0.01 / math.sqrt(12.0)
+# A gyro's bias wanders; the frame's heading, by the vertical one, too.
+_BIAS_WALK, _TURN_WALK = math.radians(0.02) ** 2 / 60.0, math.radians(0.5) ** 2
+# What roll and pitch are off by while something moves lasts for about as long as the filter remembers.
+LASTS_S = 5.0
+# Known to this, the rotation to the receiver's north counts as one.
+_TURN_KNOWN = 0.1
+# An autopilot's roll and pitch (ArduPilot 4.5.7, hovering or driving: 0.1 degrees whatever its yaw; PX4:
+# 0.3), how long an error of it lasts; its noise, and what is not known of the times of its messages. And the
+# sine of what its yaw is off by where a compass is bent.
+ESTIMATOR_SIGMA_RAD, _ESTIMATOR_MEMORY_S = math.radians(0.2), 10.0
+_ESTIMATOR_NOISE_RAD, _ESTIMATOR_LATE_S, _YAW_DOUBT = math.radians(0.05), 0.02, 0.35
+# What turns slower and pushes the same for so long is still, but for so much of an acceleration that stays.
+_STILL_RADPS, _STILL_S, _STILL_MPS2 = math.radians(1.5), 1.0, 0.01
+# The least noise of a reading, squared; below this share of its variance lies a fourth of what chance shows.
+_LEAST_FORCE2, _LEAST_RATE2, _FOURTH = 0.02**2, 0.001**2, 0.288
+# Gyros whose scales and axes are off by this much miss so much of a turn.
+_SCALE = 0.003
+# A measurement farther off than this, in squared sigmas, counts for as much less.
+_OUTLIER = 9.0
+
+
+class Level:
+    """Keep which way is down, in body axes, and how well that is known; and the angle turned about it.
+
+    Attributes:
+        down: unit vector. turned_rad: about the vertical since the start, clockwise positive, bias taken
+            out. rate_radps: of that turn. sigma_rad: of roll and of pitch.
+    """
+
+    def __init__(self, vehicle: str = "unknown", longest_step_s: float = 0.5) -> None:
+        self.turned_rad = 0.0
+        self.rate_radps = 0.0
+        self.bias_radps = 0.0
+        self._longest_step_s = longest_step_s
+        self._upheld = vehicle in UPHELD
+        self._bound_mps = _BOUND_MPS.get(vehicle, _DRIVEN_MPS)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew after a silence or a reboot: the direction of then says nothing of now."""
+        self._time_s = self._speed_s = self._bounded_s = -math.inf
+        self._still_s = 0.0
+        # Rows of the rotation from the body to the frame.
+        self._x: Vector = (1.0, 0.0, 0.0)
+        self._y: Vector = (0.0, 1.0, 0.0)
+        self.down: Vector = (0.0, 0.0, 1.0)
+        self._acc: Vector = (0.0, 0.0, -_G)
+        self._gyro: Vector = (0.0, 0.0, 0.0)
+        self._gone: tuple[tuple[Vector, Vector], ...] = ()
+        self._bias: complex = 0.0
+        self._v = self._c = self._e = 0.0 + 0.0j
+        self._pushed = self._slow = 0.0 + 0.0j
+        self._force2, self._rate2 = 0.1**2, math.radians(0.3) ** 2
+        self._calm2 = 1.0
+        self._misfit = 1.0
+        self._p = np.diag(
+            np.array([30.0, _TILT_SIGMA_RAD, _BIAS_SIGMA_RADPS, 1.0, ESTIMATOR_SIGMA_RAD]) ** 2
+        ).astype(complex)
+        self._f = np.eye(5, dtype=complex)
+
+    @property
+    def time_s(self) -> float:
+        """Return the vehicle's time of the latest reading."""
+        return self._time_s
+
+    # --- what is asked ------------------------------------------------------------------------------
+
+    @property
+    def sigma_rad(self) -> float:
+        """Return the sigma of roll and of pitch, each."""
+        return math.hypot(math.sqrt(self.variance), FLOOR_RAD)
+
+    @property
+    def variance(self) -> float:
+        """Return the filter's own variance of roll and of pitch, without what (L1) leaves out."""
+        return max(float(self._p[_TAU, _TAU].real), 1e-10) * max(self._misfit, 1.0)
+
+    def turned_at(self, time_s: float) -> float:
+        """Return the angle turned at a moment near the latest reading's."""
+        return self.turned_rad + self.rate_radps * max(min(time_s - self._time_s, 0.5), -0.5)
+
+    @property
+    def roll_rad(self) -> float:
+        """Return the roll."""
+        return math.atan2(self.down[1], self.down[2])
+
+    @property
+    def pitch_rad(self) -> float:
+        """Return the pitch."""
+        return math.asin(max(-1.0, min(1.0, -self.down[0])))
+
+    # --- what is heard ------------------------------------------------------------------------------
+
+    def update(self, time_s: float, acc_mps2: Vector, gyro_radps: Vector) -> None:
+        """Take one reading; times are the vehicle's, and one that is not later is passed over."""
+        step_s = time_s - self._time_s
+        if step_s <= 0.0:
+            return
+        if step_s > self._longest_step_s:
+            self._begin(time_s, acc_mps2, gyro_radps)
+            return
+        acc, gyro = _middle(self._acc, acc_mps2), _middle(self._gyro, gyro_radps)
+        self._note_noise(acc_mps2, gyro_radps)
+        self._time_s, self._acc, self._gyro = time_s, acc_mps2, gyro_radps
+        b = self._bias
+        azimuth = cmath.phase(complex(self._x[0], self._y[0]))
+        turn = ((gyro[0] - b.real) * step_s, (gyro[1] - b.imag) * step_s, gyro[2] * step_s)
+        before = complex(self._x[0] + self._y[1], self._y[0] - self._x[1]) * 0.5
+        self._turn_body(turn)
+        after = complex(self._x[0] + self._y[1], self._y[0] - self._x[1]) * 0.5
+        raw = _dot(gyro_radps, self.down)
+        if abs(raw) < 0.02:  # standing, or as good as
+            self.bias_radps += min(step_s / 10.0, 1.0) * (raw - self.bias_radps)
+        self.rate_radps = raw - self.bias_radps
+        turned = cmath.phase(complex(self._x[0], self._y[0])) - azimuth
+        self.turned_rad += (turned + math.pi) % (2.0 * math.pi) - math.pi - self.bias_radps * step_s
+        self._predict(step_s, acc, 0.5 * (before + after))
+        self._look_still(step_s)
+        if time_s - self._speed_s > _SPEED_KNOWN_S and time_s - self._bounded_s > _BOUND_EVERY_S:
+            self._bounded_s = time_s
+            self._correct(((_V, 1.0),), -self._v, self._bound_mps**2)
+
+    def hear_velocity(self, moment_s: float, north_mps: float, east_mps: float) -> None:
+        """Take a velocity of the satellite receiver, of a moment before the latest reading."""
+        since_s = moment_s - self._speed_s
+        if not (0.0 < since_s and self._time_s > -math.inf):
+            return
+        self._speed_s = moment_s
+        u = complex(north_mps, east_mps)
+        r = RECEIVER_SIGMA_MPS**2 * max(_RECEIVER_MEMORY_S / min(max(since_s, 0.05), 1.0), 1.0)
+        then = self._v - self._pushed * (self._time_s - moment_s)
+        if abs(u) < 3.0 * RECEIVER_SIGMA_MPS:  # too slow to tell a direction
+            self._correct(((_V, 1.0),), -then, r + abs(u) ** 2)
+            return
+        self._correct(((_V, 1.0), (_C, -u)), self._c * u - then, r, adaptive=True)
+        size = abs(self._c)
+        if size > 0.5 and self._p[_C, _C].real < _TURN_KNOWN**2:  # a rotation is as long as one
+            self._correct(((_C, 1.0),), self._c / size - self._c, _TURN_KNOWN**2)
+
+    def hear_attitude(self, time_s: float, roll_rad: float, pitch_rad: float) -> None:
+        """Take the autopilot's roll and pitch, of about the moment of the latest reading."""
+        later_s = self._time_s - time_s
+        if abs(later_s) > self._longest_step_s:
+            return
+        cp = math.cos(pitch_rad)
+        d = (-math.sin(pitch_rad), cp * math.sin(roll_rad), cp * math.cos(roll_rad))
+        turned = _cross(d, self._gyro)
+        d = (d[0] + later_s * turned[0], d[1] + later_s * turned[1], d[2] + later_s * turned[2])
+        away = complex(_dot(self._x, d), _dot(self._y, d))
+        late2 = _dot(turned, turned) * _ESTIMATOR_LATE_S**2
+        self._correct(((_TAU, 1.0), (_E, 1.0)), -1j * away - self._e, _ESTIMATOR_NOISE_RAD**2 + late2)
+
+    # --- the filter ---------------------------------------------------------------------------------
+
+    def _begin(self, time_s: float, acc: Vector, gyro: Vector) -> None:
+        turned, bias, biased, p = self.turned_rad, self._bias, self.bias_radps, self._p[_B, _B]
+        self.restart()
+        self._bias, self._p[_B, _B] = bias, p
+        self.turned_rad, self.bias_radps = turned, biased
+        self._time_s, self._acc, self._gyro = time_s, acc, gyro
+        norm = math.sqrt(_dot(acc, acc))
+        down = (0.0, 0.0, 1.0) if norm < 1.0 else (-acc[0] / norm, -acc[1] / norm, -acc[2] / norm)
+        axis = (1.0, 0.0, 0.0) if abs(down[0]) < 0.9 else (0.0, 1.0, 0.0)
+        side = _cross(down, axis)
+        length = math.sqrt(_dot(side, side))
+        self._y = (side[0] / length, side[1] / length, side[2] / length)
+        self._x, self.down = _cross(self._y, down), down
+        self.rate_radps = _dot(gyro, down) - self.bias_radps
+
+    def _turn_body(self, turn: Vector) -> None:
+        """Turn the frame's rows by a small rotation of the body, in body axes."""
+        x, y, z = turn
+        angle2 = x * x + y * y + z * z
+        s, k = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
+        turned = []
+        for row in (self._x, self._y):
+            a = _cross(row, turn)  # a row times the turn's cross product matrix
+            b = _cross(a, turn)
+            turned.append(
+                (row[0] + s * a[0] + k * b[0], row[1] + s * a[1] + k * b[1], row[2] + s * a[2] + k * b[2])
+            )
+        self._square(turned[0], turned[1])
+
+    def _square(self, x: Vector, y: Vector) -> None:
+        """Take two rows and make them a rotation's."""
+        length = math.sqrt(_dot(x, x)) or 1.0
+        x = (x[0] / length, x[1] / length, x[2] / length)
+        along = _dot(x, y)
+        y = (y[0] - along * x[0], y[1] - along * x[1], y[2] - along * x[2])
+        length = math.sqrt(_dot(y, y)) or 1.0
+        self._x, self._y = x, (y[0] / length, y[1] / length, y[2] / length)
+        self.down = _cross(self._x, self._y)
+
+    def _predict(self, step_s: float, acc: Vector, ahead: complex) -> None:
+        push = complex(_dot(self._x, acc), _dot(self._y, acc))
+        self._pushed += min(step_s / 0.1, 1.0) * (push - self._pushed)
+        self._slow += min(step_s / _STILL_S, 1.0) * (push - self._slow)
+        away = push - self._slow
+        self._calm2 += min(step_s / 0.3, 1.0) * (0.5 * (away.real**2 + away.imag**2) - self._calm2)
+        g = -_dot(self.down, acc)
+        self._v += push * step_s
+        fading = math.exp(-step_s / _ESTIMATOR_MEMORY_S)
+        self._e *= fading
+        f, p = self._f, self._p
+        lean = 1j * g * step_s
+        f[_V, _TAU], f[_V, _B] = lean, -0.5 * lean * ahead * step_s
+        f[_TAU, _B] = -ahead * step_s
+        f[_E, _E] = fading
+        p = f @ p @ f.conj().T
+        hidden2 = _HIDDEN_RADPS**2 + _SCALE**2 * _dot(self._gyro, self._gyro)
+        doubt = ESTIMATOR_SIGMA_RAD**2 + (_YAW_DOUBT * abs(self._pushed) / _G) ** 2
+        p[_V, _V] += self._force2 * step_s * step_s + _HIDDEN_MPS2**2 * step_s
+        p[_TAU, _TAU] += self._rate2 * step_s * step_s + hidden2 * step_s
+        p[_B, _B] += _BIAS_WALK * step_s
+        p[_C, _C] += _TURN_WALK * step_s
+        p[_E, _E] += doubt * (1.0 - fading * fading)
+        self._p = p
+
+    def _correct(
+        self, by: tuple[tuple[int, complex], ...], off: complex, r: float, adaptive: bool = False
+    ) -> None:
+        """Take a measurement of a sum of states by factors: `off` is what it says less what was foreseen."""
+        p = self._p
+        factors = np.zeros(5, dtype=complex)
+        for i, h in by:
+            factors[i] = h
+        row = p @ factors.conj()
+        foreseen = float((factors @ row).real)
+        misfit = (off.real**2 + off.imag**2) / (2.0 * (foreseen + r))
+        if adaptive:
+            self._misfit += 0.05 * (min(misfit, _OUTLIER) - self._misfit)
+            r *= max(self._misfit, 1.0)
+        r *= max(misfit / _OUTLIER, 1.0)
+        gain = row / (foreseen + r)
+        self._p = p - np.outer(gain, row.conj())
+        v, tau, b, c, e = (gain * off).tolist()
+        self._v += v
+        self._c += c
+        self._e += e
+        self._bias += b
+        x, y = self._x, self._y
+        # R -> (1 + [phi]x) R, phi = (tau', tau'', 0): rows x += phi_y z, y -= phi_x z.
+        p1, p2 = tau.real, tau.imag
+        d = self.down
+        self._square(
+            (x[0] + p2 * d[0], x[1] + p2 * d[1], x[2] + p2 * d[2]),
+            (y[0] - p1 * d[0], y[1] - p1 * d[1], y[2] - p1 * d[2]),
+        )
+
+    def _look_still(self, step_s: float) -> None:
+        """Where what is upheld is still, its specific force is gravity's."""
+        if not self._upheld:
+            return
+        rate2, g = _dot(self._gyro, self._gyro), -_dot(self.down, self._acc)
+        turns = rate2 > _STILL_RADPS**2 + 9.0 * self._rate2
+        if turns or self._calm2 > 4.0 * self._force2 or g < 0.5 * _G:
+            self._still_s = 0.0
+            return
+        self._still_s += step_s
+        if self._still_s > _STILL_S:
+            self._still_s -= 0.5 * _STILL_S
+            r = (self._force2 * step_s / _STILL_S + _STILL_MPS2**2) / g**2
+            self._correct(((_TAU, 1.0),), 1j * self._slow / g, r)
+
+    def _note_noise(self, acc: Vector, gyro: Vector) -> None:
+        """Judge how noisy a reading is by third differences, which smooth motion hardly shows."""
+        before = self._gone
+        self._gone = (*before[-2:], (self._acc, self._gyro))
+        if len(self._gone) < 3:
+            return
+        (a, v), (b, w), (c, x) = self._gone
+        force2, rate2 = _bend2(a, b, c, acc) / 20.0, _bend2(v, w, x, gyro) / 20.0
+        self._force2 = max(_calmer(self._force2, force2), _LEAST_FORCE2)
+        self._rate2 = max(_calmer(self._rate2, rate2), _LEAST_RATE2)
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def _middle(a: Vector, b: Vector) -> Vector:
+    return (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]))
+
+
+def _calmer(noise2: float, seen2: float) -> float:
+    """Follow the variance that the calmer fourth of what is seen has: the rest is motion."""
+    return noise2 * (1.02 if seen2 > _FOURTH * noise2 else 0.94)
+
+
+def _bend2(a: Vector, b: Vector, c: Vector, d: Vector) -> float:
+    """Return the mean square of the third difference over x and y."""
+    x, y = (a[i] - 3.0 * (b[i] - c[i]) - d[i] for i in (0, 1))
+    return 0.5 * (x * x + y * y)

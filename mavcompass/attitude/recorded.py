@@ -1,0 +1,185 @@
+"""Roll and pitch all through a recording: the live filter, run through it forward and backward."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from mavcompass.attitude.level import ESTIMATOR_SIGMA_RAD, FLOOR_RAD, RECEIVER_LAG_S, Level
+from mavcompass.frames import FloatArray
+from mavcompass.track import Series, Track, uncut
+
+# More readings a second say no more of roll and pitch.
+_STEP_S = 0.04
+# Between readings further apart nothing is bridged.
+_LONGEST_GAP_S = 0.5
+_SMOOTHING_S, _PUSHES_FOR_S = 0.6, 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Levels:
+    """Hold which way is down, in body axes, (N, 3), and the sigma of roll and of pitch, (N,)."""
+
+    down: Series
+    sigma_rad: Series
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Return down at other times, unit vectors, (M, 3)."""
+        down = np.asarray(self.down.at(time_s))
+        return np.asarray(down / np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9))
+
+
+def levels(track: Track) -> Levels:
+    """Tell roll and pitch by all that was recorded; where nothing was, level, with the sigma of that."""
+    return _levels(
+        track.acc_mps2,
+        track.gyro_radps,
+        track.attitude_rad,
+        track.receiver_velocity_mps or track.gps_velocity_mps,
+        track.vehicle,
+        track.autopilot in ("ardupilot", "px4"),
+        (track.acc_truncation_mps2, track.gyro_truncation_radps),
+    )
+
+
+def down_in_body(track: Track, time_s: FloatArray) -> FloatArray:
+    """Return the unit vector that points down, in body axes, (N, 3), without using any yaw."""
+    return levels(track).at(time_s)
+
+
+# Series are told apart by identity: every door that asks about one recording gets one answer.
+@lru_cache(maxsize=4)
+def _levels(
+    acc: Series | None,
+    gyro: Series | None,
+    attitude: Series | None,
+    velocity: Series | None,
+    vehicle: str,
+    flown: bool,
+    steps: tuple[float, float],
+) -> Levels:
+    acc, gyro, attitude = _finite(acc), _finite(gyro), _finite(attitude)
+    if acc is None or gyro is None:
+        return _without_gyro(acc, attitude)
+    time, rate, force = _thinned(
+        gyro.time_s, uncut(gyro.values, steps[1]), uncut(acc.at(gyro.time_s), steps[0])
+    )
+    if not flown and _contradicts(time, rate, force):
+        return _without_gyro(acc, attitude)
+    told = _told(time, attitude)
+    speed = _finite(None if velocity is None else Series(velocity.time_s, velocity.values[:, :2]))
+    ahead = _run(vehicle, time, rate, force, told, speed, 1.0)
+    back = _run(vehicle, time, rate, force, told, speed, -1.0)
+    weight, other = 1.0 / ahead[:, 3], 1.0 / back[:, 3]
+    down = weight[:, np.newaxis] * ahead[:, :3] + other[:, np.newaxis] * back[:, :3]
+    down /= np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9)
+    # What an autopilot errs by is the same both ways.
+    shared = ESTIMATOR_SIGMA_RAD**-2.0 if told is not None else 0.0
+    known = np.maximum(weight + other - shared, np.maximum(weight, other))
+    return Levels(Series.of(time, down), Series.of(time, np.sqrt(1.0 / known + FLOOR_RAD**2)))
+
+
+def _finite(series: Series | None) -> Series | None:
+    if series is None or not len(series):
+        return None
+    usable = np.asarray(np.isfinite(series.values).all(axis=1), dtype=np.bool_)
+    usable[1:] &= np.diff(series.time_s) > 0.0
+    return Series(series.time_s[usable], series.values[usable]) if usable.any() else None
+
+
+def _thinned(
+    time: FloatArray, rate: FloatArray, force: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Average neighbours of what came faster than `_STEP_S`."""
+    many = int(_STEP_S / max(float(np.median(np.diff(time))), 1e-4)) if time.size > 1 else 1
+    if many < 2:
+        return time, rate, force
+    first = np.arange(0, time.size, many)
+    count = np.diff(first, append=time.size)
+    sums = [np.add.reduceat(values, first, axis=0) for values in (time, rate, force)]
+    return sums[0] / count, sums[1] / count[:, np.newaxis], sums[2] / count[:, np.newaxis]
+
+
+def _contradicts(time: FloatArray, rate: FloatArray, force: FloatArray) -> bool:
+    """Tell whether a gyro turns the other way than gravity does: no autopilot has seen to its axes."""
+    if time.size < 3:
+        return False
+    down = -force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
+    turns = np.cross(down, rate)
+    return bool((np.gradient(down, time, axis=0) * turns).sum() < 0.0)
+
+
+def _told(time: FloatArray, attitude: Series | None) -> tuple[FloatArray, FloatArray] | None:
+    """Return the autopilot's time, roll and pitch nearest to each step; nan where none is near."""
+    if attitude is None:
+        return None
+    near = np.searchsorted(0.5 * (attitude.time_s[1:] + attitude.time_s[:-1]), time)
+    at, angles = attitude.time_s[near], np.array(attitude.values[near, :2])
+    fresh = np.abs(at - time) <= np.minimum(np.gradient(time), 0.1) if time.size > 1 else np.ones(1, bool)
+    angles[~fresh] = np.nan
+    return at, angles
+
+
+def _run(
+    vehicle: str,
+    time: FloatArray,
+    rate: FloatArray,
+    force: FloatArray,
+    told: tuple[FloatArray, FloatArray] | None,
+    speed: Series | None,
+    sign: float,
+) -> FloatArray:
+    """Run the filter along time (sign 1) or against it (-1): down and variance, (N, 4)."""
+    interval = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+    level = Level(vehicle, max(_LONGEST_GAP_S, 3.0 * interval))
+    order = slice(None, None, int(sign))
+    columns = [(sign * time[order]).tolist(), force[order].tolist(), (sign * rate[order]).tolist()]
+    attitudes: list[list[float]] = []
+    if told is not None:
+        attitudes = np.column_stack([sign * told[0], told[1]])[order].tolist()
+    moments: list[float] = []
+    moved: list[list[float]] = []
+    if speed is not None:
+        moments = (sign * (speed.time_s - RECEIVER_LAG_S))[order].tolist()
+        moved = (sign * speed.values)[order].tolist()
+    out, place = np.empty((time.size, 4)), 0
+    for k, (now, f, w) in enumerate(zip(*columns, strict=True)):
+        level.update(now, f, w)
+        if attitudes and attitudes[k][1] == attitudes[k][1]:
+            level.hear_attitude(*attitudes[k])
+        while place < len(moments) and moments[place] <= now:
+            level.hear_velocity(moments[place], *moved[place])
+            place += 1
+        out[k] = (*level.down, level.variance)
+    return out[order]
+
+
+def _without_gyro(acc: Series | None, attitude: Series | None) -> Levels:
+    """Take the autopilot's word, or the smoothed accelerometer's; where neither was recorded, it is level."""
+    if attitude is not None:
+        time, (roll, pitch) = attitude.time_s, attitude.values[:, :2].T
+        down = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
+        return Levels(Series.of(time, down), Series.of(time, np.full(time.size, ESTIMATOR_SIGMA_RAD)))
+    if acc is None:
+        return Levels(Series.of([0.0], [[0.0, 0.0, 1.0]]), Series.of([0.0], [0.0]))
+    time, force = acc.time_s, np.asarray(acc.values)
+    mean = moving_average(time, force, _SMOOTHING_S)
+    jumps = np.abs(np.diff(force, axis=0)) if time.size > 1 else np.zeros((1, 3))
+    noise2 = float(np.mean((np.median(jumps, axis=0) / (0.6745 * math.sqrt(2.0))) ** 2))
+    readings = max(_SMOOTHING_S / max(float(np.median(np.diff(time))), 1e-3), 1.0) if time.size > 1 else 1.0
+    # Noise averages out. A push shows in the length of the force, as much of it as stands along it.
+    g = np.maximum(np.linalg.norm(mean, axis=1), 1e-9)
+    pushed2 = moving_average(time, ((g - np.median(g)) ** 2)[:, np.newaxis], _PUSHES_FOR_S)[:, 0]
+    sigma = np.hypot(np.sqrt(noise2 / readings + pushed2) / g, FLOOR_RAD)
+    return Levels(Series.of(time, -mean / g[:, np.newaxis]), Series.of(time, sigma))
+
+
+def moving_average(time_s: FloatArray, values: FloatArray, width_s: float) -> FloatArray:
+    """Average columns, (N, k), over a centred window of a fixed length in time."""
+    total = np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
+    first = np.searchsorted(time_s, time_s - width_s / 2.0, side="left")
+    last = np.searchsorted(time_s, time_s + width_s / 2.0, side="right")
+    return np.asarray((total[last] - total[first]) / (last - first)[:, np.newaxis])

@@ -1,0 +1,160 @@
+"""Roll and pitch, reading by reading: at rest, turning, silent, and by what a live vehicle says."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from driven import driven
+
+from mavcompass import messages as mav
+from mavcompass.attitude import Level
+from mavcompass.attitude.heard import hear
+from mavcompass.frames import euler_to_matrix, rotate_back
+from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS, STANDARD_GRAVITY_MPS2
+
+G = STANDARD_GRAVITY_MPS2
+DEG = math.radians(1.0)
+Vector = tuple[float, float, float]
+
+
+def in_body(roll: float, pitch: float, yaw: float, ned: Vector) -> Vector:
+    x, y, z = euler_to_matrix(roll, pitch, yaw).T @ np.array(ned)
+    return float(x), float(y), float(z)
+
+
+def leaning(roll: float, pitch: float, vehicle: str = "unknown") -> Level:
+    level = Level(vehicle)
+    level.update(0.0, in_body(roll, pitch, 0.0, (0.0, 0.0, -G)), (0.0, 0.0, 0.0))
+    return level
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.5, -0.4), (-1.2, 0.7), (2.8, 0.2), (0.3, 1.5)])
+def test_the_first_reading_is_taken_for_gravity_and_doubted(roll: float, pitch: float) -> None:
+    level = leaning(roll, pitch)
+    assert (level.roll_rad, level.pitch_rad) == pytest.approx((roll, pitch))
+    assert level.sigma_rad == pytest.approx(8.0 * DEG, rel=0.01)
+
+
+def test_what_stands_still_is_known_to_a_tenth_of_a_degree_in_seconds() -> None:
+    level, chance = leaning(0.2, -0.1, "rover"), np.random.default_rng(3)
+    force = np.array(in_body(0.2, -0.1, 0.0, (0.0, 0.0, -G)))
+    for k in range(1, 200):
+        x, y, z = force + chance.normal(0.0, 0.03, 3)
+        level.update(0.05 * k, (x, y, z), (0.0, 0.0, 0.0))
+    assert level.sigma_rad < 0.12 * DEG
+    assert (level.roll_rad, level.pitch_rad) == pytest.approx((0.2, -0.1), abs=0.3 * DEG)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_gyro_carries_down_along(axis: int, sign: float) -> None:
+    level = leaning(0.3, -0.2, "copter")
+    start, step_s, turned = np.array(level.down), 0.001, 0.2
+    rate = [0.0, 0.0, 0.0]
+    rate[axis] = sign
+    level.update(1e-9, (0.0, 0.0, 0.0), (rate[0], rate[1], rate[2]))
+    for k in range(1, round(turned / step_s) + 1):
+        level.update(k * step_s, (0.0, 0.0, 0.0), (rate[0], rate[1], rate[2]))  # falling: no accelerometer
+    # A direction that stands still in the world turns the other way in the body.
+    x, y, z = np.eye(3)[axis] * sign
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    expected = start - math.sin(turned) * cross @ start + (1.0 - math.cos(turned)) * cross @ cross @ start
+    assert level.down == pytest.approx(tuple(expected), abs=3e-4)
+    assert math.hypot(*level.down) == pytest.approx(1.0)
+
+
+def test_the_turned_angle_follows_a_tilted_vehicle_around() -> None:
+    level, step_s, rate = Level(), 0.01, 0.6
+    for k in range(2000):
+        attitude = euler_to_matrix(0.2, -0.1, rate * k * step_s)
+        level.update(
+            k * step_s,
+            tuple(rotate_back(attitude, [0.0, 0.0, -G])),
+            tuple(rotate_back(attitude, [0.0, 0.0, rate])),
+        )
+    assert level.turned_rad == pytest.approx(rate * 1999 * step_s, rel=0.002)
+    assert level.turned_at(19.89) == pytest.approx(rate * 19.89, rel=0.002)
+    assert level.roll_rad == pytest.approx(0.2, abs=0.002)
+    assert level.pitch_rad == pytest.approx(-0.1, abs=0.002)
+
+
+def test_the_bias_about_the_vertical_is_what_rest_shows() -> None:
+    level = Level()
+    for k in range(6000):
+        level.update(k * 0.01, (0.0, 0.0, -G), (0.0, 0.0, 0.01))
+    before = level.turned_rad
+    for k in range(6000, 7000):
+        level.update(k * 0.01, (0.0, 0.0, -G), (0.0, 0.0, 0.01))
+    assert abs(level.turned_rad - before) < 0.002
+
+
+def test_late_readings_do_nothing_and_after_a_silence_it_begins_anew() -> None:
+    level = Level()
+    level.update(1.0, (0.0, 0.0, -G), (0.0, 0.0, 1.0))
+    level.update(0.9, (G, 0.0, 0.0), (9.0, 9.0, 9.0))
+    assert level.down == (0.0, 0.0, 1.0)
+    level.update(30.0, in_body(0.1, 0.0, 0.0, (0.0, 0.0, -G)), (0.0, 0.0, 1.0))
+    assert level.turned_rad == 0.0 and level.roll_rad == pytest.approx(0.1)
+    level.restart()
+    level.update(5.0, (0.0, 0.0, -G), (0.0, 0.0, 0.4))  # an earlier time, of another clock
+    assert level.down == (0.0, 0.0, 1.0) and level.rate_radps == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(("acc_mps2", "is_felt"), [(0.9, False), (1.1, True)])
+def test_what_falls_does_not_feel_which_way_is_down(acc_mps2: float, is_felt: bool) -> None:
+    level = Level()
+    level.update(9.0, (0.0, -acc_mps2, 0.0), (0.0, 0.0, 0.0))
+    assert (level.roll_rad != 0.0) is is_felt
+
+
+@pytest.mark.parametrize("says", [(), ("attitude",), ("velocity",), ("attitude", "velocity")], ids="+".join)
+def test_message_by_message_a_rover_that_weaves_is_level(says: tuple[str, ...]) -> None:
+    track, true = driven("weave", 2)
+    acc, gyro, told, moved = track.acc_mps2, track.gyro_radps, track.attitude_rad, track.receiver_velocity_mps
+    assert acc is not None and gyro is not None and told is not None and moved is not None
+    level, off = Level("rover"), []
+    attitudes, velocities = iter(told.values.tolist()), list(zip(moved.time_s, moved.values, strict=True))
+    for k, time_s in enumerate(acc.time_s.tolist()):
+        f, w = acc.values[k] / MPS2_PER_MILLI_G, gyro.values[k] / RADPS_PER_MILLIRADPS
+        numbers = [int(v) for v in (*f, *w)]  # cut toward zero, as the wire does it
+        hear(level, mav.RawImu(round(time_s * 1e6), *numbers))
+        hear(level, mav.ScaledImu3(round(time_s * 1e3), 0, 0, 0))  # has no accelerometer
+        if k % 3 == 0:
+            roll, pitch, yaw = next(attitudes)
+            if "attitude" in says:
+                hear(level, mav.Attitude(round(time_s * 1e3), roll, pitch, yaw))
+        while velocities and velocities[0][0] <= time_s:
+            at, (north, east, _) = velocities.pop(0)
+            if "velocity" in says:
+                course = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000
+                speed = round(math.hypot(north, east) * 100.0)
+                hear(level, mav.GpsRawInt(round(at * 1e6), fix_type=3, vel=speed, cog=course))
+        if time_s > 20.0:
+            off.append((np.linalg.norm(np.array(level.down) - true[k]) / math.sqrt(2.0), level.sigma_rad))
+    error, sigma = np.array(off).T
+    felt = 1.05 / G  # what the accelerometer leans by in a bend
+    assert math.sqrt((error**2).mean()) < (0.25 * DEG if "velocity" in says else 0.15 * felt)
+    assert math.sqrt((error**2 / sigma**2).mean()) < 1.8
+
+
+def test_what_a_wire_may_bring_does_no_harm() -> None:
+    level = leaning(0.0, 0.0)
+    for message in (
+        mav.Attitude(0, math.nan, 0.0, 0.0),
+        mav.Attitude(0, 0.0, math.inf, 0.0),
+        mav.GpsRawInt(0, fix_type=3, vel=65535, cog=0),
+        mav.GpsRawInt(0, fix_type=1, vel=500, cog=0),
+        mav.GpsRawInt(2**60, fix_type=3, vel=65534, cog=0),
+        mav.RawImu(2**60, 0, 0, 0, 0, 0, 0),
+        mav.Heartbeat(),
+    ):
+        hear(level, message)
+        hear(level, mav.RawImu(50_000, 0, 0, -1000))
+    spins = [(0, 0, 0, 0, 0, 0), (32767, -32768, 32767, -32768, 32767, -32768), (0, 0, -1000, 0, 0, 0)]
+    for k in range(300):
+        hear(level, mav.RawImu(100_000 + 50_000 * k, *spins[k // 100]))
+        hear(level, mav.Attitude(100 + 50 * k, -3e38, 3e38, 0.0))
+        hear(level, mav.GpsRawInt(2**40, fix_type=3, vel=30000, cog=(k * 9973) % 36000))
+    assert math.isfinite(level.sigma_rad) and math.hypot(*level.down) == pytest.approx(1.0)
