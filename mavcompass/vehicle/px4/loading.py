@@ -51,6 +51,8 @@ def load(context: Context, written: Mapping[str, float]) -> Script[str]:
         for n, p in wanted.items()
         if (which := _MOVED.fullmatch(n))
     }
+    # Last comes what was moved: with it all beside it is loaded, that hardly changed itself.
+    wanted = dict(sorted(wanted.items(), key=lambda item: item[0] in moved))
     overwritten = any(not holds(held[name], p.value, "bytewise") for name, p in wanted.items())
     if not moved and not overwritten:
         return ""
