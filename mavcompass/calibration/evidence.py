@@ -110,7 +110,7 @@ def gather(
         (a, b, c), sigma, left = found
         turns_alike = left < _NO_HEADING_RAD
         if other is not None and known:
-            sure = math.hypot(math.radians(other.repeatable_sigma_deg), _FLOOR_RAD)
+            sure = math.hypot(math.radians(other.repeatable_sigma_deg), _FLOOR_RAD, sigma)
             deviation = (a, b, c) if turns_alike else (math.nan, math.nan, math.nan)
             sources.append(HeadingSource(f"compass {instance}", deviation, sure))
             scatters += [left] if turns_alike else []

@@ -15,6 +15,7 @@ WHOLE = (
     "two contradict, rover",
     "one alone, rover",
     "exactly right, rover",
+    "exactly right, px4-copter",
     "never calibrated, rover",
     "priority will change",
     "duplicate device id",
@@ -22,7 +23,7 @@ WHOLE = (
     "two autopilots on an id",
 )
 # Of many mountings each, drawn: how many.
-DRAWN = {"mounted at right angles, rover": 2, "mounted at right angles, px4-copter": 1}
+DRAWN = {"mounted at right angles, rover": 2}
 
 
 @pytest.fixture(scope="module")
