@@ -113,16 +113,17 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
 
     # 1. Accelerometer
     shifted: tuple[Cause, ...] = ()
-    if baseline is not None and track.reference_q is None and "accel_bias" not in withheld:
-        shifted = accelerometer_fault(track, baseline)
+    if baseline is not None and track.reference_q is None:
+        shifted = tuple(f for f in accelerometer_fault(track, baseline) if f.effect not in withheld)
 
     # 2. Replay, and with its attitude the gyro
     replayed, before = _replays(without_fault(track, shifted), baseline, how)
     faults = shifted
-    if before is not None and "gyro_bias" not in withheld:
-        faults += sensor_fault("gyro_bias", replayed.reference.gyro_bias, before.reference.gyro_bias)
-    if before is not None and "gyro_scale" not in withheld:
-        faults += sensor_fault("gyro_scale", replayed.reference.gyro_scale, before.reference.gyro_scale)
+    if before is not None:
+        now, then = replayed.reference, before.reference
+        of_gyro = sensor_fault("gyro offset", now.gyro_bias, then.gyro_bias)
+        of_gyro += sensor_fault("gyro gain", now.gyro_scale, then.gyro_scale)
+        faults += tuple(f for f in of_gyro if f.effect not in withheld)
 
     # 3. Doubtful sensors, and with them what the recording can tell
     replayed, before = doubting(replayed, before, every)
@@ -154,7 +155,10 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     # 6. Split, 7. Search, 8. What is left
     how.progress(f"weighing {len(testable)} effects")
     identified, remainder, floor = _explained(replayed, before, floor, testable, traces)
-    if "orientation" in identified.fit.ids and steered_by(track, how.compass) != "other":
+    if (
+        any(t.effect.kind == "discrete" for t in identified.fit.terms)
+        and steered_by(track, how.compass) != "other"
+    ):
         # An autopilot that steers by a compass in another orientation leans as it should not: it says nothing
         # of the other sensors.
         faults = ()
@@ -221,11 +225,7 @@ def _explained(
     remainder = what_is_left(identified, floor, names, traces)
     if remainder.scatter is None and (as_it_is or not floor.measured or traces.step_mgauss > 0.0):
         return identified, remainder, floor
-    if (
-        traces.excess_mgauss2 > 0.0
-        and remainder.scatter is not None
-        and remainder.scatter.effect == "noise_excess"
-    ):
+    if traces.excess_mgauss2 > 0.0 and remainder.scatter is not None and remainder.scatter.white:
         # The search knew that scatter before it began.
         return identified, remainder, floor
     if remainder.scatter is None:

@@ -16,13 +16,15 @@ from mavcompass.gap.answer.naming import named_causes, trace_causes
 from mavcompass.gap.answer.picture import picture
 from mavcompass.gap.answer.settled import settled, shows, yaw_wander_deg
 from mavcompass.gap.answer.shrink import waterfall
-from mavcompass.gap.answer.verdict import LINE, Answer, line_hz
+from mavcompass.gap.answer.verdict import Answer
 from mavcompass.gap.fit import Fit
 from mavcompass.gap.replay import level_mgauss
 from mavcompass.gap.result import Bar, Diagnosis
 from mavcompass.gap.selection import Identified
 from mavcompass.gap.traces import follows_way, keeps_step
 from mavcompass.parameter_remarks import remarks_said
+from mavcompass.simulation.effects import Stage, catalogue
+from mavcompass.simulation.effects.effect import FREQUENCY
 
 _MOST_SHAPLEY = 4
 _IN_STEP = (
@@ -106,10 +108,10 @@ def _in_step(evidence: Evidence, named: Fit) -> bool:
     if evidence.track.vehicle == "copter":
         # What flies has nothing that turns with its way.
         return False
-    replayed, taken = evidence.replay, [r for r in evidence.traces.rapid if r.effect == LINE]
-    lines_hz = [r.parameters["frequency_hz"] for r in taken]
-    if LINE in named.ids:
-        lines_hz.append(line_hz(named))
+    replayed, taken = evidence.replay, [r for r in evidence.traces.rapid if FREQUENCY in r.parameters]
+    lines_hz = [r.parameters[FREQUENCY] for r in taken]
+    if (hertz := named.value(FREQUENCY)) is not None:
+        lines_hz.append(hertz)
     return any(keeps_step(replayed, hertz) for hertz in lines_hz) or any(
         follows_way(replayed, r.change_mgauss, hertz) for r, hertz in zip(taken, lines_hz, strict=False)
     )
@@ -117,8 +119,10 @@ def _in_step(evidence: Evidence, named: Fit) -> bool:
 
 def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:
     """Say of iron that is not seen why it may be there all the same."""
-    learnt = evidence.track.compasses[evidence.compass].less_learnt and "hard_iron" not in named.ids
-    return {"hard_iron": "PX4's HIGHRES_IMU is less what its estimator learns of it"} if learnt else {}
+    if not evidence.track.compasses[evidence.compass].less_learnt:
+        return {}
+    offsets = {e.id for e in catalogue().values() if e.affine and e.stage is Stage.FIELD}
+    return dict.fromkeys(offsets - named.ids, "PX4's HIGHRES_IMU is less what its estimator learns of it")
 
 
 def _ambiguity_set(identified: Identified) -> list[tuple[frozenset[str], float]]:

@@ -38,6 +38,6 @@ class Evidence:
         """Return the variance of the readings that averaged and cleaned rows do not have."""
         scatter = self.remainder.scatter
         unseen = sum(rapid.variance_mgauss2 for rapid in self.traces.rapid)
-        if scatter is not None and scatter.effect == "noise_excess":
+        if scatter is not None and scatter.white:
             unseen += scatter.size**2 - scatter.on_rows_mgauss2(self.replay)
         return unseen

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from mavcompass.gap.left import Scatter, apart
 from mavcompass.gap.result import Cause
 from mavcompass.gap.selection import Identified
 from mavcompass.gap.traces import Traces
+from mavcompass.simulation.effects import detected_by, get
 
 
 def held_by(effect_id: str, sets: Iterable[tuple[frozenset[str], float]]) -> float:
@@ -86,43 +88,30 @@ def _separation(
 
 def trace_causes(scatter: Scatter | None, traces: Traces, level_mgauss: float) -> tuple[Cause, ...]:
     """Describe effects that single readings told, in a level field."""
-    found: list[tuple[str, dict[str, float], dict[str, float], float]] = []
-    if scatter is not None:
-        name = "sigma_s" if scatter.effect == "timestamp_jitter" else "sigma_mgauss"
-        found.append(
-            (
-                scatter.effect,
-                {name: scatter.size},
-                {name: scatter.doubt},
-                scatter.size if name == "sigma_mgauss" else 0.0,
-            )
-        )
-    if traces.stale_share > 0.0:
-        found.append(
-            ("stale_samples", {"fraction": traces.stale_share}, {"fraction": traces.stale_doubt}, 0.0)
-        )
+    found = [_read_off(r.effect, r.parameters, r.sigma, math.sqrt(r.variance_mgauss2)) for r in traces.rapid]
     if traces.step_mgauss > 0.0:
         step = traces.step_mgauss
-        found.append(
-            (
-                "quantisation",
-                {"step_mgauss": step},
-                {"step_mgauss": traces.step_doubt_mgauss},
-                step / math.sqrt(12.0),
-            )
+        found.insert(
+            0, _of_size(detected_by("steps").id, step, traces.step_doubt_mgauss, step / math.sqrt(12.0))
         )
-    for rapid in traces.rapid:
-        found.append((rapid.effect, rapid.parameters, rapid.sigma, math.sqrt(rapid.variance_mgauss2)))
+    if traces.stale_share > 0.0:
+        found.insert(0, _of_size(detected_by("repeats").id, traces.stale_share, traces.stale_doubt, 0.0))
+    if scatter is not None:
+        removes = scatter.size if scatter.white else 0.0
+        found.insert(0, _of_size(scatter.effect, scatter.size, scatter.doubt, removes))
     return tuple(
-        Cause(
-            effect,
-            values,
-            {n: (v - 1.96 * sigma.get(n, 0.0), v + 1.96 * sigma.get(n, 0.0)) for n, v in values.items()},
-            1.0,
-            (),
-            None,
-            size,
-            math.degrees(size / level_mgauss),
-        )
-        for effect, values, sigma, size in found
+        replace(cause, removes_deg=math.degrees(cause.removes_mgauss / level_mgauss)) for cause in found
     )
+
+
+def _of_size(effect: str, size: float, doubt: float, removes_mgauss: float) -> Cause:
+    name = get(effect).names[0]
+    return _read_off(effect, {name: size}, {name: doubt}, removes_mgauss)
+
+
+def _read_off(
+    effect: str, values: Mapping[str, float], sigma: Mapping[str, float], removes_mgauss: float
+) -> Cause:
+    doubts = {name: 1.96 * sigma.get(name, 0.0) for name in values}
+    ends = {name: (value - doubts[name], value + doubts[name]) for name, value in values.items()}
+    return Cause(effect, values, ends, 1.0, (), removes_mgauss=removes_mgauss)

@@ -232,7 +232,7 @@ def _never_worse(closing: Closing) -> Closing:
 
 
 def _added_variance(scatter: Scatter, problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> float:
-    if scatter.effect == "noise_excess":
+    if scatter.white:
         return scatter.on_rows_mgauss2(problem.replay)
     field = problem.signals(fit).reading.mag_mgauss
     change = np.gradient(field, problem.replay.time_s, axis=0)[test]

@@ -14,6 +14,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import Floor, heading_error_rad, heading_scatter, rms
 from mavcompass.gap.result import Bar, Closing
+from mavcompass.simulation.effects.effect import LIMIT
 
 _RESAMPLES = 1000
 _BLOCK_S = 1.0
@@ -65,9 +66,10 @@ def closings(
 
 def _free_share(fit: Fit, measured: FloatArray) -> float:
     """Return the share of readings that are not at the limit of a saturated sensor."""
-    if "clipping" not in fit.ids or not measured.size:
+    limit = fit.value(LIMIT)
+    if limit is None or not measured.size:
         return 1.0
-    return float(np.mean(np.abs(measured) < _AT_THE_LIMIT * float(fit.theta("clipping")[0])))
+    return float(np.mean(np.abs(measured) < _AT_THE_LIMIT * limit))
 
 
 def _blocks(problem: Problem, rows: NDArray[np.int64]) -> NDArray[np.int64]:

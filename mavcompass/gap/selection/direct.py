@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from mavcompass.gap.fit import Fit, Mask, Problem
-from mavcompass.gap.selection.transient import RELAY, between, switched_field
+from mavcompass.gap.selection.transient import between, switched_field
 
 STEP = "hard_iron_step"
 # Readings so near to a switching, on either side, tell what it changes: less than half is nothing.
@@ -24,9 +24,9 @@ def unswitched(problem: Problem, fit: Fit) -> bool:
     What is on for nearly all of the time, or off, is a constant that fits a field or an iron. Readings close
     before and after each switching have the same attitude, place and iron; what changes is what is switched.
     """
-    if RELAY not in fit.ids:
+    place = next((i for i, term in enumerate(fit.terms) if term.effect.switched), None)
+    if place is None:
         return False
-    place = next(i for i, term in enumerate(fit.terms) if term.effect.id == RELAY)
     own = fit.thetas[place][:3]
     size = float(np.linalg.norm(own))
     if size == 0.0:

@@ -11,7 +11,6 @@ from mavcompass.gap.left import Floor
 from mavcompass.gap.selection.direct import STEP, goes_with_a_load, unswitched
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.materiality import immaterial
-from mavcompass.gap.selection.transient import RELAY
 from mavcompass.simulation.effects.effect import NEVER_S
 
 TOO_SMALL = "it removes no more than healthy sensors may be off, or less than a tenth of the gap"
@@ -43,7 +42,9 @@ def refused(candidate: Identified, floor: Floor) -> tuple[str, str] | None:
     if _passed(candidate):
         return "clipping", "readings pass the limit"
     if unswitched(candidate.problem, fit):
-        return RELAY, "readings stay as they are where it is switched"
+        return next(
+            t.effect.id for t in fit.terms if t.effect.switched
+        ), "readings stay as they are where it is switched"
     if goes_with_a_load(candidate.problem, fit):
         return STEP, "it comes and goes with a load, whose field it is"
     if (worse := _vetoed(candidate)) is not None:

@@ -20,10 +20,10 @@ from mavcompass.gap.selection.materiality import STRAINED, worthwhile
 from mavcompass.gap.selection.rivals import NO_WORSE, alike, likelier, plainer, simplest, with_evident
 from mavcompass.gap.selection.split import Split, probe, with_parts, with_windows
 from mavcompass.gap.selection.transient import (
-    RELAY,
     moments,
     near_places,
     switched,
+    switches,
     told,
     transients,
     with_moments,
@@ -82,15 +82,15 @@ def identify(
             start = widened(floor, kept, kept.refit(result.fit))
         calmer, settled = _searched(fewer, start, calm, effects, 1, (result.fit.terms, result.fit.thetas))
         # Under a noise that is known both can be compared.
-        still = not (moments(calmer.fit) or RELAY in calmer.fit.ids or _placed(calmer.fit))
+        still = not (moments(calmer.fit) or switches(calmer.fit) or _placed(calmer.fit))
         most = _each(result) * (NO_WORSE if again else 1.0)
         if still or (floor.measured and _each(calmer) > most):
             break
         result, own = replace(calmer, fit=with_moments(calmer.problem, calmer.fit, when)), settled
-        if RELAY not in result.fit.ids:
+        if not switches(result.fit):
             break
     calmed = result.problem.replay is not replay
-    return (_clear(result) if calmed and RELAY in result.fit.ids else result), own
+    return (_clear(result) if calmed and switches(result.fit) else result), own
 
 
 def _clear(found: Identified) -> Identified:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavcompass.gap.fit import Fit, Problem, is_local
+from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import Floor, apart, most_structured
 from mavcompass.gap.selection.identified import Identified
 
@@ -49,7 +49,7 @@ def lost_in_the_floor(problem: Problem, fit: Fit, floor: Floor) -> bool:
     readings above it where they act."""
     whole, replay = problem.predict(fit).mag_mgauss, problem.replay
     for place, term in enumerate(fit.terms):
-        if not is_local(term.effect):
+        if not term.effect.local:
             continue
         without = problem.predict(fit.without(place)).mag_mgauss
         change = np.linalg.norm(whole - without, axis=1)
