@@ -41,7 +41,7 @@ ROWS = {
         {"fit", "traces"},
         {"replay"},
         {"attitude"},
-        {"result"},
+        {"result", "tables"},
     ],
     "simulation": [
         {"heading_error"},

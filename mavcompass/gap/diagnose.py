@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from mavcompass.blas import single_thread
 from mavcompass.errors import UsageError
-from mavcompass.gap.answer import Answer, Evidence, decide, describe
+from mavcompass.gap.answer import Evidence, decide, describe
 from mavcompass.gap.attitude import (
     Choice,
     accelerometer_fault,
@@ -76,7 +76,8 @@ def diagnose_gap(
     withheld = withheld_effects(withhold)
     with single_thread():
         how = _How(instance, reference, thorough, progress, among, {} if replayed is None else replayed)
-        result = _diagnose(track, baseline, withheld, how)
+        evidence = _examined(track, baseline, withheld, how)
+        result = describe(evidence, decide(evidence))
     return replace(result, seconds=time.perf_counter() - started)
 
 
@@ -106,8 +107,14 @@ class _How:
     replayed: Replayed
 
 
-def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], how: _How) -> Diagnosis:
-    """Go through the nine steps of docs/gap.md."""
+def examine(track: Track, baseline: Track | None, withheld: frozenset[str] = frozenset()) -> Evidence:
+    """Find all that can be found about a recording, as a diagnosis does before anything is said of it."""
+    with single_thread():
+        return _examined(track, baseline, withheld, _How(1, "auto", False, lambda doing: None, None, {}))
+
+
+def _examined(track: Track, baseline: Track | None, withheld: frozenset[str], how: _How) -> Evidence:
+    """Go through the steps of docs/gap.md."""
     every = catalogue().values()
     how.progress("finding the attitude")
 
@@ -147,8 +154,7 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     if before is None and traces.rapid:
         floor = from_recording(replayed)
 
-    frozen = traces.stale_share > 0.0 and replayed.trace.frozen
-    if frozen:
+    if traces.stale_share > 0.0 and replayed.trace.frozen:
         # A compass that says one thing tells of nothing else.
         testable = []
 
@@ -165,16 +171,12 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     how.progress("looking at what is left")
     adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
 
-    # 9. Answer
     found = {fault.effect for fault in faults}
     hidden = {effect: why for effect, why in untestable.items() if effect not in found}
-    evidence = Evidence(
-        track, how.compass, replayed, floor, identified, remainder, adequacy, traces, hidden,
+    return Evidence(
+        track, how.compass, replayed, floor, identified, remainder, adequacy, traces, hidden, half,
         withheld, faults,
     )  # fmt: skip
-    if frozen:
-        return describe(evidence, Answer("named_with_remainder", identified.found.null, True, adequacy.where))
-    return describe(evidence, decide(identified, floor, remainder, adequacy, evidence.beside, half))
 
 
 def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, Replay | None]:

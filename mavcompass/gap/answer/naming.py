@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -17,11 +17,6 @@ from mavcompass.gap.traces import Traces
 from mavcompass.simulation.effects import detected_by, get
 
 
-def held_by(effect_id: str, sets: Iterable[tuple[frozenset[str], float]]) -> float:
-    """Return the weight of all sets that an effect belongs to."""
-    return sum(weight for ids, weight in sets if effect_id in ids)
-
-
 def named_causes(
     identified: Identified, fit: Fit, weights: Mapping[frozenset[str], float]
 ) -> tuple[Cause, ...]:
@@ -29,7 +24,6 @@ def named_causes(
 
     `weights` are those of the sets of effects that could explain the gap.
     """
-    own = weights.get(fit.ids, 1.0)
     problem = identified.problem
     replay, held_out = problem.replay, identified.split.test & problem.usable
     rows = np.flatnonzero(held_out) if held_out.any() else problem.index
@@ -52,38 +46,14 @@ def named_causes(
                 effect=term.effect.id,
                 parameters=shown,
                 ci95={name: told[i][name] for name in shown},
-                probability=held_by(term.effect.id, weights.items()) or own,
+                probability=sum(weight for ids, weight in weights.items() if term.effect.id in ids),
                 ambiguous_with=tuple(others),
-                separation=_separation(identified, fit, term.effect.id, weights),
+                separation=identified.posterior.without(term.effect.id),
                 removes_mgauss=field,
                 removes_deg=heading,
             )
         )
     return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
-
-
-def _separation(
-    identified: Identified, fit: Fit, effect_id: str, weights: Mapping[frozenset[str], float]
-) -> float | None:
-    """Return how far, in sigmas, the best set without the effect falls short of the best with it; None where
-    there is none.
-
-    Of what no guard refused, as it was explored; no farther than the weights of the sets that are told say.
-    """
-    refused = dict(identified.dropped).keys() - fit.ids
-    criteria = identified.search.on(identified.first).criteria
-    explored = dict(identified.found.explored)
-    if identified.problem is identified.first:
-        # What was explored was fitted to the rows of the search.
-        explored[fit.ids] = fit
-    as_large = [f for ids, f in explored.items() if len(ids) <= len(fit.ids) and not ids & refused]
-    having, rivals = ([f for f in as_large if (effect_id in f.ids) is wanted] for wanted in (True, False))
-    leads = [criteria.lead(min(having, key=criteria.score), rivals)] if having and rivals else []
-    held = held_by(effect_id, weights.items())
-    other = sum(weights.values()) - held
-    if 0.0 < other and 0.0 < held:
-        leads.append(math.sqrt(2.0 * max(math.log(held / other), 0.0)))
-    return min(leads, default=None)
 
 
 def trace_causes(scatter: Scatter | None, traces: Traces, level_mgauss: float) -> tuple[Cause, ...]:

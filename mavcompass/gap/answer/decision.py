@@ -1,0 +1,115 @@
+"""Decide what is said of a recording: the best set, how probable it is, and what else it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mavcompass.gap.answer.evidence import Evidence
+from mavcompass.gap.answer.shrink import above, figures, yaw_wander_deg
+from mavcompass.gap.answer.statistics import statistics
+from mavcompass.gap.answer.verdict import Findings, verdict
+from mavcompass.gap.fit import Fit
+from mavcompass.gap.result import Closing, Verdict
+from mavcompass.gap.tables import tables
+from mavcompass.gap.traces import follows_way, keeps_step
+from mavcompass.simulation.effects.effect import FREQUENCY
+
+# Where a heading is told no better, a recording tells nothing.
+_COARSEST_DEG = 15.0
+# Sets are told until they hold so much of what any known set does, but none that weighs less than this.
+_HELD, _WEIGHTLESS = 0.9, 0.01
+
+Sets = tuple[tuple[frozenset[str], float], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """Hold the verdict, the fit whose effects are named, what it closes, and every set that may be the cause.
+
+    `sets` are without what single readings tell; `in_step` says that a line may be of something that turns
+    with the wheels, `wander_deg` by how much an unwitnessed yaw has to wander.
+    """
+
+    verdict: Verdict
+    named: Fit
+    field: Closing
+    heading: Closing
+    sets: Sets
+    coordinate: str | None = None
+    in_step: bool = False
+    wander_deg: float = 0.0
+
+    @property
+    def flagged(self) -> bool:
+        """Tell whether something is left that nothing known explains."""
+        return self.verdict in ("unknown", "named_with_remainder")
+
+
+def decide(evidence: Evidence) -> Answer:
+    """Decide what is said."""
+    identified, floor, table = evidence.identified, evidence.floor, tables()
+    posterior, none, fit = identified.posterior, identified.found.null, identified.fit
+    field, heading = figures(evidence, fit, with_scatter=True)
+    if evidence.frozen:
+        return Answer("named_with_remainder", none, field, heading, (), evidence.adequacy.where)
+    known = statistics(evidence, field, heading)
+    healthy = table.healthy
+    outcomes = table.map.probabilities(known.values)
+    p_gain = healthy.p_of_gain(known.gain)
+    wander_deg = yaw_wander_deg(identified.problem, fit, floor, heading)
+    in_step = _in_step(evidence, fit)
+    silent = not evidence.beside and (not fit.terms or p_gain > table.levels.gain)
+    if silent:
+        field, heading = figures(evidence, none, with_scatter=False)
+    turns = bool(evidence.replay.present & {"turning", "tilt"}) or floor.measured
+    said = verdict(
+        Findings(
+            found=known.found,
+            searched=bool(fit.terms) and not evidence.beside,
+            p_gain=p_gain,
+            p_fit=healthy.p_of_fit(known.kind, known.values),
+            outcomes=outcomes,
+            shared=in_step or bool(fit.ids & evidence.half_testable),
+            above=known.kind != "exact"
+            and (wander_deg > 0.0 or any(above(c, c.after) for c in (field, heading))),
+            testable=turns and (floor.measured or heading.floor < _COARSEST_DEG),
+        ),
+        table.levels,
+    )
+    known_sets = ((fit.ids, outcomes["whole"] + outcomes["part"]), *posterior.weights(outcomes["other"]))
+    where = evidence.adequacy.where if said in ("unknown", "named_with_remainder") else None
+    if said in ("named", "ambiguous", "named_with_remainder"):
+        return Answer(said, fit, field, heading, _told(known_sets), where, in_step, wander_deg)
+    if said == "unknown" and (evidence.faults or evidence.traces.named):
+        # What single readings show by themselves is named, whatever else there is.
+        both = figures(evidence, none, with_scatter=True)
+        sets = ((none.ids, 1.0 - outcomes["unknown"]),)
+        return Answer("named_with_remainder", none, *both, sets, where, in_step)
+    field, heading = figures(evidence, none, with_scatter=False)
+    return Answer(said, none, field, heading, _told([one for one in known_sets if one[0]]), where)
+
+
+def _told(sets: Sequence[tuple[frozenset[str], float]]) -> Sets:
+    """Return the smallest set of sets that holds nine tenths of what all of them do, the likeliest first."""
+    whole, held, out = sum(weight for _, weight in sets), 0.0, []
+    for ids, weight in sorted(sets, key=lambda one: -one[1]):
+        if held >= _HELD * whole or weight < _WEIGHTLESS:
+            break
+        out.append((ids, weight))
+        held += weight
+    return tuple(out)
+
+
+def _in_step(evidence: Evidence, named: Fit) -> bool:
+    """Tell whether a named line is one of something that may turn as the vehicle drives."""
+    if evidence.track.vehicle == "copter":
+        # What flies has nothing that turns with its way.
+        return False
+    replayed, taken = evidence.replay, [r for r in evidence.traces.rapid if FREQUENCY in r.parameters]
+    lines_hz = [r.parameters[FREQUENCY] for r in taken]
+    if (hertz := named.value(FREQUENCY)) is not None:
+        lines_hz.append(hertz)
+    return any(keeps_step(replayed, hertz) for hertz in lines_hz) or any(
+        follows_way(replayed, r.change_mgauss, hertz) for r, hertz in zip(taken, lines_hz, strict=False)
+    )
