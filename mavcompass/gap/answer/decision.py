@@ -11,7 +11,7 @@ from mavcompass.gap.answer.statistics import statistics
 from mavcompass.gap.answer.verdict import Findings, verdict
 from mavcompass.gap.fit import Fit
 from mavcompass.gap.result import Closing, Verdict
-from mavcompass.gap.tables import tables
+from mavcompass.gap.tables import Kind, tables
 from mavcompass.gap.traces import follows_way, keeps_step
 from mavcompass.simulation.effects.effect import FREQUENCY
 
@@ -57,22 +57,27 @@ def decide(evidence: Evidence) -> Answer:
     healthy = table.healthy
     outcomes = table.map.probabilities(known.values)
     p_gain = healthy.p_of_gain(known.gain)
-    wander_deg = yaw_wander_deg(identified.problem, fit, floor, heading)
     in_step = _in_step(evidence, fit)
-    silent = not evidence.beside and (not fit.terms or p_gain > table.levels.gain)
+    alone = figures(evidence, none, with_scatter=False)
+    lifted = known.kind == "exact" or any(closing.nominal > closing.floor for closing in alone)
+    silent = not evidence.beside and (not fit.terms or p_gain > table.levels.gain or not lifted)
+    # Names beside a yaw that has to wander are borne out by no heading.
+    wander_deg = 0.0 if silent else yaw_wander_deg(identified.problem, fit, floor, heading)
     if silent:
-        field, heading = figures(evidence, none, with_scatter=False)
+        field, heading = alone
+    # What single readings show and no name is for is no silence.
+    shown = silent and bool(evidence.traces.unexplained)
     turns = bool(evidence.replay.present & {"turning", "tilt"}) or floor.measured
     said = verdict(
         Findings(
             found=known.found,
             searched=bool(fit.terms) and not evidence.beside,
+            lifted=lifted,
             p_gain=p_gain,
             p_fit=healthy.p_of_fit(known.kind, known.values),
             outcomes=outcomes,
             shared=in_step or bool(fit.ids & evidence.half_testable),
-            above=known.kind != "exact"
-            and (wander_deg > 0.0 or any(above(c, c.after) for c in (field, heading))),
+            above=shown or wander_deg > 0.0 or _lifted(known.kind, field, heading),
             testable=turns and (floor.measured or heading.floor < _COARSEST_DEG),
         ),
         table.levels,
@@ -86,8 +91,12 @@ def decide(evidence: Evidence) -> Answer:
         both = figures(evidence, none, with_scatter=True)
         sets = ((none.ids, 1.0 - outcomes["unknown"]),)
         return Answer("named_with_remainder", none, *both, sets, where, in_step)
-    field, heading = figures(evidence, none, with_scatter=False)
-    return Answer(said, none, field, heading, _told([one for one in known_sets if one[0]]), where)
+    return Answer(said, none, *alone, _told([one for one in known_sets if one[0]]), where)
+
+
+def _lifted(kind: Kind, field: Closing, heading: Closing) -> bool:
+    """Tell whether something lies above a floor; an exact one is judged in detail instead."""
+    return kind != "exact" and any(above(c, c.after) for c in (field, heading))
 
 
 def _told(sets: Sequence[tuple[frozenset[str], float]]) -> Sets:

@@ -14,7 +14,8 @@ class Findings:
     """Hold what the verdict is made of.
 
     Attributes:
-        found: there is a best set, or single readings show something; searched: that set is not empty.
+        found: there is a best set, or single readings show something; searched: only that set shows it.
+        lifted: without it something lies above the floor.
         p_gain: how seldom healthy vehicles gain as much from any set; p_fit: how seldom they leave as much.
         outcomes: what the best set may be; shared: something else than the catalogue's effect makes the same.
         above: what is left lies above the floor; testable: silence would tell something.
@@ -22,6 +23,7 @@ class Findings:
 
     found: bool
     searched: bool
+    lifted: bool
     p_gain: float
     p_fit: float
     outcomes: Mapping[Outcome, float]
@@ -33,7 +35,7 @@ class Findings:
 def verdict(of: Findings, levels: Levels) -> Verdict:
     """Decide what is said: equation (3) of docs/gap.md."""
     left = of.above or of.p_fit <= levels.fit
-    if not of.found or (of.searched and of.p_gain > levels.gain):
+    if not of.found or (of.searched and (of.p_gain > levels.gain or not of.lifted)):
         if left:
             return "unknown"
         return "no_gap" if of.testable else "not_testable"

@@ -12,7 +12,7 @@ from mavcompass.gap.tables import Levels, Outcome
 
 LEVELS = Levels(gain=0.01, fit=0.02, sure=0.9)
 NOTHING: dict[Outcome, float] = {"whole": 0.25, "part": 0.25, "other": 0.25, "unknown": 0.25}
-SILENT = Findings(False, False, 1.0, 0.5, NOTHING, shared=False, above=False, testable=True)
+SILENT = Findings(False, False, True, 1.0, 0.5, NOTHING, shared=False, above=False, testable=True)
 
 
 def likely(whole: float = 0.0, part: float = 0.0, other: float = 0.0) -> dict[Outcome, float]:
@@ -37,6 +37,7 @@ def test_a_set_that_gains_what_healthy_vehicles_do_is_no_finding() -> None:
     assert verdict(sure, LEVELS) == "named"
     by_chance = replace(sure, p_gain=0.011)
     assert verdict(by_chance, LEVELS) == "no_gap"
+    assert verdict(replace(sure, lifted=False), LEVELS) == "no_gap", "nothing lies above the floor"
     # What single readings show is no set of a search.
     assert verdict(replace(by_chance, searched=False), LEVELS) == "named"
 
