@@ -201,7 +201,8 @@ def _by_what_it_has(
 
 def _made(diagnosis: Diagnosis, replayed: Replay) -> FloatArray:
     """Return what the causes make of the field on a recording's motion, (N, 3)."""
-    causes = (cause for cause in diagnosis.causes if get(cause.effect).kind == "mean")
+    # Of a flight with what was found in another, the likeliest of that is what it has.
+    causes = (c for c in diagnosis.causes or diagnosis.look_alikes if get(c.effect).kind == "mean")
     return Chain(settings_of(causes)).run(replayed.signals, None).reading.mag_mgauss
 
 

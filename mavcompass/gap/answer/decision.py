@@ -59,8 +59,9 @@ def decide(evidence: Evidence) -> Answer:
     p_gain = healthy.p_of_gain(known.gain)
     in_step = _in_step(evidence, fit)
     alone = figures(evidence, none, with_scatter=False)
-    lifted = known.kind == "exact" or any(closing.nominal > closing.floor for closing in alone)
-    silent = not evidence.beside and (not fit.terms or p_gain > table.levels.gain or not lifted)
+    # Something lies above a floor without the set, or readings that were not fitted gain from it.
+    confirmed = known.values["confirmed"] > 0.0 or any(c.nominal > c.floor for c in alone)
+    silent = not evidence.beside and (not fit.terms or p_gain > table.levels.gain or not confirmed)
     # Names beside a yaw that has to wander are borne out by no heading.
     wander_deg = 0.0 if silent else yaw_wander_deg(identified.problem, fit, floor, heading)
     if silent:
@@ -72,7 +73,7 @@ def decide(evidence: Evidence) -> Answer:
         Findings(
             found=known.found,
             searched=bool(fit.terms) and not evidence.beside,
-            lifted=lifted,
+            confirmed=confirmed,
             p_gain=p_gain,
             p_fit=healthy.p_of_fit(known.kind, known.values),
             outcomes=outcomes,

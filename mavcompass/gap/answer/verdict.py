@@ -15,7 +15,7 @@ class Findings:
 
     Attributes:
         found: there is a best set, or single readings show something; searched: only that set shows it.
-        lifted: without it something lies above the floor.
+        confirmed: something lies above the floor without it, or readings that were not fitted gain from it.
         p_gain: how seldom healthy vehicles gain as much from any set; p_fit: how seldom they leave as much.
         outcomes: what the best set may be; shared: something else than the catalogue's effect makes the same.
         above: what is left lies above the floor; testable: silence would tell something.
@@ -23,7 +23,7 @@ class Findings:
 
     found: bool
     searched: bool
-    lifted: bool
+    confirmed: bool
     p_gain: float
     p_fit: float
     outcomes: Mapping[Outcome, float]
@@ -35,7 +35,7 @@ class Findings:
 def verdict(of: Findings, levels: Levels) -> Verdict:
     """Decide what is said: equation (3) of docs/gap.md."""
     left = of.above or of.p_fit <= levels.fit
-    if not of.found or (of.searched and (of.p_gain > levels.gain or not of.lifted)):
+    if not of.found or (of.searched and (of.p_gain > levels.gain or not of.confirmed)):
         if left:
             return "unknown"
         return "no_gap" if of.testable else "not_testable"

@@ -37,7 +37,7 @@ def test_a_set_that_gains_what_healthy_vehicles_do_is_no_finding() -> None:
     assert verdict(sure, LEVELS) == "named"
     by_chance = replace(sure, p_gain=0.011)
     assert verdict(by_chance, LEVELS) == "no_gap"
-    assert verdict(replace(sure, lifted=False), LEVELS) == "no_gap", "nothing lies above the floor"
+    assert verdict(replace(sure, confirmed=False), LEVELS) == "no_gap"
     # What single readings show is no set of a search.
     assert verdict(replace(by_chance, searched=False), LEVELS) == "named"
 
