@@ -59,8 +59,10 @@ def decide(evidence: Evidence) -> Answer:
     p_gain = healthy.p_of_gain(known.gain)
     in_step = _in_step(evidence, fit)
     alone = figures(evidence, none, with_scatter=False)
-    # Something lies above a floor without the set, or readings that were not fitted gain from it.
-    confirmed = known.values["confirmed"] > 0.0 or any(c.nominal > c.floor for c in alone)
+    # Something lies above a floor without the set, or what it was not fitted to gains: other readings, and
+    # what is known of vehicle and place.
+    relieved = posterior.nothing.strain - posterior.best.strain
+    confirmed = known.held_out_gain + relieved > 0.0 or any(c.nominal > c.floor for c in alone)
     silent = not evidence.beside and (not fit.terms or p_gain > table.levels.gain or not confirmed)
     # Names beside a yaw that has to wander are borne out by no heading.
     wander_deg = 0.0 if silent else yaw_wander_deg(identified.problem, fit, floor, heading)

@@ -21,11 +21,13 @@ _ALONE = 100.0
 class Statistics:
     """Hold the statistics of a recording by name, and the population that they belong to.
 
-    `gain` is that of the best set over none; `found` tells whether there is anything to be named.
+    `gain` is that of the best set over none, `held_out_gain` that of readings that were not fitted; `found`
+    tells whether there is anything to be named.
     """
 
     kind: Kind
     gain: float
+    held_out_gain: float
     found: bool
     values: dict[str, float]
 
@@ -68,7 +70,7 @@ def statistics(evidence: Evidence, field: Closing, heading: Closing) -> Statisti
         "exact": float(kind == "exact"),
         "alone": float(kind in ("alone", "reference")),
     }
-    return Statistics(kind, posterior.gain, bool(best.terms) or evidence.beside, values)
+    return Statistics(kind, posterior.gain, gained, bool(best.terms) or evidence.beside, values)
 
 
 def _squares(problem: Problem, fit: Fit) -> float:

@@ -15,7 +15,7 @@ class Findings:
 
     Attributes:
         found: there is a best set, or single readings show something; searched: only that set shows it.
-        confirmed: something lies above the floor without it, or readings that were not fitted gain from it.
+        confirmed: something lies above the floor without it, or what it was not fitted to gains.
         p_gain: how seldom healthy vehicles gain as much from any set; p_fit: how seldom they leave as much.
         outcomes: what the best set may be; shared: something else than the catalogue's effect makes the same.
         above: what is left lies above the floor; testable: silence would tell something.
