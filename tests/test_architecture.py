@@ -42,7 +42,7 @@ ROWS = {
         {"fit", "traces"},
         {"replay"},
         {"attitude"},
-        {"result"},
+        {"result", "tables"},
     ],
     "simulation": [
         {"heading_error"},

@@ -31,7 +31,6 @@ SCHEMA = "mavcompass.gap-compare/1"
 Lacks = Literal["simulator", "vehicle"]
 _EXPLAINED = ("named", "ambiguous", "named_with_remainder")
 _BELIEVED_DEG = 5.0
-_SCATTER = frozenset({"noise_excess", "timestamp_jitter"})
 _FLOOR_KNOWN = 0.9**2
 _BLOCK_S, _FEWEST_BLOCKS, _RESAMPLES, _SEED = 2.0, 6, 2000, 11
 
@@ -177,7 +176,7 @@ def _by_what_it_has(
 
     What is left is what the vehicle's causes leave, and by how much the simulator's act otherwise.
     """
-    among = forth.effects | _SCATTER
+    among = forth.effects | {e.id for e in catalogue().values() if e.kind == "random"}
     has = diagnose_gap(track, simulator, instance=forth.compass, progress=progress, among=among)
     period_s = shared_period_s([vehicle, simulator], forth.compass)
     late_s = replay(simulator, forth.compass, period_s=period_s).late_s
@@ -202,7 +201,8 @@ def _by_what_it_has(
 
 def _made(diagnosis: Diagnosis, replayed: Replay) -> FloatArray:
     """Return what the causes make of the field on a recording's motion, (N, 3)."""
-    causes = (cause for cause in diagnosis.causes if get(cause.effect).kind == "mean")
+    # Of a flight with what was found in another, the likeliest of that is what it has.
+    causes = (c for c in diagnosis.causes or diagnosis.look_alikes if get(c.effect).kind == "mean")
     return Chain(settings_of(causes)).run(replayed.signals, None).reading.mag_mgauss
 
 
@@ -219,7 +219,7 @@ def _give(forth: Diagnosis, simulator: Track, replayed: Replayed) -> None:
 
 def _scatter2(diagnosis: Diagnosis) -> float:
     """Return the variance of the scatter that is named, mG^2."""
-    return sum(cause.removes_mgauss**2 for cause in diagnosis.causes if cause.effect in _SCATTER)
+    return sum(cause.removes_mgauss**2 for cause in diagnosis.causes if get(cause.effect).kind == "random")
 
 
 def _backwards(forth: Diagnosis) -> frozenset[str] | None:

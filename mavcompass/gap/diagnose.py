@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from mavcompass.blas import single_thread
 from mavcompass.errors import UsageError
-from mavcompass.gap.answer import Answer, Evidence, decide, describe
+from mavcompass.gap.answer import Evidence, decide, describe
 from mavcompass.gap.attitude import (
     Choice,
     accelerometer_fault,
@@ -76,7 +76,8 @@ def diagnose_gap(
     withheld = withheld_effects(withhold)
     with single_thread():
         how = _How(instance, reference, thorough, progress, among, {} if replayed is None else replayed)
-        result = _diagnose(track, baseline, withheld, how)
+        evidence = _examined(track, baseline, withheld, how)
+        result = describe(evidence, decide(evidence))
     return replace(result, seconds=time.perf_counter() - started)
 
 
@@ -106,23 +107,30 @@ class _How:
     replayed: Replayed
 
 
-def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], how: _How) -> Diagnosis:
-    """Go through the nine steps of docs/gap.md."""
+def examine(track: Track, baseline: Track | None, withheld: frozenset[str] = frozenset()) -> Evidence:
+    """Find all that can be found about a recording, as a diagnosis does before anything is said of it."""
+    with single_thread():
+        return _examined(track, baseline, withheld, _How(1, "auto", False, lambda doing: None, None, {}))
+
+
+def _examined(track: Track, baseline: Track | None, withheld: frozenset[str], how: _How) -> Evidence:
+    """Go through the steps of docs/gap.md."""
     every = catalogue().values()
     how.progress("finding the attitude")
 
     # 1. Accelerometer
     shifted: tuple[Cause, ...] = ()
-    if baseline is not None and track.reference_q is None and "accel_bias" not in withheld:
-        shifted = accelerometer_fault(track, baseline)
+    if baseline is not None and track.reference_q is None:
+        shifted = tuple(f for f in accelerometer_fault(track, baseline) if f.effect not in withheld)
 
     # 2. Replay, and with its attitude the gyro
     replayed, before = _replays(without_fault(track, shifted), baseline, how)
     faults = shifted
-    if before is not None and "gyro_bias" not in withheld:
-        faults += sensor_fault("gyro_bias", replayed.reference.gyro_bias, before.reference.gyro_bias)
-    if before is not None and "gyro_scale" not in withheld:
-        faults += sensor_fault("gyro_scale", replayed.reference.gyro_scale, before.reference.gyro_scale)
+    if before is not None:
+        now, then = replayed.reference, before.reference
+        of_gyro = sensor_fault("gyro offset", now.gyro_bias, then.gyro_bias)
+        of_gyro += sensor_fault("gyro gain", now.gyro_scale, then.gyro_scale)
+        faults += tuple(f for f in of_gyro if f.effect not in withheld)
 
     # 3. Doubtful sensors, and with them what the recording can tell
     replayed, before = doubting(replayed, before, every)
@@ -146,31 +154,29 @@ def _diagnose(track: Track, baseline: Track | None, withheld: frozenset[str], ho
     if before is None and traces.rapid:
         floor = from_recording(replayed)
 
-    frozen = traces.stale_share > 0.0 and replayed.trace.frozen
-    if frozen:
+    if traces.stale_share > 0.0 and replayed.trace.frozen:
         # A compass that says one thing tells of nothing else.
         testable = []
 
     # 6. Split, 7. Search, 8. What is left
     how.progress(f"weighing {len(testable)} effects")
     identified, remainder, floor = _explained(replayed, before, floor, testable, traces)
-    if "orientation" in identified.fit.ids and steered_by(track, how.compass) != "other":
+    if (
+        any(t.effect.kind == "discrete" for t in identified.fit.terms)
+        and steered_by(track, how.compass) != "other"
+    ):
         # An autopilot that steers by a compass in another orientation leans as it should not: it says nothing
         # of the other sensors.
         faults = ()
     how.progress("looking at what is left")
     adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
 
-    # 9. Answer
     found = {fault.effect for fault in faults}
     hidden = {effect: why for effect, why in untestable.items() if effect not in found}
-    evidence = Evidence(
-        track, how.compass, replayed, floor, identified, remainder, adequacy, traces, hidden,
+    return Evidence(
+        track, how.compass, replayed, floor, identified, remainder, adequacy, traces, hidden, half,
         withheld, faults,
     )  # fmt: skip
-    if frozen:
-        return describe(evidence, Answer("named_with_remainder", identified.found.null, True, adequacy.where))
-    return describe(evidence, decide(identified, floor, remainder, adequacy, evidence.beside, half))
 
 
 def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, Replay | None]:
@@ -221,11 +227,7 @@ def _explained(
     remainder = what_is_left(identified, floor, names, traces)
     if remainder.scatter is None and (as_it_is or not floor.measured or traces.step_mgauss > 0.0):
         return identified, remainder, floor
-    if (
-        traces.excess_mgauss2 > 0.0
-        and remainder.scatter is not None
-        and remainder.scatter.effect == "noise_excess"
-    ):
+    if traces.excess_mgauss2 > 0.0 and remainder.scatter is not None and remainder.scatter.white:
         # The search knew that scatter before it began.
         return identified, remainder, floor
     if remainder.scatter is None:

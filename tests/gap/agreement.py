@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from mavcompass.gap import Diagnosis
 from mavcompass.gap.answer.evidence import Evidence
 
 ABOVE = 1.3
-# A probability, and the sigmas of a rival that is one time in five as likely.
-SURE, LEAD = 0.95, 1.8
 
 
 def check(diagnosis: Diagnosis, evidence: Evidence) -> None:
@@ -41,9 +41,8 @@ def check(diagnosis: Diagnosis, evidence: Evidence) -> None:
         assert all(low <= high for low, high in cause.ci95.values())
         assert all(math.isfinite(x) for ends in cause.ci95.values() for x in ends)
         assert 0.0 <= cause.probability <= 1.0 + 1e-9
+    # What is said of the sets is a probability: they are exclusive, and something unknown has the rest.
+    assert sum(weight for _, weight in diagnosis.ambiguity_set) <= 1.0 + 1e-9
     for cause in diagnosis.causes:
-        if cause.separation is not None:
-            # Odds are how far the best rival falls short; what weighs less than a hundredth is not told.
-            odds = math.exp(0.5 * min(cause.separation, 30.0) ** 2)
-            assert cause.separation == 0.0 or cause.probability >= odds / (1.0 + odds) - 0.05
-            assert cause.probability <= SURE or cause.separation > LEAD
+        held = sum(weight for ids, weight in diagnosis.ambiguity_set if cause.effect in ids)
+        assert cause.probability == pytest.approx(held, abs=1e-9)

@@ -8,9 +8,9 @@ import pytest
 from agreement import check
 
 from mavcompass.gap import Diagnosis, diagnose
+from mavcompass.gap.answer.decision import Answer
 from mavcompass.gap.answer.description import describe
 from mavcompass.gap.answer.evidence import Evidence
-from mavcompass.gap.answer.verdict import Answer
 
 
 def checked(evidence: Evidence, answer: Answer) -> Diagnosis:

@@ -1,16 +1,21 @@
 """Put the answer together: verdict, names, how far the gap closes, where it lies, what to do next."""
 
+from mavcompass.gap.answer.decision import Answer, decide
 from mavcompass.gap.answer.description import describe
 from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.answer.locate import bin_means
 from mavcompass.gap.answer.several import together
-from mavcompass.gap.answer.verdict import Answer, decide
+from mavcompass.gap.answer.shrink import figures
+from mavcompass.gap.answer.statistics import Statistics, statistics
 
 __all__ = [
     "Answer",
     "Evidence",
+    "Statistics",
     "bin_means",
     "decide",
     "describe",
+    "figures",
+    "statistics",
     "together",
 ]

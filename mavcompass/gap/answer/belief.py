@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mavcompass.frames import FloatArray
@@ -16,17 +18,15 @@ _COMMON = 18
 _LEAST_WEIGHT = 0.02
 
 
-def beliefs(identified: Identified, named: Fit, ambiguous: bool) -> tuple[Belief, ...]:
-    """Return the answer as a distribution; where it is ambiguous, each set of effects by its weight."""
+def beliefs(
+    identified: Identified, named: Fit, sets: Sequence[tuple[frozenset[str], float]]
+) -> tuple[Belief, ...]:
+    """Return the answer as a distribution; of several `sets` each by its weight."""
     problem = identified.problem
     chosen = [(1.0, named)]
-    if ambiguous:
-        explored = identified.found.explored | {named.ids: named}
-        chosen = [
-            (weight, explored[ids])
-            for ids, weight in identified.found.weights
-            if ids and ids in explored and weight >= _LEAST_WEIGHT
-        ] or chosen
+    if sets:
+        explored = {e.fit.ids: e.fit for e in identified.posterior.explanations} | {named.ids: named}
+        chosen = [(weight, explored[ids]) for ids, weight in sets if weight >= _LEAST_WEIGHT] or chosen
     total = sum(weight for weight, _ in chosen)
     return tuple(_belief(problem, weight / total, fit) for weight, fit in chosen)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,19 +10,17 @@ from mavcompass.files import sha256_of
 from mavcompass.gap.answer.advise import next_flights
 from mavcompass.gap.answer.belief import beliefs
 from mavcompass.gap.answer.cure import corrected_rms, cured_iron
+from mavcompass.gap.answer.decision import Answer
 from mavcompass.gap.answer.evidence import Evidence
-from mavcompass.gap.answer.locate import where
+from mavcompass.gap.answer.locate import picture, where
 from mavcompass.gap.answer.naming import named_causes, trace_causes
-from mavcompass.gap.answer.picture import picture
-from mavcompass.gap.answer.settled import settled, shows, yaw_wander_deg
-from mavcompass.gap.answer.shrink import waterfall
-from mavcompass.gap.answer.verdict import LINE, Answer, line_hz
+from mavcompass.gap.answer.shrink import shows, waterfall
 from mavcompass.gap.fit import Fit
 from mavcompass.gap.replay import level_mgauss
 from mavcompass.gap.result import Bar, Diagnosis
 from mavcompass.gap.selection import Identified
-from mavcompass.gap.traces import follows_way, keeps_step
 from mavcompass.parameter_remarks import remarks_said
+from mavcompass.simulation.effects import Stage, catalogue
 
 _MOST_SHAPLEY = 4
 _IN_STEP = (
@@ -38,28 +36,24 @@ _UNSEEN = "No held-out part shows what is named: its shrink is not measured. Rec
 
 
 def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
-    """Measure the closing on held-out rows, and write everything down."""
+    """Write everything down."""
     identified, floor, scatter = evidence.identified, evidence.floor, evidence.remainder.scatter
-    problem, test = identified.problem, identified.split.test
-    likely = _ambiguity_set(identified)
-    said = settled(evidence, answer, likely)
-    answer, named = said.answer, said.answer.named
-    wander_deg = yaw_wander_deg(problem, named, floor, said.heading)
-    in_step = answer.verdict.startswith("named") and _in_step(evidence, named)
-    if in_step and answer.verdict == "named":
-        answer = replace(answer, verdict="ambiguous")
-    # What single readings told, and nothing besides, is all of the explanation.
-    told = answer.verdict.startswith("named") or in_step
-    by_traces = evidence.beside and not named.terms and told
-    sets = [(named.ids, 1.0)] if by_traces else likely
+    problem, test, named = identified.problem, identified.split.test, answer.named
+    weights = dict(answer.sets)
     beside = evidence.faults
     if answer.verdict != "unknown":
         beside = trace_causes(scatter, evidence.traces, level_mgauss(evidence.replay)) + beside
-    causes = named_causes(identified, named, dict(sets)) + beside
+    # Whatever else is named, what single readings tell is there.
+    beside = tuple(replace(cause, probability=sum(weights.values())) for cause in beside)
+    causes = named_causes(identified, named, weights) + beside
     bars: tuple[Bar, ...] = ()
     if 1 <= len(named.terms) <= _MOST_SHAPLEY:
         bars = waterfall(lambda ids: _subset(identified, ids), problem, named.ids, test)
-    rivals = _rivals(identified) if identified.found.best.terms else ()
+    rivals = [
+        (e.fit.ids, e.fit)
+        for e in (identified.posterior.best, *identified.posterior.rivals)
+        if e.fit.ids in weights
+    ]
     replayed, track = evidence.replay, evidence.track
     path = Path(track.source) if track.source else None
     return Diagnosis(
@@ -72,11 +66,13 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         reference=replayed.reference.kind,
         verdict=answer.verdict,
         causes=causes,
-        look_alikes=() if named.terms else named_causes(identified, identified.fit, dict(sets)),
-        ambiguity_set=tuple((tuple(sorted(ids.union(c.effect for c in beside))), w) for ids, w in sets),
+        look_alikes=() if named.terms else named_causes(identified, identified.fit, weights),
+        ambiguity_set=tuple(
+            (tuple(sorted(ids.union(c.effect for c in beside))), w) for ids, w in answer.sets
+        ),
         where=where(problem.with_rows(replayed.valid), named),
-        field=said.field,
-        heading=said.heading,
+        field=answer.field,
+        heading=answer.heading,
         waterfall=bars,
         unknown=answer.flagged,
         unknown_coordinate=answer.coordinate,
@@ -89,52 +85,34 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         notes=(
             *problem.replay.notes,
             *remarks_said(evidence.track.autopilot, evidence.track.parameters, evidence.compass),
-            *((_IN_STEP,) if in_step else ()),
-            *((_WANDERS.format(wander_deg),) if wander_deg else ()),
+            *((_IN_STEP,) if answer.in_step else ()),
+            *((_WANDERS.format(answer.wander_deg),) if answer.wander_deg else ()),
             *((_UNSEEN,) if named.terms and not shows(problem, named, test) else ()),
-            *(f"{e} was considered and dropped: {why}." for e, why in identified.dropped),
+            *(_same(evidence) if named.terms else ()),
         ),
         corrected_rms_mgauss=corrected_rms(problem, named, test),
         in_force=cured_iron(problem, named, floor),
-        beliefs=beliefs(identified, named, answer.verdict == "ambiguous"),
+        beliefs=beliefs(identified, named, answer.sets if answer.verdict == "ambiguous" else ()),
         picture=picture(problem, named, test),
     )
 
 
-def _in_step(evidence: Evidence, named: Fit) -> bool:
-    """Tell whether a named line is one of something that may turn as the vehicle drives."""
-    if evidence.track.vehicle == "copter":
-        # What flies has nothing that turns with its way.
-        return False
-    replayed, taken = evidence.replay, [r for r in evidence.traces.rapid if r.effect == LINE]
-    lines_hz = [r.parameters["frequency_hz"] for r in taken]
-    if LINE in named.ids:
-        lines_hz.append(line_hz(named))
-    return any(keeps_step(replayed, hertz) for hertz in lines_hz) or any(
-        follows_way(replayed, r.change_mgauss, hertz) for r, hertz in zip(taken, lines_hz, strict=False)
-    )
+def _same(evidence: Evidence) -> Iterator[str]:
+    """Say which sets are the same as the named one to first order, in more words."""
+    posterior = evidence.identified.posterior
+    known = posterior.best.fit.ids
+    for other in posterior.explanations[1:]:
+        if posterior.restates(other) and not known < other.fit.ids:
+            names, same = (" + ".join(sorted(ids)) for ids in (known, other.fit.ids))
+            yield f"{names}; the same to first order: {same}."
 
 
 def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:
     """Say of iron that is not seen why it may be there all the same."""
-    learnt = evidence.track.compasses[evidence.compass].less_learnt and "hard_iron" not in named.ids
-    return {"hard_iron": "PX4's HIGHRES_IMU is less what its estimator learns of it"} if learnt else {}
-
-
-def _ambiguity_set(identified: Identified) -> list[tuple[frozenset[str], float]]:
-    """Return the sets that explain the gap, with their weights.
-
-    Those that reach the floor as well share one, and what was found for sets with an effect that a guard
-    refused.
-    """
-    weights = dict(identified.found.weights)
-    alike = [ids for ids in (identified.fit.ids, *identified.as_good) if ids] if identified.as_good else []
-    if alike:
-        refused = dict(identified.dropped).keys() - identified.fit.ids
-        kept = {ids: w for ids, w in weights.items() if ids not in alike and not ids & refused}
-        each = max(1.0 - sum(kept.values()), 0.0) / len(alike)
-        weights = {**dict.fromkeys(alike, each), **kept}
-    return [(ids, weight) for ids, weight in weights.items() if ids]
+    if not evidence.track.compasses[evidence.compass].less_learnt:
+        return {}
+    offsets = {e.id for e in catalogue().values() if e.affine and e.stage is Stage.FIELD}
+    return dict.fromkeys(offsets - named.ids, "PX4's HIGHRES_IMU is less what its estimator learns of it")
 
 
 def _subset(identified: Identified, ids: frozenset[str]) -> Fit:
@@ -145,8 +123,3 @@ def _subset(identified: Identified, ids: frozenset[str]) -> Fit:
     # What is not an effect stays as the whole explanation has it, so that steps add up from the nominal.
     steady = identified.problem.steady(fit)
     return steady.fit([fit.terms[i] for i in keep], [fit.thetas[i] for i in keep], fit.nuisance_thetas)
-
-
-def _rivals(identified: Identified) -> Sequence[tuple[frozenset[str], Fit]]:
-    explored = identified.found.explored
-    return [(ids, explored[ids]) for ids, _ in identified.found.weights if ids in explored and ids]

@@ -1,16 +1,17 @@
-"""Where the gap lies: its share along each coordinate, per channel."""
+"""Where the gap lies: its share along each coordinate, per channel; and what the report draws of it."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, matrix_to_euler
 from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import heading_error_rad
 from mavcompass.gap.replay import group_values
-from mavcompass.gap.result import Place
+from mavcompass.gap.result import Picture, Place
 
 _BINS = 12
 _REPORTED = 16
@@ -101,3 +102,20 @@ def _between(values: FloatArray, residual: FloatArray, unit: str) -> tuple[float
     used = int((count > 0).sum())
     top = int(np.argmax(np.where(count >= 5, np.abs(mean), 0.0)))
     return float(squares.sum()) - used, f"{centres[top]:.3g} {unit}".strip()
+
+
+def picture(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> Picture:
+    """Collect what the report draws."""
+    replay = problem.replay
+    before = replay.measured.mag_mgauss - problem.predict(fit, effects=False).mag_mgauss
+    predicted = problem.predict(fit)
+    return Picture(
+        time_s=replay.time_s,
+        valid=replay.valid,
+        test=test,
+        before_mgauss=before,
+        after_mgauss=replay.measured.mag_mgauss - predicted.mag_mgauss,
+        coordinates=coordinates(problem),
+        floor_mgauss=problem.noise["mag"].rms,
+        innovations=problem.innovations(predicted)["mag"],
+    )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,11 +14,7 @@ from mavcompass.gap.left import Scatter, apart
 from mavcompass.gap.result import Cause
 from mavcompass.gap.selection import Identified
 from mavcompass.gap.traces import Traces
-
-
-def held_by(effect_id: str, sets: Iterable[tuple[frozenset[str], float]]) -> float:
-    """Return the weight of all sets that an effect belongs to."""
-    return sum(weight for ids, weight in sets if effect_id in ids)
+from mavcompass.simulation.effects import detected_by, get
 
 
 def named_causes(
@@ -27,7 +24,6 @@ def named_causes(
 
     `weights` are those of the sets of effects that could explain the gap.
     """
-    own = weights.get(fit.ids, 1.0)
     problem = identified.problem
     replay, held_out = problem.replay, identified.split.test & problem.usable
     rows = np.flatnonzero(held_out) if held_out.any() else problem.index
@@ -50,9 +46,9 @@ def named_causes(
                 effect=term.effect.id,
                 parameters=shown,
                 ci95={name: told[i][name] for name in shown},
-                probability=held_by(term.effect.id, weights.items()) or own,
+                probability=sum(weight for ids, weight in weights.items() if term.effect.id in ids),
                 ambiguous_with=tuple(others),
-                separation=_separation(identified, fit, term.effect.id, weights),
+                separation=identified.posterior.without(term.effect.id),
                 removes_mgauss=field,
                 removes_deg=heading,
             )
@@ -60,69 +56,32 @@ def named_causes(
     return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
 
 
-def _separation(
-    identified: Identified, fit: Fit, effect_id: str, weights: Mapping[frozenset[str], float]
-) -> float | None:
-    """Return how far, in sigmas, the best set without the effect falls short of the best with it; None where
-    there is none.
-
-    Of what no guard refused, as it was explored; no farther than the weights of the sets that are told say.
-    """
-    refused = dict(identified.dropped).keys() - fit.ids
-    criteria = identified.search.on(identified.first).criteria
-    explored = dict(identified.found.explored)
-    if identified.problem is identified.first:
-        # What was explored was fitted to the rows of the search.
-        explored[fit.ids] = fit
-    as_large = [f for ids, f in explored.items() if len(ids) <= len(fit.ids) and not ids & refused]
-    having, rivals = ([f for f in as_large if (effect_id in f.ids) is wanted] for wanted in (True, False))
-    leads = [criteria.lead(min(having, key=criteria.score), rivals)] if having and rivals else []
-    held = held_by(effect_id, weights.items())
-    other = sum(weights.values()) - held
-    if 0.0 < other and 0.0 < held:
-        leads.append(math.sqrt(2.0 * max(math.log(held / other), 0.0)))
-    return min(leads, default=None)
-
-
 def trace_causes(scatter: Scatter | None, traces: Traces, level_mgauss: float) -> tuple[Cause, ...]:
     """Describe effects that single readings told, in a level field."""
-    found: list[tuple[str, dict[str, float], dict[str, float], float]] = []
-    if scatter is not None:
-        name = "sigma_s" if scatter.effect == "timestamp_jitter" else "sigma_mgauss"
-        found.append(
-            (
-                scatter.effect,
-                {name: scatter.size},
-                {name: scatter.doubt},
-                scatter.size if name == "sigma_mgauss" else 0.0,
-            )
-        )
-    if traces.stale_share > 0.0:
-        found.append(
-            ("stale_samples", {"fraction": traces.stale_share}, {"fraction": traces.stale_doubt}, 0.0)
-        )
+    found = [_read_off(r.effect, r.parameters, r.sigma, math.sqrt(r.variance_mgauss2)) for r in traces.rapid]
     if traces.step_mgauss > 0.0:
         step = traces.step_mgauss
-        found.append(
-            (
-                "quantisation",
-                {"step_mgauss": step},
-                {"step_mgauss": traces.step_doubt_mgauss},
-                step / math.sqrt(12.0),
-            )
+        found.insert(
+            0, _of_size(detected_by("steps").id, step, traces.step_doubt_mgauss, step / math.sqrt(12.0))
         )
-    for rapid in traces.rapid:
-        found.append((rapid.effect, rapid.parameters, rapid.sigma, math.sqrt(rapid.variance_mgauss2)))
+    if traces.stale_share > 0.0:
+        found.insert(0, _of_size(detected_by("repeats").id, traces.stale_share, traces.stale_doubt, 0.0))
+    if scatter is not None:
+        removes = scatter.size if scatter.white else 0.0
+        found.insert(0, _of_size(scatter.effect, scatter.size, scatter.doubt, removes))
     return tuple(
-        Cause(
-            effect,
-            values,
-            {n: (v - 1.96 * sigma.get(n, 0.0), v + 1.96 * sigma.get(n, 0.0)) for n, v in values.items()},
-            1.0,
-            (),
-            None,
-            size,
-            math.degrees(size / level_mgauss),
-        )
-        for effect, values, sigma, size in found
+        replace(cause, removes_deg=math.degrees(cause.removes_mgauss / level_mgauss)) for cause in found
     )
+
+
+def _of_size(effect: str, size: float, doubt: float, removes_mgauss: float) -> Cause:
+    name = get(effect).names[0]
+    return _read_off(effect, {name: size}, {name: doubt}, removes_mgauss)
+
+
+def _read_off(
+    effect: str, values: Mapping[str, float], sigma: Mapping[str, float], removes_mgauss: float
+) -> Cause:
+    doubts = {name: 1.96 * sigma.get(name, 0.0) for name in values}
+    ends = {name: (value - doubts[name], value + doubts[name]) for name, value in values.items()}
+    return Cause(effect, values, ends, 1.0, (), removes_mgauss=removes_mgauss)

@@ -16,13 +16,6 @@ from mavcompass.gap.result import Cause, Diagnosis
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import MOMENTS
 
-# What happens around a vehicle or at one moment is not its own, however often it comes.
-_OF_A_FLIGHT = frozenset(
-    {
-        "hard_iron_step", "spatial_dipole", "field_gradient", "field_intensity", "height_anomaly",
-        "inclination", "declination", "attitude_reference_error", "platform_tilt", "yaw_step_error",
-    }
-)  # fmt: skip
 # Models are not exact: values agree within four sigmas, or a fifth of their size.
 _SIGMAS, _SHARE = 4.0, 0.2
 
@@ -83,7 +76,10 @@ class VehicleDiagnosis:
 def together(flights: Sequence[Diagnosis]) -> VehicleDiagnosis:
     """Tell the causes that flights of one vehicle share from those of one flight."""
     shared: list[SharedCause] = []
-    for effect in sorted({c.effect for d in flights for c in d.causes} - _OF_A_FLIGHT):
+    for effect in sorted({c.effect for d in flights for c in d.causes}):
+        # What happens around a vehicle or at one moment is not its own, however often it comes.
+        if not get(effect).of_vehicle:
+            continue
         told = [c for d in flights for c in d.causes if c.effect == effect]
         could = [d for d in flights if effect not in dict(d.not_testable)]
         if len(told) > 1 and 2 * len(told) > len(could) and _agree(told):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -11,10 +12,17 @@ from numpy.typing import NDArray
 
 from mavcompass.chance import students_t
 from mavcompass.frames import FloatArray
+from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.fit import Fit, Problem
-from mavcompass.gap.left import Floor, heading_error_rad, heading_scatter, rms
+from mavcompass.gap.left import Floor, Scatter, heading_error_rad, heading_scatter, rms
+from mavcompass.gap.replay import REFERENCE_YAW
 from mavcompass.gap.result import Bar, Closing
+from mavcompass.simulation.effects.effect import LIMIT
 
+# What lies above the floor by less may be the floor's own uncertainty.
+ABOVE = 1.3
+# Held-out readings that an effect changes by less than this (squared sigmas, in all) cannot judge it.
+_SILENT = 9.0
 _RESAMPLES = 1000
 _BLOCK_S = 1.0
 _SURE_SIGMAS = 2.0
@@ -22,6 +30,68 @@ _SURE_SIGMAS = 2.0
 _FARTHEST = 1.0
 _AT_THE_LIMIT = 1.0 - 1e-4
 _SEED = 7
+
+
+def figures(evidence: Evidence, named: Fit, with_scatter: bool) -> tuple[Closing, Closing]:
+    """Measure field and heading with the named effects, and with scatter that was found if that is named."""
+    identified, remainder = evidence.identified, evidence.remainder
+    problem, test, scatter = identified.problem, identified.split.test, remainder.scatter
+    added = 0.0
+    if scatter is not None and with_scatter:
+        added = _added_variance(scatter, problem, named, test)
+    unrounded = None
+    if evidence.traces.step_mgauss > 0.0:
+        unrounded = remainder.problem.replay.measured.mag_mgauss
+        if named.ids == remainder.fit.ids:
+            # What readings may have been before they were rounded was drawn about the fit to all of them.
+            named = remainder.fit
+    both = closings(problem, named, test, evidence.floor, added, evidence.unseen_mgauss2, unrounded)
+    return _never_worse(both[0]), _never_worse(both[1])
+
+
+def above(closing: Closing, value: float) -> bool:
+    """Tell whether a figure lies above its floor by more than that may be off."""
+    return value > ABOVE * closing.floor
+
+
+def shows(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
+    """Tell whether the effects change held-out readings enough to be judged by them."""
+    held = problem.with_rows(test)
+    change = held.shift(held.predict(fit), held.predict(fit, effects=False))
+    return float(np.sum(change**2)) > _SILENT
+
+
+def yaw_wander_deg(problem: Problem, fit: Fit, floor: Floor, heading: Closing) -> float:
+    """Return by how much a yaw that neither witness nor baseline tells has to wander beside a fit, rms over
+    time; 0 where that is no more than the heading's floor."""
+    reference = problem.replay.reference
+    if reference.witnessed or floor.measured:
+        return 0.0
+    turned = [
+        rms(reference.wander_rad(theta[1:])[problem.usable])
+        for nuisance, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True)
+        if nuisance.effect.id == REFERENCE_YAW
+    ]
+    wander = math.degrees(max(turned, default=0.0))
+    return wander if wander > ABOVE * heading.floor else 0.0
+
+
+def _never_worse(closing: Closing) -> Closing:
+    """Say no change where effects that show elsewhere (accelerometer, gyro) leave one figure as it was.
+
+    All sensors together became better; one that has no part in it differs by its noise.
+    """
+    if closing.after <= closing.nominal:
+        return closing
+    return replace(closing, after=closing.nominal, shrink=0.0)
+
+
+def _added_variance(scatter: Scatter, problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> float:
+    if scatter.white:
+        return scatter.on_rows_mgauss2(problem.replay)
+    field = problem.signals(fit).reading.mag_mgauss
+    change = np.gradient(field, problem.replay.time_s, axis=0)[test]
+    return float(np.mean((scatter.size * change) ** 2))
 
 
 def closings(
@@ -65,9 +135,10 @@ def closings(
 
 def _free_share(fit: Fit, measured: FloatArray) -> float:
     """Return the share of readings that are not at the limit of a saturated sensor."""
-    if "clipping" not in fit.ids or not measured.size:
+    limit = fit.value(LIMIT)
+    if limit is None or not measured.size:
         return 1.0
-    return float(np.mean(np.abs(measured) < _AT_THE_LIMIT * float(fit.theta("clipping")[0])))
+    return float(np.mean(np.abs(measured) < _AT_THE_LIMIT * limit))
 
 
 def _blocks(problem: Problem, rows: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
@@ -19,11 +18,11 @@ from mavcompass.gap.attitude.kinematics import integral, turned_about_down
 from mavcompass.gap.attitude.rest import Bias
 from mavcompass.gap.attitude.steering import told_rotation
 from mavcompass.gap.result import Cause
+from mavcompass.simulation.effects import detected_by
+from mavcompass.simulation.effects.effect import Detector
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
-# What differs from one good flight to the next: 0.7 degrees a second, a 25th of a turn, a fortieth of g.
-_LEAST = {"gyro_bias": 0.012, "gyro_scale": 0.04, "accel_bias": 0.25}
 # Three axes together, in squared sigmas: as improbable as six sigmas on one of three.
 _IMPROBABLE = 41.2
 _FEWEST, _BLOCKS = 200, 12
@@ -35,21 +34,20 @@ _SLOWEST_S = 0.125
 
 def accelerometer_fault(track: Track, baseline: Track) -> tuple[Cause, ...]:
     """Name the bias of the accelerometer that the vehicle did not have in its baseline."""
-    return sensor_fault("accel_bias", _accelerometer_bias(track), _accelerometer_bias(baseline))
+    return sensor_fault("accelerometer offset", _accelerometer_bias(track), _accelerometer_bias(baseline))
 
 
-def sensor_fault(
-    effect: Literal["gyro_bias", "gyro_scale", "accel_bias"], now: Bias | None, before: Bias | None
-) -> tuple[Cause, ...]:
+def sensor_fault(shown: Detector, now: Bias | None, before: Bias | None) -> tuple[Cause, ...]:
     """Name the bias of a sensor, or the gyro's gain error, that the vehicle did not have in its baseline."""
     if now is None or before is None:
         return ()
+    effect = detected_by(shown)
     change, sigma = now.mean - before.mean, np.hypot(now.sigma, before.sigma)
-    if np.abs(change).max() < _LEAST[effect] or float(np.sum((change / sigma) ** 2)) < _IMPROBABLE:
+    if np.abs(change).max() < effect.daily or float(np.sum((change / sigma) ** 2)) < _IMPROBABLE:
         return ()
     values = dict(zip("xyz", change.tolist(), strict=True))
     ends = {n: (v - 1.96 * s, v + 1.96 * s) for (n, v), s in zip(values.items(), sigma.tolist(), strict=True)}
-    return (Cause(effect, values, ends, 1.0, ()),)
+    return (Cause(effect.id, values, ends, 1.0, ()),)
 
 
 def without_fault(track: Track, fault: tuple[Cause, ...]) -> Track:

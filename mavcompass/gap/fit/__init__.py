@@ -1,6 +1,5 @@
 """Fit hypotheses to a replay, and search the set of effects that explains it best."""
 
-from mavcompass.gap.fit.candidates import is_local
 from mavcompass.gap.fit.chance import least_gain
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, make_term, placements
 from mavcompass.gap.fit.model import Problem
@@ -14,7 +13,6 @@ __all__ = [
     "Problem",
     "Search",
     "Term",
-    "is_local",
     "least_gain",
     "make_term",
     "placements",

@@ -14,7 +14,7 @@ from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, placement
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.normal import BlockNormal
 from mavcompass.gap.replay import REFERENCE_YAW, WHEREABOUTS, WORLD_FIELD, group_values, yaw_starts
-from mavcompass.simulation.effects.effect import MOMENTS, PLACED, Effect, Misfit, Signals
+from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading
 
 # A shift that the derivatives make themselves to this share is no column of its own.
@@ -63,12 +63,6 @@ def misfit_of(problem: Problem, signals: Signals) -> Misfit:
     rows = np.zeros(problem.rows.size, dtype=np.bool_)
     rows[problem.index] = True
     return Misfit(signals, residual, rows, problem.sigma_mgauss, len(yaw_starts(problem.nuisances)) > 1)
-
-
-def is_local(effect: Effect) -> bool:
-    """Tell whether an effect belongs to a moment, a switch or a place."""
-    moments = any(p.name in MOMENTS for p in effect.parameters)
-    return moments or effect.id == "relay_field" or bool(effect.needs & PLACED)
 
 
 def _nearly(one: FloatArray, other: FloatArray, scale: FloatArray) -> bool:
@@ -177,7 +171,7 @@ class Candidates:
         if term.effect.starts is not None:
             misfit = misfit_of(problem, before[-1])
             guesses = term.effect.starts(misfit)
-            if self._bent is not None and is_local(term.effect):
+            if self._bent is not None and term.effect.local:
                 more = term.effect.starts(self._bent)
                 guesses += [m for m in more if not any(_nearly(m, g, term.effect.scale) for g in guesses)]
         iron = problem.replay.iron.offset_mgauss

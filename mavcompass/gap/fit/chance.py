@@ -11,10 +11,15 @@ from functools import lru_cache
 
 from mavcompass.chance import chi_square_of
 from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension
-from mavcompass.simulation.effects.effect import MOMENTS
+from mavcompass.simulation.effects.effect import FREQUENCY, MOMENTS, THRESHOLD, Parameter
 
 CHANCE = 2.0e-5
-_SOUGHT = MOMENTS | {"frequency_hz", "threshold", "source", "orientation"}
+
+
+def _is_sought(parameter: Parameter) -> bool:
+    """Tell what is sought over a range from what is fitted from nothing."""
+    whole = parameter.integer and not parameter.optional
+    return whole or parameter.name in MOMENTS | {FREQUENCY, THRESHOLD}
 
 
 @lru_cache(maxsize=1024)
@@ -36,7 +41,7 @@ def least_growth(smaller: Fit, larger: Fit, rows: int) -> float:
 
 def least_alone(term: Term, dimension: int, rows: int) -> float:
     """Return what one effect of so many parameters must gain on so many rows."""
-    names = [p.name for p in term.effect.parameters if p.name in _SOUGHT]
+    names = [p.name for p in term.effect.parameters if _is_sought(p)]
     return least_gain(dimension, round(math.exp(_log_trials(names[:1], rows))))
 
 
@@ -50,7 +55,7 @@ def _sought(fit: Fit) -> list[str]:
         p.name
         for term, theta in zip(fit.terms, fit.thetas, strict=True)
         for p, v in zip(term.effect.parameters, theta, strict=True)
-        if p.name in _SOUGHT and not (p.optional and not p.low < v < p.high)
+        if _is_sought(p) and not (p.optional and not p.low < v < p.high)
     ]
 
 
@@ -59,5 +64,5 @@ def _log_trials(names: Sequence[str], rows: int) -> float:
 
     Neighbouring moments are hardly independent: about a third of the rows counts.
     """
-    each = {**dict.fromkeys(MOMENTS, rows / 3.0), "frequency_hz": 2.0 * rows}
+    each = {**dict.fromkeys(MOMENTS, rows / 3.0), FREQUENCY: 2.0 * rows}
     return sum(math.log(max(each.get(name, 24.0), 1.0)) for name in names)

@@ -10,7 +10,6 @@ other. *Which*: sets of equal size compete by EBIC, SSE + k ln n + 2 m ln C (Che
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,6 @@ from mavcompass.gap.fit.model import Problem
 
 _CATALOGUE_SIZE = 40
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
-# Weights below this are none.
-_WEIGHTLESS = 0.01
 
 
 class Criteria:
@@ -50,17 +47,6 @@ class Criteria:
         """
         strain = self._problem.strain(fit)
         return (fit.sse - strain) / self.temper + strain + self.cost(fit.dimension, len(fit.terms))
-
-    def lead(self, fit: Fit, rivals: Iterable[Fit]) -> float:
-        """Return by how many sigmas the best of the rivals falls short of a fit.
-
-        By the same criterion as their weights: parameters that a rival has more count against it. What has
-        fewer gets nothing for that: whether more are needed is the other question.
-        """
-        own = self.score(fit)
-        paid = self.cost(fit.dimension, len(fit.terms))
-        least = min(self.score(f) + max(paid - self.cost(f.dimension, len(f.terms)), 0.0) for f in rivals)
-        return math.sqrt(max(least - own, 0.0))
 
     def cost(self, dimension: int, effects: int = 1) -> float:
         """Return EBIC's penalty for so many parameters and effects."""
@@ -103,23 +89,3 @@ class Criteria:
         time = self._problem.replay.time_s
         length = max(_BLOCK_S, float(time[-1] - time[0]) / _MOST_BLOCKS)
         return np.floor((time - time[0]) / length).astype(np.int64)
-
-    def weights(
-        self, best: Fit, explored: Mapping[frozenset[str], Fit], refused: frozenset[str] = frozenset()
-    ) -> tuple[tuple[frozenset[str], float], ...]:
-        """Weigh the explored sets as large as the best one, but those with an effect that is `refused`."""
-        if best.terms:
-            as_large = {i: f for i, f in explored.items() if len(i) == len(best.terms)}
-            rivals = {i: self.score(f) for i, f in as_large.items() if i == best.ids or not i & refused}
-        else:
-            # Nothing is named; what it would most likely be is weighed by Akaike's criterion.
-            rivals = {
-                i: f.sse + 2.0 * f.dimension + self.cost(0, len(i))
-                for i, f in explored.items()
-                if len(i) <= 1
-            }
-        lowest = min(rivals.values())
-        raw = {ids: math.exp(-0.5 * min(score - lowest, 1400.0)) for ids, score in rivals.items()}
-        total = sum(raw.values())
-        ranked = sorted(((ids, w / total) for ids, w in raw.items()), key=lambda item: -item[1])
-        return tuple(item for item in ranked if item[1] > _WEIGHTLESS)

@@ -73,6 +73,13 @@ class Fit:
             np.inf,
         )
 
+    def value(self, name: str) -> float | None:
+        """Return a parameter that means the same in every effect; None where no effect has it."""
+        for term, theta in zip(self.terms, self.thetas, strict=True):
+            if (value := term.effect.value(theta, name)) is not None:
+                return value
+        return None
+
     def theta(self, effect_id: str) -> FloatArray:
         """Return the parameters of one effect."""
         for term, theta in zip(self.terms, self.thetas, strict=True):

@@ -20,6 +20,7 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.polish import polished
 from mavcompass.gap.fit.starts import beside_known_age, facing, in_place_of_each_other, steadied, turn_alone
 from mavcompass.gap.fit.unbent import unbent
+from mavcompass.gap.tables import Kind, Penalty, tables
 from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
@@ -30,6 +31,8 @@ _FAR_LIKELIER, _ALONE = 20.0, 2
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
 _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
 _HOPEFUL = 0.7
+# A search ends where so many times the noise are left and less than this share of it is explained.
+_FAR, _HARDLY = 4.0, 0.15
 # What leaves so many times the noise is not all.
 _UNEXPLAINED = 1.3
 
@@ -41,13 +44,11 @@ class Found:
     Attributes:
         null: the fit without effects; best: the fit of the best set (perhaps the null).
         explored: every fitted set by its ids.
-        weights: of the sets as large as the one that is named, sorted, those above 1 %.
     """
 
     null: Fit
     best: Fit
     explored: dict[frozenset[str], Fit]
-    weights: tuple[tuple[frozenset[str], float], ...]
 
 
 def _is_turned(fit: Fit) -> bool:
@@ -59,7 +60,7 @@ class Search:
     """Search sets of effects on one problem.
 
     `worthwhile` tells whether what a fit leaves could still hold an effect that may be named; the search
-    goes on only then. `exact` says that the noise is known in detail.
+    goes on only then. `exact` says that the noise is known in detail, `kind` how the recording is known.
     """
 
     def __init__(
@@ -68,8 +69,10 @@ class Search:
         effects: Iterable[Effect],
         worthwhile: Callable[[Fit], bool] = lambda fit: True,
         exact: bool = True,
+        kind: Kind = "exact",
     ) -> None:
         self.problem = problem
+        self.kind: Kind = kind
         self.worthwhile = worthwhile
         self.criteria = Criteria(problem, exact)
         signals = problem.replay.signals
@@ -86,20 +89,20 @@ class Search:
 
     def on(self, problem: Problem) -> Search:
         """Return a search of the same terms on other rows or under another noise, nothing explored yet."""
-        other = Search(problem, (), self.worthwhile, self.criteria.exact)
+        other = Search(problem, (), self.worthwhile, self.criteria.exact, self.kind)
         other.terms, other.criteria.temper = self.terms, self.criteria.temper
         return other
+
+    @property
+    def penalty(self) -> Penalty:
+        """Return what parameters and effects cost."""
+        return tables().penalty[self.kind]
 
     def forget(self) -> None:
         """Let go of all derivatives: what was explored stays."""
         self._candidates.clear()
         self._fits.clear()
         self.problem.forget()
-
-    def nothing(self) -> Found:
-        """Return the fit without any effect, as if nothing else had been tried."""
-        null = unbent(self.problem, self._null())
-        return Found(null, null, {null.ids: null}, ((null.ids, 1.0),))
 
     def _null(self) -> Fit:
         if frozenset() not in self.explored:
@@ -110,18 +113,16 @@ class Search:
         self,
         most: int = MOST_EFFECTS,
         likely: Sequence[Fit] = (),
-        hopeless: Callable[[Fit], bool] = lambda fit: False,
     ) -> Found:
-        """Search up to `most` effects, from the best of sets that are `likely` on.
-
-        It ends early where the best set is `hopeless`: then nothing in the catalogue fits.
-        """
+        """Search up to `most` effects, from the best of sets that are `likely` on."""
         null = self._null()
         known = unbent(self.problem, null, curves=True).nuisance_thetas
         untried = [term for term in self.terms if frozenset({term.effect.id}) not in self.explored]
         late = beside_known_age(self.problem, untried, null, known)
         self._remember([*likely, *late])
         best = self._largest_needed(null, [*likely, *late], most)
+        if not (self.explored.keys() - {null.ids}) and not self._promising(null, most):
+            return self._found(null, best)
         means = tuple(n.mean for n in self.problem.nuisances)
         turns = facing(self.problem, self.terms, Fit((), (), means, np.inf), null.sse)
         noise = 3 * len(self.problem.groups) * self.problem.count
@@ -144,7 +145,7 @@ class Search:
                 best = rival
             else:
                 self.criteria.temper = before
-        if hopeless(best):
+        if self.hopeless(null, best):
             return self._found(null, best)
         best = self._with_rivals(self.polished(best))
         for seen in (self._beside_one, self._among_rivals):
@@ -154,9 +155,35 @@ class Search:
                 best = min(best, other, key=self.criteria.score)
         return self._found(null, best)
 
+    def hopeless(self, null: Fit, best: Fit) -> bool:
+        """Tell whether a gap is far above the noise and hardly explained: to look further is vain."""
+        noise = 3 * len(self.problem.groups) * self.problem.count
+        far = null.sse > _FAR * noise
+        return far and null.sse - best.sse < _HARDLY * (null.sse - noise)
+
+    def _promising(self, null: Fit, most: int) -> bool:
+        """Tell whether a set could gain what it costs, linearised beside what is known; fit the likeliest.
+
+        What is bent hides what bends it: then anything could.
+        """
+        if not self.problem.straight(null):
+            return True
+        candidates = self._linearised(unbent(self.problem, null, curves=True), ())
+        ranked = likeliest_sets(candidates, self.criteria, most)
+        sets = [sets[0] for sets in ranked.values()]
+        if not sets:
+            return False
+        self._remember([self._fitted(candidates, sets[0], Fit((), (), (), np.inf), _SHORT)])
+        nothing, *left = candidates.expected([(), *sets])
+        for chosen, after in zip(sets, left, strict=True):
+            parameters = sum(candidate.dimension for candidate in chosen)
+            cost = self.penalty.of(parameters, len(chosen), self.problem.count)
+            if nothing - after > _HOPEFUL * cost:
+                return True
+        return False
+
     def _found(self, null: Fit, best: Fit) -> Found:
-        weights = self.criteria.weights(best, self.explored)
-        return Found(unbent(self.problem, null), best, self.explored, weights)
+        return Found(unbent(self.problem, null), best, self.explored)
 
     def _with_rivals(self, best: Fit) -> Fit:
         late = in_place_of_each_other(self.problem, self.terms, best)
@@ -198,12 +225,6 @@ class Search:
         return (
             likeliest if self.criteria.score(likeliest) < self.criteria.score(best) - _FAR_LIKELIER else best
         )
-
-    def likeliest(self, size: int) -> frozenset[str]:
-        """Return the set of a size that the catalogue, linearised beside nothing, makes likeliest."""
-        candidates = self._linearised(unbent(self.problem, self._null()), ())
-        sets = likeliest_sets(candidates, self.criteria, size).get(size)
-        return frozenset(c.term.effect.id for c in sets[0]) if sets else frozenset()
 
     def nearest(self, most: int, held: Fit | None = None) -> Fit:
         """Return the fit that comes nearest with up to `most` effects, beside those `held`, needed or not.
@@ -329,7 +350,7 @@ class Search:
         return best
 
     def _rivals(self, best: Fit) -> list[Fit]:
-        """Fit what else could explain as much with as many effects, for the weights."""
+        """Fit what else could explain as much with as many effects, for the posterior."""
         if _is_turned(best):
             return []
         candidates = self._linearised(unbent(self.problem, best), ())

@@ -16,10 +16,8 @@ from mavcompass.gap.fit.candidates import misfit_of
 from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay import TELEMETRY_AGE, yaw_starts
-from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Effect
+from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S
 
-_DELAYS = "transport_lag"
-_LATE = frozenset({_DELAYS, "low_pass", "eddy_current"})
 # An age of telemetry that is bent by so many natural sizes may hide such an effect.
 _BENT = 1.0
 _ITERATIONS = 3
@@ -42,7 +40,7 @@ def beside_known_age(
     if late_s < _BENT * float(nuisance.effect.scale[0]):
         return []
     start = [*nuisance_thetas[:age], nuisance.mean.copy(), *nuisance_thetas[age + 1 :]]
-    late = [term for term in terms if term.effect.id in _LATE]
+    late = [term for term in terms if term.effect.delays.any()]
     return [problem.fit((term,), (_as_late(term, late_s),), start, _ITERATIONS) for term in late]
 
 
@@ -53,12 +51,12 @@ def in_place_of_each_other(problem: Problem, terms: Sequence[Term], fit: Fit) ->
     """
     out = []
     for place, term in enumerate(fit.terms):
-        if term.effect.id not in _LATE:
+        if not term.effect.delays.any():
             continue
-        late_s = float(fit.thetas[place][_times(term.effect)].mean())
+        late_s = float(fit.thetas[place][term.effect.delays].mean())
         rest = fit.without(place)
-        for other in (t for t in terms if t.effect.id in _LATE - fit.ids):
-            later_s = late_s * ((term.effect.id == _DELAYS) - (other.effect.id == _DELAYS))
+        for other in (t for t in terms if t.effect.delays.any() and t.effect.id not in fit.ids):
+            later_s = late_s * ((LAG in term.effect.names) - (LAG in other.effect.names))
             members = zip(rest.terms, rest.thetas, strict=True)
             thetas = (*(_moved(*member, later_s) for member in members), _as_late(other, late_s))
             out.append(problem.fit((*rest.terms, other), thetas, fit.nuisance_thetas, _ITERATIONS))
@@ -89,14 +87,9 @@ def _changes(term: Term, theta: FloatArray) -> NDArray[np.bool_]:
     return np.array([p.name in MOMENTS for p in term.effect.parameters]) & (np.abs(theta) < NEVER_S)
 
 
-def _times(effect: Effect) -> NDArray[np.bool_]:
-    """Tell which parameters of an effect that makes readings late are its times, (k,)."""
-    return np.array([p.unit == "s" and p.low >= 0.0 for p in effect.parameters])
-
-
 def _as_late(term: Term, late_s: float) -> FloatArray:
     """Return the parameters with which an effect makes readings so late."""
-    return np.clip(np.where(_times(term.effect), late_s, term.effect.neutral()), term.lower, term.upper)
+    return np.clip(np.where(term.effect.delays, late_s, term.effect.neutral()), term.lower, term.upper)
 
 
 def _moved(term: Term, theta: FloatArray, by_s: float) -> FloatArray:

@@ -1,12 +1,13 @@
 """What a fit leaves: the floor where nothing is wrong, and tests whether the rest is chance."""
 
-from mavcompass.gap.left.adequacy import Adequacy, judge, most_structured
+from mavcompass.gap.left.adequacy import Adequacy, judge
 from mavcompass.gap.left.doubtful import doubting
 from mavcompass.gap.left.floor import (
     Floor,
     apart,
     heading_error_rad,
     heading_scatter,
+    kind_of,
     measured_noise,
     rms,
     rms_deg,
@@ -41,8 +42,8 @@ __all__ = [
     "heading_error_rad",
     "heading_scatter",
     "judge",
+    "kind_of",
     "measured_noise",
-    "most_structured",
     "noise_with",
     "rms",
     "rms_deg",

@@ -88,11 +88,6 @@ def judge(problem: Problem, fit: Fit, compare_scatter: bool, thorough: bool = Tr
     return Adequacy(tuple(tests), bool(tests) and tests[0].p * len(tests) < ALPHA)
 
 
-def most_structured(problem: Problem, fit: Fit) -> float:
-    """Return the largest excess of all that is smooth in one coordinate: about one when all is well."""
-    return max((test.excess for test in _structure(problem, fit)), default=1.0)
-
-
 def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
     z = problem.innovations(problem.predict(fit))
     states = problem.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)

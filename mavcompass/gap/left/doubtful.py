@@ -16,17 +16,7 @@ from mavcompass.simulation.effects.effect import Effect, Group
 _EXPLAINED_P = 1e-5
 # Six degrees of tilt, three degrees a second: sensors that leave more unexplained tell nothing.
 _USELESS: dict[Group, float] = {"acc": 1.0, "gyro": 0.05}
-_OF_MOTION = frozenset({"linear_acceleration", "vibration_rectification"})
 _SENSOR_WORDS: dict[Group, str] = {"mag": "compass", "acc": "accelerometer", "gyro": "gyro"}
-# fmt: off
-_INERTIAL: dict[Group, tuple[str, ...]] = {
-    "acc": (
-        "accel_bias", "accel_scale", "linear_acceleration", "vibration_rectification", "platform_tilt",
-        "attitude_reference_error", "yaw_step_error",
-    ),
-    "gyro": ("gyro_bias", "gyro_scale", "yaw_step_error", "attitude_reference_error"),
-}
-# fmt: on
 
 
 def doubtful_sensors(
@@ -45,7 +35,7 @@ def doubtful_sensors(
         if group == "mag":
             continue
         alone = replace(witness, groups=(group,))
-        terms = [make_term(e, alone.signals) for e in effects if e.id in _INERTIAL[group]]
+        terms = [make_term(e, alone.signals) for e in effects if group in e.groups]
         problem = Problem(alone, first_noise(alone), alone.valid, Prior.of(()))
         fit = problem.fit(terms, [t.effect.neutral() for t in terms], ())
         noise = measured_noise(problem, fit)
@@ -61,6 +51,11 @@ def doubtful_sensors(
     return out, frozenset(useless)
 
 
+def _of_motion(effect: Effect) -> bool:
+    """Tell what only motion, or a load, makes the accelerometer feel."""
+    return effect.groups == ("acc",) and bool(effect.needs - {"reference"})
+
+
 def doubting(
     replayed: Replay, baseline: Replay | None, effects: Collection[Effect]
 ) -> tuple[Replay, Replay | None]:
@@ -71,7 +66,7 @@ def doubting(
         return _with_doubt(replayed, doubtful, useless), None
     unseen = untestable_effects(baseline, effects)
     # What a baseline's motion makes its accelerometer feel is no cause that would come again.
-    steady = [e for e in effects if e.id not in unseen and e.id not in _OF_MOTION]
+    steady = [e for e in effects if e.id not in unseen and not _of_motion(e)]
     more, also = doubtful_sensors(baseline, steady)
     doubtful, useless = {**doubtful, **more}, useless | also
     return _with_doubt(replayed, doubtful, useless), _with_doubt(baseline, doubtful, useless)

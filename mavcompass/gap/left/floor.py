@@ -21,6 +21,7 @@ from mavcompass.gap.replay import (
     rough_sigma,
     white,
 )
+from mavcompass.gap.tables import Kind
 from mavcompass.simulation.effects.effect import Group
 
 _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
@@ -137,6 +138,15 @@ def widened(floor: Floor, problem: Problem, fit: Fit) -> Floor:
     excess = np.maximum(excess, 1.0)
     mag = floor.noise["mag"]
     return with_noise(floor, {**floor.noise, "mag": replace(mag, sigma=mag.sigma * excess)})
+
+
+def kind_of(replay: Replay, floor: Floor) -> Kind:
+    """Tell how a recording is known."""
+    if floor.representative:
+        return "exact"
+    if floor.measured:
+        return "baseline"
+    return "reference" if replay.reference.kind == "columns" else "alone"
 
 
 def with_noise(floor: Floor, noise: Noise) -> Floor:

@@ -19,6 +19,7 @@ from mavcompass.gap.replay import (
     with_white,
 )
 from mavcompass.gap.traces import neighbours, quiet_doubt, quiet_scatter
+from mavcompass.simulation.effects import detected_by, get
 
 _DRIFT_MODES = 80
 # The scatter's own distribution is only known from the recording: be slower to name it.
@@ -44,6 +45,11 @@ class Scatter:
     size: float
     gain: float
     doubt: float = 0.0
+
+    @property
+    def white(self) -> bool:
+        """Tell whether readings scatter alike all the time, and not as they change."""
+        return get(self.effect).detector == "scatter"
 
     def on_rows_mgauss2(self, replay: Replay) -> float:
         """Return the variance of scattering readings on rows that are means of them."""
@@ -79,25 +85,26 @@ def find_scatter(
     even, even_size = _even_gain(y)
     late, late_size = _late_gain(y, x, 1.0)
     candidates = []
+    more, late_times = detected_by("scatter").id, detected_by("jitter").id
     representative = floor.representative
-    if representative and "noise_excess" in allowed and even_size > 0.0:
+    if representative and more in allowed and even_size > 0.0:
         size = math.sqrt(even_size * width * float(np.mean(noise.rms**2)))
         doubt = 0.5 * size * math.sqrt(2.0 * inflation / y.size) * (1.0 + even_size) / even_size
-        candidates.append(Scatter("noise_excess", size, even / inflation, doubt))
+        candidates.append(Scatter(more, size, even / inflation, doubt))
     trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
     late_shows = late_size * float(np.mean(x)) > _LEAST_LATE**2
-    if "timestamp_jitter" in allowed and trusted and late_shows:
+    if late_times in allowed and trusted and late_shows:
         gain = late if representative else _beyond_even(y, x)
-        candidates.append(Scatter("timestamp_jitter", math.sqrt(late_size), gain / inflation))
-    if not floor.measured and "noise_excess" in allowed:
+        candidates.append(Scatter(late_times, math.sqrt(late_size), gain / inflation))
+    if not floor.measured and more in allowed:
         sigma = quiet_scatter(problem.replay.readings)
         if sigma > WORST_SCATTER_MGAUSS:
             size = math.sqrt(sigma**2 - USUAL_SCATTER_MGAUSS**2)
             doubt = 0.5 * quiet_doubt(problem.replay.readings) * sigma**2 / size
-            candidates.append(Scatter("noise_excess", size, float(error.size), doubt))
+            candidates.append(Scatter(more, size, float(error.size), doubt))
     # Less than the floor itself is no gap, however surely neighbours scatter.
     excess_shows = excess_mgauss2 > floor.field_rms_mgauss**2
-    if floor.measured and not representative and "noise_excess" in allowed and excess_shows:
+    if floor.measured and not representative and more in allowed and excess_shows:
         left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
         left2 = float(np.mean(left[rows] ** 2))
         # Scatter between neighbours is scatter of the readings only if it shows in what is left.
@@ -122,7 +129,7 @@ def _told_twice(
         size2 *= 1.0 + (apart if agrees else math.copysign(_AGREES * doubt, apart))
         by_all = math.hypot(math.sqrt(2.0 / count), 0.5 * floor2 / size2)
         doubt = min(doubt, by_all) if agrees else max(doubt, 0.5 * abs(apart))
-    return Scatter("noise_excess", math.sqrt(size2), float(count), 0.5 * doubt * math.sqrt(size2))
+    return Scatter(detected_by("scatter").id, math.sqrt(size2), float(count), 0.5 * doubt * math.sqrt(size2))
 
 
 def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:
@@ -181,9 +188,9 @@ def noise_with(problem: Problem, fit: Fit, scatter: Scatter) -> Noise:
     replay = problem.replay
     error = replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
     floor = problem.noise["mag"]
-    if scatter.effect == "noise_excess" and floor.channels is not None:
+    if scatter.white and floor.channels is not None:
         return {**problem.noise, "mag": with_white(floor, math.sqrt(scatter.on_rows_mgauss2(replay)))}
-    if scatter.effect == "noise_excess":
+    if scatter.white:
         return {**problem.noise, "mag": estimate_noise(error, problem.usable, replay.resolution_mgauss)}
     change = floor.in_channels(np.gradient(problem.signals(fit).reading.mag_mgauss, replay.time_s, axis=0))
     scale = np.sqrt(1.0 + (scatter.size * change / floor.rms) ** 2)

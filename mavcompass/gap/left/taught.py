@@ -44,13 +44,11 @@ from mavcompass.gap.replay import (
     level_mgauss,
     untestable_effects,
 )
-from mavcompass.simulation.effects.causes.world import gradient_matrix, gradient_origin
-from mavcompass.simulation.effects.effect import Effect
+from mavcompass.simulation.effects.causes.world import gradient_origin
+from mavcompass.simulation.effects.effect import FREQUENCY, LIMIT, Effect
 
 _FOLD_WIDENING = 4.0
 _MOST_FOLDED = 4
-_NEVER_FOLDED = frozenset({"hard_iron_step", "ac_interference", "relay_field", "orientation", "clipping"})
-
 
 # One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
 _REPRESENTATIVE_P = 1e-5
@@ -76,8 +74,8 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
     trust, problem, fit = _tuned(baseline)
     sharp = baseline.reference.kind == "columns"
     if sharp and _has_gap(problem, fit):
-        never = _NEVER_FOLDED | untestable_effects(baseline, effects).keys()
-        foldable = [e for e in effects if e.kind == "mean" and e.id not in never]
+        never = untestable_effects(baseline, effects).keys()
+        foldable = [e for e in effects if e.kind == "mean" and not _passes(e) and e.id not in never]
         fit = Search(problem, foldable).run(_MOST_FOLDED).best
         problem = Problem(baseline, measured_noise(problem, fit), baseline.valid, problem.prior)
         fit = problem.refit(fit)
@@ -115,6 +113,11 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
         measured=True,
         trust=trust,
     )
+
+
+def _passes(effect: Effect) -> bool:
+    """Tell what no baseline teaches: what comes and goes, lines, limits."""
+    return effect.moves or FREQUENCY in effect.names or LIMIT in effect.names
 
 
 def _tuned(baseline: Replay) -> tuple[Trust | None, Problem, Fit]:
@@ -328,7 +331,13 @@ def _from_start_to_start(replay: Replay, baseline: Replay, fit: Fit) -> FloatArr
 
     Only positions of a reference share their datum.
     """
-    if "field_gradient" not in fit.ids or not replay.reference.kind == baseline.reference.kind == "columns":
+    if not replay.reference.kind == baseline.reference.kind == "columns":
         return np.zeros(3)
     own, other = (gradient_origin(one.signals.stimulus.position_ned_m) for one in (replay, baseline))
-    return np.asarray((own - other) @ gradient_matrix(fit.theta("field_gradient")))
+    away_m = own - other
+    changes = [
+        t.effect.from_origin(x, away_m)
+        for t, x in zip(fit.terms, fit.thetas, strict=True)
+        if t.effect.from_origin
+    ]
+    return sum(changes, np.zeros(3))

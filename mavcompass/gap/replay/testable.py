@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from mavcompass.gap.replay.nominal import Replay
-from mavcompass.simulation.effects import Effect
+from mavcompass.simulation.effects import Effect, Stage
 
-_TIMING = frozenset({"stale_samples", "transport_lag", "low_pass", "timestamp_jitter"})
-# What a baseline teaches that was read in the same way: how late, and how smooth, readings are by nature.
-_LATE = frozenset({"transport_lag", "stale_samples", "low_pass"})
 _NO_SENSOR = (
     "the sensors that would show it were not recorded, or feel motion that the recording does not tell"
 )
@@ -65,18 +62,19 @@ def untestable_effects(
         if len(effect.groups) == 1 and effect.groups[0] in replayed.doubtful:
             # What is not known of the motion looks like any fault of the sensor that feels it.
             out[effect.id] = _NO_SENSOR
-        frozen = replayed.trace.frozen and effect.id == "stale_samples"
-        taught = (age_known and effect.id in _LATE) or frozen
-        if replayed.telemetry and effect.id in _TIMING and not taught:
+        # A baseline that was read in the same way teaches how late, and how smooth, readings are by nature.
+        repeats, jitter = effect.detector == "repeats", effect.detector == "jitter"
+        taught = (age_known and not jitter) or (replayed.trace.frozen and repeats)
+        if replayed.telemetry and (effect.stage is Stage.TIMING or repeats) and not taught:
             out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"
-        if replayed.averaged > 1 and effect.id == "timestamp_jitter":
+        if replayed.averaged > 1 and jitter:
             out[effect.id] = (
                 f"{replayed.averaged} neighbours each were averaged, so long is the recording: cut a part out"
             )
-        if not replayed.field_known and effect.id in ("field_intensity", "inclination", "declination"):
+        if not replayed.field_known and effect.stage is Stage.WORLD and not effect.needs:
             out[effect.id] = "the recording does not say where it was made"
-        if replayed.reference.yaw_unknown and effect.id == "declination":
+        if replayed.reference.yaw_unknown and effect.about_vertical:
             out[effect.id] = "the initial yaw is solved with the field: a constant turn is part of it"
-        if effect.id == "bias_random_walk":
+        if effect.detector == "drift":
             out[effect.id] = "a wandering offset can imitate any slow cause, so it is reported as unknown"
     return out

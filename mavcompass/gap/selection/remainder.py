@@ -25,11 +25,10 @@ from mavcompass.gap.left import (
 from mavcompass.gap.replay import Noise, Replay, with_white
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.traces import Traces
+from mavcompass.simulation.effects.effect import LIMIT
 from mavcompass.simulation.physics.signals import Reading
 
 _LEAST_MGAUSS = 0.3
-# Moments and thresholds lie between readings: all rows place them better than the training rows.
-_PLACED = frozenset({"hard_iron_step", "relay_field"})
 _SEED = 20260102
 
 
@@ -83,7 +82,8 @@ def what_is_left(identified: Identified, floor: Floor, names: frozenset[str], tr
     noise = with_steps(floor.noise, step_mgauss) if step_mgauss > 0.0 else floor.noise
     problem = Problem(replay, noise, replay.valid, floor.prior)
     fit = problem.refit(chosen)
-    if fit.ids & _PLACED:
+    # Moments and thresholds lie between readings: all rows place them better than the training rows.
+    if any(term.effect.moves for term in fit.terms):
         fit = identified.search.on(problem).polished(fit)
     problem = _without_plateaus(problem, fit)
     if step_mgauss > 0.0:
@@ -91,7 +91,7 @@ def what_is_left(identified: Identified, floor: Floor, names: frozenset[str], tr
     scatter = find_scatter(problem, fit, names, floor, traces.excess_mgauss2)
     if scatter is None:
         # A saturated reading has no scatter.
-        return Remainder(problem, fit, None, "clipping" not in fit.ids)
+        return Remainder(problem, fit, None, fit.value(LIMIT) is None)
     noisy = Problem(problem.replay, noise_with(problem, fit, scatter), problem.rows, floor.prior)
     return Remainder(noisy, noisy.refit(fit), scatter, False)
 
@@ -101,10 +101,11 @@ def _without_plateaus(problem: Problem, fit: Fit) -> Problem:
 
     They have no noise to be judged by, and one axis may be at its limit nearly all the time.
     """
-    if "clipping" not in fit.ids:
+    limit = fit.value(LIMIT)
+    if limit is None:
         return problem
     noise, replay = problem.noise["mag"], problem.replay
-    near = float(fit.theta("clipping")[0]) - 3.0 * noise.rms
+    near = limit - 3.0 * noise.rms
     predicted, measured = problem.predict(fit).mag_mgauss, replay.measured
     plateau = (np.abs(predicted) > near) | (np.abs(measured.mag_mgauss) > near)
     error = measured.mag_mgauss - predicted

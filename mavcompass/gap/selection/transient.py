@@ -11,13 +11,12 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES
 from mavcompass.gap.fit import Fit, Mask, Problem, Term
 from mavcompass.gap.replay import TELEMETRY_AGE, Replay
-from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, PLACED
+from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S, PLACED, SMOOTHING
 
 _BIN_S = 0.25
 _LONGEST_S = 3.0
 # How much worse than the rest readings must fit, in mean squares, to be part of a change.
 _WORSE = 4.0
-RELAY = "relay_field"
 # Loads are recorded ten times a second at best; at least a third of the rows must be clear of switching.
 _LOAD_S, _MOST_SWITCHED = 0.1, 0.67
 # A low pass has settled to a twentieth after so many of its time constants.
@@ -39,6 +38,11 @@ def moments(fit: Fit, effect_id: str | None = None) -> list[float]:
         for parameter, value in zip(term.effect.parameters, theta, strict=True)
         if effect_id in (None, term.effect.id) and parameter.name in MOMENTS and abs(value) < NEVER_S
     ]
+
+
+def switches(fit: Fit) -> bool:
+    """Tell whether a fit has something that is switched."""
+    return any(term.effect.switched for term in fit.terms)
 
 
 def transients(problem: Problem, fit: Fit, when_s: Sequence[float]) -> Mask:
@@ -79,17 +83,17 @@ def between(problem: Problem, fit: Fit) -> Mask:
     """Tell which rows (N,) are so near to a switching as it is known that they may be of both on and off."""
     time = problem.replay.time_s
     rows: Mask = np.zeros(time.size, dtype=np.bool_)
-    late = fit.theta("transport_lag")[0] if "transport_lag" in fit.ids else 0.0
+    late = fit.value(LAG) or 0.0
     for nuisance, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True):
         late += theta[0] if nuisance.effect.id == TELEMETRY_AGE else 0.0
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
-        if term.effect.id == RELAY:
+        if term.effect.switched:
             field = switched_field(problem, term, theta)
             last = np.flatnonzero(np.diff(np.abs(field).max(axis=1)))
             when = 0.5 * (time[last] + time[last + 1]) + late
             width = max(float(np.median(np.diff(time))), problem.replay.loads_every_s, _LOAD_S)
             # What is smoothed goes on for as long as that takes.
-            width += _SETTLED * (fit.theta("low_pass")[0] if "low_pass" in fit.ids else 0.0)
+            width += _SETTLED * (fit.value(SMOOTHING) or 0.0)
             at = np.searchsorted(when, time)
             for beside in (np.append(when, np.inf)[at], np.insert(when, 0, -np.inf)[at]):
                 rows |= np.abs(time - beside) < width
@@ -104,7 +108,7 @@ def switched(problem: Problem, fit: Fit) -> Mask:
     """
     rows = between(problem, fit)
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
-        if term.effect.id == RELAY:
+        if term.effect.switched:
             field = switched_field(problem, term, theta)
             rows |= _other_way(problem, fit, field, np.asarray(theta[:3]), rows)
     return rows if rows[problem.usable].mean() < _MOST_SWITCHED else np.zeros_like(rows)

@@ -14,8 +14,9 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay import Readings, averaged
 from mavcompass.gap.traces.scattered import excess_variance, quiet_variance
+from mavcompass.simulation.effects import detected_by
+from mavcompass.simulation.effects.effect import FREQUENCY, Detector
 
-IDS = ("set_reset_offset", "ac_interference")
 # Of the fast excess over the baseline's an effect must hold so much; less beside noise.
 _SHARE, _BESIDE_NOISE = 0.7, 0.25
 # A line at half the rate alternates too: what toggles has fewer parameters, and need not hold quite as much.
@@ -115,7 +116,7 @@ def _toggling(readings: Readings, fast: FloatArray) -> Rapid:
     _, vectors = np.linalg.eigh((sums / np.maximum(size, 1.0)[:, None]).T @ sums)
     sign = sign * np.where(sums @ vectors[:, -1] < 0.0, -1.0, 1.0)[blocks]
     offset, sigma = _fitted(readings, sign[:, None], fast)
-    return _rapid("set_reset_offset", ("x", "y", "z"), offset[0], sigma[0], sign[:, None] * offset)
+    return _rapid("alternation", ("x", "y", "z"), offset[0], sigma[0], sign[:, None] * offset)
 
 
 def _line(readings: Readings, fast: FloatArray) -> tuple[Rapid, bool]:
@@ -128,7 +129,7 @@ def _line(readings: Readings, fast: FloatArray) -> tuple[Rapid, bool]:
     since = time - time[0]
     hertz, power = _spectrum(readings, fast)
     if not hertz.size:
-        return _rapid("ac_interference", _WAVES, np.zeros(7), np.zeros(7), np.zeros_like(fast)), False
+        return _rapid("line", _WAVES, np.zeros(7), np.zeros(7), np.zeros_like(fast)), False
     width = 1.0 / float(since[-1])
     nominal = np.where(rows[:, None], np.nan_to_num(readings.nominal_mgauss), 0.0)
     motion = _loudest_near(_spectrum(readings, _without_slow(readings, nominal))[1], hertz, width)
@@ -149,7 +150,7 @@ def _line(readings: Readings, fast: FloatArray) -> tuple[Rapid, bool]:
     columns = _waves(time, best)
     waves, _ = _fitted(readings, columns, fast)
     doubt = _line_doubt(readings, columns, waves, fast)
-    return _rapid("ac_interference", _WAVES, np.append(waves.ravel(), best), doubt, columns @ waves), clear
+    return _rapid("line", _WAVES, np.append(waves.ravel(), best), doubt, columns @ waves), clear
 
 
 def _line_doubt(readings: Readings, columns: FloatArray, waves: FloatArray, fast: FloatArray) -> FloatArray:
@@ -195,7 +196,7 @@ def _is_in(baseline: Readings | None, line: Rapid) -> bool:
     if baseline is None:
         return False
     hertz, power = _spectrum(baseline, _fast(baseline))
-    near = np.abs(hertz - line.parameters["frequency_hz"]) < 2.0 / float(np.ptp(baseline.time_s))
+    near = np.abs(hertz - line.parameters[FREQUENCY]) < 2.0 / float(np.ptp(baseline.time_s))
     return bool((power[near] > _ITS_OWN * line.variance_mgauss2).any())
 
 
@@ -213,7 +214,7 @@ def _loudest_near(power: FloatArray, hertz: FloatArray, width_hz: float) -> Floa
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1))
 
 
-_WAVES = (*(f"{wave}_{axis}" for wave in ("sin", "cos") for axis in "xyz"), "frequency_hz")
+_WAVES = (*(f"{wave}_{axis}" for wave in ("sin", "cos") for axis in "xyz"), FREQUENCY)
 
 
 def _waves(time_s: FloatArray, hertz: float) -> FloatArray:
@@ -238,10 +239,10 @@ def _fitted(readings: Readings, columns: FloatArray, fast: FloatArray) -> tuple[
 
 
 def _rapid(
-    effect: str, names: tuple[str, ...], values: FloatArray, sigma: FloatArray, change: FloatArray
+    shown: Detector, names: tuple[str, ...], values: FloatArray, sigma: FloatArray, change: FloatArray
 ) -> Rapid:
     return Rapid(
-        effect,
+        detected_by(shown).id,
         dict(zip(names, values.tolist(), strict=True)),
         dict(zip(names, sigma.tolist(), strict=True)),
         np.asarray(change),

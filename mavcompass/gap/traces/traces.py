@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from mavcompass.gap.replay import Replay
-from mavcompass.gap.traces.rapid import IDS, Rapid, find_rapid
+from mavcompass.gap.traces.rapid import Rapid, find_rapid
 from mavcompass.gap.traces.scattered import burst_mgauss, excess_variance
 from mavcompass.gap.traces.steps_and_repeats import (
     names_stale,
@@ -15,7 +15,7 @@ from mavcompass.gap.traces.steps_and_repeats import (
     stale_share,
     told_step,
 )
-from mavcompass.simulation.effects import Effect
+from mavcompass.simulation.effects import Effect, detected_by
 
 # An effect of less than this share of the floor lifts nothing above it.
 _MATERIAL = 0.75
@@ -84,8 +84,8 @@ def find_traces(
     rapid = named
     for one in rapid:
         replay = replay.without(one.change_mgauss)
-    stale = stale if "stale_samples" in names else 0.0
-    step = step if "quantisation" in names else 0.0
+    stale = stale if detected_by("repeats").id in names else 0.0
+    step = step if detected_by("steps").id in names else 0.0
     if before is not None and burst_mgauss(readings, before) > _MATERIAL * floor_mgauss:
         unexplained = "time"
     return Traces(stale, step, rapid, excess, stale_doubt(replay, stale), step_doubt, unexplained), replay
@@ -93,4 +93,4 @@ def find_traces(
 
 def searched(replay: Replay, effects: Iterable[Effect]) -> list[Effect]:
     """Leave out of a search what averaged rows cannot show, and single readings have told."""
-    return [e for e in effects if replay.averaged == 1 or e.id not in IDS]
+    return [e for e in effects if replay.averaged == 1 or e.detector not in ("alternation", "line")]

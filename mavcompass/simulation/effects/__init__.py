@@ -22,6 +22,7 @@ from mavcompass.simulation.effects.live import Distortion
 from mavcompass.simulation.effects.registry import (
     catalogue,
     default,
+    detected_by,
     distortion,
     get,
     parse,
@@ -40,6 +41,7 @@ __all__ = [
     "Stage",
     "catalogue",
     "default",
+    "detected_by",
     "distortion",
     "get",
     "parse",

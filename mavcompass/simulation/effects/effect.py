@@ -23,12 +23,21 @@ from mavcompass.simulation.physics.signals import Reading, Stimulus
 Memory = dict[str, Any]
 Kind = Literal["mean", "discrete", "random", "integrity"]
 Group = Literal["mag", "acc", "gyro"]
+Detector = Literal[
+    "repeats", "steps", "alternation", "line", "scatter", "jitter", "drift",
+    "accelerometer offset", "gyro offset", "gyro gain",
+]  # fmt: skip
 # Moments of change that lie outside every recording.
 NEVER_S = 1.0e7
 # 1 where an error of the sensor acts on the vehicle's iron too, 0 where it acts on the field alone.
 ON_IRON = "on_iron"
 # Parameters that are moments of change, whatever effect they belong to.
 MOMENTS = frozenset({"on_s", "off_s"})
+# And other parameters that mean the same in every effect: the load from which on something is switched, the
+# frequency of a line, what no reading passes, by how much readings are late, the time constant that smooths.
+THRESHOLD, FREQUENCY, LIMIT, LAG, SMOOTHING = (
+    "threshold", "frequency_hz", "limit_mgauss", "lag_s", "time_constant_s"
+)  # fmt: skip
 # What a recording has that tells where it was made: what effects need that belong to a place.
 PLACED = frozenset({"position", "height"})
 GROUPS: tuple[Group, ...] = ("mag", "acc", "gyro")
@@ -190,6 +199,10 @@ class Effect:
             where differences must do.
         limits: how far a recording lets the parameters go (lower, upper), where that is less than the
             physical range.
+        detector: what shows it by itself, beside or instead of a search over sets.
+        daily: what differs from one good flight of a vehicle to the next, in the parameters' unit.
+        about_vertical: True for a turn of the world's field about the vertical, which a yaw hides.
+        from_origin: the world's field (3,) that it adds so far (3,) from where it begins to count.
     """
 
     id: str
@@ -210,6 +223,40 @@ class Effect:
     slopes: Slopes | None = None
     limits: Limits | None = None
     enough: tuple[Group, ...] = ()
+    detector: Detector | None = None
+    daily: float = 0.0
+    about_vertical: bool = False
+    from_origin: Callable[[FloatArray, FloatArray], FloatArray] | None = None
+
+    @property
+    def switched(self) -> bool:
+        """Tell whether a load switches it."""
+        return THRESHOLD in self.names
+
+    @property
+    def moves(self) -> bool:
+        """Tell whether it comes or goes at a moment, or as something is switched: not only perhaps."""
+        return self.switched or any(p.name in MOMENTS and not p.optional for p in self.parameters)
+
+    @property
+    def local(self) -> bool:
+        """Tell whether it belongs to a moment, a switch or a place."""
+        return self.switched or bool(MOMENTS & set(self.names)) or bool(self.needs & PLACED)
+
+    @property
+    def of_vehicle(self) -> bool:
+        """Tell whether it is the vehicle's own, and neither the world's nor a moment's."""
+        return self.stage > Stage.WORLD and not MOMENTS & set(self.names)
+
+    @property
+    def delays(self) -> NDArray[np.bool_]:
+        """Tell which parameters are times by which readings are late, (k,)."""
+        own = self.kind == "mean"
+        return np.array([own and p.unit == "s" and p.low >= 0.0 for p in self.parameters])
+
+    def value(self, theta: FloatArray, name: str) -> float | None:
+        """Return a parameter by its name; None where the effect has none of that name."""
+        return float(theta[self.names.index(name)]) if name in self.names else None
 
     def stage_at(self, theta: FloatArray) -> Stage:
         """Return the place in the order of composition that the effect has with these parameters."""

@@ -11,7 +11,7 @@ from mavcompass.errors import UsageError
 from mavcompass.files import read_text
 from mavcompass.installation.additions import modules_in
 from mavcompass.simulation.effects import causes
-from mavcompass.simulation.effects.effect import Effect, Setting
+from mavcompass.simulation.effects.effect import Detector, Effect, Setting
 from mavcompass.simulation.effects.live import Distortion
 
 PRESET_SCHEMA = "mavcompass.simulation-preset/1"
@@ -40,6 +40,12 @@ def get(effect_id: str) -> Effect:
             f"There is no effect called {effect_id!r}.", f"{hint}`mavcompass gap catalogue` lists them."
         )
     return effect
+
+
+@cache
+def detected_by(detector: Detector) -> Effect:
+    """Return the effect that a detector shows."""
+    return next(effect for effect in catalogue().values() if effect.detector == detector)
 
 
 def parse(text: str) -> Setting:

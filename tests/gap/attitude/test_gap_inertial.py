@@ -93,7 +93,7 @@ def assert_is(cause: Cause, effect: str, axis: int, size: float) -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_bias_of_the_gyro_is_found_on_each_axis(bias_before: Bias | None, axis: int) -> None:
     track = made(2, beside(USUAL_GYRO, axis, -GYRO), USUAL_ACC)
-    (cause,) = sensor_fault("gyro_bias", smoothed_bias(track), bias_before)
+    (cause,) = sensor_fault("gyro offset", smoothed_bias(track), bias_before)
     assert_is(cause, "gyro_bias", axis, -GYRO)
 
 
@@ -108,7 +108,7 @@ def test_scale_of_the_gyro_is_found_where_it_turns(baseline: Track, axis: int, s
     assert track.gyro_radps is not None
     stretched = track.gyro_radps.values * (1.0 + size * np.eye(3)[axis])
     faulty = replace(track, gyro_radps=Series.of(track.gyro_radps.time_s, stretched))
-    (cause,) = sensor_fault("gyro_scale", smoothed_scale(faulty), smoothed_scale(baseline))
+    (cause,) = sensor_fault("gyro gain", smoothed_scale(faulty), smoothed_scale(baseline))
     assert cause.effect == "gyro_scale"
     for i, name in enumerate("xyz"):
         (low, high), true = cause.ci95[name], size * (i == axis)
@@ -123,7 +123,7 @@ def test_scale_that_any_gyro_may_have_is_no_fault(baseline: Track, seed: int) ->
     assert track.gyro_radps is not None
     usual = track.gyro_radps.values * [1.01, 0.992, 0.988]
     track = replace(track, gyro_radps=Series.of(track.gyro_radps.time_s, usual))
-    assert sensor_fault("gyro_scale", smoothed_scale(track), smoothed_scale(baseline)) == ()
+    assert sensor_fault("gyro gain", smoothed_scale(track), smoothed_scale(baseline)) == ()
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -155,14 +155,14 @@ def test_biases_of_both_sensors_are_found_beside_each_other(
     track = made(1, beside(USUAL_GYRO, 2, GYRO), beside(USUAL_ACC, 0, ACC))
     fault = accelerometer_fault(track, baseline)
     assert_is(fault[0], "accel_bias", 0, ACC)
-    (cause,) = sensor_fault("gyro_bias", smoothed_bias(without_fault(track, fault)), bias_before)
+    (cause,) = sensor_fault("gyro offset", smoothed_bias(without_fault(track, fault)), bias_before)
     assert_is(cause, "gyro_bias", 2, GYRO)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_healthy_pair_has_no_fault(baseline: Track, bias_before: Bias | None, seed: int) -> None:
     track = made(10 + seed, USUAL_GYRO, USUAL_ACC)
-    assert sensor_fault("gyro_bias", smoothed_bias(track), bias_before) == ()
+    assert sensor_fault("gyro offset", smoothed_bias(track), bias_before) == ()
     assert accelerometer_fault(track, baseline) == ()
 
 
@@ -177,8 +177,8 @@ def test_what_cannot_be_compared_is_not_judged(baseline: Track) -> None:
     sparse = replace(track, attitude_rad=Series.of(slow.time_s[::4], slow.values[::4]))
     assert accelerometer_fault(sparse, baseline) == ()
     known = Bias(np.full(3, GYRO), np.full(3, 1e-4))
-    assert sensor_fault("gyro_bias", known, Bias(np.zeros(3), known.sigma)) != ()
-    assert sensor_fault("gyro_bias", known, None) == () and sensor_fault("gyro_bias", None, known) == ()
+    assert sensor_fault("gyro offset", known, Bias(np.zeros(3), known.sigma)) != ()
+    assert sensor_fault("gyro offset", known, None) == () and sensor_fault("gyro offset", None, known) == ()
 
 
 def bent_by_its_turns(track: Track, times: float) -> Track:
@@ -204,8 +204,8 @@ def test_acceleration_that_a_bent_yaw_turns_is_no_fault(baseline: Track) -> None
 def test_change_within_its_own_doubt_is_no_fault() -> None:
     before = Bias(np.zeros(3), np.full(3, 1e-4))
     moved = np.array([2.0 * GYRO, 0.0, 0.0])
-    assert sensor_fault("gyro_bias", Bias(moved, np.full(3, GYRO)), before) == ()
-    assert sensor_fault("gyro_bias", Bias(moved, np.full(3, 0.1 * GYRO)), before) != ()
+    assert sensor_fault("gyro offset", Bias(moved, np.full(3, GYRO)), before) == ()
+    assert sensor_fault("gyro offset", Bias(moved, np.full(3, 0.1 * GYRO)), before) != ()
 
 
 @pytest.mark.parametrize(
@@ -216,7 +216,7 @@ def test_three_axes_are_judged_together(sigmas: tuple[float, ...], is_fault: boo
     """Two that are off by less than six sigmas each are as improbable as one that is off by more."""
     before = Bias(np.zeros(3), np.zeros(3))
     now = Bias(GYRO * np.array(sigmas), np.full(3, GYRO))
-    assert (sensor_fault("gyro_bias", now, before) != ()) is is_fault
+    assert (sensor_fault("gyro offset", now, before) != ()) is is_fault
 
 
 def test_fault_is_taken_out_with_the_witness_that_was_fed_with_it(baseline: Track) -> None:

@@ -57,20 +57,3 @@ def test_what_bends_the_known_to_fit_readings_closer_is_not_needed(monkeypatch: 
     nothing, bent = fit(1000.0, 3.0), fit(800.0, 60.0, LAG)
     assert criteria(1.0, monkeypatch).grows(nothing, bent)
     assert not criteria(4.0, monkeypatch).grows(nothing, bent)
-
-
-def test_a_rival_falls_short_by_what_it_leaves_more_and_by_the_parameters_it_needs_more(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    one = criteria(1.0, monkeypatch)
-    chosen, other, fuller = fit(900.0, 3.0, LAG), fit(925.0, 3.0, LOW_PASS), fit(900.0, 3.0, HARD_IRON)
-    assert one.lead(chosen, [other]) == pytest.approx(5.0)
-    # As close with two parameters more is no better: it is as likely as its weight says.
-    more = one.cost(3) - one.cost(1)
-    assert one.lead(chosen, [other, fuller]) == pytest.approx(min(5.0, np.sqrt(more)))
-    assert one.lead(chosen, [other, fit(880.0, 3.0, LOW_PASS)]) == 0.0
-    # That nothing has fewer parameters is no merit of it.
-    assert one.lead(chosen, [fit(925.0, 3.0)]) == pytest.approx(5.0)
-    (first, weight), *_ = one.weights(chosen, {f.ids: f for f in (chosen, fuller)})
-    assert first == chosen.ids
-    assert weight == pytest.approx(1.0 / (1.0 + np.exp(-0.5 * one.lead(chosen, [fuller]) ** 2)))

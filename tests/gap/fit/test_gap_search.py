@@ -38,12 +38,11 @@ def test_an_attitude_that_a_gap_has_bent_is_returned_to_what_is_known(
         null=lambda: Fit((), (), (bent,), 100.0),
         straight=lambda fit: False,
     )
-    one = Search(problem, ())
     (after,) = unbent(problem, problem.null(), curves=True).nuisance_thetas
     assert after[0] == (bent[0] if kept[0] else 0.0)
     assert after[1:].tolist() == (bent[1:] if kept[1] else 0.0 * bent[1:]).tolist()
     # What is left without any effect is left beside the attitude that explains it best.
-    (left,) = one.nothing().null.nuisance_thetas
+    (left,) = unbent(problem, problem.null()).nuisance_thetas
     assert left[1:].tolist() == bent[1:].tolist()
 
 
@@ -59,7 +58,7 @@ def test_how_old_readings_are_is_not_bent_back_with_the_rest(late: float, stays:
         null=lambda: Fit((), (), bent, 100.0),
         straight=lambda fit: False,
     )
-    kept = Search(problem, ()).nothing().null.nuisance_thetas
+    kept = unbent(problem, problem.null()).nuisance_thetas
     assert kept[0].tolist() == [0.0, 0.0, 0.0]
     assert kept[1].tolist() == (bent[1] if stays else age.mean).tolist()
 

@@ -346,7 +346,8 @@ def test_noise_is_compared_with_the_floors_where_it_is_the_floors(
             made.append(noise)
 
         def refit(self, fit: Any) -> Any:
-            return SimpleNamespace(ids=frozenset(effects), terms=())
+            limit = {name: 1.0 for effect in effects for name in registry.get(effect).names}
+            return SimpleNamespace(ids=frozenset(effects), terms=(), value=limit.get)
 
     monkeypatch.setattr(remainder, "Problem", Fitted)
     monkeypatch.setattr(remainder, "_without_plateaus", lambda problem, fit: problem)

@@ -10,15 +10,13 @@ import numpy as np
 from mavcompass.frames import FloatArray, rotate_back
 from mavcompass.gap.replay import TELEMETRY_AGE
 from mavcompass.simulation.effects.causes.timing import followed, late, late_beside, late_field, turned_since
-from mavcompass.simulation.effects.effect import Effect, Signals, Stage
+from mavcompass.simulation.effects.effect import LAG, SMOOTHING, Effect, Signals, Stage
 from mavcompass.simulation.physics.signals import RecordedStimulus
 
 # Matrices that differ by so much count.
 _APART = 0.03
 # Stages whose changes turn with the vehicle.
 TURNING = frozenset({Stage.ATTITUDE, Stage.WORLD})
-_SMOOTHING = "low_pass"
-_LATE = frozenset({"transport_lag", TELEMETRY_AGE, _SMOOTHING})
 # Effects in the order in which they act, with their places in the list of parameters.
 Order = Sequence[tuple[Effect, int]]
 
@@ -29,10 +27,10 @@ def together(order: Order, at: int) -> range:
     One after the other they would interpolate what was interpolated, and a fit between them would stick.
     """
     first, end = at, at + 1
-    if order[at][0].id in _LATE:
-        while first and order[first - 1][0].id in _LATE:
+    if _is_late(order[at][0]):
+        while first and _is_late(order[first - 1][0]):
             first -= 1
-        while end < len(order) and order[end][0].id in _LATE:
+        while end < len(order) and _is_late(order[end][0]):
             end += 1
     return range(first, end)
 
@@ -40,15 +38,20 @@ def together(order: Order, at: int) -> range:
 def late_members(order: Order) -> range:
     """Return the members that make readings late, where what follows them is the sensor's alone; none at the
     end of all others."""
-    late = [at for at, (effect, _) in enumerate(order) if effect.id in _LATE]
+    late = [at for at, (effect, _) in enumerate(order) if _is_late(effect)]
     if not late or any(effect.stage is not Stage.SENSOR for effect, _ in order[late[-1] + 1 :]):
         return range(len(order), len(order))
     return range(late[0], late[-1] + 1)
 
 
+def _is_late(effect: Effect) -> bool:
+    """Tell what delays or smooths readings, and nothing else."""
+    return effect.id == TELEMETRY_AGE or LAG in effect.names or SMOOTHING in effect.names
+
+
 def lateness(members: Order, everything: Sequence[FloatArray]) -> tuple[float, float]:
     """Return by how many seconds members delay readings, and the time constant by which they smooth them."""
-    each = [(effect.id == _SMOOTHING, float(everything[place][0])) for effect, place in members]
+    each = [(SMOOTHING in effect.names, float(everything[place][0])) for effect, place in members]
     return sum(s for smooths, s in each if not smooths), sum(s for smooths, s in each if smooths)
 
 

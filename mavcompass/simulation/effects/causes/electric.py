@@ -158,6 +158,7 @@ EFFECTS = (
     ),
     Effect(
         id="ac_interference",
+        detector="line",
         title="an alternating field, aliased by the sampling",
         stage=Stage.FIELD,
         parameters=(

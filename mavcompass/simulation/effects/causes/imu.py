@@ -35,6 +35,8 @@ def _vibration(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) ->
 EFFECTS = (
     Effect(
         id="accel_bias",
+        detector="accelerometer offset",
+        daily=0.25,
         title="an offset of the accelerometer",
         stage=Stage.IMU,
         parameters=axes(-5.0, 5.0, (0.15, -0.1, 0.2), 0.05, "m/s^2"),
@@ -86,6 +88,8 @@ EFFECTS = (
     ),
     Effect(
         id="gyro_bias",
+        detector="gyro offset",
+        daily=0.012,
         title="an offset of the gyro",
         stage=Stage.IMU,
         parameters=axes(-0.5, 0.5, (0.005, -0.004, 0.006), 0.003, "rad/s"),
@@ -99,6 +103,8 @@ EFFECTS = (
     ),
     Effect(
         id="gyro_scale",
+        detector="gyro gain",
+        daily=0.04,
         title="a gain error of the gyro",
         stage=Stage.IMU,
         parameters=axes(-0.3, 0.3, (0.01, -0.008, 0.012), 0.01, "1"),

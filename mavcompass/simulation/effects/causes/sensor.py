@@ -114,6 +114,7 @@ EFFECTS = (
     ),
     Effect(
         id="quantisation",
+        detector="steps",
         title="coarse steps of the numbers",
         stage=Stage.SENSOR,
         parameters=(Parameter("step_mgauss", "mG", 0.01, 100.0, 4.0, 1.0),),
@@ -125,6 +126,7 @@ EFFECTS = (
     ),
     Effect(
         id="noise_excess",
+        detector="scatter",
         title="more noise than the floor",
         stage=Stage.SENSOR,
         parameters=(Parameter("sigma_mgauss", "mG", 0.0, 200.0, 6.0, 2.0),),
@@ -138,6 +140,7 @@ EFFECTS = (
     ),
     Effect(
         id="bias_random_walk",
+        detector="drift",
         title="an offset that wanders",
         stage=Stage.FIELD,
         parameters=(Parameter("sigma_mgauss_per_sqrt_s", "mG/sqrt(s)", 0.0, 20.0, 0.8, 0.3),),
@@ -185,6 +188,7 @@ EFFECTS = (
     ),
     Effect(
         id="set_reset_offset",
+        detector="alternation",
         title="an offset that changes sign with every reading",
         stage=Stage.FIELD,
         parameters=axes(-200.0, 200.0, (6.0, -4.0, 5.0), 3.0, "mG"),

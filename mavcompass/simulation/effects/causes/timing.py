@@ -169,6 +169,7 @@ EFFECTS = (
     ),
     Effect(
         id="timestamp_jitter",
+        detector="jitter",
         title="the time stamps scatter",
         stage=Stage.TIMING,
         parameters=(Parameter("sigma_s", "s", 0.0, 0.2, 0.01, 0.005),),
@@ -181,6 +182,7 @@ EFFECTS = (
     ),
     Effect(
         id="stale_samples",
+        detector="repeats",
         title="readings are repeated",
         stage=Stage.SENSOR,
         parameters=(Parameter("fraction", "1", 0.0, 0.95, 0.2, 0.05),),

@@ -275,6 +275,7 @@ EFFECTS = (
     ),
     Effect(
         id="declination",
+        about_vertical=True,
         title="the field points elsewhere than the model says",
         stage=Stage.WORLD,
         parameters=(Parameter("angle_rad", "rad", -0.6, 0.6, 0.06, 0.01),),
@@ -285,6 +286,7 @@ EFFECTS = (
     ),
     Effect(
         id="field_gradient",
+        from_origin=lambda theta, away_m: np.asarray(away_m @ gradient_matrix(theta)),
         title="the field changes evenly with the place",
         stage=Stage.WORLD,
         parameters=axes(

@@ -1,0 +1,127 @@
+"""Decide what is said of a recording: the best set, how probable it is, and what else it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mavcompass.gap.answer.evidence import Evidence
+from mavcompass.gap.answer.shrink import above, figures, yaw_wander_deg
+from mavcompass.gap.answer.statistics import statistics
+from mavcompass.gap.answer.verdict import Findings, verdict
+from mavcompass.gap.fit import Fit
+from mavcompass.gap.result import Closing, Verdict
+from mavcompass.gap.tables import Kind, tables
+from mavcompass.gap.traces import follows_way, keeps_step
+from mavcompass.simulation.effects.effect import FREQUENCY
+
+# Where a heading is told no better, a recording tells nothing.
+_COARSEST_DEG = 15.0
+# Sets are told until they hold so much of what any known set does, but none that weighs less than this.
+_HELD, _WEIGHTLESS = 0.9, 0.01
+
+Sets = tuple[tuple[frozenset[str], float], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """Hold the verdict, the fit whose effects are named, what it closes, and every set that may be the cause.
+
+    `sets` are without what single readings tell; `in_step` says that a line may be of something that turns
+    with the wheels, `wander_deg` by how much an unwitnessed yaw has to wander.
+    """
+
+    verdict: Verdict
+    named: Fit
+    field: Closing
+    heading: Closing
+    sets: Sets
+    coordinate: str | None = None
+    in_step: bool = False
+    wander_deg: float = 0.0
+
+    @property
+    def flagged(self) -> bool:
+        """Tell whether something is left that nothing known explains."""
+        return self.verdict in ("unknown", "named_with_remainder")
+
+
+def decide(evidence: Evidence) -> Answer:
+    """Decide what is said."""
+    identified, floor, table = evidence.identified, evidence.floor, tables()
+    posterior, none, fit = identified.posterior, identified.found.null, identified.fit
+    field, heading = figures(evidence, fit, with_scatter=True)
+    if evidence.frozen:
+        return Answer("named_with_remainder", none, field, heading, (), evidence.adequacy.where)
+    known = statistics(evidence, field, heading)
+    healthy = table.healthy
+    outcomes = table.map.probabilities(known.values)
+    p_gain = healthy.p_of_gain(known.gain)
+    in_step = _in_step(evidence, fit)
+    alone = figures(evidence, none, with_scatter=False)
+    # Something lies above a floor without the set, or what it was not fitted to gains: other readings, and
+    # what is known of vehicle and place.
+    relieved = posterior.nothing.strain - posterior.best.strain
+    confirmed = known.held_out_gain + relieved > 0.0 or any(c.nominal > c.floor for c in alone)
+    silent = not evidence.beside and (not fit.terms or p_gain > table.levels.gain or not confirmed)
+    # Names beside a yaw that has to wander are borne out by no heading.
+    wander_deg = 0.0 if silent else yaw_wander_deg(identified.problem, fit, floor, heading)
+    if silent:
+        field, heading = alone
+    # What single readings show and no name is for is no silence.
+    shown = silent and bool(evidence.traces.unexplained)
+    turns = bool(evidence.replay.present & {"turning", "tilt"}) or floor.measured
+    said = verdict(
+        Findings(
+            found=known.found,
+            searched=bool(fit.terms) and not evidence.beside,
+            confirmed=confirmed,
+            p_gain=p_gain,
+            p_fit=healthy.p_of_fit(known.kind, known.values),
+            outcomes=outcomes,
+            shared=in_step or bool(fit.ids & evidence.half_testable),
+            above=shown or wander_deg > 0.0 or _lifted(known.kind, field, heading),
+            testable=turns and (floor.measured or heading.floor < _COARSEST_DEG),
+        ),
+        table.levels,
+    )
+    known_sets = ((fit.ids, outcomes["whole"] + outcomes["part"]), *posterior.weights(outcomes["other"]))
+    where = evidence.adequacy.where if said in ("unknown", "named_with_remainder") else None
+    if said in ("named", "ambiguous", "named_with_remainder"):
+        return Answer(said, fit, field, heading, _told(known_sets), where, in_step, wander_deg)
+    if said == "unknown" and (evidence.faults or evidence.traces.named):
+        # What single readings show by themselves is named, whatever else there is.
+        both = figures(evidence, none, with_scatter=True)
+        sets = ((none.ids, 1.0 - outcomes["unknown"]),)
+        return Answer("named_with_remainder", none, *both, sets, where, in_step)
+    return Answer(said, none, *alone, _told([one for one in known_sets if one[0]]), where)
+
+
+def _lifted(kind: Kind, field: Closing, heading: Closing) -> bool:
+    """Tell whether something lies above a floor; an exact one is judged in detail instead."""
+    return kind != "exact" and any(above(c, c.after) for c in (field, heading))
+
+
+def _told(sets: Sequence[tuple[frozenset[str], float]]) -> Sets:
+    """Return the smallest set of sets that holds nine tenths of what all of them do, the likeliest first."""
+    whole, held, out = sum(weight for _, weight in sets), 0.0, []
+    for ids, weight in sorted(sets, key=lambda one: -one[1]):
+        if held >= _HELD * whole or weight < _WEIGHTLESS:
+            break
+        out.append((ids, weight))
+        held += weight
+    return tuple(out)
+
+
+def _in_step(evidence: Evidence, named: Fit) -> bool:
+    """Tell whether a named line is one of something that may turn as the vehicle drives."""
+    if evidence.track.vehicle == "copter":
+        # What flies has nothing that turns with its way.
+        return False
+    replayed, taken = evidence.replay, [r for r in evidence.traces.rapid if FREQUENCY in r.parameters]
+    lines_hz = [r.parameters[FREQUENCY] for r in taken]
+    if (hertz := named.value(FREQUENCY)) is not None:
+        lines_hz.append(hertz)
+    return any(keeps_step(replayed, hertz) for hertz in lines_hz) or any(
+        follows_way(replayed, r.change_mgauss, hertz) for r, hertz in zip(taken, lines_hz, strict=False)
+    )

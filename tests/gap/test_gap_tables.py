@@ -1,0 +1,60 @@
+"""The tables of the criterion belong to the code that reads them, and to the command that makes them."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from mavcompass.gap.answer import figures, statistics
+from mavcompass.gap.diagnose import examine
+from mavcompass.gap.tables import KINDS, OUTCOMES, parsed, tables
+from mavcompass.gap.trial.cases import Recipe, make_track
+from mavcompass.installation.data_files import params_path
+
+ROOT = Path(__file__).parents[2]
+DOCUMENT: dict[str, Any] = json.loads(params_path("gap/criterion.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def command() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("learn_gap", ROOT / "scripts/campaigns/learn_gap.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_tables_are_those_of_the_command_as_it_stands(command: ModuleType) -> None:
+    assert DOCUMENT["made"]["lot"] == [list(one) for one in command.LOT]
+    assert DOCUMENT["levels"] == command.LEVELS
+    assert DOCUMENT["map"]["names"] == list(command.MAPPED)
+    assert DOCUMENT["healthy"]["names"] == list(command.LEFT)
+
+
+def test_every_statistic_that_the_tables_name_is_one_that_a_recording_has() -> None:
+    evidence = examine(make_track(Recipe("figure-8", duration_s=40.0, rate_hz=10.0, seed=3)), None)
+    known = statistics(evidence, *figures(evidence, evidence.identified.fit, with_scatter=True))
+    assert {*tables().map.names, *tables().healthy.names} <= known.values.keys()
+    assert sum(tables().map.probabilities(known.values).values()) == pytest.approx(1.0)
+    assert 0.0 < tables().healthy.p_of_fit(known.kind, known.values) <= 1.0
+
+
+def test_healthy_vehicles_of_every_kind_were_seen_and_bound_the_p_values() -> None:
+    healthy, levels = tables().healthy, tables().levels
+    assert set(healthy.usual) == set(KINDS) and len(tables().map.weights[0]) == len(OUTCOMES)
+    # A rate that so few could not have shown would never be reached.
+    assert 1.0 / (1.0 + healthy.count) < min(levels.gain, levels.fit)
+    assert healthy.p_of_gain(-1.0) > max(levels.gain, levels.fit) > healthy.p_of_gain(1e9)
+    assert healthy.p_of_gain(50.0) >= healthy.p_of_gain(500.0)
+
+
+def test_tables_of_another_form_are_refused() -> None:
+    with pytest.raises(ValueError, match="criterion"):
+        parsed({**DOCUMENT, "schema": "another/1"})
