@@ -40,8 +40,9 @@ _SPEED_KNOWN_S = 2.0
 _TILT_SIGMA_RAD, _BIAS_SIGMA_RADPS = math.radians(8.0), math.radians(0.2)
 # What (L1) leaves out: sensors that are not quite square to each other.
 FLOOR_RAD = math.radians(0.05)
-# What whole numbers of a wire hide of a rate that stays lasts for about a second.
-_HIDDEN_RADPS, _HIDDEN_MPS2 = 0.001 / math.sqrt(12.0), 0.01 / math.sqrt(12.0)
+# What whole numbers of a wire, cut toward zero, hide of a rate about zero looks like a bias that comes and goes
+# with the standing still; what they hide of a force lasts for about a second.
+_HIDDEN_RADPS, _HIDDEN_FOR_S, _HIDDEN_MPS2 = 0.001 / math.sqrt(3.0), 10.0, 0.01 / math.sqrt(12.0)
 # A gyro's bias wanders; the frame's heading, by the vertical one, too.
 _BIAS_WALK, _TURN_WALK = math.radians(0.02) ** 2 / 60.0, math.radians(0.5) ** 2
 # What roll and pitch are off by while something moves lasts for about as long as the filter remembers.
@@ -251,11 +252,12 @@ class Level:
         f[_TAU, _B] = -ahead * step_s
         f[_E, _E] = fading
         p = f @ p @ f.conj().T
-        hidden2 = _HIDDEN_RADPS**2 + _SCALE**2 * _dot(self._gyro, self._gyro)
+        # Noise of more than a step averages out what the steps hide.
+        hidden2 = _HIDDEN_RADPS**2 * _LEAST_RATE2 / self._rate2
         doubt = ESTIMATOR_SIGMA_RAD**2 + (_YAW_DOUBT * abs(self._pushed) / _G) ** 2
         p[_V, _V] += self._force2 * step_s * step_s + _HIDDEN_MPS2**2 * step_s
-        p[_TAU, _TAU] += self._rate2 * step_s * step_s + hidden2 * step_s
-        p[_B, _B] += _BIAS_WALK * step_s
+        p[_TAU, _TAU] += self._rate2 * step_s * step_s + _SCALE**2 * _dot(self._gyro, self._gyro) * step_s
+        p[_B, _B] += (_BIAS_WALK + 2.0 * hidden2 / _HIDDEN_FOR_S) * step_s
         p[_C, _C] += _TURN_WALK * step_s
         p[_E, _E] += doubt * (1.0 - fading * fading)
         self._p = p
@@ -282,6 +284,9 @@ class Level:
         self._c += c
         self._e += e
         self._bias += b
+        # What was felt so far leans with the frame.
+        self._pushed += 1j * _G * tau
+        self._slow += 1j * _G * tau
         x, y = self._x, self._y
         # R -> (1 + [phi]x) R, phi = (tau', tau'', 0): rows x += phi_y z, y -= phi_x z.
         p1, p2 = tau.real, tau.imag

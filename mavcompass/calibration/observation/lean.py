@@ -3,7 +3,7 @@
 Standing at several headings shows two tilts: the ground's, which stays, and one that turns along.
 The latter is how the vehicle stands, or the accelerometer's own error, and no reading parts the two:
 
-    roll = r + u cos t + v sin t,   pitch = p - u sin t + v cos t                                        (L1)
+    roll = r + u cos t + v sin t,   pitch = p - u sin t + v cos t                                        (A1)
 
 with the lean (r, p), the ground's slope (u, v) and the angle t turned. Where hardly any lean is seen there is
 hardly any error either; a lean is the accelerometer's as far as that is likely beforehand.

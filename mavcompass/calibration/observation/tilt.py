@@ -15,8 +15,6 @@ from mavcompass.track import Track
 TILT_FLOOR_RAD = math.radians(0.02)
 # What the accelerometer's calibration leaves: one thousandth of gravity, the same at every position.
 TILT_BIAS_SIGMA_RAD = 0.001
-# So much before and after a dwell tells its level: several periods of a position loop.
-_MARGIN_S = 20.0
 
 
 def tilt_during(
@@ -27,7 +25,7 @@ def tilt_during(
     `lag_sigma_s` is what is not known of the readings' times: it matters while the tilt changes.
     """
     start, end = float(time_s[0]), float(time_s[-1])
-    level = levels(track.between(start - _MARGIN_S, end + _MARGIN_S))
+    level = levels(track)
     downs = level.at(time_s)
     down = downs.mean(axis=0)
     x, y, z = down
