@@ -40,7 +40,7 @@ _SPEED_KNOWN_S = 2.0
 _TILT_SIGMA_RAD, _BIAS_SIGMA_RADPS = math.radians(8.0), math.radians(0.2)
 # What (L1) leaves out: sensors that are not quite square to each other.
 FLOOR_RAD = math.radians(0.05)
-# What whole numbers of a wire, cut toward zero, hide of a rate about zero looks like a bias that comes and goes
+# What whole numbers of a wire, cut toward zero, hide of a rate about zero is like a bias that comes and goes
 # with the standing still; what they hide of a force lasts for about a second.
 _HIDDEN_RADPS, _HIDDEN_FOR_S, _HIDDEN_MPS2 = 0.001 / math.sqrt(3.0), 10.0, 0.01 / math.sqrt(12.0)
 # A gyro's bias wanders; the frame's heading, by the vertical one, too.

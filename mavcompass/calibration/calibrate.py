@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from mavcompass.blas import single_thread
-from mavcompass.calibration.judge import judge
+from mavcompass.calibration.judge import Case, judge
 from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.methods.running import Learnt, learn
 from mavcompass.calibration.recorded import Recorded
@@ -109,13 +108,13 @@ def calibrate_compasses(
     if refused := [refusals[i] for i in chosen if i in refusals]:
         if len(refused) == len(chosen):
             raise refused[0]
+    case = Case(track, results, world, limits, solved, windows)
     judged: dict[int, CalibrationResult] = {}
     for i in chosen:
         if i in refusals:
             judged[i] = _refused(track, method, i, refusals[i])
             continue
-        others = {j: other for j, other in results.items() if j != i}
-        found = judge(track, results[i], others, world, limits, partial(_at, solved, i), windows)
+        found = judge(case, results[i])
         if turn and found.mounting.mended is not None:
             judged[i] = found.mounting.mended
             continue
@@ -124,10 +123,6 @@ def calibrate_compasses(
             found = replace(found, warnings=(*found.warnings, *_would_do(recorded, found.method)))
         judged[i] = with_parameters(found, track)
     return judged
-
-
-def _at(solved: Callable[[Track, int], CalibrationResult], instance: int, track: Track) -> CalibrationResult:
-    return solved(track, instance)
 
 
 @single_thread()
@@ -147,10 +142,10 @@ def learn_compasses(
         except MavCompassError as error:
             found[i] = error
     results = {i: one.result for i, one in found.items() if isinstance(one, Learnt)}
+    case = Case(track, results, earth, limits, learnt)
     for i, result in results.items():
-        others = {j: other for j, other in results.items() if j != i}
-        judged = judge(track, result, others, earth, limits, partial(_at, learnt, i))
-        found[i] = replace(found[i], result=with_parameters(judged, track))  # type: ignore[type-var]
+        judged = with_parameters(judge(case, result), track)
+        found[i] = replace(found[i], result=judged)  # type: ignore[type-var]
     return found
 
 

@@ -14,34 +14,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mavcompass.calibration.comparison import compared, within
 from mavcompass.calibration.evidence import Evidence, gather
-from mavcompass.calibration.mounting import (
-    TURNED_RAD,
-    as_set,
-    mounted_turned,
-    mounting_words,
-    turned_compass,
-)
+from mavcompass.calibration.mounting import TURNED_RAD, as_set, mounted_turned, mounting_words, turned_compass
 from mavcompass.calibration.result import CalibrationResult, Mounting, Witness
 from mavcompass.calibration.verdict import Limits
-from mavcompass.compass_parameters import (
-    ardupilot_name,
-    ardupilot_naming,
-    is_calibrated,
-    px4_name,
-    sensor_to_body,
-)
-from mavcompass.compass_parameters.orientations import (
-    NUMBERED,
-    NUMBERED_WITHIN_RAD,
-    angle_between,
-    nearest,
-)
+from mavcompass.compass_parameters import is_calibrated, orientation_name, sensor_to_body
+from mavcompass.compass_parameters.orientations import NUMBERED, NUMBERED_WITHIN_RAD, angle_between, nearest
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import euler_to_matrix, wrap_pi
@@ -55,38 +38,46 @@ _FREE_RAD = math.radians(1.5)
 _LEAN_RAD = math.radians(15.0)
 _PLACELESS = "The place is unknown: nothing is held against the world's magnetic model."
 
-# Calibrates one compass of a recording, unjudged. Raises PoorCalibration where it cannot be.
-Solve = Callable[[Track], CalibrationResult]
+# Calibrates one compass of a recording, by its number, unjudged. Raises PoorCalibration where it cannot be.
+Solve = Callable[[Track, int], CalibrationResult]
 
 
-def judge(
-    track: Track,
-    result: CalibrationResult,
-    others: Mapping[int, CalibrationResult],
-    earth: EarthField | None,
-    limits: Limits,
-    solve: Solve,
-    windows: Sequence[tuple[float, float]] | None = None,
-) -> CalibrationResult:
-    """Return a result as it may be claimed: accepted, already right, or refused with its reasons.
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Hold what results of one recording are judged by.
 
-    Args:
-        track: the recording. result: of one of its compasses.
-        others: results of its other compasses, as far as they could be calibrated.
+    Attributes:
+        track: the recording. results: of its compasses by number, unjudged, as far as there are any.
         earth: the Earth's field at the place, None where that is unknown.
-        solve: calibrates the same compass of another recording: of this one, with the compass turned.
+        limits: what is accepted.
+        solve: calibrates a compass of another recording: of this one, with the compass turned.
         windows: the still stretches (start, end) that count as evidence; None for all of the recording.
     """
 
-    def seen(of: Track, one: CalibrationResult) -> Evidence:
-        return gather(of, one, others, earth, windows)
+    track: Track
+    results: Mapping[int, CalibrationResult]
+    earth: EarthField | None
+    limits: Limits
+    solve: Solve
+    windows: Sequence[tuple[float, float]] | None = None
 
-    evidence = seen(track, result)
+    def others(self, result: CalibrationResult) -> dict[int, CalibrationResult]:
+        """Return the results of all compasses but one's."""
+        return {i: other for i, other in self.results.items() if i != result.instance}
+
+    def evidence(self, result: CalibrationResult) -> Evidence:
+        """Compare the heading by a result with all else that was recorded."""
+        return gather(self.track, result, self.others(result), self.earth, self.windows)
+
+
+def judge(case: Case, result: CalibrationResult) -> CalibrationResult:
+    """Return a result as it may be claimed: accepted, already right, or refused with its reasons."""
+    evidence = case.evidence(result)
     found = isolate_faults(evidence.sources)
-    judged = _told(_weighed(result, evidence, found, limits), found, track, earth)
+    judged = _told(case, _weighed(result, evidence, found, case.limits), found)
     if judged.accepted:
-        return _right_already(judged, track)
-    as_mounted = _as_mounted(track, result, others, earth, limits, solve, seen, found)
+        return _right_already(judged, case.track)
+    as_mounted = _as_mounted(case, result, found)
     if as_mounted is None:
         return judged
     # What else seems wrong with a compass that is turned only follows from that.
@@ -127,11 +118,10 @@ def _contradiction(found: FaultIsolation, evidence: Evidence) -> str:
     return f"{stands}: one of them is mounted turned, or set so, and nothing tells which."
 
 
-def _told(
-    result: CalibrationResult, found: FaultIsolation, track: Track, earth: EarthField | None
-) -> CalibrationResult:
+def _told(case: Case, result: CalibrationResult, found: FaultIsolation) -> CalibrationResult:
     """Put the evidence into the result, and say where there was none."""
-    if earth is None and earth_field_of(track) is None:
+    track = case.track
+    if case.earth is None and earth_field_of(track) is None:
         result = replace(result, warnings=(*result.warnings, _PLACELESS))
     mine, witnesses = found.sources[0], []
     for source in found.sources[1:]:
@@ -143,19 +133,12 @@ def _told(
         witnesses.append(Witness(source.name, math.degrees(difference), math.degrees(sigma), contradicts))
     if witnesses:
         return replace(result, evidence=tuple(witnesses), mounting=Mounting(seen=True))
+    setting = orientation_name(track.autopilot, track.parameters, result.instance)
     unseen = (
         "Which way the compass is mounted cannot be seen by turning alone, and nothing else that was recorded"
-        f" tells it: taken {_orientation_in_force(track, result.instance)}."
+        f" tells it: taken {f'from {setting}' if setting else 'as recorded'}."
     )
     return replace(result, warnings=(*result.warnings, unseen))
-
-
-def _orientation_in_force(track: Track, instance: int) -> str:
-    if track.autopilot == "px4":
-        return f"from {px4_name('ROT', instance)}"
-    if track.autopilot == "ardupilot":
-        return f"from {ardupilot_name('ORIENT', instance, ardupilot_naming(track.parameters))}"
-    return "as recorded"
 
 
 # --- right already ------------------------------------------------------------------------------------
@@ -186,33 +169,27 @@ def _right_already(result: CalibrationResult, track: Track) -> CalibrationResult
 
 
 def _as_mounted(
-    track: Track,
-    result: CalibrationResult,
-    others: Mapping[int, CalibrationResult],
-    earth: EarthField | None,
-    limits: Limits,
-    solve: Solve,
-    seen: Callable[[Track, CalibrationResult], Evidence],
-    found: FaultIsolation,
+    case: Case, result: CalibrationResult, found: FaultIsolation
 ) -> tuple[Mounting, tuple[str, ...]] | None:
     """Find the mounting with which a refused compass agrees with the sound sources; None for none.
 
     With it come the reasons, if any, not to accept the compass so mounted either.
     """
-    rotation = mounted_turned(track, result, others, earth, found)
+    track, instance = case.track, result.instance
+    rotation = mounted_turned(track, result, case.others(result), case.earth, found)
     if rotation is None:
         return None
-    in_force = sensor_to_body(track.autopilot, track.parameters, result.instance)
+    in_force = sensor_to_body(track.autopilot, track.parameters, instance)
     for _ in range(3):
-        turned = turned_compass(track, result.instance, rotation)
+        turned = replace(case, track=turned_compass(track, instance, rotation))
         try:
-            solved = solve(turned)
+            solved = case.solve(turned.track, instance)
         except PoorCalibration:
             return None
         free = nearest(rotation @ in_force, NUMBERED)[1] > NUMBERED_WITHIN_RAD
         mounting = Mounting(seen=True, turned=rotation)
         solved = compared(replace(solved, in_force=result.in_force.turned(rotation), mounting=mounting))
-        evidence = seen(turned, solved)
+        evidence = turned.evidence(solved)
         again = isolate_faults(evidence.sources)
         # Readings that are turned clockwise show a heading that much less.
         away = again.apart_rad(0) if solved.accepted else 0.0
@@ -225,5 +202,5 @@ def _as_mounted(
     if free:  # its angle is known as well as the others' headings
         sigma_deg = math.hypot(solved.heading_sigma_deg, math.degrees(again.others_sigma_rad(0)))
         solved = solved.widened(sigma_deg, "mounting")
-    judged = _weighed(solved, evidence, again, limits)
-    return as_set(track, _told(judged, again, track, earth), rotation), judged.reasons
+    judged = _weighed(solved, evidence, again, case.limits)
+    return as_set(track, _told(case, judged, again), rotation), judged.reasons

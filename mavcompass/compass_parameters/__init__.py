@@ -59,6 +59,7 @@ __all__ = [
     "ardupilot_values",
     "is_calibrated",
     "mounting_values",
+    "orientation_name",
     "px4_correction",
     "px4_name",
     "px4_sensor_correction",
@@ -89,6 +90,15 @@ def is_calibrated(
     """
     stored = parameters.get(px4_name("ID", instance)) if autopilot == "px4" else None
     return any(in_force.offsets_mgauss) if stored is None else stored != 0.0
+
+
+def orientation_name(autopilot: str, parameters: Mapping[str, float], instance: int) -> str:
+    """Name the parameter that says how a compass is mounted; "" where the autopilot is unknown."""
+    if autopilot == "px4":
+        return px4_name("ROT", instance)
+    return (
+        ardupilot_name("ORIENT", instance, ardupilot_naming(parameters)) if autopilot == "ardupilot" else ""
+    )
 
 
 def mounting_values(

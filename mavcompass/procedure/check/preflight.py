@@ -15,7 +15,7 @@ import numpy as np
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import Dwell, assemble, dwell_between
-from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, is_calibrated, px4_name
+from mavcompass.compass_parameters import is_calibrated, orientation_name
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi
@@ -345,12 +345,8 @@ class _Checker:
         turned = turned_by(fields[0], np.mean(fields[1:], axis=0), in_force)
         if not turned:
             return
-        naming = ardupilot_naming(self.desk.parameters)
-        px4 = self.desk.identity.autopilot == "px4"
-        names = [
-            px4_name("ROT", i) if px4 else ardupilot_name("ORIENT", i, naming)
-            for i in ((instance,) if instance else (one, *others))
-        ]
+        doubted = (instance,) if instance else (one, *others)
+        names = [orientation_name(self.desk.identity.autopilot, self.desk.parameters, i) for i in doubted]
         roll, pitch, yaw = turned[0]
         by = f" by roll {roll:g}, pitch {pitch:g}, yaw {yaw:g} deg" if len(turned) == 1 else ""
         wrong = f"mounted otherwise than {' or '.join(names)} says{by and ', turned'}{by}"
