@@ -19,7 +19,6 @@ EARTH_TOTAL_MGAUSS = (220.0, 670.0)
 _WIRE_LIMIT_MGAUSS = 32000.0
 _WORLD_MISMATCH = 0.3
 _TURNED_MOUNT = 0.35
-_UNLIKELY = 1e-3
 # Where it is not clear which position was disturbed, repeating one is cheaper than guessing.
 _AMBIGUOUS_SHARE = 0.05
 
@@ -153,7 +152,7 @@ def _judge_disturbance(
     apart = fit.disturbance_mgauss
     degrees = math.atan2(apart, horizontal) * DEG_PER_RAD
     named = _name_positions(fit.suspects)
-    if fit.consistency < _UNLIKELY and fit.residual_rms_mgauss > math.radians(0.25) * horizontal:
+    if fit.consistency < WIDENED_BELOW and fit.heading_sigma_rad * DEG_PER_RAD > limits.heading_deg:
         reasons.append(
             f"The positions do not fit one rigid compass: they disagree by {fit.residual_rms_mgauss:.0f} mG. "
             "Something magnetic moved nearby, the vehicle slipped, or a motor ran. Repeat."

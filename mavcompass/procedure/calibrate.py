@@ -31,6 +31,8 @@ from mavcompass.track import Track
 
 # Midway between two positions proves as much as at the next one, and takes less of the vehicle's time.
 _PROOF_SHARE = 0.5
+# An autopilot whose own heading comes right meanwhile may undo what it was told to turn.
+_PROOF_TURNS = 3
 # And so sure a heading: a third of what the field may turn more or less than the gyro.
 _PROOF_ENOUGH_DEG = 0.5
 _UNPROVEN = "Not proven by a turn: restart the autopilot, then see with the check that all is right."
@@ -308,20 +310,23 @@ class _Calibration:
         try:
             yield from self.own.written(outcome.values)
             context.show("prove", "One more turn proves the new values.")
-            angle_rad = self.settings.step_rad
-            if not isinstance(mover, HandMover):
-                # What the autopilot has turned by itself, its heading being right now, counts.
-                angle_rad = _PROOF_SHARE * angle_rad - (self.desk.gyro.angle_rad - last.turned_rad)
-            yield from mover.next(context, angle_rad, 1)
             enough = replace(self.settings.dwell, enough_deg=_PROOF_ENOUGH_DEG)
-            window = yield from self.desk.dwell(mover, enough, self.sureness_deg)
-            yield from mover.release(context)
-            with_it = self.solve([*report.windows, window])
+            for _ in range(_PROOF_TURNS):
+                angle_rad = self.settings.step_rad
+                if not isinstance(mover, HandMover):
+                    # What the autopilot has turned by itself, its heading being right now, counts.
+                    angle_rad = _PROOF_SHARE * angle_rad - (self.desk.gyro.angle_rad - last.turned_rad)
+                yield from mover.next(context, angle_rad, 1)
+                window = yield from self.desk.dwell(mover, enough, self.sureness_deg)
+                yield from mover.release(context)
+                with_it = self.solve([*report.windows, window])
+                proof = prove(with_it.track, last, window, report.results, with_it.results)
+                if proof.tells:
+                    break
         except Exception as why:
             mover.halt(context)
             yield from writer.take_back(report, f"The proof was cut short ({why}).")
             raise
-        proof = prove(with_it.track, last, window, report.results, with_it.results)
         report = replace(
             report,
             proof=proof,

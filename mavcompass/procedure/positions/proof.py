@@ -73,13 +73,18 @@ class Proof:
         """Tell whether all agree."""
         return all(compass.passed for compass in self.compasses)
 
+    @property
+    def tells(self) -> bool:
+        """Tell whether the turn was large enough to show anything."""
+        return all(compass.tells for compass in self.compasses)
+
     def summary(self) -> str:
         """Return the sentence for the person."""
         parts = [
             f"compass {c.instance} turned {c.field_turned_deg:.1f} deg, the gyro {c.gyro_turned_deg:.1f} deg"
             for c in self.compasses
         ]
-        if not all(compass.tells for compass in self.compasses):
+        if not self.tells:
             parts.append("too small a turn to prove anything")
         for compass in self.compasses:
             if compass.change_deg > compass.change_allowed_deg:
