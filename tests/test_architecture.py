@@ -91,6 +91,7 @@ ROWS = {
         {"comparison", "recorded"},
         {"fits", "verdict", "result"},
         {"positions"},
+        {"rigid"},
         {"observation", "model"},
     ],
     "service": [

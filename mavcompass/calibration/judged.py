@@ -10,14 +10,9 @@ from mavcompass.blas import single_thread
 from mavcompass.calibration.comparison import compared
 from mavcompass.calibration.model import GAIN, HORIZONTAL, VERTICAL
 from mavcompass.calibration.observation import FourPositionData
-from mavcompass.calibration.positions import (
-    DEFAULT_PRIOR,
-    FourPositionsResult,
-    IronPrior,
-    solve_four_positions,
-    unobserved,
-)
+from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions, unobserved
 from mavcompass.calibration.result import CalibrationResult, Position
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits, judge
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField

@@ -1,11 +1,13 @@
 """The model of a compass on a turning vehicle, and what its parameters do to the heading.
 
-A dwell k at magnetic heading psi_k, with the tilt L_k (level to body) and mean current I_k, reads
+A stretch k of a recording, at magnetic heading psi_k and mean load I_k of the motors, reads in the mean
 
-    r_k = b + T L_k (c_k H cos psi_k, -c_k H sin psi_k, Z) + m (I_k - mean I)                    (M1)
+    r_k = b + T A_k (H cos psi_k, -H sin psi_k, Z) + m (I_k - mean I)                            (M1)
 
-with hard iron b, symmetric soft iron and gain T, the Earth's horizontal and vertical field H and Z,
-the coherence c_k of a dwell that hunts, and the field m per ampere. A level heading psi has the error
+with hard iron b, symmetric soft iron and gain T, the Earth's horizontal and vertical field H and Z, the
+motors' field m per unit of load, and A_k from level to body axes, the mean of tilt and turn about psi_k (S1):
+at rest the tilt L_k, with the coherence c_k of a dwell that hunts on the horizontal field. A level heading
+psi has the error
 
     d psi = (e_psi . T^-1 (db + dT f)) / H,   e_psi = (sin psi, cos psi, 0)                      (M2)
 
@@ -28,7 +30,8 @@ OFFSET = slice(0, 3)
 GAIN = slice(3, 9)
 HORIZONTAL, VERTICAL, GYRO_SCALE, GYRO_BIAS = 9, 10, 11, 12
 MOTOR = slice(13, 16)
-HEADINGS = 16
+LAG = 16
+HEADINGS = 17
 NAMES = (
     "offset_x",
     "offset_y",
@@ -46,6 +49,7 @@ NAMES = (
     "motor_x",
     "motor_y",
     "motor_z",
+    "field_lag",
 )
 # Row, column of each of the six gain parameters.
 _GAIN_ROWS = np.array([0, 1, 2, 0, 0, 1])

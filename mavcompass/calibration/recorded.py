@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mavcompass.calibration.observation import correction_at
-from mavcompass.calibration.positions import DEFAULT_PRIOR, IronPrior
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField

@@ -22,6 +22,7 @@ from mavcompass.calibration import calibrate_track, solve_four_positions
 from mavcompass.calibration.fits.length import _length_jacobian
 from mavcompass.calibration.model import (
     GAIN,
+    HEADINGS,
     HORIZONTAL,
     VERTICAL,
     by_tilt,
@@ -30,7 +31,6 @@ from mavcompass.calibration.model import (
     heading_gradient,
     level_to_body,
 )
-from mavcompass.calibration.motion.equations import FIRST, field_residual, turn_residual
 from mavcompass.calibration.motion.sections import Sections
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, decimal_year, earth_field, middle_place
@@ -97,14 +97,13 @@ def test_the_length_of_the_field_has_its_derivative(seed: int) -> None:
 def test_sections_and_turns_have_their_derivatives(seed: int) -> None:
     rng = np.random.default_rng(seed)
     sections = drawn_sections(rng, 4)
-    x = np.zeros(FIRST + 4)
+    x = np.zeros(HEADINGS + 4)
     x[GAIN], x[HORIZONTAL], x[VERTICAL] = (1.1, 0.9, 1.0, 0.02, -0.01, 0.03), 230.0, -520.0
-    x[:3], x[9:12], x[13:FIRST] = rng.normal(0.0, 50.0, 3), x[9:12], 0.01 * rng.normal(size=FIRST - 13)
-    x[FIRST:] = rng.uniform(-3.0, 3.0, 4)
-    _, by = field_residual(sections, x)
-    assert is_derivative(-by, derivative(lambda y: field_residual(sections, y)[0], x))
-    _, by = turn_residual(sections, x)
-    assert is_derivative(by, derivative(lambda y: turn_residual(sections, y)[0], x))
+    x[:3], x[13:HEADINGS] = rng.normal(0.0, 50.0, 3), 0.01 * rng.normal(size=HEADINGS - 13)
+    x[HEADINGS:] = rng.uniform(-3.0, 3.0, 4)
+    readings = sections.readings
+    assert is_derivative(-readings.field(x)[1], derivative(lambda y: readings.field(y)[0], x))
+    assert is_derivative(readings.turns(x)[1], derivative(lambda y: readings.turns(y)[0], x))
 
 
 @FEW
@@ -112,13 +111,13 @@ def test_sections_and_turns_have_their_derivatives(seed: int) -> None:
 def test_a_tilted_section_reads_what_its_derivative_says(seed: int) -> None:
     rng = np.random.default_rng(seed)
     sections, h = drawn_sections(rng, 4), 1e-6
-    x = np.zeros(FIRST + 4)
+    x = np.zeros(HEADINGS + 4)
     x[GAIN], x[HORIZONTAL], x[VERTICAL] = (1.1, 0.9, 1.0, 0.02, -0.01, 0.03), 230.0, -520.0
-    x[FIRST:] = rng.uniform(-3.0, 3.0, 4)
-    by = by_tilt(sections.mapping, x, x[FIRST:])
+    x[HEADINGS:] = rng.uniform(-3.0, 3.0, 4)
+    by = by_tilt(sections.mapping, x, x[HEADINGS:])
     for axis in range(2):
         turned = replace(sections, mapping=level_to_body(*(h * np.eye(2)[axis])) @ sections.mapping)
-        moved = field_residual(sections, x)[0] - field_residual(turned, x)[0]
+        moved = sections.readings.field(x)[0] - turned.readings.field(x)[0]
         assert np.allclose(moved / h, by[:, :, axis], atol=0.01)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from mavcompass.calibration.model import (
     GAIN,
+    HEADINGS,
     HORIZONTAL,
     MOTOR,
     OFFSET,
@@ -23,17 +24,17 @@ from mavcompass.calibration.model import (
     by_tilt,
     gain_matrix,
 )
-from mavcompass.calibration.motion.equations import (
-    FIRST,
-    PriorRows,
-    field_residual,
-    first_state,
-    section_variance,
-    turn_residual,
-)
+from mavcompass.calibration.motion.equations import first_state, section_variance
 from mavcompass.calibration.motion.sections import Sections
-from mavcompass.calibration.positions import IronPrior
-from mavcompass.calibration.positions.fit import common_error
+from mavcompass.calibration.rigid import (
+    IronPrior,
+    PriorRows,
+    Readings,
+    assembled,
+    common_error,
+    covariance_of,
+    settle,
+)
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
@@ -41,7 +42,7 @@ from mavcompass.frames import FloatArray
 
 # Of the motor field per unit of load, each axis: amperes, and the whole throttle.
 _MOTOR_SIGMA = {"current": 10.0, "throttle": 100.0, "none": 1e-6}
-_ROUNDS, _STEPS = 8, 10
+_ROUNDS = 8
 # Before the data: one section in twenty stands beside something magnetic, of this size on each axis.
 _DISTURBED_BEFORE, _DISTURBED_MGAUSS = 0.05, 40.0
 # More disturbed sections than this, or more of the time, are no exceptions.
@@ -49,7 +50,6 @@ _MOST_DISTURBED = 0.3
 _FEWEST = 4
 # With a larger error of the model there is nothing to refine.
 _HOPELESS_MGAUSS = 500.0
-_DAMPING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +96,7 @@ class MotionFit:
     @property
     def headings_rad(self) -> FloatArray:
         """Return the sections' magnetic headings, (K,)."""
-        return self.state[FIRST:]
+        return self.state[HEADINGS:]
 
 
 def fit_motion(
@@ -125,12 +125,13 @@ def fit_motion(
     motor_sigma = _MOTOR_SIGMA[load_source]
     beliefs = prior or IronPrior()
     x, rules = first_state(sections, earth, beliefs, motor_sigma, in_force)
-    model = _first_model_error(sections, x)
+    readings = sections.readings
+    model = _first_model_error(readings, x)
     sound = np.ones(len(sections))
     for _ in range(_ROUNDS):
         variance = section_variance(sections, x, model)
-        x = _settle(sections, x, variance, sound, rules)
-        residual, _ = field_residual(sections, x)
+        x = settle(readings, x, _roots(variance, sound), rules)
+        residual, _ = readings.field(x)
         # How much a section counts beside others of its visit says nothing of how far out it is.
         fresh = _soundness(sections, residual, section_variance(sections, x, model, weighed=False))
         grown = _model_error(sections, x, residual, fresh, rules)
@@ -139,8 +140,22 @@ def fit_motion(
         if settled or model > _HOPELESS_MGAUSS:
             break
     variance = section_variance(sections, x, model)
-    x = _settle(sections, x, variance, sound, rules)
-    return _summary(sections, x, variance, sound, rules, model)
+    roots = _roots(variance, sound)
+    x = settle(readings, x, roots, rules)
+    values, jacobian = assembled(readings, x, roots, rules)
+    measured = 4 * len(readings) - 1
+    return MotionFit(
+        state=x,
+        covariance=covariance_of(jacobian),
+        residual_mgauss=readings.field(x)[0],
+        variance_mgauss2=variance,
+        model_mgauss=model,
+        sound=sound,
+        jacobian=jacobian[:measured],
+        whitened=values[:measured],
+        information=jacobian.T @ jacobian,
+        cost=0.5 * float(values @ values),
+    )
 
 
 def leaning_error(sections: Sections, fit: MotionFit) -> FloatArray:
@@ -170,8 +185,8 @@ def level_headings(sections: Sections, fit: MotionFit, load_shift: float = 0.0) 
 
 def residual_of(sections: Sections, fit: MotionFit) -> FloatArray:
     """Return what a fit leaves of other sections of the same recording, (K, 3), at their best headings."""
-    x = np.concatenate([fit.state[:FIRST], level_headings(sections, fit)])
-    return field_residual(sections, x)[0]
+    x = np.concatenate([fit.state[:HEADINGS], level_headings(sections, fit)])
+    return sections.readings.field(x)[0]
 
 
 def _roots(variance: FloatArray, sound: FloatArray) -> FloatArray:
@@ -180,43 +195,6 @@ def _roots(variance: FloatArray, sound: FloatArray) -> FloatArray:
     loose = np.linalg.inv(variance + _DISTURBED_MGAUSS**2 * np.eye(3))
     p = sound[:, np.newaxis, np.newaxis]
     return np.swapaxes(np.linalg.cholesky(p * weight + (1.0 - p) * loose), 1, 2)
-
-
-def _assembled(
-    sections: Sections, x: FloatArray, roots: FloatArray, rules: PriorRows
-) -> tuple[FloatArray, FloatArray]:
-    """Return the whitened residuals and their Jacobian: field, turns, prior."""
-    residual, by = field_residual(sections, x)
-    turns, by_turns = turn_residual(sections, x)
-    rows = -(roots @ by).reshape(-1, x.size)
-    values = np.einsum("kij,kj->ki", roots, residual).ravel()
-    return np.concatenate([values, turns, rules.of(x)]), np.concatenate([rows, by_turns, rules.rows])
-
-
-def _settle(
-    sections: Sections, x: FloatArray, variance: FloatArray, sound: FloatArray, rules: PriorRows
-) -> FloatArray:
-    """Minimise by Gauss-Newton with step halving."""
-    roots = _roots(variance, sound)
-    values, jacobian = _assembled(sections, x, roots, rules)
-    for _ in range(_STEPS):
-        scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
-        scaled = jacobian * scale
-        normal = scaled.T @ scaled
-        normal[np.diag_indices_from(normal)] += _DAMPING
-        step = np.linalg.solve(normal, -scaled.T @ values)
-        cost, share = float(values @ values) * (1.0 + 1e-12), 1.0
-        while True:
-            trial = x + share * scale * step
-            values, jacobian = _assembled(sections, trial, roots, rules)
-            if float(values @ values) <= cost or share < 0.1:
-                break
-            share *= 0.5
-        gained = 1.0 - float(values @ values) / cost
-        x = trial
-        if float(np.abs(step).max()) < 1e-4 or gained < 1e-7:
-            break
-    return x
 
 
 def _soundness(sections: Sections, residual: FloatArray, variance: FloatArray) -> FloatArray:
@@ -234,9 +212,9 @@ def _square(residual: FloatArray, variance: FloatArray) -> FloatArray:
     return np.asarray((residual * np.linalg.solve(variance, residual[:, :, np.newaxis])[:, :, 0]).sum(axis=1))
 
 
-def _first_model_error(sections: Sections, x: FloatArray) -> float:
+def _first_model_error(readings: Readings, x: FloatArray) -> float:
     """Return the size of the first residuals' inner half, so that no outlier rules the start."""
-    residual, _ = field_residual(sections, x)
+    residual, _ = readings.field(x)
     return min(float(np.median(np.abs(residual))) / 0.6745, _HOPELESS_MGAUSS)
 
 
@@ -249,7 +227,7 @@ def _model_error(
     """
     absorbed = _absorbed(sections, x, sound, rules)
     freedom = float(3.0 * sound.sum() + len(sections) - 1 - absorbed)
-    turns, _ = turn_residual(sections, x)
+    turns, _ = sections.readings.turns(x)
     if freedom < 1.0:
         return 0.0
     # Turns that are bent beyond their noise are pulled by sections: these will, with their error, let go.
@@ -275,42 +253,11 @@ def _model_error(
 def _absorbed(sections: Sections, x: FloatArray, sound: FloatArray, rules: PriorRows) -> float:
     """Count what the fit absorbs of the measurements: parameters less what the prior holds."""
     roots = _roots(section_variance(sections, x, 1.0), sound)
-    _, jacobian = _assembled(sections, x, roots, rules)
-    scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
-    scaled = jacobian * scale
-    inverse = np.linalg.inv(scaled.T @ scaled + 1e-12 * np.eye(x.size))
-    held = rules.rows * scale
-    return x.size - float(((held @ inverse) * held).sum())
+    _, jacobian = assembled(sections.readings, x, roots, rules)
+    return x.size - float(((rules.rows @ covariance_of(jacobian)) * rules.rows).sum())
 
 
 def _chance_limit(freedom: float) -> float:
     """Return what a chi-square exceeds once in twenty (Wilson and Hilferty)."""
     third = 2.0 / (9.0 * freedom)
     return freedom * (1.0 - third + 1.645 * math.sqrt(third)) ** 3
-
-
-def _summary(
-    sections: Sections,
-    x: FloatArray,
-    variance: FloatArray,
-    sound: FloatArray,
-    rules: PriorRows,
-    model: float,
-) -> MotionFit:
-    values, jacobian = _assembled(sections, x, _roots(variance, sound), rules)
-    information = jacobian.T @ jacobian
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-24))
-    scaled = information * np.outer(scale, scale) + 1e-12 * np.eye(x.size)
-    measured = 4 * len(sections) - 1
-    return MotionFit(
-        state=x,
-        covariance=np.linalg.inv(scaled) * np.outer(scale, scale),
-        residual_mgauss=field_residual(sections, x)[0],
-        variance_mgauss2=variance,
-        model_mgauss=model,
-        sound=sound,
-        jacobian=jacobian[:measured],
-        whitened=values[:measured],
-        information=information,
-        cost=0.5 * float(values @ values),
-    )

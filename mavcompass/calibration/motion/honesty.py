@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from mavcompass.calibration.model import HORIZONTAL, HeadingError, heading_gradient
 from mavcompass.calibration.motion.fit import MotionFit, leaning_error
 from mavcompass.calibration.motion.sections import Sections
-from mavcompass.calibration.positions import DEFAULT_PRIOR, IronPrior
 from mavcompass.calibration.positions.fit import weigh_cross_terms
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.frames import FloatArray
 
 _TIME_BLOCKS, _SECTORS = 10, 8

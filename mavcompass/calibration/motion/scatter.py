@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from mavcompass.calibration.model import HORIZONTAL, MOTOR, VERTICAL
-from mavcompass.calibration.motion.equations import LAG
+from mavcompass.calibration.model import HORIZONTAL, LAG, MOTOR, VERTICAL
 from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.sections import Sections, unsettled
 from mavcompass.calibration.observation import field_lag_s

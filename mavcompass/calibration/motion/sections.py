@@ -26,6 +26,7 @@ from mavcompass.calibration.observation.turning import (
     TurnRecord,
 )
 from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs
+from mavcompass.calibration.rigid import Readings
 from mavcompass.frames import FloatArray, tilt_from_acceleration
 from mavcompass.track import Series, Track
 
@@ -91,6 +92,19 @@ class Sections:
     def middle_s(self) -> FloatArray:
         """Return the middles in time, (K,)."""
         return 0.5 * (self.start_s + self.end_s)
+
+    @property
+    def readings(self) -> Readings:
+        """Return their means and the turns between them."""
+        return Readings(
+            mean_mgauss=self.mean_mgauss,
+            mapping=self.mapping,
+            by_lag=self.by_lag,
+            load=self.load,
+            step_rad=np.diff(self.turned_rad),
+            step_sigma_rad=self.step_sigma_rad,
+            step_s=np.diff(self.middle_s),
+        )
 
     def between(self, start_s: float, end_s: float) -> Sections:
         """Keep the sections whose middle lies between two times."""

@@ -8,14 +8,12 @@ from mavcompass.calibration.positions.four_positions import (
     solve_four_positions,
 )
 from mavcompass.calibration.positions.observability import next_pose, unobserved
-from mavcompass.calibration.positions.problem import DEFAULT_PRIOR, IronPrior, PositionProblem
+from mavcompass.calibration.positions.problem import PositionProblem
 from mavcompass.calibration.positions.repeat import repeat_test
 
 __all__ = [
-    "DEFAULT_PRIOR",
     "WIDENED_BELOW",
     "FourPositionsResult",
-    "IronPrior",
     "PositionProblem",
     "next_pose",
     "repeat_test",

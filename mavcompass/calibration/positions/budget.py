@@ -27,7 +27,7 @@ SOURCES = (
 
 def heading_budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> dict[str, float]:
     """Split the heading's rms sigma over the circle by source, radians; the squares add up to the whole."""
-    k = len(problem.mean)
+    k = len(problem.readings)
     circle = np.arange(36) * (2.0 * math.pi / 36)
     gradient = np.zeros((36, fit.state.size))
     gradient[:, :9] = heading_gradient(blend.state, circle)
@@ -44,9 +44,8 @@ def heading_budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> 
     variance[ACCELEROMETER] = float(((gradient @ blend.shared) ** 2).sum(axis=1).mean())
     rest = (gains[:, 3 * k :] ** 2).mean(axis=0)
     variance["step_angle"] = float(rest[: k - 1].sum())
-    held = np.flatnonzero(np.isfinite(problem.sigma))
-    for place, share in zip(held, rest[k - 1 : -1], strict=True):
-        variance[_source_of(int(place))] += float(share)
+    for place, share in zip(problem.rules.places, rest[k - 1 : -1], strict=True):
+        variance[_source_of(place)] += float(share)
     variance["prior"] += float(rest[-1])
     # What the blends add (was a dwell disturbed? are there cross terms?) or save goes to the disturbance,
     # or lowers all alike.

@@ -80,7 +80,7 @@ def weigh_disturbances(problem: PositionProblem, fit: PositionFit) -> Disturbanc
 
     Where the quick (linear) look finds a disturbance likely, the hypotheses are fitted one by one.
     """
-    k = len(problem.mean)
+    k = len(problem.readings)
     hypotheses, sizes = _linear(problem, fit)
     best = fit
     if float(hypotheses.probability(k).sum()) > _LOOK_CLOSER:
@@ -100,7 +100,7 @@ def weigh_disturbances(problem: PositionProblem, fit: PositionFit) -> Disturbanc
 
 def _linear(problem: PositionProblem, fit: PositionFit) -> tuple[_Hypotheses, FloatArray]:
     """Weigh the hypotheses from the one fit; returns them and how far each dwell is off, (K,)."""
-    k = len(problem.mean)
+    k = len(problem.readings)
     rows = fit.jacobian[: 3 * k].reshape(k, 3, -1)
     residual = np.einsum("kij,kj->ki", problem.whiten, fit.residual) * np.sqrt(fit.weights)[:, np.newaxis]
     spared = np.eye(3) - rows @ fit.covariance @ np.swapaxes(rows, 1, 2)
@@ -143,7 +143,7 @@ def _diagonal(values: FloatArray) -> FloatArray:
 
 def _refitted(problem: PositionProblem, fit: PositionFit) -> tuple[_Hypotheses, PositionFit]:
     """Fit each hypothesis on its own; returns them and the likeliest fit. Laplace's evidence weighs them."""
-    k = len(problem.mean)
+    k = len(problem.readings)
     odds = math.log(DISTURBED_RUNS / (k * len(REFIT_SIZES_MGAUSS)))
     owners, fits = [-1], [fit]
     weights = [math.log(1.0 - DISTURBED_RUNS) + _evidence(problem, fit)]

@@ -7,29 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.calibration.model import (
-    GAIN,
-    GYRO_BIAS,
-    GYRO_SCALE,
-    HEADINGS,
-    HORIZONTAL,
-    MOTOR,
-    OFFSET,
-    VERTICAL,
-    gain_jacobian,
-    gain_matrix,
-)
-from mavcompass.calibration.positions.problem import IronPrior, PositionProblem
+from mavcompass.calibration.positions.problem import PositionProblem
+from mavcompass.calibration.rigid import IronPrior, assembled, common_error, covariance_of, settle
 from mavcompass.frames import FloatArray
 
-_ROBUST_FROM = 6
+_ROBUST_FROM, _ROUNDS = 6, 20
 _MANY_SIGMAS_3D = 11.34  # chi-square of three, 99 %
-_ITERATIONS = 40
 # Before the data: most compasses away from steel have no cross terms that matter.
 CROSS_TERMS_BEFORE = 0.25
-
-# Whitened residuals (R,), their Jacobian (R, P), field residuals (K, 3).
-Evaluation = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,101 +29,35 @@ class PositionFit:
     freedom: int
 
 
-def _evaluate(problem: PositionProblem, x: FloatArray, weights: FloatArray) -> Evaluation:
-    """Return the whitened residuals (R,), their Jacobian (R, P) and the field residuals (K, 3)."""
-    k = len(problem.mean)
-    psi = x[HEADINGS:]
-    c, s = problem.coherence * np.cos(psi), problem.coherence * np.sin(psi)
-    h, gain = x[HORIZONTAL], gain_matrix(x[GAIN])
-    mapping = gain @ problem.level_to_body
-    level = np.stack([h * c, -h * s, np.full(k, x[VERTICAL])], axis=1)
-    body = np.einsum("kij,kj->ki", problem.level_to_body, level)
-    field = problem.mean - (x[OFFSET] + body @ gain + problem.current[:, np.newaxis] * x[MOTOR])
-    by = np.zeros((k, 3, x.size))
-    by[:, :, OFFSET] = np.eye(3)
-    by[:, :, GAIN] = gain_jacobian(body)
-    by[:, :, HORIZONTAL] = mapping[:, :, 0] * c[:, np.newaxis] - mapping[:, :, 1] * s[:, np.newaxis]
-    by[:, :, VERTICAL] = mapping[:, :, 2]
-    by[:, :, MOTOR] = problem.current[:, np.newaxis, np.newaxis] * np.eye(3)
-    across = -h * (mapping[:, :, 0] * s[:, np.newaxis] + mapping[:, :, 1] * c[:, np.newaxis])
-    by[np.arange(k), :, HEADINGS + np.arange(k)] = across
-    root = np.sqrt(weights)[:, np.newaxis]
-    field_rows = np.einsum("kij,kj->ki", problem.whiten, field) * root
-    field_jacobian = -(problem.whiten @ by) * root[:, :, np.newaxis]
-    turn = np.diff(psi)
-    scale, bias = 1.0 + x[GYRO_SCALE], x[GYRO_BIAS]
-    steps = (problem.steps - turn * scale - bias * problem.step_duration) / problem.step_sigma
-    step_jacobian = np.zeros((k - 1, x.size))
-    rows = np.arange(k - 1)
-    step_jacobian[rows, HEADINGS + rows + 1] = -scale / problem.step_sigma
-    step_jacobian[rows, HEADINGS + rows] = scale / problem.step_sigma
-    step_jacobian[:, GYRO_SCALE] = -turn / problem.step_sigma
-    step_jacobian[:, GYRO_BIAS] = -problem.step_duration / problem.step_sigma
-    held = np.flatnonzero(np.isfinite(problem.sigma))
-    prior_jacobian = np.zeros((held.size + 1, x.size))
-    prior_jacobian[np.arange(held.size), held] = 1.0 / problem.sigma[held]
-    prior = (x[held] - problem.centre[held]) / problem.sigma[held]
-    xx, yy, zz = x[GAIN][:3]
-    prior_jacobian[-1, 3:6] = np.array([-0.5, -0.5, 1.0]) / problem.vertical_gain_sigma
-    vertical = (zz - 0.5 * (xx + yy)) / problem.vertical_gain_sigma
-    residual = np.concatenate([field_rows.ravel(), steps, prior, [vertical]])
-    jacobian = np.concatenate([field_jacobian.reshape(3 * k, -1), step_jacobian, prior_jacobian])
-    return residual, jacobian, field
-
-
 def fit_positions(problem: PositionProblem, near: PositionFit | None = None) -> PositionFit:
-    """Minimise by Gauss-Newton with step halving; dwells far out weigh less where there are many.
+    """Fit the positions; dwells far out weigh less where there are many.
 
     The fit of a problem that is nearly the same may be given to begin with.
     """
-    x, weights = (problem.start, np.ones(len(problem.mean))) if near is None else (near.state, near.weights)
-    here = _evaluate(problem, x, weights)
-    for _ in range(_ITERATIONS):
-        x, here, settled = _step(problem, x, weights, here)
-        if len(problem.mean) >= _ROBUST_FROM:
-            fresh = _weights(problem, here[2])
-            if float(np.abs(fresh - weights).max()) > 1e-3:
-                weights, settled = fresh, False
-                here = _evaluate(problem, x, weights)
-        if settled:
+    readings = problem.readings
+    x, weights = (problem.start, np.ones(len(readings))) if near is None else (near.state, near.weights)
+    for _ in range(_ROUNDS):
+        roots = problem.whiten * np.sqrt(weights)[:, np.newaxis, np.newaxis]
+        x = settle(readings, x, roots, problem.rules)
+        residual, _ = readings.field(x)
+        fresh = _weights(problem, residual)
+        if len(readings) < _ROBUST_FROM or float(np.abs(fresh - weights).max()) < 1e-3:
             break
-    return _summary(x, weights, here)
-
-
-def _step(
-    problem: PositionProblem, x: FloatArray, weights: FloatArray, here: Evaluation
-) -> tuple[FloatArray, Evaluation, bool]:
-    """Take one Gauss-Newton step, halved until the cost does not rise; says whether it was negligible."""
-    residual, jacobian, _ = here
-    scale = 1.0 / np.linalg.norm(jacobian, axis=0)
-    scaled = jacobian * scale
-    step = np.linalg.solve(scaled.T @ scaled, -scaled.T @ residual)
-    cost, share = float(residual @ residual) * (1.0 + 1e-12), 1.0
-    while True:
-        trial = x + share * scale * step
-        there = _evaluate(problem, trial, weights)
-        if float(there[0] @ there[0]) <= cost or share < 1e-3:
-            return trial, there, float(np.abs(step).max()) < 1e-6
-        share *= 0.5
-
-
-def _summary(x: FloatArray, weights: FloatArray, here: Evaluation) -> PositionFit:
-    residual, jacobian, field = here
-    scale = 1.0 / np.linalg.norm(jacobian, axis=0)
-    scaled = jacobian * scale
-    covariance = np.linalg.inv(scaled.T @ scaled) * np.outer(scale, scale)
+        weights = fresh
+    values, jacobian = assembled(readings, x, roots, problem.rules)
+    covariance = covariance_of(jacobian)
     # What the fit cannot absorb of each measurement adds up to the degrees of freedom.
-    measured = 4 * len(field) - 1
+    measured = 4 * len(readings) - 1
     rows = jacobian[:measured]
     absorbed = float(((rows @ covariance) * rows).sum())
     return PositionFit(
         state=x,
         covariance=covariance,
-        residual=field,
+        residual=residual,
         jacobian=jacobian,
         weights=weights,
-        cost=float(residual @ residual),
-        chi_square=float(residual[:measured] @ residual[:measured]),
+        cost=float(values @ values),
+        chi_square=float(values[:measured] @ values[:measured]),
         freedom=max(round(measured - absorbed), 0),
     )
 
@@ -146,20 +65,10 @@ def _summary(x: FloatArray, weights: FloatArray, here: Evaluation) -> PositionFi
 def leaning_error(problem: PositionProblem, fit: PositionFit) -> FloatArray:
     """Return what the accelerometer's own error, the same in every dwell, adds to the state, (P, 2).
 
-    By roll and by pitch, one sigma each. No agreement between the dwells shows it, and no further dwell
-    averages it out: on the level it looks like an offset.
+    By roll and by pitch, one sigma each: on the level it looks like an offset.
     """
     leaning = problem.whiten @ problem.leaning * np.sqrt(fit.weights)[:, np.newaxis, np.newaxis]
     return common_error(leaning, fit.covariance, fit.jacobian)
-
-
-def common_error(whitened: FloatArray, covariance: FloatArray, jacobian: FloatArray) -> FloatArray:
-    """Return what errors common to all readings, whitened as these, (K, 3, M), add to the state, (P, M).
-
-    The readings' rows are the first of the whitened Jacobian (R, P).
-    """
-    rows = whitened.reshape(-1, whitened.shape[2])
-    return np.asarray(covariance @ jacobian[: len(rows)].T @ rows)
 
 
 def _weights(problem: PositionProblem, field: FloatArray) -> FloatArray:

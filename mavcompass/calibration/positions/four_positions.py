@@ -26,7 +26,8 @@ from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions.budget import heading_budget
 from mavcompass.calibration.positions.disturbance import weigh_disturbances
 from mavcompass.calibration.positions.fit import fit_positions, leaning_error, weigh_cross_terms
-from mavcompass.calibration.positions.problem import DEFAULT_PRIOR, IronPrior, PositionProblem
+from mavcompass.calibration.positions.problem import PositionProblem
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.chance import chance_of_more
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField

@@ -12,7 +12,8 @@ from mavcompass.calibration.model import NAMES, HeadingError
 from mavcompass.calibration.observation import FourPositionData, Step
 from mavcompass.calibration.positions.fit import fit_positions
 from mavcompass.calibration.positions.four_positions import FourPositionsResult
-from mavcompass.calibration.positions.problem import DEFAULT_PRIOR, IronPrior, PositionProblem
+from mavcompass.calibration.positions.problem import PositionProblem
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray

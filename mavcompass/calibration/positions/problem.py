@@ -9,11 +9,8 @@ import numpy as np
 
 from mavcompass.calibration.model import (
     GAIN,
-    GYRO_BIAS,
-    GYRO_SCALE,
     HEADINGS,
     HORIZONTAL,
-    MOTOR,
     OFFSET,
     VERTICAL,
     by_tilt,
@@ -22,6 +19,7 @@ from mavcompass.calibration.model import (
     level_to_body,
 )
 from mavcompass.calibration.observation import FourPositionData, Step
+from mavcompass.calibration.rigid import IronPrior, PriorRows, Readings, prior_rows
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
@@ -31,51 +29,17 @@ from mavcompass.frames import FloatArray
 _FLOOR_MGAUSS = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class IronPrior:
-    """State what is known of a compass before the vehicle turns.
-
-    Attributes:
-        gain_sigma: of each horizontal gain about 1.
-        vertical_gain_sigma: of the vertical gain about the mean of the horizontal ones.
-        cross_sigma: of the cross terms, where there are any. own_cross_sigma: of a sensor's own without iron:
-            axes are square, and set to the vehicle's, within a third of a degree.
-        site_sigma_mgauss: what rocks, buildings and parked cars add to the world model, each component.
-        motor_sigma_mgauss_per_a: of the field of the battery current, each axis.
-        vertical_offset_sigma_mgauss: of the offset in force on Z, where there is no world model.
-    """
-
-    gain_sigma: float = 0.25
-    vertical_gain_sigma: float = 0.05
-    cross_sigma: float = 0.04
-    own_cross_sigma: float = 0.005
-    site_sigma_mgauss: float = 5.0
-    motor_sigma_mgauss_per_a: float = 0.5
-    vertical_offset_sigma_mgauss: float = 100.0
-
-
-DEFAULT_PRIOR = IronPrior()
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionProblem:
     """Hold the measurements in the form the fit works on."""
 
-    mean: FloatArray  # (K, 3)
+    readings: Readings
+    rules: PriorRows
     whiten: FloatArray  # (K, 3, 3), maps residuals to unit variance
     noise: FloatArray  # (K, 3, 3) and so on: the parts of the residuals' covariance
     quantisation: FloatArray
     tilt: FloatArray
     leaning: FloatArray  # (K, 3, 2): one sigma of the accelerometer's error, common to all, in the field
-    level_to_body: FloatArray  # (K, 3, 3)
-    coherence: FloatArray  # (K,)
-    current: FloatArray  # (K,), less its mean; zeros where unknown
-    steps: FloatArray  # (K-1,) and their sigma and duration
-    step_sigma: FloatArray
-    step_duration: FloatArray
-    centre: FloatArray  # (P,), the prior's mean and sigma; sigma inf = no prior
-    sigma: FloatArray
-    vertical_gain_sigma: float
     start: FloatArray  # (P,)
     mirrored: bool
 
@@ -94,9 +58,25 @@ class PositionProblem:
         tilts = level_to_body([d.roll_rad for d in dwells], [d.pitch_rad for d in dwells])
         coherence = np.array([d.coherence for d in dwells])
         current = np.array([d.current_a for d in dwells])
-        current = current - current.mean() if np.isfinite(current).all() else np.zeros(len(dwells))
+        readings = Readings(
+            mean_mgauss=mean,
+            mapping=tilts * np.stack([coherence, coherence, np.ones(len(dwells))], axis=1)[:, np.newaxis],
+            by_lag=np.zeros((len(dwells), 3, 3)),
+            load=current - current.mean() if np.isfinite(current).all() else np.zeros(len(dwells)),
+            step_rad=np.array([s.angle_rad for s in data.steps]),
+            step_sigma_rad=np.array([max(s.sigma_rad, 1e-6) for s in data.steps]),
+            step_s=np.array([s.duration_s for s in data.steps]),
+        )
         start, mirrored = _start(mean, tilts, data.turned_rad, earth, in_force)
-        centre, sigma = _prior_vectors(start, len(dwells), data, in_force, earth, prior)
+        rules = prior_rows(
+            len(dwells),
+            prior,
+            earth,
+            in_force,
+            (float(start[HORIZONTAL]), float(start[VERTICAL])),
+            (data.gyro_scale_sigma, data.gyro_bias_sigma_radps),
+            prior.motor_sigma_mgauss_per_a,
+        )
         noise = np.array([d.covariance_mgauss2 for d in dwells]) + _FLOOR_MGAUSS**2 * np.eye(3)
         quantisation = np.array([d.quantisation_mgauss2 for d in dwells])
         leaning = by_tilt(tilts, start, start[HEADINGS:])
@@ -104,21 +84,13 @@ class PositionProblem:
         tilt = leaning @ np.swapaxes(leaning, 1, 2) * sigma2
         factor = np.linalg.cholesky(noise + quantisation + tilt)
         return cls(
-            mean=mean,
+            readings=readings,
+            rules=rules,
             whiten=np.linalg.inv(factor),
             noise=noise,
             quantisation=quantisation,
             tilt=tilt,
             leaning=leaning * data.tilt_bias_sigma_rad,
-            level_to_body=tilts,
-            coherence=coherence,
-            current=current,
-            steps=np.array([s.angle_rad for s in data.steps]),
-            step_sigma=np.array([max(s.sigma_rad, 1e-6) for s in data.steps]),
-            step_duration=np.array([s.duration_s for s in data.steps]),
-            centre=centre,
-            sigma=sigma,
-            vertical_gain_sigma=prior.vertical_gain_sigma,
             start=start,
             mirrored=mirrored,
         )
@@ -148,15 +120,10 @@ class PositionProblem:
 
         return replace(
             self,
-            mean=grown(self.mean, reading),
-            level_to_body=grown(self.level_to_body, tilt),
-            coherence=grown(self.coherence, np.array(1.0)),
-            current=grown(self.current, np.array(0.0)),
-            steps=grown(self.steps, np.array(turn_rad)),
-            step_sigma=grown(self.step_sigma, np.array(max(step.sigma_rad, 1e-6))),
-            step_duration=grown(self.step_duration, np.array(step.duration_s)),
-            centre=grown(self.centre, np.array(0.0)),
-            sigma=grown(self.sigma, np.array(np.inf)),
+            readings=self.readings.with_one_more(
+                reading, tilt, turn_rad, max(step.sigma_rad, 1e-6), step.duration_s
+            ),
+            rules=replace(self.rules, rows=np.pad(self.rules.rows, ((0, 0), (0, 1)))),
             start=grown(state, np.array(psi)),
             whiten=grown(self.whiten, self.whiten[best]),
             noise=grown(self.noise, self.noise[best]),
@@ -211,33 +178,3 @@ def _start(
     state[HEADINGS:] = first + turned
     state[OFFSET] = line[0] - gain_matrix(state[GAIN]) @ tilts.mean(axis=0) @ [0.0, 0.0, vertical]
     return state, mirrored
-
-
-def _prior_vectors(
-    start: FloatArray,
-    dwells: int,
-    data: FourPositionData,
-    in_force: FieldCorrection,
-    earth: EarthField | None,
-    prior: IronPrior,
-) -> tuple[FloatArray, FloatArray]:
-    centre = np.zeros(HEADINGS + dwells)
-    sigma = np.full(HEADINGS + dwells, np.inf)
-    centre[GAIN] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
-    sigma[GAIN] = (prior.gain_sigma, prior.gain_sigma, np.inf, *(3 * [prior.cross_sigma]))
-    sigma[GYRO_SCALE] = max(data.gyro_scale_sigma, 1e-9)
-    sigma[GYRO_BIAS] = max(data.gyro_bias_sigma_radps, 1e-9)
-    sigma[MOTOR] = prior.motor_sigma_mgauss_per_a
-    centre[HORIZONTAL], centre[VERTICAL] = start[HORIZONTAL], start[VERTICAL]
-    if earth is not None:
-        north, east, down = earth.sigma_mgauss
-        declination = earth.declination_rad
-        along = math.hypot(north * math.cos(declination), east * math.sin(declination))
-        sigma[HORIZONTAL] = math.hypot(along, prior.site_sigma_mgauss)
-        sigma[VERTICAL] = math.hypot(down, prior.site_sigma_mgauss)
-    else:
-        sigma[HORIZONTAL] = 0.5 * start[HORIZONTAL]
-        sigma[VERTICAL] = max(0.5 * abs(start[VERTICAL]), 50.0)
-        centre[2] = -in_force.offsets_mgauss[2]
-        sigma[2] = prior.vertical_offset_sigma_mgauss
-    return centre, sigma

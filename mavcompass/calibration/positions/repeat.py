@@ -17,7 +17,7 @@ import numpy as np
 from mavcompass.calibration.model import HORIZONTAL
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions.four_positions import solve_four_positions
-from mavcompass.calibration.positions.problem import DEFAULT_PRIOR, IronPrior
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.chance import chance_of_more
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.positions import DEFAULT_PRIOR
 from mavcompass.calibration.positions.fit import CROSS_TERMS_BEFORE
+from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.frames import FloatArray
 from mavcompass.gap.rehearsal.iron import effects_in, iron_settings
 from mavcompass.gap.rehearsal.kind import Kind

@@ -14,7 +14,9 @@ from mavcompass.calibration.model import (
     GAIN,
     GYRO_BIAS,
     GYRO_SCALE,
+    HEADINGS,
     HORIZONTAL,
+    LAG,
     MOTOR,
     OFFSET,
     VERTICAL,
@@ -22,10 +24,10 @@ from mavcompass.calibration.model import (
     gain_matrix,
 )
 from mavcompass.calibration.motion import changes, fit, honesty, scatter
-from mavcompass.calibration.motion.equations import FIRST, LAG, first_state, section_variance
+from mavcompass.calibration.motion.equations import first_state, section_variance
 from mavcompass.calibration.motion.fit import MotionFit, fit_motion
 from mavcompass.calibration.motion.sections import Sections
-from mavcompass.calibration.positions import IronPrior
+from mavcompass.calibration.rigid import IronPrior
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
@@ -94,8 +96,8 @@ def test_exact_sections_give_the_iron_the_headings_and_no_model_error(found: Mot
     assert found.headings_rad == pytest.approx(0.3 + sections_of().turned_rad, abs=1e-4)
     assert found.model_mgauss == 0.0 and found.sound.min() > 0.999
     assert np.abs(found.residual_mgauss).max() < 0.05
-    assert found.jacobian.shape == (4 * K - 1, FIRST + K) and found.whitened.shape == (4 * K - 1,)
-    assert found.information @ found.covariance == pytest.approx(np.eye(FIRST + K), abs=1e-3)
+    assert found.jacobian.shape == (4 * K - 1, HEADINGS + K) and found.whitened.shape == (4 * K - 1,)
+    assert found.information @ found.covariance == pytest.approx(np.eye(HEADINGS + K), abs=1e-3)
     assert fit.residual_of(sections_of(), found) == pytest.approx(found.residual_mgauss, abs=0.05)
     there = fit.level_headings(sections_of(), found)
     assert wrap_pi(there - found.headings_rad) == pytest.approx(np.zeros(K), abs=1e-4)
@@ -202,7 +204,7 @@ def test_the_fit_absorbs_what_the_prior_does_not_hold(found: MotionFit) -> None:
     _, rules = first_state(sections, EARTH, IronPrior(), 1e-6, None)
     absorbed = fit._absorbed(sections, found.state, np.ones(K), rules)
     # Motors (3) and what a level circle does not show are held; offsets in x and y, gains and headings not.
-    assert K + 4.0 < absorbed < FIRST + K - 3.0
+    assert K + 4.0 < absorbed < HEADINGS + K - 3.0
     tight = replace(rules, rows=1e6 * rules.rows)
     assert fit._absorbed(sections, found.state, np.ones(K), tight) < absorbed
 
@@ -220,9 +222,9 @@ def test_the_first_guess_of_the_model_error_is_the_inner_halfs(found: MotionFit)
         sections_of(),
         mean_mgauss=sections_of().mean_mgauss + np.where(np.arange(K) < 16, 2.0, 90.0)[:, np.newaxis],
     )
-    assert fit._first_model_error(noisy, found.state) == pytest.approx(2.0 / 0.6745, rel=0.05)
+    assert fit._first_model_error(noisy.readings, found.state) == pytest.approx(2.0 / 0.6745, rel=0.05)
     wild = replace(noisy, mean_mgauss=noisy.mean_mgauss + 1e6)
-    assert fit._first_model_error(wild, found.state) == 500.0
+    assert fit._first_model_error(wild.readings, found.state) == 500.0
 
 
 def test_an_accelerometers_error_is_an_offset_by_the_dip(found: MotionFit) -> None:
@@ -258,7 +260,7 @@ def test_before_the_data_everything_has_its_sigma() -> None:
     sections = sections_of(bias_sigma_radps=0.02, scale_sigma=0.03)
     _, rules = first_state(sections, EARTH, prior, 7.0, None)
     sigma = 1.0 / np.abs(
-        rules.rows[:-1].max(axis=0), where=rules.rows[:-1].any(axis=0), out=np.full(FIRST + K, np.nan)
+        rules.rows[:-1].max(axis=0), where=rules.rows[:-1].any(axis=0), out=np.full(HEADINGS + K, np.nan)
     )
     assert sigma[GAIN][[0, 1, 3, 4, 5]] == pytest.approx([prior.gain_sigma] * 2 + [prior.cross_sigma] * 3)
     assert sigma[[GYRO_SCALE, GYRO_BIAS, LAG]] == pytest.approx([0.03, 0.02, 0.03])
@@ -266,8 +268,8 @@ def test_before_the_data_everything_has_its_sigma() -> None:
     north, _, down = EARTH.sigma_mgauss
     assert sigma[HORIZONTAL] == pytest.approx(math.hypot(north, prior.site_sigma_mgauss))
     assert sigma[VERTICAL] == pytest.approx(math.hypot(down, prior.site_sigma_mgauss))
-    assert np.isnan(sigma[OFFSET]).all() and np.isnan(sigma[FIRST:]).all()
-    alike = np.zeros(FIRST + K)
+    assert np.isnan(sigma[OFFSET]).all() and np.isnan(sigma[HEADINGS:]).all()
+    alike = np.zeros(HEADINGS + K)
     alike[GAIN][:3], alike[HORIZONTAL], alike[VERTICAL] = (1.0, 1.0, 1.0), 200.0, 450.0
     assert rules.of(alike) == pytest.approx(np.zeros(len(rules.rows)))
     alike[GAIN][:3] = (1.1, 0.9, 1.0 + prior.vertical_gain_sigma)
@@ -282,7 +284,7 @@ def test_the_first_state_is_near_wherever_the_vehicle_begins(first: float) -> No
     psi = first + np.linspace(0.0, 2.0 * math.pi, K, endpoint=False)
     for earth in (EARTH, None):
         x, _ = first_state(sections_of(psi), earth, IronPrior(), 1e-6, None)
-        assert np.abs(np.angle(np.exp(1j * (x[FIRST:] - psi)))).max() < 20.0 * DEG
+        assert np.abs(np.angle(np.exp(1j * (x[HEADINGS:] - psi)))).max() < 20.0 * DEG
         assert x[OFFSET][:2] == pytest.approx(OFFSETS[:2], abs=30.0)
 
 
@@ -389,7 +391,7 @@ def test_motors_that_are_left_scatter_the_heading(found: MotionFit) -> None:
     left = scatter.motors_left_rad(sections, found, np.array([3.0, 4.0, 99.0]))
     # 5 mG/A at 5 A, of which half the square lies across the nose, over the field as the compass reads it.
     assert left == pytest.approx(math.sqrt(0.5) * 25.0 / (200.0 * 0.5 * (1.08 + 0.93)), rel=1e-3)
-    unsure = replace(found, covariance=9.0 * np.eye(FIRST + K))
+    unsure = replace(found, covariance=9.0 * np.eye(HEADINGS + K))
     assert (
         scatter.motors_left_rad(sections, unsure, np.array([5.9, 5.9, 0.0])) == 0.0
     )  # two sigmas are chance
@@ -408,7 +410,7 @@ def test_scatter_between_sections_is_what_noise_does_not_explain() -> None:
     psi = np.linspace(0.0, 2.0 * math.pi, K, endpoint=False)
     sections = sections_of(psi)
     east = np.stack([np.sin(psi), np.cos(psi), np.zeros(K)], axis=1)
-    state = np.zeros(FIRST + K)
+    state = np.zeros(HEADINGS + K)
     state[HORIZONTAL] = 200.0
 
     def scatter_of(off_mgauss: float, model_mgauss: float, sound: FloatArray | None = None) -> float:

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from mavcompass.attitude import levels
-from mavcompass.calibration.model import HORIZONTAL, VERTICAL
+from mavcompass.calibration.model import HEADINGS, HORIZONTAL, LAG, VERTICAL
 from mavcompass.calibration.motion import changes, observed
-from mavcompass.calibration.motion.equations import FIRST, LAG
 from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.scatter import scatter_left_rad
 from mavcompass.calibration.motion.sections import Sections, turned_mapping, unsettled
@@ -69,11 +68,11 @@ def left_deg(
     record = TurnRecord(
         TIME - lag_s, ANGLE, zero + rate_deg_s * DEG, zero + tilt_deg_s * DEG, 0.0, 0.0, 0.0, 0.0, 0.1
     )
-    state = np.zeros(FIRST + K)
+    state = np.zeros(HEADINGS + K)
     state[HORIZONTAL], state[VERTICAL], state[LAG] = 200.0, vertical, lag_s
-    state[FIRST:] = 0.3 + 45.0 * DEG * np.arange(K)
+    state[HEADINGS:] = 0.3 + 45.0 * DEG * np.arange(K)
     fit: Any = SimpleNamespace(
-        state=state, sound=np.ones(K) if sound is None else sound, headings_rad=state[FIRST:]
+        state=state, sound=np.ones(K) if sound is None else sound, headings_rad=state[HEADINGS:]
     )
     down = np.tile([math.sin(lean_deg * DEG), 0.0, math.cos(lean_deg * DEG)], (400, 1))
     found = scatter_left_rad(
@@ -201,7 +200,7 @@ def test_an_error_of_half_a_degree_is_looked_into(
 ) -> None:
     asked: list[Any] = []
     monkeypatch.setattr(changes, "_candidates", lambda motion: asked.append(motion) or [])  # type: ignore[func-returns-value]
-    state = np.zeros(FIRST + K)
+    state = np.zeros(HEADINGS + K)
     state[HORIZONTAL] = 200.0
     fit = Fitted(state=state, gain=np.eye(3) * 1.1, model_mgauss=model_deg * DEG * 220.0, sound=np.ones(K))
     motion: Any = SimpleNamespace(fit=fit, sections=sections_of())
@@ -213,7 +212,7 @@ def test_a_beginning_that_was_all_kept_out_is_a_change(
     kept_out: int, cuts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of one section only something may have passed by; what lasts longer than ten seconds was iron."""
-    state = np.zeros(FIRST + K)
+    state = np.zeros(HEADINGS + K)
     state[HORIZONTAL] = 200.0
     sections = sections_of()
     lasted_s = float(sections.end_s[max(kept_out, 1) - 1] - sections.start_s[0])
@@ -239,7 +238,7 @@ def test_a_beginning_that_was_all_kept_out_is_a_change(
 def test_a_stretch_is_taken_where_it_fits_much_better_and_turns_enough(
     share: float, seen_deg: float, taken: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    state = np.zeros(FIRST + K)
+    state = np.zeros(HEADINGS + K)
     state[HORIZONTAL] = 200.0
     later = SimpleNamespace(
         fit=SimpleNamespace(model_mgauss=10.0 * share, headings_rad=np.linspace(0.0, seen_deg, 40) * DEG)
@@ -284,7 +283,7 @@ def test_motors_that_a_correction_takes_out_leave_no_scatter(monkeypatch: pytest
     monkeypatch.setattr(
         observed, "motors_left_rad", lambda sections, fit, mgauss: left.append(mgauss) or 0.04
     )
-    state = np.zeros(FIRST + K)
+    state = np.zeros(HEADINGS + K)
     state[13:16] = (1.0, 2.0, 3.0)
     nothing: Any = None
     fit: Any = SimpleNamespace(state=state)

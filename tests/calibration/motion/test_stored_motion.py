@@ -113,7 +113,7 @@ def test_where_the_fit_begins(motion: Motion, as_stored: AsStored) -> None:
         {
             "first": first[:20],
             "prior": [np.diag(rules.rows.T @ rules.rows)[:17], rules.wanted, rules.of(fit.state)],
-            "model": [_first_model_error(s, first), _absorbed(s, fit.state, fit.sound, rules)],
+            "model": [_first_model_error(s.readings, first), _absorbed(s, fit.state, fit.sound, rules)],
             "variance": section_variance(s, fit.state, 2.0)[::6],
             "unweighed": section_variance(s, fit.state, 2.0, weighed=False)[::9],
             "chance": [_chance_limit(freedom) for freedom in (1.0, 7.0, 100.0)],

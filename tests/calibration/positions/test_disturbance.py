@@ -37,6 +37,10 @@ class Linear:
     def whiten(self) -> FloatArray:
         return np.linalg.inv(np.linalg.cholesky(self.noise))
 
+    @property
+    def readings(self) -> FloatArray:
+        return self.mean
+
     def loosened(self, index: int, size: float) -> Linear:
         noise = self.noise.copy()
         noise[index] += size**2 * np.eye(3)

@@ -16,10 +16,11 @@ from mavcompass.calibration import solve_four_positions
 from mavcompass.calibration.model import heading_gradient
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.observation.wire import unquantise
-from mavcompass.calibration.positions import DEFAULT_PRIOR, PositionProblem
-from mavcompass.calibration.positions.fit import _evaluate
+from mavcompass.calibration.positions import PositionProblem
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, assembled
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray
 
 STRONG = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0))
 SEVERE = FieldCorrection((250.0, -150.0, 100.0), (1.15, 0.88, 1.05), (0.04, -0.03, 0.05))
@@ -161,14 +162,16 @@ def test_the_jacobian_is_the_derivative() -> None:
         iron_of(SEVERE), np.random.default_rng(4), noise=1.0, gyro_sigma=0.01, tilt=math.radians(4.0)
     )
     problem = PositionProblem.of(data, IDENTITY, FIELD, DEFAULT_PRIOR)
-    x, weights = problem.start + 0.01, np.ones(4)
-    residual, jacobian, _ = _evaluate(problem, x, weights)
+    x = problem.start + 0.01
+
+    def at(state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return assembled(problem.readings, state, problem.whiten, problem.rules)
+
+    residual, jacobian = at(x)
     for column in range(x.size):
         step = np.zeros(x.size)
         step[column] = 1e-6
-        ahead, _, _ = _evaluate(problem, x + step, weights)
-        behind, _, _ = _evaluate(problem, x - step, weights)
-        numeric = (ahead - behind) / 2e-6
+        numeric = (at(x + step)[0] - at(x - step)[0]) / 2e-6
         assert np.allclose(jacobian[:, column], numeric, rtol=1e-4, atol=1e-4 * np.abs(numeric).max() + 1e-6)
     assert residual.shape == (len(jacobian),)
 

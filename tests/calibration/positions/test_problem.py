@@ -17,6 +17,7 @@ from mavcompass.calibration.model import (
     GYRO_SCALE,
     HEADINGS,
     HORIZONTAL,
+    LAG,
     MOTOR,
     OFFSET,
     VERTICAL,
@@ -25,10 +26,11 @@ from mavcompass.calibration.model import (
     level_to_body,
 )
 from mavcompass.calibration.observation import FourPositionData, Step
-from mavcompass.calibration.positions import DEFAULT_PRIOR, PositionProblem, next_pose, solve_four_positions
+from mavcompass.calibration.positions import PositionProblem, next_pose, solve_four_positions
 from mavcompass.calibration.positions.budget import _source_of
-from mavcompass.calibration.positions.fit import _evaluate, fit_positions, weigh_cross_terms
+from mavcompass.calibration.positions.fit import fit_positions, weigh_cross_terms
 from mavcompass.calibration.positions.observability import unobserved
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, assembled
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import wrap_pi
@@ -41,6 +43,15 @@ def problem_of(
     data: FourPositionData | None = None, earth: Any = FIELD, in_force: Any = IDENTITY
 ) -> PositionProblem:
     return PositionProblem.of(data or four_positions(IRON), in_force, earth, DEFAULT_PRIOR)
+
+
+def held(problem: PositionProblem) -> dict[int, tuple[float, float]]:
+    """Return the prior's mean and sigma of each number of the state that has one."""
+    rules = problem.rules
+    sigma = [1.0 / rules.rows[row, place] for row, place in enumerate(rules.places)]
+    return {
+        p: (float(w * s), float(s)) for p, w, s in zip(rules.places, rules.wanted[:-1], sigma, strict=True)
+    }
 
 
 def true_state(data: FourPositionData, first: float = 0.4) -> Any:
@@ -61,8 +72,9 @@ def test_exact_readings_start_at_the_truth(first: float) -> None:
     assert state[OFFSET] == pytest.approx(IRON.offset, abs=1e-6)
     assert state[GAIN] == pytest.approx(gain_parameters(GAIN_XY), abs=1e-9)
     assert wrap_pi(state[HEADINGS:] - first - data.turned_rad) == pytest.approx(np.zeros(4), abs=1e-9)
-    residual, _, field = _evaluate(problem, state, np.ones(4))
-    assert np.abs(field).max() < 1e-6 and np.abs(residual[:15]).max() < 0.02  # but for the prior
+    residual, _ = assembled(problem.readings, state, problem.whiten, problem.rules)
+    assert np.abs(residual[:15]).max() < 0.02  # but for the prior
+    assert np.abs(problem.readings.field(state)[0]).max() < 1e-6
 
 
 def test_a_field_that_turns_the_wrong_way_is_mirrored() -> None:
@@ -79,35 +91,32 @@ def test_without_a_world_the_fields_own_size_is_taken() -> None:
         FIELD.horizontal_mgauss * math.sqrt(1.1 * 0.95 - 0.03**2)
     )
     assert problem.start[VERTICAL] == pytest.approx(1.025 * FIELD.ned_mgauss[2])
-    held = problem.sigma
-    assert held[HORIZONTAL] == 0.5 * problem.start[HORIZONTAL] and held[2] == 100.0
-    assert held[VERTICAL] == 0.5 * abs(problem.start[VERTICAL]) and problem.centre[2] == 25.0
+    known = held(problem)
+    assert known[2] == pytest.approx((25.0, 100.0))
+    assert known[HORIZONTAL][1] == pytest.approx(0.5 * problem.start[HORIZONTAL])
+    assert known[VERTICAL][1] == pytest.approx(0.5 * abs(problem.start[VERTICAL]))
     weak = replace(FIELD, ned_mgauss=(232.0, 52.7, 60.0))
-    assert problem_of(four_positions(Iron(), earth=weak), None).sigma[VERTICAL] == 50.0
+    assert held(problem_of(four_positions(Iron(), earth=weak), None))[VERTICAL][1] == pytest.approx(50.0)
 
 
 def test_before_the_data_everything_has_its_sigma() -> None:
     data = replace(four_positions(IRON), gyro_scale_sigma=0.02, gyro_bias_sigma_radps=0.003)
     problem = problem_of(data)
-    sigma, centre = problem.sigma, problem.centre
-    assert (
-        sigma[GAIN].tolist() == [0.25, 0.25, math.inf, 0.04, 0.04, 0.04]
-        and problem.vertical_gain_sigma == 0.05
-    )
-    assert centre[GAIN].tolist() == [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
-    assert (sigma[GYRO_SCALE], sigma[GYRO_BIAS]) == (0.02, 0.003) and sigma[MOTOR].tolist() == [0.5] * 3
-    assert np.isinf(sigma[OFFSET]).all() and np.isinf(sigma[HEADINGS:]).all()
+    known = held(problem)
     north, east, down = FIELD.sigma_mgauss
     d = FIELD.declination_rad
     along = math.hypot(north * math.cos(d), east * math.sin(d))
-    assert sigma[HORIZONTAL] == pytest.approx(math.hypot(along, 5.0))
-    assert sigma[VERTICAL] == pytest.approx(math.hypot(down, 5.0))
-    assert (
-        centre[HORIZONTAL] == pytest.approx(FIELD.horizontal_mgauss)
-        and centre[VERTICAL] == FIELD.ned_mgauss[2]
-    )
-    none = problem_of(replace(data, gyro_scale_sigma=0.0, gyro_bias_sigma_radps=0.0)).sigma
-    assert none[GYRO_SCALE] == none[GYRO_BIAS] == 1e-9
+    expected = {3: (1.0, 0.25), 4: (1.0, 0.25), 6: (0.0, 0.04), 7: (0.0, 0.04), 8: (0.0, 0.04)}
+    expected |= {GYRO_SCALE: (0.0, 0.02), GYRO_BIAS: (0.0, 0.003), LAG: (0.0, 0.03)}
+    expected |= {place: (0.0, 0.5) for place in range(MOTOR.start, MOTOR.stop)}
+    expected[HORIZONTAL] = (FIELD.horizontal_mgauss, math.hypot(along, 5.0))
+    expected[VERTICAL] = (FIELD.ned_mgauss[2], math.hypot(down, 5.0))
+    assert sorted(known) == sorted(expected)
+    assert all(known[place] == pytest.approx(expected[place]) for place in expected)
+    # The vertical gain is known by the horizontal ones.
+    assert (problem.rules.rows[-1, GAIN] * 0.05)[:3] == pytest.approx([-0.5, -0.5, 1.0])
+    none = held(problem_of(replace(data, gyro_scale_sigma=0.0, gyro_bias_sigma_radps=0.0)))
+    assert none[GYRO_SCALE][1] == none[GYRO_BIAS][1] == pytest.approx(1e-9)
 
 
 def test_the_field_changes_with_roll_and_pitch_as_a_turn_of_the_vehicle_does() -> None:
@@ -133,7 +142,7 @@ def test_readings_are_weighed_by_noise_steps_and_tilt() -> None:
         for d in data.dwells
     )
     problem = problem_of(replace(data, dwells=dwells, tilt_bias_sigma_rad=0.002))
-    by = by_tilt(problem.level_to_body, problem.start, problem.start[HEADINGS:])
+    by = by_tilt(problem.readings.mapping, problem.start, problem.start[HEADINGS:])
     for k in range(4):
         covariance = np.eye(3) * (4.0 + 0.01**2 + 0.5) + by[k] @ by[k].T * 0.01**2
         assert problem.whiten[k] @ covariance @ problem.whiten[k].T == pytest.approx(np.eye(3))
@@ -157,7 +166,7 @@ def test_a_current_counts_where_it_is_known_everywhere(
 ) -> None:
     data = four_positions(IRON)
     dwells = tuple(replace(d, current_a=a) for d, a in zip(data.dwells, currents, strict=True))
-    assert problem_of(replace(data, dwells=dwells)).current.tolist() == list(counted)
+    assert problem_of(replace(data, dwells=dwells)).readings.load.tolist() == list(counted)
 
 
 @pytest.mark.parametrize(("degrees", "enough"), [((40.0, 40.0, 40.0), True), ((20.0, 20.0, 20.0), False)])
@@ -186,18 +195,19 @@ def test_a_pose_not_yet_taken_reads_what_the_state_predicts() -> None:
     data = four_positions(IRON)
     state = true_state(data)
     grown = problem_of(data).with_pose(state, math.pi / 3.0, 0.1, -0.2, Step(0.0, 0.004, 7.0))
-    assert len(grown.mean) == 5 and grown.start.size == state.size + 1
+    read = grown.readings
+    assert len(read) == 5 and grown.start.size == state.size + 1
     assert grown.start[-1] == pytest.approx(state[-1] + math.pi / 3.0)
-    assert (grown.steps[-1], grown.step_sigma[-1], grown.step_duration[-1]) == (math.pi / 3.0, 0.004, 7.0)
-    assert (grown.coherence[-1], grown.current[-1]) == (1.0, 0.0)
-    _, _, field = _evaluate(grown, grown.start, np.ones(5))
-    assert np.abs(field).max() < 1e-6
+    assert (read.step_rad[-1], read.step_sigma_rad[-1], read.step_s[-1]) == (math.pi / 3.0, 0.004, 7.0)
+    assert read.mapping[-1] == pytest.approx(level_to_body(0.1, -0.2)) and read.load[-1] == 0.0
+    assert np.abs(read.field(grown.start)[0]).max() < 1e-6
     worse = list(data.dwells)
     worse[0] = replace(worse[0], covariance_mgauss2=np.eye(3) * 100.0)
     certain = problem_of(replace(data, dwells=tuple(worse))).with_pose(
         state, 1.0, 0.0, 0.0, Step(0.0, 0.0, 1.0)
     )
-    assert certain.whiten[-1] == pytest.approx(certain.whiten[1]) and certain.step_sigma[-1] == 1e-6
+    assert certain.whiten[-1] == pytest.approx(certain.whiten[1])
+    assert certain.readings.step_sigma_rad[-1] == 1e-6
 
 
 def test_each_parameter_has_its_source_in_the_budget() -> None:
@@ -207,8 +217,8 @@ def test_each_parameter_has_its_source_in_the_budget() -> None:
         HORIZONTAL: "world_model",
         VERTICAL: "world_model",
     }
-    told = {place: _source_of(place) for place in range(HEADINGS)}
-    assert told == {p: names.get(p, "disturbance" if p >= MOTOR.start else "prior") for p in range(HEADINGS)}
+    names |= dict.fromkeys(range(MOTOR.start, MOTOR.stop), "disturbance")
+    assert all(_source_of(place) == names.get(place, "prior") for place in range(HEADINGS))
 
 
 @pytest.mark.parametrize(
@@ -278,9 +288,8 @@ def test_a_fit_may_begin_at_one_that_is_nearly_the_same() -> None:
     assert fit.freedom == 15 - round(
         float(np.trace(fit.jacobian[:15] @ fit.covariance @ fit.jacobian[:15].T))
     )
-    assert fit.chi_square == pytest.approx(
-        float((_evaluate(problem, fit.state, fit.weights)[0][:15] ** 2).sum())
-    )
+    values, _ = assembled(problem.readings, fit.state, problem.whiten, problem.rules)
+    assert fit.chi_square == pytest.approx(float((values[:15] ** 2).sum()))
     many = four_positions(
         IRON, np.random.default_rng(6), turns=np.radians([60.0] * 6), noise=1.0, gyro_sigma=0.003
     )

@@ -15,7 +15,7 @@ from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import PositionProblem, next_pose, repeat_test, solve_four_positions
 from mavcompass.calibration.positions.disturbance import weigh_disturbances
 from mavcompass.calibration.positions.fit import fit_positions
-from mavcompass.calibration.positions.problem import DEFAULT_PRIOR
+from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.correction import FieldCorrection
 
 AsStored = Callable[[Any], None]

@@ -1,0 +1,247 @@
+"""A rigid compass at K headings that the gyro ties together: one least-squares problem for every motion.
+
+Still positions (`positions`) and sections of any motion (`motion`) read (M1) and are told apart only by how
+their covariances are known. The state has the numbers of `model.NAMES`, then the K headings.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavcompass.calibration.model import (
+    GAIN,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    HEADINGS,
+    HORIZONTAL,
+    LAG,
+    MOTOR,
+    OFFSET,
+    VERTICAL,
+    gain_jacobian,
+    gain_matrix,
+)
+from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.frames import FloatArray
+
+# What is not known of how far the field lags behind the gyro.
+_LAG_SIGMA_S = 0.03
+_STEPS, _DAMPING = 40, 1e-12
+# A step of this many sigmas, or one that lowers the cost by this share, settles nothing more.
+_SETTLED_SIGMAS, _SETTLED_SHARE = 1e-5, 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class IronPrior:
+    """State what is known of a compass before the vehicle turns.
+
+    Attributes:
+        gain_sigma: of each horizontal gain about 1.
+        vertical_gain_sigma: of the vertical gain about the mean of the horizontal ones.
+        cross_sigma: of the cross terms, where there are any. own_cross_sigma: of a sensor's own without iron:
+            axes are square, and set to the vehicle's, within a third of a degree.
+        site_sigma_mgauss: what rocks, buildings and parked cars add to the world model, each component.
+        motor_sigma_mgauss_per_a: of the field of the battery current, each axis.
+        vertical_offset_sigma_mgauss: of the offset in force on Z, where there is no world model.
+    """
+
+    gain_sigma: float = 0.25
+    vertical_gain_sigma: float = 0.05
+    cross_sigma: float = 0.04
+    own_cross_sigma: float = 0.005
+    site_sigma_mgauss: float = 5.0
+    motor_sigma_mgauss_per_a: float = 0.5
+    vertical_offset_sigma_mgauss: float = 100.0
+
+
+DEFAULT_PRIOR = IronPrior()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """Hold K mean readings of a compass and the K - 1 turns between them.
+
+    Attributes:
+        mean_mgauss: raw field, (K, 3). mapping: A of (M1), level axes to body axes, (K, 3, 3); by_lag: its
+            change per second of the field's lag. load: of the motors, (K,), less its mean.
+        step_rad, step_sigma_rad, step_s: the gyro's turns, their sigma without its scale and bias, and how
+            long they took, (K - 1,).
+    """
+
+    mean_mgauss: FloatArray
+    mapping: FloatArray
+    by_lag: FloatArray
+    load: FloatArray
+    step_rad: FloatArray
+    step_sigma_rad: FloatArray
+    step_s: FloatArray
+
+    def __len__(self) -> int:
+        """Count the readings."""
+        return len(self.mean_mgauss)
+
+    def field(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residuals (K, 3) and the derivative of the prediction by the state, (K, 3, P)."""
+        k = len(self)
+        psi = x[HEADINGS:]
+        gain, h, z = gain_matrix(x[GAIN]), x[HORIZONTAL], x[VERTICAL]
+        mapping = self.mapping + x[LAG] * self.by_lag
+        cos, sin = np.cos(psi), np.sin(psi)
+        level = np.stack([h * cos, -h * sin, np.full(k, z)], axis=1)
+        body = np.einsum("kij,kj->ki", mapping, level)
+        load = self.load[:, np.newaxis]
+        residual = self.mean_mgauss - (x[OFFSET] + body @ gain + load * x[MOTOR])
+        by = np.zeros((k, 3, x.size))
+        by[:, :, OFFSET] = np.eye(3)
+        by[:, :, GAIN] = gain_jacobian(body)
+        seen = gain @ mapping
+        by[:, :, HORIZONTAL] = seen[:, :, 0] * cos[:, np.newaxis] - seen[:, :, 1] * sin[:, np.newaxis]
+        by[:, :, VERTICAL] = seen[:, :, 2]
+        by[:, :, MOTOR] = load[:, :, np.newaxis] * np.eye(3)
+        by[:, :, LAG] = np.einsum("kij,kj->ki", self.by_lag, level) @ gain
+        across = -h * (seen[:, :, 0] * sin[:, np.newaxis] + seen[:, :, 1] * cos[:, np.newaxis])
+        by[np.arange(k), :, HEADINGS + np.arange(k)] = across
+        return residual, by
+
+    def turns(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the whitened residuals of the turns, (K - 1,), and their derivative by the state."""
+        turn, sigma = np.diff(x[HEADINGS:]), self.step_sigma_rad
+        scale = 1.0 + x[GYRO_SCALE]
+        rows = np.arange(len(turn))
+        jacobian = np.zeros((len(turn), x.size))
+        jacobian[rows, HEADINGS + rows + 1] = scale / sigma
+        jacobian[rows, HEADINGS + rows] = -scale / sigma
+        jacobian[:, GYRO_SCALE] = turn / sigma
+        jacobian[:, GYRO_BIAS] = self.step_s / sigma
+        return (scale * turn + x[GYRO_BIAS] * self.step_s - self.step_rad) / sigma, jacobian
+
+    def with_one_more(
+        self, mean_mgauss: FloatArray, mapping: FloatArray, step_rad: float, sigma_rad: float, lasts_s: float
+    ) -> Readings:
+        """Add a reading at mean load, and the turn to it."""
+        grown = zip(
+            self.__slots__,
+            (mean_mgauss, mapping, np.zeros((3, 3)), 0.0, step_rad, sigma_rad, lasts_s),
+            strict=True,
+        )
+        return replace(self, **{n: np.concatenate([getattr(self, n), [value]]) for n, value in grown})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PriorRows:
+    """Hold what is known beforehand, whitened: rows (Q, P) times the state are `wanted` (Q,), each within 1.
+
+    places: of the state's number that a row holds, (Q - 1,); the last holds the vertical gain by the others.
+    """
+
+    rows: FloatArray
+    wanted: FloatArray
+    places: tuple[int, ...]
+
+    def of(self, x: FloatArray) -> FloatArray:
+        """Return the whitened residuals of a state, (Q,)."""
+        return np.asarray(self.rows @ x - self.wanted)
+
+
+def prior_rows(
+    readings: int,
+    prior: IronPrior,
+    earth: EarthField | None,
+    in_force: FieldCorrection | None,
+    level_mgauss: tuple[float, float],
+    gyro_sigma: tuple[float, float],
+    motor_sigma: float,
+) -> PriorRows:
+    """Write the prior of so many readings as whitened rows.
+
+    Args:
+        level_mgauss: the horizontal and the vertical field, as far as `earth` does not tell them.
+        gyro_sigma: of its scale, and of its bias in rad/s.
+        motor_sigma: of the motors' field per unit of load.
+        in_force: gives Z's offset where no world model does.
+    """
+    horizontal, vertical = level_mgauss
+    scale_sigma, bias_sigma = (max(sigma, 1e-9) for sigma in gyro_sigma)
+    held: list[tuple[int, float, float]] = [
+        (3, 1.0, prior.gain_sigma),
+        (4, 1.0, prior.gain_sigma),
+        *((i, 0.0, prior.cross_sigma) for i in (6, 7, 8)),
+        (GYRO_SCALE, 0.0, scale_sigma),
+        (GYRO_BIAS, 0.0, bias_sigma),
+        *((i, 0.0, motor_sigma) for i in range(MOTOR.start, MOTOR.stop)),
+        (LAG, 0.0, _LAG_SIGMA_S),
+    ]
+    if earth is not None:
+        north, east, down = earth.sigma_mgauss
+        turned = earth.declination_rad
+        along = math.hypot(north * math.cos(turned), east * math.sin(turned))
+        held.append((HORIZONTAL, earth.horizontal_mgauss, math.hypot(along, prior.site_sigma_mgauss)))
+        held.append((VERTICAL, float(earth.ned_mgauss[2]), math.hypot(down, prior.site_sigma_mgauss)))
+    else:
+        held.append((HORIZONTAL, horizontal, 0.5 * horizontal))
+        held.append((VERTICAL, vertical, max(0.5 * abs(vertical), 50.0)))
+        offset = -in_force.offsets_mgauss[2] if in_force is not None else 0.0
+        held.append((2, offset, prior.vertical_offset_sigma_mgauss))
+    rows, wanted = np.zeros((len(held) + 1, HEADINGS + readings)), np.zeros(len(held) + 1)
+    for row, (place, value, sigma) in enumerate(held):
+        rows[row, place], wanted[row] = 1.0 / sigma, value / sigma
+    rows[-1, 3:6] = np.array([-0.5, -0.5, 1.0]) / prior.vertical_gain_sigma
+    return PriorRows(rows, wanted, tuple(place for place, _, _ in held))
+
+
+def assembled(
+    readings: Readings, x: FloatArray, roots: FloatArray, rules: PriorRows
+) -> tuple[FloatArray, FloatArray]:
+    """Return the whitened residuals, (R,), and their Jacobian, (R, P): field (3 K), turns (K - 1), prior.
+
+    `roots` (K, 3, 3) whiten the field's residuals.
+    """
+    residual, by = readings.field(x)
+    turns, by_turns = readings.turns(x)
+    rows = -(roots @ by).reshape(-1, x.size)
+    values = np.einsum("kij,kj->ki", roots, residual).ravel()
+    return np.concatenate([values, turns, rules.of(x)]), np.concatenate([rows, by_turns, rules.rows])
+
+
+def settle(readings: Readings, x: FloatArray, roots: FloatArray, rules: PriorRows) -> FloatArray:
+    """Minimise by Gauss-Newton with step halving, from a state near enough."""
+    values, jacobian = assembled(readings, x, roots, rules)
+    for _ in range(_STEPS):
+        scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
+        scaled = jacobian * scale
+        normal = scaled.T @ scaled + _DAMPING * np.eye(x.size)
+        step = np.linalg.solve(normal, -scaled.T @ values)
+        cost, share = float(values @ values) * (1.0 + 1e-12), 1.0
+        while True:
+            trial = x + share * scale * step
+            values, jacobian = assembled(readings, trial, roots, rules)
+            if float(values @ values) <= cost or share < 1e-3:
+                break
+            share *= 0.5
+        x = trial
+        gained = 1.0 - float(values @ values) / cost
+        if float(np.abs(step).max()) < _SETTLED_SIGMAS or gained < _SETTLED_SHARE:
+            break
+    return x
+
+
+def covariance_of(jacobian: FloatArray) -> FloatArray:
+    """Return the covariance of the state, (P, P), by the whitened Jacobian (R, P)."""
+    scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
+    scaled = jacobian * scale
+    inverse = np.linalg.inv(scaled.T @ scaled + _DAMPING * np.eye(len(scale)))
+    return np.asarray(inverse * np.outer(scale, scale))
+
+
+def common_error(whitened: FloatArray, covariance: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """Return what errors common to all readings, whitened as these, (K, 3, M), add to the state, (P, M).
+
+    One sigma each; no agreement between the readings shows it, and no further one averages it out. The
+    readings' rows are the first of the whitened Jacobian (R, P).
+    """
+    rows = whitened.reshape(-1, whitened.shape[2])
+    return np.asarray(covariance @ jacobian[: len(rows)].T @ rows)
