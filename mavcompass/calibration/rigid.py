@@ -30,9 +30,11 @@ from mavcompass.frames import FloatArray
 
 # What is not known of how far the field lags behind the gyro.
 _LAG_SIGMA_S = 0.03
-_STEPS, _DAMPING = 40, 1e-12
+_STEPS = 40
+# Of the scaled normal equations; more where a step does not lower the cost.
+_DAMPING, _FIRST_DAMPING, _MOST_DAMPING = 1e-12, 1e-3, 1e3
 # A step of this many sigmas, or one that lowers the cost by this share, settles nothing more.
-_SETTLED_SIGMAS, _SETTLED_SHARE = 1e-5, 1e-10
+_SETTLED_SIGMAS, _SETTLED_SHARE = 1e-5, 1e-8
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,22 +209,29 @@ def assembled(
     return np.concatenate([values, turns, rules.of(x)]), np.concatenate([rows, by_turns, rules.rows])
 
 
-def settle(readings: Readings, x: FloatArray, roots: FloatArray, rules: PriorRows) -> FloatArray:
-    """Minimise by Gauss-Newton with step halving, from a state near enough."""
+def settle(
+    readings: Readings, x: FloatArray, roots: FloatArray, rules: PriorRows, steps: int = _STEPS
+) -> FloatArray:
+    """Minimise by Levenberg and Marquardt's steps, from a state near enough.
+
+    Where the weights depend on the state, few `steps` at a time save settling what will be weighed anew.
+    """
     values, jacobian = assembled(readings, x, roots, rules)
-    for _ in range(_STEPS):
+    damping = _DAMPING
+    for _ in range(steps):
         scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
         scaled = jacobian * scale
-        normal = scaled.T @ scaled + _DAMPING * np.eye(x.size)
-        step = np.linalg.solve(normal, -scaled.T @ values)
-        cost, share = float(values @ values) * (1.0 + 1e-12), 1.0
+        normal, downhill = scaled.T @ scaled, -scaled.T @ values
+        # Not worse than by what settles nothing more: the last digits of a minimum are noise.
+        cost = float(values @ values) * (1.0 + 0.1 * _SETTLED_SHARE)
         while True:
-            trial = x + share * scale * step
+            step = np.linalg.solve(normal + damping * np.eye(x.size), downhill)
+            trial = x + scale * step
             values, jacobian = assembled(readings, trial, roots, rules)
-            if float(values @ values) <= cost or share < 1e-3:
+            if float(values @ values) <= cost or damping > _MOST_DAMPING:
                 break
-            share *= 0.5
-        x = trial
+            damping = max(10.0 * damping, _FIRST_DAMPING)
+        x, damping = trial, max(0.1 * damping, _DAMPING)
         gained = 1.0 - float(values @ values) / cost
         if float(np.abs(step).max()) < _SETTLED_SIGMAS or gained < _SETTLED_SHARE:
             break

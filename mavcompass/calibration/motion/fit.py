@@ -42,7 +42,7 @@ from mavcompass.frames import FloatArray
 
 # Of the motor field per unit of load, each axis: amperes, and the whole throttle.
 _MOTOR_SIGMA = {"current": 10.0, "throttle": 100.0, "none": 1e-6}
-_ROUNDS = 8
+_ROUNDS, _STEPS_A_ROUND = 8, 10
 # Before the data: one section in twenty stands beside something magnetic, of this size on each axis.
 _DISTURBED_BEFORE, _DISTURBED_MGAUSS = 0.05, 40.0
 # More disturbed sections than this, or more of the time, are no exceptions.
@@ -130,7 +130,7 @@ def fit_motion(
     sound = np.ones(len(sections))
     for _ in range(_ROUNDS):
         variance = section_variance(sections, x, model)
-        x = settle(readings, x, _roots(variance, sound), rules)
+        x = settle(readings, x, _roots(variance, sound), rules, _STEPS_A_ROUND)
         residual, _ = readings.field(x)
         # How much a section counts beside others of its visit says nothing of how far out it is.
         fresh = _soundness(sections, residual, section_variance(sections, x, model, weighed=False))

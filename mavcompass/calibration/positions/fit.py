@@ -11,7 +11,7 @@ from mavcompass.calibration.positions.problem import PositionProblem
 from mavcompass.calibration.rigid import IronPrior, assembled, common_error, covariance_of, settle
 from mavcompass.frames import FloatArray
 
-_ROBUST_FROM, _ROUNDS = 6, 20
+_ROBUST_FROM, _ROUNDS, _STEPS_A_ROUND = 6, 20, 2
 _MANY_SIGMAS_3D = 11.34  # chi-square of three, 99 %
 # Before the data: most compasses away from steel have no cross terms that matter.
 CROSS_TERMS_BEFORE = 0.25
@@ -36,14 +36,15 @@ def fit_positions(problem: PositionProblem, near: PositionFit | None = None) -> 
     """
     readings = problem.readings
     x, weights = (problem.start, np.ones(len(readings))) if near is None else (near.state, near.weights)
-    for _ in range(_ROUNDS):
-        roots = problem.whiten * np.sqrt(weights)[:, np.newaxis, np.newaxis]
-        x = settle(readings, x, roots, problem.rules)
-        residual, _ = readings.field(x)
-        fresh = _weights(problem, residual)
-        if len(readings) < _ROBUST_FROM or float(np.abs(fresh - weights).max()) < 1e-3:
-            break
-        weights = fresh
+    if len(readings) >= _ROBUST_FROM:
+        for _ in range(_ROUNDS):
+            x = settle(readings, x, _roots(problem, weights), problem.rules, _STEPS_A_ROUND)
+            before, weights = weights, _weights(problem, readings.field(x)[0])
+            if float(np.abs(weights - before).max()) < 1e-3:
+                break
+    roots = _roots(problem, weights)
+    x = settle(readings, x, roots, problem.rules)
+    residual, _ = readings.field(x)
     values, jacobian = assembled(readings, x, roots, problem.rules)
     covariance = covariance_of(jacobian)
     # What the fit cannot absorb of each measurement adds up to the degrees of freedom.
@@ -69,6 +70,10 @@ def leaning_error(problem: PositionProblem, fit: PositionFit) -> FloatArray:
     """
     leaning = problem.whiten @ problem.leaning * np.sqrt(fit.weights)[:, np.newaxis, np.newaxis]
     return common_error(leaning, fit.covariance, fit.jacobian)
+
+
+def _roots(problem: PositionProblem, weights: FloatArray) -> FloatArray:
+    return np.asarray(problem.whiten * np.sqrt(weights)[:, np.newaxis, np.newaxis])
 
 
 def _weights(problem: PositionProblem, field: FloatArray) -> FloatArray:
