@@ -18,12 +18,12 @@ from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits
 from mavcompass.compass_parameters import values
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
+from mavcompass.heading.repeated import turned_since_new, turned_vector
 from mavcompass.parameter_remarks import remarks_said
 from mavcompass.track import Track
 
 _DEAD_SWING_MGAUSS = 3.0
-# A slower rate may be the gyro's bias, which in minutes of standing adds up to a turn.
-_BIAS_RADPS = math.radians(3.0)
+_TURNED_RAD = math.radians(45.0)
 # Tried where another method refused.
 _OTHERS = ("four-positions", "world-field", "ellipsoid")
 
@@ -207,18 +207,14 @@ def _check_compass(track: Track, instance: int) -> None:
             f"Compass {instance} reads only its offsets: the sensor itself is silent or not connected.",
             "Check the compass's wiring and power, then record again.",
         )
-    if float(swing.max()) < _DEAD_SWING_MGAUSS and _turned(track):
+    followed = turned_since_new(track, instance)
+    if float(swing.max()) < _DEAD_SWING_MGAUSS:  # noise alone is nothing new
+        followed = np.linalg.norm(turned_vector(track, compass.time_s), axis=1)
+    frozen = np.flatnonzero(followed > _TURNED_RAD)
+    if frozen.size:
+        at = math.floor(float(compass.time_s[frozen[0]] - compass.time_s[0]))
         raise PoorCalibration(
-            f"Compass {instance} is frozen: the vehicle turned and its reading did not change.",
+            f"Compass {instance} is frozen: {at} s after the first reading the vehicle had turned by 45"
+            " degrees and the reading had not changed.",
             "Check the compass's wiring and driver, then record again.",
         )
-
-
-def _turned(track: Track) -> bool:
-    gyro = track.gyro_radps
-    if gyro is None or len(gyro) < 3:
-        return False
-    rate = np.nan_to_num(np.asarray(gyro.values))
-    rate[np.abs(rate) < _BIAS_RADPS] = 0.0
-    turned = np.abs(np.cumsum(rate[:-1] * np.diff(gyro.time_s)[:, np.newaxis], axis=0)).max()
-    return bool(turned > math.radians(45.0))

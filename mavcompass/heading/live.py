@@ -93,6 +93,7 @@ class LiveCompass:
     def restart(self) -> None:
         """Forget how noisy and how far off the field was: the correction in force has changed."""
         self._before: Vector | None = None
+        self._new_at_rad = 0.0  # turned when the reading was new
         self._doubt, self._looked_s = CalibrationDoubt(0.0, self.world), -math.inf
         self._iron = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
@@ -138,7 +139,7 @@ class LiveCompass:
         """Combine calibration, noise, tilt and lag; see `heading.doubt`."""
         turning = abs(level.rate_radps)
         if m != self._before:  # repeated readings say nothing of the noise
-            self._before = m
+            self._before, self._new_at_rad = m, level.turned_rad
             self._doubt.add(*field, keep=_KEEP)
         if time_s - self._looked_s >= _LOOK_S:
             usual = horizontal if self.world is None else self.world.horizontal_mgauss
@@ -151,6 +152,6 @@ class LiveCompass:
         across2 = (u * y - v * x) ** 2 + v * v * xx - 2.0 * u * v * xy + u * u * yy
         noise = scatter2 + _QUANTUM_SIGMA_MGAUSS**2
         tilt = field[2] / horizontal * math.hypot(level.sigma_rad, TILT_SIGMA_RAD)
-        lag = turning * _LAG_SIGMA_S
+        lag = turning * _LAG_SIGMA_S + abs(level.turned_rad - self._new_at_rad)
         variance = across2 / strength**2 + noise / (horizontal * horizontal) + tilt * tilt + lag * lag
         return min(math.sqrt(variance), math.pi)

@@ -18,6 +18,7 @@ from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.heading.doubt import TILT_SIGMA_RAD, CalibrationDoubt, heading_sigma_rad, prior_sigma_mgauss
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 from mavcompass.heading.north import grid_heading, true_heading
+from mavcompass.heading.repeated import turned_since_new
 from mavcompass.heading.two_axis import two_axis_heading
 from mavcompass.track import Series, Track
 
@@ -92,7 +93,8 @@ def heading_of_track(
     else:
         magnetic = np.asarray(tilt_compensated_heading(field, -down))
     calibrated = _is_calibrated(track, instance, correction)
-    sigma = _magnetic_sigma(field, down, leaning, magnetic, world, calibrated, two_axis)
+    late = turned_since_new(track, instance)
+    sigma = np.hypot(_magnetic_sigma(field, down, leaning, magnetic, world, calibrated, two_axis), late)
     if not alone and len(track.compasses) > 1:
         sigma = np.hypot(sigma, _doubted_rad(track, instance, Series(compass.time_s, magnetic), sigma))
     return _result(track, compass.time_s, magnetic, np.minimum(sigma, math.pi), world)

@@ -10,7 +10,7 @@ import pytest
 from calibration_worlds import FIELD, Iron, turning_track
 
 from mavcompass.calibration import calibrate
-from mavcompass.calibration.calibrate import _check_compass, _turned
+from mavcompass.calibration.calibrate import _check_compass
 from mavcompass.calibration.methods.four_positions import calibrate_still
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
@@ -89,18 +89,18 @@ def test_a_compass_that_reads_its_offsets_alone_is_silent(raw_mgauss: float, sil
         _check_compass(recording(np.full((200, 3), np.nan)), 1)
 
 
-@pytest.mark.parametrize(("deg_s", "turned"), [(3.1, True), (2.9, False), (-20.0, True)])
-def test_a_turn_is_what_no_bias_makes(deg_s: float, turned: bool) -> None:
-    assert _turned(recording(swinging(1.0), deg_s)) is turned
-    assert not _turned(Track())
-
-
-def test_a_turn_of_45_degrees_is_one() -> None:
-    for degrees, turned in ((44.0, False), (46.0, True)):
-        track = recording(swinging(1.0))
+def test_a_reading_that_is_repeated_while_the_vehicle_turns_by_45_degrees_is_frozen() -> None:
+    for degrees, frozen in ((44.0, False), (46.0, True)):
+        field = swinging(90.0)
+        field[50:120] = field[50]
+        track = recording(field)
         assert track.gyro_radps is not None
-        track.gyro_radps.values[10:20, 2] = math.radians(degrees)
-        assert _turned(track) is turned
+        track.gyro_radps.values[60:70, 2] = math.radians(degrees)
+        if frozen:
+            with pytest.raises(PoorCalibration, match="is frozen: [67] s after the first reading"):
+                _check_compass(track, 1)
+        else:
+            _check_compass(track, 1)
 
 
 def test_what_has_no_solution_keeps_what_is_in_force() -> None:
