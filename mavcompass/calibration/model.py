@@ -25,6 +25,8 @@ from numpy.typing import ArrayLike
 
 from mavcompass.frames import FloatArray
 
+# The sigma of a heading of which nothing is known: all of the circle is as likely.
+NO_HEADING_RAD = math.pi / math.sqrt(3.0)
 # Places of the quantities in the state vector; the K headings follow.
 OFFSET = slice(0, 3)
 GAIN = slice(3, 9)
@@ -139,7 +141,8 @@ class HeadingError:
     def sigma_rad(self, heading_rad: ArrayLike, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> FloatArray:
         """Return the standard deviation at magnetic headings (N,), radians, by the calibration alone."""
         gradient = heading_gradient(self.state, heading_rad, roll_rad, pitch_rad)
-        return np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", gradient, self.covariance, gradient), 0.0))
+        variance = np.einsum("ni,ij,nj->n", gradient, self.covariance, gradient)
+        return np.sqrt(np.clip(variance, 0.0, NO_HEADING_RAD**2))
 
     def rms_rad(self, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> float:
         """Return the standard deviation averaged (rms) over the circle."""

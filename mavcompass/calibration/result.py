@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.model import HeadingError, level_to_body
+from mavcompass.calibration.model import NO_HEADING_RAD, HeadingError, level_to_body
 from mavcompass.calibration.positions.budget import ACCELEROMETER
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray, wrap_pi
@@ -152,6 +152,7 @@ class CalibrationResult:
 
     def widened(self, sigma_deg: float, source: str) -> CalibrationResult:
         """Claim a larger heading sigma; what it grows by is counted for a source of the budget."""
+        sigma_deg = min(sigma_deg, math.degrees(NO_HEADING_RAD))
         if not sigma_deg > self.heading_sigma_deg:
             return self
         budget = {**self.heading_budget_deg}

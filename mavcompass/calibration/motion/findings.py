@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR
+from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR, NO_HEADING_RAD
 from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.honesty import Honesty
 from mavcompass.calibration.motion.sections import Sections
@@ -77,7 +77,7 @@ def findings(
         far = float(np.abs(gains - 1.0).max())
         believed = far < _GAIN_REFUSED and (far < _GAIN_UNPROVEN or _vertical_gain_known(fit))
         (warnings if believed else reasons).append(about_gain)
-    scatter = honest.scatter_rad * DEG_PER_RAD
+    scatter = min(honest.scatter_rad, NO_HEADING_RAD) * DEG_PER_RAD
     if scatter > _SCATTER_TOLD_DEG:
         left = f"The corrected heading still scatters by {scatter:.1f} degrees"
         words = left + _cause(sections, fit, load_source)
