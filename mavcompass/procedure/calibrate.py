@@ -265,7 +265,7 @@ class _Calibration:
             if mended is None or self.settings.writing == "never":
                 continue
             if not wanted and self.settings.writing == "ask":
-                question = f"{result.reasons[0]} Set that, with the calibration for it?"
+                question = f"Set how it is mounted, with the calibration for it?\n{result.reasons[0]}"
                 wanted = yield from ask(self.desk.context, question)
             if wanted:
                 results[k] = mended
