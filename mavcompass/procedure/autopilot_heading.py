@@ -52,6 +52,8 @@ _UNLEARNED_PER_S = 0.01
 _SAMPLE_S = 1.2
 # What noise may leave of a sample; noisy sensors take longer samples, and everything with them.
 _TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS, _LONGEST_SAMPLE_S = math.radians(0.5), 3.0, 5.0
+# Slower, ArduPilot's own rovers and boats count as stopped (ATC_STOP_SPEED).
+_STOPPED_MPS = 0.1
 # A parameter, or a calibration that was loaded, is in force by then.
 _TAKES_S = 0.6
 # Its filter lags, and so does its telemetry.
@@ -132,9 +134,11 @@ class OwnHeading:
         """Have the autopilot take its compass's yaw over, right or wrong, before the vehicle turns on.
 
         What a settled estimator and a bent compass disagree by in a turn goes into the estimator's gyro
-        bias, and that outlasts the bend by minutes. One that has just taken a yaw over blames its yaw.
+        bias, and that outlasts the bend by minutes. One that has just taken a yaw over blames its yaw. What
+        has way on is left alone: were that yaw more than a right angle off, it would seem to go backwards,
+        and the autopilot would brake and steer the wrong way round (a boat with 300 mG of iron ran off so).
         """
-        if self._has_a_way:
+        if self._has_a_way and self.desk.state.speed_mps < _STOPPED_MPS:
             yield from self._take_over()
 
     def found(self, results: Sequence[CalibrationResult], windows: Sequence[tuple[float, float]]) -> None:

@@ -35,7 +35,9 @@ def own(
         context=Context(now=100.0),
         identity=SimpleNamespace(kind=kind, autopilot="ardupilot"),
         state=SimpleNamespace(
-            armed=armed, ekf=None if variance is None else mav.EkfStatusReport(compass_variance=variance)
+            armed=armed,
+            speed_mps=0.0,
+            ekf=None if variance is None else mav.EkfStatusReport(compass_variance=variance),
         ),
         rest=SimpleNamespace(
             time_s=50.0, for_s=lambda: 9.0, detector=SimpleNamespace(averaging_s=lambda tilt, field: noisy_s)
@@ -156,6 +158,10 @@ def test_before_a_turn_it_takes_the_yaw_over_if_it_knows_a_way() -> None:
     watched._has_a_way = False
     run(watched.keep_up(), watched)
     assert watched.desk.took == [False]  # type: ignore[attr-defined]
+    gliding = own()
+    gliding.desk.state.speed_mps = 0.11  # type: ignore[misc]
+    run(gliding.keep_up(), gliding)
+    assert gliding.desk.took == []  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
