@@ -220,10 +220,6 @@ def test_what_goes_to_and_fro_is_watched_for_longer_and_told() -> None:
     short = own(wandering(0.3, 14.0), loads_disarmed=True)
     assert math.isnan(short.wander_deg) and math.isnan(short.worst_deg)
     assert own(wandering(2.0)).wander_deg == 0.0
-    # The noise by which PX4's bias of the compass walks.
-    noisy = own(wandering(0.3), loads_disarmed=True)
-    noisy._noise_radps_mgauss = 0.24
-    assert noisy.wander_deg == pytest.approx(math.hypot(calm.wander_deg, 3.6)) and noisy.outcome().is_off
 
 
 def heading(before: float = -8.0, after: float = 1.0, worst: float = 1.5, **more: float) -> AutopilotHeading:
