@@ -33,6 +33,9 @@ from mavcompass.track import Track
 _PROOF_SHARE = 0.5
 # And so sure a heading: a third of what the field may turn more or less than the gyro.
 _PROOF_ENOUGH_DEG = 0.5
+# Live, its turn is known as well as the gyro's bias: one that swayed where that was learnt ends up elsewhere,
+# which the recording tells.
+_PROOF_TURNS = 2
 _UNPROVEN = "Not proven by a turn: restart the autopilot, then see with the check that all is right."
 # The Earth's horizontal and vertical field in temperate latitudes, where the place is not known.
 _TYPICAL_MGAUSS = (220.0, 430.0)
@@ -308,20 +311,25 @@ class _Calibration:
         try:
             yield from self.own.written(outcome.values)
             context.show("prove", "One more turn proves the new values.")
-            angle_rad = self.settings.step_rad
-            if not isinstance(mover, HandMover):
-                # What the autopilot has turned by itself, its heading being right now, counts.
-                angle_rad = _PROOF_SHARE * angle_rad - (self.desk.gyro.angle_rad - last.turned_rad)
-            yield from mover.next(context, angle_rad, 1)
             enough = replace(self.settings.dwell, enough_deg=_PROOF_ENOUGH_DEG)
-            window = yield from self.desk.dwell(mover, enough, self.sureness_deg)
-            yield from mover.release(context)
-            with_it = self.solve([*report.windows, window])
+            turned_rad = self.desk.gyro.angle_rad - last.turned_rad
+            for _ in range(_PROOF_TURNS):
+                angle_rad = self.settings.step_rad
+                if not isinstance(mover, HandMover):
+                    # What the autopilot has turned by itself, its heading being right now, counts.
+                    angle_rad = _PROOF_SHARE * angle_rad - turned_rad
+                yield from mover.next(context, angle_rad, 1)
+                window = yield from self.desk.dwell(mover, enough, self.sureness_deg)
+                yield from mover.release(context)
+                with_it = self.solve([*report.windows, window])
+                proof = prove(with_it.track, last, window, report.results, with_it.results)
+                if proof.tells:
+                    break
+                turned_rad = math.radians(proof.compasses[0].gyro_turned_deg)
         except Exception as why:
             mover.halt(context)
             yield from writer.take_back(report, f"The proof was cut short ({why}).")
             raise
-        proof = prove(with_it.track, last, window, report.results, with_it.results)
         report = replace(
             report,
             proof=proof,

@@ -69,6 +69,11 @@ class Proof:
     compasses: tuple[CompassProof, ...]
 
     @property
+    def tells(self) -> bool:
+        """Tell whether the turn was far enough for all."""
+        return all(compass.tells for compass in self.compasses)
+
+    @property
     def passed(self) -> bool:
         """Tell whether all agree."""
         return all(compass.passed for compass in self.compasses)
@@ -79,7 +84,7 @@ class Proof:
             f"compass {c.instance} turned {c.field_turned_deg:.1f} deg, the gyro {c.gyro_turned_deg:.1f} deg"
             for c in self.compasses
         ]
-        if not all(compass.tells for compass in self.compasses):
+        if not self.tells:
             parts.append("too small a turn to prove anything")
         for compass in self.compasses:
             if compass.change_deg > compass.change_allowed_deg:
