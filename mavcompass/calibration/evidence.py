@@ -29,6 +29,8 @@ from mavcompass.track import Series, Track
 _SLOW_RADPS, _LEAST_UPRIGHT = math.radians(20.0), math.cos(math.radians(45.0))
 _MOST_ROWS, _NEAREST_S, _TOGETHER_S = 4000, 0.3, 1.0
 _BINS = 24
+# A compass that is read 10 times a second is up to 0.1 s old when it is told, each by its own time.
+_AGE_S = 0.05
 # A source whose calibration is not known is bent by as much as irons bend.
 _BEND_RAD = math.radians(20.0)
 # Of two headings that move against each other by more than this one does not turn with the vehicle.
@@ -74,6 +76,7 @@ class _Moments:
     track: Track
     time_s: FloatArray
     heading_rad: FloatArray
+    rate_radps: FloatArray
     declination_rad: float
     declination_sigma_rad: float
 
@@ -104,7 +107,7 @@ def gather(
         heading = _compass_heading(track, instance, other.correction if other and known else None)
         if heading is None or not len(moments.time_s):
             continue
-        found = _deviation(moments.time_s, moments.heading_rad, heading.nearest(moments.time_s, _NEAREST_S))
+        found = _deviation(moments, heading.nearest(moments.time_s, _NEAREST_S))
         if found is None:
             continue
         (a, b, c), sigma, left = found
@@ -131,9 +134,10 @@ def _moments(
     heading = _compass_heading(track, result.instance, result.correction)
     assert heading is not None
     time, values = heading.time_s, np.asarray(heading.values)
-    slow = np.isfinite(values) & (down_in_body(track, time)[:, 2] > _LEAST_UPRIGHT)
+    down, rate = down_in_body(track, time), np.zeros((len(time), 3))
     if track.gyro_radps is not None and len(track.gyro_radps):
-        slow &= np.linalg.norm(track.gyro_radps.at(time - field_lag_s(track)), axis=1) < _SLOW_RADPS
+        rate = np.nan_to_num(track.gyro_radps.at(time - field_lag_s(track)), nan=math.inf)
+    slow = np.isfinite(values) & (down[:, 2] > _LEAST_UPRIGHT) & (np.linalg.norm(rate, axis=1) < _SLOW_RADPS)
     if windows is not None:
         slow &= np.any([(time >= start) & (time <= end) for start, end in windows], axis=0)
     rows = np.flatnonzero(slow)
@@ -141,7 +145,7 @@ def _moments(
     declination = (
         (0.0, _DECLINATION_RAD) if earth is None else (earth.declination_rad, earth.declination_sigma_rad)
     )
-    return _Moments(track, time[rows], values[rows], *declination)
+    return _Moments(track, time[rows], values[rows], (rate[rows] * down[rows]).sum(axis=1), *declination)
 
 
 def _compass_heading(track: Track, instance: int, correction: FieldCorrection | None) -> Series | None:
@@ -156,12 +160,14 @@ def _compass_heading(track: Track, instance: int, correction: FieldCorrection | 
 
 
 def _deviation(
-    time_s: FloatArray, mine_rad: FloatArray, other_rad: FloatArray
+    moments: _Moments, other_rad: FloatArray
 ) -> tuple[tuple[float, float, float], float, float] | None:
     """Fit A, B, C of another heading less mine; returns them, sigma of A, and what they leave, rms, radians.
 
-    Every bin of the circle counts alike, however long the vehicle pointed there.
+    Every bin of the circle counts alike, however long the vehicle pointed there. How much later one of them
+    is told than the other is fitted, too.
     """
+    time_s, mine_rad = moments.time_s, moments.heading_rad
     known = np.isfinite(mine_rad) & np.isfinite(other_rad)
     known[1:] &= np.diff(other_rad) != 0.0  # a reading that is repeated says no more than once
     if int(known.sum()) < 2:
@@ -178,24 +184,26 @@ def _deviation(
         sums = np.bincount(bins, phasor.real, _BINS) + 1j * np.bincount(bins, phasor.imag, _BINS)
         return np.asarray(sums[seen] / count[seen])
 
-    middle, psi, count = mean(off), np.angle(mean(np.exp(1j * mine))), count[seen]
+    middle, psi = mean(off), np.angle(mean(np.exp(1j * mine)))
+    turns = np.bincount(bins, moments.rate_radps[known], _BINS)[seen] / count[seen]
+    count = count[seen]
     centre = float(np.angle(middle.sum()))
     away = np.angle(middle * np.exp(-1j * centre))
     # The readings of a bin average out their noise, as far as they are independent.
     inside2 = float((count * (1.0 - np.abs(middle) ** 2)).sum()) / max(int(count.sum()) - count.size, 1)
     chance2 = inside2 / np.minimum(count, _AVERAGED) + _FLOOR_RAD**2
-    design = np.stack([np.ones(psi.size), np.sin(psi), np.cos(psi)], axis=1)
+    design = np.stack([np.ones(psi.size), np.sin(psi), np.cos(psi), turns], axis=1)
     beyond2 = 0.0
     for _ in range(3):
         weight = 1.0 / (chance2 + beyond2)
-        prior = np.diag([0.0, _BEND_RAD**-2.0, _BEND_RAD**-2.0])
+        prior = np.diag([0.0, _BEND_RAD**-2.0, _BEND_RAD**-2.0, _AGE_S**-2.0])
         covariance = np.linalg.inv(design.T @ (design * weight[:, np.newaxis]) + prior)
         found = covariance @ design.T @ (weight * away)
         left2 = (away - design @ found) ** 2
         chance = left2.size + 2.0 * math.sqrt(2.0 * left2.size)  # of a chi-square, two sigmas
         shows = float((left2 / chance2).sum()) > chance
         beyond2 = max(float(np.average(left2 - chance2, weights=weight)), 0.0) if shows else 0.0
-    a, b, c = found.tolist()
+    a, b, c, _ = found.tolist()
     return (float(wrap_pi(centre + a)), b, c), math.sqrt(float(covariance[0, 0])), math.sqrt(beyond2)
 
 
@@ -220,7 +228,7 @@ def _elsewhere(moments: _Moments, instance: int) -> Iterator[HeadingSource]:
 
 def _true_source(name: str, moments: _Moments, true: Series, sigma_rad: float) -> Iterator[HeadingSource]:
     magnetic = true.nearest(moments.time_s - field_lag_s(moments.track), _NEAREST_S) - moments.declination_rad
-    found = _deviation(moments.time_s, moments.heading_rad, magnetic)
+    found = _deviation(moments, magnetic)
     if found is not None:
         (a, _, _), sigma, _ = found
         doubt = math.hypot(sigma_rad, sigma, moments.declination_sigma_rad)

@@ -41,17 +41,16 @@ _MINUTE_S = 60.0
 _GOOD_DEG = 1.8
 # The slope of the error is that of the last seconds; of so many at least, else it is not known.
 _SLOPE_S, _SLOPE_AT_LEAST_S = 8.0, 3.2
-# The yaw of PX4 on the ground goes to and fro in 5 to 20 s.
+# The yaw of PX4 on the ground goes to and fro in 5 to 20 s. So long it is watched, and by what was seen then
+# it is judged: what its sensors' noise may do to it later is no matter of the calibration.
 _WANDER_S, _WANDER_AT_LEAST_S = 20.0, 14.0
-# And it follows a bias of the compass that PX4 learns on the ground (MBE_ENABLE) from gyro times field: with
-# noise the product walks. Seen in its simulator after a minute, with noise of 0.011, 0.034 and 0.11 rad/s
-# and 2.3, 7 and 24 mG: 0.5, 3.7 (rms of seven) and 7 to 36 degrees.
-_DEG_PER_RADPS_MGAUSS = 15.0
 # The error falls so fast, as a share of itself per second, once the bias is unlearned.
 _UNLEARNED_PER_S = 0.01
 _SAMPLE_S = 1.2
 # What noise may leave of a sample; noisy sensors take longer samples, and everything with them.
 _TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS, _LONGEST_SAMPLE_S = math.radians(0.5), 3.0, 5.0
+# Slower, ArduPilot's own rovers and boats count as stopped (ATC_STOP_SPEED).
+_STOPPED_MPS = 0.1
 # A parameter, or a calibration that was loaded, is in force by then.
 _TAKES_S = 0.6
 # Its filter lags, and so does its telemetry.
@@ -88,15 +87,6 @@ def yaw_error_rad(
     return float(wrap_pi(yaw - float(heading) - world.declination_rad))
 
 
-def _noise(track: Track, instance: int, start_s: float, end_s: float) -> float:
-    """Return the noise of the gyro times that of the compass over a still stretch, rad/s times mG."""
-    sizes = []
-    for series in (track.gyro_radps, track.compasses[instance].reported):
-        values = np.zeros((0, 3)) if series is None else series.between(start_s, end_s).values
-        sizes.append(float(np.linalg.norm(values.std(axis=0))) if len(values) else 0.0)
-    return sizes[0] * sizes[1] / math.sqrt(3.0)
-
-
 @dataclass(slots=True)
 class OwnHeading:
     """Watch the autopilot's own heading and bring it to the calibrated one.
@@ -120,7 +110,6 @@ class OwnHeading:
     _values: Mapping[str, float] = field(default_factory=dict)
     _written_s: float = math.nan
     _latest_deg: float = math.nan
-    _noise_radps_mgauss: float = 0.0
     _has_a_way: bool = True
     _follows: bool = False
     _turned: FloatArray | None = None
@@ -132,9 +121,11 @@ class OwnHeading:
         """Have the autopilot take its compass's yaw over, right or wrong, before the vehicle turns on.
 
         What a settled estimator and a bent compass disagree by in a turn goes into the estimator's gyro
-        bias, and that outlasts the bend by minutes. One that has just taken a yaw over blames its yaw.
+        bias, and that outlasts the bend by minutes. One that has just taken a yaw over blames its yaw. What
+        has way on is left alone: were that yaw more than a right angle off, it would seem to go backwards,
+        and the autopilot would brake and steer the wrong way round (a boat with 300 mG of iron ran off so).
         """
-        if self._has_a_way:
+        if self._has_a_way and self.desk.state.speed_mps < _STOPPED_MPS:
             yield from self._take_over()
 
     def found(self, results: Sequence[CalibrationResult], windows: Sequence[tuple[float, float]]) -> None:
@@ -248,16 +239,14 @@ class OwnHeading:
 
     @property
     def wander_deg(self) -> float:
-        """Return by how much the error may wander in a minute, 1 sigma; nan while that cannot be told.
+        """Return by how much the error goes to and fro, 1 sigma; nan while that was not seen for long enough.
 
         ArduPilot's does not.
         """
         if not self.desk.dialect.loads_disarmed:
             return 0.0
-        by_noise_deg = _DEG_PER_RADPS_MGAUSS * self._noise_radps_mgauss
-        if (recent := self._recent(_WANDER_S, _WANDER_AT_LEAST_S)) is not None:
-            return math.hypot(float(recent[1].std()), by_noise_deg)
-        return by_noise_deg if self.samples and 2.0 * by_noise_deg > _GOOD_DEG else math.nan
+        recent = self._recent(_WANDER_S, _WANDER_AT_LEAST_S)
+        return math.nan if recent is None else float(recent[1].std())
 
     @property
     def worst_deg(self) -> float:
@@ -388,5 +377,4 @@ class OwnHeading:
         except (PoorCalibration, KeyError):
             return
         self._latest_deg = math.degrees(error)
-        self._noise_radps_mgauss = _noise(track, self.result.instance, start_s, end_s)
         self.samples.append((end_s, self._latest_deg))

@@ -31,10 +31,11 @@ from mavcompass.track import Track
 
 # Midway between two positions proves as much as at the next one, and takes less of the vehicle's time.
 _PROOF_SHARE = 0.5
-# An autopilot whose own heading comes right meanwhile may undo what it was told to turn.
-_PROOF_TURNS = 3
 # And so sure a heading: a third of what the field may turn more or less than the gyro.
 _PROOF_ENOUGH_DEG = 0.5
+# Its turn is known live as well as the gyro's bias, and an autopilot whose own heading comes right meanwhile
+# may undo what it was told to turn.
+_PROOF_TURNS = 3
 _UNPROVEN = "Not proven by a turn: restart the autopilot, then see with the check that all is right."
 # The Earth's horizontal and vertical field in temperate latitudes, where the place is not known.
 _TYPICAL_MGAUSS = (220.0, 430.0)
@@ -267,7 +268,7 @@ class _Calibration:
             if mended is None or self.settings.writing == "never":
                 continue
             if not wanted and self.settings.writing == "ask":
-                question = f"{result.reasons[0]} Set that, with the calibration for it?"
+                question = f"Set how it is mounted, with the calibration for it?\n{result.reasons[0]}"
                 wanted = yield from ask(self.desk.context, question)
             if wanted:
                 results[k] = mended
@@ -311,11 +312,12 @@ class _Calibration:
             yield from self.own.written(outcome.values)
             context.show("prove", "One more turn proves the new values.")
             enough = replace(self.settings.dwell, enough_deg=_PROOF_ENOUGH_DEG)
+            turned_rad = self.desk.gyro.angle_rad - last.turned_rad
             for _ in range(_PROOF_TURNS):
                 angle_rad = self.settings.step_rad
                 if not isinstance(mover, HandMover):
                     # What the autopilot has turned by itself, its heading being right now, counts.
-                    angle_rad = _PROOF_SHARE * angle_rad - (self.desk.gyro.angle_rad - last.turned_rad)
+                    angle_rad = _PROOF_SHARE * angle_rad - turned_rad
                 yield from mover.next(context, angle_rad, 1)
                 window = yield from self.desk.dwell(mover, enough, self.sureness_deg)
                 yield from mover.release(context)
@@ -323,6 +325,7 @@ class _Calibration:
                 proof = prove(with_it.track, last, window, report.results, with_it.results)
                 if proof.tells:
                     break
+                turned_rad = math.radians(proof.compasses[0].gyro_turned_deg)
         except Exception as why:
             mover.halt(context)
             yield from writer.take_back(report, f"The proof was cut short ({why}).")

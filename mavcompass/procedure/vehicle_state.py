@@ -221,6 +221,11 @@ class VehicleState:
         """Return the autopilot's own number of its mode, -1 while none is known."""
         return -1 if self.heartbeat is None else self.heartbeat.custom_mode
 
+    @property
+    def speed_mps(self) -> float:
+        """Return how fast it moves over the ground; 0 while it does not know its place."""
+        return 0.0 if self.place is None else 0.01 * math.hypot(self.place.vx, self.place.vy)
+
     def world(self, year: float) -> EarthField | None:
         """Return the Earth's field at the vehicle, None where it does not know its place.
 

@@ -109,7 +109,10 @@ class _Average:
 
 @dataclass(slots=True)
 class _GyroComparison:
-    """Compare the heading's change with the gyro's, per angle turned: standing still teaches nothing."""
+    """Compare the heading's change with the gyro's, per angle turned.
+
+    What comes between them while nothing turns is the gyro's drift: it teaches nothing of the compass.
+    """
 
     mean: _Average = field(default_factory=lambda: _Average(2.0 * math.pi))
     square: _Average = field(default_factory=lambda: _Average(math.pi))
@@ -122,9 +125,9 @@ class _GyroComparison:
             return
         step, turned = _wrap(heading_rad - self._last[0]), turned_rad - self._last[1]
         self._last = (heading_rad, turned_rad)
-        self._difference_rad += _wrap(step - turned)
         if abs(turned) < 0.003:
             return
+        self._difference_rad += _wrap(step - turned)
         self.mean.add(self._difference_rad, abs(turned))
         self.square.add((self._difference_rad - self.mean.value) ** 2, abs(turned))
 

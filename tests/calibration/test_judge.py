@@ -109,6 +109,21 @@ def test_what_the_others_doubt_is_claimed(off_deg: float) -> None:
     assert three[1].accepted is (off_deg < 2.0) and "disagreement" in three[1].heading_budget_deg
 
 
+@pytest.mark.parametrize(("later_s", "steady"), [(0.0, True), (0.08, True), (0.5, False)])
+def test_a_compass_may_be_told_a_little_later_than_the_others(later_s: float, steady: bool) -> None:
+    """What is read 10 times a second is up to 0.1 s old: that is no magnet that moves."""
+    irons = (Iron((80.0, -50.0, 30.0)), Iron((30.0, 55.0, -20.0)))
+    slow = [
+        turning_track(iron, turns_deg=(90.0, 120.0, -60.0, 150.0, 130.0), dwell_s=1.0, turn_s=9.0, seed=k)
+        for k, iron in enumerate(irons)
+    ]
+    late = Series.of(slow[0].compasses[1].time_s + later_s, slow[0].compasses[1].reported.values)
+    compasses = {k + 1: replace(slow[k].compasses[1], instance=k + 1) for k in (0, 1)}
+    compasses[1] = replace(compasses[1], reported=late)
+    found = calibrate_compasses(replace(slow[0], compasses=compasses), "world-field", earth=FIELD)
+    assert (found[1].heading_budget_deg["disagreement"] < 0.1) is steady
+
+
 def test_the_receivers_yaw_and_the_autopilots_are_witnesses() -> None:
     track = recorded(sensor_orientation_matrix(2).T)
     place = Series.of([0.0, 1.0], [[-35.36, 149.165, 584.0]] * 2)

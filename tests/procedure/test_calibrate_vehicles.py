@@ -17,7 +17,7 @@ from mavcompass.procedure.positions import DwellSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.faults import Faults, FaultyLink
-from mavcompass.vehicle.links.simulated import SimulatedLink
+from mavcompass.vehicle.links.simulated import SimulatedLink, simulated_autopilot
 
 BAD_LINK = Faults(loss=0.3, duplicate=0.05, reorder=0.1, latency_s=0.3)
 
@@ -72,6 +72,15 @@ def test_the_proof_stands_no_longer_than_it_takes(tmp_path: Path, monkeypatch: p
     assert report.proof is not None and report.proof.passed
     assert asked == [replace(DwellSettings(), enough_deg=0.5)]
     assert min(proof.tolerance_deg for proof in report.proof.compasses) >= 3.0 * 0.5
+
+
+def test_where_the_live_gyro_misled_the_proof_it_turns_on_until_it_tells(tmp_path: Path) -> None:
+    """This copter sways at its last position: two degrees a second are taken for the gyro's bias."""
+    vehicle = simulated_autopilot("copter", 14, ())
+    report = calibrated(vehicle, tmp_path)
+    assert report.written and report.proof is not None and report.proof.passed
+    assert report.proof.compasses[0].gyro_turned_deg == pytest.approx(45.0, abs=8.0)
+    assert heading_error_rms_deg(vehicle) <= 0.5
 
 
 @pytest.mark.parametrize("kind", ["copter", "px4-copter"])

@@ -11,6 +11,7 @@ import pytest
 from running_service import RunningService, StartService, configured
 
 from mavcompass.service.run import Service
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
 
@@ -25,6 +26,15 @@ def start_service(tmp_path: Path) -> Iterator[StartService]:
             return stack.enter_context(RunningService(service, vehicle))
 
         yield start
+
+
+@pytest.fixture
+def disarmed() -> SimulatedLink:
+    """A rover on the ground whose first compass keeps it from arming."""
+    iron = ["hard_iron:x=300,y=0,z=0"]
+    return SimulatedLink(
+        SimulatedAutopilot("rover", seed=3, effects=iron, armed=False, ready_s=2.0), speed=20.0
+    )
 
 
 @pytest.fixture(scope="module")

@@ -102,6 +102,18 @@ def test_a_heading_that_does_not_follow_the_gyro_is_found_after_a_turn() -> None
     assert found(lambda t: replace(see(t), tilt_sigma_rad=3.5 * DEG)) == set()
 
 
+def test_what_a_gyro_drifts_by_on_long_straight_legs_is_not_blamed_on_the_compass_in_the_next_bend() -> None:
+    def see(t: float) -> Glance:
+        bend, leg = divmod(t, 60.0)
+        truly = bend * 90.0 * DEG + max(leg - 57.0, 0.0) * 30.0 * DEG
+        return glance(t, heading(t, truly, turned_rad=truly + 0.2 * DEG * t))
+
+    watch, said = CompassWatch(WatchConfig()), set()
+    for k in range(6000):
+        said |= {f.id for f in watch.update(see(0.1 * k))}
+    assert said == set()
+
+
 def test_a_slow_gyro_drift_is_not_blamed_on_the_compass() -> None:
     def see(t: float) -> Glance:
         turned = 0.3 * t

@@ -13,7 +13,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
 
-_STARTS = 12
+_STARTS, _CLOSELY = 12, 11
 # What is linear in the state once the headings are given: offset, gain, motors.
 _LINEAR = np.r_[0:9, 13:16]
 
@@ -42,7 +42,11 @@ def first_state(
     motor_sigma: float,
     in_force: FieldCorrection | None,
 ) -> tuple[FloatArray, PriorRows]:
-    """Find a first state: the first heading is tried all round, the rest is linear then."""
+    """Find a first state: the first heading is tried all round, the rest is linear then.
+
+    Half a turn away and all gains negative the field is the same, and only the prior tells: near the best and
+    opposite to it the heading is tried closely, so that what it is off by weighs less than that.
+    """
     if earth is not None:
         horizontal, vertical = earth.horizontal_mgauss, float(earth.ned_mgauss[2])
     else:
@@ -61,15 +65,17 @@ def first_state(
     readings = sections.readings
     x = np.zeros(HEADINGS + len(sections))
     x[GAIN], x[HORIZONTAL], x[VERTICAL] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0), horizontal, vertical
-    best: tuple[float, FloatArray] | None = None
-    for start in np.arange(_STARTS) * (2.0 * math.pi / _STARTS):
-        trial = x.copy()
-        trial[HEADINGS:] = start + sections.turned_rad - sections.turned_rad[0]
-        trial, cost = _linear(readings, trial, rules, 0.1 * horizontal)
-        if best is None or cost < best[0]:
-            best = cost, trial
-    assert best is not None
-    return best[1], rules
+
+    def tried(starts_rad: FloatArray) -> FloatArray:
+        trials = []
+        for start in starts_rad:
+            x[HEADINGS:] = start + sections.turned_rad - sections.turned_rad[0]
+            trials.append(_linear(readings, x, rules, 0.1 * horizontal))
+        return min(trials, key=lambda trial: trial[1])[0]
+
+    step = 2.0 * math.pi / _STARTS
+    near = tried(step * np.arange(_STARTS, dtype=np.float64))[HEADINGS] + np.linspace(-0.5, 0.5, _CLOSELY) * step
+    return tried(np.concatenate([near, near + math.pi])), rules
 
 
 def _linear(readings: Readings, x: FloatArray, rules: PriorRows, noise: float) -> tuple[FloatArray, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -221,14 +221,21 @@ def _apart(instance: int, text: str, apart_deg: float, whom: str) -> CheckItem:
     return CheckItem("agreement", verdict, text, remedy, instance, apart_deg, limit_deg)
 
 
-def judge_gyro(rate_radps: FloatArray) -> CheckItem:
-    """Judge the gyro of a vehicle at rest, (N, 3): its mean is a bias that bends every measured turn."""
-    bias_dps = float(np.degrees(np.linalg.norm(rate_radps.mean(axis=0))))
-    verdict = _grade(bias_dps, 0.7, 2.0)
+def judge_gyro(rate_radps: FloatArray, turning: Sequence[tuple[float, float]] = ()) -> CheckItem:
+    """Judge the gyro of a vehicle at rest, (N, 3): its mean is a bias that bends every measured turn.
+
+    What floats is never quite at rest: what the compasses see it turn, rates and sigmas, rad/s, is taken out.
+    """
+    weights = np.array([max(sigma, 1e-6) ** -2.0 for _, sigma in turning])
+    seen = weights.sum() > 0.0
+    turned = float(weights @ [rate for rate, _ in turning]) / float(weights.sum()) if seen else 0.0
+    sigma_dps = math.degrees(weights.sum() ** -0.5) if seen else 0.0
+    bias_dps = float(np.degrees(np.linalg.norm(rate_radps.mean(axis=0) - [0.0, 0.0, turned])))
+    limit = math.hypot(0.7, 2.0 * sigma_dps)
+    verdict = _grade(bias_dps, limit, math.hypot(2.0, 2.0 * sigma_dps))
     remedy = "" if verdict == "pass" else "Hold still and restart the autopilot, so that it learns the bias."
-    return CheckItem(
-        "gyro", verdict, f"The gyro drifts by {bias_dps:.2f} deg/s at rest.", remedy, 0, bias_dps, 0.7
-    )
+    text = f"The gyro drifts by {bias_dps:.2f} deg/s at rest."
+    return CheckItem("gyro", verdict, text, remedy, 0, bias_dps, limit)
 
 
 def judge_stillness(still: bool, why_not: str) -> CheckItem | None:

@@ -170,11 +170,11 @@ class _Checker:
         self._judge_parameters()
         self._add(items.judge_stillness(window.rested, self.desk.rest.why_not))
         self._judge_field(track, window)
-        if track.gyro_radps is not None:
-            time_s = track.gyro_radps.time_s
-            resting = (time_s >= window.start_s) & (time_s <= window.end_s)
-            if resting.any():
-                self._add(items.judge_gyro(np.asarray(track.gyro_radps.values)[resting]))
+        gyro = track.gyro_radps
+        rates = None if gyro is None else gyro.between(window.start_s, window.end_s)
+        if rates is not None and len(rates):
+            turning = [seen for r in self.readings if (seen := self._turning(track, r, window)) is not None]
+            self._add(items.judge_gyro(rates.values, turning))
         estimator = items.judge_estimator(self.desk.state.ekf or self.desk.state.estimator)
         self._add(estimator)
         if estimator is None or estimator.verdict != "fail":
@@ -266,6 +266,17 @@ class _Checker:
     def _heading_rad(self, seen: Dwell, instance: int) -> float:
         field_mgauss = self.desk.dialect.correction(self.desk.parameters, instance).apply(seen.mean_mgauss)
         return float(tilt_compensated_heading(field_mgauss, roll_rad=seen.roll_rad, pitch_rad=seen.pitch_rad))
+
+    def _turning(self, track: Track, reading: Reading, window: Window) -> tuple[float, float] | None:
+        """Return the rate of turn at rest that a compass shows, and its sigma, rad/s."""
+        half_s, i = 0.5 * (window.end_s - window.start_s), reading.instance
+        try:
+            halves = [dwell_between(track, i, s, s + half_s) for s in (window.start_s, window.end_s - half_s)]
+        except PoorCalibration:
+            return None
+        first, second = (self._heading_rad(seen, i) for seen in halves)
+        sure = (seen.heading_sigma_rad(reading.horizontal_mgauss, reading.vertical_mgauss) for seen in halves)
+        return float(wrap_pi(second - first)) / half_s, math.hypot(*sure) / half_s
 
     def world(self) -> EarthField | None:
         """Return the Earth's field at the vehicle, None where it does not know its place."""

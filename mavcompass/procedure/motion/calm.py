@@ -93,10 +93,7 @@ class _Wander:
 
 
 def _swings(state: VehicleState, rest: Rest) -> bool:
-    place = state.place
-    if place is not None and math.hypot(place.vx, place.vy) * 0.01 > _FASTEST_MPS:
-        return True
-    return rest.why_not == "tilting"
+    return state.speed_mps > _FASTEST_MPS or rest.why_not == "tilting"
 
 
 def _doubts(state: VehicleState) -> bool:

@@ -169,8 +169,8 @@ class Readiness:
                 context.show("ready", f"{what}: arming with that check set aside ({aside}).")
             case "ask":
                 question = (
-                    f"{what}.{self._last_words()} Set that check aside until it is armed ({aside})? All"
-                    " others stay."
+                    f"Set the compass's arming check aside until it is armed ({aside})?\n{what}."
+                    f"{self._last_words()} All other checks stay."
                 )
                 return values if (yield from ask(context, question)) else {}
             case "never":

@@ -69,14 +69,14 @@ class Proof:
     compasses: tuple[CompassProof, ...]
 
     @property
+    def tells(self) -> bool:
+        """Tell whether the turn was far enough for all."""
+        return all(compass.tells for compass in self.compasses)
+
+    @property
     def passed(self) -> bool:
         """Tell whether all agree."""
         return all(compass.passed for compass in self.compasses)
-
-    @property
-    def tells(self) -> bool:
-        """Tell whether the turn was large enough to show anything."""
-        return all(compass.tells for compass in self.compasses)
 
     def summary(self) -> str:
         """Return the sentence for the person."""

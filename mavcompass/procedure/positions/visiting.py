@@ -16,10 +16,10 @@ from typing import Protocol
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import UNREST, StillnessDetector
-from mavcompass.errors import LinkLost, Refused
+from mavcompass.errors import LinkLost
 from mavcompass.messages import telemetry
 from mavcompass.procedure.script import Context, Script, pause
-from mavcompass.procedure.turning import GyroAngle, TurnStrategy
+from mavcompass.procedure.turning import GyroAngle
 
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2
@@ -177,64 +177,6 @@ class Mover(Protocol):
     def release(self, context: Context) -> Script[None]:
         """Give the vehicle back as it was taken."""
         ...
-
-
-@dataclass(slots=True)
-class VehicleMover:
-    """Let the vehicle turn itself; a strategy that does not move it is replaced by the next."""
-
-    gyro: GyroAngle
-    strategies: Sequence[TurnStrategy]
-    _current: int = 0
-    _used: bool = False
-    _moving: bool = False
-
-    def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
-        """Turn by the current strategy, or by the next that moves the vehicle.
-
-        Raises Refused when none does.
-        """
-        self._used = self._moving = True
-        while self._current < len(self.strategies):
-            strategy = self.strategies[self._current]
-            if (yield from strategy.turn(context, self.gyro, angle_rad)):
-                return
-            self._current += 1
-            if self._current < len(self.strategies):
-                then = self.strategies[self._current].name
-                context.show("turn", f"{strategy.name} did not move the vehicle; trying {then}.")
-        raise Refused(
-            "The vehicle accepted the commands but the gyro saw no turn.",
-            "Put it into GUIDED, armed (a copter: flying), or turn it by hand with --motion hand.",
-        )
-
-    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
-        """Wait for rest; see `wait_still`."""
-        return (yield from wait_still(context, rest, self, settings))
-
-    def hold(self, context: Context, left_s: float) -> None:
-        """Hold by the strategy in use."""
-        if self._used and self._current < len(self.strategies):
-            self.strategies[self._current].hold(context)
-
-    def accept(self, context: Context, turned_rad: float) -> bool:
-        """Take it: the gyro's angle is known, wherever it is."""
-        return True
-
-    def halt(self, context: Context) -> None:
-        """Halt by every strategy that was used; once, until the next turn."""
-        if self._moving:
-            self._moving = False
-            for strategy in self._all_used():
-                strategy.halt(context)
-
-    def release(self, context: Context) -> Script[None]:
-        """Release by every strategy that was used."""
-        for strategy in self._all_used():
-            yield from strategy.release(context)
-
-    def _all_used(self) -> Sequence[TurnStrategy]:
-        return self.strategies[: self._current + 1] if self._used else ()
 
 
 def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettings) -> Script[bool]:

@@ -72,7 +72,8 @@ def answer(
                 return Reply(MavResult.TEMPORARILY_REJECTED)
             return _start(command, compasses)
         case MavCmd.DO_ACCEPT_MAG_CAL:
-            if task is not None and task.question is not None and calibrating:
+            # Before there is a result the question is another one, which a station cannot know.
+            if task is not None and task.question is not None and calibrating and task.results:
                 return Reply(MavResult.ACCEPTED, Order("accept"))
             if offered and accept_commands and (task is None or task.finished):
                 request = CalibrationRequest(compasses=tuple(offered), writing="yes", method=LEARNT)

@@ -22,13 +22,20 @@ def note_interrupted_write(
 ) -> None:
     """Offer the vehicle's last undo file that the history does not know, where it was made for what it holds.
 
-    `parameters` are those in force.
+    `parameters` are those in force of the compasses. What was to be put back at once leaves a file only where
+    it was not, and the next calibration puts it back, too.
     """
     newest = newest_record(vehicle, undo_folder, history.undo_files())
-    if newest is None or not _was_written(record := load_record(newest), parameters):
+    if newest is None:
+        return
+    record = load_record(newest)
+    if record.for_now:
+        what = f"A calibration was cut short: {', '.join(record.before)} may not be as before."
+    elif _was_written(record, parameters):
+        what = "A write was cut short: the vehicle may hold some new and some old values."
+    else:
         return
     command = restore_command(record.source, newest, vehicle.system)
-    what = "A write was cut short: the vehicle may hold some new and some old values."
     document = {"error": what, "remedy": f"Undo it, here or with: {command}", "lines": []}
     _log.warning("%s %s", what, document["remedy"])
     try:

@@ -15,6 +15,7 @@ from mavcompass.procedure.check import check as check_script
 from mavcompass.procedure.dialect import WriteOutcome
 from mavcompass.procedure.learnt import LearntSettings
 from mavcompass.procedure.learnt import write_learnt as write_learnt_script
+from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.positions import DwellSettings
 from mavcompass.procedure.report import CalibrationReport
@@ -80,6 +81,9 @@ def calibration(
     settings = CalibrateSettings(
         instances=request.compasses,
         motion=request.motion,
+        permissions=Permissions(
+            request.set_mode, request.arm, request.takeoff_m or 0.0, request.land, exempt=request.writing
+        ),
         positions=request.positions,
         writing=request.writing,
         system=system,

@@ -69,6 +69,20 @@ class CalibrationRequest:
         False
     )
 
+    set_mode: Annotated[bool, Meta(description="Allow changing the flight mode; it is put back.")] = False
+    arm: Annotated[
+        bool,
+        Meta(
+            description="Allow arming; it is disarmed afterwards. Where it refuses for its compass alone, a"
+            " question (with writing 'yes' none) is whether that check may be set aside until it is armed."
+        ),
+    ] = False
+    takeoff_m: Annotated[
+        Annotated[float, Meta(ge=2.0, le=100.0)] | None,
+        Meta(description="Allow a copter to take off to so many metres; it lands afterwards."),
+    ] = None
+    land: Annotated[bool, Meta(description="Allow landing a copter that flies.")] = False
+
     kind: ClassVar[Kind] = "calibration"
 
 

@@ -19,7 +19,7 @@ from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.logs import read_track
 from mavcompass.track import MagSeries, Series, Track, joined
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -78,6 +78,32 @@ def test_where_the_nose_points_at_the_start_does_not_matter(first_deg: float) ->
     assert rms(heading_errors(result.correction, iron)) < 0.15
     field = np.array([[100.0, -50.0, 300.0]])
     assert np.allclose(result.correction.undo(result.correction.apply(field)), field)
+
+
+@pytest.mark.parametrize(("slope_deg", "uphill_rad"), [(3.0, 1.57), (3.0, 4.7), (6.0, 3.1)])
+@pytest.mark.parametrize("first_deg", [15.0, 45.0, 105.0, 190.0])
+def test_on_a_slope_no_fit_is_its_own_mirror_image(
+    first_deg: float, slope_deg: float, uphill_rad: float
+) -> None:
+    """Half a turn away and all gains negative the level field is the same: the prior tells, not the tilt."""
+    iron, slope = gain_of(1.0), math.radians(slope_deg)
+    track = turning_track(iron, dwell_s=2.0, turn_s=2.5, turns_deg=2 * ROUND, first_deg=first_deg)
+    assert track.gyro_radps is not None
+    time, rate = track.gyro_radps.time_s, track.gyro_radps.values[:, 2]
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
+    yaw = math.radians(first_deg) + turned
+    rotation = euler_to_matrix(slope * np.sin(yaw - uphill_rad), slope * np.cos(yaw - uphill_rad), yaw)
+    level = np.array([FIELD.horizontal_mgauss, 0.0, FIELD.ned_mgauss[2]])
+    felt = np.array([0.0, 0.0, -STANDARD_GRAVITY_MPS2])
+    reported, acc = (
+        Series.of(time, rotate_back(rotation, np.tile(v, (len(time), 1)))) for v in (level, felt)
+    )
+    reported = Series.of(
+        time, iron.raw(reported.values) + np.random.default_rng(1).normal(0.0, 1.0, (len(time), 3))
+    )
+    compass = replace(track.compasses[1], reported=reported)
+    fit = observe_motion(Recorded(replace(track, acc_mps2=acc, compasses={1: compass}), earth=FIELD)).fit
+    assert np.diag(fit.gain) == pytest.approx([1.0, 1.0, 1.0], abs=0.05)
 
 
 def test_the_claim_covers_the_error_as_often_as_it_says() -> None:

@@ -298,9 +298,11 @@ class Way:
     name: str
     moves: bool
     did: list[str]
+    meanwhile: Callable[[], None] = lambda: None
 
     def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
         self.did.append(f"{self.name} turns")
+        self.meanwhile()
         yield from nothing(None)
         return self.moves
 
@@ -354,3 +356,14 @@ def test_where_no_way_moves_the_vehicle_it_is_refused() -> None:
     mover.hold(Context(), 1.0)
     mover.halt(Context())
     assert did == ["first turns", "first halts"]
+
+
+def test_what_turns_the_wrong_way_round_is_not_turned_by_other_means() -> None:
+    did: list[str] = []
+    gyro = GyroAngle()
+    first = Way("first", False, did, lambda: setattr(gyro, "angle_rad", gyro.angle_rad + 0.5))
+    with pytest.raises(
+        Refused, match=r"turned 29 deg the wrong way round\. With its heading more than 90 deg"
+    ):
+        ended(VehicleMover(gyro, [first, Way("second", True, did)]).next(Context(), -1.0, 3))
+    assert did == ["first turns"]

@@ -89,7 +89,10 @@ def test_a_start_is_refused(
 
 
 def test_accept_and_cancel_do_what_they_say_when_there_is_something() -> None:
-    asking = task("asking", question="Write?")
+    before_a_result = task("asking", question="May the compass's arming check be set aside?")
+    refused = component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), before_a_result, (1,), True)
+    assert refused.result == MavResult.FAILED
+    asking = task("asking", question="Write?", results=(result(),))
     accept = component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), asking, (1,), True)
     assert accept.order is not None and accept.order.verb == "accept"
     cancel = component.answer(command(MavCmd.DO_CANCEL_MAG_CAL), task(), (1,), True)

@@ -106,6 +106,35 @@ def test_a_person_is_told_how_to_turn_and_can_stop(start_service: StartService, 
     assert page.errors == []
 
 
+def test_a_disarmed_vehicle_is_armed_after_a_person_has_agreed_to_that(
+    start_service: StartService, open_page: OpenPage, disarmed: SimulatedLink
+) -> None:
+    page = open_page(start_service(disarmed))
+    page.wait("document.querySelector('#motion-hint').innerText.includes('by hand')")
+    page.run("document.querySelector('#work details').open = true")
+    page.run("document.querySelector('#motion').value = 'vehicle'")
+    page.run("document.querySelector('#motion').dispatchEvent(new Event('change'))")
+    assert "asked whether it may be armed" in page.text("#motion-hint")
+    page.click("#calibrate")
+    page.wait("document.querySelector('#consent').open")
+    look(page, "8-may-it-be-armed")
+    page.click("#decline")
+    assert page.run("document.querySelector('#running').hidden"), "nothing was sent"
+    page.click("#calibrate")
+    page.click("#agree")
+    page.wait("!document.querySelector('#question').hidden")
+    assert "arming check aside" in page.text("#prompt")
+    look(page, "9-compass-check")
+    page.click("#yes")
+    page.wait("document.querySelector('#question-text').innerText.includes('COMPASS_OFS_X')")
+    assert page.text("#prompt") == "Write these parameters?"
+    page.click("#yes")
+    page.wait("!document.querySelector('#result').hidden")
+    assert "written, read back" in page.text("#result .verdict")
+    assert not disarmed.autopilot.firmware.status.armed  # type: ignore[attr-defined]
+    assert page.errors == []
+
+
 def test_without_the_token_the_page_only_shows(running: RunningService, open_page: OpenPage) -> None:
     page = open_page(running, token=False)
     assert not page.run("document.querySelector('#token-box').hidden")

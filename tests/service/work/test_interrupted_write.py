@@ -50,6 +50,18 @@ def test_new_values_on_the_vehicle_are_offered_once(
     assert f"params restore sim:rover {path}" in entry.document["remedy"]
 
 
+def test_what_was_set_aside_for_the_calibration_alone_and_is_left_so_is_offered(
+    tmp_path: Path, history: History
+) -> None:
+    was, now = {"ARMING_CHECK": 1.0}, {"ARMING_CHECK": 2097146.0}
+    record = UndoRecord("2026-05-01T00:00:00+00:00", "ardupilot", "sim:rover", was, now, {}, ROVER, True)
+    path = save_record(record, tmp_path / "undo")
+    for _ in range(2):
+        note(history, tmp_path, OLD)
+    (entry,) = history.entries()
+    assert entry.undo_file == str(path) and "ARMING_CHECK may not be as before" in entry.summary
+
+
 @pytest.mark.parametrize(
     "seen",
     [

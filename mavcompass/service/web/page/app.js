@@ -71,11 +71,31 @@ async function begin(path, body) {
   if (task) takeTask(task);
 }
 
-$("calibrate").addEventListener("click", () => {
+// Nothing is sent before the person has agreed.
+function consent(text, agree) {
+  const dialog = $("consent");
+  $("consent-text").textContent = text;
+  $("agree").textContent = agree;
+  dialog.returnValue = "";
+  dialog.showModal();
+  return new Promise((done) => dialog.addEventListener("close", () => done(dialog.returnValue === "yes"), { once: true }));
+}
+
+const armsFirst = () => page.vehicle?.armed === false && $("motion").value === "vehicle";
+
+$("calibrate").addEventListener("click", async () => {
   const chosen = $("compasses").value;
   const body = { motion: $("motion").value, writing: $("writing").value, compasses: chosen ? [Number(chosen)] : [] };
+  if (armsFirst()) {
+    const copter = page.vehicle.kind === "copter";
+    const flight = copter ? ", take off to 3 m, turn there, land" : " and turn on the spot";
+    const text = `The vehicle is disarmed. May it be armed, change its flight mode${flight}? It is disarmed and put back into its mode afterwards. Keep clear; a stick that is moved stops it.`;
+    if (!(await consent(text, "Arm and calibrate"))) return;
+    Object.assign(body, { arm: true, set_mode: true, takeoff_m: copter ? 3 : null });
+  }
   begin("/api/calibration", body);
 });
+$("motion").addEventListener("change", showHint);
 $("check").addEventListener("click", () => begin("/api/check", { turn: $("turn").value }));
 $("stop").addEventListener("click", () => post("/api/task/stop"));
 $("yes").addEventListener("click", () => post("/api/task/answer", { yes: true }));
@@ -120,12 +140,7 @@ async function loadState() {
     page.world = state.world;
     page.vehicle = state.vehicle;
     $("version").textContent = `mavcompass ${state.version}`;
-    const armed = state.vehicle?.armed;
-    $("motion-hint").textContent = !state.vehicle
-      ? "Waiting for the vehicle."
-      : armed
-        ? "The vehicle is armed: it turns itself, four times by 90°. Keep clear."
-        : "The vehicle is disarmed: you turn it by hand, four times by 90°.";
+    showHint();
     const count = state.vehicle?.compasses.length ?? 0;
     if (count && $("compasses").options.length !== count + 1) {
       const options = state.vehicle.compasses.map((c) => new Option(`compass ${c.instance}`, c.instance));
@@ -136,6 +151,16 @@ async function loadState() {
   }
 }
 setInterval(loadState, 2000);
+
+function showHint() {
+  $("motion-hint").textContent = !page.vehicle
+    ? "Waiting for the vehicle."
+    : page.vehicle.armed
+      ? "The vehicle is armed: it turns itself, four times by 90°. Keep clear."
+      : armsFirst()
+        ? "The vehicle is disarmed: you are asked whether it may be armed to turn itself, four times by 90°."
+        : "The vehicle is disarmed: you turn it by hand, four times by 90° (or it does, if armed: Options, Who turns).";
+}
 
 // --- what changes quickly -----------------------------------------------------------------------
 
@@ -223,12 +248,14 @@ function showRunning(task) {
   $("running-title").textContent = titles[task.kind] ?? task.kind;
   $("result").hidden = true;
   const last = task.lines[task.lines.length - 1];
-  $("prompt").textContent = task.question ? "Write these parameters?" : last?.text ?? "Waiting for the vehicle.";
+  const [asked, ...rest] = task.question?.split("\n") ?? [];
+  $("prompt").textContent = asked ?? last?.text ?? "Waiting for the vehicle.";
   $("bar").style.width = `${Math.round(100 * task.fraction)}%`;
   const told = task.lines.slice(0, -1).filter((line, k, all) => line.step !== all[k + 1]?.step);
   $("steps").replaceChildren(...told.reverse().map((line) => show.node("li", { text: line.text })));
   $("question").hidden = !task.question;
-  $("question-text").textContent = task.question?.split("\n").slice(1).join("\n") ?? "";
+  $("question-text").textContent = rest.join("\n");
+  $("question-text").hidden = !rest.length;
 }
 
 function markPositions(task, forward, right) {
@@ -275,8 +302,8 @@ const acts = {
     showDocument(entry.kind, entry.document, entry.has_report ? entry.id : null);
     $("result").scrollIntoView({ behavior: "smooth", block: "start" });
   },
-  undo(id) {
-    if (confirm("Put back the parameters that this calibration replaced?")) begin("/api/undo", { entry: id });
+  async undo(id) {
+    if (await consent("Put back the parameters that this calibration replaced?", "Put back")) begin("/api/undo", { entry: id });
   },
   async gap(id) {
     if (!(await post("/api/gap", { entry: id }))) return;
