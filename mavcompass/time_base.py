@@ -65,7 +65,10 @@ def _shortened(track: Track, moments: FloatArray, most_s: float) -> Track:
     # From the side where most was said, so that most times stay what they were.
     middle = int(np.searchsorted(moments, np.median(np.concatenate([s.time_s for _, s in _series(track)]))))
     since = np.concatenate([[0.0], np.cumsum(kept)])
-    placed = moments[middle] + (since - since[middle])
+    placed = since - since[middle]
+    # So far from a boot that its numbers have no room for single samples, a time says nothing.
+    if np.spacing(abs(moments[middle])) < _SHORTEST_A_SAMPLE_S:
+        placed += moments[middle]
 
     def moved(times: FloatArray) -> FloatArray:
         return np.asarray(np.interp(times, moments, placed))

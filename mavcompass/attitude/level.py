@@ -20,6 +20,7 @@ import math
 
 import numpy as np
 
+from mavcompass.gravity import is_gravity
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 Vector = tuple[float, float, float]
@@ -38,6 +39,8 @@ _DRIVEN_MPS, _BOUND_EVERY_S = 3.0, 1.0
 _SPEED_KNOWN_S = 2.0
 # Of the first reading taken for gravity, and of a gyro's bias as autopilots leave it.
 _TILT_SIGMA_RAD, _BIAS_SIGMA_RADPS = math.radians(8.0), math.radians(0.2)
+# Of roll and pitch where nothing tells them: a component of a unit vector drawn by chance.
+UNKNOWN_RAD = 1.0 / math.sqrt(3.0)
 # What (L1) leaves out: sensors that are not quite square to each other.
 FLOOR_RAD = math.radians(0.05)
 # What whole numbers of a wire, cut toward zero, hide of a rate about zero is like a bias that comes and goes
@@ -97,6 +100,7 @@ class Level:
         self._pushed = self._slow = 0.0 + 0.0j
         self._force2, self._rate2 = 0.1**2, math.radians(0.3) ** 2
         self._calm2 = 1.0
+        self._g_mps2 = _G
         self._misfit = 1.0
         self._p = np.diag(
             np.array([30.0, _TILT_SIGMA_RAD, _BIAS_SIGMA_RADPS, 1.0, ESTIMATOR_SIGMA_RAD]) ** 2
@@ -118,6 +122,8 @@ class Level:
     @property
     def variance(self) -> float:
         """Return the filter's own variance of roll and of pitch, without what (L1) leaves out."""
+        if not is_gravity(self._g_mps2):
+            return UNKNOWN_RAD**2
         return max(float(self._p[_TAU, _TAU].real), 1e-10) * max(self._misfit, 1.0)
 
     def turned_at(self, time_s: float) -> float:
@@ -141,7 +147,7 @@ class Level:
         step_s = time_s - self._time_s
         if step_s <= 0.0:
             return
-        if step_s > self._longest_step_s:
+        if step_s > self._longest_step_s or not is_gravity(self._g_mps2):
             self._begin(time_s, acc_mps2, gyro_radps)
             return
         acc, gyro = _middle(self._acc, acc_mps2), _middle(self._gyro, gyro_radps)
@@ -199,11 +205,13 @@ class Level:
 
     def _begin(self, time_s: float, acc: Vector, gyro: Vector) -> None:
         turned, bias, biased, p = self.turned_rad, self._bias, self.bias_radps, self._p[_B, _B]
+        g, known = self._g_mps2, min((time_s - self._time_s) / LASTS_S, 1.0)
         self.restart()
         self._bias, self._p[_B, _B] = bias, p
         self.turned_rad, self.bias_radps = turned, biased
         self._time_s, self._acc, self._gyro = time_s, acc, gyro
         norm = math.sqrt(_dot(acc, acc))
+        self._g_mps2 = g + known * (norm - g)
         down = (0.0, 0.0, 1.0) if norm < 1.0 else (-acc[0] / norm, -acc[1] / norm, -acc[2] / norm)
         axis = (1.0, 0.0, 0.0) if abs(down[0]) < 0.9 else (0.0, 1.0, 0.0)
         side = _cross(down, axis)
@@ -243,6 +251,8 @@ class Level:
         away = push - self._slow
         self._calm2 += min(step_s / 0.3, 1.0) * (0.5 * (away.real**2 + away.imag**2) - self._calm2)
         g = -_dot(self.down, acc)
+        # Its mean is gravity's, whatever moves: no climb goes on for ever.
+        self._g_mps2 += min(step_s / LASTS_S, 1.0) * (g - self._g_mps2)
         self._v += push * step_s
         fading = math.exp(-step_s / _ESTIMATOR_MEMORY_S)
         self._e *= fading

@@ -8,8 +8,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from mavcompass.attitude.level import ESTIMATOR_SIGMA_RAD, FLOOR_RAD, RECEIVER_LAG_S, Level
+from mavcompass.attitude.level import ESTIMATOR_SIGMA_RAD, FLOOR_RAD, RECEIVER_LAG_S, UNKNOWN_RAD, Level
 from mavcompass.frames import FloatArray
+from mavcompass.gravity import no_gravity
 from mavcompass.track import Series, Track, uncut
 
 # More readings a second say no more of roll and pitch.
@@ -33,7 +34,10 @@ class Levels:
 
 
 def levels(track: Track) -> Levels:
-    """Tell roll and pitch by all that was recorded; where nothing was, level, with the sigma of that."""
+    """Tell roll and pitch by all that was recorded; where nothing was, level, with the sigma of that.
+
+    Beside an accelerometer that shows no gravity nothing is known of them, by an autopilot's word neither.
+    """
     return _levels(
         track.acc_mps2,
         track.gyro_radps,
@@ -62,6 +66,10 @@ def _levels(
     steps: tuple[float, float],
 ) -> Levels:
     acc, gyro, attitude = _finite(acc), _finite(gyro), _finite(attitude)
+    if no_gravity(acc):
+        found = _without_gyro(acc, attitude)
+        time = found.down.time_s
+        return Levels(found.down, Series.of(time, np.full(time.size, UNKNOWN_RAD)))
     if acc is None or gyro is None:
         return _without_gyro(acc, attitude)
     time, rate, force = _thinned(

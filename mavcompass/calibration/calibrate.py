@@ -18,6 +18,7 @@ from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits
 from mavcompass.compass_parameters import values
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
+from mavcompass.gravity import require_gravity
 from mavcompass.heading.repeated import turned_since_new, turned_vector
 from mavcompass.parameter_remarks import remarks_said
 from mavcompass.track import Track
@@ -188,7 +189,7 @@ def with_parameters(result: CalibrationResult, track: Track) -> CalibrationResul
 
 
 def _check_compass(track: Track, instance: int) -> None:
-    """Refuse a missing or a dead compass."""
+    """Refuse a missing or a dead compass, and an accelerometer that is dead."""
     compass = track.compasses.get(instance)
     if compass is None or not len(compass.reported):
         known = ", ".join(str(i) for i in sorted(track.compasses)) or "none"
@@ -196,6 +197,7 @@ def _check_compass(track: Track, instance: int) -> None:
             f"{track.source or 'The recording'} has no readings of compass {instance} (it has: {known}).",
             "Choose one of its compasses with --compass.",
         )
+    require_gravity(track.acc_mps2, PoorCalibration)
     reported = np.asarray(compass.reported.values)
     finite = reported[np.isfinite(reported).all(axis=1)]
     swing = (

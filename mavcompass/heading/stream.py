@@ -14,6 +14,7 @@ from mavcompass.earth_field import EarthField, middle_place
 from mavcompass.earth_field import earth_field_of as earth_field_of
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, circular_mean, tilt_from_acceleration
+from mavcompass.gravity import require_gravity
 from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.heading.doubt import TILT_SIGMA_RAD, CalibrationDoubt, heading_sigma_rad, prior_sigma_mgauss
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
@@ -67,7 +68,8 @@ def heading_of_track(
         two_axis: use X and Y only and estimate Z from the world model's field length.
         alone: do not hold it against the vehicle's other compasses, which may widen the sigma.
 
-    Raises BadRecording where the compass is missing, or two_axis is wanted and the place is unknown.
+    Raises BadRecording where the compass is missing, the accelerometer is dead, or two_axis is wanted and the
+    place is unknown.
     """
     compass = track.compasses.get(instance)
     if compass is None or not len(compass.reported):
@@ -76,6 +78,7 @@ def heading_of_track(
             f"{track.source or 'The recording'} has no readings of compass {instance} (it has: {known}).",
             "Choose one of its compasses with --compass.",
         )
+    require_gravity(track.acc_mps2)
     world = earth_field_of(track, _UNKNOWN_YEAR)
     field = _field(track, correction, instance)
     level = levels(track)

@@ -25,7 +25,7 @@ class HeldParameters:
         system: its MAVLink system id, 0 for a recording.
         armed: None where that is not known.
         reporting: the compasses, from 1, that readings came of.
-        vehicle: who it says it is, where it was asked.
+        vehicle: who it says it is; None for a recording.
     """
 
     dialect: CompassDialect
@@ -69,10 +69,8 @@ class WriteReport:
     outcome: WriteOutcome | None
 
 
-def read_vehicle(
-    context: Context, source: str, system: int | None = None, marked: bool = False
-) -> Script[HeldParameters]:
-    """Find the vehicle and read its compass parameters; `marked`: ask who it is, too.
+def read_vehicle(context: Context, source: str, system: int | None = None) -> Script[HeldParameters]:
+    """Find the vehicle, read its compass parameters, and ask who it is, which two that share an id answer.
 
     Raises NoVehicle where none is heard, NoReply where it does not answer, Refused where two answer.
     """
@@ -87,7 +85,7 @@ def read_vehicle(
         dialect = make_dialect(found.autopilot, source)
         typed = yield from dialect.compass_parameters_typed(context)
         values = {name: parameter.value for name, parameter in typed.items()}
-        vehicle = (yield from dialect.nameplate(context, values)) if marked else None
+        vehicle = yield from dialect.nameplate(context, values)
     finally:
         context.listeners.remove(note)
     state = states.get((found.system, found.component), VehicleState())

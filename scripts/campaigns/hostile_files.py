@@ -141,7 +141,8 @@ def table(flight: Flight) -> bytes:
     """Write it as a Track CSV."""
     names = ["time_s", *(f"mag_{a}_mgauss" for a in "xyz"), *(f"gyro_{a}_radps" for a in "xyz")]
     names += [f"acc_{a}_mps2" for a in "xyz"]
-    rows = np.column_stack([flight.time_s, flight.mag, flight.gyro, flight.acc]).tolist()
+    columns = (flight.mag, flight.gyro, flight.acc)
+    rows = np.column_stack([flight.time_s, *(one[: len(flight.time_s)] for one in columns)]).tolist()
     return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in rows)]).encode() + b"\n"
 
 

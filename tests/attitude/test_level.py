@@ -158,3 +158,29 @@ def test_what_a_wire_may_bring_does_no_harm() -> None:
         hear(level, mav.Attitude(100 + 50 * k, -3e38, 3e38, 0.0))
         hear(level, mav.GpsRawInt(2**40, fix_type=3, vel=30000, cog=(k * 9973) % 36000))
     assert math.isfinite(level.sigma_rad) and math.hypot(*level.down) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("force", [(0.0, 0.0, 0.0), (-321.0, -321.0, -321.0), (0.0, 0.0, 157.0)])
+def test_what_shows_no_gravity_tells_no_level(force: Vector) -> None:
+    level, sound = Level("rover"), Level("rover")
+    for k in range(100):
+        level.update(0.1 * k, force, (0.0, 0.0, 0.0))
+        level.hear_attitude(0.1 * k, 0.0, 0.0)  # of the same sensor, for all one knows
+        sound.update(0.1 * k, (0.0, 0.0, -G), (0.0, 0.0, 0.0))
+    assert level.sigma_rad > 30.0 * DEG > 100.0 * sound.sigma_rad
+    # A silence, or a start of the autopilot, mends no sensor; gravity that is felt again does.
+    level.update(60.0, force, (0.0, 0.0, 0.0))
+    assert level.sigma_rad > 30.0 * DEG
+    for k in range(600):
+        level.update(60.0 + 0.1 * k, (0.0, 0.0, -G), (0.0, 0.0, 0.0))
+    assert level.sigma_rad < 1.0 * DEG
+
+
+def test_a_curve_a_dive_and_a_hard_ride_show_gravity() -> None:
+    chance, level = np.random.default_rng(1), Level("copter")
+    for k in range(1, 400):
+        z = -2.0 * G if 100 < k < 110 else 0.0 if 200 < k < 220 else -G  # for one and two seconds
+        x, y, z = chance.normal((0.0, 0.5 * G, z), 0.5 * G)
+        level.update(0.1 * k, (x, y, z), (0.0, 0.0, 0.0))
+        level.hear_attitude(0.1 * k, 0.0, 0.0)
+        assert level.sigma_rad < 10.0 * DEG

@@ -11,6 +11,7 @@ from driven import Way, driven, without
 
 from mavcompass.attitude import down_in_body, levels, moving_average
 from mavcompass.frames import FloatArray, quaternion_to_matrix
+from mavcompass.gravity import no_gravity
 from mavcompass.heading.doubt import TILT_SIGMA_RAD
 from mavcompass.logs.reading import read_track
 from mavcompass.track import Series, Track
@@ -143,3 +144,16 @@ def test_what_cameras_and_a_simulator_saw_is_within_its_sigma(
     down = quaternion_to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))[:, 2, :]
     rms, sigmas = errors_deg(without(track, "reference_q"), down, TILT_SIGMA_RAD)
     assert rms < most_deg and sigmas < 1.4
+
+
+@pytest.mark.parametrize("gyro", [None, STILL], ids=["no gyro", "gyro"])
+@pytest.mark.parametrize("attitude", [None, ATTITUDE], ids=["no attitude", "attitude"])
+@pytest.mark.parametrize("share", [0.0, 0.102, 32.8], ids=["dead", "in g", "at its end"])
+def test_an_accelerometer_without_gravity_tells_no_level(
+    share: float, attitude: Series | None, gyro: Series | None
+) -> None:
+    force = Series.of(TIME, share * np.asarray(FORCE.values))
+    found = levels(Track(acc_mps2=force, gyro_radps=gyro, attitude_rad=attitude))
+    assert float(found.sigma_rad.at(TIME).max()) > 15.0 * DEG
+    assert "nothing tells what is level" in no_gravity(force)
+    assert not no_gravity(FORCE) and not no_gravity(None) and not no_gravity(UNKNOWN)

@@ -6,16 +6,22 @@ import importlib
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
-from mavcompass.errors import BadRecording, UsageError
+import mavcompass
+from mavcompass.errors import BadRecording, PoorCalibration, UsageError
+from mavcompass.fleet.examine import Job, examine
+from mavcompass.gap import diagnose_gap
 from mavcompass.gap.rehearsal import read_stored
 from mavcompass.logs import read_track
 from mavcompass.service.config import load_config
+from mavcompass.track import Track
 from mavcompass.vehicle.parameters.files import read_parameter_file
 from mavcompass.vehicle.replay import replayed_autopilot
 
@@ -104,3 +110,21 @@ def test_a_text_without_end_is_refused() -> None:
     for read in (read_parameter_file, load_config, read_stored):
         with pytest.raises(UsageError):
             read(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize("suffix", [".tlog", ".bin", ".log", ".ulg", ".csv"])
+@pytest.mark.parametrize("force", [0.0, -32768.0])
+def test_what_shows_no_gravity_is_refused_by_every_door_that_needs_a_level(
+    tmp_path: Path, files: ModuleType, suffix: str, force: float
+) -> None:
+    flight = files.Flight()
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(files.WRITERS[suffix](replace(flight, acc=np.full_like(flight.acc, force))))
+    track = read_track(path)
+    doors: tuple[Callable[[Track], object], ...] = (mavcompass.calibrate, mavcompass.heading, diagnose_gap)
+    for door in doors:
+        with pytest.raises((BadRecording, PoorCalibration), match="nothing tells what is level") as caught:
+            door(track)
+        assert caught.value.remedy
+    rows = [examine(Job(work), str(path)) for work in ("calibrate", "diagnose")]
+    assert ["nothing tells what is level" in row[0]["error"] for row in rows] == [True, True]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ from bent_vehicles import bent_vehicle
 
 from mavcompass import messages as mav
 from mavcompass.calibration.result import Mounting
+from mavcompass.errors import PoorCalibration
 from mavcompass.messages import Message
 from mavcompass.procedure.calibrate import CalibrateSettings, _Calibration
 from mavcompass.procedure.check import CheckSettings, check
@@ -182,3 +184,21 @@ def test_a_stretch_that_was_not_recorded_is_not_sure() -> None:
     desk = desk_of("rover")
     desk.builder = SimpleNamespace(build=Track)
     assert calibration(desk).sureness_deg(0.0, 1.0) == math.inf
+
+
+def test_with_a_dead_accelerometer_nothing_is_written_and_it_is_named(tmp_path: Path) -> None:
+    vehicle = bent_vehicle("rover", 2)
+    builders = vehicle.firmware.reports.builders
+    before = [vehicle.firmware.compasses.correction(i) for i in (1, 2, 3)]
+    sound = builders[mav.RawImu]
+
+    def at_its_end(time_us: int, share: float) -> mav.Message | None:
+        reading = sound(time_us, share)
+        assert isinstance(reading, mav.RawImu)
+        return replace(reading, xacc=-32768, yacc=-32768, zacc=-32768)
+
+    builders[mav.RawImu] = at_its_end
+    settings = CalibrateSettings(writing="yes")
+    with pytest.raises(PoorCalibration, match="accelerometer shows 557 m/s2"):
+        calibrate_on(SimulatedLink(vehicle), "sim:test", settings, undo_directory=tmp_path)
+    assert [vehicle.firmware.compasses.correction(i) for i in (1, 2, 3)] == before

@@ -143,13 +143,18 @@ def test_a_heading_off_the_course_of_a_vehicle_that_drives_ahead_is_found(
     assert found(see) == expected
 
 
+@pytest.mark.parametrize("axis", [0, 2], ids=["ahead", "below"])
 @pytest.mark.parametrize(("mgauss_per_a", "expected"), [(2.5, {"current1"}), (0.2, set())])
-def test_a_field_that_goes_with_the_current_is_found(mgauss_per_a: float, expected: set[str]) -> None:
+def test_a_field_that_goes_with_the_current_is_found(
+    mgauss_per_a: float, expected: set[str], axis: int
+) -> None:
     def see(t: float) -> Glance:
         current = 15.0 + 10.0 * math.sin(0.8 * t)
-        h = heading(t, 1.0)
-        forward, right, down = h.level_mgauss
-        disturbed = replace(h, level_mgauss=(forward, right, down + mgauss_per_a * (current - 15.0)))
+        h = heading(t, 0.0)
+        forward, right, down = (
+            field + mgauss_per_a * (current - 15.0) * (k == axis) for k, field in enumerate(h.level_mgauss)
+        )
+        disturbed = replace(h, level_mgauss=(forward, right, down))
         return replace(glance(t, disturbed), current_a=current)
 
     assert found(see, 90.0) - {"dip1", "field1"} == expected

@@ -73,6 +73,8 @@ def test_all_mistakes_are_told_at_once_each_with_its_line() -> None:
         ('[http]\nlisten = "127.0.0.1:99999"', 2, "0 to 65535"),
         ('[http]\nallowed_origins = ["boat.local"]', 2, "must be origins"),
         ('[heading]\npublish = "tcp:1.2.3.4:5"', 2, "udp:HOST:PORT"),
+        ('[heading]\npublish = "udp:boat"', 2, "must be HOST:PORT"),
+        ("[heading]\nrate = 3", 2, "(there are: publish"),
         ("\n\n[mavlink]\n\nstatustext = 1\n", 5, "true or false"),
         ("[vehicl]\nrate_hz = 3", 1, "did you mean 'vehicle'?"),
         ("[vehicle]\n[watch]\n[vehicle.source]\n", 1, "vehicle.source"),

@@ -81,8 +81,15 @@ def test_two_vehicles_with_one_system_id_are_told_though_they_were_started_toget
 ) -> None:
     vehicles = [SimulatedAutopilot("rover", seed=1), SimulatedAutopilot("rover", seed=2)]
     with calling(free_port, *vehicles) as source:
-        for words in (["heading", source, "--duration", "20"], ["calibrate", source, "--yes"]):
-            assert main(words) == 7
+        doors = (
+            ["heading", source, "--duration", "20"],
+            ["calibrate", source, "--yes"],
+            ["check", source, "--turn", "none"],
+            ["params", "show", source],
+            ["params", "backup", source],
+        )
+        for words in doors:
+            assert main(words) == 7, words
             assert SHARED in capsys.readouterr().err
 
 

@@ -74,7 +74,9 @@ def first_state(
         return min(trials, key=lambda trial: trial[1])[0]
 
     step = 2.0 * math.pi / _STARTS
-    near = tried(step * np.arange(_STARTS, dtype=np.float64))[HEADINGS] + np.linspace(-0.5, 0.5, _CLOSELY) * step
+    near = (
+        tried(step * np.arange(_STARTS, dtype=np.float64))[HEADINGS] + np.linspace(-0.5, 0.5, _CLOSELY) * step
+    )
     return tried(np.concatenate([near, near + math.pi])), rules
 
 

@@ -184,7 +184,7 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
         parameter_form(file)  # a wrong suffix is told before the vehicle is asked
         if file.exists() and not yes:
             raise UsageError(f"{file} exists.", "Give another name, or --yes to replace it.")
-    held = _read(source, system, marked=True)
+    held = _read(source, system)
     values = held.compass_values
     comment = marked(held.vehicle, f"Compass parameters of {source}, by mavcompass.")
     if file is None:
@@ -208,8 +208,8 @@ def _head(action: str, source: str, held: HeldParameters) -> dict[str, object]:
     }
 
 
-def _read(source: str, system: int | None, marked: bool = False) -> HeldParameters:
-    """Read what a vehicle or a recording holds; `marked`: with the vehicle's nameplate."""
+def _read(source: str, system: int | None) -> HeldParameters:
+    """Read what a vehicle or a recording holds."""
     from mavcompass.vehicle.session import read_vehicle, recorded_parameters
     from mavcompass.vehicle.transport import Recording, parse_address
 
@@ -221,7 +221,7 @@ def _read(source: str, system: int | None, marked: bool = False) -> HeldParamete
         except NoMagnetometer as lacking:  # its parameters may be there all the same
             return recorded_parameters(lacking.parameters, source)
         return recorded_parameters(track.parameters, source, tuple(track.compasses))
-    held: HeldParameters = _run(source, lambda context: read_vehicle(context, source, system, marked))
+    held: HeldParameters = _run(source, lambda context: read_vehicle(context, source, system))
     return held
 
 

@@ -40,6 +40,7 @@ from mavcompass.gap.attitude.smoother import LEVEL_RAD, Witness
 from mavcompass.gap.attitude.steering import steered_by, told_rotation
 from mavcompass.gap.attitude.wander import wandering_yaw
 from mavcompass.gap.attitude.yaw import age_of
+from mavcompass.gravity import require_gravity
 from mavcompass.simulation.effects.sampling import at_times, rotation_at
 from mavcompass.simulation.physics.signals import Turning
 from mavcompass.track import Track
@@ -150,8 +151,9 @@ def reference_attitude(
 ) -> Reference:
     """Choose and build the attitude reference of one compass at some times, and at some of these its doubt.
 
-    Raises BadRecording where the recording does not hold what the choice needs.
+    Raises BadRecording where the recording does not hold what the choice needs, or its accelerometer is dead.
     """
+    require_gravity(track.acc_mps2)
     if choice == "columns" or (
         choice == "auto" and track.reference_q is not None and len(track.reference_q) > 1
     ):

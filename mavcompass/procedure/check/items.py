@@ -16,8 +16,10 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
 from mavcompass.frames import FloatArray, wrap_pi
+from mavcompass.gravity import REMEDY, no_gravity
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 from mavcompass.steering import PX4_COMPASSES, SteeringSource
+from mavcompass.track import Series
 
 Verdict = Literal["pass", "warn", "fail"]
 _ORDER: tuple[Verdict, ...] = ("pass", "warn", "fail")
@@ -44,8 +46,8 @@ class CheckItem:
     """Hold the answer to one question.
 
     Attributes:
-        name: field, dip, agreement, offsets, matrix, switches, data, gyro, estimator, yaw, prearm, turn,
-            place, stillness.
+        name: field, dip, agreement, offsets, matrix, switches, data, gyro, level, estimator, yaw, prearm,
+            turn, place, stillness.
         instance: the compass it is about, 0 for the vehicle.
         text: one short sentence. remedy: the next step, empty for a pass.
     """
@@ -236,6 +238,12 @@ def judge_gyro(rate_radps: FloatArray, turning: Sequence[tuple[float, float]] = 
     remedy = "" if verdict == "pass" else "Hold still and restart the autopilot, so that it learns the bias."
     text = f"The gyro drifts by {bias_dps:.2f} deg/s at rest."
     return CheckItem("gyro", verdict, text, remedy, 0, bias_dps, limit)
+
+
+def judge_level(acc: Series | None) -> CheckItem | None:
+    """Fail an accelerometer that shows no gravity: headings by it mean nothing; None where it does."""
+    trouble = no_gravity(acc)
+    return CheckItem("level", "fail", trouble, REMEDY) if trouble else None
 
 
 def judge_stillness(still: bool, why_not: str) -> CheckItem | None:

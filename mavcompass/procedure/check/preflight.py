@@ -127,7 +127,7 @@ def check(
     try:
         yield from rates.ask(context, checker.wanted_rates())
         yield from checker.look_at_rest()
-        if settings.turn != "none":
+        if settings.turn != "none" and checker.knows_level:
             yield from checker.turn()
         return checker.report()
     finally:
@@ -150,6 +150,11 @@ class _Checker:
     remarks: list[str] = field(default_factory=list)
     turned: bool = False
 
+    @property
+    def knows_level(self) -> bool:
+        """Tell whether the accelerometer shows gravity: without, no turn is worth making."""
+        return not any(item.name == "level" for item in self.items)
+
     def wanted_rates(self) -> dict[type[mav.Message], float]:
         """List the messages to ask for."""
         wanted = self.desk.imu_rates(self.desk.instances, self.settings.rate_hz)
@@ -169,7 +174,9 @@ class _Checker:
         track = self.desk.builder.build()
         self._judge_parameters()
         self._add(items.judge_stillness(window.rested, self.desk.rest.why_not))
-        self._judge_field(track, window)
+        self._add(items.judge_level(track.acc_mps2))
+        if self.knows_level:
+            self._judge_field(track, window)
         gyro = track.gyro_radps
         rates = None if gyro is None else gyro.between(window.start_s, window.end_s)
         if rates is not None and len(rates):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -83,6 +84,24 @@ def test_a_copter_and_a_px4_vehicle_are_checked_too() -> None:
         report = checked(SimulatedAutopilot(kind, seed=2, calibration="exact"), "none")
         assert verdicts(report, "field") == ["pass"], kind
         assert verdicts(report, "dip") == ["pass"], kind
+
+
+def test_a_dead_accelerometer_is_what_fails_and_nobody_turns_for_it() -> None:
+    vehicle = SimulatedAutopilot("rover", seed=2, calibration="exact")
+    builders = vehicle.firmware.reports.builders
+    sound = builders[mav.RawImu]
+
+    def at_its_end(time_us: int, share: float) -> mav.Message | None:
+        told = sound(time_us, share)
+        assert isinstance(told, mav.RawImu)
+        return replace(told, xacc=-32768, yacc=-32768, zacc=-32768)
+
+    builders[mav.RawImu] = at_its_end
+    report = checked(vehicle)
+    wrong = [item for item in report.items if item.verdict == "fail"]
+    assert [item.name for item in wrong] == ["level"] and "accelerometer" in wrong[0].remedy
+    assert not report.turned and not report.calibration_advised
+    assert not [item for item in report.items if item.name in ("field", "dip", "agreement")]
 
 
 def test_a_sensor_that_is_not_there_is_blamed_for_nothing() -> None:

@@ -14,8 +14,16 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MagCalStatus, MavCmd, MavResult
 from mavcompass.errors import Refused
 from mavcompass.procedure.script import Show
+from mavcompass.procedure.vehicle_state import VehicleIdentity
+from mavcompass.service.config import ServiceConfig
 from mavcompass.service.mavlink import component
+from mavcompass.service.mavlink.teller import Teller
+from mavcompass.service.schedule import Schedule
+from mavcompass.service.view import VehicleView
+from mavcompass.service.watch import Finding
 from mavcompass.service.work.tasks import Busy, CalibrationRequest, CheckRequest, Desk, Task
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.wire import decode, encode
 
 CORRECTION = FieldCorrection((10.5, -20.25, 30.0), (1.1, 0.9, 1.0), (0.01, 0.02, 0.03), 1.05)
@@ -213,3 +221,19 @@ def test_one_request_at_a_time() -> None:
     assert desk.current is not None and desk.current.finished
     with pytest.raises(Refused, match="stopping"):
         desk.submit(CheckRequest(), "http", "now")
+
+
+def test_the_pilot_is_told_of_a_finding_once_for_as_long_as_it_lasts() -> None:
+    vehicle = SimulatedAutopilot("rover", seed=1)
+    heard: list[mav.Message] = []
+    vehicle.receive = lambda message, *_: heard.append(message)  # type: ignore[method-assign]
+    dip, field = (
+        Finding(name, 1, "warning", f"Compass 1: {name}", "It is off.", "") for name in ("dip", "field")
+    )
+    teller = Teller(ServiceConfig(), Desk(), Schedule())
+    view = VehicleView(VehicleIdentity(1, 1, "ardupilot", "rover"), "rover", 2026.0)
+    with SimulatedLink(vehicle) as link:
+        for at_s, findings in enumerate(((), (dip,), (dip,), (field, dip), (field,), (field, dip))):
+            teller.tell(link, view, findings, float(at_s))
+    told = [message.text for message in heard if isinstance(message, mav.Statustext)]
+    assert told == ["Compass 1: dip", "Compass 1: field", "Compass 1: dip"]

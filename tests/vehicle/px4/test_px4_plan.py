@@ -59,6 +59,20 @@ def test_the_correction_in_force_changes_nothing_when_planned_again(
     assert DIALECT.plan(held, {1: DIALECT.correction(held, 1)}).changes == ()
 
 
+@given(finite_corrections, finite_corrections)
+def test_any_correction_may_follow_any_other_its_opposite_included(
+    before: FieldCorrection, correction: FieldCorrection
+) -> None:
+    x, y, z = before.offsets_mgauss
+    for wanted in (correction, replace(before, offsets_mgauss=(-x, -y, -z))):
+        held = px4_parameters()
+        held |= {c.name: c.new for c in DIALECT.plan(held, {1: before}).changes}
+        held |= {c.name: c.new for c in DIALECT.plan(held, {1: wanted}).changes}
+        new = DIALECT.correction(held, 1)
+        assert new.offsets_mgauss == pytest.approx(wanted.offsets_mgauss, rel=1e-6, abs=2e-3)
+        assert new.matrix == pytest.approx(wanted.matrix, rel=1e-6, abs=3e-6)
+
+
 def test_an_internal_compass_turns_with_the_board() -> None:
     raw_body = sensor_orientation_matrix(2) @ np.array([0.1, 0.2, 0.3]) * 1000.0
     held = px4_parameters(SENS_BOARD_ROT=2.0, CAL_MAG0_XOFF=0.1, CAL_MAG0_YOFF=0.2, CAL_MAG0_ZOFF=0.3)

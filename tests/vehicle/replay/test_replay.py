@@ -318,6 +318,25 @@ def test_a_track_is_played_as_its_vehicle_would_speak(play_track: Callable[[Trac
     assert [i.time_s for i in heard] == sorted(i.time_s for i in heard)
 
 
+@pytest.mark.parametrize(("recorded_hz", "played_hz"), [(50.0, 25.0), (25.0, 25.0), (10.0, 10.0), (4.0, 4.0)])
+def test_an_attitude_is_played_as_often_as_it_was_recorded_and_no_faster_than_telemetry_has_it(
+    play_track: Callable[[Track], list[Incoming]], recorded_hz: float, played_hz: float
+) -> None:
+    time_s = 30.0 + np.arange(round(4.0 * recorded_hz)) / recorded_hz
+    level = Series.of(time_s, np.zeros((len(time_s), 3)))
+    heard = kind_of(play_track(track_of("ardupilot", attitude_rad=level)), Attitude)
+    assert len(heard) == pytest.approx(4.0 * played_hz, abs=1)
+
+
+def test_the_rates_of_a_track_can_be_asked_for(tmp_path: Path) -> None:
+    with open_link(str(tmp_path / "a.csv"), read_track=lambda _: track_of("ardupilot")) as link:
+        for kind, interval_us in ((RawImu, 20_000), (Attitude, 40_000), (GlobalPositionInt, 200_000)):
+            question = CommandLong(1, 1, MavCmd.GET_MESSAGE_INTERVAL, 0, float(message_id(kind)))
+            answer = ask(link, question, MessageInterval)
+            assert isinstance(answer, MessageInterval) and answer.message_id == message_id(kind)
+            assert answer.interval_us == pytest.approx(interval_us, rel=0.05)
+
+
 def test_a_correction_that_changed_on_the_way_is_told(play_track: Callable[[Track], list[Incoming]]) -> None:
     told = [i for i in play_track(track_of("ardupilot")) if isinstance(i.message, ParamValue)]
     assert [(round(i.time_s, 2), i.message.param_id, i.message.param_value) for i in told] == [
