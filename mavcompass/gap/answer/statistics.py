@@ -66,7 +66,6 @@ def statistics(evidence: Evidence, field: Closing, heading: Closing) -> Statisti
         "members": float(len(best.terms)),
         "local": float(sum(term.effect.local for term in best.terms)),
         "traced": float(evidence.beside),
-        "sweeps": float(evidence.adequacy.sweeps),
         "exact": float(kind == "exact"),
         "alone": float(kind in ("alone", "reference")),
     }

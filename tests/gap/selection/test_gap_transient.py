@@ -221,17 +221,6 @@ def test_a_guard_lies_beside_held_out_blocks() -> None:
     assert not (half.train | half.test)[~some].any() and half.test.sum() == 0.5 * split.test.sum()
 
 
-def test_halves_alternate() -> None:
-    _, split = whole(100.0)
-    one, other = split.halves()
-    trained = [b for b in range(split.held.size) if not split.held[b]]
-    owner = [bool(one[split.block == b].any()) for b in trained]
-    assert owner == [k % 2 == 1 for k in range(len(trained))] or owner == [
-        k % 2 == 0 for k in range(len(trained))
-    ]
-    assert not (one & other).any() and ((one | other) == split.train).all()
-
-
 def test_a_loud_stretch_is_cut_in_eight_parts_of_which_two_are_held_out() -> None:
     time, split = whole(400.0)
     loud = (time > 101.95) & (time < 118.0)
