@@ -2,7 +2,7 @@
 
 The catalogue is linearised once beside what is known, and sets are weighed by their normal equations; only
 the few that could win are fitted through the simulation. Beside the best one the catalogue is linearised
-again, until nothing changes. How many effects are needed, and which, `criteria` tell.
+again, until nothing changes. Sets are weighed by what they cost in the posterior (`criteria`).
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.polish import polished
 from mavcompass.gap.fit.starts import beside_known_age, facing, in_place_of_each_other, steadied, turn_alone
 from mavcompass.gap.fit.unbent import unbent
-from mavcompass.gap.tables import Kind, Penalty, tables
+from mavcompass.gap.tables import Kind
 from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
 _SHORT = 3
-# What is so much likelier by EBIC's score is worth another search; seen beside so many effects alone.
+# What is so much cheaper is worth another search; seen beside so many effects alone.
 _FAR_LIKELIER, _ALONE = 20.0, 2
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
 _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
@@ -60,7 +60,7 @@ class Search:
     """Search sets of effects on one problem.
 
     `worthwhile` tells whether what a fit leaves could still hold an effect that may be named; the search
-    goes on only then. `exact` says that the noise is known in detail, `kind` how the recording is known.
+    goes on only then. `kind` tells how the recording is known.
     """
 
     def __init__(
@@ -68,13 +68,11 @@ class Search:
         problem: Problem,
         effects: Iterable[Effect],
         worthwhile: Callable[[Fit], bool] = lambda fit: True,
-        exact: bool = True,
         kind: Kind = "exact",
     ) -> None:
         self.problem = problem
-        self.kind: Kind = kind
         self.worthwhile = worthwhile
-        self.criteria = Criteria(problem, exact)
+        self.criteria = Criteria(problem, kind)
         signals = problem.replay.signals
         self.terms = [
             term
@@ -89,14 +87,9 @@ class Search:
 
     def on(self, problem: Problem) -> Search:
         """Return a search of the same terms on other rows or under another noise, nothing explored yet."""
-        other = Search(problem, (), self.worthwhile, self.criteria.exact, self.kind)
+        other = Search(problem, (), self.worthwhile, self.criteria.kind)
         other.terms, other.criteria.temper = self.terms, self.criteria.temper
         return other
-
-    @property
-    def penalty(self) -> Penalty:
-        """Return what parameters and effects cost."""
-        return tables().penalty[self.kind]
 
     def forget(self) -> None:
         """Let go of all derivatives: what was explored stays."""
@@ -177,8 +170,7 @@ class Search:
         nothing, *left = candidates.expected([(), *sets])
         for chosen, after in zip(sets, left, strict=True):
             parameters = sum(candidate.dimension for candidate in chosen)
-            cost = self.penalty.of(parameters, len(chosen), self.problem.count)
-            if nothing - after > _HOPEFUL * cost:
+            if nothing - after > _HOPEFUL * self.criteria.cost(parameters, len(chosen)):
                 return True
         return False
 
@@ -310,7 +302,8 @@ class Search:
             return []
         needed, (before, *expected) = 0, candidates.expected([(), *(ranked[0] for ranked in sets.values())])
         for (size, ranked), after in zip(sets.items(), expected, strict=True):
-            if before - after > _HOPEFUL * self.criteria.least(candidates, ranked[0]):
+            least = self.criteria.cost(min(candidate.dimension for candidate in ranked[0]), 1)
+            if before - after > _HOPEFUL * self.criteria.temper * least:
                 needed, before = size, after
         chosen: list[tuple[Candidate, ...]] = list(sets.get(needed, ()))
         for size in sets:

@@ -119,20 +119,19 @@ def _searched(
     likely: tuple[Sequence[Term], Sequence[FloatArray]] | None = None,
 ) -> tuple[Identified, Floor]:
     """Search and weigh, under a noise learnt in passes; what was `likely` with other rows is tried first."""
-    # An independent attitude has no errors that last for seconds.
-    exact, kind = floor.representative or replay.reference.kind == "columns", kind_of(replay, floor)
+    kind = kind_of(replay, floor)
     whole = Problem(replay, floor.noise, split.train | split.test, floor.prior)
     nothing = whole.null()
     split = _parted(whole, nothing, floor, split)
     for turn in range(passes):
         problem = Problem(replay, floor.noise, split.train, floor.prior)
         problem.null(nothing)
-        search = Search(problem, effects, partial(_worthwhile, problem, floor), exact, kind)
+        search = Search(problem, effects, partial(_worthwhile, problem, floor), kind)
         tried = [problem.fit(*likely, nothing.nuisance_thetas)] if likely else ()
         found = search.run(likely=tried)
         if (wandering := _with_wander(problem, floor, found)) is not None:
             floor, problem, placed = wandering
-            search = Search(problem, effects, partial(_worthwhile, problem, floor), exact, kind)
+            search = Search(problem, effects, partial(_worthwhile, problem, floor), kind)
             found = search.run(likely=placed)
         floor = foreseen_places(floor, problem, found.best, split.test)
         posterior = posterior_of(search, found)
