@@ -14,7 +14,7 @@ from mavcompass.gap.left.floor import (
     widened,
     with_noise,
 )
-from mavcompass.gap.left.foreseen import foreseen, foreseen_places
+from mavcompass.gap.left.foreseen import foreseen
 from mavcompass.gap.left.scatter import (
     Scatter,
     drift_gain,
@@ -36,7 +36,6 @@ __all__ = [
     "early_scale",
     "find_scatter",
     "foreseen",
-    "foreseen_places",
     "from_baseline",
     "from_recording",
     "heading_error_rad",
