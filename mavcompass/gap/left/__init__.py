@@ -18,7 +18,6 @@ from mavcompass.gap.left.foreseen import foreseen
 from mavcompass.gap.left.scatter import (
     Scatter,
     drift_gain,
-    early_scale,
     find_scatter,
     noise_with,
 )
@@ -33,7 +32,6 @@ __all__ = [
     "apart",
     "doubting",
     "drift_gain",
-    "early_scale",
     "find_scatter",
     "foreseen",
     "from_baseline",

@@ -18,7 +18,7 @@ from mavcompass.gap.replay import (
     estimate_noise,
     with_white,
 )
-from mavcompass.gap.traces import neighbours, quiet_doubt, quiet_scatter
+from mavcompass.gap.traces import quiet_doubt, quiet_scatter
 from mavcompass.simulation.effects import detected_by, get
 
 _DRIFT_MODES = 80
@@ -130,26 +130,6 @@ def _told_twice(
         by_all = math.hypot(math.sqrt(2.0 / count), 0.5 * floor2 / size2)
         doubt = min(doubt, by_all) if agrees else max(doubt, 0.5 * abs(apart))
     return Scatter(detected_by("scatter").id, math.sqrt(size2), float(count), 0.5 * doubt * math.sqrt(size2))
-
-
-def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:
-    """Return how much larger than the baseline's the scatter between neighbours is, per row (N, 3).
-
-    Second differences hold next to nothing of slow causes, so that this can be told before any search.
-    None where the scatter is the baseline's.
-    """
-    own, nominal = (neighbours(one.measured.mag_mgauss - one.nominal_mgauss) for one in (replay, baseline))
-    size = np.sqrt(np.mean(nominal[baseline.valid] ** 2, axis=0))
-    y = (own / size)[replay.valid] ** 2
-    change = np.gradient(replay.signals.reading.mag_mgauss, replay.time_s, axis=0) / size
-    # Second differences of neighbours are correlated: a third of them counts.
-    even, even_size = _even_gain(y)
-    late, late_size = _late_gain(y, (change**2)[replay.valid], 1.0)
-    if max(even, late) / 3.0 < least_gain(1, _SCATTER_TRIALS) or max(even_size, late_size) <= 0.0:
-        return None
-    if late > even:
-        return np.asarray(np.sqrt(1.0 + late_size * change**2))
-    return np.full(change.shape, math.sqrt(1.0 + even_size))
 
 
 def _even_gain(y: FloatArray) -> tuple[float, float]:

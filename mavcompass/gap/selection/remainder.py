@@ -6,7 +6,6 @@ floor's. What is left is judged under that noise; otherwise each of these would 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +15,11 @@ from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import (
     Floor,
     Scatter,
-    early_scale,
     find_scatter,
     measured_noise,
     noise_with,
-    with_noise,
 )
-from mavcompass.gap.replay import Noise, Replay, with_white
+from mavcompass.gap.replay import Noise
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.traces import Traces
 from mavcompass.simulation.effects.effect import LIMIT
@@ -43,27 +40,6 @@ class Remainder:
     fit: Fit
     scatter: Scatter | None
     comparable: bool
-
-
-def floor_to_start(floor: Floor, replay: Replay, baseline: Replay | None, traces: Traces) -> Floor:
-    """Add to the floor what the numbers tell before any search: their steps, and scatter between neighbours.
-
-    With too small a noise everything looks like an effect, and the search for it is long and vain. Where the
-    noise is not known in detail only what single readings scatter beyond the baseline's counts.
-    """
-    if traces.step_mgauss > 0.0:
-        return with_noise(floor, with_steps(floor.noise, traces.step_mgauss))
-    if baseline is None or not floor.measured:
-        return floor
-    if not floor.representative:
-        if traces.excess_mgauss2 <= 0.0:
-            return floor
-        noisier = with_white(floor.noise["mag"], math.sqrt(traces.excess_mgauss2 / replay.averaged))
-        return with_noise(floor, {**floor.noise, "mag": noisier})
-    scale = early_scale(replay, baseline)
-    if scale is None:
-        return floor
-    return with_noise(floor, {**floor.noise, "mag": replace(floor.noise["mag"], row_scale=scale)})
 
 
 def with_steps(noise: Noise, step_mgauss: float) -> Noise:
