@@ -16,9 +16,6 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.tables import Kind, tables
 
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
-# A moment of change by itself counts as two parameters: it was sought at many places (Zhang and Siegmund,
-# Biometrics 63, 2007).
-_MOMENT = 2
 
 
 class Criteria:
@@ -53,8 +50,8 @@ class Criteria:
     def grows(self, smaller: Fit, larger: Fit) -> bool:
         """Tell whether the larger set is needed."""
         effects = len(larger.terms) - len(smaller.terms)
-        more = max(larger.dimension - smaller.dimension, 1) * (1 if effects else _MOMENT)
-        least, gain = self.cost(more, effects), smaller.sse - larger.sse
+        least = self.cost(max(larger.dimension - smaller.dimension, 1), effects)
+        gain = smaller.sse - larger.sse
         if gain <= least or self.exact:
             return gain > least
         eased = self._problem.strain(smaller) - self._problem.strain(larger)

@@ -82,24 +82,7 @@ def identify(
         result, own = replace(calmer, fit=with_moments(calmer.problem, calmer.fit, when)), settled
         if not switches(result.fit):
             break
-    calmed = result.problem.replay is not replay
-    return (_clear(result) if calmed and switches(result.fit) else result), own
-
-
-def _clear(found: Identified) -> Identified:
-    """Return what was found fitted without readings of both on and off as it is switched at last.
-
-    They are few: no search is repeated for them.
-    """
-    before, split = found.problem, found.split
-    clear = ~switched(before, found.fit)
-    if clear[before.usable].all():
-        return found
-    fewer = replace(before.replay, valid=before.replay.valid & clear)
-    calm = replace(split, train=split.train & clear, test=split.test & clear)
-    problem = Problem(fewer, before.noise, calm.train, before.prior)
-    fit, none = problem.refit(found.fit), problem.null(found.found.null)
-    return replace(found, problem=problem, split=calm, fit=fit, found=replace(found.found, null=none))
+    return result, own
 
 
 def _each(found: Identified) -> float:
