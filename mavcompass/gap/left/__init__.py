@@ -17,7 +17,6 @@ from mavcompass.gap.left.floor import (
 from mavcompass.gap.left.foreseen import foreseen
 from mavcompass.gap.left.scatter import (
     Scatter,
-    drift_gain,
     find_scatter,
     noise_with,
 )
@@ -31,7 +30,6 @@ __all__ = [
     "Scatter",
     "apart",
     "doubting",
-    "drift_gain",
     "find_scatter",
     "foreseen",
     "from_baseline",
