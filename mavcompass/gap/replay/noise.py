@@ -90,21 +90,6 @@ class SensorNoise:
             return recursive(self.moving, out.reshape(n, 3, k))
         return out.reshape(n, 3, k)
 
-    def filled(self, error: FloatArray, missing: NDArray[np.bool_], rng: np.random.Generator) -> FloatArray:
-        """Return errors (N, 3) whose missing elements are drawn from the noise, given what came before."""
-        out, drawn = error.copy(), rng.standard_normal(error.shape)
-        coefficients, moving = self.coefficients.mean(axis=1), float(self.moving.mean())
-        scale = self.sigma if self.row_scale is None else self.sigma * self.row_scale
-        scale = np.broadcast_to(scale, error.shape)
-        last = np.zeros(error.shape[1])
-        for t in range(len(out)):
-            known = -moving * last
-            for lag, coefficient in enumerate(coefficients[:t].tolist(), start=1):
-                known += coefficient * out[t - lag] / scale[t]
-            last = np.where(missing[t], drawn[t], out[t] / scale[t] - known)
-            out[t] = np.where(missing[t], (known + drawn[t]) * scale[t], out[t])
-        return out
-
     def autocorrelation(self, channel: int) -> FloatArray:
         """Return a channel's autocorrelation at lags of 0, 1, 2 ... readings, from the response to one
         innovation."""

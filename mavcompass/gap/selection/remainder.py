@@ -61,7 +61,6 @@ def what_is_left(identified: Identified, floor: Floor, names: frozenset[str], tr
     # Moments and thresholds lie between readings: all rows place them better than the training rows.
     if any(term.effect.moves for term in fit.terms):
         fit = identified.search.on(problem).polished(fit)
-    problem = _without_plateaus(problem, fit)
     if step_mgauss > 0.0:
         return _unrounded(problem, fit, floor, step_mgauss)
     scatter = find_scatter(problem, fit, names, floor, traces.excess_mgauss2)
@@ -70,24 +69,6 @@ def what_is_left(identified: Identified, floor: Floor, names: frozenset[str], tr
         return Remainder(problem, fit, None, fit.value(LIMIT) is None)
     noisy = Problem(problem.replay, noise_with(problem, fit, scatter), problem.rows, floor.prior)
     return Remainder(noisy, noisy.refit(fit), scatter, False)
-
-
-def _without_plateaus(problem: Problem, fit: Fit) -> Problem:
-    """Put what the floor would make in the place of readings at the limit of a saturated sensor.
-
-    They have no noise to be judged by, and one axis may be at its limit nearly all the time.
-    """
-    limit = fit.value(LIMIT)
-    if limit is None:
-        return problem
-    noise, replay = problem.noise["mag"], problem.replay
-    near = limit - 3.0 * noise.rms
-    predicted, measured = problem.predict(fit).mag_mgauss, replay.measured
-    plateau = (np.abs(predicted) > near) | (np.abs(measured.mag_mgauss) > near)
-    error = measured.mag_mgauss - predicted
-    error = noise.filled(error, plateau | ~np.isfinite(error), np.random.default_rng(_SEED))
-    free = Reading(predicted + error, measured.acc_mps2, measured.gyro_radps)
-    return Problem(replace(replay, measured=free), problem.noise, problem.rows, problem.prior)
 
 
 def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> Remainder:

@@ -62,23 +62,6 @@ def test_rows_without_a_reading_do_not_hide_the_slow_error() -> None:
     assert (noise.moving > 0.0).all() and 0.9 < noise.coefficients[0, 0] < 1.0
 
 
-def test_missing_readings_are_drawn_from_the_noise() -> None:
-    noise = SensorNoise(
-        np.full((1, 3), 0.6), np.full(3, 2.0), np.full(3, 2.5), 6000.0, moving=np.full(3, 0.3)
-    )
-    rng = np.random.default_rng(6)
-    error = np.asarray(scipy.signal.lfilter([2.0, -0.6], [1.0, -0.6], rng.standard_normal((4000, 3)), axis=0))
-    missing = np.zeros(error.shape, dtype=bool)
-    missing[500:3500, 2] = True
-    missing[:40, 0] = True
-    spoiled = np.where(missing, np.nan, error)
-    filled = noise.filled(spoiled, missing, rng)
-    np.testing.assert_array_equal(filled[~missing], error[~missing])
-    z = noise.whiten(filled)[1:]
-    np.testing.assert_allclose(z.std(axis=0), 1.0, atol=0.04)
-    assert abs(float(np.mean(z[1:] * z[:-1]))) < 0.03
-
-
 def test_correlated_noise_is_estimated_and_whitened() -> None:
     rng = np.random.default_rng(1)
     white_noise = rng.standard_normal((20_000, 3))

@@ -290,36 +290,6 @@ def test_the_steps_own_noise_is_added_to_the_floors() -> None:
     )
 
 
-def test_readings_at_the_limit_of_a_saturated_sensor_are_put_aside(monkeypatch: pytest.MonkeyPatch) -> None:
-    effect = registry.get("clipping")
-    low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
-    theta = np.array([300.0, *[0.0] * (low.size - 1)])
-    fit = Fit((Term(effect, np.ones(low.size, dtype=np.bool_), low, high),), (theta,), (), 0.0)
-    # Three sigmas of 2 mG below the limit it begins.
-    predicted = np.repeat([[200.0, 0.0, 293.0], [200.0, 0.0, 295.0], [-297.0, 0.0, 100.0]], 40, axis=0)
-    measured = predicted + np.array([0.5, 0.6, 0.7])
-    measured[40:80, 2], measured[80:, 0] = 300.0, -300.0
-    reading = SimpleNamespace(mag_mgauss=measured, acc_mps2=None, gyro_radps=None)
-    problem: Any = SimpleNamespace(
-        noise={"mag": white(np.full(3, 2.0))},
-        replay=SimpleNamespace(measured=reading),
-        predict=lambda fit: SimpleNamespace(mag_mgauss=predicted),
-        rows=None,
-        prior=None,
-    )
-    monkeypatch.setattr(remainder, "Problem", lambda replay, noise, rows, prior: replay)
-    monkeypatch.setattr(remainder, "replace", lambda replay, measured: measured)
-    free: Any = remainder._without_plateaus(problem, fit)
-    left = free.mag_mgauss - predicted
-    assert left[:40] == pytest.approx(np.tile([0.5, 0.6, 0.7], (40, 1)))
-    assert left[40:80, :2] == pytest.approx(np.tile([0.5, 0.6], (40, 1))) and left[80:, 1:] == pytest.approx(
-        np.tile([0.6, 0.7], (40, 1))
-    )
-    for plateau in (left[40:80, 2], left[80:, 0]):  # as the floor's noise would have it
-        assert np.abs(plateau).max() < 12.0 and plateau.std() > 0.5
-    assert remainder._without_plateaus(problem, changing(7.5)) is problem
-
-
 @pytest.mark.parametrize(
     ("scatter", "effects", "comparable"),
     [(None, (), True), (None, ("clipping",), False), ("jitter", (), False), ("jitter", ("clipping",), False)],
@@ -339,7 +309,6 @@ def test_noise_is_compared_with_the_floors_where_it_is_the_floors(
             return SimpleNamespace(ids=frozenset(effects), terms=(), value=limit.get)
 
     monkeypatch.setattr(remainder, "Problem", Fitted)
-    monkeypatch.setattr(remainder, "_without_plateaus", lambda problem, fit: problem)
     monkeypatch.setattr(remainder, "find_scatter", lambda *given: scatter)
     monkeypatch.setattr(remainder, "noise_with", lambda problem, fit, scatter: "noisier")
     chosen: Any = SimpleNamespace(problem=SimpleNamespace(replay=SimpleNamespace(valid=None)), fit=None)
