@@ -16,7 +16,6 @@ from mavcompass.gap.replay import (
     Noise,
     Replay,
     estimate_noise,
-    with_white,
 )
 from mavcompass.gap.traces import quiet_doubt, quiet_scatter
 from mavcompass.simulation.effects import detected_by, get
@@ -166,10 +165,9 @@ def noise_with(problem: Problem, fit: Fit, scatter: Scatter) -> Noise:
     replay = problem.replay
     error = replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
     floor = problem.noise["mag"]
-    if scatter.white and floor.channels is not None:
-        return {**problem.noise, "mag": with_white(floor, math.sqrt(scatter.on_rows_mgauss2(replay)))}
     if scatter.white:
-        return {**problem.noise, "mag": estimate_noise(error, problem.usable, replay.resolution_mgauss)}
+        noise = estimate_noise(error, problem.usable, replay.resolution_mgauss, floor.channels)
+        return {**problem.noise, "mag": noise}
     change = floor.in_channels(np.gradient(problem.signals(fit).reading.mag_mgauss, replay.time_s, axis=0))
     scale = np.sqrt(1.0 + (scatter.size * change / floor.rms) ** 2)
     if floor.channels is not None:

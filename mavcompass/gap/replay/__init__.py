@@ -19,7 +19,6 @@ from mavcompass.gap.replay.noise import (
     rough_sigma,
     wandering,
     white,
-    with_white,
 )
 from mavcompass.gap.replay.nominal import Replay, level_mgauss, replay
 from mavcompass.gap.replay.nuisance import (
@@ -69,6 +68,5 @@ __all__ = [
     "untestable_effects",
     "wandering",
     "white",
-    "with_white",
     "yaw_starts",
 ]
