@@ -39,7 +39,7 @@ from mavcompass.gap.selection import (
     identify,
     split_blocks,
     what_is_left,
-    with_steps,
+    with_white,
 )
 from mavcompass.gap.traces import Traces, find_traces, searched
 from mavcompass.simulation.effects import Effect, catalogue
@@ -219,13 +219,21 @@ def _explained(
     names = frozenset(e.id for e in testable)
     if not floor.representative and (floor.measured or replayed.reference.kind != "columns"):
         floor = foreseen(floor, replayed, split.train, split.test)
-    steps = traces.step_mgauss > 0.0
-    start = with_noise(floor, with_steps(floor.noise, traces.step_mgauss)) if steps else floor
+    # With too small a noise everything looks like an effect: what the numbers tell of it counts before.
+    detailed = floor.representative or not floor.measured
+    white = 0.0 if detailed or traces.step_mgauss > 0.0 else traces.excess_mgauss2 / replayed.averaged
+    added = white + traces.step_mgauss**2 / 12.0
+    start = with_noise(floor, with_white(floor.noise, added)) if added > 0.0 else floor
     effects = searched(replayed, testable)
     identified, own = identify(replayed, start, split, effects, noise_known=floor.measured)
     floor = with_noise(own, floor.noise) if floor.measured else own
     remainder = what_is_left(identified, floor, names, traces)
-    if remainder.scatter is None or not identified.found.best.terms:
+    found = remainder.scatter
+    if white > 0.0:
+        done = found is not None and found.white
+    else:
+        done = found is None or not identified.found.best.terms
+    if done:
         return identified, remainder, floor
     # Extra scatter makes every gain look larger than it is: choose again under it.
     noisy = with_noise(floor, remainder.problem.noise)

@@ -42,20 +42,18 @@ class Remainder:
     comparable: bool
 
 
-def with_steps(noise: Noise, step_mgauss: float) -> Noise:
-    """Add the rounding's own noise, step^2 / 12, to the floor's."""
-    mag, added = noise["mag"], step_mgauss**2 / 12.0
-    return {
-        **noise,
-        "mag": replace(mag, sigma=np.sqrt(mag.sigma**2 + added), rms=np.sqrt(mag.rms**2 + added)),
-    }
+def with_white(noise: Noise, variance_mgauss2: float) -> Noise:
+    """Add white scatter to the compass's noise: the rounding's, step^2 / 12, or what single readings show."""
+    mag = noise["mag"]
+    sigma, rms = (np.sqrt(values**2 + variance_mgauss2) for values in (mag.sigma, mag.rms))
+    return {**noise, "mag": replace(mag, sigma=sigma, rms=rms)}
 
 
 def what_is_left(identified: Identified, floor: Floor, names: frozenset[str], traces: Traces) -> Remainder:
     """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise."""
     step_mgauss = traces.step_mgauss
     replay, chosen = identified.problem.replay, identified.fit
-    noise = with_steps(floor.noise, step_mgauss) if step_mgauss > 0.0 else floor.noise
+    noise = with_white(floor.noise, step_mgauss**2 / 12.0) if step_mgauss > 0.0 else floor.noise
     problem = Problem(replay, noise, replay.valid, floor.prior)
     fit = problem.refit(chosen)
     # Moments and thresholds lie between readings: all rows place them better than the training rows.

@@ -283,7 +283,7 @@ def test_a_value_is_drawn_inside_the_step_that_it_was_rounded_to() -> None:
 
 def test_the_steps_own_noise_is_added_to_the_floors() -> None:
     quiet = white(np.array([1.0, 2.0, 3.0]))
-    noisy = remainder.with_steps({"mag": quiet}, 6.0)["mag"]
+    noisy = remainder.with_white({"mag": quiet}, 3.0)["mag"]
     assert noisy.rms == pytest.approx(np.sqrt(np.array([1.0, 4.0, 9.0]) + 3.0))
     assert noisy.sigma == pytest.approx(np.sqrt(quiet.sigma**2 + 3.0)) and math.isfinite(
         float(noisy.sigma[0])
