@@ -3,6 +3,7 @@
 from mavcompass.gap.fit.chance import least_gain
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, make_term, placements
 from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.fit.pruning import pruned
 from mavcompass.gap.fit.search import Found, Search
 
 __all__ = [
@@ -15,4 +16,5 @@ __all__ = [
     "least_gain",
     "make_term",
     "placements",
+    "pruned",
 ]

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Mask, Problem, Search, Term
+from mavcompass.gap.fit import Fit, Mask, Problem, Search, Term, pruned
 from mavcompass.gap.left import Floor, kind_of, rms, widened
 from mavcompass.gap.replay import Replay, group_values
 from mavcompass.gap.selection.identified import Identified
@@ -118,7 +118,7 @@ def _searched(
     result = Identified(problem, split, found, posterior.best.fit, search, problem, posterior)
     result = _moments_in_training(result)
     result.search.forget()
-    return result, floor
+    return replace(result, fit=pruned(result.problem, result.fit)), floor
 
 
 def _worthwhile(problem: Problem, floor: Floor, fit: Fit) -> bool:
