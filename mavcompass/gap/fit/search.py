@@ -26,6 +26,8 @@ from mavcompass.simulation.effects.effect import Effect
 MOST_EFFECTS = 4
 _ROUNDS = 4
 _SHORT = 3
+# What is so much cheaper is worth another search; seen beside so many effects alone.
+_FAR_LIKELIER, _ALONE = 20.0, 2
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
 _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
 _HOPEFUL = 0.7
@@ -138,7 +140,12 @@ class Search:
                 self.criteria.temper = before
         if self.hopeless(null, best):
             return self._found(null, best)
-        return self._found(null, self._with_rivals(self.polished(best)))
+        best = self._with_rivals(self.polished(best))
+        other = self._beside_one(best)
+        if other is not best:
+            other = self._with_rivals(self.polished(self._rounds(null, most, (), other)))
+            best = min(best, other, key=self.criteria.score)
+        return self._found(null, best)
 
     def hopeless(self, null: Fit, best: Fit) -> bool:
         """Tell whether a gap is far above the noise and hardly explained: to look further is vain."""
@@ -177,6 +184,29 @@ class Search:
         self.explored[best.ids] = best
         self._remember(self._rivals(best))
         return best
+
+    def _beside_one(self, best: Fit) -> Fit:
+        """Return the best set that is seen beside the one effect that does best alone.
+
+        Beside nothing what limits the readings, or lasts for a moment, hides or bends what others do.
+        """
+        if _is_turned(best) or len(best.terms) < 2:
+            return best
+        if len(best.terms) == 2:
+            ones = [self.without(best, effect_id) for effect_id in sorted(best.ids)]
+        else:
+            ones = [fit for ids, fit in self.explored.items() if len(ids) == 1 and ids <= best.ids]
+        empty, fits = Fit((), (), (), np.inf), [best]
+        for one in sorted(ones, key=self.criteria.score)[:_ALONE]:
+            if (one.ids, 0) not in self._candidates:
+                candidates = self._linearised(self.problem.refit(one), ())
+                sets = likeliest_sets(candidates, self.criteria, 2).get(2, ())
+                fits += [self._fitted(candidates, chosen, empty, _SHORT) for chosen in sets]
+        self._remember(fits)
+        likeliest = min(fits, key=self.criteria.score)
+        return (
+            likeliest if self.criteria.score(likeliest) < self.criteria.score(best) - _FAR_LIKELIER else best
+        )
 
     def nearest(self, most: int, held: Fit | None = None) -> Fit:
         """Return the fit that comes nearest with up to `most` effects, beside those `held`, needed or not.
