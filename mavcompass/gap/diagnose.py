@@ -36,10 +36,10 @@ from mavcompass.gap.result import Cause, Diagnosis
 from mavcompass.gap.selection import (
     Identified,
     Remainder,
-    floor_to_start,
     identify,
     split_blocks,
     what_is_left,
+    with_white,
 )
 from mavcompass.gap.traces import Traces, find_traces, searched
 from mavcompass.simulation.effects import Effect, catalogue
@@ -160,7 +160,7 @@ def _examined(track: Track, baseline: Track | None, withheld: frozenset[str], ho
 
     # 6. Split, 7. Search, 8. What is left
     how.progress(f"weighing {len(testable)} effects")
-    identified, remainder, floor = _explained(replayed, before, floor, testable, traces)
+    identified, remainder, floor = _explained(replayed, floor, testable, traces)
     if (
         any(t.effect.kind == "discrete" for t in identified.fit.terms)
         and steered_by(track, how.compass) != "other"
@@ -212,31 +212,30 @@ def _replayed(
 
 
 def _explained(
-    replayed: Replay, baseline: Replay | None, floor: Floor, testable: list[Effect], traces: Traces
+    replayed: Replay, floor: Floor, testable: list[Effect], traces: Traces
 ) -> tuple[Identified, Remainder, Floor]:
     """Search, and search again where the noise turns out to be another than the search assumed."""
     split = split_blocks(replayed.time_s, replayed.valid)
     names = frozenset(e.id for e in testable)
     if not floor.representative and (floor.measured or replayed.reference.kind != "columns"):
         floor = foreseen(floor, replayed, split.train, split.test)
-    start = floor_to_start(floor, replayed, baseline, traces)
+    # With too small a noise everything looks like an effect: what the numbers tell of it counts before.
+    detailed = floor.representative or not floor.measured
+    white = 0.0 if detailed or traces.step_mgauss > 0.0 else traces.excess_mgauss2 / replayed.averaged
+    added = white + traces.step_mgauss**2 / 12.0
+    start = with_noise(floor, with_white(floor.noise, added)) if added > 0.0 else floor
     effects = searched(replayed, testable)
-    as_it_is = start is floor
     identified, own = identify(replayed, start, split, effects, noise_known=floor.measured)
     floor = with_noise(own, floor.noise) if floor.measured else own
     remainder = what_is_left(identified, floor, names, traces)
-    if remainder.scatter is None and (as_it_is or not floor.measured or traces.step_mgauss > 0.0):
-        return identified, remainder, floor
-    if traces.excess_mgauss2 > 0.0 and remainder.scatter is not None and remainder.scatter.white:
-        # The search knew that scatter before it began.
-        return identified, remainder, floor
-    if remainder.scatter is None:
-        # What looked like scatter belongs to what was found: choose again under the floor itself.
-        identified, _ = identify(replayed, floor, split, effects, noise_known=True)
-    elif identified.found.best.terms:
-        # Extra scatter makes every gain look larger than it is: choose again under it.
-        noisy = with_noise(floor, remainder.problem.noise)
-        identified, _ = identify(replayed, noisy, split, effects, noise_known=True)
+    found = remainder.scatter
+    if white > 0.0:
+        done = found is not None and found.white
     else:
+        done = found is None or not identified.found.best.terms
+    if done:
         return identified, remainder, floor
+    # Extra scatter makes every gain look larger than it is: choose again under it.
+    noisy = with_noise(floor, remainder.problem.noise)
+    identified, _ = identify(replayed, noisy, split, effects, noise_known=True)
     return identified, what_is_left(identified, floor, names, replace(traces, step_mgauss=0.0)), floor

@@ -72,8 +72,8 @@ OTHERS = [(a, b) for a in (0.5, 1.0, 1.5, 2.0) for b in (5.0, 10.0, 20.0, 30.0, 
 LEVELS = {"gain": 0.01, "fit": 0.005, "sure": 0.9}
 # What the map and the score of healthy vehicles are made of (gap/answer/statistics.py).
 MAPPED = (
-    "lead", "overdispersion", "residual", "held_out", "structure", "strain", "confirmed", "members", "local",
-    "traced", "unlikely", "drift", "exact", "alone",
+    "lead", "residual", "held_out", "structure", "strain", "confirmed", "members", "unlikely", "exact",
+    "alone",
 )  # fmt: skip
 LEFT = ("residual", "fitted", "held_out", "structure", "strain", "field", "heading")
 # Ridge of the standardised weights; folds; the least size of a statistic's spread.

@@ -9,7 +9,7 @@ import numpy as np
 
 from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.fit import Fit, Problem
-from mavcompass.gap.left import drift_gain, kind_of
+from mavcompass.gap.left import kind_of
 from mavcompass.gap.result import Closing
 from mavcompass.gap.tables import Kind
 
@@ -37,9 +37,8 @@ def statistics(evidence: Evidence, field: Closing, heading: Closing) -> Statisti
 
     Logarithms of ratios that are one when all is well: `residual` and `held_out` are reduced chi squares
     of all readings and of those that were not fitted, `structure` the largest of a smooth test over that,
-    `field` and `heading` what is left over the floor, `overdispersion` T. Where the floor is exact,
-    `unlikely` is how far the least p value of the tests lies from one, and `drift` what an offset that
-    wanders would gain beside the set.
+    `field` and `heading` what is left over the floor. Where the floor is exact, `unlikely` is how far the
+    least p value of the tests lies from one.
     """
     identified, posterior = evidence.identified, evidence.identified.posterior
     problem, best, none = identified.first, posterior.best.fit, posterior.nothing.fit
@@ -52,21 +51,16 @@ def statistics(evidence: Evidence, field: Closing, heading: Closing) -> Statisti
     gained = (_squares(held, none) - _squares(held, best)) / spread
     values = {
         "lead": math.log1p(min(posterior.lead, _ALONE)),
-        "overdispersion": math.log(spread),
         "residual": math.log(residual),
         "fitted": math.log(_reduced(problem, best)),
         "held_out": math.log(_reduced(held, best)),
         "structure": math.log(max((t.excess for t in tests), default=1.0) / max(residual, 1.0)),
         "unlikely": improbable if kind == "exact" else 0.0,
-        "drift": math.log1p(drift_gain(remainder.problem, remainder.fit)[0]) if kind == "exact" else 0.0,
         "strain": math.log1p(posterior.best.strain),
         "confirmed": math.copysign(math.log1p(abs(gained)), gained),
         "field": math.log(max(field.after, 1e-3) / field.floor),
         "heading": math.log(max(heading.after, 1e-3) / heading.floor),
         "members": float(len(best.terms)),
-        "local": float(sum(term.effect.local for term in best.terms)),
-        "traced": float(evidence.beside),
-        "sweeps": float(evidence.adequacy.sweeps),
         "exact": float(kind == "exact"),
         "alone": float(kind in ("alone", "reference")),
     }

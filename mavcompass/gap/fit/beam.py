@@ -54,6 +54,6 @@ def likeliest_sets(
             seen.setdefault(frozenset(effect[i] for i in members), members)
         near = [m for m in seen.values() if scores[m] < lowest + _NEAR]
         out[size] = [tuple(every[i] for i in members) for members in near[:_FITTED]]
-        if lowest > smaller + criteria.cost(2):
+        if lowest > smaller + criteria.cost(2, 0):
             break
     return out

@@ -13,7 +13,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, placements
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.normal import BlockNormal
-from mavcompass.gap.replay import REFERENCE_YAW, WHEREABOUTS, WORLD_FIELD, group_values, yaw_starts
+from mavcompass.gap.replay import REFERENCE_YAW, WORLD_FIELD, group_values, yaw_starts
 from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading
 
@@ -130,7 +130,7 @@ class Candidates:
 
     def _loose(self) -> NDArray[np.bool_]:
         """Tell which parameters of nuisances only this recording knows, (K,)."""
-        own = (REFERENCE_YAW, WORLD_FIELD.id, WHEREABOUTS)
+        own = (REFERENCE_YAW, WORLD_FIELD.id)
         parts = [np.full(n.mean.size, n.effect.id in own) for n in self.problem.nuisances]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.bool_)
 

@@ -1,74 +1,61 @@
-"""Weigh fits of sets of effects against each other: is it needed, and which is it.
+"""Weigh fits of sets of effects against each other, as the posterior does (`selection/posterior`).
 
-Two questions have two criteria. *How many* effects: one more is taken only where the whitened sum of squares
-falls by more than chance allows once in 50 000 (chi-squared tail, corrected for the moments of change and
-frequencies that were tried), and where the noise is not exact, by as much again as blocks contradict each
-other. *Which*: sets of equal size compete by EBIC, SSE + k ln n + 2 m ln C (Chen and Chen, Biometrika 95,
-2008), and the weights exp(-EBIC / 2) tell how sure that is.
+What a set costs is (1) there: its parameters and effects have prices that were learnt, and what readings say
+counts by how far blocks of the recording contradict each other. One more effect is taken where that makes a
+set cheaper.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.gap.fit.candidates import Candidate, Candidates
-from mavcompass.gap.fit.chance import least_alone, least_growth
+from mavcompass.gap.fit.candidates import Candidates
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.tables import Kind, tables
 
-_CATALOGUE_SIZE = 40
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
 
 
 class Criteria:
     """Weigh fits of one problem.
 
-    `exact` says that the noise is known in detail; otherwise gains are held against how far blocks contradict
-    each other. `temper` is by how much errors that last for seconds make sums of squares larger than they
-    should be.
+    `kind` tells how the recording is known: where that is not in detail, gains are held against how far
+    blocks contradict each other. `temper` is by how much errors that last for seconds make sums of squares
+    larger than they should be.
     """
 
-    def __init__(self, problem: Problem, exact: bool = True) -> None:
-        self.exact = exact
+    def __init__(self, problem: Problem, kind: Kind = "exact") -> None:
+        self.kind: Kind = kind
+        self.exact = kind in ("exact", "reference")
         self.temper = 1.0
         self._problem = problem
-        self._log_n = math.log(max(problem.count, 2))
-        self._log_c = math.log(_CATALOGUE_SIZE)
         # By what a fit has more than another one, and by the fit.
         self._contradictions: dict[tuple[frozenset[str], frozenset[str], float], float] = {}
 
-    def score(self, fit: Fit) -> float:
-        """Return the EBIC of a fit.
+    def score(self, fit: Fit, temper: float | None = None) -> float:
+        """Return what a fit costs, under another temper perhaps.
 
         Errors that last for seconds are the readings': what is known of vehicle and place keeps its weight.
         """
         strain = self._problem.strain(fit)
-        return (fit.sse - strain) / self.temper + strain + self.cost(fit.dimension, len(fit.terms))
+        spread = self.temper if temper is None else temper
+        return (fit.sse - strain) / spread + strain + self.cost(fit.dimension, len(fit.terms))
 
-    def cost(self, dimension: int, effects: int = 1) -> float:
-        """Return EBIC's penalty for so many parameters and effects."""
-        return dimension * self._log_n + 2.0 * effects * self._log_c
+    def cost(self, dimension: int, effects: int) -> float:
+        """Return the price of so many parameters and effects."""
+        return tables().penalty[self.kind].of(dimension, effects, self._problem.count)
 
     def grows(self, smaller: Fit, larger: Fit) -> bool:
         """Tell whether the larger set is needed."""
-        least, gain = least_growth(smaller, larger, self._problem.count), smaller.sse - larger.sse
+        effects = len(larger.terms) - len(smaller.terms)
+        least = self.cost(max(larger.dimension - smaller.dimension, 1), effects)
+        gain = smaller.sse - larger.sse
         if gain <= least or self.exact:
             return gain > least
         eased = self._problem.strain(smaller) - self._problem.strain(larger)
         return (gain - eased) / self.contradiction(smaller, larger) + eased > least
-
-    def least(self, candidates: Candidates, chosen: tuple[Candidate, ...]) -> float:
-        """Return the least gain of the member of a set that needs least."""
-        least = math.inf
-        for candidate in chosen:
-            gain = least_alone(candidate.term, candidate.dimension, self._problem.count)
-            if not self.exact:
-                gain *= candidates.contradiction(chosen, [candidate])
-            least = min(least, gain)
-        return least
 
     def contradiction(self, smaller: Fit, larger: Fit) -> float:
         """Return by how much blocks contradict each other about what a larger set has more, 1 where they do

@@ -18,7 +18,6 @@ from mavcompass.gap.fit.composition import Changes, Composition
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
 from mavcompass.gap.fit.newton import bridge, cluster_covariance, invert, moved, room, solve_within
 from mavcompass.gap.replay import (
-    WHEREABOUTS,
     Noise,
     Prior,
     Replay,
@@ -253,8 +252,7 @@ class Problem:
         terms = tuple(terms)
         x = [np.array(t, dtype=np.float64) for t in (*nuisance_thetas, *thetas)]
         n = len(self.nuisances)
-        # What a wander of the places does depends on what belongs to a place.
-        lasting = n - sum(nuisance.effect.id == WHEREABOUTS for nuisance in self.nuisances)
+        fitted = 0 if self._steady else n
         free = [self.composition.free(terms, i) for i in range(len(x))]
         if self._steady:
             free[:n] = [np.arange(0)] * n
@@ -269,12 +267,11 @@ class Problem:
         borrowed, squared, own, ended = first is not None, None, None, False
         for _ in range(iterations):
             if first is None or self._away(x[:n], made_at) > _FAR:
-                fitted = range(0 if self._steady else lasting)
-                first, made_at, borrowed = self.columns(terms, x[n:], x[:n], states, fitted), x[:n], False
+                first = self.columns(terms, x[n:], x[:n], states, range(fitted))
+                made_at, borrowed = x[:n], False
                 self._lend(mounting, first, made_at)
-            other = range(n if self._steady else lasting, n + len(terms))
             if own is None:
-                own = self.columns(terms, x[n:], x[:n], states, other)
+                own = self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))
             if squared is None or squared[0] is not first:
                 squared = first, first.T @ first
             normal, gradient = self._equations(*squared, own, r, x, free, weak)

@@ -36,24 +36,7 @@ def polished(problem: Problem, criteria: Criteria, fit: Fit, moments: bool = Fal
             trial = problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas, _STEPS)
             if criteria.score(trial) < criteria.score(best) - 1e-6:
                 best = _in_order(problem.refit(trial), best)
-    return _settled(problem, criteria, best)
-
-
-def _settled(problem: Problem, criteria: Criteria, fit: Fit) -> Fit:
-    """Take back moments of change that the data do not need: they were sought at many places."""
-    for i, term in enumerate(fit.terms):
-        for j, parameter in enumerate(term.effect.parameters):
-            if not parameter.optional:
-                continue
-            if not parameter.low < fit.thetas[i][j] < parameter.high:
-                continue
-            never = fit.thetas[i].copy()
-            never[j] = term.effect.neutral()[j]
-            thetas = (*fit.thetas[:i], never, *fit.thetas[i + 1 :])
-            always = problem.fit(fit.terms, thetas, fit.nuisance_thetas)
-            if not criteria.grows(always, fit):
-                fit = always
-    return fit
+    return best
 
 
 def _in_order(fit: Fit, like: Fit) -> Fit:

@@ -2,7 +2,7 @@
 
 The catalogue is linearised once beside what is known, and sets are weighed by their normal equations; only
 the few that could win are fitted through the simulation. Beside the best one the catalogue is linearised
-again, until nothing changes. How many effects are needed, and which, `criteria` tell.
+again, until nothing changes. Sets are weighed by what they cost in the posterior (`criteria`).
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from mavcompass.gap.fit.criteria import Criteria
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.polish import polished
-from mavcompass.gap.fit.starts import beside_known_age, facing, in_place_of_each_other, steadied, turn_alone
+from mavcompass.gap.fit.starts import beside_known_age, facing, in_place_of_each_other, turn_alone
 from mavcompass.gap.fit.unbent import unbent
-from mavcompass.gap.tables import Kind, Penalty, tables
+from mavcompass.gap.tables import Kind
 from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
 _SHORT = 3
-# What is so much likelier by EBIC's score is worth another search; seen beside so many effects alone.
+# What is so much cheaper is worth another search; seen beside so many effects alone.
 _FAR_LIKELIER, _ALONE = 20.0, 2
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
 _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
@@ -60,7 +60,7 @@ class Search:
     """Search sets of effects on one problem.
 
     `worthwhile` tells whether what a fit leaves could still hold an effect that may be named; the search
-    goes on only then. `exact` says that the noise is known in detail, `kind` how the recording is known.
+    goes on only then. `kind` tells how the recording is known.
     """
 
     def __init__(
@@ -68,13 +68,11 @@ class Search:
         problem: Problem,
         effects: Iterable[Effect],
         worthwhile: Callable[[Fit], bool] = lambda fit: True,
-        exact: bool = True,
         kind: Kind = "exact",
     ) -> None:
         self.problem = problem
-        self.kind: Kind = kind
         self.worthwhile = worthwhile
-        self.criteria = Criteria(problem, exact)
+        self.criteria = Criteria(problem, kind)
         signals = problem.replay.signals
         self.terms = [
             term
@@ -89,14 +87,9 @@ class Search:
 
     def on(self, problem: Problem) -> Search:
         """Return a search of the same terms on other rows or under another noise, nothing explored yet."""
-        other = Search(problem, (), self.worthwhile, self.criteria.exact, self.kind)
+        other = Search(problem, (), self.worthwhile, self.criteria.kind)
         other.terms, other.criteria.temper = self.terms, self.criteria.temper
         return other
-
-    @property
-    def penalty(self) -> Penalty:
-        """Return what parameters and effects cost."""
-        return tables().penalty[self.kind]
 
     def forget(self) -> None:
         """Let go of all derivatives: what was explored stays."""
@@ -148,11 +141,10 @@ class Search:
         if self.hopeless(null, best):
             return self._found(null, best)
         best = self._with_rivals(self.polished(best))
-        for seen in (self._beside_one, self._among_rivals):
-            other = seen(best)
-            if other is not best:
-                other = self._with_rivals(self.polished(self._rounds(null, most, (), other)))
-                best = min(best, other, key=self.criteria.score)
+        other = self._beside_one(best)
+        if other is not best:
+            other = self._with_rivals(self.polished(self._rounds(null, most, (), other)))
+            best = min(best, other, key=self.criteria.score)
         return self._found(null, best)
 
     def hopeless(self, null: Fit, best: Fit) -> bool:
@@ -177,8 +169,7 @@ class Search:
         nothing, *left = candidates.expected([(), *sets])
         for chosen, after in zip(sets, left, strict=True):
             parameters = sum(candidate.dimension for candidate in chosen)
-            cost = self.penalty.of(parameters, len(chosen), self.problem.count)
-            if nothing - after > _HOPEFUL * cost:
+            if nothing - after > _HOPEFUL * self.criteria.cost(parameters, len(chosen)):
                 return True
         return False
 
@@ -192,16 +183,7 @@ class Search:
             best = self.problem.refit(min([best, *late], key=self.criteria.score))
         self.explored[best.ids] = best
         self._remember(self._rivals(best))
-        self._remember(steadied(self.problem, self.explored.values(), best))
         return best
-
-    def _among_rivals(self, best: Fit) -> Fit:
-        """Return what is as large as the best set and does far better; it was not seen on the way there."""
-        as_large = [fit for fit in self.explored.values() if len(fit.terms) == len(best.terms)]
-        likeliest = min(as_large, key=self.criteria.score)
-        return (
-            likeliest if self.criteria.score(likeliest) < self.criteria.score(best) - _FAR_LIKELIER else best
-        )
 
     def _beside_one(self, best: Fit) -> Fit:
         """Return the best set that is seen beside the one effect that does best alone.
@@ -310,7 +292,8 @@ class Search:
             return []
         needed, (before, *expected) = 0, candidates.expected([(), *(ranked[0] for ranked in sets.values())])
         for (size, ranked), after in zip(sets.items(), expected, strict=True):
-            if before - after > _HOPEFUL * self.criteria.least(candidates, ranked[0]):
+            least = self.criteria.cost(min(candidate.dimension for candidate in ranked[0]), 1)
+            if before - after > _HOPEFUL * self.criteria.temper * least:
                 needed, before = size, after
         chosen: list[tuple[Candidate, ...]] = list(sets.get(needed, ()))
         for size in sets:

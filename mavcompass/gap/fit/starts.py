@@ -1,12 +1,12 @@
 """Fits from starts that no derivative leads to.
 
 What makes readings late is hidden by the age of telemetry; a compass in another orientation is turned by
-right angles; out of a moment of change no fit comes again.
+right angles.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,25 +60,6 @@ def in_place_of_each_other(problem: Problem, terms: Sequence[Term], fit: Fit) ->
             members = zip(rest.terms, rest.thetas, strict=True)
             thetas = (*(_moved(*member, later_s) for member in members), _as_late(other, late_s))
             out.append(problem.fit((*rest.terms, other), thetas, fit.nuisance_thetas, _ITERATIONS))
-    return out
-
-
-def steadied(problem: Problem, fits: Iterable[Fit], best: Fit) -> list[Fit]:
-    """Fit sets that differ from the best one by one effect, and use moments of change where it does without,
-    from its values."""
-    out = []
-    for fit in fits:
-        if len(fit.terms) != len(best.terms) or len(fit.ids - best.ids) != 1:
-            continue
-        thetas = [
-            best.theta(term.effect.id) if term.effect.id in best.ids else theta
-            for term, theta in zip(fit.terms, fit.thetas, strict=True)
-        ]
-        if any(
-            _changes(term, own).any() and not _changes(term, other).any()
-            for term, own, other in zip(fit.terms, fit.thetas, thetas, strict=True)
-        ):
-            out.append(problem.fit(fit.terms, thetas, best.nuisance_thetas, _ITERATIONS))
     return out
 
 

@@ -14,11 +14,9 @@ from mavcompass.gap.left.floor import (
     widened,
     with_noise,
 )
-from mavcompass.gap.left.foreseen import foreseen, foreseen_places
+from mavcompass.gap.left.foreseen import foreseen
 from mavcompass.gap.left.scatter import (
     Scatter,
-    drift_gain,
-    early_scale,
     find_scatter,
     noise_with,
 )
@@ -32,11 +30,8 @@ __all__ = [
     "Scatter",
     "apart",
     "doubting",
-    "drift_gain",
-    "early_scale",
     "find_scatter",
     "foreseen",
-    "foreseen_places",
     "from_baseline",
     "from_recording",
     "heading_error_rad",

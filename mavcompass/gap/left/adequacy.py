@@ -26,11 +26,6 @@ _RANK = 1e-4
 _SLOW_HZ = 0.5
 _MOST_SWEEPS = 400
 
-_SWEEP = "sweeping line"
-_OF_LINES = (_SWEEP, "spectral line", "correlation")
-# By so many powers of ten, and by so much more than the others: twice what healthy vehicles leave.
-_SWEEPS, _ALONE = 15.0, 3.0
-
 
 @dataclass(frozen=True, slots=True)
 class Test:
@@ -56,20 +51,6 @@ class Adequacy:
     def p(self) -> float:
         """Return the probability that chance alone makes the smallest p this small (Bonferroni)."""
         return min(1.0, self.tests[0].p * len(self.tests)) if self.tests else 1.0
-
-    @property
-    def coordinate(self) -> str | None:
-        """Return where the unexplained structure shows most, None where there is none."""
-        return self.where if self.flagged and self.tests else None
-
-    @property
-    def sweeps(self) -> bool:
-        """Tell whether a line that sweeps stands out, and far more than anything besides lines and what they
-        correlate: no attitude that errs, and nothing that turns or drives, leaves one alone."""
-        told = {test.name: -math.log10(max(test.p, 1e-300)) for test in self.tests}
-        sweep = max((size for name, size in told.items() if _SWEEP in name), default=0.0)
-        others = [size for name, size in told.items() if not any(line in name for line in _OF_LINES)]
-        return sweep > max(_SWEEPS, _ALONE * max(others, default=0.0))
 
     @property
     def where(self) -> str:
@@ -222,7 +203,7 @@ def _scatter(problem: Problem, fit: Fit, compare: bool, thorough: bool) -> Itera
         z = z / np.maximum(scale, 1e-9)
         yield Test(f"{group}: spectral line", "frequency", _line(z))
         if group == "mag" and thorough:
-            yield Test(f"{group}: {_SWEEP}", "frequency", _sweep(z))
+            yield Test(f"{group}: sweeping line", "frequency", _sweep(z))
         lags = 20
         rho = np.stack([(z[lag:] * z[:-lag]).mean(axis=0) for lag in range(1, lags + 1)])
         # Their estimate has used up a correlation coefficient or so per lag of the floor's model.

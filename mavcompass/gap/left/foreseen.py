@@ -10,7 +10,7 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Mask, Problem
 from mavcompass.gap.left.floor import Floor, heading_error_rad
-from mavcompass.gap.replay import WHEREABOUTS, Replay
+from mavcompass.gap.replay import Replay
 
 
 def foreseen(floor: Floor, replay: Replay, train: Mask, test: Mask) -> Floor:
@@ -23,34 +23,23 @@ def foreseen(floor: Floor, replay: Replay, train: Mask, test: Mask) -> Floor:
     null = problem.null()
     if not null.covariance.size or not test.any():
         return floor
-    field_more, heading_more = _unknown(problem, null, test, slice(None))
+    field_more, heading_more = _unknown(problem, null, test)
     field_rest, heading_rest = _of_turns(
         replay.signals.stimulus.field_ned_mgauss[0], replay.reference.rest_rad2
     )
     return _raised(floor, field_more + field_rest, heading_more + heading_rest)
 
 
-def foreseen_places(floor: Floor, problem: Problem, fit: Fit, test: Mask) -> Floor:
-    """Raise a floor by what the places' wander leaves unknown of held-out rows beside a fit."""
-    first = 0
-    for nuisance in problem.nuisances:
-        own = slice(first, first + nuisance.mean.size)
-        first = own.stop
-        if nuisance.effect.id == WHEREABOUTS and fit.covariance.size and test.any():
-            return _raised(floor, *_unknown(problem, fit, test, own))
-    return floor
-
-
-def _unknown(problem: Problem, fit: Fit, test: Mask, own: slice) -> tuple[float, float]:
-    """Return the mean squares of field (mG) and heading (deg) that some nuisances leave unknown."""
+def _unknown(problem: Problem, fit: Fit, test: Mask) -> tuple[float, float]:
+    """Return the mean squares of field (mG) and heading (deg) that the nuisances leave unknown."""
     rows, predicted = np.flatnonzero(test), problem.predict(fit).mag_mgauss
-    changes = problem.nuisance_changes(fit)["mag"][:, :, own]
+    changes = problem.nuisance_changes(fit)["mag"]
     changed = (predicted[:, :, None] + changes).transpose(2, 0, 1)
     heading = [heading_error_rad(problem.replay, one, predicted)[rows] for one in changed]
     field = changes[rows].reshape(3 * rows.size, -1)
     turned = np.degrees(np.stack(heading, axis=1))
     count = sum(n.mean.size for n in problem.nuisances)
-    covariance = fit.covariance[:count, :count][own, own]
+    covariance = fit.covariance[:count, :count]
     field_more, heading_more = (
         float(np.mean(np.einsum("np,pq,nq->n", J, covariance, J))) for J in (field, turned)
     )

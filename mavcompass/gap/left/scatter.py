@@ -1,4 +1,4 @@
-"""Effects that do not shift readings but scatter them: more noise, jittering time stamps; slow drift."""
+"""Effects that do not shift readings but scatter them: more noise, jittering time stamps."""
 
 from __future__ import annotations
 
@@ -16,12 +16,10 @@ from mavcompass.gap.replay import (
     Noise,
     Replay,
     estimate_noise,
-    with_white,
 )
-from mavcompass.gap.traces import neighbours, quiet_doubt, quiet_scatter
+from mavcompass.gap.traces import quiet_doubt, quiet_scatter
 from mavcompass.simulation.effects import detected_by, get
 
-_DRIFT_MODES = 80
 # The scatter's own distribution is only known from the recording: be slower to name it.
 _SCATTER_TRIALS = 50
 # Without a baseline, times may scatter by this much and be healthy.
@@ -31,7 +29,6 @@ _AGREES = 2.0
 # What late readings scatter must be this share of the noise: where the field changes fast at one place only,
 # the model's own error there looks late.
 _LEAST_LATE = 0.1
-_DRIFT_SIZES = (0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 13.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,26 +129,6 @@ def _told_twice(
     return Scatter(detected_by("scatter").id, math.sqrt(size2), float(count), 0.5 * doubt * math.sqrt(size2))
 
 
-def early_scale(replay: Replay, baseline: Replay) -> FloatArray | None:
-    """Return how much larger than the baseline's the scatter between neighbours is, per row (N, 3).
-
-    Second differences hold next to nothing of slow causes, so that this can be told before any search.
-    None where the scatter is the baseline's.
-    """
-    own, nominal = (neighbours(one.measured.mag_mgauss - one.nominal_mgauss) for one in (replay, baseline))
-    size = np.sqrt(np.mean(nominal[baseline.valid] ** 2, axis=0))
-    y = (own / size)[replay.valid] ** 2
-    change = np.gradient(replay.signals.reading.mag_mgauss, replay.time_s, axis=0) / size
-    # Second differences of neighbours are correlated: a third of them counts.
-    even, even_size = _even_gain(y)
-    late, late_size = _late_gain(y, (change**2)[replay.valid], 1.0)
-    if max(even, late) / 3.0 < least_gain(1, _SCATTER_TRIALS) or max(even_size, late_size) <= 0.0:
-        return None
-    if late > even:
-        return np.asarray(np.sqrt(1.0 + late_size * change**2))
-    return np.full(change.shape, math.sqrt(1.0 + even_size))
-
-
 def _even_gain(y: FloatArray) -> tuple[float, float]:
     mean = float(y.mean())
     return y.size * (mean - 1.0 - math.log(max(mean, 1e-12))), mean - 1.0
@@ -188,44 +165,12 @@ def noise_with(problem: Problem, fit: Fit, scatter: Scatter) -> Noise:
     replay = problem.replay
     error = replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
     floor = problem.noise["mag"]
-    if scatter.white and floor.channels is not None:
-        return {**problem.noise, "mag": with_white(floor, math.sqrt(scatter.on_rows_mgauss2(replay)))}
     if scatter.white:
-        return {**problem.noise, "mag": estimate_noise(error, problem.usable, replay.resolution_mgauss)}
+        noise = estimate_noise(error, problem.usable, replay.resolution_mgauss, floor.channels)
+        return {**problem.noise, "mag": noise}
     change = floor.in_channels(np.gradient(problem.signals(fit).reading.mag_mgauss, replay.time_s, axis=0))
     scale = np.sqrt(1.0 + (scatter.size * change / floor.rms) ** 2)
     if floor.channels is not None:
         return {**problem.noise, "mag": replace(floor, row_scale=scale)}
     scaled = estimate_noise(error / scale, problem.usable, replay.resolution_mgauss)
     return {**problem.noise, "mag": replace(scaled, row_scale=scale)}
-
-
-def drift_gain(problem: Problem, fit: Fit) -> tuple[float, float]:
-    """Return how much a random walk of the offset adds to twice the log evidence of a fit, and its size.
-
-    The walk is expanded in its own (Karhunen and Loeve) modes sqrt(2) sin((k - 1/2) pi t / T), of
-    variance q^2 T^2 / ((k - 1/2) pi)^2 / T; their amplitudes are integrated out. Size in mG per sqrt(s).
-    """
-    replay = problem.replay
-    noise = problem.noise["mag"]
-    z = problem.innovations(problem.predict(fit))["mag"][problem.index]
-    span = float(replay.time_s[-1] - replay.time_s[0])
-    order = np.arange(1, _DRIFT_MODES + 1) - 0.5
-    modes = np.sqrt(2.0) * np.sin(np.pi * order * ((replay.time_s - replay.time_s[0]) / span)[:, None])
-    modes = modes * np.sqrt(span) / (np.pi * order)
-    modes = np.hstack([modes, np.ones((replay.time_s.size, 1)) * 10.0])
-    whitened = noise.decorrelated(modes[:, None])[problem.index]
-    each = []
-    for axis in range(3):
-        white = np.ascontiguousarray(whitened[:, axis])
-        values, vectors = np.linalg.eigh(white.T @ white)
-        each.append((np.maximum(values, 0.0), (vectors.T @ (white.T @ z[:, axis])) ** 2))
-    best, best_size = 0.0, 0.0
-    for size in _DRIFT_SIZES:
-        gain = 0.0
-        for axis in range(3):
-            q2, (values, projected) = (size / noise.sigma[axis]) ** 2, each[axis]
-            gain += float(np.sum(projected * q2 / (1.0 + q2 * values) - np.log1p(q2 * values)))
-        if gain > best:
-            best, best_size = gain, size
-    return best, best_size

@@ -22,14 +22,15 @@ from mavcompass.gap.rehearsal.result import Part, Rehearsal, Remedy
 from mavcompass.gap.rehearsal.runs import Run, calibrations
 from mavcompass.gap.rehearsal.stored import Stored
 from mavcompass.gap.result import Diagnosis
+from mavcompass.simulation.effects import get
+from mavcompass.simulation.effects.effect import PLACED
 from mavcompass.track import Track
 
 SOURCES = (NOISE, QUANTISATION, TILT, GYRO, FIELD, MOTORS)
 # So many vehicles tell a difference, since they meet the same chances.
 _COMPARED_SHARE, _FEWEST_COMPARED = 0.06, 40
 _AWAY_M = 10.0
-_LOADED = frozenset({"motor_current", "per_motor", "relay_field"})
-_LOCAL = frozenset({"spatial_dipole", "field_gradient", "height_anomaly"})
+_LOADS = frozenset({"current", "motors", "throttle|current|motors"})
 _FEW_STANCES = 5
 
 
@@ -114,7 +115,8 @@ def _protocols(kind: Kind) -> Iterator[tuple[str, Protocol]]:
         "two more stops leaning by 15 deg, right and nose up (by hand: --motion hand)",
         Protocol(leaning_rad=leaning),
     )
-    if _LOADED & set(kind.effects) or np.any(kind.motor_mgauss):
+    needs = {need for effect in kind.effects for need in get(effect).needs}
+    if needs & _LOADS or np.any(kind.motor_mgauss):
         yield "motors off while calibrating (by hand: --motion hand)", Protocol(motors_off=True)
     if "motor_current" in kind.effects:
         x, y, z = _motor_mean(kind).tolist()
@@ -122,7 +124,7 @@ def _protocols(kind: Kind) -> Iterator[tuple[str, Protocol]]:
             "the motor compensation set to what was found (COMPASS_MOT), then calibrated",
             Protocol(motor_mgauss=(x, y, z)),
         )
-    if _LOCAL & set(kind.effects):
+    if needs & PLACED:
         if kind.vehicle == "copter":
             yield f"calibrated while hovering {_AWAY_M:.0f} m higher", Protocol(away_m=(0.0, 0.0, -_AWAY_M))
         yield f"calibrated {_AWAY_M:.0f} m away", Protocol(away_m=(_AWAY_M, 0.0, 0.0))

@@ -19,19 +19,16 @@ from mavcompass.gap.replay.noise import (
     rough_sigma,
     wandering,
     white,
-    with_white,
 )
 from mavcompass.gap.replay.nominal import Replay, level_mgauss, replay
 from mavcompass.gap.replay.nuisance import (
     REFERENCE_YAW,
     TELEMETRY_AGE,
-    WHEREABOUTS,
     WORLD_FIELD,
     Nuisance,
     Prior,
     block_diagonal,
     turned,
-    whereabouts,
     yaw_starts,
 )
 from mavcompass.gap.replay.readings import Readings
@@ -46,7 +43,6 @@ __all__ = [
     "STATED",
     "TELEMETRY_AGE",
     "USUAL_SCATTER_MGAUSS",
-    "WHEREABOUTS",
     "WORLD_FIELD",
     "WORST_SCATTER_MGAUSS",
     "Noise",
@@ -71,8 +67,6 @@ __all__ = [
     "turned",
     "untestable_effects",
     "wandering",
-    "whereabouts",
     "white",
-    "with_white",
     "yaw_starts",
 ]

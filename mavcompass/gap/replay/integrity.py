@@ -20,6 +20,8 @@ _IN_STEP, _AS_GOOD, _WORTH_A_LEVEL = 0.85, 0.97, 0.005
 _RESTING_RADPS, _WORTH_A_LOOK_S = 0.01, 0.25
 # An autopilot repeats nine of ten readings by nature, and a compass on a vehicle that turns does not stay.
 _ALWAYS, _TURNED_RAD = 0.97, math.radians(10.0)
+# Telemetry may come once in a second, and miss one or two.
+_FROZE_S = 4.0
 _BIN_MGAUSS, _MOST_BINS = 0.25, 1 << 18
 
 
@@ -40,6 +42,12 @@ class Trace:
     jump_mgauss: FloatArray
     turned_rad: FloatArray
     step_mgauss: float
+
+    @property
+    def froze(self) -> bool:
+        """Tell whether a reading stayed while a gyro turned, far longer than telemetry holds one."""
+        turned = np.where(np.isfinite(self.turned_rad), self.turned_rad, 0.0)
+        return bool(((turned > _TURNED_RAD) & (self.held_s > _FROZE_S)).any())
 
     @property
     def frozen(self) -> bool:

@@ -19,8 +19,6 @@ _MOST_LAGS = 4
 # innovation stays.
 _MEMORIES, _FEWEST_MEMORIES = (10, 20, 40, 80, 160, 320), 12
 _GAINS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3)
-# The response to an innovation has died away after so many readings; correlation is told for so many lags.
-_RESPONSE, _LAGS = 2000, 25
 # Readings that a recursion filters at once.
 _STRETCH = 32
 # Data sheets state 2 to 4 mG (HMC5883L, QMC5883L, IST8310); no healthy compass scatters by more than ten.
@@ -89,34 +87,6 @@ class SensorNoise:
             out[0] *= np.repeat(np.where(self.moving > 0.0, (self.sigma / self.rms) ** 2, 1.0), k)
             return recursive(self.moving, out.reshape(n, 3, k))
         return out.reshape(n, 3, k)
-
-    def filled(self, error: FloatArray, missing: NDArray[np.bool_], rng: np.random.Generator) -> FloatArray:
-        """Return errors (N, 3) whose missing elements are drawn from the noise, given what came before."""
-        out, drawn = error.copy(), rng.standard_normal(error.shape)
-        coefficients, moving = self.coefficients.mean(axis=1), float(self.moving.mean())
-        scale = self.sigma if self.row_scale is None else self.sigma * self.row_scale
-        scale = np.broadcast_to(scale, error.shape)
-        last = np.zeros(error.shape[1])
-        for t in range(len(out)):
-            known = -moving * last
-            for lag, coefficient in enumerate(coefficients[:t].tolist(), start=1):
-                known += coefficient * out[t - lag] / scale[t]
-            last = np.where(missing[t], drawn[t], out[t] / scale[t] - known)
-            out[t] = np.where(missing[t], (known + drawn[t]) * scale[t], out[t])
-        return out
-
-    def autocorrelation(self, channel: int) -> FloatArray:
-        """Return a channel's autocorrelation at lags of 0, 1, 2 ... readings, from the response to one
-        innovation."""
-        response = np.zeros(_RESPONSE)
-        response[0] = 1.0
-        response[1] = -self.moving[channel]
-        own = self.coefficients[:, channel]
-        for t in range(1, _RESPONSE):
-            last = response[max(t - own.size, 0) : t][::-1]
-            response[t] += float(np.dot(own[: last.size], last))
-        lags = [float(np.dot(response[: _RESPONSE - lag], response[lag:])) for lag in range(_LAGS)]
-        return np.array(lags) / lags[0]
 
     @property
     def square_inflation(self) -> float:
@@ -274,33 +244,6 @@ def wandering(scatter: FloatArray, slow: float, correlation: float) -> tuple[Flo
     theta = 0.0 if ratio <= 0.0 else float((1.0 - np.sqrt(max(1.0 - 4.0 * ratio**2, 0.0))) / (2.0 * ratio))
     variance = (w + scatter**2 * (1.0 - theta**2 + (correlation - theta) ** 2)) / (1.0 - theta**2)
     return np.sqrt(variance), theta
-
-
-def with_white(noise: SensorNoise, sigma: float) -> SensorNoise:
-    """Return a noise with white scatter of a standard deviation on top, alike in all axes.
-
-    What wanders is not scaled by it: each channel becomes white scatter on a slow error of the correlation
-    that its noise had.
-    """
-    rms = np.sqrt(noise.rms**2 + sigma**2)
-    width = noise.rms.size
-    correlation, innovation, moving = np.zeros((1, width)), rms.copy(), np.zeros(width)
-    for channel in range(width):
-        told = noise.autocorrelation(channel) * noise.rms[channel] ** 2
-        own = float(
-            np.clip(np.dot(told[1:-1], told[2:]) / max(np.dot(told[1:-1], told[1:-1]), 1e-300), 0.0, 0.995)
-        )
-        powers = own ** np.arange(1, told.size)
-        slow = float(np.clip(np.dot(told[1:], powers) / max(np.dot(powers, powers), 1e-300), 0.0, told[0]))
-        scatter = math.sqrt(told[0] - slow + sigma**2)
-        innovation[[channel]], moving[channel] = wandering(np.array([scatter]), math.sqrt(slow), own)
-        correlation[0, channel] = own
-    scale = noise.row_scale
-    if scale is not None:
-        scale = np.sqrt((scale**2 * noise.rms**2 + sigma**2) / rms**2)
-    return SensorNoise(
-        correlation, innovation, rms, noise.samples, row_scale=scale, moving=moving, channels=noise.channels
-    )
 
 
 def white(sigma: FloatArray, samples: float = np.inf) -> SensorNoise:

@@ -46,7 +46,7 @@ from mavcompass.gap.replay.rows import (
     swing,
     unbroken,
 )
-from mavcompass.gap.replay.whereabouts import goes_about, place_curves, place_scatter_m, position_of
+from mavcompass.gap.replay.whereabouts import goes_about, place_scatter_m, position_of
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.effects.sampling import thinned
@@ -86,7 +86,6 @@ class Replay:
         readings: every reading, of which the rows are means; averaged: of how many neighbours each;
             late_s: by how much the rows are earlier than their readings came.
         place: latitude, longitude in degrees, altitude in metres; None where unknown.
-        place_curves_m: how the places of the stimulus may wander, (N, 3, k), each with sigma one.
         place_scatter_m: how far each place is off by itself, (3,).
         doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
             noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
@@ -114,7 +113,6 @@ class Replay:
     averaged: int = 1
     late_s: float = 0.0
     place: tuple[float, float, float] | None = None
-    place_curves_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
     place_scatter_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     doubtful: Mapping[Group, SensorNoise] = field(default_factory=dict)
     loads_every_s: float = 0.0
@@ -257,7 +255,6 @@ def replay(
         averaged=rows.width,
         late_s=told_s,
         place=_place(track),
-        place_curves_m=place_curves(position, track.gps_velocity_mps, time_s),
         place_scatter_m=place_scatter_m(position),
         loads_every_s=_every_s(track.current_a, track.throttle),
     )

@@ -20,7 +20,7 @@ _Rng = np.random.Generator | None
 _TURNS = 6
 # How old a reading usually is when an autopilot reports it, and how much that differs.
 USUAL_AGE_S, AGE_SIGMA_S = 0.06, 0.05
-REFERENCE_YAW, TELEMETRY_AGE, WHEREABOUTS = "reference yaw", "telemetry age", "whereabouts"
+REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,8 +33,8 @@ class Nuisance:
 
     @property
     def known(self) -> int:
-        """Count the leading parameters that something is known of: how attitude and places wander is not."""
-        return {REFERENCE_YAW: 1, WHEREABOUTS: 0}.get(self.effect.id, self.mean.size)
+        """Count the leading parameters that something is known of: how the attitude wanders is not."""
+        return 1 if self.effect.id == REFERENCE_YAW else self.mean.size
 
     @classmethod
     def of(cls, effect: Effect, mean: FloatArray, sigma: FloatArray) -> Nuisance:
@@ -53,10 +53,6 @@ class Prior:
     def of(cls, nuisances: Sequence[Nuisance]) -> Prior:
         """Build the prior of nuisances that know nothing of each other."""
         return cls(tuple(nuisances), block_diagonal([n.precision for n in nuisances]))
-
-    def beside(self, other: Nuisance) -> Prior:
-        """Return the prior with one more nuisance, which knows nothing of the others."""
-        return Prior((*self.nuisances, other), block_diagonal([self.precision, other.precision]))
 
     @property
     def mean(self) -> FloatArray:
@@ -129,24 +125,6 @@ def reference_attitude_error(curves_rad: FloatArray, with_yaw: FloatArray | None
         parameters=(Parameter("constant", "rad", -10.0, 10.0, 0.0, 0.01), *amplitudes),
         forward=forward,
     )
-
-
-def whereabouts(curves_m: FloatArray) -> Nuisance:
-    """Build what a receiver does not know of its places: curves (N, 3, k) over time, each of sigma one."""
-
-    def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: _Rng) -> Signals:
-        s = signals.stimulus
-        return Signals(replace(s, position_ned_m=s.position_ned_m + curves_m @ theta), signals.reading)
-
-    count = curves_m.shape[2]
-    effect = Effect(
-        id=WHEREABOUTS,
-        title="what the receiver does not know of its places",
-        stage=Stage.WORLD,
-        parameters=tuple(Parameter(f"curve {i + 1}", "1", -30.0, 30.0, 0.0, 1.0) for i in range(count)),
-        forward=forward,
-    )
-    return Nuisance.of(effect, np.zeros(count), np.ones(count))
 
 
 def yaw_starts(nuisances: Sequence[Nuisance]) -> list[tuple[FloatArray, ...]]:

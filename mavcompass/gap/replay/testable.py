@@ -64,7 +64,7 @@ def untestable_effects(
             out[effect.id] = _NO_SENSOR
         # A baseline that was read in the same way teaches how late, and how smooth, readings are by nature.
         repeats, jitter = effect.detector == "repeats", effect.detector == "jitter"
-        taught = (age_known and not jitter) or (replayed.trace.frozen and repeats)
+        taught = (age_known and not jitter) or (replayed.trace.froze and repeats)
         if replayed.telemetry and (effect.stage is Stage.TIMING or repeats) and not taught:
             out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"
         if replayed.averaged > 1 and jitter:

@@ -21,34 +21,9 @@ _MEMORY_S = 60.0
 _SPAN_S = 5.0
 _FEWEST_FIXES = 60
 _LEAST_M, _MOST_M = 0.05, 3.0
-# The wander's largest modes, until the others are smaller than this, so many at most.
-_KNOTS_S, _LEAST_MODE_M, _MOST_MODES = 10.0, 0.05, 12
 # Standard deviations of a path beside which the errors of a position are small.
 _LEAST_PATH_M, _LEAST_RECEIVED_PATH_M = 0.05, 1.5
 _LEAST_TOLD_PATH_M, _BEYOND_WANDER = 0.5, 3.0
-
-
-def place_curves(position_m: Series | None, velocity_mps: Series | None, time_s: FloatArray) -> FloatArray:
-    """Return curves of the places' wander at some times, (N, 3, k), each with an amplitude of sigma one.
-
-    None, k = 0, where nothing tells a velocity besides, and where places do not wander.
-    """
-    known = wander_m(position_m, velocity_mps)
-    sigma = np.zeros(3) if known is None else known
-    count = max(math.ceil(float(time_s[-1] - time_s[0]) / _KNOTS_S), 2) + 1
-    knots = np.linspace(time_s[0], time_s[-1], count)
-    covariance = np.exp(-np.abs(knots[:, None] - knots) / _MEMORY_S)
-    values, vectors = np.linalg.eigh(covariance)
-    modes = vectors[:, ::-1][:, :_MOST_MODES] * np.sqrt(np.maximum(values[::-1][:_MOST_MODES], 0.0))
-    over_time = np.stack([np.interp(time_s, knots, mode) for mode in modes.T], axis=1)
-    # A constant is the datum of the places, which nothing knows anyhow.
-    over_time = over_time - over_time.mean(axis=0)
-    size = np.sqrt(np.mean(over_time**2, axis=0))
-    curves = []
-    for axis in range(3):
-        for mode in np.flatnonzero(sigma[axis] * size > _LEAST_MODE_M):
-            curves.append(sigma[axis] * np.outer(over_time[:, mode], np.eye(3)[axis]))
-    return np.stack(curves, axis=2) if curves else np.zeros((time_s.size, 3, 0))
 
 
 def place_scatter_m(position_m: Series | None) -> FloatArray:

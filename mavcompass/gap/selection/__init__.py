@@ -3,7 +3,7 @@
 from mavcompass.gap.selection.identification import identify
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.posterior import Explanation, Posterior
-from mavcompass.gap.selection.remainder import Remainder, floor_to_start, what_is_left
+from mavcompass.gap.selection.remainder import Remainder, what_is_left, with_white
 from mavcompass.gap.selection.split import split_blocks
 from mavcompass.gap.selection.transient import between_rows
 
@@ -13,8 +13,8 @@ __all__ = [
     "Posterior",
     "Remainder",
     "between_rows",
-    "floor_to_start",
     "identify",
     "split_blocks",
     "what_is_left",
+    "with_white",
 ]

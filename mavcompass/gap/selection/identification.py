@@ -10,9 +10,9 @@ from functools import partial
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Found, Mask, Problem, Search, Term, pruned
-from mavcompass.gap.left import Floor, foreseen_places, kind_of, rms, widened
-from mavcompass.gap.replay import WHEREABOUTS, Replay, group_values, whereabouts
+from mavcompass.gap.fit import Fit, Mask, Problem, Search, Term, pruned
+from mavcompass.gap.left import Floor, kind_of, rms, widened
+from mavcompass.gap.replay import Replay, group_values
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.selection.posterior import posterior_of
 from mavcompass.gap.selection.split import Split, probe, with_parts, with_windows
@@ -39,9 +39,6 @@ _PASSING = 0.25
 _NO_WORSE = 1.05
 # What healthy sensors may be off by, in mG, m/s^2 and rad/s: a search for less ends.
 _HEALTHY: dict[Group, float] = {"mag": 1.0, "acc": 0.1, "gyro": 0.004}
-# Places may wander where so much is left of each reading, and must leave no more than this share of it; so
-# many smaller sets are fitted with them.
-_UNEXPLAINED, _WANDERED, _LIKELY = 1.3, 0.7, 3
 
 
 def identify(
@@ -85,24 +82,7 @@ def identify(
         result, own = replace(calmer, fit=with_moments(calmer.problem, calmer.fit, when)), settled
         if not switches(result.fit):
             break
-    calmed = result.problem.replay is not replay
-    return (_clear(result) if calmed and switches(result.fit) else result), own
-
-
-def _clear(found: Identified) -> Identified:
-    """Return what was found fitted without readings of both on and off as it is switched at last.
-
-    They are few: no search is repeated for them.
-    """
-    before, split = found.problem, found.split
-    clear = ~switched(before, found.fit)
-    if clear[before.usable].all():
-        return found
-    fewer = replace(before.replay, valid=before.replay.valid & clear)
-    calm = replace(split, train=split.train & clear, test=split.test & clear)
-    problem = Problem(fewer, before.noise, calm.train, before.prior)
-    fit, none = problem.refit(found.fit), problem.null(found.found.null)
-    return replace(found, problem=problem, split=calm, fit=fit, found=replace(found.found, null=none))
+    return result, own
 
 
 def _each(found: Identified) -> float:
@@ -119,22 +99,16 @@ def _searched(
     likely: tuple[Sequence[Term], Sequence[FloatArray]] | None = None,
 ) -> tuple[Identified, Floor]:
     """Search and weigh, under a noise learnt in passes; what was `likely` with other rows is tried first."""
-    # An independent attitude has no errors that last for seconds.
-    exact, kind = floor.representative or replay.reference.kind == "columns", kind_of(replay, floor)
+    kind = kind_of(replay, floor)
     whole = Problem(replay, floor.noise, split.train | split.test, floor.prior)
     nothing = whole.null()
     split = _parted(whole, nothing, floor, split)
     for turn in range(passes):
         problem = Problem(replay, floor.noise, split.train, floor.prior)
         problem.null(nothing)
-        search = Search(problem, effects, partial(_worthwhile, problem, floor), exact, kind)
+        search = Search(problem, effects, partial(_worthwhile, problem, floor), kind)
         tried = [problem.fit(*likely, nothing.nuisance_thetas)] if likely else ()
         found = search.run(likely=tried)
-        if (wandering := _with_wander(problem, floor, found)) is not None:
-            floor, problem, placed = wandering
-            search = Search(problem, effects, partial(_worthwhile, problem, floor), exact, kind)
-            found = search.run(likely=placed)
-        floor = foreseen_places(floor, problem, found.best, split.test)
         posterior = posterior_of(search, found)
         # Where the noise is only to be learnt, moments need be no nearer.
         wider = widened(floor, problem, posterior.best.fit) if turn + 1 < passes else floor
@@ -160,27 +134,6 @@ def _worthwhile(problem: Problem, floor: Floor, fit: Fit) -> bool:
         if rms(error[problem.index]) ** 2 - rms(problem.noise[group].rms) ** 2 > _HEALTHY[group] ** 2:
             return True
     return False
-
-
-def _with_wander(problem: Problem, floor: Floor, found: Found) -> tuple[Floor, Problem, list[Fit]] | None:
-    """Let the places wander where that explains what is left of something at a place.
-
-    Return floor and problem with that, and the sets that held something at a place fitted anew.
-    """
-    curves = problem.replay.place_curves_m
-    known = any(nuisance.effect.id == WHEREABOUTS for nuisance in problem.nuisances)
-    quiet = found.best.sse < _UNEXPLAINED * 3 * problem.count
-    if known or quiet or not curves.size or not _placed(found.best):
-        return None
-    wandering = replace(floor, prior=floor.prior.beside(whereabouts(curves)))
-    wide = Problem(problem.replay, floor.noise, problem.rows, wandering.prior)
-    placed = [f for f in found.explored.values() if _placed(f) and len(f.terms) < len(found.best.terms)]
-    likely = [
-        wide.fit(fit.terms, fit.thetas, (*fit.nuisance_thetas, np.zeros(curves.shape[2])))
-        for fit in (found.best, *sorted(placed, key=lambda f: f.sse)[:_LIKELY])
-    ]
-    explained = min(fit.sse for fit in likely) < _WANDERED * found.best.sse
-    return (wandering, wide, likely) if explained else None
 
 
 def _placed(fit: Fit) -> bool:

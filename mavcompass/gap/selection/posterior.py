@@ -97,15 +97,13 @@ class Posterior:
 
 def posterior_of(search: Search, found: Found) -> Posterior:
     """Weigh the explored sets of a search, the likeliest of them fitted to the end."""
-    problem, penalty = search.problem, search.penalty
+    problem = search.problem
     explored = {frozenset(): problem.null(), **found.explored}
     fullest = min(explored.values(), key=lambda fit: fit.sse)
     spread = max(1.0, search.criteria.contradiction(found.null, fullest)) if fullest.terms else 1.0
 
     def cost(fit: Fit) -> float:
-        strain = problem.strain(fit)
-        priced = penalty.of(fit.dimension, len(fit.terms), problem.count)
-        return (fit.sse - strain) / spread + strain + priced
+        return search.criteria.score(fit, spread)
 
     ranked = sorted(explored.values(), key=cost)
     for fit in ranked[:_REFITTED]:

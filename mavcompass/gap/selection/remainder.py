@@ -6,7 +6,6 @@ floor's. What is left is judged under that noise; otherwise each of these would 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +15,11 @@ from mavcompass.gap.fit import Fit, Problem
 from mavcompass.gap.left import (
     Floor,
     Scatter,
-    early_scale,
     find_scatter,
     measured_noise,
     noise_with,
-    with_noise,
 )
-from mavcompass.gap.replay import Noise, Replay, with_white
+from mavcompass.gap.replay import Noise
 from mavcompass.gap.selection.identified import Identified
 from mavcompass.gap.traces import Traces
 from mavcompass.simulation.effects.effect import LIMIT
@@ -45,47 +42,23 @@ class Remainder:
     comparable: bool
 
 
-def floor_to_start(floor: Floor, replay: Replay, baseline: Replay | None, traces: Traces) -> Floor:
-    """Add to the floor what the numbers tell before any search: their steps, and scatter between neighbours.
-
-    With too small a noise everything looks like an effect, and the search for it is long and vain. Where the
-    noise is not known in detail only what single readings scatter beyond the baseline's counts.
-    """
-    if traces.step_mgauss > 0.0:
-        return with_noise(floor, with_steps(floor.noise, traces.step_mgauss))
-    if baseline is None or not floor.measured:
-        return floor
-    if not floor.representative:
-        if traces.excess_mgauss2 <= 0.0:
-            return floor
-        noisier = with_white(floor.noise["mag"], math.sqrt(traces.excess_mgauss2 / replay.averaged))
-        return with_noise(floor, {**floor.noise, "mag": noisier})
-    scale = early_scale(replay, baseline)
-    if scale is None:
-        return floor
-    return with_noise(floor, {**floor.noise, "mag": replace(floor.noise["mag"], row_scale=scale)})
-
-
-def with_steps(noise: Noise, step_mgauss: float) -> Noise:
-    """Add the rounding's own noise, step^2 / 12, to the floor's."""
-    mag, added = noise["mag"], step_mgauss**2 / 12.0
-    return {
-        **noise,
-        "mag": replace(mag, sigma=np.sqrt(mag.sigma**2 + added), rms=np.sqrt(mag.rms**2 + added)),
-    }
+def with_white(noise: Noise, variance_mgauss2: float) -> Noise:
+    """Add white scatter to the compass's noise: the rounding's, step^2 / 12, or what single readings show."""
+    mag = noise["mag"]
+    sigma, rms = (np.sqrt(values**2 + variance_mgauss2) for values in (mag.sigma, mag.rms))
+    return {**noise, "mag": replace(mag, sigma=sigma, rms=rms)}
 
 
 def what_is_left(identified: Identified, floor: Floor, names: frozenset[str], traces: Traces) -> Remainder:
     """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise."""
     step_mgauss = traces.step_mgauss
     replay, chosen = identified.problem.replay, identified.fit
-    noise = with_steps(floor.noise, step_mgauss) if step_mgauss > 0.0 else floor.noise
+    noise = with_white(floor.noise, step_mgauss**2 / 12.0) if step_mgauss > 0.0 else floor.noise
     problem = Problem(replay, noise, replay.valid, floor.prior)
     fit = problem.refit(chosen)
     # Moments and thresholds lie between readings: all rows place them better than the training rows.
     if any(term.effect.moves for term in fit.terms):
         fit = identified.search.on(problem).polished(fit)
-    problem = _without_plateaus(problem, fit)
     if step_mgauss > 0.0:
         return _unrounded(problem, fit, floor, step_mgauss)
     scatter = find_scatter(problem, fit, names, floor, traces.excess_mgauss2)
@@ -94,24 +67,6 @@ def what_is_left(identified: Identified, floor: Floor, names: frozenset[str], tr
         return Remainder(problem, fit, None, fit.value(LIMIT) is None)
     noisy = Problem(problem.replay, noise_with(problem, fit, scatter), problem.rows, floor.prior)
     return Remainder(noisy, noisy.refit(fit), scatter, False)
-
-
-def _without_plateaus(problem: Problem, fit: Fit) -> Problem:
-    """Put what the floor would make in the place of readings at the limit of a saturated sensor.
-
-    They have no noise to be judged by, and one axis may be at its limit nearly all the time.
-    """
-    limit = fit.value(LIMIT)
-    if limit is None:
-        return problem
-    noise, replay = problem.noise["mag"], problem.replay
-    near = limit - 3.0 * noise.rms
-    predicted, measured = problem.predict(fit).mag_mgauss, replay.measured
-    plateau = (np.abs(predicted) > near) | (np.abs(measured.mag_mgauss) > near)
-    error = measured.mag_mgauss - predicted
-    error = noise.filled(error, plateau | ~np.isfinite(error), np.random.default_rng(_SEED))
-    free = Reading(predicted + error, measured.acc_mps2, measured.gyro_radps)
-    return Problem(replace(replay, measured=free), problem.noise, problem.rows, problem.prior)
 
 
 def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> Remainder:

@@ -33,11 +33,6 @@ class Split:
     train: Mask
     test: Mask
 
-    def halves(self) -> tuple[Mask, Mask]:
-        """Cut the training rows in two halves of alternating blocks, to check one with the other."""
-        order = np.cumsum(~self.held)[self.block]
-        return self.train & (order % 2 == 0), self.train & (order % 2 == 1)
-
 
 def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
     """Hold out one block of every four, at a place that a fixed generator draws.

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import subprocess
-import sys
-import tempfile
+import secrets
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 
-from mavcompass.errors import MavCompassError, UsageError
+from mavcompass.errors import UsageError
 from mavcompass.gap.diagnose import diagnose_gap
-from mavcompass.gap.trial.label import SHARES, Generator, Label, Tier
+from mavcompass.gap.trial import bench, foreign
+from mavcompass.gap.trial.label import SHARES, Generator, Tier
 from mavcompass.gap.trial.score import Answer, Case, score, scoreboard, wilson
-from mavcompass.gap.trial.sealed import read_case
 from mavcompass.track import Track
 
 SCHEMA = "mavcompass.gap-trial/1"
@@ -111,53 +109,38 @@ def run_trial(
     progress: Callable[[int], None] | None = None,
     generator: Generator = "bench",
 ) -> Trial:
-    """Seal cases in another process, diagnose them, then open the labels and score.
+    """Publish the hash of all labels, with salt; diagnose each case, drawn anew without its label; score.
 
-    Raises UsageError for a tier that the generator does not have, MavCompassError where the cases could not
-    be made or the seal does not fit the labels.
+    Raises UsageError for a tier that the generator does not have.
     """
     if tier is not None and tier not in SHARES[generator]:
         raise UsageError(
             f"The generator {generator!r} has no tier {tier!r}.", f"Choose of {', '.join(SHARES[generator])}."
         )
-    with tempfile.TemporaryDirectory(prefix="mavcompass-trial-") as name:
-        folder = Path(name)
-        command = [sys.executable, "-m", "mavcompass.gap.trial", str(folder), "--cases", str(cases)]
-        command += ["--generator", generator, "--seed", str(seed), *(["--tier", tier] if tier else [])]
-        made = subprocess.run(command, capture_output=True, text=True, check=False)
-        if made.returncode:
-            raise MavCompassError(
-                f"The sealed cases could not be made: {made.stderr.strip()[-300:]}",
-                "Check that the temporary folder has space.",
-            )
-        seal = (folder / "seal").read_text(encoding="utf-8").strip()
-        answers = []
-        for index in range(cases):
-            track, baseline = read_case(folder / f"{index:04d}.npz")
-            answers.append(_answer(track, baseline))
-            if progress is not None:
-                progress(index + 1)
-        hashed = hashlib.sha256(repr(answers).encode()).hexdigest()
-        text = (folder / "labels.json").read_text(encoding="utf-8")
-        if hashlib.sha256(text.encode()).hexdigest() != seal:
-            raise MavCompassError(
-                "The labels do not have the hash they were sealed with.", "Run the trial again."
-            )
-        labels = [_label(entry) for entry in json.loads(text)["labels"]]
-        scored = []
-        for index, (label, answer) in enumerate(zip(labels, answers, strict=True)):
-            withheld = None
-            if label.tier == "withheld":
-                track, baseline = read_case(folder / f"{index:04d}.npz")
-                withheld = _answer(track, baseline, label.ids)
-            scored.append(score(label, answer, withheld))
+    draw = bench.draw_case if generator == "bench" else partial(foreign.draw_case, generator)
+    labels = [draw(seed, index, tier)[0] for index in range(cases)]
+    text = json.dumps({"salt": secrets.token_hex(16), "labels": [asdict(label) for label in labels]})
+    seal = hashlib.sha256(text.encode()).hexdigest()
+    answers = []
+    for index in range(cases):
+        _, track, baseline = draw(seed, index, tier)
+        answers.append(_answer(untold(track), untold(baseline)))
+        if progress is not None:
+            progress(index + 1)
+    hashed = hashlib.sha256(repr(answers).encode()).hexdigest()
+    scored = []
+    for index, (label, answer) in enumerate(zip(labels, answers, strict=True)):
+        withheld = None
+        if label.tier == "withheld":
+            _, track, baseline = draw(seed, index, tier)
+            withheld = _answer(untold(track), untold(baseline), label.ids)
+        scored.append(score(label, answer, withheld))
     return Trial(seed, seal, hashed, tuple(scored), generator)
 
 
-def _label(entry: dict[str, object]) -> Label:
-    values = dict(entry)
-    values["effects"] = tuple(values["effects"])  # type: ignore[arg-type]
-    return Label(**values)  # type: ignore[arg-type]
+def untold(track: Track) -> Track:
+    """Return a recording without its true attitude, and without a word of who made it."""
+    return replace(track, source="case", truth_q=None, notes=())
 
 
 def _answer(track: Track, baseline: Track, withhold: tuple[str, ...] = ()) -> Answer:

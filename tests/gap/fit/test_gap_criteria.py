@@ -18,7 +18,7 @@ LAG, LOW_PASS, HARD_IRON = (registry.get(name) for name in ("transport_lag", "lo
 def criteria(contradiction: float, monkeypatch: pytest.MonkeyPatch) -> Criteria:
     """Return criteria of fits whose one number is what they strain; blocks contradict each other."""
     problem: Any = SimpleNamespace(count=500, strain=lambda fit: float(fit.nuisance_thetas[0][0]))
-    found = Criteria(problem, exact=False)
+    found = Criteria(problem, "baseline")
     found.temper = contradiction
     monkeypatch.setattr(found, "contradiction", lambda smaller, larger: contradiction)
     return found

@@ -12,7 +12,7 @@ from mavcompass.gap.fit import make_term
 from mavcompass.gap.fit.composition import Composition
 from mavcompass.gap.left.floor import prior_of
 from mavcompass.gap.left.stated import STATED
-from mavcompass.gap.replay import Replay, replay, whereabouts
+from mavcompass.gap.replay import Replay, replay
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.simulation.effects import catalogue
 
@@ -38,10 +38,7 @@ _WITH = {
 
 @cache
 def flight() -> Replay:
-    """Replay a flight whose places wander."""
-    at = replay(make_case(4, "none", baseline=False).track)
-    time = at.time_s[:, None, None] - at.time_s[0]
-    return replace(at, place_curves_m=np.sin(time * np.array([0.05, 0.2])) * np.eye(3)[:, :2])
+    return replay(make_case(4, "none", baseline=False).track)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +60,7 @@ def test_each_derivative_is_the_difference_that_a_small_step_makes(
     names: tuple[str, ...], share: float
 ) -> None:
     at = flight()
-    prior = prior_of(at, STATED).beside(whereabouts(at.place_curves_m))
+    prior = prior_of(at, STATED)
     composition = Composition(at, prior.nuisances)
     terms = [make_term(catalogue()[name], at.signals) for name in names]
     thetas = []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.fit import Fit, Term
-from mavcompass.gap.fit.starts import beside_known_age, in_place_of_each_other, steadied
+from mavcompass.gap.fit.starts import beside_known_age, in_place_of_each_other
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance
 from mavcompass.simulation.effects import registry
 from mavcompass.simulation.effects.effect import NEVER_S
@@ -104,20 +104,3 @@ def test_what_is_late_already_takes_no_second_place() -> None:
     }
     iron = Fit((IRON,), (np.zeros(3),), without_effects(0.0).nuisance_thetas, 9.0)
     assert in_place_of_each_other(problem, TERMS, iron) == []
-
-
-def test_a_set_that_a_moment_caught_is_fitted_from_where_the_best_one_has_none() -> None:
-    """Only what differs by one effect, as far as that has a moment in use where the best set has none."""
-    problem: Any = Problem()
-    best = step_and(LAG, [0.08], -NEVER_S)
-    caught = step_and(IRON, [1.0, 2.0, 3.0], 30.0)
-    others = [
-        step_and(LOW_PASS, [0.1], -NEVER_S),
-        Fit((IRON, EDDY), (np.zeros(3), np.zeros(6)), (), 9.0),
-        best,
-    ]
-    (found,) = steadied(problem, [caught, *others], best)
-    assert found.ids == caught.ids and problem.asked == [found]
-    assert found.theta("hard_iron_step")[3:].tolist() == [-NEVER_S, NEVER_S]
-    assert found.theta("hard_iron").tolist() == [1.0, 2.0, 3.0]
-    assert steadied(problem, [caught], step_and(LAG, [0.08], 20.0)) == []

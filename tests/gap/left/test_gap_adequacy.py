@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from mavcompass.gap.left import Adequacy, adequacy
 from mavcompass.gap.left.adequacy import _line, _recurring, _sweep
 
 
@@ -32,20 +30,3 @@ def test_line_that_sweeps_is_seen_where_no_line_stands() -> None:
             z = rng.standard_normal((n, 3)) + swept
             assert _sweep(z) < 1e-12
             assert _line(z) > 1e-5
-
-
-@pytest.mark.parametrize(
-    ("powers", "sweeps"),
-    [
-        ({"mag: sweeping line": 16.0}, True),
-        ({"mag: sweeping line": 14.0}, False),  # healthy vehicles leave as much
-        ({"mag: sweeping line": 40.0, "mag: rate": 14.0}, False),  # so does an attitude that errs
-        ({"mag: sweeping line": 40.0, "mag: rate": 12.0}, True),
-        ({"mag: sweeping line": 40.0, "mag: spectral line": 40.0, "mag: correlation": 300.0}, True),
-        ({"mag: spectral line": 40.0}, False),
-        ({}, False),
-    ],
-)
-def test_a_line_that_sweeps_is_told_where_it_stands_out_alone(powers: dict[str, float], sweeps: bool) -> None:
-    tests = [adequacy.Test(name, "frequency", 10.0**-power) for name, power in powers.items()]
-    assert Adequacy(tuple(tests), True).sweeps == sweeps

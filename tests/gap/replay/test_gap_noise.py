@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay.noise import SensorNoise, estimate_noise, recursive, rough_sigma, white, with_white
+from mavcompass.gap.replay.noise import SensorNoise, estimate_noise, recursive, rough_sigma, white
 
 
 def wandering(seed: int, n: int = 3000, share: float = 0.45, memory: float = 60.0) -> FloatArray:
@@ -62,23 +62,6 @@ def test_rows_without_a_reading_do_not_hide_the_slow_error() -> None:
     assert (noise.moving > 0.0).all() and 0.9 < noise.coefficients[0, 0] < 1.0
 
 
-def test_missing_readings_are_drawn_from_the_noise() -> None:
-    noise = SensorNoise(
-        np.full((1, 3), 0.6), np.full(3, 2.0), np.full(3, 2.5), 6000.0, moving=np.full(3, 0.3)
-    )
-    rng = np.random.default_rng(6)
-    error = np.asarray(scipy.signal.lfilter([2.0, -0.6], [1.0, -0.6], rng.standard_normal((4000, 3)), axis=0))
-    missing = np.zeros(error.shape, dtype=bool)
-    missing[500:3500, 2] = True
-    missing[:40, 0] = True
-    spoiled = np.where(missing, np.nan, error)
-    filled = noise.filled(spoiled, missing, rng)
-    np.testing.assert_array_equal(filled[~missing], error[~missing])
-    z = noise.whiten(filled)[1:]
-    np.testing.assert_allclose(z.std(axis=0), 1.0, atol=0.04)
-    assert abs(float(np.mean(z[1:] * z[:-1]))) < 0.03
-
-
 def test_correlated_noise_is_estimated_and_whitened() -> None:
     rng = np.random.default_rng(1)
     white_noise = rng.standard_normal((20_000, 3))
@@ -99,19 +82,3 @@ def test_scatter_is_seen_behind_a_slow_cause() -> None:
     error = 50.0 * np.sin(0.3 * t)[:, None] + 2.0 * rng.standard_normal((4000, 3))
     np.testing.assert_allclose(rough_sigma(error, np.ones(4000, dtype=bool)), 2.0, rtol=0.1)
     assert white(np.full(3, 2.0)).whiten(error).std() > 10.0
-
-
-def test_white_scatter_on_a_noise_is_added_and_not_multiplied() -> None:
-    plain = with_white(white(np.array([3.0, 3.0, 3.0])), 4.0)
-    np.testing.assert_allclose(plain.sigma, 5.0)
-    assert not plain.coefficients.any() and not plain.moving.any()
-    own = estimate_noise(0.3 * wandering(7, share=3.0, memory=40.0), np.ones(3000, dtype=bool), 0.0)
-    scaled = SensorNoise(own.coefficients, own.sigma * 8.0, own.rms * 8.0, own.samples, moving=own.moving)
-    noise = with_white(own, 2.0)
-    rng = np.random.default_rng(8)
-    for seed in range(8, 12):
-        error = 0.3 * wandering(seed, share=3.0, memory=40.0) + 2.0 * rng.standard_normal((3000, 3))
-        assert np.std(noise.whiten(error)) == pytest.approx(1.0, abs=0.08)
-    # As if what wanders had grown with the scatter, a slow cause would count for next to nothing.
-    slow = np.sin(np.linspace(0.0, 6.0 * np.pi, 3000))[:, None] * np.ones(3)
-    assert np.sum(noise.whiten(slow) ** 2) > 3.0 * np.sum(scaled.whiten(slow) ** 2)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.replay.whereabouts import goes_about, place_curves, place_scatter_m, wander_m
+from mavcompass.gap.replay.whereabouts import goes_about, place_scatter_m, wander_m
 from mavcompass.track import Series
 
 _TIME_S = np.arange(0.0, 300.0, 0.2)
@@ -30,20 +30,6 @@ def _receiver(wander_m: float, seed: int = 3, radius_m: float = 10.0) -> tuple[S
     )
 
 
-def test_the_curves_hold_the_wander_that_there_is() -> None:
-    place, velocity = _receiver(0.8)
-    curves = place_curves(place, velocity, _TIME_S)
-    allowed = np.sqrt(np.mean(np.sum(curves**2, axis=2), axis=0))
-    assert ((allowed > 0.4) & (allowed < 1.3)).all()
-    # A constant is the datum's, which no curve moves.
-    assert np.abs(curves.mean(axis=0)).max() < 1e-9
-
-
-def test_places_that_agree_with_the_velocities_do_not_wander() -> None:
-    place, velocity = _receiver(0.0)
-    assert place_curves(place, velocity, _TIME_S).shape == (_TIME_S.size, 3, 0)
-
-
 @pytest.mark.parametrize("wander", [0.0, 0.8])
 def test_how_far_places_scatter_is_told_beside_their_way_and_wander(wander: float) -> None:
     place, _ = _receiver(wander)
@@ -54,8 +40,6 @@ def test_how_far_places_scatter_is_told_beside_their_way_and_wander(wander: floa
 
 def test_without_velocities_of_its_own_nothing_tells() -> None:
     place, _ = _receiver(0.8)
-    assert place_curves(place, None, _TIME_S).shape[2] == 0
-    assert place_curves(None, None, _TIME_S).shape[2] == 0
     assert wander_m(place, None) is None and wander_m(None, None) is None
 
 

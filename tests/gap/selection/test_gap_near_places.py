@@ -9,13 +9,9 @@ import pytest
 
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.fit import Fit, Problem, make_term
-from mavcompass.gap.fit.search import Found
-from mavcompass.gap.left.floor import Floor
-from mavcompass.gap.replay import Prior, replay, whereabouts
-from mavcompass.gap.selection import identification
+from mavcompass.gap.replay import Prior, replay
 from mavcompass.gap.selection.transient import near_places, told
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track
-from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.simulation.effects import parse
 from mavcompass.track import Series, Track
 
@@ -68,22 +64,3 @@ def test_a_magnet_and_a_gain_leave_no_sure_third_cause_though_places_scatter(see
     both = {"axis_scale", "spatial_dipole"}
     assert diagnosis.verdict in ("named", "ambiguous") and both <= diagnosis.effects
     assert diagnosis.effects == both or diagnosis.verdict == "ambiguous"
-
-
-def test_places_that_wander_stay_known_to_all_that_follows_the_search(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The search is begun again with the places' own nuisance, which everything after it must have."""
-    case = make_case(3, "single")
-    again = list[int]()
-
-    def wandering(problem: Problem, floor: Floor, found: Found) -> tuple[Floor, Problem, list[Fit]]:
-        curves = np.sin(0.1 * problem.replay.time_s)[:, None, None] * np.eye(3)
-        wide = replace(floor, prior=floor.prior.beside(whereabouts(curves)))
-        at = replace(problem.replay, place_curves_m=curves)
-        again.append(len(wide.prior.nuisances))
-        return wide, Problem(at, floor.noise, problem.rows, wide.prior), []
-
-    monkeypatch.setattr(identification, "_with_wander", wandering)
-    diagnosis = diagnose_gap(case.track, case.baseline)
-    assert again and diagnosis.verdict != "not_testable"

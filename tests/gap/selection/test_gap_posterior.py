@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.fit import Fit, Term
+from mavcompass.gap.fit.criteria import Criteria
 from mavcompass.gap.selection.posterior import Posterior, posterior_of
-from mavcompass.gap.tables import Penalty
+from mavcompass.gap.tables import tables
 from mavcompass.simulation.effects import registry
 
 ROWS, STRAIN = 400, 5.0
-PENALTY = Penalty(parameter=1.5, effect=40.0)
+PENALTY = tables().penalty["baseline"]
 
 
 def fit_of(*names: str, sse: float) -> Fit:
@@ -51,8 +52,10 @@ class Problem:
 def weighed(
     *fits: Fit, spread: float = 1.0, predictions: dict[frozenset[str], float] | None = None
 ) -> Posterior:
-    criteria = SimpleNamespace(contradiction=lambda smaller, larger: spread)
-    search: Any = SimpleNamespace(problem=Problem(predictions or {}), criteria=criteria, penalty=PENALTY)
+    problem: Any = Problem(predictions or {})
+    criteria: Any = Criteria(problem, "baseline")
+    criteria.contradiction = lambda smaller, larger: spread
+    search: Any = SimpleNamespace(problem=problem, criteria=criteria)
     none = fit_of(sse=2000.0)
     found: Any = SimpleNamespace(null=none, explored={f.ids: f for f in (none, *fits)})
     return posterior_of(search, found)

@@ -221,17 +221,6 @@ def test_a_guard_lies_beside_held_out_blocks() -> None:
     assert not (half.train | half.test)[~some].any() and half.test.sum() == 0.5 * split.test.sum()
 
 
-def test_halves_alternate() -> None:
-    _, split = whole(100.0)
-    one, other = split.halves()
-    trained = [b for b in range(split.held.size) if not split.held[b]]
-    owner = [bool(one[split.block == b].any()) for b in trained]
-    assert owner == [k % 2 == 1 for k in range(len(trained))] or owner == [
-        k % 2 == 0 for k in range(len(trained))
-    ]
-    assert not (one & other).any() and ((one | other) == split.train).all()
-
-
 def test_a_loud_stretch_is_cut_in_eight_parts_of_which_two_are_held_out() -> None:
     time, split = whole(400.0)
     loud = (time > 101.95) & (time < 118.0)
@@ -294,41 +283,11 @@ def test_a_value_is_drawn_inside_the_step_that_it_was_rounded_to() -> None:
 
 def test_the_steps_own_noise_is_added_to_the_floors() -> None:
     quiet = white(np.array([1.0, 2.0, 3.0]))
-    noisy = remainder.with_steps({"mag": quiet}, 6.0)["mag"]
+    noisy = remainder.with_white({"mag": quiet}, 3.0)["mag"]
     assert noisy.rms == pytest.approx(np.sqrt(np.array([1.0, 4.0, 9.0]) + 3.0))
     assert noisy.sigma == pytest.approx(np.sqrt(quiet.sigma**2 + 3.0)) and math.isfinite(
         float(noisy.sigma[0])
     )
-
-
-def test_readings_at_the_limit_of_a_saturated_sensor_are_put_aside(monkeypatch: pytest.MonkeyPatch) -> None:
-    effect = registry.get("clipping")
-    low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
-    theta = np.array([300.0, *[0.0] * (low.size - 1)])
-    fit = Fit((Term(effect, np.ones(low.size, dtype=np.bool_), low, high),), (theta,), (), 0.0)
-    # Three sigmas of 2 mG below the limit it begins.
-    predicted = np.repeat([[200.0, 0.0, 293.0], [200.0, 0.0, 295.0], [-297.0, 0.0, 100.0]], 40, axis=0)
-    measured = predicted + np.array([0.5, 0.6, 0.7])
-    measured[40:80, 2], measured[80:, 0] = 300.0, -300.0
-    reading = SimpleNamespace(mag_mgauss=measured, acc_mps2=None, gyro_radps=None)
-    problem: Any = SimpleNamespace(
-        noise={"mag": white(np.full(3, 2.0))},
-        replay=SimpleNamespace(measured=reading),
-        predict=lambda fit: SimpleNamespace(mag_mgauss=predicted),
-        rows=None,
-        prior=None,
-    )
-    monkeypatch.setattr(remainder, "Problem", lambda replay, noise, rows, prior: replay)
-    monkeypatch.setattr(remainder, "replace", lambda replay, measured: measured)
-    free: Any = remainder._without_plateaus(problem, fit)
-    left = free.mag_mgauss - predicted
-    assert left[:40] == pytest.approx(np.tile([0.5, 0.6, 0.7], (40, 1)))
-    assert left[40:80, :2] == pytest.approx(np.tile([0.5, 0.6], (40, 1))) and left[80:, 1:] == pytest.approx(
-        np.tile([0.6, 0.7], (40, 1))
-    )
-    for plateau in (left[40:80, 2], left[80:, 0]):  # as the floor's noise would have it
-        assert np.abs(plateau).max() < 12.0 and plateau.std() > 0.5
-    assert remainder._without_plateaus(problem, changing(7.5)) is problem
 
 
 @pytest.mark.parametrize(
@@ -350,7 +309,6 @@ def test_noise_is_compared_with_the_floors_where_it_is_the_floors(
             return SimpleNamespace(ids=frozenset(effects), terms=(), value=limit.get)
 
     monkeypatch.setattr(remainder, "Problem", Fitted)
-    monkeypatch.setattr(remainder, "_without_plateaus", lambda problem, fit: problem)
     monkeypatch.setattr(remainder, "find_scatter", lambda *given: scatter)
     monkeypatch.setattr(remainder, "noise_with", lambda problem, fit, scatter: "noisier")
     chosen: Any = SimpleNamespace(problem=SimpleNamespace(replay=SimpleNamespace(valid=None)), fit=None)

@@ -7,7 +7,6 @@ from its own stage on. What an attitude may be off by, and a common delay, are r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +22,12 @@ from mavcompass.gap.fit.composition.lateness import (
     made_late,
     together,
 )
-from mavcompass.gap.replay import REFERENCE_YAW, WHEREABOUTS, Replay, group_values, turned
-from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, PLACED, Effect, Group, Signals, Stage
+from mavcompass.gap.replay import REFERENCE_YAW, Replay, group_values, turned
+from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, Effect, Group, Signals, Stage
 from mavcompass.simulation.physics.signals import Reading
 
 _STEP = 1e-3
-_NUDGE_RAD, _NUDGE_M = 1e-5, 1e-4
+_NUDGE_RAD = 1e-5
 _NUDGE_MGAUSS = 0.01
 # Matrices that differ by so little are alike.
 _ALIKE = 1e-9
@@ -67,8 +66,6 @@ class Derivatives:
         if effect.id == REFERENCE_YAW:
             self._turns = len(self._then), _turns(self._replay.reference, float(theta[0]))
             part = self._after.turned(then)
-        elif effect.id == WHEREABOUTS:
-            part = self._after.shifted(then, self._replay.place_curves_m)
         elif len(late) > 1:
             step, then = _STEP * float(effect.parameters[0].scale), late.stop
             later = [*self._thetas[:place], theta + step, *self._thetas[place + 1 :]]
@@ -231,19 +228,6 @@ class _After:
         s = self._states[first].stimulus
         # R exp(v x) sees B as R' (B + B x v).
         return self.of_readings(first, s.rotation.transpose(0, 2, 1) @ cross_matrices(s.field_ned_mgauss))
-
-    def shifted(self, at: int, shifts_m: FloatArray) -> Changes:
-        """Return the changes when the places before member `at` are shifted, (N, 3, k)."""
-        state = self._states[at]
-        s = state.stimulus
-        if not any(effect.needs & PLACED for effect, _ in self._order[at:]):
-            return self.of_readings(len(self._order), np.zeros_like(shifts_m))
-        nudged = [
-            Signals(replace(s, position_ned_m=s.position_ned_m + axis), state.reading)
-            for axis in _NUDGE_M * np.eye(3)
-        ]
-        by_axis = self.changes(at, nudged, [_NUDGE_M] * 3)
-        return self.of_readings(len(self._order), by_axis["mag"] @ shifts_m)
 
     def seen(self, roughly: FloatArray) -> FloatArray:
         """Return how the compass sees a small change of the world's field at last, (3, 3) or (N, 3, 3).
