@@ -29,8 +29,6 @@ _FEWEST = 20
 _PASSES = 3
 # Accelerations of vehicles come and go within this time.
 _MEMORY_S = 5.0
-# No accelerometer of a vehicle tells thirty g (ICM-20649, the widest): what stands there is at its end stop.
-_END_STOP_MPS2 = 30.0 * STANDARD_GRAVITY_MPS2
 # What remains of a gyro's bias, because it changes on the way.
 _WANDERING_RADPS = math.radians(0.05)
 
@@ -49,7 +47,7 @@ class Start:
 
 
 def sensed_by(track: Track) -> Sensed | None:
-    """Return what gyro and accelerometer say; None where either is lacking, or says nothing."""
+    """Return what gyro and accelerometer say; None where the recording lacks either."""
     if track.gyro_radps is None or track.acc_mps2 is None or len(track.gyro_radps) < _FEWEST:
         return None
     finite = np.isfinite(track.gyro_radps.values).all(axis=1)
@@ -57,7 +55,7 @@ def sensed_by(track: Track) -> Sensed | None:
     if clock.size < _FEWEST:
         return None
     force = track.acc_mps2.at(clock)
-    felt = np.asarray((np.abs(force) < _END_STOP_MPS2).all(axis=1))
+    felt = np.asarray(np.isfinite(force).all(axis=1))
     if felt.sum() < _FEWEST:
         return None
     # Numbers that were cut toward zero are half a step too small on the average.

@@ -162,8 +162,6 @@ def reference_attitude(
         reference = _attitude(track, time_s, instance, doubted)
     else:
         reference = _fused(track, time_s, choice, instance, doubted)
-        if reference is None and choice == "auto":
-            reference = _attitude(track, time_s, instance, doubted)
     if reference is None:
         raise BadRecording(f"The recording has nothing for the attitude reference {choice!r}.", _REMEDY)
     return replace(reference, doubted=doubted)

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, rotate, rotate_back
 from mavcompass.gap.attitude.kinematics import (
     exponentials,
@@ -237,15 +236,3 @@ def test_places_on_both_sides_of_the_date_line_are_neighbours() -> None:
     assert local is not None
     apart_m = 0.0003 * 111_195.0 * math.cos(math.radians(17.0))
     assert np.ptp(local.values[:, 1]) == pytest.approx(apart_m, rel=0.01)
-
-
-def test_an_accelerometer_at_its_end_stop_feels_nothing() -> None:
-    t = times(40.0)
-    angles = np.stack([0.1 * np.sin(t), 0.05 * np.cos(t), 0.4 * t], axis=1)
-    track = recorded(t, euler_to_matrix(*angles.T), np.zeros((t.size, 3)))
-    stuck = Series.of(t, np.full((t.size, 3), -32.768 * STANDARD_GRAVITY_MPS2))
-    told = replace(track, acc_mps2=stuck, attitude_rad=Series.of(t, angles))
-    assert reference_attitude(track, t).kind == "fused"
-    assert reference_attitude(told, t).kind == "attitude"
-    with pytest.raises(BadRecording):
-        reference_attitude(replace(track, acc_mps2=stuck), t)
