@@ -124,7 +124,7 @@ def test_a_heading_less_certain_than_the_limit_is_refused(sigma_deg: float, acce
 def test_no_less_is_claimed_than_was_seen(scatter_deg: float, claimed_deg: float, accepted: bool) -> None:
     state = np.zeros(11)
     state[3:6], state[9] = 1.0, H
-    error = HeadingError(state, np.eye(9))
+    error = HeadingError(state, 1e-4 * np.eye(9))
     before = result(heading_error=error, heading_budget_deg={"noise": 0.4, "disturbance": 0.3})
     told = at_least(before, math.radians(scatter_deg), DEFAULT_LIMITS)
     assert told.heading_sigma_deg == pytest.approx(claimed_deg) and told.accepted is accepted

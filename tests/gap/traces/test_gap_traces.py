@@ -482,6 +482,20 @@ def test_a_compass_that_says_the_same_throughout_is_frozen(beside_a_baseline: bo
     assert diagnosis.causes[0].parameters["fraction"] > 0.97
 
 
+@pytest.mark.parametrize("from_s", [20, 40])
+def test_a_compass_that_freezes_on_the_way_is_told_without_a_baseline(from_s: int) -> None:
+    """It was "nothing to do": repeats are telemetry's nature, but not for as long while the vehicle turns."""
+    live = replace(
+        make_track(Recipe("figure-8", duration_s=60.0, rate_hz=10.0, seed=2)), autopilot="ardupilot"
+    )
+    values = np.array(live.compasses[1].reported.values)
+    values[10 * from_s :] = values[10 * from_s]
+    compass = replace(live.compasses[1], reported=Series.of(live.compasses[1].time_s, values))
+    diagnosis = diagnose_gap(replace(live, compasses={1: compass}))
+    assert diagnosis.effects == {"stale_samples"}
+    assert diagnosis.causes[0].parameters["fraction"] == pytest.approx(1.0 - from_s / 60.0, abs=0.05)
+
+
 def test_a_compass_of_a_vehicle_that_stands_still_may_say_the_same() -> None:
     recipe = Recipe("figure-8", duration_s=60.0, rate_hz=10.0, seed=2)
     live = replace(make_track(recipe), autopilot="ardupilot")
