@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mavcompass.calibration.observation import dwell_between
+from mavcompass.calibration.observation import dwell_alone
 from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkError, PoorCalibration, Refused
@@ -78,7 +78,7 @@ def yaw_error_rad(
     said = None if attitude is None else attitude.between(start_s, end_s)
     if said is None or not len(said):
         raise PoorCalibration("The autopilot did not tell its attitude.")
-    seen = dwell_between(track, result.instance, start_s, end_s)
+    seen = dwell_alone(track, result.instance, start_s, end_s)
     raw = seen.mean_mgauss if turned is None else turned @ seen.mean_mgauss
     heading = tilt_compensated_heading(
         result.correction.apply(raw), roll_rad=seen.roll_rad, pitch_rad=seen.pitch_rad

@@ -21,6 +21,8 @@ from mavcompass.track import MagSeries, Series, Track, uncut
 ARDUPILOT_LAG_S = 0.09
 LAG_SIGMA_S = 0.03
 _OUTLIER_SIGMAS = 5.0
+# Before and after a stretch: several periods of a position loop, and longer than errors of the level last.
+_NEAR_S = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,6 +203,15 @@ def dwell_between(
     lag = field_lag_s(track)
     angles = record.angle_at(time - lag) if record is not None else np.zeros(time.size)
     return _dwell(track, compass, in_force, time, reported, angles, record)
+
+
+def dwell_alone(track: Track, instance: int, start_s: float, end_s: float) -> Dwell:
+    """Average one stretch as `dwell_between` does, by what was recorded around it alone.
+
+    Of a long session, looked at again and again, only what is near tells the level; turns count from there.
+    """
+    near = track.between(start_s - _NEAR_S, end_s + _NEAR_S)
+    return dwell_between(near, instance, start_s, end_s)
 
 
 def _dwell(
