@@ -136,6 +136,24 @@ def test_rates_are_asked_for_and_put_back_as_they_were() -> None:
     assert restored(rates, vehicle) == [] and len(vehicle.heard) == before  # nothing is left to put back
 
 
+def test_a_rate_that_was_not_put_back_though_it_was_acknowledged_is_put_back_again() -> None:
+    class LateAnswers(Vehicle):
+        """Acknowledge a change that the request before it asked for."""
+
+        ignores = 0
+
+        def answers(self, asked: mav.CommandLong) -> list[mav.Message]:
+            if asked.command == MavCmd.SET_MESSAGE_INTERVAL and self.ignores:
+                self.ignores -= 1
+                return [mav.CommandAck(asked.command, MavResult.ACCEPTED)]
+            return super().answers(asked)
+
+    vehicle, rates = LateAnswers({RAW: 500_000}), MessageRates()
+    assert asked(rates, vehicle, raw=25.0)[mav.RawImu]
+    vehicle.ignores = 1
+    assert restored(rates, vehicle) == [] and vehicle.intervals_us == {RAW: 500_000}
+
+
 @pytest.mark.parametrize(
     ("interval_us", "is_enough"), [(40_000, True), (40_700, True), (40_900, False), (-1, False)]
 )

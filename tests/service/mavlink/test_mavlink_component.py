@@ -13,6 +13,7 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MagCalStatus, MavCmd, MavResult
 from mavcompass.errors import Refused
+from mavcompass.heading.live import Heading, LiveCompass
 from mavcompass.procedure.script import Show
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.service.config import ServiceConfig
@@ -237,3 +238,19 @@ def test_the_pilot_is_told_of_a_finding_once_for_as_long_as_it_lasts() -> None:
             teller.tell(link, view, findings, float(at_s))
     told = [message.text for message in heard if isinstance(message, mav.Statustext)]
     assert told == ["Compass 1: dip", "Compass 1: field", "Compass 1: dip"]
+
+
+@pytest.mark.parametrize(("true_rad", "told_deg"), [(1.5, 85.9), (None, 57.3)])
+def test_the_heading_told_is_the_true_one_where_the_declination_is_known(
+    true_rad: float | None, told_deg: float
+) -> None:
+    vehicle = SimulatedAutopilot("rover", seed=1)
+    heard: list[mav.Message] = []
+    vehicle.receive = lambda message, *_: heard.append(message)  # type: ignore[method-assign]
+    view = VehicleView(VehicleIdentity(1, 1, "ardupilot", "rover"), "rover", 2026.0)
+    view.compasses[1] = LiveCompass(1)
+    view.compasses[1].latest = Heading(4.5, 20.0, 1, 1.0, true_rad, 0.02, (200.0, 0.0, 400.0))
+    with SimulatedLink(vehicle) as link:
+        Teller(ServiceConfig(), Desk(), Schedule()).tell(link, view, (), 5.0)
+    values = [message.value for message in heard if isinstance(message, mav.NamedValueFloat)]
+    assert values == pytest.approx([told_deg, 1.15], abs=0.05)

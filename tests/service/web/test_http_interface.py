@@ -149,6 +149,9 @@ def test_a_calibration_makes_the_check_pass_and_the_heading_surer(running: Runni
     running.client.post("/api/check", json={})  # after it the parameters are read again
     finding = wait_for(lambda: [f for f in state()["findings"] if f["id"] == "parameters"])[0]
     assert "COMPASS_OFS_X" in finding["text"]
+    compass, severity = finding["compass"], finding["severity"]
+    told = f'mavcompass_finding{{compass="{compass}",id="parameters",severity="{severity}"}} 1.0'
+    assert told in running.client.get("/metrics").text.splitlines()
 
 
 def test_the_state_tells_vehicle_headings_and_world(quiet: RunningService) -> None:
