@@ -31,7 +31,7 @@ _RANK = {"fail": 0, "warn": 1, "pass": 2}
     type=click.Choice(("auto", "vehicle", "hand", "none")),
     default="auto",
     show_default=True,
-    help="Who turns the vehicle by 90 degrees (auto: itself where it is armed, else nobody).",
+    help="Who turns it by 90 degrees (auto: itself where it is armed, else nobody; in a recording nobody).",
 )
 @click.option("--strict", is_flag=True, help="Count a warning as a failure in the exit code.")
 @click.option(
@@ -64,11 +64,14 @@ def command(
     """
     from mavcompass.cli.terminal.show import showing
     from mavcompass.procedure.check import CheckSettings
-    from mavcompass.vehicle.transport import parse_address
+    from mavcompass.vehicle.transport import Recording, parse_address
 
     require_for(source, report=offer)
+    address = parse_address(source)
+    if turn == "auto" and isinstance(address, Recording):
+        turn = "none"  # it has turned when it did, and obeys nobody
     settings = CheckSettings(turn=turn, system=system, year=this_year())  # type: ignore[arg-type]
-    with open_source(parse_address(source), effects) as link:
+    with open_source(address, effects) as link:
         with showing(quiet=not sys.stderr.isatty()) as show:
             report = _check(link, source, settings, show)
         _say(report, source, output, everything)
