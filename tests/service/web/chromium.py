@@ -30,6 +30,7 @@ _OPTIONS = (
 )
 
 _PATIENCE_S = 300.0  # what hangs ends by it; a busy machine is slow
+_CLICK_PATIENCE_S = 20.0
 
 
 def find_chromium() -> str | None:
@@ -131,24 +132,30 @@ class Page:
     def click(self, selector: str) -> None:
         """Press the mouse in the middle of an element, as a person would: what covers it gets the click.
 
-        Where the page moved on under the mouse, a person tries again.
+        Where the page moved on under the mouse, a person tries again, and moves the mouse by what it is off: on
+        a busy machine an emulated phone is scrolled elsewhere than its page believes.
         """
         element = f"document.querySelector({selector!r})"
         self.run(f"window.heard = 0, {element}.addEventListener('click', () => window.heard = 1)")
-        for _ in range(3):
-            self.run(f"{element}.scrollIntoView({{block: 'center'}})")
+        self.run("window.addEventListener('mousedown', e => window.at = [e.clientX, e.clientY], true)")
+        off, end = [0.0, 0.0], time.monotonic() + _CLICK_PATIENCE_S
+        while time.monotonic() < end:
+            self.run(f"window.at = null, {element}.scrollIntoView({{block: 'center'}})")
             box = self.run(
                 f"(() => {{ const r = {element}.getBoundingClientRect();"
                 " return [r.x + r.width / 2, r.y + r.height / 2, r.width]; })()"
             )
             assert box[2] > 0, f"{selector} is not shown"
+            at = {"x": box[0] + off[0], "y": box[1] + off[1]}
             for kind in ("mousePressed", "mouseReleased"):
                 self._call(
-                    "Input.dispatchMouseEvent",
-                    {"type": kind, "x": box[0], "y": box[1], "button": "left", "clickCount": 1},
+                    "Input.dispatchMouseEvent", {"type": kind, **at, "button": "left", "clickCount": 1}
                 )
             if self.run("window.heard"):
                 return
+            if landed := self.run("window.at"):
+                off = [o + wanted - got for o, wanted, got in zip(off, box, landed, strict=False)]
+            time.sleep(0.1)
         raise AssertionError(f"{selector} does not get the click")
 
     def text(self, selector: str) -> str:
