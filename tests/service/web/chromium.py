@@ -132,8 +132,8 @@ class Page:
     def click(self, selector: str) -> None:
         """Press the mouse in the middle of an element, as a person would: what covers it gets the click.
 
-        Where the page moved on under the mouse, a person tries again, and moves the mouse by what it is off: on
-        a busy machine an emulated phone is scrolled elsewhere than its page believes.
+        Where the page moved on under the mouse, a person tries again, and moves the mouse by what it is off:
+        on a busy machine an emulated phone is scrolled elsewhere than its page believes.
         """
         element = f"document.querySelector({selector!r})"
         self.run(f"window.heard = 0, {element}.addEventListener('click', () => window.heard = 1)")
