@@ -209,9 +209,10 @@ def _check_compass(track: Track, instance: int) -> None:
             f"Compass {instance} reads only its offsets: the sensor itself is silent or not connected.",
             "Check the compass's wiring and power, then record again.",
         )
-    followed = turned_since_new(track, instance)
     if float(swing.max()) < _DEAD_SWING_MGAUSS:  # noise alone is nothing new
         followed = np.linalg.norm(turned_vector(track, compass.time_s), axis=1)
+    else:
+        followed = turned_since_new(track, instance)
     frozen = np.flatnonzero(followed > _TURNED_RAD)
     if frozen.size:
         at = math.floor(float(compass.time_s[frozen[0]] - compass.time_s[0]))

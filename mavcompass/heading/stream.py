@@ -97,7 +97,7 @@ def heading_of_track(
         magnetic = np.asarray(tilt_compensated_heading(field, -down))
     calibrated = _is_calibrated(track, instance, correction)
     late = turned_since_new(track, instance)
-    sigma = np.hypot(_magnetic_sigma(field, down, leaning, magnetic, world, calibrated, two_axis), late)
+    sigma = _magnetic_sigma(field, down, leaning, magnetic, world, calibrated, two_axis, late)
     if not alone and len(track.compasses) > 1:
         sigma = np.hypot(sigma, _doubted_rad(track, instance, Series(compass.time_s, magnetic), sigma))
     return _result(track, compass.time_s, magnetic, np.minimum(sigma, math.pi), world)
@@ -143,8 +143,9 @@ def _magnetic_sigma(
     world: EarthField | None,
     calibrated: bool,
     two_axis: bool,
+    late: FloatArray | float = 0.0,
 ) -> FloatArray:
-    """Add up calibration, scatter, tilt times the tangent of the dip, and (two-axis) the estimated Z."""
+    """Add up calibration, scatter, lateness, tilt by the dip's tangent, and (two-axis) the estimated Z."""
     vertical = np.einsum("ij,ij->i", field, down)
     horizontal = np.sqrt(np.maximum((field**2).sum(axis=1) - vertical**2, 1.0))
     usual = world.horizontal_mgauss if world is not None else float(np.median(horizontal))
@@ -159,7 +160,7 @@ def _magnetic_sigma(
     tilt = np.hypot(down[:, 0], down[:, 1])
     leaning = np.hypot(leaning, TILT_SIGMA_RAD)
     noise = np.hypot(z_sigma * tilt, doubt.scatter_mgauss)
-    return heading_sigma_rad(doubt.sigma_rad(level[:, 0], level[:, 1]), usual, steep, leaning, noise)
+    return heading_sigma_rad(doubt.sigma_rad(level[:, 0], level[:, 1]), usual, steep, leaning, noise, late)
 
 
 def _result(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkError, PoorCalibration, Refused
 from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.report import AutopilotHeading
@@ -79,12 +78,10 @@ def yaw_error_rad(
     if said is None or not len(said):
         raise PoorCalibration("The autopilot did not tell its attitude.")
     seen = dwell_alone(track, result.instance, start_s, end_s)
-    raw = seen.mean_mgauss if turned is None else turned @ seen.mean_mgauss
-    heading = tilt_compensated_heading(
-        result.correction.apply(raw), roll_rad=seen.roll_rad, pitch_rad=seen.pitch_rad
-    )
+    if turned is not None:
+        seen = replace(seen, mean_mgauss=turned @ seen.mean_mgauss)
     yaw = float(np.angle(np.exp(1j * said.values[:, 2]).mean()))
-    return float(wrap_pi(yaw - float(heading) - world.declination_rad))
+    return float(wrap_pi(yaw - seen.heading_rad(result.correction) - world.declination_rad))
 
 
 @dataclass(slots=True)

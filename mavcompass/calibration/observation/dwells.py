@@ -15,6 +15,7 @@ from mavcompass.calibration.observation.wire import effective_count, hidden_in_r
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
+from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.track import MagSeries, Series, Track, uncut
 
 # The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.
@@ -63,6 +64,11 @@ class Dwell:
     coherence: float = 1.0
     current_a: float = math.nan
     unsteady_mgauss: float = 0.0
+
+    def heading_rad(self, correction: FieldCorrection) -> float:
+        """Return the tilt-compensated magnetic heading under a correction."""
+        field_mgauss = correction.apply(self.mean_mgauss)
+        return float(tilt_compensated_heading(field_mgauss, roll_rad=self.roll_rad, pitch_rad=self.pitch_rad))
 
     def heading_sigma_rad(self, horizontal_mgauss: float, vertical_mgauss: float) -> float:
         """Return how far the heading by this position may be off in such a field: noise, tilt, unrest."""
@@ -210,8 +216,7 @@ def dwell_alone(track: Track, instance: int, start_s: float, end_s: float) -> Dw
 
     Of a long session, looked at again and again, only what is near tells the level; turns count from there.
     """
-    near = track.between(start_s - _NEAR_S, end_s + _NEAR_S)
-    return dwell_between(near, instance, start_s, end_s)
+    return dwell_between(track.between(start_s - _NEAR_S, end_s + _NEAR_S), instance, start_s, end_s)
 
 
 def _dwell(

@@ -23,7 +23,6 @@ from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.heading.compute import tilt_compensated_heading
 
 RepeatCause = Literal["repeats", "hysteresis", "disturbance", "misfit"]
 _UNLIKELY = 0.01
@@ -75,9 +74,7 @@ def repeat_test(
             f"The turn back has only {len(backward.dwells)} positions.", "Turn back through at least three."
         )
     fit = solve_four_positions(forward, in_force, earth, prior)
-    headings = np.array(
-        [_heading(fit.correction, d.mean_mgauss, d.roll_rad, d.pitch_rad) for d in backward.dwells]
-    )
+    headings = np.array([dwell.heading_rad(fit.correction) for dwell in backward.dwells])
     expected = fit.state[-1] + backward.turned_rad
     difference = np.asarray(wrap_pi(headings - expected))
     sigma = _sigma(backward, float(fit.state[HORIZONTAL]), fit.heading_sigma_rad)
@@ -91,10 +88,6 @@ def repeat_test(
         fit.consistency, constant, constant_sigma, chi_square, len(rest) - 1, worst, float(difference[worst])
     )
     return RepeatTest(cause, 0.5 * constant, 0.5 * constant_sigma, difference, sigma, position, rms, words)
-
-
-def _heading(correction: FieldCorrection, raw: FloatArray, roll: float, pitch: float) -> float:
-    return float(tilt_compensated_heading(correction.apply(raw), roll_rad=roll, pitch_rad=pitch))
 
 
 def _sigma(data: FourPositionData, horizontal: float, calibration: float) -> FloatArray:

@@ -16,10 +16,10 @@ import numpy as np
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import Dwell, assemble, dwell_between
 from mavcompass.compass_parameters import is_calibrated, orientation_name
+from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi
-from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.heading.fault_isolation import HeadingSource
 from mavcompass.parameter_remarks import parameter_remarks
 from mavcompass.procedure.check import items
@@ -195,7 +195,7 @@ class _Checker:
             of_vehicle = self.desk.identity.autopilot, self.desk.parameters
             # Of what was never heard the readings are judged as missing; its numbers may be of a sensor gone.
             if instance in self.desk.state.reporting:
-                correction = self.desk.dialect.correction(self.desk.parameters, instance)
+                correction = self._in_force(instance)
                 calibrated = is_calibrated(*of_vehicle, instance, correction)
                 self._add(items.judge_offsets(instance, correction, calibrated))
                 self._add(items.judge_matrix(instance, correction))
@@ -263,16 +263,15 @@ class _Checker:
             seen = dwell_between(track, instance, window.start_s, window.end_s)
         except PoorCalibration:
             return None
-        field_mgauss = self.desk.dialect.correction(self.desk.parameters, instance).apply(seen.mean_mgauss)
+        field_mgauss = self._in_force(instance).apply(seen.mean_mgauss)
         self.fields.setdefault(instance, []).append(field_mgauss)
         down = _down(seen)
         vertical = float(field_mgauss @ down)
         horizontal = math.sqrt(max(float(field_mgauss @ field_mgauss) - vertical**2, 0.0))
-        return Reading(instance, horizontal, vertical, self._heading_rad(seen, instance))
+        return Reading(instance, horizontal, vertical, seen.heading_rad(self._in_force(instance)))
 
-    def _heading_rad(self, seen: Dwell, instance: int) -> float:
-        field_mgauss = self.desk.dialect.correction(self.desk.parameters, instance).apply(seen.mean_mgauss)
-        return float(tilt_compensated_heading(field_mgauss, roll_rad=seen.roll_rad, pitch_rad=seen.pitch_rad))
+    def _in_force(self, instance: int) -> FieldCorrection:
+        return self.desk.dialect.correction(self.desk.parameters, instance)
 
     def _turning(self, track: Track, reading: Reading, window: Window) -> tuple[float, float] | None:
         """Return the rate of turn at rest that a compass shows, and its sigma, rad/s."""
@@ -281,7 +280,7 @@ class _Checker:
             halves = [dwell_between(track, i, s, s + half_s) for s in (window.start_s, window.end_s - half_s)]
         except PoorCalibration:
             return None
-        first, second = (self._heading_rad(seen, i) for seen in halves)
+        first, second = (seen.heading_rad(self._in_force(i)) for seen in halves)
         sure = (seen.heading_sigma_rad(reading.horizontal_mgauss, reading.vertical_mgauss) for seen in halves)
         return float(wrap_pi(second - first)) / half_s, math.hypot(*sure) / half_s
 
@@ -331,7 +330,7 @@ class _Checker:
     def _compare_turn(self, track: Track, instance: int) -> CheckItem:
         dwells = [dwell_between(track, instance, w.start_s, w.end_s) for w in self.windows]
         step = assemble(track, dwells, instance).steps[0]
-        first, second = (self._heading_rad(seen, instance) for seen in dwells)
+        first, second = (seen.heading_rad(self._in_force(instance)) for seen in dwells)
         field_turned = step.angle_rad + float(wrap_pi(second - first - step.angle_rad))
         return items.judge_turn(
             instance, math.degrees(field_turned), math.degrees(step.angle_rad), math.degrees(step.sigma_rad)
@@ -359,8 +358,7 @@ class _Checker:
         fields = [self.fields[i] for i in (one, *others)]
         if not others or len({len(field) for field in fields}) > 1:
             return
-        in_force = self.desk.dialect.correction(self.desk.parameters, one)
-        turned = turned_by(fields[0], np.mean(fields[1:], axis=0), in_force)
+        turned = turned_by(fields[0], np.mean(fields[1:], axis=0), self._in_force(one))
         if not turned:
             return
         doubted = (instance,) if instance else (one, *others)

@@ -13,10 +13,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mavcompass.calibration.observation import Dwell, assemble, dwell_between
+from mavcompass.calibration.observation import assemble, dwell_between
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad
 from mavcompass.frames import wrap_pi
-from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.procedure.positions.visiting import Window
 from mavcompass.track import Track
 
@@ -123,7 +122,7 @@ def _prove_one(
     dwells = [dwell_between(track, result.instance, w.start_s, w.end_s) for w in (before, after)]
     data = assemble(track, dwells, result.instance)
     step = data.steps[0]
-    first, second = (_heading_rad(dwell, result) for dwell in dwells)
+    first, second = (dwell.heading_rad(result.correction) for dwell in dwells)
     gyro_rad = math.hypot(
         step.sigma_rad,
         data.gyro_scale_sigma * step.angle_rad,
@@ -147,9 +146,3 @@ def _prove_one(
         change_allowed_deg=max(_LEAST_CHANGE_DEG, 3.0 * result.heading_sigma_deg),
         doubts=again.reasons,
     )
-
-
-def _heading_rad(dwell: Dwell, result: CalibrationResult) -> float:
-    """Return the tilt-compensated magnetic heading of a dwell under the new correction."""
-    field = result.correction.apply(dwell.mean_mgauss)
-    return float(tilt_compensated_heading(field, roll_rad=dwell.roll_rad, pitch_rad=dwell.pitch_rad))
