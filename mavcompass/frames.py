@@ -104,6 +104,11 @@ def rotate_back(matrix: ArrayLike, vector: ArrayLike) -> FloatArray:
     return np.einsum("...ji,...j->...i", np.asarray(matrix), np.asarray(vector))
 
 
+def level_to_body(roll_rad: ArrayLike, pitch_rad: ArrayLike, turned_rad: ArrayLike = 0.0) -> FloatArray:
+    """Build the rotations (..., 3, 3) to body axes from level ones, which lie back by the angle turned."""
+    return np.swapaxes(euler_to_matrix(roll_rad, pitch_rad, turned_rad), -1, -2)
+
+
 def cross(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the vector products of rows, (N, 3); numpy's takes three times as long for hundreds of them."""
     (a, b, c), (d, e, f) = first.T, second.T

@@ -6,8 +6,7 @@ A stretch k of a recording, at magnetic heading psi_k and mean load I_k of the m
 
 with hard iron b, symmetric soft iron and gain T, the Earth's horizontal and vertical field H and Z, the
 motors' field m per unit of load, and A_k from level to body axes, the mean of tilt and turn about psi_k (S1):
-at rest the tilt L_k, with the coherence c_k of a dwell that hunts on the horizontal field. A level heading
-psi has the error
+at rest the tilt L_k, but for what sways. A level heading psi has the error
 
     d psi = (e_psi . T^-1 (db + dT f)) / H,   e_psi = (sin psi, cos psi, 0)                      (M2)
 
@@ -23,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, level_to_body
 
 # The sigma of a heading of which nothing is known: all of the circle is as likely.
 NO_HEADING_RAD = math.pi / math.sqrt(3.0)
@@ -78,15 +77,6 @@ def gain_jacobian(vectors: FloatArray) -> FloatArray:
     jacobian[:, 0, 4], jacobian[:, 2, 4] = z, x
     jacobian[:, 1, 5], jacobian[:, 2, 5] = z, y
     return jacobian
-
-
-def level_to_body(roll_rad: ArrayLike, pitch_rad: ArrayLike) -> FloatArray:
-    """Build the rotations (..., 3, 3) that take level axes (forward, right, down) to body axes."""
-    roll, pitch = np.broadcast_arrays(np.asarray(roll_rad, float), np.asarray(pitch_rad, float))
-    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-    zero = np.zeros_like(cr)
-    rows = [[cp, zero, -sp], [sr * sp, cr, sr * cp], [cr * sp, -sr, cr * cp]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def by_tilt(mapping: FloatArray, state: FloatArray, headings_rad: FloatArray) -> FloatArray:

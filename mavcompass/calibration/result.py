@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.model import NO_HEADING_RAD, HeadingError, level_to_body
+from mavcompass.calibration.model import NO_HEADING_RAD, HeadingError
 from mavcompass.calibration.positions.budget import ACCELEROMETER
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.frames import FloatArray, wrap_pi
+from mavcompass.frames import FloatArray, level_to_body, wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.heading.deviation import DeviationCard, deviation_card
 

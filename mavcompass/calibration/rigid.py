@@ -30,6 +30,9 @@ from mavcompass.frames import FloatArray
 
 # What is not known of how far the field lags behind the gyro.
 _LAG_SIGMA_S = 0.03
+# Gains times the Earth's field are all that shows: where no world model tells it, the horizontal gains'
+# mean is one by convention.
+_SCALE_SIGMA = 0.01
 _STEPS = 40
 # Of the scaled normal equations; more where a step does not lower the cost.
 _DAMPING, _FIRST_DAMPING, _MOST_DAMPING = 1e-12, 1e-3, 1e3
@@ -154,19 +157,18 @@ def prior_rows(
     prior: IronPrior,
     earth: EarthField | None,
     in_force: FieldCorrection | None,
-    level_mgauss: tuple[float, float],
+    vertical_mgauss: float,
     gyro_sigma: tuple[float, float],
     motor_sigma: float,
 ) -> PriorRows:
     """Write the prior of so many readings as whitened rows.
 
     Args:
-        level_mgauss: the horizontal and the vertical field, as far as `earth` does not tell them.
+        vertical_mgauss: the vertical field, as far as `earth` does not tell it.
         gyro_sigma: of its scale, and of its bias in rad/s.
         motor_sigma: of the motors' field per unit of load.
         in_force: gives Z's offset where no world model does.
     """
-    horizontal, vertical = level_mgauss
     scale_sigma, bias_sigma = (max(sigma, 1e-9) for sigma in gyro_sigma)
     held: list[tuple[int, float, float]] = [
         (3, 1.0, prior.gain_sigma),
@@ -184,13 +186,15 @@ def prior_rows(
         held.append((HORIZONTAL, earth.horizontal_mgauss, math.hypot(along, prior.site_sigma_mgauss)))
         held.append((VERTICAL, float(earth.ned_mgauss[2]), math.hypot(down, prior.site_sigma_mgauss)))
     else:
-        held.append((HORIZONTAL, horizontal, 0.5 * horizontal))
-        held.append((VERTICAL, vertical, max(0.5 * abs(vertical), 50.0)))
+        held.append((4, 1.0, _SCALE_SIGMA))
+        held.append((VERTICAL, vertical_mgauss, max(0.5 * abs(vertical_mgauss), 50.0)))
         offset = -in_force.offsets_mgauss[2] if in_force is not None else 0.0
         held.append((2, offset, prior.vertical_offset_sigma_mgauss))
     rows, wanted = np.zeros((len(held) + 1, HEADINGS + readings)), np.zeros(len(held) + 1)
     for row, (place, value, sigma) in enumerate(held):
         rows[row, place], wanted[row] = 1.0 / sigma, value / sigma
+    if earth is None:
+        rows[-4, 3:5] = 0.5 / _SCALE_SIGMA
     rows[-1, 3:6] = np.array([-0.5, -0.5, 1.0]) / prior.vertical_gain_sigma
     return PriorRows(rows, wanted, tuple(place for place, _, _ in held))
 

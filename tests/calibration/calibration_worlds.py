@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mavcompass.calibration.model import level_to_body
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
-from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back, wrap_pi
+from mavcompass.frames import FloatArray, euler_to_matrix, level_to_body, rotate_back, wrap_pi
 from mavcompass.heading.compute import level_heading, tilt_compensated_heading
 from mavcompass.track import InForce, MagSeries, Series, Track
 

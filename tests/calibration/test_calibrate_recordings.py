@@ -13,11 +13,11 @@ from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turnin
 
 from mavcompass.attitude import down_in_body
 from mavcompass.calibration import Limits, calibrate_compasses, calibrate_track, find_dwells, method_names
-from mavcompass.calibration.model import GAIN, HORIZONTAL, OFFSET, gain_matrix, level_to_body
+from mavcompass.calibration.model import GAIN, HORIZONTAL, OFFSET, gain_matrix
 from mavcompass.calibration.observation import turn_record
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
-from mavcompass.frames import matrix_to_euler, quaternion_to_matrix, wrap_pi
+from mavcompass.frames import level_to_body, matrix_to_euler, quaternion_to_matrix, wrap_pi
 from mavcompass.heading import earth_field_of, heading_of_track
 from mavcompass.logs import read_track
 from mavcompass.track import InForce, MagSeries, Series, Track

@@ -29,12 +29,11 @@ from mavcompass.calibration.model import (
     gain_jacobian,
     gain_matrix,
     heading_gradient,
-    level_to_body,
 )
 from mavcompass.calibration.motion.sections import Sections
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, decimal_year, earth_field, middle_place
-from mavcompass.frames import FloatArray, wrap_pi
+from mavcompass.frames import FloatArray, level_to_body, wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
 
 FEW = settings(max_examples=25, deadline=None, derandomize=True)

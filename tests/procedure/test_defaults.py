@@ -43,7 +43,7 @@ PRIOR = {
 }  # fmt: skip
 DWELT = {
     "roll_rad": 0.0, "pitch_rad": 0.0, "tilt_sigma_rad": 0.02 * DEG, "samples": 1, "turned_sigma_rad": 0.0,
-    "coherence": 1.0, "unsteady_mgauss": 0.0,
+    "unsteady_mgauss": 0.0,
 }  # fmt: skip
 BY_HAND = {
     "near_rad": 12.0 * DEG, "apart_rad": 50.0 * DEG, "level_rad": 10.0 * DEG, "slope_patience_s": 15.0,

@@ -58,7 +58,7 @@ def first_state(
         prior,
         earth,
         in_force,
-        (horizontal, vertical),
+        vertical,
         (sections.scale_sigma, sections.bias_sigma_radps),
         motor_sigma,
     )

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.attitude import Levels, levels
-from mavcompass.calibration.model import level_to_body
 from mavcompass.calibration.motion.reference import ReferenceTurn
 from mavcompass.calibration.observation import field_lag_s
 from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
@@ -27,7 +26,7 @@ from mavcompass.calibration.observation.turning import (
 )
 from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs
 from mavcompass.calibration.rigid import Readings
-from mavcompass.frames import FloatArray, tilt_from_acceleration
+from mavcompass.frames import FloatArray, level_to_body, tilt_from_acceleration
 from mavcompass.track import Series, Track
 
 _WIDEST_TURN_RAD = math.radians(20.0)
@@ -173,11 +172,10 @@ def cut_sections(
 
     turned = mean(angle)
     section = np.repeat(np.arange(len(first)), last - first)
-    mapping = turned_mapping(down, angle - turned[section])
+    mapping = level_to_body(*tilt_from_acceleration(-down), angle - turned[section])
     later = 0.02
-    moved = turned_mapping(
-        level.at(time - lag - later), record.angle_at(time - lag - later) - turned[section]
-    )
+    leaning = tilt_from_acceleration(-level.at(time - lag - later))
+    moved = level_to_body(*leaning, record.angle_at(time - lag - later) - turned[section])
     middle = 0.5 * (time[first] + time[last - 1]) if len(first) else np.empty(0)
     steps = np.diff(middle)
     middle_load = float(loads.mean()) if loads.size else 0.0
@@ -227,18 +225,6 @@ def leaning_as_seen(level: Levels, time_s: FloatArray) -> Levels:
     own2 = float((level.sigma_rad.at(time_s) ** 2).mean()) if time_s.size else 0.0
     seen = max(1.0 - own2 / max(moved2, 1e-12), 0.0)
     return replace(level, down=Series(level.down.time_s, middle + seen * (level.down.values - middle)))
-
-
-def turned_mapping(down: FloatArray, turned: FloatArray) -> FloatArray:
-    """Return L R(turned), (N, 3, 3): level axes at the section's heading to body axes."""
-    level = level_to_body(*tilt_from_acceleration(-down))
-    cos, sin = np.cos(turned), np.sin(turned)
-    out = np.empty_like(level)
-    # The horizontal field turns against the vehicle.
-    out[:, :, 0] = level[:, :, 0] * cos[:, np.newaxis] - level[:, :, 1] * sin[:, np.newaxis]
-    out[:, :, 1] = level[:, :, 0] * sin[:, np.newaxis] + level[:, :, 1] * cos[:, np.newaxis]
-    out[:, :, 2] = level[:, :, 2]
-    return out
 
 
 def _step_sigma(record: TurnRecord, start_s: float, end_s: float) -> float:

@@ -14,7 +14,7 @@ from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRec
 from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs, unquantise
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, level_to_body, tilt_from_acceleration
 from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.track import MagSeries, Series, Track, uncut
 
@@ -30,8 +30,8 @@ _NEAR_S = 20.0
 class Dwell:
     """Hold one still position of a vehicle.
 
-    A vehicle may hunt around its heading while it dwells. The average over a small swing is exact all
-    the same: the mean of exp(i angle) is `coherence` times exp(i `turned_rad`).
+    A vehicle may hunt and sway while it dwells. The average over a small swing is exact all the same: in the
+    mean, level axes are taken to the body's by the tilt's rotation times `swing`.
 
     Attributes:
         start_s, end_s: the stretch of the recording.
@@ -44,7 +44,7 @@ class Dwell:
         samples: fresh readings in the mean.
         turned_rad: the gyro's angle about the vertical, counted from the recording's start; nan
             without a gyro. turned_sigma_rad: by the field's lag behind the gyro.
-        coherence: 1 for perfect stillness, see above.
+        swing: (3, 3), one for perfect stillness, see above.
         current_a: mean battery current, nan where not recorded.
         unsteady_mgauss: how much the field wandered inside the dwell beyond noise and turning.
     """
@@ -61,7 +61,7 @@ class Dwell:
     samples: int = 1
     turned_rad: float = math.nan
     turned_sigma_rad: float = 0.0
-    coherence: float = 1.0
+    swing: FloatArray = field(default_factory=lambda: np.eye(3))
     current_a: float = math.nan
     unsteady_mgauss: float = 0.0
 
@@ -228,12 +228,15 @@ def _dwell(
     angles: FloatArray,
     record: TurnRecord | None,
 ) -> Dwell:
+    down = down_in_body(track, time - field_lag_s(track))
+    motion = np.column_stack([angles, down[:, :2]])
     fresh, _ = effective_count(reported)
-    keep = _inliers(reported, angles, compass.quantum_mgauss)
+    keep = _inliers(reported, motion, compass.quantum_mgauss)
     counted = reported[keep]
     samples = max(int((fresh & keep).sum()), 1)
-    residual = counted - _trend(angles[keep], counted)
-    spread = np.sqrt((residual**2).sum(axis=0) / max(len(counted) - 1, 1))
+    line, shares = _carried(motion, reported, keep)
+    residual = (reported - line)[keep]
+    spread = np.sqrt((residual**2).sum(axis=0) / max(len(counted) - shares, 1.0))
     value, hidden = unquantise(counted.mean(axis=0), spread, compass.quantum_mgauss, compass.truncated)
     runs = hidden_in_runs(counted, np.zeros(1, dtype=np.intp), compass.quantum_mgauss)
     hidden = np.maximum(hidden, runs[0])
@@ -247,6 +250,7 @@ def _dwell(
     turned = middle + float(np.angle(phasor * np.exp(-1j * middle)))
     turning = abs(float(np.mean(record.rate_at(time)))) if record is not None else 0.0
     roll, pitch, tilt_sigma, acc = tilt_during(track, time - field_lag_s(track), LAG_SIGMA_S)
+    mapping = level_to_body(*tilt_from_acceleration(-down[keep]), angles[keep] - turned).mean(axis=0)
     current = track.current_a
     return Dwell(
         start_s=float(time[0]),
@@ -261,53 +265,53 @@ def _dwell(
         samples=samples,
         turned_rad=turned if record is not None else math.nan,
         turned_sigma_rad=turning * LAG_SIGMA_S,
-        coherence=float(abs(phasor)),
+        swing=level_to_body(roll, pitch).T @ mapping,
         current_a=float(np.nanmean(current.at(time))) if current is not None and len(current) else math.nan,
         unsteady_mgauss=_wander(
-            track,
-            time[keep],
             residual,
-            float(np.linalg.norm(value)),
             math.sqrt(float((spread**2).mean()) * memory * len(counted) / samples),
             compass.quantum_mgauss,
         ),
     )
 
 
-def _trend(angles: FloatArray, field_mgauss: FloatArray) -> FloatArray:
-    """Predict each reading from the small turn inside the dwell: straight in the angle, (N, 3)."""
-    mean = field_mgauss.mean(axis=0)
-    swing = angles - angles.mean()
-    power = float(swing @ swing)
-    if power < len(angles) * math.radians(0.2) ** 2:
-        return np.broadcast_to(mean, field_mgauss.shape)
-    return mean + swing[:, np.newaxis] * (swing @ (field_mgauss - mean) / power)
+def _carried(
+    motion: FloatArray, field_mgauss: FloatArray, keep: NDArray[np.bool_]
+) -> tuple[FloatArray, float]:
+    """Predict readings by the small motion inside the dwell, (N, 3), and tell how many of them that took.
 
-
-def _inliers(reported: FloatArray, angles: FloatArray, quantum: float) -> NDArray[np.bool_]:
-    """Mark the readings within five robust sigmas of the dwell's own line, (N,)."""
-    if len(reported) < 5:
-        return np.ones(len(reported), dtype=bool)
-    keep = np.ones(len(reported), dtype=bool)
+    `motion` (N, 3) holds the angle turned and two of leaning. A small rotation moves the field by at most its
+    length, so that slopes are held to that and only what a vehicle moved is explained by its motion.
+    """
+    away = motion - motion[keep].mean(axis=0)
+    counted = field_mgauss[keep]
+    mean = counted.mean(axis=0)
+    if len(counted) < 3:
+        return np.broadcast_to(mean, field_mgauss.shape), 1.0
+    power, left = away[keep].T @ away[keep], counted - mean
     for _ in range(2):
-        centre = _trend_from(angles, reported, keep)
-        away = np.abs(reported - centre)
+        noise2 = max(0.5 * float((np.diff(left, axis=0) ** 2).mean()), 1e-6)
+        held = noise2 / max(float(mean @ mean), 1.0) * np.eye(3)
+        slopes = np.linalg.solve(power + held, away[keep].T @ (counted - mean))
+        left = counted - mean - away[keep] @ slopes
+    return mean + away @ slopes, 1.0 + float(np.trace(np.linalg.solve(power + held, power)))
+
+
+def _inliers(reported: FloatArray, motion: FloatArray, quantum: float) -> NDArray[np.bool_]:
+    """Mark the readings within five robust sigmas of what the motion predicts, (N,)."""
+    everything = np.ones(len(reported), dtype=bool)
+    keep = everything
+    if len(reported) < 5:
+        return everything
+    for _ in range(2):
+        line, _ = _carried(motion, reported, keep)
+        away = reported - line
+        away = np.abs(away - np.median(away[keep], axis=0))
         scale = 1.4826 * np.median(away[keep], axis=0) + max(quantum, 1e-6)
         keep = np.asarray((away <= _OUTLIER_SIGMAS * scale).all(axis=1), dtype=np.bool_)
         if keep.sum() < max(3, len(reported) // 2):
-            return np.ones(len(reported), dtype=bool)
+            return everything
     return keep
-
-
-def _trend_from(angles: FloatArray, field_mgauss: FloatArray, keep: NDArray[np.bool_]) -> FloatArray:
-    swing = angles - np.median(angles)
-    centre = np.median(field_mgauss[keep], axis=0)
-    power = float(swing[keep] @ swing[keep])
-    if power < keep.sum() * math.radians(0.2) ** 2:
-        return np.broadcast_to(centre, field_mgauss.shape)
-    design = np.stack([np.ones(keep.sum()), swing[keep]], axis=1)
-    line, *_ = np.linalg.lstsq(design, field_mgauss[keep], rcond=None)
-    return np.asarray(line[0] + swing[:, np.newaxis] * line[1])
 
 
 def _memory(residual: FloatArray) -> float:
@@ -325,16 +329,11 @@ def _memory(residual: FloatArray) -> float:
     return (1.0 + min(lag_one, 0.9)) / (1.0 - min(lag_one, 0.9))
 
 
-def _wander(
-    track: Track, time: FloatArray, residual: FloatArray, length: float, noise: float, quantum: float
-) -> float:
-    """Return how far the two halves of a dwell lie apart beyond chance and tilting, milligauss."""
+def _wander(residual: FloatArray, noise: float, quantum: float) -> float:
+    """Return how far the two halves of a dwell lie apart beyond chance and motion, milligauss."""
     half = len(residual) // 2
     if half < 2:
         return 0.0
     apart = float(np.linalg.norm(residual[half:].mean(axis=0) - residual[:half].mean(axis=0)))
-    down = down_in_body(track, time - field_lag_s(track))
-    leaning = float(np.linalg.norm(down[half:].mean(axis=0) - down[:half].mean(axis=0)))
-    apart -= length * leaning
     chance = 4.0 * noise * math.sqrt(4.0 / max(len(residual), 2)) + quantum
     return apart if apart > chance else 0.0

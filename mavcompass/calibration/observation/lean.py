@@ -44,8 +44,12 @@ def accelerometer_sigma_rad(
     weight = np.tile(sigma_rad**-2.0, 2)
     prior = np.diag([1e-6, 1e-6, _SLOPE_RAD**-2.0, _SLOPE_RAD**-2.0])
     covariance = np.linalg.inv(design.T @ (design * weight[:, np.newaxis]) + prior)
-    lean = (covariance @ design.T @ (weight * np.concatenate([roll_rad, pitch_rad])))[:2]
-    noise2 = 0.5 * float(np.trace(covariance[:2, :2]))
+    tilts = np.concatenate([roll_rad, pitch_rad])
+    found = covariance @ design.T @ (weight * tilts)
+    lean = found[:2]
+    # What sways stands otherwise each time: its residuals tell by how much.
+    swaying = float(weight @ (tilts - design @ found) ** 2) / max(len(tilts) - 4, 1)
+    noise2 = 0.5 * float(np.trace(covariance[:2, :2])) * max(swaying, 1.0)
     size2 = float(lean @ lean)
     shares, squares = [], []
     for (often, own), (usual, stance) in itertools.product(_ACCELEROMETERS, _STANCES):

@@ -41,8 +41,8 @@ _SHORTEST_DWELL_S = 1.0
 _STANDS_MPS = 0.5
 # After the vehicle has come to rest the compass still averages the turn.
 _SETTLE_S = 0.25
-# Half the arc of a position cut from a continuous turn: wide averages a hand's wobble, and the
-# coherence accounts for the width exactly.
+# Half the arc of a position cut from a continuous turn: wide averages a hand's wobble, and a dwell's
+# swing accounts for the width exactly.
 _CUT_HALF_WIDTH_RAD = math.radians(20.0)
 _CUT_PER_TURN = 4
 _MOST_DWELLS = 48

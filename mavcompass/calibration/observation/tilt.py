@@ -30,10 +30,9 @@ def tilt_during(
     down = downs.mean(axis=0)
     x, y, z = down
     sigma = float(np.sqrt((level.sigma_rad.at(time_s) ** 2).mean()))
-    # A swing is no small angle; and its mean is that of other moments where the times are off.
-    bend = 0.5 * float(((downs - down) ** 2).sum(axis=1).mean())
+    # The mean of a swing is that of other moments where the times are off.
     moved = float(np.linalg.norm(downs[-1] - downs[0])) * lag_sigma_s / max(end - start, 1e-3)
-    sigma = math.hypot(sigma, TILT_FLOOR_RAD, bend, moved)
+    sigma = math.hypot(sigma, TILT_FLOOR_RAD, moved)
     return math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), sigma, _mean_force(track, start, end)
 
 

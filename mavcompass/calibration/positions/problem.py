@@ -16,14 +16,13 @@ from mavcompass.calibration.model import (
     by_tilt,
     gain_matrix,
     gain_parameters,
-    level_to_body,
 )
 from mavcompass.calibration.observation import FourPositionData, Step
 from mavcompass.calibration.rigid import IronPrior, PriorRows, Readings, prior_rows
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, level_to_body
 
 # What no error model names: the sensor's own bends and steps of its converter.
 _FLOOR_MGAUSS = 0.01
@@ -56,11 +55,10 @@ class PositionProblem:
             )
         mean = np.array([d.mean_mgauss for d in dwells])
         tilts = level_to_body([d.roll_rad for d in dwells], [d.pitch_rad for d in dwells])
-        coherence = np.array([d.coherence for d in dwells])
         current = np.array([d.current_a for d in dwells])
         readings = Readings(
             mean_mgauss=mean,
-            mapping=tilts * np.stack([coherence, coherence, np.ones(len(dwells))], axis=1)[:, np.newaxis],
+            mapping=tilts @ np.array([d.swing for d in dwells]),
             by_lag=np.zeros((len(dwells), 3, 3)),
             load=current - current.mean() if np.isfinite(current).all() else np.zeros(len(dwells)),
             step_rad=np.array([s.angle_rad for s in data.steps]),
@@ -73,7 +71,7 @@ class PositionProblem:
             prior,
             earth,
             in_force,
-            (float(start[HORIZONTAL]), float(start[VERTICAL])),
+            float(start[VERTICAL]),
             (data.gyro_scale_sigma, data.gyro_bias_sigma_radps),
             prior.motor_sigma_mgauss_per_a,
         )

@@ -156,7 +156,7 @@ def _dwell(
         acc_mps2=force_mps2,
         roll_rad=math.atan2(-y, -z) + float(tilt[0]),
         pitch_rad=math.atan2(x, math.hypot(y, z)) + float(tilt[1]),
-        coherence=1.0,
+        swing=np.eye(3),
         current_a=current_a,
         unsteady_mgauss=0.0,
     )

@@ -13,13 +13,12 @@ import pytest
 from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turning_track
 
 from mavcompass.calibration import calibrate_compasses, calibrate_track
-from mavcompass.calibration.model import level_to_body
 from mavcompass.calibration.motion.fit import fit_motion
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
+from mavcompass.frames import FloatArray, euler_to_matrix, level_to_body, rotate_back
 from mavcompass.logs import read_track
 from mavcompass.track import MagSeries, Series, Track, joined
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -307,10 +306,7 @@ def test_equation_s1_holds_for_a_section_that_turns_and_rolls() -> None:
     h, z = FIELD.horizontal_mgauss, FIELD.ned_mgauss[2]
     level = np.stack([h * np.cos(psi), -h * np.sin(psi), np.full(200, z)], axis=1)
     mean = np.einsum("nij,nj->ni", level_to_body(roll, 0.0 * roll), level).mean(axis=0)
-    from mavcompass.calibration.motion.sections import turned_mapping
-
-    down = np.stack([np.zeros(200), np.sin(roll), np.cos(roll)], axis=1)
-    mapping = turned_mapping(down, psi - 0.7).mean(axis=0)
+    mapping = level_to_body(roll, 0.0 * roll, psi - 0.7).mean(axis=0)
     assert np.allclose(mapping @ [h * math.cos(0.7), -h * math.sin(0.7), z], mean)
 
 

@@ -15,10 +15,10 @@ from mavcompass.calibration.model import HEADINGS, HORIZONTAL, LAG, VERTICAL
 from mavcompass.calibration.motion import changes, observed
 from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.scatter import scatter_left_rad
-from mavcompass.calibration.motion.sections import Sections, turned_mapping, unsettled
+from mavcompass.calibration.motion.sections import Sections, unsettled
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.correction import FieldCorrection
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, level_to_body
 from mavcompass.track import InForce, MagSeries, Series, Track
 
 DEG = math.radians(1.0)
@@ -180,8 +180,7 @@ def test_sections_are_cut_by_rows_and_by_time() -> None:
 
 
 def test_the_field_turns_against_the_vehicle() -> None:
-    level = np.tile([0.0, 0.0, 1.0], (3, 1))
-    mapping = turned_mapping(level, np.array([0.0, 0.3, -0.5]))
+    mapping = level_to_body(0.0, 0.0, np.array([0.0, 0.3, -0.5]))
     north = np.array([1.0, 0.0, 2.0])
     for k, turned in enumerate((0.0, 0.3, -0.5)):
         assert mapping[k] @ north == pytest.approx([math.cos(turned), -math.sin(turned), 2.0])

@@ -57,7 +57,7 @@ def test_the_mean_is_as_sure_as_its_readings_are_many() -> None:
         2.0 * np.array([1.0, 2.0, 0.5]) / math.sqrt(59.0)
     )
     assert not found.quantisation_mgauss2.any() and found.unsteady_mgauss == 0.0
-    assert found.coherence == pytest.approx(1.0) and found.turned_rad == pytest.approx(0.0)
+    assert found.swing == pytest.approx(np.eye(3)) and found.turned_rad == pytest.approx(0.0)
     assert math.isnan(found.current_a) and np.isnan(found.acc_mps2).all()
 
 
@@ -140,7 +140,7 @@ def test_a_swing_inside_a_position_is_reckoned_with(degrees: float, sigma_mgauss
     field = np.stack([200.0 * np.cos(psi), -200.0 * np.sin(psi), np.full(300, 400.0)], axis=1)
     found = dwell(field, turned, "px4")
     exact = np.exp(1j * turned[:60]).mean()
-    assert found.coherence == pytest.approx(abs(exact), rel=1e-3) and found.coherence < 0.9999
+    assert found.swing[0, 0] == pytest.approx(abs(exact), rel=1e-3) and found.swing[0, 0] < 0.9999
     assert found.turned_rad == pytest.approx(float(np.angle(exact)), abs=0.002)
     level = found.mean_mgauss[0] - 1j * found.mean_mgauss[1]
     assert level == pytest.approx(200.0 * np.exp(0.7j) * exact, rel=3e-3)
@@ -200,7 +200,7 @@ def test_a_position_needs_two_readings() -> None:
 def test_without_a_gyro_the_angle_is_unknown() -> None:
     track = Track(compasses=standing(FIELD + NOISE).compasses)
     found = dwell_between(track, 1, 0.0, 6.0)
-    assert math.isnan(found.turned_rad) and found.turned_sigma_rad == 0.0 and found.coherence == 1.0
+    assert math.isnan(found.turned_rad) and found.turned_sigma_rad == 0.0 and (found.swing == np.eye(3)).all()
 
 
 def test_the_heading_of_a_position_is_unsure_by_noise_tilt_and_unrest() -> None:

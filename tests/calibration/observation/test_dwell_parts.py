@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ import pytest
 from mavcompass.calibration.observation import dwells
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
-from mavcompass.track import InForce, MagSeries, Series, Track
+from mavcompass.track import InForce, MagSeries, Series
 
 FIELD = np.array([200.0, -50.0, 400.0])
 
@@ -39,62 +38,41 @@ def test_what_one_reading_tells_of_the_next_raises_the_variance(residual: FloatA
     assert dwells._memory(residual) == pytest.approx(raised, rel=0.02)
 
 
-@pytest.mark.parametrize(("sway_deg", "follows"), [(0.19, False), (0.21, True), (3.0, True)])
-def test_the_field_follows_a_heading_that_sways_by_more_than_a_fifth_of_a_degree(
-    sway_deg: float, follows: bool
-) -> None:
-    angles = 7.0 + math.radians(sway_deg) * np.where(np.arange(40) % 2 == 0, 1.0, -1.0)
-    slope = np.array([30.0, -20.0, 0.0])
-    field = FIELD + (angles - 7.0)[:, np.newaxis] * slope
+def test_what_the_motion_carries_is_no_noise_and_a_small_rotation_moves_no_more_than_the_field() -> None:
+    rng = np.random.default_rng(4)
+    motion = 0.05 * rng.standard_normal((40, 3)) + [7.0, 0.1, -0.2]
+    slopes = np.array([[30.0, -20.0, 0.0], [0.0, 400.0, 0.0], [-400.0, 0.0, 90.0]])
+    noise = 0.5 * rng.standard_normal((40, 3))
+    field = FIELD + (motion - [7.0, 0.1, -0.2]) @ slopes + noise
     field[3] += 90.0  # of a reading that is not kept
     keep = np.arange(40) != 3
-    trend = dwells._trend_from(angles, field, keep)
-    assert trend.shape == field.shape
-    if follows:
-        np.testing.assert_allclose(trend[keep], field[keep], atol=1e-9)
-        np.testing.assert_allclose(trend[3], FIELD + (angles[3] - 7.0) * slope, atol=1e-9)
-    else:
-        np.testing.assert_allclose(trend, np.broadcast_to(np.median(field[keep], axis=0), field.shape))
+    line, took = dwells._carried(motion, field, keep)
+    left = (field - line)[keep]
+    assert took == pytest.approx(4.0, abs=0.02)  # the mean and three slopes
+    assert math.sqrt((left**2).sum() / 3.0 / (keep.sum() - took)) == pytest.approx(0.5, rel=0.15)
+    assert (field - line)[3] == pytest.approx([90.0] * 3, abs=2.0)
+    # A field that wanders while the vehicle leans by a ten thousandth is not the lean's.
+    wandering = FIELD + np.linspace(-5.0, 5.0, 40)[:, np.newaxis] + noise
+    leaning = np.outer(np.linspace(-1e-4, 1e-4, 40), [0.0, 1.0, 0.0])
+    line, took = dwells._carried(leaning, wandering, np.ones(40, bool))
+    assert np.ptp(line, axis=0).max() < 1.2 and took < 1.2
 
 
-@pytest.mark.parametrize(
-    ("step_mgauss", "leaning_rad", "wanders_mgauss"),
-    [
-        (4.1, 0.0, 0.0),  # chance: 4 x 2 mG x sqrt(4 / 100) = 1.6 mG, and the step of the numbers, 2.5
-        (4.2, 0.0, 4.2),
-        (10.0, 0.01, 6.0),  # 400 mG that lean by 0.01 are 4 mG
-        (7.0, 0.01, 0.0),
-    ],
-)
-def test_halves_that_lie_apart_beyond_chance_and_tilting_are_told(
-    step_mgauss: float, leaning_rad: float, wanders_mgauss: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    time = np.arange(100) * 0.1
-    asked: list[FloatArray] = []
-
-    def down(track: Any, at: FloatArray) -> FloatArray:
-        asked.append(at)
-        lean = np.where(np.arange(at.size) < at.size // 2, 0.0, leaning_rad)
-        return np.stack([lean, 0.0 * lean, np.ones_like(lean)], axis=1)
-
-    monkeypatch.setattr(dwells, "down_in_body", down)
-    monkeypatch.setattr(dwells, "field_lag_s", lambda track: 0.25)
-    residual = np.where(time < 4.95, -0.5, 0.5)[:, np.newaxis] * np.array([0.6, 0.0, 0.8]) * step_mgauss
-    found = dwells._wander(None, time, residual, 400.0, 2.0, 2.5)  # type: ignore[arg-type]
-    assert found == pytest.approx(wanders_mgauss)
-    np.testing.assert_allclose(asked[0], time - 0.25)  # the field is old by the autopilot's averaging
-    assert dwells._wander(None, time[:3], residual[:3], 400.0, 2.0, 2.5) == 0.0  # type: ignore[arg-type]
+@pytest.mark.parametrize(("step_mgauss", "wanders"), [(4.1, False), (4.2, True)])
+def test_halves_that_lie_apart_beyond_chance_are_told(step_mgauss: float, wanders: bool) -> None:
+    """Chance is 4 x 2 mG x sqrt(4 / 100) = 1.6 mG, and the step of the numbers, 2.5."""
+    half = np.where(np.arange(100) < 50, -0.5, 0.5)[:, np.newaxis] * np.array([0.6, 0.0, 0.8])
+    assert dwells._wander(half * step_mgauss, 2.0, 2.5) == pytest.approx(step_mgauss * wanders)
+    assert dwells._wander(half[49:52] * step_mgauss, 2.0, 2.5) == 0.0
 
 
 def test_two_readings_make_a_dwell_and_eight_a_memory() -> None:
     assert dwells._memory(wave(0.5)[:8]) > 1.0
     spiky = np.tile(FIELD, (5, 1)) + np.array([0.0, 0.1, -0.1, 0.2, 90.0])[:, np.newaxis]
-    assert dwells._inliers(spiky[:4] * [1.0, 1.0, 1.0], np.zeros(4), 0.0).all()
-    assert dwells._inliers(spiky, np.zeros(5), 0.0).tolist() == [True] * 4 + [False]
-    time = np.arange(4) * 0.1
-    residual = np.where(time < 0.15, -0.5, 0.5)[:, np.newaxis] * np.array([0.0, 30.0, 0.0])
-    track = Track()
-    assert dwells._wander(track, time, residual, 400.0, 1.0, 0.0) == pytest.approx(30.0)
+    assert dwells._inliers(spiky[:4], np.zeros((4, 3)), 0.0).all()
+    assert dwells._inliers(spiky, np.zeros((5, 3)), 0.0).tolist() == [True] * 4 + [False]
+    residual = np.array([-0.5, -0.5, 0.5, 0.5])[:, np.newaxis] * np.array([0.0, 30.0, 0.0])
+    assert dwells._wander(residual, 1.0, 0.0) == pytest.approx(30.0)
 
 
 def test_a_correction_holds_from_its_moment_on() -> None:

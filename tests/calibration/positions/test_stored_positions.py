@@ -42,7 +42,7 @@ def positions(degrees: tuple[float, ...], seed: int, disturbed: int = -1, **more
             quantisation_mgauss2=np.diag([0.1, 0.12, 0.08]),
             tilt_sigma_rad=0.002 + 0.0005 * k,
             current_a=3.0 + chance.normal(),
-            coherence=0.9995 - 0.0002 * k,
+            swing=np.diag([0.9995 - 0.0002 * k, 0.9995 - 0.0002 * k, 1.0]),
             unsteady_mgauss=1.5 * k,
             turned_sigma_rad=0.001,
         )
