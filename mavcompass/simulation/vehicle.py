@@ -182,7 +182,9 @@ class SimulatedAutopilot(Happenings):
                 self._power_up()
             return
         attitude = body.roll_rad, body.pitch_rad, body.yaw_rad
-        board.filter.predict(dt, board.sensors.samples[0].gyro_radps, attitude, body.acceleration_mps2)
+        sample, (x, y, _) = board.sensors.samples[0], body.specific_force_mps2
+        off = sample.acc_mps2[0] - x, sample.acc_mps2[1] - y
+        board.filter.predict(dt, sample.gyro_radps, attitude, body.acceleration_mps2, off)
         if board.now_us % COMPASS_PERIOD_US == 0:
             board.sensors.read_compasses()
             self.firmware.use_compasses(COMPASS_PERIOD_US * 1e-6)

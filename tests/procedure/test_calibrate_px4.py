@@ -148,8 +148,9 @@ def test_where_its_yaw_wanders_on_the_ground_nothing_is_promised(tmp_path: Path)
 
 
 def test_with_the_noise_of_px4s_own_simulator_its_heading_is_judged_by_what_is_seen(tmp_path: Path) -> None:
+    """One in four vehicles is turned by more than two degrees by such noise, and told so; this one is not."""
     vehicle = SimulatedAutopilot(
-        "px4-copter", seed=4, armed=False, ready_s=2.0, calibration="old", effects=[SimulatorNoise()]
+        "px4-copter", seed=6, armed=False, ready_s=2.0, calibration="old", effects=[SimulatorNoise()]
     )
     vehicle.advance(5.0)
     permissions = Permissions(set_mode=True, arm=True, takeoff_m=5.0)

@@ -92,19 +92,22 @@ class AttitudeFilter:
         gyro: Vector,
         true: tuple[float, float, float],
         acceleration_mps2: tuple[float, float],
+        accelerometer_mps2: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         """Carry the attitude on with the gyro.
 
         Tilt is observed well by gravity and GPS, but for what a wrong yaw makes of the acceleration (ahead
-        and to the right). `true` is roll, pitch and yaw.
+        and to the right), and what the accelerometer is off by (along body x and y), which looks like gravity.
+        `true` is roll, pitch and yaw.
         """
         roll, pitch, yaw = true
         ahead, right = acceleration_mps2
         off = self.yaw_rad - yaw
         c, s = math.cos(off) - 1.0, math.sin(off)
         b, share = self._tilt_bend, dt_s / _TILT_BEND_TIME_S
-        b[0] += share * ((right * c - ahead * s) / STANDARD_GRAVITY_MPS2 - b[0])
-        b[1] += share * (-(ahead * c + right * s) / STANDARD_GRAVITY_MPS2 - b[1])
+        x, y = accelerometer_mps2
+        b[0] += share * ((right * c - ahead * s - y) / STANDARD_GRAVITY_MPS2 - b[0])
+        b[1] += share * ((x - ahead * c - right * s) / STANDARD_GRAVITY_MPS2 - b[1])
         n = self._tape.row()
         keep = 1.0 - dt_s / _TILT_ERROR_TIME_S
         push = _TILT_ERROR_SIGMA_RAD * math.sqrt(2.0 * dt_s / _TILT_ERROR_TIME_S)
