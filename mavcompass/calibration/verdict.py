@@ -19,8 +19,6 @@ EARTH_TOTAL_MGAUSS = (220.0, 670.0)
 _WIRE_LIMIT_MGAUSS = 32000.0
 _WORLD_MISMATCH = 0.3
 _TURNED_MOUNT = 0.35
-# Where it is not clear which position was disturbed, repeating one is cheaper than guessing.
-_AMBIGUOUS_SHARE = 0.05
 
 SOURCE_WORDS = {
     "noise": "noise of the compass (dwell longer)",
@@ -162,14 +160,12 @@ def _judge_disturbance(
             f"The field at {named} is off by about {apart:.0f} mG ({degrees:.1f} degrees): something "
             "magnetic moved nearby, or the vehicle slipped"
         )
-        ambiguous = len(fit.suspects) > 1
-        if (
-            fit.heading_sigma_rad * DEG_PER_RAD
-            > (_AMBIGUOUS_SHARE if ambiguous else 1.0) * limits.heading_deg
-        ):
+        if fit.heading_sigma_rad * DEG_PER_RAD > limits.heading_deg:
             reasons.append(f"{sentence}. Repeat it there.")
-        else:
+        elif len(fit.suspects) == 1:
             warnings.append(f"{sentence}; the others agree and were believed.")
+        else:
+            warnings.append(f"{sentence}; which one cannot be told, and the uncertainty holds each.")
     elif fit.consistency < WIDENED_BELOW:
         warnings.append("The positions fit worse than their noise explains; the uncertainty is widened.")
 

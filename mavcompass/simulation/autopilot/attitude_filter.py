@@ -97,7 +97,7 @@ class AttitudeFilter:
         """Carry the attitude on with the gyro.
 
         Tilt is observed well by gravity and GPS, but for what a wrong yaw makes of the acceleration (ahead
-        and to the right), and what the accelerometer is off by (along body x and y), which looks like gravity.
+        and to the right), and what the accelerometer is off by (along body x and y), which looks like a lean.
         `true` is roll, pitch and yaw.
         """
         roll, pitch, yaw = true
