@@ -24,7 +24,6 @@ _ALIKE = 0.2
 _TURNED_MOUNT = 0.35
 # Less of the circle than this cannot tell iron from heading.
 LEAST_CIRCLE_RAD = math.radians(150.0)
-_FEWEST_READINGS = 150
 # A turn known no better shows nothing of the compass.
 _SPARSE_RAD = math.radians(5.0)
 _SCATTER_TOLD_DEG = 1.0
@@ -52,12 +51,6 @@ def findings(
     sparse = sparse_words(sections)
     if sparse and honest.error.rms_rad() * DEG_PER_RAD > _SCATTER_TOLD_DEG:
         reasons.append(sparse)
-    readings = float(sections.samples.sum())
-    if readings < _FEWEST_READINGS:
-        reasons.append(
-            f"The compass was recorded only {readings:.0f} times, too seldom to average what disturbs it. "
-            "Record it 10 times a second or more."
-        )
     seen = circle_seen_rad(fit.headings_rad)
     if seen < LEAST_CIRCLE_RAD:
         reasons.append(
