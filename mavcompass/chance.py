@@ -69,3 +69,13 @@ def _where(past: Callable[[float], bool], high: float) -> float:
     while low < (middle := 0.5 * (low + high)) < high:
         low, high = (low, middle) if past(middle) else (middle, high)
     return high
+
+
+def wilson(hits: int, of: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a share."""
+    if of == 0:
+        return (0.0, 1.0)
+    z, p = 1.96, hits / of
+    middle = (p + z * z / (2 * of)) / (1 + z * z / of)
+    half = z / (1 + z * z / of) * math.sqrt(p * (1 - p) / of + z * z / (4 * of * of))
+    return (max(middle - half, 0.0), min(middle + half, 1.0))

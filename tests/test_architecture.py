@@ -8,6 +8,7 @@ type checkers see is an arrow like any other.
 from __future__ import annotations
 
 import logging
+import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -123,7 +124,7 @@ ROWS = {
 MODULES_IN_A_FOLDER = 13
 MAY_IMPORT_EVERYTHING = {"service", "report", "cli", "fleet", "plot", "api", "__main__"}
 
-THIRD_PARTIES_OF_THE_GROUND_FLOOR = {"numpy", "scipy", "pygeomag"}
+THIRD_PARTIES_OF_THE_GROUND_FLOOR = {"numpy", "pygeomag"}
 WITHOUT_MAVLINK = {"attitude", "heading", "calibration", "simulation", "gap", "procedure"}
 MAVLINK = {"pymavlink", "mavsdk"}
 
@@ -258,7 +259,21 @@ def test_a_folder_holds_about_a_dozen_modules() -> None:
     assert [crowd for room in ROWS for crowd in crowded_folders(folder / room)] == []
 
 
-def test_the_ground_floor_needs_only_numpy_scipy_and_pygeomag() -> None:
+def test_scipy_is_used_only_where_an_extra_brings_it() -> None:
+    """The plain installation is without it: 130 MB that a companion computer need not hold."""
+    folder = Path(mavcompass.__file__).parent
+    using = [
+        file
+        for file in folder.rglob("*.py")
+        if re.search(r"^\s*(from|import) scipy", file.read_text("utf-8"), re.M)
+    ]
+    assert {file.relative_to(folder).parts[:2] for file in using} == {
+        ("fleet", "population"),
+        ("gap", "trial"),
+    }
+
+
+def test_the_ground_floor_needs_only_numpy_and_pygeomag() -> None:
     assert strangers_on_the_ground_floor("mavcompass") == set()
 
 

@@ -27,6 +27,8 @@ PARTS = {
         Part(
             "The service", "service", ("msgspec", "starlette", "uvicorn", "websockets", "prometheus_client")
         ),
+        Part("A fleet", "fleet", ("scipy",)),
+        Part("A blind trial", "trial", ("scipy",)),
         Part("A Parquet table", "fleet", ("pyarrow",)),
         Part("A cluster (--scheduler)", "fleet", ("distributed",)),
         Part("An object store", "fleet", ("fsspec",)),

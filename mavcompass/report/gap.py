@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from mavcompass.chance import wilson
 from mavcompass.gap.result import Cause, Diagnosis
-from mavcompass.gap.trial import Trial, wilson
 from mavcompass.report.gap_figures import (
     ambiguity_figure,
     gap_figures,
@@ -19,6 +19,9 @@ from mavcompass.report.gap_figures import (
 from mavcompass.report.gap_words import SHADES, VERDICTS, advice, shrink_words
 from mavcompass.report.page import write_page
 from mavcompass.simulation.effects import catalogue
+
+if TYPE_CHECKING:
+    from mavcompass.gap.trial import Trial
 
 
 def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:

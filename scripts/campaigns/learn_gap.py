@@ -24,13 +24,14 @@ from typing import Any
 
 import numpy as np
 
+from mavcompass.chance import wilson
 from mavcompass.frames import FloatArray
 from mavcompass.gap.answer import figures, statistics
 from mavcompass.gap.diagnose import examine, withheld_effects
 from mavcompass.gap.tables import KINDS, OUTCOMES, SCHEMA
 from mavcompass.gap.trial import another, bench
 from mavcompass.gap.trial.label import Label
-from mavcompass.gap.trial.score import Answer, score, wilson
+from mavcompass.gap.trial.score import Answer, score
 from mavcompass.gap.trial.vehicles import cases as vehicles
 from mavcompass.installation.data_files import params_path
 

@@ -16,13 +16,13 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.blas import single_thread
+from mavcompass.chance import wilson
 from mavcompass.frames import FloatArray
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, ideal, noisy, stimulus_of, to_track
-from mavcompass.gap.trial.score import wilson
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 

@@ -198,7 +198,7 @@ def _run(
 
     page = report_file or out.with_suffix(".html")
     cluster = () if engine.scheduler is None else ("A cluster (--scheduler)",)
-    require_for(report=page, also=("A Parquet table", *cluster))
+    require_for(report=page, also=("A fleet", "A Parquet table", *cluster))
     recordings = find_recordings(paths)
     if engine.scheduler is None:  # a cluster's workers have their own installation
         require_for(*(Path(recording.path) for recording in recordings))

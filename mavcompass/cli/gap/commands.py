@@ -210,7 +210,7 @@ def blind_trial(cases: int, seed: int, generator: Generator, report: Path | None
     \b
     Example: mavcompass gap blind-trial --cases 40 --seed 7
     """
-    require_for(report=report)
+    require_for(report=report, also=("A blind trial",))
     from mavcompass.gap.trial import run_trial
 
     trial = run_trial(cases, seed, generator=generator)

@@ -7,6 +7,7 @@ floor's. What is left is judged under that noise; otherwise each of these would 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 
@@ -93,8 +94,8 @@ def _before_rounding(
     rounded: FloatArray, predicted: FloatArray, sigma: FloatArray, step_mgauss: float
 ) -> FloatArray:
     """Draw normal values about a prediction, each inside the step that its rounded value stands for."""
-    from scipy.special import ndtr, ndtri
-
+    normal = NormalDist()
+    ndtr, ndtri = (np.vectorize(f, otypes=[float]) for f in (normal.cdf, normal.inv_cdf))
     low, high = rounded - 0.5 * step_mgauss, rounded + 0.5 * step_mgauss
     p_low, p_high = ndtr((low - predicted) / sigma), ndtr((high - predicted) / sigma)
     share = np.random.default_rng(_SEED).random(rounded.shape)

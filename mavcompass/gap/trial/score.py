@@ -89,16 +89,6 @@ class Case:
         return not named <= _akin(self.label.ids)
 
 
-def wilson(hits: int, of: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a share."""
-    if of == 0:
-        return (0.0, 1.0)
-    z, p = 1.96, hits / of
-    middle = (p + z * z / (2 * of)) / (1 + z * z / of)
-    half = z / (1 + z * z / of) * math.sqrt(p * (1 - p) / of + z * z / (4 * of * of))
-    return (max(middle - half, 0.0), min(middle + half, 1.0))
-
-
 def score(label: Label, answer: Answer, withheld: Answer | None) -> Case:
     """Compare an answer with its label."""
     truth = label.ids

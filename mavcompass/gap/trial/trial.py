@@ -10,11 +10,12 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 
+from mavcompass.chance import wilson
 from mavcompass.errors import UsageError
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.trial import bench, foreign
 from mavcompass.gap.trial.label import SHARES, Generator, Tier
-from mavcompass.gap.trial.score import Answer, Case, score, scoreboard, wilson
+from mavcompass.gap.trial.score import Answer, Case, score, scoreboard
 from mavcompass.track import Track
 
 SCHEMA = "mavcompass.gap-trial/1"

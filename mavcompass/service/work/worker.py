@@ -1,6 +1,6 @@
 """A helper process for heavy work: it starts with a calibration and ends with it.
 
-Solving needs scipy, reports need templates and diagnoses need minutes. Done here they neither make the
+Solving needs numpy, reports need templates and diagnoses need minutes. Done here they neither make the
 long-running service grow nor hold up its heading.
 """
 
@@ -27,7 +27,7 @@ class Worker:
         self._closed = False
 
     def start(self) -> Child:
-        """Start the process, whose imports (all of scipy) then run beside whatever comes first.
+        """Start the process, whose imports then run beside whatever comes first.
 
         Raises MavCompassError after `close`.
         """
