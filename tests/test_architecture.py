@@ -98,11 +98,11 @@ ROWS = {
         {"run", "mavproxy"},
         {"web", "systemd"},
         {"station"},
-        {"mavlink", "publisher"},
+        {"mavlink"},
         {"work"},
         {"view"},
         {"watch"},
-        {"config", "schedule"},
+        {"addresses", "config"},
         {"models"},
     ],
     "fleet": [

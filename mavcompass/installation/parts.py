@@ -25,7 +25,9 @@ PARTS = {
         Part("An HTML report", "report", ("jinja2",)),
         Part("A plot", "report", ("matplotlib",)),
         Part(
-            "The service", "service", ("msgspec", "starlette", "uvicorn", "websockets", "prometheus_client")
+            "The service",
+            "service",
+            ("msgspec", "starlette", "uvicorn", "websockets", "prometheus_client", "segno"),
         ),
         Part("A Parquet table", "fleet", ("pyarrow",)),
         Part("A cluster (--scheduler)", "fleet", ("distributed",)),

@@ -13,6 +13,8 @@ import numpy as np
 from mavcompass.calibration.result import CalibrationResult, heading_change_rad
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import MavCompassError, UsageError
+from mavcompass.installation.private_files import private_folder, write_private
+from mavcompass.messages import Incoming
 from mavcompass.procedure.check import CheckReport
 from mavcompass.procedure.dialect import WriteOutcome
 from mavcompass.procedure.report import CalibrationReport
@@ -20,16 +22,47 @@ from mavcompass.procedure.script import Show
 from mavcompass.report.document import live_document
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.view import VehicleView
+from mavcompass.service.work import clock
 from mavcompass.service.work.clock import utc_now
 from mavcompass.service.work.history import Entry, History
-from mavcompass.service.work.recorder import Recorder
 from mavcompass.service.work.tasks import CalibrationRequest, Task, UndoRequest
 from mavcompass.service.work.worker import Worker, write_calibration_report
+from mavcompass.vehicle.wire import FrameWriter
 
 _log = logging.getLogger(__name__)
 
 _KEPT_RECORDINGS, _KEPT_REPORTS = 50, 200
+# Ten minutes of a fast link; what comes after is not needed to explain a calibration.
+_MOST_BYTES = 64_000_000
 _CARD_STEP = 3  # of the 72 headings: every 15 degrees
+
+
+class Recorder:
+    """Record a calibration as a .tlog, which every tool of the field reads: what the vehicle says, frames
+    with their time of arrival, microseconds since 1970, big-endian."""
+
+    def __init__(self) -> None:
+        self._writers: dict[tuple[int, int], FrameWriter] = {}
+        self._data = bytearray()
+        self._offset_s: float | None = None
+
+    def add(self, heard: Incoming) -> None:
+        """Append one message."""
+        if len(self._data) > _MOST_BYTES:
+            return
+        if self._offset_s is None:
+            self._offset_s = clock.now().timestamp() - heard.time_s
+        sender = (heard.system, heard.component)
+        if sender not in self._writers:
+            self._writers[sender] = FrameWriter(2, None)
+        stamp_us = round((heard.time_s + self._offset_s) * 1e6)
+        self._data += stamp_us.to_bytes(8, "big")
+        self._data += self._writers[sender].write(heard.message, heard.system, heard.component)
+
+    def save(self, path: Path) -> None:
+        """Write the file. Raises OSError."""
+        private_folder(path.parent)
+        write_private(path, self._data, flushed=False)
 
 
 class Results:

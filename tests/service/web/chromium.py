@@ -118,6 +118,18 @@ class Page:
             raise RuntimeError(f"{script}: {result['exceptionDetails']['text']}")
         return result["result"].get("value")
 
+    def run_in_frame(self, script: str) -> Any:
+        """Evaluate an expression in the first frame of the page, None where it has none."""
+        frames = self._call("Page.getFrameTree", {})["frameTree"].get("childFrames", ())
+        for frame in frames:
+            world = self._call("Page.createIsolatedWorld", {"frameId": frame["frame"]["id"]})
+            result = self._call(
+                "Runtime.evaluate",
+                {"expression": script, "returnByValue": True, "contextId": world["executionContextId"]},
+            )
+            return result["result"].get("value")
+        return None
+
     def wait(self, condition: str) -> Any:
         """Wait until an expression is true in the page."""
         end = time.monotonic() + _PATIENCE_S

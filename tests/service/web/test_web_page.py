@@ -6,13 +6,17 @@ Pictures of every step are saved in the folder $MAVCOMPASS_SCREENSHOTS, by defau
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 from chromium import Page, find_chromium
 from running_service import RunningService, StartService, wait_for
 
+from mavcompass.service.config import HttpConfig
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
@@ -22,6 +26,30 @@ SCREENSHOTS = Path(
 PHONE, DESK = (390, 844), (1200, 900)
 
 OpenPage = Callable[..., Page]
+
+
+@pytest.fixture
+def start_site() -> Iterator[Callable[[dict[str, str]], str]]:
+    """Serve pages of somebody else on another port; return their origin."""
+    with ExitStack() as stack:
+
+        def start(pages: dict[str, str]) -> str:
+            class Answer(BaseHTTPRequestHandler):
+                def do_GET(self) -> None:
+                    self.send_response(200)
+                    self.send_header("content-type", "text/html")
+                    self.end_headers()
+                    self.wfile.write(pages.get(self.path, "").encode())
+
+                def log_message(self, *_: object) -> None:
+                    pass
+
+            server = stack.enter_context(ThreadingHTTPServer(("127.0.0.1", 0), Answer))
+            stack.callback(server.shutdown)
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            return f"http://127.0.0.1:{server.server_port}"
+
+        yield start
 
 
 @pytest.fixture
@@ -133,6 +161,31 @@ def test_a_disarmed_vehicle_is_armed_after_a_person_has_agreed_to_that(
     assert "written, read back" in page.text("#result .verdict")
     assert not disarmed.autopilot.firmware.status.armed  # type: ignore[attr-defined]
     assert page.errors == []
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_in_blueos_the_page_stands_in_a_frame_and_has_the_token(
+    start_service: StartService, open_page: OpenPage, start_site: Callable[[dict[str, str]], str], named: bool
+) -> None:
+    site: dict[str, str] = {}
+    other = start_site(site)
+    origins = (other,) if named else ()
+    running = start_service(http=HttpConfig(listen="127.0.0.1:0", framed_by=origins))
+    enter = running.stranger.get("/register_service").json().get("route", "/extension/mavcompass/")
+    inner = running.service.url + enter.removeprefix("/extension/mavcompass/")
+    site["/"] = f"<iframe src='{inner}?time=1' style='width:100%;height:95vh;border:0'></iframe>"
+    page = open_page(running, token=False)
+    page.open(other)
+    if not named:
+        wait_for(lambda: "refused" in str(page.run_in_frame("document.body.innerText")))
+        return
+    degrees = "document.querySelector('#heading').innerText"
+    wait_for(lambda: str(page.run_in_frame(degrees)).isdecimal())
+    assert page.run_in_frame("location.pathname + location.search + location.hash") == "/"
+    page.screenshot(SCREENSHOTS / "390x844-10-framed.png")
+    page.run_in_frame("document.querySelector('#calibrate').click()")
+    wait_for(lambda: running.service.station.desk.busy)
+    assert page.run_in_frame("document.querySelector('#refusal').hidden")
 
 
 def test_without_the_token_the_page_only_shows(running: RunningService, open_page: OpenPage) -> None:

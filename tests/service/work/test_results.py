@@ -18,8 +18,14 @@ from mavcompass.procedure.report import AutopilotHeading
 from mavcompass.procedure.script import Show
 from mavcompass.service.config import ServiceConfig, StorageConfig
 from mavcompass.service.work.history import Entry, History
-from mavcompass.service.work.recorder import Recorder
-from mavcompass.service.work.results import Results, _old_and_new, _summary, recording_path, sigma_deg
+from mavcompass.service.work.results import (
+    Recorder,
+    Results,
+    _old_and_new,
+    _summary,
+    recording_path,
+    sigma_deg,
+)
 from mavcompass.service.work.tasks import CheckRequest, Task, UndoRequest
 
 

@@ -11,11 +11,12 @@ const page = { compass: 1, now: null, task: null, world: null, vehicle: null, dr
 
 // --- the token ----------------------------------------------------------------------------------
 
-// It comes in the fragment, which browsers never send, and leaves the address bar at once.
-const fragment = new URLSearchParams(location.hash.slice(1));
-if (fragment.has("token")) {
-  localStorage.setItem("mavcompass-token", fragment.get("token"));
-  history.replaceState(null, "", location.pathname);
+// It comes in the fragment, which browsers never send, or, from BlueOS's menu, as the end of the address. It leaves
+// the address bar at once.
+const entered = location.pathname.match(/^\/enter\/(.+)$/)?.[1] ?? new URLSearchParams(location.hash.slice(1)).get("token");
+if (entered) {
+  localStorage.setItem("mavcompass-token", decodeURIComponent(entered));
+  history.replaceState(null, "", "/");
 }
 const token = () => localStorage.getItem("mavcompass-token") ?? "";
 
