@@ -1,4 +1,4 @@
-"""Text from outside, as it may stand on a terminal, in a log and in a report."""
+"""Text as it may stand on a terminal, in a log and in a report."""
 
 from __future__ import annotations
 
@@ -8,3 +8,8 @@ def printable(text: object) -> str:
     return "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in str(text)
     )
+
+
+def counted(number: int, thing: str) -> str:
+    """Spell a number of things: 1 recording, 2 recordings."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

@@ -99,9 +99,7 @@ def command(
 
     def say_ready() -> None:
         print(f"mavcompass serves {config.vehicle.source}")
-        # systemd's journal, which more people read than the file, gets no token.
-        told = "JOURNAL_STREAM" not in os.environ or sys.stdout.isatty()
-        key = f"#token={service.token}" if told else f" (token in {config.token_file})"
+        key = _key(service.token, config.token_file)
         pages = page_urls(*service.address)
         for number, (url, interface) in enumerate(pages.items()):
             print(
@@ -109,7 +107,7 @@ def command(
             )
         print(f"  data  {config.folder}")
         if config.is_open_to_the_network:
-            if told and sys.stdout.isatty():
+            if sys.stdout.isatty():
                 print(*qr_code(f"{service.url}{key}"), sep="\n")
             print("Open to this network: whoever has this address with its token can move the vehicle.")
         else:
@@ -118,3 +116,9 @@ def command(
 
     service.run(say_ready)
     return 0
+
+
+def _key(token: str, token_file: Path) -> str:
+    """Spell what stands behind the page's address; systemd's journal, which many may read, gets no token."""
+    in_journal = "JOURNAL_STREAM" in os.environ and not sys.stdout.isatty()
+    return f" (token in {token_file})" if in_journal else f"#token={token}"

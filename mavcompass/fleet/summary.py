@@ -13,6 +13,7 @@ import numpy as np
 from mavcompass.errors import PoorCalibration
 from mavcompass.fleet.examine import Row, Work
 from mavcompass.fleet.population import Distribution, Odd, learn
+from mavcompass.printable import counted
 
 _AXES = ("x", "y", "z")
 _DAY_S = 86_400.0
@@ -193,11 +194,6 @@ def _slowest(rows: Sequence[Row]) -> tuple[tuple[str, float], ...]:
     for row in rows:
         seconds[row["recording"]] += row.get("seconds") or 0.0
     return tuple(sorted(seconds.items(), key=lambda item: -item[1])[:3])
-
-
-def counted(number: int, thing: str) -> str:
-    """Spell a number of things: 1 recording, 2 recordings."""
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def _count(rows: Iterable[Row]) -> int:

@@ -189,7 +189,11 @@ class OwnHeading:
                     began_s = self._context.now
                     continue
                 if self.samples and self._context.now - began_s > _SLOPE_AT_LEAST_S * self._slowness + 1.0:
-                    text = f"The autopilot still steers {abs(self.error_deg):.1f} deg off; waiting for it."
+                    left_s = self._patience_s() - (self._context.now - began_s)
+                    text = (
+                        f"All is written; the autopilot still follows, {abs(self.error_deg):.1f} deg off"
+                        f" now (at most {left_s:.0f} s more; you may stop here)."
+                    )
                     self._context.show("heading", text, live=float(told))
                     told = True
                 yield from pause(self._context, 1.0)

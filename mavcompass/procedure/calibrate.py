@@ -24,11 +24,13 @@ from mavcompass.procedure.motion import Motion, Permissions, SafetyLimits, Wishe
 from mavcompass.procedure.positions import DwellSettings, HandMover, Mover, Window, prove, visit
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.restart import restart
-from mavcompass.procedure.script import Context, Script, ask
+from mavcompass.procedure.script import Ask, Context, Script, ask
 from mavcompass.procedure.turning import TurnBy
 from mavcompass.procedure.writing import Writer
 from mavcompass.track import Track
 
+# What is left of a bar then is the autopilot's own heading, which comes right by itself or not.
+_PROVEN = 0.95
 # Midway between two positions proves as much as at the next one, and takes less of the vehicle's time.
 _PROOF_SHARE = 0.5
 # And so sure a heading: a third of what the field may turn more or less than the gyro.
@@ -268,7 +270,7 @@ class _Calibration:
             if mended is None or self.settings.writing == "never":
                 continue
             if not wanted and self.settings.writing == "ask":
-                question = f"Set how it is mounted, with the calibration for it?\n{result.reasons[0]}"
+                question = Ask("Set how it is mounted, with the calibration for it?", result.reasons[:1])
                 wanted = yield from ask(self.desk.context, question)
             if wanted:
                 results[k] = mended
@@ -338,7 +340,7 @@ class _Calibration:
             duration_s=with_it.duration_s,
         )
         if proof.passed:
-            context.show("prove", proof.summary(), 1.0)
+            context.show("prove", proof.summary(), _PROVEN)
             return report
         yield from writer.take_back(report, proof.summary())
         return replace(report, undone=True).noting(f"{proof.summary()} The old values were put back.")

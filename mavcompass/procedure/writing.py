@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from mavcompass.calibration.result import CalibrationResult, before_and_after
+from mavcompass.printable import counted
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.procedure.script import Script, ask, nothing
+from mavcompass.procedure.script import Ask, Script, ask, nothing
 
 
 @dataclass(slots=True)
@@ -37,11 +39,12 @@ class Writer:
         report = replace(report, plan=plan).noting(*plan.refusals, *remarks)
         if plan.refusals:
             return report
-        if self.asks and not (yield from ask(desk.context, _question(plan))):
+        if self.asks and not (yield from ask(desk.context, _question(plan, report.results))):
             return report.noting("Not written: the answer was no.")
         yield from self.just_before()
         outcome = yield from desk.dialect.write(desk.context, plan, self.save_undo)
         report = replace(report, outcome=outcome)
+        desk.context.show("written", "Written and read back.")
         if report.takes_effect_later:
             return report
         now = {**desk.parameters, **outcome.values}
@@ -61,6 +64,8 @@ class Writer:
         yield from report.outcome.take_back(self.desk.context, why)
 
 
-def _question(plan: ParameterPlan) -> str:
-    lines = [f"  {c.name:<18} {c.old:>10.4g} -> {c.new:.4g}" for c in plan.changes]
-    return "\n".join(["Write these parameters?", *lines])
+def _question(plan: ParameterPlan, results: Sequence[CalibrationResult]) -> Ask:
+    about = tuple(before_and_after(result) for result in results)
+    details = tuple(f"{c.name:<18} {c.old:>10.4g} -> {c.new:.4g}" for c in plan.changes)
+    count = counted(len(plan.changes), "parameter")
+    return Ask(f"Write the new calibration ({count})?", about, details)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad, summary
+from mavcompass.calibration.result import CalibrationResult, summary
 from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.report import figures
@@ -115,12 +115,7 @@ def _rows(old: FieldCorrection, new: FieldCorrection) -> list[tuple[str, float, 
 
 def _deviation_card(result: CalibrationResult) -> list[tuple[int, float, float]]:
     """List heading, error of the old calibration and sigma of the new one, every 30 degrees."""
-    if not (math.isfinite(result.horizontal_mgauss) and math.isfinite(result.vertical_mgauss)):
+    if (old_deg := result.in_force_error_deg()) is None:
         return []
-    old_deg = np.degrees(
-        heading_change_rad(
-            result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss
-        )
-    )
     sigma = figures.sigma_deg(result, np.arange(72) * 5.0)
     return [(5 * k, float(old_deg[k]), float(sigma[k])) for k in range(0, 72, 6)]

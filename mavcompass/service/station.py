@@ -183,6 +183,8 @@ class Station:
             self.headings += 1
             if self._publisher is not None:
                 self._publisher.publish(heading)
+            if self._jobs.task is not None:
+                self._jobs.task.trail.add(heading, view.level.turned_rad)
         if self._jobs.recorder is not None:
             self._jobs.recorder.add(heard)
 

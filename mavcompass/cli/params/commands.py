@@ -175,8 +175,8 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     \b
     Example: mavcompass params backup udpin:0.0.0.0:14550 compass.param
     """
+    from mavcompass.printable import counted
     from mavcompass.vehicle.parameters.files import parameter_form, parameter_text, write_parameter_file
-    from mavcompass.vehicle.parameters.transaction import counted
     from mavcompass.vehicle.parameters.undo import marked
 
     require_for(source)
@@ -192,7 +192,7 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     else:
         types = {name: parameter.type for name, parameter in held.compass_typed.items()}
         write_parameter_file(file, values, comment, types)
-        output.say(f"{counted(len(values))} saved in {file}.")
+        output.say(f"{counted(len(values), 'parameter')} saved in {file}.")
     saved = {"file": None if file is None else str(file), "parameters": values}
     output.write_json({**_head("backup", source, held), **saved})
 
@@ -246,7 +246,7 @@ def _write(
     output: Output,
 ) -> None:
     """Write what a file holds; without one, what the vehicle's last undo file holds."""
-    from mavcompass.vehicle.parameters.transaction import counted
+    from mavcompass.printable import counted
     from mavcompass.vehicle.parameters.undo import read_kept, undo_saver
     from mavcompass.vehicle.session import compass_part, write_values
 
@@ -265,7 +265,7 @@ def _write(
     def consent(held: HeldParameters, plan: ParameterPlan) -> str | None:
         document.update(_head(action, source, held), **_plan_part(plan))
         _say_plan(output, held, plan)
-        return None if dry_run else "" if yes else f"Write {counted(len(plan.changes))}?"
+        return None if dry_run else "" if yes else f"Write {counted(len(plan.changes), 'parameter')}?"
 
     def script(context: Context) -> Script[WriteReport]:
         return write_values(
@@ -320,7 +320,7 @@ def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None
 
 
 def _say_outcome(output: Output, report: WriteReport, dry_run: bool) -> None:
-    from mavcompass.vehicle.parameters.transaction import counted
+    from mavcompass.printable import counted
 
     outcome = report.outcome
     if outcome is None:
@@ -331,6 +331,6 @@ def _say_outcome(output: Output, report: WriteReport, dry_run: bool) -> None:
         return
     for remark in outcome.remarks:
         output.say(f"Note: {remark}")
-    output.say(f"{counted(len(outcome.values))} written and read back.")
+    output.say(f"{counted(len(outcome.values), 'parameter')} written and read back.")
     if outcome.undo_file is not None:
         output.say(f"To undo: {outcome.restore_command}")

@@ -13,15 +13,17 @@ from typing import Any
 
 from mavcompass.cli.terminal.colour import is_live
 from mavcompass.printable import printable
-from mavcompass.procedure.script import Show
+from mavcompass.procedure.script import Ask, Show
 
 _PROMPT_EVERY_S = 1.0
+_YES, _NO = ("y", "yes"), ("", "n", "no")
 _MARKS = {
     "connect": "·",
     "turn": "↻",
     "dwell": "■",
     "solve": "=",
     "write": ">",
+    "written": "✓",
     "prove": "✓",
     "undo": "!",
     "taken": "✓",
@@ -107,18 +109,32 @@ def showing(quiet: bool = False, told_later: Container[str] = ()) -> Iterator[Ca
         yield LiveShow(progress, told_later)
 
 
-def ask_on_terminal(question: str) -> Callable[[], bool | None]:
-    """Put a yes-or-no question on the terminal; the answer is read beside the running procedure."""
+def ask_on_terminal(question: Ask) -> Callable[[], bool | None]:
+    """Put a yes-or-no question on the terminal; the answer is read beside the running procedure.
+
+    What is neither is asked again; an end of the input, and an empty line, are no.
+    """
     answers: list[bool] = []
+    choices = "[y/N, d: details]" if question.details else "[y/N]"
+
+    def say(*lines: str) -> None:
+        # Whole lines: a live progress bar keeps back what does not end.
+        for line in lines:
+            print(printable(line), file=sys.stderr, flush=True)
 
     def read() -> None:
-        # A whole line: a live progress bar keeps back what does not end.
-        print(f"{question} [y/N]", file=sys.stderr, flush=True)
-        try:
-            line = sys.stdin.readline()
-        except (OSError, ValueError):
-            line = ""
-        answers.append(line.strip().lower() in ("y", "yes"))
+        say(*question.about, f"{question.question} {choices}")
+        while not answers:
+            try:
+                word = sys.stdin.readline().strip().lower()
+            except (OSError, ValueError):
+                word = ""
+            if word in _YES or word in _NO:
+                answers.append(word in _YES)
+            elif question.details and word in ("d", "details"):
+                say(*question.details, f"{question.question} {choices}")
+            else:
+                say(f"Please answer y or n. {question.question} {choices}")
 
     threading.Thread(target=read, name="answer", daemon=True).start()
     return lambda: answers[0] if answers else None

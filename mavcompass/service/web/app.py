@@ -290,7 +290,7 @@ class Api:
         entry = await self._entry(wanted.entry)
         if entry.undo_file is None:
             raise HTTPException(404, f"Entry {entry.id} wrote nothing, so there is nothing to undo.")
-        return self._take(UndoRequest(entry.undo_file))
+        return self._take(UndoRequest(entry.undo_file, entry.id))
 
     def _take(self, request: TaskRequest) -> Response:
         return _show(self._station.desk.submit(request, "http", utc_now()), 202)

@@ -12,7 +12,7 @@ from mavcompass.errors import MavCompassError
 from mavcompass.messages import Incoming
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.procedure.script import Machine, Show
+from mavcompass.procedure.script import Ask, Machine, Show
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
@@ -20,7 +20,7 @@ from mavcompass.service.work import clock, procedures
 from mavcompass.service.work.clock import utc_now
 from mavcompass.service.work.history import History
 from mavcompass.service.work.learning import Learning
-from mavcompass.service.work.results import Recorder, Results, sigma_deg
+from mavcompass.service.work.results import Recorder, Results, old_and_new, sigma_deg
 from mavcompass.service.work.staleness import stale_findings
 from mavcompass.service.work.tasks import LEARNT, CalibrationRequest, CheckRequest, Task, UndoRequest
 from mavcompass.service.work.worker import Worker
@@ -39,7 +39,7 @@ class Jobs:
     """Run procedures on the station's thread.
 
     Attributes:
-        recorder: of the calibration under way, None otherwise.
+        recorder: of the calibration under way, None otherwise. task: the one under way, None while idle.
     """
 
     def __init__(
@@ -50,6 +50,8 @@ class Jobs:
         hear: Callable[[Link, Incoming], None],
     ) -> None:
         self.recorder: Recorder | None = None
+        self.task: Task | None = None
+        self._view: VehicleView | None = None
         self._config = config
         self._history = history
         self._learning = learning
@@ -62,6 +64,7 @@ class Jobs:
         try:
             if view is None:
                 raise MavCompassError("No vehicle was heard yet.", "Check the link, then ask again.")
+            self.task, self._view = task, view
             self._do(link, view, task)
         except MavCompassError as error:
             self._results.failed(task, view, error)
@@ -69,7 +72,7 @@ class Jobs:
             _log.exception("unexpected error in a %s", task.request.kind)
             self._results.failed(task, view, error)
         finally:
-            self.recorder = None
+            self.recorder = self.task = self._view = None
             self._worker.end()
 
     def meet(self, link: Link, view: VehicleView, stop: StopRequest) -> None:
@@ -161,10 +164,12 @@ class Jobs:
         def on_show(show: Show) -> None:
             if task is not None:
                 task.show(show)
+                if show.step == "written" and self._view is not None:
+                    self._view.calibrated(task.results)
 
-        def on_ask(question: str) -> PollAnswer:
+        def on_ask(question: Ask) -> PollAnswer:
             assert task is not None
-            task.ask(question)
+            task.ask(question, tuple(map(old_and_new, task.results)) if question.details else ())
             return task.poll_answer
 
         return run(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.calibration.result import CalibrationResult, seen_by_old
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import MavCompassError, UsageError
 from mavcompass.installation.private_files import private_folder, write_private
@@ -80,7 +80,7 @@ class Results:
         assert isinstance(task.request, CalibrationRequest)
         task.results = report.results  # the proof solves anew, but what counts is what was written
         document = live_document(self._config.vehicle.source, report, task.request.method)
-        document["old_and_new"] = [_old_and_new(result) for result in report.results]
+        document["old_and_new"] = [old_and_new(result) for result in report.results]
         ok = report.accepted and not report.undone
         undo_file = document["undo_file"]
         number = self._record(
@@ -157,6 +157,8 @@ class Results:
         number = self._record(
             task, view, outcome.verified, summary, document, undo_file=document["undo_file"]
         )
+        if number is not None:
+            self._history.undone(task.request.entry, number)
         task.finish(outcome.verified, document, number)
 
     def failed(self, task: Task, view: VehicleView | None, error: Exception) -> None:
@@ -215,25 +217,33 @@ def _summary(report: CalibrationReport) -> str:
     return f"{', '.join(parts)}; {end}{steers}"
 
 
-def _old_and_new(result: CalibrationResult) -> dict[str, Any]:
-    """Set the correction that was in force beside the new one, with the old one's deviation card."""
+def old_and_new(result: CalibrationResult) -> dict[str, Any]:
+    """Set the correction that was in force beside the new one: how far off each is, the old one's deviation
+    card, and what it makes, forward and right, of the circle that the new one shows."""
     document: dict[str, Any] = {
         "instance": result.instance,
+        "accepted": result.accepted,
+        "already_right": result.already_right,
+        "before_deg": _known(result.heading_change_deg),
+        "after_deg": _known(result.heading_sigma_deg),
+        "horizontal_mgauss": _known(result.horizontal_mgauss),
+        "old_circle": [],
         "old": _correction(result.in_force),
         "new": _correction(result.correction),
         "deviation": [],
     }
-    if math.isfinite(result.horizontal_mgauss) and math.isfinite(result.vertical_mgauss):
-        change_deg = np.degrees(
-            heading_change_rad(
-                result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss
-            )
-        )
+    if (change_deg := result.in_force_error_deg()) is not None:
+        field = (result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss)
+        document["old_circle"] = np.round(seen_by_old(*field)[0][::2, :2], 1).tolist()
         document["deviation"] = [
             {"heading_deg": 5.0 * k, "old_error_deg": round(float(change_deg[k]), 2)}
             for k in range(0, 72, _CARD_STEP)
         ]
     return document
+
+
+def _known(value: float) -> float | None:
+    return round(value, 3) if math.isfinite(value) else None
 
 
 def _correction(correction: FieldCorrection) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from mavcompass.errors import Refused
-from mavcompass.procedure.script import Answer, Context, Script
+from mavcompass.procedure.script import Answer, Ask, Context, Script
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import LinkStatistics
@@ -170,7 +170,7 @@ def test_an_answer_reaches_the_procedure_once(
     answer: str, ground: Ground, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def asking(context: Context, *_: object) -> Script[Any]:
-        context.ask("Go on?")
+        context.outbox.append(Ask("Go on?"))
         while not isinstance(event := (yield context.now + 1.0), Answer):
             pass
         raise Refused(f"The answer was {event.yes}.")

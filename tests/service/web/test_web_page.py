@@ -6,6 +6,7 @@ Pictures of every step are saved in the folder $MAVCOMPASS_SCREENSHOTS, by defau
 from __future__ import annotations
 
 import os
+import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -100,8 +101,26 @@ def test_a_calibration_from_the_page_to_written_parameters(
     page.wait("!document.querySelector('#question').hidden")
     # Four, and further ones where four left doubt: whatever was visited is lit.
     assert lit(page) == page.run("document.querySelectorAll('.c-spot').length") >= 4
-    assert "COMPASS_OFS_X" in page.text("#question-text")
+    page.wait("document.querySelector('#prompt').innerText.startsWith('Write the new calibration')")
+    told = page.text("#proposals")
+    assert re.findall(r"Compass (\d)", told) == ["1", "2", "3"]
+    assert re.search(r"Compass 1\s+\d\d\.\d° → 0\.\d\d° off", told), told
+    assert page.run("document.querySelectorAll('#proposals svg').length") >= 1
+    assert page.text("#yes") == "Write" and not page.run("document.querySelector('#details').open")
+    for shown in ("prompt", "proposals", "yes"):  # all of it on one screen
+        box = f"document.querySelector('#{shown}').getBoundingClientRect()"
+        assert page.run(f"{box}.top >= 0 && {box}.bottom <= innerHeight"), shown
     look(page, "3-question")
+    late = open_page(running, token=False)  # a second device joins now
+    late.wait("!document.querySelector('#question').hidden")
+    late.wait("document.querySelectorAll('.c-spot.lit').length >= 4")
+    for what in ("#proposals", "#prompt", "#turned"):
+        inner = f"document.querySelector('{what}').textContent"
+        assert late.run(inner) == page.run(inner), what
+    trail = "document.querySelector('.c-trail').getAttribute('d')"
+    assert late.run(trail) == page.run(trail)
+    page.click("#details summary")
+    assert "COMPASS_OFS_X" in page.text("#details")
     before_deg = heading_error_rms_deg(running.link.autopilot)  # type: ignore[arg-type]
 
     page.click("#yes")
@@ -154,8 +173,7 @@ def test_a_disarmed_vehicle_is_armed_after_a_person_has_agreed_to_that(
     assert "arming check aside" in page.text("#prompt")
     look(page, "9-compass-check")
     page.click("#yes")
-    page.wait("document.querySelector('#question-text').innerText.includes('COMPASS_OFS_X')")
-    assert page.text("#prompt") == "Write these parameters?"
+    page.wait("document.querySelector('#prompt').innerText.startsWith('Write the new calibration')")
     page.click("#yes")
     page.wait("!document.querySelector('#result').hidden")
     assert "written, read back" in page.text("#result .verdict")

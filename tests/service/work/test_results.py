@@ -21,8 +21,8 @@ from mavcompass.service.work.history import Entry, History
 from mavcompass.service.work.results import (
     Recorder,
     Results,
-    _old_and_new,
     _summary,
+    old_and_new,
     recording_path,
     sigma_deg,
 )
@@ -134,8 +134,8 @@ def test_only_undo_files_of_the_folder_are_undone(name: str, results: Results, t
     (tmp_path / "undo").mkdir()
     (tmp_path / "undo" / "20260501-000-ardupilot.json").write_text("{}")
     with pytest.raises(UsageError, match="There is no undo file"):
-        results.undo_path(UndoRequest(name))
-    kept = results.undo_path(UndoRequest("20260501-000-ardupilot.json"))
+        results.undo_path(UndoRequest(name, 1))
+    kept = results.undo_path(UndoRequest("20260501-000-ardupilot.json", 1))
     assert kept == (tmp_path / "undo" / "20260501-000-ardupilot.json").resolve()
 
 
@@ -153,9 +153,9 @@ def test_the_sigma_that_the_history_claims(compasses: list[dict[str, Any]], sigm
     assert sigma_deg(entry, 2) == sigma
 
 
-def test_old_and_new_stand_side_by_side_with_a_card_where_the_field_is_known() -> None:
-    plain = _old_and_new(found())
+def testold_and_new_stand_side_by_side_with_a_card_where_the_field_is_known() -> None:
+    plain = old_and_new(found())
     assert plain["old"] == plain["new"] and plain["deviation"] == []
-    known = _old_and_new(found(horizontal_mgauss=200.0, vertical_mgauss=400.0))
+    known = old_and_new(found(horizontal_mgauss=200.0, vertical_mgauss=400.0))
     assert [row["heading_deg"] for row in known["deviation"]] == [15.0 * k for k in range(24)]
     assert {row["old_error_deg"] for row in known["deviation"]} == {0.0}
