@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from difflib import get_close_matches
+
 
 def printable(text: object) -> str:
     """Spell out (\\x1b, \\n) what would move a terminal's cursor, colour it, or begin another line."""
@@ -13,3 +16,9 @@ def printable(text: object) -> str:
 def counted(number: int, thing: str) -> str:
     """Spell a number of things: 1 recording, 2 recordings."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def did_you_mean(word: str, known: Collection[str]) -> str:
+    """Return a guess at what was meant, with a comma before it, or nothing."""
+    close = get_close_matches(word, known, n=1)
+    return f", did you mean {close[0]!r}?" if close else ""

@@ -74,10 +74,12 @@ ROWS = {
     ],
     "cli": [
         {"main"},
+        {"first_look"},
         {"calibrate", "check", "doctor", "fleet", "gap", "heading", "params", "replay", "serve", "simulate"},
         {"calibration"},
-        {"needs", "serving", "source", "terminal"},
+        {"needs", "serving", "source"},
         {"options"},
+        {"terminal"},
     ],
     "logs": [{"reading"}, {"formats"}, {"common"}],
     "calibration": [

@@ -11,7 +11,7 @@ import click
 
 from mavcompass.cli.calibration.wanted import Wanted
 from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.options import Grouped, Number, Output, Whole, common_options
 from mavcompass.cli.source import (
     compass_option,
     effects_option,
@@ -27,8 +27,28 @@ from mavcompass.cli.source import (
 from mavcompass.errors import UsageError
 from mavcompass.vehicle.transport import Recording, parse_address
 
+_HELP = {
+    "What is calibrated": (
+        "flight.tlog --compass 1,2 --method ellipsoid",
+        ("instances", "method", "max_error_deg", "orientation", "rewrite", "in_force_file"),
+    ),
+    "How it turns": (
+        "sim:copter --motion hand --positions 6",
+        ("motion", "turn_by", "positions", "step_deg", "dwell_s", "speak"),
+    ),
+    "What you allow": (
+        "udpin:0.0.0.0:14550 --arm --set-mode --takeoff 3",
+        ("yes", "dry_run", "set_mode", "arm", "takeoff_m", "land", "reboot"),
+    ),
+    "What you get": (
+        "sim:rover --dry-run --report compass.html",
+        ("report_file", "params_out", "output"),
+    ),
+    "The link": ("udpin:0.0.0.0:14550 --system 2", ("system", "sign_key", "effects")),
+}
 
-@click.command()
+
+@click.command(cls=Grouped, groups=_HELP)
 @click.argument("source")
 @method_option
 @click.option(
@@ -53,7 +73,7 @@ from mavcompass.vehicle.transport import Recording, parse_address
 @click.option(
     "--takeoff",
     "takeoff_m",
-    type=click.FloatRange(2.0, 100.0),
+    type=Number(2.0, 100.0),
     metavar="M",
     help="Allow a copter to take off to M metres; it lands afterwards.",
 )
@@ -65,14 +85,14 @@ from mavcompass.vehicle.transport import Recording, parse_address
 @click.option("--dry-run", is_flag=True, help="Never write.")
 @click.option(
     "--positions",
-    type=click.IntRange(3, 24),
+    type=Whole(3, 24),
     default=4,
     show_default=True,
     help="Where it stands still; more are added while the heading is not sure enough.",
 )
 @click.option(
     "--step-deg",
-    type=click.FloatRange(-180.0, 180.0),
+    type=Number(-180.0, 180.0),
     default=90.0,
     show_default=True,
     help="Turn between positions; negative turns left.",
@@ -80,7 +100,7 @@ from mavcompass.vehicle.transport import Recording, parse_address
 @click.option(
     "--dwell",
     "dwell_s",
-    type=click.FloatRange(0.5, 60.0),
+    type=Number(0.5, 60.0),
     help="Seconds to stand still at each position; by default until the heading is sure enough.",
 )
 @max_error_option
@@ -121,7 +141,7 @@ def command(
     arm: bool,
     takeoff_m: float | None,
     land: bool,
-    instances: tuple[int, ...],
+    instances: tuple[int, ...] | None,
     yes: bool,
     dry_run: bool,
     positions: int,
@@ -151,6 +171,8 @@ def command(
     """
 
     address = parse_address(source)
+    if instances is None:  # who recorded need not have looked after more than the first
+        instances = (1,) if isinstance(address, Recording) else ()
     refuse_contradiction(yes, dry_run)
     if params_out is not None:
         from mavcompass.vehicle.parameters.files import parameter_form

@@ -120,7 +120,7 @@ def _calibrate(link: Link, source: str, checked: CheckReport, system: int | None
     who = "The vehicle will turn." if checked.turns_itself else "You will turn it."
     if not click.confirm(f"Calibrate now? {who}", err=True):
         return NOT_FIT
-    from mavcompass.cli.terminal.show import ask_on_terminal, showing
+    from mavcompass.cli.terminal.show import showing
     from mavcompass.procedure.calibrate import CalibrateSettings
     from mavcompass.report.calibration import write_report
     from mavcompass.vehicle.calibrating import calibrate_on
@@ -128,7 +128,7 @@ def _calibrate(link: Link, source: str, checked: CheckReport, system: int | None
     motion: Literal["auto", "hand"] = "auto" if checked.turns_itself else "hand"
     settings = CalibrateSettings(instances=(), motion=motion, system=system, year=this_year())
     with showing() as show:
-        report = calibrate_on(link, source, settings, on_show=show, on_ask=ask_on_terminal)
+        report = calibrate_on(link, source, settings, on_show=show, on_ask=show.ask)
     path = Path(f"compass-{report.identity.kind}-{report.identity.system}.html")
     write_report(report, path)
     output.say(f"{'Written.' if report.written else 'Nothing was written.'} Report: {path}")

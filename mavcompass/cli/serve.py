@@ -11,8 +11,9 @@ from pathlib import Path
 import click
 
 from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import verbose_option
+from mavcompass.cli.options import Number, verbose_option
 from mavcompass.cli.source import sign_key_option, system_option
+from mavcompass.cli.terminal.colour import wrapped
 from mavcompass.errors import UsageError
 from mavcompass.installation.data_files import params_path
 
@@ -42,7 +43,7 @@ def _print_config(context: click.Context, parameter: click.Parameter, wanted: bo
     help="Print a configuration with every key and its default.",
 )
 @click.option("--storage", metavar="FOLDER", help="Where history, undo files and reports are kept.")
-@click.option("--speed", type=click.FloatRange(0.01, 1000.0), help="Of a simulated vehicle's time [1].")
+@click.option("--speed", type=Number(0.01, 1000.0), help="Of a simulated vehicle's time [1].")
 @system_option
 @sign_key_option
 @verbose_option
@@ -109,7 +110,7 @@ def command(
         if config.is_open_to_the_network:
             if sys.stdout.isatty():
                 print(*qr_code(f"{service.url}{key}"), sep="\n")
-            print("Open to this network: whoever has this address with its token can move the vehicle.")
+            print(wrapped("Open to this network: whoever has this address can move the vehicle.", sys.stdout))
         else:
             print("Only this computer reaches the page; for phones too: --http 0.0.0.0:8808")
         sys.stdout.flush()

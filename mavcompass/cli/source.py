@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcompass.calibration.methods import method_names
+from mavcompass.cli.options import Number, Whole
 from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
@@ -18,9 +19,11 @@ if TYPE_CHECKING:
     from mavcompass.vehicle.transport import Address
 
 
-def _instances(context: click.Context, parameter: click.Parameter, value: str) -> tuple[int, ...]:
-    if value == "all":
-        return ()
+def _instances(
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> tuple[int, ...] | None:
+    if value is None or value == "all":
+        return None if value is None else ()
     try:
         chosen = tuple(sorted({int(part) for part in value.split(",")}))
     except ValueError:
@@ -30,11 +33,17 @@ def _instances(context: click.Context, parameter: click.Parameter, value: str) -
     return chosen
 
 
-compass_option = click.option(
+recorded_compass_option = click.option(
     "--compass", "instances", default="1", callback=_instances, help="1, 2, 3, a list of them, or all."
 )
+compass_option = click.option(
+    "--compass",
+    "instances",
+    callback=_instances,
+    help="1, 2, 3, a list of them, or all (a live vehicle: all; a recording: 1).",
+)
 system_option = click.option(
-    "--system", type=click.IntRange(1, 255), help="System id, where several vehicles are heard."
+    "--system", type=Whole(1, 255), help="System id, where several vehicles are heard."
 )
 
 
@@ -84,7 +93,7 @@ method_option = click.option(
 )
 max_error_option = click.option(
     "--max-error-deg",
-    type=click.FloatRange(0.1, 45.0),
+    type=Number(0.1, 45.0),
     default=2.0,
     show_default=True,
     help="Accept no calibration with a larger predicted heading error.",

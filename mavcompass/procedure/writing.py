@@ -12,18 +12,25 @@ from mavcompass.procedure.dialect import ParameterPlan, SaveUndo
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Ask, Script, ask, nothing
 
+# Of a calibration's bar: what is left is the proof, and the autopilot's own heading.
+_WRITTEN = 0.9
+
 
 @dataclass(slots=True)
 class Writer:
     """Write what a calibration found; `save_undo` puts the way back on disk before anything is changed.
 
-    `just_before` is done between a person's consent and the write.
+    Attributes:
+        just_before: done between a person's consent and the write.
+        began, taken_back: whether values went to the vehicle, and whether the old ones are back.
     """
 
     desk: Desk
     save_undo: SaveUndo
     asks: bool
     just_before: Callable[[], Script[None]] = lambda: nothing(None)
+    began: bool = False
+    taken_back: bool = False
 
     def write(self, report: CalibrationReport) -> Script[CalibrationReport]:
         """Plan, ask where wanted, write and read back; without an outcome nothing was written.
@@ -42,9 +49,10 @@ class Writer:
         if self.asks and not (yield from ask(desk.context, _question(plan, report.results))):
             return report.noting("Not written: the answer was no.")
         yield from self.just_before()
+        self.began = True
         outcome = yield from desk.dialect.write(desk.context, plan, self.save_undo)
         report = replace(report, outcome=outcome)
-        desk.context.show("written", "Written and read back.")
+        desk.context.show("written", "Written and read back.", _WRITTEN)
         if report.takes_effect_later:
             return report
         now = {**desk.parameters, **outcome.values}
@@ -62,6 +70,7 @@ class Writer:
         """Write the old values again. Raises WriteFailed, with the way back, where that fails."""
         assert report.outcome is not None
         yield from report.outcome.take_back(self.desk.context, why)
+        self.taken_back = True
 
 
 def _question(plan: ParameterPlan, results: Sequence[CalibrationResult]) -> Ask:

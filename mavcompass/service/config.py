@@ -14,7 +14,8 @@ from msgspec import Meta
 
 from mavcompass.errors import MavCompassError, UsageError
 from mavcompass.files import read_text
-from mavcompass.service.models import Compass, Mistakes, Text, checked, did_you_mean, read
+from mavcompass.printable import did_you_mean
+from mavcompass.service.models import Compass, Mistakes, Text, checked, read
 
 
 def _source(value: str) -> str | None:

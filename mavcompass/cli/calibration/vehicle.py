@@ -7,7 +7,7 @@ import sys
 from mavcompass.cli.calibration.wanted import NOT_ACCEPTED, STEERS_OFF, Wanted
 from mavcompass.cli.calibration.words import say_outcome, say_result
 from mavcompass.cli.options import Output
-from mavcompass.cli.terminal.show import ask_on_terminal, showing
+from mavcompass.cli.terminal.show import showing
 from mavcompass.cli.terminal.speech import speaking
 from mavcompass.errors import PoorCalibration
 from mavcompass.procedure.calibrate import CalibrateSettings
@@ -35,7 +35,7 @@ def calibrate_one(
     """Calibrate a live vehicle; return its document, written nowhere yet, and the exit code."""
     source, output = wanted.source, wanted.output
     before_deg = _true_error_deg(link, settings.instances)
-    told_later = _told_later(output, settings.writing)
+    told_later = _told_later(output)
     with showing(told_later=told_later) as shown, speaking(shown, speak) as show:
         report = calibrate_on(
             link,
@@ -44,7 +44,7 @@ def calibrate_one(
             wanted.method,
             wanted.max_error_deg,
             on_show=show,
-            on_ask=ask_on_terminal,
+            on_ask=shown.ask,
             stop=stop,
         )
     after_deg = _true_error_deg(link, settings.instances)
@@ -70,14 +70,10 @@ def calibrate_one(
     return document, _exit_code(report)
 
 
-def _told_later(output: Output, writing: str) -> tuple[str, ...]:
-    """Name the steps whose outcome the same eyes see again, as the result: it is not shown twice.
-
-    Who is asked whether to write sees what was found before the question.
-    """
-    if output.json_file == "-" or sys.stdout.isatty() != sys.stderr.isatty():
-        return ()
-    return ("prove",) if writing == "ask" else ("solve", "prove")
+def _told_later(output: Output) -> tuple[str, ...]:
+    """Name the steps whose outcome the same eyes see again, as the result: it is not shown twice."""
+    apart = output.json_file == "-" or sys.stdout.isatty() != sys.stderr.isatty()
+    return () if apart else ("solve", "written", "prove")
 
 
 def _true_error_deg(link: Link, instances: tuple[int, ...]) -> float | None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import Function, Output, common_options
+from mavcompass.cli.options import Commands, Function, Output, common_options
 from mavcompass.cli.source import refuse_unasked_write, sign_key_option, system_option
 from mavcompass.errors import MavCompassError, NoMagnetometer, UsageError, WriteFailed
 
@@ -32,7 +32,7 @@ def _write_options(function: Function) -> Function:
     return system_option(sign_key_option(yes(dry_run(other(function)))))
 
 
-@click.group()
+@click.group(cls=Commands)
 def command() -> None:
     """Show, compare, write, back up or restore a vehicle's compass parameters.
 

@@ -234,6 +234,10 @@ def _mavsdk(source: str) -> Mavsdk:
 
 def _unknown(source: str, scheme: str) -> UsageError:
     known = [*_NETWORK, "serial", "sim", "replay", "mavsdk+udpin"]
+    if re.fullmatch(r"(\[[^\]]+\]|localhost|[\w-]+(\.[\w-]+)+):\d+/?", source):
+        return UsageError(
+            f"{source!r} does not say what kind of link.", f"Did you mean tcp:{source}, or udpout:{source}?"
+        )
     if scheme:
         hint = _did_you_mean(scheme, known, "", f":{source.partition(':')[2]}")
         return UsageError(f"{source!r} is not an address: {scheme!r} is no kind of link.", hint + _REMEDY)
