@@ -14,12 +14,12 @@ LINES = {
     "package simulation": (7_750, 5_800),
     "package attitude calibration heading": (9_150, 5_400),
     "package vehicle messages mavlink enums.py": (8_200, 5_200),
-    "package procedure": (6_100, 4_400),
+    "package procedure": (6_200, 4_400),
     "package service": (5_300, 4_100),
     "package logs": (4_550, 3_600),
-    "package cli": (3_850, 2_900),
-    "package": (68_700, 46_500),
-    "tests": (44_900, 29_000),
+    "package cli": (4_100, 2_900),
+    "package": (69_000, 46_500),
+    "tests": (45_150, 29_000),
     "scripts": (8_950, 4_400),
 }
 

@@ -249,11 +249,11 @@ def summary(result: CalibrationResult) -> str:
     if result.already_right:
         sigma_deg = max(result.heading_sigma_deg, result.heading_change_deg)
         return f"Compass {result.instance}: already right, within {sigma_deg:.2f} deg (1 sigma)."
-    text = f"Compass {result.instance}: accepted"
+    text = f"Compass {result.instance}: good"
     if math.isfinite(result.heading_sigma_deg):
         text += f", heading within {result.heading_sigma_deg:.2f} deg (1 sigma)"
     if math.isfinite(result.heading_change_deg):
-        text += f"; the old values were {result.heading_change_deg:.1f} deg off"
+        text += f", {result.heading_change_deg:.1f} deg off before"
     text = f"{text}. Offsets {x:.1f} {y:.1f} {z:.1f} mG, scale {dx:.3f} {dy:.3f}"
     if any(result.correction.motor_mgauss):
         unit = "mG/A" if result.correction.motor_source == "current" else "mG at full throttle"

@@ -100,19 +100,16 @@ def _say(report: CheckReport, source: str, output: Output, everything: bool) -> 
         output.say(f"{mark(item.verdict)}  {item.text}")
         if item.remedy and not (after and after.remedy == item.remedy):  # once, below all that it mends
             output.say(f"      {item.remedy}")
-    passed = sum(item.verdict == "pass" for item in report.items)
-    if passed and not everything:
-        output.say(f"{mark('pass')}  {passed} of {len(report.items)} questions.")
     from mavcompass.vehicle.transport import Recording, parse_address
 
-    turned = "" if report.turned else " No turn was made."
-    words = {"pass": "Fit to go.", "warn": "Go with care.", "fail": "Do not go."}[report.verdict]
     for remark in report.remarks:
         output.say(f"Note: {remark}")
-    advice = f" Next: {program()} calibrate {shlex.quote(source)}" if report.calibration_advised else ""
+    advice = f"Next: {program()} calibrate {shlex.quote(source)}" if report.calibration_advised else ""
     if advice and not report.turns_itself and not isinstance(parse_address(source), Recording):
         advice += " --motion hand (it cannot turn on the spot), or of its next flight's log"
-    output.say(f"{mark(report.verdict)}  {words}{turned}{advice}")
+    output.say(f"{mark(report.verdict)}  {report.summary()}")
+    if advice:
+        output.say(f"      {advice}")
 
 
 def _calibrate(link: Link, source: str, checked: CheckReport, system: int | None, output: Output) -> int:
@@ -131,5 +128,5 @@ def _calibrate(link: Link, source: str, checked: CheckReport, system: int | None
         report = calibrate_on(link, source, settings, on_show=show, on_ask=show.ask)
     path = Path(f"compass-{report.identity.kind}-{report.identity.system}.html")
     write_report(report, path)
-    output.say(f"{'Written.' if report.written else 'Nothing was written.'} Report: {path}")
+    output.say(f"{'Written.' if report.written else 'Nothing written.'} Report: {path}")
     return 0 if report.written else NOT_FIT

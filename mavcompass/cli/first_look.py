@@ -41,7 +41,7 @@ def look_around() -> list[str]:
         )
         return []
     for number, (place, vehicle) in enumerate(found, 1):
-        click.echo(f"  {number}  {vehicle.autopilot} {vehicle.kind}, system {vehicle.system}, on {place}")
+        click.echo(f"  {number}  {vehicle}, on {place}")
     number = 1 if len(found) == 1 else click.prompt("Which", type=click.IntRange(1, len(found)), default=1)
     place, vehicle = found[number - 1]
     for number, act in enumerate(_ACTS, 1):

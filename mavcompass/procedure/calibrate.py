@@ -158,7 +158,7 @@ class _Calibration:
             turning = f"It is still turning, by {self.rate_dps:.0f} deg/s, {armed}: keep clear."
             yield turning if self.rate_dps > _TURNING_DPS else f"It no longer turns; it is {armed}."
         if self.writer is None or not self.writer.began:
-            yield "Nothing was written."
+            yield "Nothing written."
         elif self.writer.taken_back:
             yield "The old values are back on the vehicle."
 
@@ -343,7 +343,7 @@ class _Calibration:
         context, last = self.desk.context, report.windows[-1]
         try:
             yield from self.own.written(outcome.values)
-            context.show("prove", "One more turn proves the new values.")
+            context.show("prove", "Turning once more to check the new values.")
             enough = replace(self.settings.dwell, enough_deg=_PROOF_ENOUGH_DEG)
             turned_rad = self.desk.gyro.angle_rad - last.turned_rad
             for _ in range(_PROOF_TURNS):

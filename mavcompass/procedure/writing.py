@@ -47,7 +47,7 @@ class Writer:
         if plan.refusals:
             return report
         if self.asks and not (yield from ask(desk.context, _question(plan, report.results))):
-            return report.noting("Not written: the answer was no.")
+            return report.noting("Cancelled.")
         yield from self.just_before()
         self.began = True
         outcome = yield from desk.dialect.write(desk.context, plan, self.save_undo)

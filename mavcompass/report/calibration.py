@@ -25,7 +25,7 @@ def write_report(report: CalibrationReport, path: Path) -> None:
     elif report.written:
         end = "Written to the vehicle and read back."
     else:
-        end = "Nothing was written."
+        end = "Nothing written."
     facts = {
         "Vehicle": f"{report.identity.autopilot} {report.identity.kind}, system {report.identity.system}",
         "Duration": f"{report.duration_s:.0f} s",

@@ -16,7 +16,7 @@ from mavcompass.report.gap_figures import (
     tests_figure,
     waterfall_figure,
 )
-from mavcompass.report.gap_words import SHADES, VERDICTS, advice, shrink_words
+from mavcompass.report.gap_words import SHADES, VERDICTS, advice, figures_of, shrink_words
 from mavcompass.report.page import write_page
 from mavcompass.simulation.effects import catalogue
 
@@ -91,17 +91,14 @@ def reliability(trial: Trial) -> list[tuple[str, int, str, str]]:
 
 def _cause(cause: Cause) -> dict[str, Any]:
     effect = catalogue()[cause.effect]
-    units = {p.name: p.unit for p in effect.parameters}
     return {
         "id": cause.effect,
         "title": effect.title,
         "probability": f"{100 * cause.probability:.0f} %",
-        "removes": f"{cause.removes_mgauss:.2f}",
-        "separation": "-" if cause.separation is None else f"{cause.separation:.0f}",
+        "field": f"{cause.removes_mgauss:.1f}",
+        "heading": f"{cause.removes_deg:.1f}",
+        "separation": None if cause.separation is None else f"{cause.separation:.0f}",
         "separated_by": effect.separated_by,
         "ambiguous_with": cause.ambiguous_with,
-        "parameters": [
-            (name, f"{value:.5g}", "{:.4g} to {:.4g}".format(*cause.ci95[name]), units[name])
-            for name, value in cause.parameters.items()
-        ],
+        "parameters": figures_of(cause),
     }

@@ -162,8 +162,6 @@ def write_values(
     if plan.refusals:
         raise Refused(" ".join(plan.refusals), "Nothing was written.")
     if question and not (yield from ask(context, Ask(question))):
-        raise Refused(
-            "Nothing was written: the question was not answered with yes.", "Run it again to be asked again."
-        )
+        raise Refused("Cancelled. Nothing written.", "Run it again to be asked again.")
     outcome = yield from held.dialect.write(context, plan, save_undo)
     return WriteReport(held, plan, outcome)

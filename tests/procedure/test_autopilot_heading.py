@@ -85,7 +85,7 @@ def test_without_the_permission_the_last_line_says_what_to_do(tmp_path: Path) ->
     assert report.heading is not None
     last_line = report.heading.summary()
     assert "has set its compasses aside" in last_line
-    assert last_line.endswith("restart it before you drive.")
+    assert last_line.endswith("Reboot it before driving.")
 
 
 @pytest.mark.parametrize(

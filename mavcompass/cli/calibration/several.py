@@ -29,7 +29,7 @@ def calibrate_all(link: Link, wanted: Wanted, settings: CalibrateSettings, speak
     documents: list[dict[str, object]] = []
     worst, lines = 0, []
     for vehicle in found:
-        name = f"System {vehicle.system} ({vehicle.autopilot} {vehicle.kind})"
+        name = str(vehicle)
         output.say(styled(f"{name}:", bold=True))
         mine = wanted.of_system(vehicle.system)
         trouble: MavCompassError | None = None
@@ -62,6 +62,6 @@ def _ending(document: dict[str, object], code: int, trouble: MavCompassError | N
     compasses = document["compasses"]
     assert isinstance(compasses, list)
     accepted = all(compass["accepted"] for compass in compasses)
-    done = "written and proven" if document["written"] else "not written"
-    steers = " The autopilot still steers by another heading: see above." if code == STEERS_OFF else ""
+    done = "written and checked" if document["written"] else "not written"
+    steers = " The autopilot's own heading is still off: see above." if code == STEERS_OFF else ""
     return f"{'calibrated' if accepted else 'not accepted'}, {done}.{steers}"

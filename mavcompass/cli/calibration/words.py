@@ -28,13 +28,13 @@ def say_outcome(output: Output, report: CalibrationReport) -> None:
             output.say(f"To undo: {outcome.restore_command}")
         if report.heading is not None:
             said = report.heading.summary()
-            if report.heading.not_loaded:
-                said += f" Land and disarm it, then: {outcome.again_command}; or have it landed, with --land."
             output.say(styled(said, fg="red") if report.steers_off else said)
+            if report.heading.not_loaded:
+                output.say(f"Land and disarm it, then: {outcome.again_command}", "Or let it land: --land.")
     elif report.undone:
-        output.say("The old values are back on the vehicle.")
+        output.say("The old values are back on the vehicle: nothing has changed.")
     else:
-        output.say("Nothing was written.")
+        output.say("Nothing written.")
         if report.heading is not None and report.heading.known:
             output.say(report.heading.summary())
 

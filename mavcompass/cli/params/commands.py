@@ -327,7 +327,7 @@ def _say_outcome(output: Output, report: WriteReport, dry_run: bool) -> None:
         for refusal in report.plan.refusals:
             output.say(f"It would be refused: {refusal}")
         held = "The vehicle already holds these values; nothing was written."
-        output.say("Nothing was written (--dry-run)." if dry_run and report.plan.changes else held)
+        output.say("Nothing written (--dry-run)." if dry_run and report.plan.changes else held)
         return
     for remark in outcome.remarks:
         output.say(f"Note: {remark}")

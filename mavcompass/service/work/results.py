@@ -213,7 +213,7 @@ def _summary(report: CalibrationReport) -> str:
     end = "written" if report.written else "put back" if report.undone else "not written"
     steers = ""
     if report.heading is not None and report.steers_off:
-        steers = f"; the autopilot steers {abs(report.heading.error_after_deg):.1f} deg off: restart it"
+        steers = f". {report.heading.summary().rstrip('.')}"
     return f"{', '.join(parts)}; {end}{steers}"
 
 

@@ -65,7 +65,8 @@ class Transaction:
         way_back = WayBack(self.encoding, self.source, old, undo_file)
         command = restore_command(self.source, undo_file, context.system)
         count = counted(len(new), "parameter")
-        context.show("write", f"Writing {count}; to put the old values back: {command}")
+        doing = f"Setting {count} for a while; if they stay" if plan.for_now else f"Writing {count}; to undo"
+        context.show("write", f"{doing}: {command}")
         remarks: tuple[str, ...] = ()
         try:
             echoes_s = yield from protocol.write(context, new, self.encoding)

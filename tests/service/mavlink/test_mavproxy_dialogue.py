@@ -125,7 +125,7 @@ def test_a_check_names_what_does_not_pass_and_sums_up_in_mavlink_1_too(ground: G
     ground.type("mavcompass check")
     ground.type("mavcompass status")
     assert ground.console.lines[-1] == "mavcompass: running"
-    ground.pass_time(120.0, until="Fail: ")
+    ground.pass_time(120.0, until="Not fit to ")
     document = ground.module.document
     assert document is not None and document["verdict"] == "fail"
     bad = [item["text"] for item in document["items"] if item["verdict"] != "pass"]

@@ -217,7 +217,7 @@ def test_without_the_token_the_page_only_shows(running: RunningService, open_pag
     page.click("#token-form button")
     page.click("#check")
     page.wait("!document.querySelector('#result').hidden")
-    assert "Fail" in page.text("#result .verdict")
+    assert "Not fit" in page.text("#result .verdict")
     page.screenshot(SCREENSHOTS / "390x844-7-check.png", whole=True)
 
 

@@ -52,7 +52,7 @@ function oneCompass(compass, both) {
   const pieces = [node("summary", {}, node("b", { text: `Compass ${compass.instance}` }), document_text(brief))];
   const sentence = compass.accepted
     ? `Heading within ${fixed(sigma, 2)}° (one sigma). The old values were ${fixed(compass.heading_change_deg)}° off.`
-    : "Nothing was written for it.";
+    : "Nothing written for it.";
   pieces.push(node("p", { text: sentence }));
   for (const reason of compass.reasons) pieces.push(node("p", { class: "bad", text: reason }));
   for (const warning of compass.warnings ?? []) pieces.push(node("p", { class: "soft", text: warning }));
