@@ -115,5 +115,5 @@ def test_each_event_is_named_to_the_person(campaign: ModuleType) -> None:
             "The flight mode was changed to HOLD.",
         )
     )
-    assert told["signal"].startswith("Stopped by the system (SIGTERM). It no longer turns")
+    assert told["signal"].startswith("Stopped by the system (SIGTERM).")
     assert "said nothing" in told["silence"] or "fell silent" in told["silence"]

@@ -84,8 +84,8 @@ def report(
         (report(found(), written=False, undone=True), "compass 1 within 0.4 deg; put back"),
         (
             report(found(), found(sigma=1.0), off_deg=-9.0),
-            "compass 1 within 0.4 deg, compass 1 within 1.0 deg; written. The autopilot's own heading is still"
-            " 9.0 deg off. Reboot it before driving",
+            "compass 1 within 0.4 deg, compass 1 within 1.0 deg; written. The autopilot's own heading is"
+            " still 9.0 deg off. Reboot it before driving",
         ),
     ],
 )
