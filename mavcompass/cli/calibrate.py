@@ -210,7 +210,7 @@ def command(
         rewrite=rewrite,
         dwell=DwellSettings() if dwell_s is None else DwellSettings(dwell_s=dwell_s, shortest_s=dwell_s),
     )
-    with open_source(address, effects, as_ground_station=turn_by != "auto") as link:
+    with open_source(address, effects, turn_by != "auto", by_hand=motion == "hand") as link:
         if system == "all":
             from mavcompass.cli.calibration.several import calibrate_all
 

@@ -132,8 +132,10 @@ def this_year() -> float:
     return round(decimal_year(time.time()), 2)
 
 
-def open_source(address: Address, effects: Sequence[str], as_ground_station: bool = False) -> Link:
-    """Open a live address; effects go to an embedded simulated vehicle only.
+def open_source(
+    address: Address, effects: Sequence[str], as_ground_station: bool = False, by_hand: bool = False
+) -> Link:
+    """Open a live address; effects, and who turns it by hand, are of an embedded simulated vehicle.
 
     The pilot's controls are taken from a ground station only (SYSID_MYGCS).
     """
@@ -141,8 +143,14 @@ def open_source(address: Address, effects: Sequence[str], as_ground_station: boo
     from mavcompass.vehicle.opening import open_link
     from mavcompass.vehicle.transport import Simulated
 
-    if not effects:
-        return open_link(address, GROUND_STATION if as_ground_station else ONBOARD_COMPUTER)
-    if not isinstance(address, Simulated):
+    identity = GROUND_STATION if as_ground_station else ONBOARD_COMPUTER
+    if isinstance(address, Simulated):
+        from mavcompass.vehicle.links.simulated import SimulatedLink
+
+        effects = (*address.effects, *effects)
+        return SimulatedLink.of(
+            address.vehicle, seed=address.seed, effects=effects, identity=identity, by_hand=by_hand
+        )
+    if effects:
         raise UsageError("--effect is for sim:VEHICLE only.", "Leave it away for a real vehicle.")
-    return open_link(Simulated(address.vehicle, address.seed, (*address.effects, *effects)))
+    return open_link(address, identity)

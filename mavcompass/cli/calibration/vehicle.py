@@ -12,6 +12,7 @@ from mavcompass.cli.terminal.speech import speaking
 from mavcompass.errors import PoorCalibration
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.report import CalibrationReport
+from mavcompass.procedure.script import Show
 from mavcompass.report.document import live_document
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.link import Link
@@ -36,7 +37,14 @@ def calibrate_one(
     source, output = wanted.source, wanted.output
     before_deg = _true_error_deg(link, settings.instances)
     told_later = _told_later(output)
-    with showing(told_later=told_later) as shown, speaking(shown, speak) as show:
+    person = getattr(link, "person", None)  # of an embedded simulator: follows what is shown
+    with showing(told_later=told_later) as shown, speaking(shown, speak) as spoken:
+
+        def show(what: Show) -> None:
+            spoken(what)
+            if person is not None:
+                person(what)
+
         report = calibrate_on(
             link,
             source,
