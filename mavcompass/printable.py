@@ -13,6 +13,12 @@ def printable(text: object) -> str:
     )
 
 
+def figure(value: float, form: str) -> str:
+    """Spell a number by a %-format; what rounds to nothing has no sign."""
+    text = form % value
+    return text if float(text) else form % 0.0
+
+
 def counted(number: int, thing: str) -> str:
     """Spell a number of things: 1 recording, 2 recordings."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

@@ -77,7 +77,7 @@ ROWS = {
         {"first_look"},
         {"calibrate", "check", "doctor", "fleet", "gap", "heading", "params", "replay", "serve", "simulate"},
         {"calibration"},
-        {"needs", "serving", "source"},
+        {"serving", "source"},
         {"options"},
         {"terminal"},
     ],

@@ -17,8 +17,8 @@ LINES = {
     "package procedure": (6_200, 4_400),
     "package service": (5_300, 4_100),
     "package logs": (4_550, 3_600),
-    "package cli": (4_150, 2_900),
-    "package": (69_150, 46_500),
+    "package cli": (4_100, 2_900),
+    "package": (69_200, 46_500),
     "tests": (45_250, 29_000),
     "scripts": (8_950, 4_400),
 }

@@ -9,8 +9,6 @@ from typing import Literal
 
 import click
 
-from mavcompass.cli.calibration.wanted import Wanted
-from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Grouped, Number, Output, Whole, common_options
 from mavcompass.cli.source import (
     compass_option,
@@ -20,6 +18,7 @@ from mavcompass.cli.source import (
     open_source,
     refuse_contradiction,
     refuse_unasked_write,
+    require_for,
     sign_key_option,
     systems_option,
     this_year,
@@ -179,6 +178,8 @@ def command(
 
         parameter_form(params_out)  # a wrong suffix is told before the vehicle moves
     require_for(address, report=report_file)
+    from mavcompass.cli.calibration.recording import Wanted
+
     wanted = Wanted(source, method, instances, max_error_deg, params_out, report_file, output)
     if isinstance(address, Recording):
         from mavcompass.cli.calibration.recording import solve_recording
@@ -212,7 +213,7 @@ def command(
     )
     with open_source(address, effects, turn_by != "auto", by_hand=motion == "hand") as link:
         if system == "all":
-            from mavcompass.cli.calibration.several import calibrate_all
+            from mavcompass.cli.calibration.vehicle import calibrate_all
 
             return calibrate_all(link, wanted, settings, speak)
         return calibrate_vehicle(link, wanted, settings, speak)

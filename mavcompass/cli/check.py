@@ -10,9 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
-from mavcompass.cli.source import effects_option, open_source, sign_key_option, system_option, this_year
+from mavcompass.cli.source import (
+    effects_option,
+    open_source,
+    require_for,
+    sign_key_option,
+    system_option,
+    this_year,
+)
 from mavcompass.cli.terminal.colour import mark
 from mavcompass.installation.invocation import program
 

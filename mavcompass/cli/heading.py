@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Number, Output, Whole, common_options, to_json
-from mavcompass.cli.source import sign_key_option, system_option
+from mavcompass.cli.source import require_for, sign_key_option, system_option
 from mavcompass.cli.terminal.dial import dial, is_drawable
 from mavcompass.errors import UsageError
 

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import click
 
-from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Number, verbose_option
-from mavcompass.cli.source import sign_key_option, system_option
+from mavcompass.cli.source import require_for, sign_key_option, system_option
 from mavcompass.cli.terminal.colour import wrapped
 from mavcompass.errors import UsageError
 from mavcompass.installation.data_files import params_path

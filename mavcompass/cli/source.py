@@ -1,4 +1,4 @@
-"""What commands on a vehicle or a recording share: their options, opening it, asking before a write."""
+"""What commands on a vehicle or a recording share: options, what they need, opening it, asking to write."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import click
 from mavcompass.calibration.methods import method_names
 from mavcompass.cli.options import Number, Whole
 from mavcompass.errors import UsageError
+from mavcompass.installation.parts import require
+from mavcompass.vehicle.transport import Address, Recording, Serial, parse_address
 
 if TYPE_CHECKING:
     from mavcompass.vehicle.link import Link
-    from mavcompass.vehicle.transport import Address
 
 
 def _instances(
@@ -154,3 +155,34 @@ def open_source(
     if effects:
         raise UsageError("--effect is for sim:VEHICLE only.", "Leave it away for a real vehicle.")
     return open_link(address, identity)
+
+
+def require_for(
+    *sources: str | Path | Address | None, report: Path | bool | None = None, also: tuple[str, ...] = ()
+) -> None:
+    """Raise UsageError where a part that these sources, a report or `also` need is not installed, or the
+    report's folder is not there.
+
+    Args:
+        sources: addresses and recordings; None for one that was not given.
+        report: the file of a report, or whether there is one.
+        also: more keys of `PARTS`.
+    """
+    needs = [need for source in sources if source is not None and (need := _need_of(source)) is not None]
+    if report:
+        needs.append("An HTML report")
+    require(*dict.fromkeys([*needs, *also]))
+    if isinstance(report, Path) and not report.absolute().parent.is_dir():
+        raise UsageError(
+            f"The report could not be written: the folder of {report} does not exist.",
+            "Make it, or name another.",
+        )
+
+
+def _need_of(source: str | Path | Address) -> str | None:
+    if isinstance(source, Path):
+        source = Recording(source)
+    match parse_address(source) if isinstance(source, str) else source:
+        case Serial():
+            return "A serial port"
+    return None

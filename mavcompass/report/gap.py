@@ -65,13 +65,32 @@ def write_trial_report(trial: Trial, path: Path) -> None:
         low, high = wilson(hits, of)
         share = f"{100 * hits / of:.1f} %" if of else "-"
         drawn = interval_figure(low, hits / of, high) if of else ""
-        rows.append((name, hits, of, share, f"{100 * low:.1f} to {100 * high:.1f}" if of else "-", drawn))
+        rows.append(
+            (_in_words(name), hits, of, share, f"{100 * low:.1f} to {100 * high:.1f}" if of else "-", drawn)
+        )
     shown = {
         "trial": trial,
         "rows": rows,
         "reliability": reliability(trial),
     }
     write_page(path, "gap_trial.html", shown)
+
+
+# The symbols of docs/gap.md, for who has not read it.
+_SYMBOLS = {
+    "d_sep": "separation",
+    "d_perp": "part that nothing known mimics",
+    "single, ": "one effect, ",
+    "pair, ": "two effects, ",
+    "withheld, ": "one that may not be named, ",
+    ">=": "at least",
+}
+
+
+def _in_words(name: str) -> str:
+    for symbol, words in _SYMBOLS.items():
+        name = name.replace(symbol, words)
+    return name[:1].upper() + name[1:]
 
 
 def reliability(trial: Trial) -> list[tuple[str, int, str, str]]:

@@ -55,7 +55,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, config: MkDocsConfig, **_: object) -> str:
-    """Let links to files beside docs/ lead to the repository; set equations with their numbers beside them."""
+    """Let links to files beside docs/ lead to the repository; set equations beside their numbers."""
     linked = re.sub(r"\]\(\.\./([^)]+)\)", rf"]({config.repo_url}/blob/main/\1)", markdown)
     return re.sub(r"(?:^    .*\n)+", _equation, linked, flags=re.MULTILINE)
 

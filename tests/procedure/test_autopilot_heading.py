@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
-from mavcompass.cli.calibration.words import say_outcome
+from mavcompass.cli.calibration.vehicle import say_outcome
 from mavcompass.cli.options import Output
 from mavcompass.frames import wrap_pi
 from mavcompass.procedure.calibrate import CalibrateSettings

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
-from mavcompass.cli.calibration.several import calibrate_all
-from mavcompass.cli.calibration.wanted import Wanted
+from mavcompass.cli.calibration.recording import Wanted
+from mavcompass.cli.calibration.vehicle import calibrate_all
 from mavcompass.cli.options import Output
 from mavcompass.messages import Message
 from mavcompass.procedure.calibrate import CalibrateSettings

@@ -12,9 +12,14 @@ import click
 
 from mavcompass.cli.fleet.document import document
 from mavcompass.cli.fleet.shown import LONG_S, say, short, showing
-from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Commands, Number, Output, Whole, common_options
-from mavcompass.cli.source import max_error_option, method_option, recorded_compass_option, reference_option
+from mavcompass.cli.source import (
+    max_error_option,
+    method_option,
+    recorded_compass_option,
+    reference_option,
+    require_for,
+)
 
 if TYPE_CHECKING:
     from mavcompass.fleet.engine import Engine

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcompass.cli.gap.shared import baseline_option, compass_option, diagnosed, say_summary
-from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Commands, Output, Whole, common_options
-from mavcompass.cli.source import reference_option
+from mavcompass.cli.source import reference_option, require_for
 from mavcompass.errors import UsageError
 from mavcompass.files import write_text
 from mavcompass.installation.invocation import program

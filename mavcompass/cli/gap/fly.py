@@ -13,8 +13,8 @@ import click
 
 from mavcompass.cli.gap.closing import say_comparison, write_report
 from mavcompass.cli.gap.shared import baseline_option, diagnosed, showing_progress
-from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Number, Output, common_options
+from mavcompass.cli.source import require_for
 from mavcompass.errors import UsageError
 from mavcompass.files import read_text
 

@@ -10,9 +10,8 @@ from pathlib import Path
 import click
 
 from mavcompass.cli.gap.shared import baseline_option, compass_option, say_summary, showing_progress
-from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, Whole, common_options
-from mavcompass.cli.source import reference_option
+from mavcompass.cli.source import reference_option, require_for
 from mavcompass.cli.terminal.colour import is_live
 from mavcompass.errors import UsageError
 

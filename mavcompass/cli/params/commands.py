@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Commands, Function, Output, common_options
-from mavcompass.cli.source import refuse_unasked_write, sign_key_option, system_option
+from mavcompass.cli.source import refuse_unasked_write, require_for, sign_key_option, system_option
 from mavcompass.errors import MavCompassError, NoMagnetometer, UsageError, WriteFailed
 
 if TYPE_CHECKING:
