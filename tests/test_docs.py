@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -70,6 +71,18 @@ def test_a_picture_is_there_for_light_and_dark_and_small(name: str) -> None:
         picture = ROOT / "docs" / "pictures" / f"{name}-{scheme}.png"
         assert picture.read_bytes().startswith(b"\x89PNG") and picture.stat().st_size < 150_000
         assert f"pictures/{picture.name}" in shown
+
+
+def test_the_terminals_picture_shows_what_is_said_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "scripts" / "documentation"))
+    pictures = import_module("pictures")
+    if request.config.getoption("--store"):
+        pictures.main()
+    assert pictures.terminal_text(tmp_path) == pictures.SHOWN.read_text("utf-8"), (
+        "make the pictures anew: ./scripts/test tests/test_docs.py --store"
+    )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
