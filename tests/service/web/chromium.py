@@ -170,6 +170,22 @@ class Page:
             time.sleep(0.1)
         raise AssertionError(f"{selector} does not get the click")
 
+    def press(self, key: str) -> None:
+        """Press Tab or Enter."""
+        code = {"Tab": 9, "Enter": 13}[key]
+        pressed = {"key": key, "code": key, "windowsVirtualKeyCode": code}
+        text = {"text": "\r"} if key == "Enter" else {}
+        self._call("Input.dispatchKeyEvent", {"type": "keyDown", **pressed, **text})
+        self._call("Input.dispatchKeyEvent", {"type": "keyUp", **pressed})
+
+    def tab_to(self, selector: str, most: int = 20) -> None:
+        """Reach an element by the Tab key alone."""
+        for _ in range(most):
+            if self.run(f"document.activeElement === document.querySelector({selector!r})"):
+                return
+            self.press("Tab")
+        raise AssertionError(f"{selector} is not reached by the keyboard")
+
     def text(self, selector: str) -> str:
         """Return what an element says."""
         return str(self.run(f"document.querySelector({selector!r}).innerText"))

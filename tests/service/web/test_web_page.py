@@ -181,6 +181,17 @@ def test_a_disarmed_vehicle_is_armed_after_a_person_has_agreed_to_that(
     assert page.errors == []
 
 
+def test_a_keyboard_is_enough(start_service: StartService, open_page: OpenPage) -> None:
+    page = open_page(start_service(speed=20.0))
+    page.tab_to("#calibrate")
+    page.press("Enter")
+    page.wait("document.activeElement === document.querySelector('#stop')")
+    page.wait("document.activeElement === document.querySelector('#question')")
+    page.tab_to("#yes", most=4)
+    page.press("Enter")
+    page.wait("document.querySelector('#result .verdict')?.innerText.includes('read back')")
+
+
 @pytest.mark.parametrize("named", [True, False])
 def test_in_blueos_the_page_stands_in_a_frame_and_has_the_token(
     start_service: StartService, open_page: OpenPage, start_site: Callable[[dict[str, str]], str], named: bool

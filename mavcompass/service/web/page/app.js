@@ -230,7 +230,10 @@ function takeTask(task) {
   $("idle").hidden = running;
   $("running").hidden = !running;
   document.body.classList.toggle("busy", running);
-  if (running && before?.id !== task.id) $("work").scrollIntoView({ block: "start" });
+  if (running && before?.id !== task.id) {
+    $("work").scrollIntoView({ block: "start" });
+    $("stop").focus({ preventScroll: true }); // what had the focus is gone, and this is what one may want next
+  }
   if (running) showRunning(task);
   else if (page.drawn !== task.id) {
     page.drawn = task.id;
@@ -266,6 +269,7 @@ function showQuestion(task) {
   $("yes").textContent = writes ? "Write" : "Yes";
   $("no").textContent = writes ? "Do not write" : "No";
   $("work").scrollIntoView({ block: "start" });
+  $("question").focus({ preventScroll: true });
 }
 
 // What a run has drawn comes from the service, so that who joins late sees the same as all others.

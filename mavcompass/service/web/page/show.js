@@ -63,7 +63,7 @@ function oneCompass(compass, both) {
 }
 
 function oldAndNew({ old, new: fresh }) {
-  const table = node("table", {}, row("th", "", "old", "new"));
+  const table = node("table", {}, row("th", "value", "old", "new"));
   const add = (name, a, b, digits) => table.append(row("td", name, fixed(a, digits), fixed(b, digits)));
   ["X", "Y", "Z"].forEach((axis, k) => add(`offset ${axis}, mG`, old.offsets_mgauss[k], fresh.offsets_mgauss[k], 1));
   ["X", "Y", "Z"].forEach((axis, k) => add(`diagonal ${axis}`, old.diagonals[k], fresh.diagonals[k], 3));
