@@ -8,7 +8,7 @@
 
 Public functions (a path is taken wherever a track is):
 
-    read_track(path) -> Track               .tlog, .bin, .log, .ulg, .csv
+    read_track(path) -> Track               .tlog, .bin, .ulg, .csv, .mcap, .db3
     calibrate(track, ...) -> result         one compass of a recording, with its covariance and verdict
     heading(track, correction) -> headings  tilt-compensated, magnetic and true, with sigma
     diagnose_gap(track, baseline) -> why    the gap between the simulator and the recording

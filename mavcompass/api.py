@@ -25,7 +25,7 @@ Recorded = Track | str | Path
 
 
 def read_track(path: str | Path) -> Track:
-    """Read a recording (.tlog, .bin, .log, .ulg, .csv) into a Track.
+    """Read a recording (.tlog, .bin, .log, .ulg, .csv, .mcap, .db3) into a Track.
 
     Raises BadRecording where nothing useful can be read, UsageError where there is no such file.
     """

@@ -16,10 +16,10 @@ LINES = {
     "package vehicle messages mavlink enums.py": (8_200, 5_200),
     "package procedure": (6_200, 4_400),
     "package service": (5_300, 4_100),
-    "package logs": (4_550, 3_600),
+    "package logs": (4_650, 3_600),
     "package cli": (4_100, 2_900),
-    "package": (69_200, 46_500),
-    "tests": (45_250, 29_000),
+    "package": (69_350, 46_500),
+    "tests": (45_400, 29_000),
     "scripts": (8_950, 4_400),
 }
 

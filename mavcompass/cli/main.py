@@ -110,7 +110,7 @@ def program(context: click.Context) -> int | None:
     and explain the gap between the simulator and the real vehicle.
 
     SOURCE is an address (udpin:0.0.0.0:14550, tcp:HOST:PORT, /dev/ttyACM0:115200), a simulated vehicle
-    (sim:rover) or a recording (.tlog, .bin, .ulg, .csv).
+    (sim:rover) or a recording (.tlog, .bin, .ulg, .csv, .mcap).
 
     Without a command it looks for vehicles, and asks what to do.
 

@@ -29,6 +29,7 @@ PARTS = {
             "service",
             ("msgspec", "starlette", "uvicorn", "websockets", "prometheus_client", "segno"),
         ),
+        Part("A ROS 2 bag", "ros", ("rosbags",)),
         Part("A Parquet table", "fleet", ("pyarrow",)),
         Part("A cluster (--scheduler)", "fleet", ("distributed",)),
         Part("An object store", "fleet", ("fsspec",)),

@@ -2,7 +2,7 @@
 
     udpin:HOST:PORT  udpout:HOST:PORT  tcp:HOST:PORT  tcpin:HOST:PORT  /dev/ttyACM0[:BAUD]
     udpin://HOST:PORT  udpout://..  tcpout://..  tcpin://..  serial:///dev/ttyACM0:BAUD   (MAVSDK's)
-    sim:VEHICLE[,seed=N][,effect=NAME[+NAME..]]  mavsdk+URL  FILE.tlog|.bin|.log|.ulg|.csv
+    sim:VEHICLE[,seed=N][,effect=NAME[+NAME..]]  mavsdk+URL  FILE.tlog|.bin|.log|.ulg|.csv|.mcap|.db3
 
 `str(address)` is the canonical spelling.
 """
@@ -18,7 +18,7 @@ from typing import ClassVar
 from mavcompass.errors import UsageError
 
 VEHICLES = ("rover", "ackermann-rover", "boat", "copter", "sub", "px4-copter")
-RECORDING_SUFFIXES = (".tlog", ".bin", ".log", ".ulg", ".csv")
+RECORDING_SUFFIXES = (".tlog", ".bin", ".log", ".ulg", ".csv", ".mcap", ".db3")
 DEFAULT_BAUD = 115_200
 # What a person may write, MAVSDK's spellings and old ones included, by what it means here.
 _SCHEMES = {
