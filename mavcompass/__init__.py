@@ -6,6 +6,15 @@
     result = mavcompass.calibrate(track, method="four-positions")
     heading = mavcompass.heading(track, result.correction)
 
+Public functions (a path is taken wherever a track is):
+
+    read_track(path) -> Track               .tlog, .bin, .ulg, .csv, .mcap, .db3
+    calibrate(track, ...) -> result         one compass of a recording, with its covariance and verdict
+    heading(track, correction) -> headings  tilt-compensated, magnetic and true, with sigma
+    diagnose_gap(track, baseline) -> why    the gap between the simulator and the recording
+    connect(source) -> vehicle              a live vehicle: udpin:0.0.0.0:14550, /dev/ttyACM0, sim:rover
+    Track.to_pandas(), Track.from_pandas()  columns as in a Track CSV
+
 The names are looked up when they are first used, so that `import mavcompass` itself costs next to nothing.
 """
 
@@ -29,11 +38,13 @@ _PUBLIC = {  # name: (module, attribute)
     "heading": ("mavcompass.api", "heading"),
     "diagnose_gap": ("mavcompass.api", "diagnose_gap"),
     "connect": ("mavcompass.api", "connect"),
-    "Track": ("mavcompass.track", "Track"),
+    "Track": ("mavcompass.api", "Track"),
     "FieldCorrection": ("mavcompass.correction", "FieldCorrection"),
     "MavCompassError": ("mavcompass.errors", "MavCompassError"),
     "init": ("mavcompass.service.mavproxy", "init"),  # MAVProxy's `module load mavcompass`
 }
+
+__all__ = [name for name in _PUBLIC if name != "init"]
 
 # `mavcompass.heading` is a function of the public interface and also a room, and the import system binds
 # the room's module to that name as soon as anything imports it. The room wins, so that every form of import

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.installation.parts import require
 from mavcompass.report.figures import (
     circle_points,
@@ -67,11 +67,8 @@ def deviation(result: CalibrationResult, ax: Axes | None = None) -> Axes:
     heading = np.arange(73) * 5.0
     sigma = sigma_deg(result, heading)
     ax.fill_between(heading, -sigma, sigma, color=_NEW, alpha=0.25, label="new calibration, 1 sigma")
-    if math.isfinite(result.horizontal_mgauss) and math.isfinite(result.vertical_mgauss):
-        change = heading_change_rad(
-            result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss
-        )
-        ax.plot(heading, np.degrees(np.append(change, change[0])), color=_OLD, label="old calibration")
+    if (old := result.in_force_error_deg()) is not None:
+        ax.plot(heading, np.append(old, old[0]), color=_OLD, label="old calibration")
     _over_the_circle(ax, "error, deg", "Heading error over the circle")
     ax.legend()
     return ax

@@ -1,6 +1,9 @@
-"""Text from outside, as it may stand on a terminal, in a log and in a report."""
+"""Text as it may stand on a terminal, in a log and in a report."""
 
 from __future__ import annotations
+
+from collections.abc import Collection
+from difflib import get_close_matches
 
 
 def printable(text: object) -> str:
@@ -8,3 +11,20 @@ def printable(text: object) -> str:
     return "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in str(text)
     )
+
+
+def figure(value: float, form: str) -> str:
+    """Spell a number by a %-format; what rounds to nothing has no sign."""
+    text = form % value
+    return text if float(text) else form % 0.0
+
+
+def counted(number: int, thing: str) -> str:
+    """Spell a number of things: 1 recording, 2 recordings."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def did_you_mean(word: str, known: Collection[str]) -> str:
+    """Return a guess at what was meant, with a comma before it, or nothing."""
+    close = get_close_matches(word, known, n=1)
+    return f", did you mean {close[0]!r}?" if close else ""

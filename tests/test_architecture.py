@@ -75,10 +75,12 @@ ROWS = {
     ],
     "cli": [
         {"main"},
+        {"first_look"},
         {"calibrate", "check", "doctor", "fleet", "gap", "heading", "params", "replay", "serve", "simulate"},
         {"calibration"},
-        {"needs", "serving", "source", "terminal"},
+        {"serving", "source"},
         {"options"},
+        {"terminal"},
     ],
     "logs": [{"reading"}, {"formats"}, {"common"}],
     "calibration": [
@@ -99,11 +101,11 @@ ROWS = {
         {"run", "mavproxy"},
         {"web", "systemd"},
         {"station"},
-        {"mavlink", "publisher"},
+        {"mavlink"},
         {"work"},
         {"view"},
         {"watch"},
-        {"config", "schedule"},
+        {"addresses", "config"},
         {"models"},
     ],
     "fleet": [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -18,13 +19,17 @@ ENDLESS = {"simulate", "serve", "replay"}
 
 
 def commands() -> list[str]:
-    """Return each command once, however many pages tell it."""
+    """Return the commands of each block, which may need what those before them did, once."""
     found: set[str] = set()
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
-        blocks = "\n".join(re.findall(r"```sh\n(.*?)```", text, flags=re.DOTALL)).splitlines()
-        inline = re.findall(r"`(\./scripts/mavcompass [^`]*)`", text)
-        found |= {line.strip() for line in [*blocks, *inline] if line.startswith(PROGRAM)}
+        blocks = re.findall(r"```sh\n(.*?)```", text, flags=re.DOTALL)
+        for block in [*blocks, *re.findall(r"`(\./scripts/mavcompass [^`]*)`", text)]:
+            lines = [line.strip() for line in block.splitlines() if line.startswith(PROGRAM)]
+            if any("restore" in line for line in lines):
+                found.add("\n".join(lines))
+            else:
+                found.update(lines)
     return sorted(found)
 
 
@@ -32,11 +37,17 @@ def is_runnable(words: list[str]) -> bool:
     return any(word.startswith("sim:") for word in words) and words[0] not in ENDLESS
 
 
-@pytest.mark.parametrize("line", commands())
+@pytest.mark.parametrize("lines", commands())
 def test_a_command_in_the_documents_is_one_that_works(
-    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    lines: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = shlex.split(line.removeprefix(PROGRAM))
+    for line in lines.splitlines():
+        works(shlex.split(line.removeprefix(PROGRAM)), tmp_path, monkeypatch, capsys)
+
+
+def works(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     if "COMMAND" in words:
         words = ["--help"]
     monkeypatch.chdir(tmp_path)
@@ -60,6 +71,18 @@ def test_a_picture_is_there_for_light_and_dark_and_small(name: str) -> None:
         picture = ROOT / "docs" / "pictures" / f"{name}-{scheme}.png"
         assert picture.read_bytes().startswith(b"\x89PNG") and picture.stat().st_size < 150_000
         assert f"pictures/{picture.name}" in shown
+
+
+def test_the_terminals_picture_shows_what_is_said_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "scripts" / "documentation"))
+    pictures = import_module("pictures")
+    if request.config.getoption("--store"):
+        pictures.main()
+    assert pictures.terminal_text(tmp_path) == pictures.SHOWN.read_text("utf-8"), (
+        "make the pictures anew: ./scripts/test tests/test_docs.py --store"
+    )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

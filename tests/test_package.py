@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import pydoc
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import mavcompass
+from mavcompass.gap.trial.cases import Recipe, make_track
+from mavcompass.logs.formats.csv.writer import write_track_csv
 
 API = """
 def heading(track, correction):
@@ -97,3 +102,51 @@ def test_dir_lists_the_public_names() -> None:
 def test_import_loads_no_heavy_library(module: str) -> None:
     heavy = ("numpy", "scipy", "pymavlink", "mavsdk", "rich", "matplotlib", "asyncio")
     assert run(f"import sys, {module}; print([name for name in {heavy!r} if name in sys.modules])") == "[]"
+
+
+def test_help_shows_the_public_functions_first() -> None:
+    said = pydoc.plain(pydoc.render_doc(mavcompass))
+    for name in ("read_track", "calibrate", "heading", "diagnose_gap", "connect"):
+        assert said.index(f"{name}(") < said.index("PACKAGE CONTENTS")
+        assert name == "heading" or f"    {name}(" in said.partition("\nFUNCTIONS\n")[2], name
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of a vehicle that turned in four steps."""
+    path = tmp_path_factory.mktemp("turned") / "turned.csv"
+    write_track_csv(make_track(Recipe("yaw-steps", duration_s=60.0, seed=3), []), path)
+    return path
+
+
+def test_a_path_is_taken_wherever_a_track_is_and_results_show_themselves(turned: Path) -> None:
+    track = mavcompass.read_track(str(turned))
+    result = mavcompass.calibrate(str(turned))
+    assert result.correction == mavcompass.calibrate(track).correction
+    headings = mavcompass.heading(turned, result.correction)
+    assert len(headings.time_s) == len(track.compasses[1].time_s)
+    told = mavcompass.diagnose_gap(turned, baseline=turned)
+    for shown, words in (
+        (track, "compass 1: "),
+        (result, "Compass 1: "),
+        (headings, "headings"),
+        (told, "verdict"),
+    ):
+        assert words in shown._repr_html_(), words
+    assert "<script>" not in replace(track, source="<script>")._repr_html_()
+
+
+def test_a_track_goes_to_pandas_and_back(turned: Path) -> None:
+    pytest.importorskip("pandas")
+    track = mavcompass.read_track(turned)
+    frame = track.to_pandas()
+    assert (
+        frame.index.name == "time_s"
+        and "mag_x_mgauss" in frame
+        and len(frame) >= len(track.compasses[1].time_s)
+    )
+    again = mavcompass.Track.from_pandas(frame)
+    assert np.array_equal(again.raw_field(), track.raw_field())
+    assert again.gyro_radps is not None and np.array_equal(again.gyro_radps.values, track.gyro_radps.values)
+    mine = frame.reset_index()[["time_s", "mag_x_mgauss", "mag_y_mgauss", "mag_z_mgauss"]]
+    assert len(mavcompass.Track.from_pandas(mine).compasses[1].time_s) == len(track.compasses[1].time_s)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import click
 import pytest
@@ -26,6 +27,15 @@ def pages() -> ModuleType:
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def test_an_equation_has_its_number_beside_it(pages: ModuleType) -> None:
+    theory = (PROJECT / "docs" / "theory.md").read_text("utf-8")
+    config = SimpleNamespace(repo_url="https://there")
+    shown = pages.on_page_markdown(theory, config)
+    numbers = re.findall(r"^    .*  \(([A-Z]\d+[a-z]?)\)$", theory, re.MULTILINE)
+    assert len(numbers) > 10 and re.findall(r"\(([A-Z]\d+[a-z]?)\)(?:</span>| \()", shown) == numbers
+    assert "    r = b + T A" not in shown and "&gt; 0.08 m/s" in shown
 
 
 def test_every_command_and_option_is_in_the_reference(pages: ModuleType) -> None:

@@ -217,7 +217,7 @@ def _check_compass(track: Track, instance: int) -> None:
     if frozen.size:
         at = math.floor(float(compass.time_s[frozen[0]] - compass.time_s[0]))
         raise PoorCalibration(
-            f"Compass {instance} is frozen: {at} s after the first reading the vehicle had turned by 45"
-            " degrees and the reading had not changed.",
+            f"No heading can be determined: compass {instance} is frozen. {at} s after its first reading the"
+            " vehicle had turned by 45 degrees and the reading had not changed.",
             "Check the compass's wiring and driver, then record again.",
         )

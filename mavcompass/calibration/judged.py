@@ -43,13 +43,8 @@ def calibrate_positions(
 
 def _about_z(world_model: bool, sigma_mgauss: float) -> str:
     if world_model:
-        return (
-            "Turning on the level cannot show the Z offset: it comes from the world model, good to"
-            f" {sigma_mgauss:.0f} mG. On the level it hardly matters."
-        )
-    return (
-        "Turning on the level cannot show the Z offset and the place is unknown: Z stays as it is in force."
-    )
+        return f"Z offset taken from the magnetic model (\u00b1{sigma_mgauss:.0f} mG)."
+    return "Z offset left as it was: turning on the level does not show it, and the place is unknown."
 
 
 def _result(

@@ -150,6 +150,12 @@ class CalibrationResult:
             ]
         )
 
+    def in_force_error_deg(self) -> FloatArray | None:
+        """Return how far off the heading in force is, (72,), by this; None where the field is unknown."""
+        field = (self.horizontal_mgauss, self.vertical_mgauss)
+        known = math.isfinite(sum(field))
+        return np.degrees(heading_change_rad(self.in_force, self.correction, *field)) if known else None
+
     def widened(self, sigma_deg: float, source: str) -> CalibrationResult:
         """Claim a larger heading sigma; what it grows by is counted for a source of the budget."""
         sigma_deg = min(sigma_deg, math.degrees(NO_HEADING_RAD))
@@ -243,17 +249,26 @@ def summary(result: CalibrationResult) -> str:
     if result.already_right:
         sigma_deg = max(result.heading_sigma_deg, result.heading_change_deg)
         return f"Compass {result.instance}: already right, within {sigma_deg:.2f} deg (1 sigma)."
-    text = f"Compass {result.instance}: accepted"
+    text = f"Compass {result.instance}: good"
     if math.isfinite(result.heading_sigma_deg):
         text += f", heading within {result.heading_sigma_deg:.2f} deg (1 sigma)"
     if math.isfinite(result.heading_change_deg):
-        text += f"; the old values were {result.heading_change_deg:.1f} deg off"
+        text += f", {result.heading_change_deg:.1f} deg off before"
     text = f"{text}. Offsets {x:.1f} {y:.1f} {z:.1f} mG, scale {dx:.3f} {dy:.3f}"
     if any(result.correction.motor_mgauss):
         unit = "mG/A" if result.correction.motor_source == "current" else "mG at full throttle"
         mx, my, mz = result.correction.motor_mgauss
         text += f", motors {mx:.1f} {my:.1f} {mz:.1f} {unit}"
     return f"{text}."
+
+
+def before_and_after(result: CalibrationResult) -> str:
+    """Say by how much a heading is off with the values in force, and with the new ones."""
+    if result.already_right or not result.accepted:
+        return summary(result)
+    old, new = result.heading_change_deg, result.heading_sigma_deg
+    told = [f"{value:.{digits}f}" for value, digits in ((old, 1), (new, 2)) if math.isfinite(value)]
+    return f"Compass {result.instance}: {' -> '.join(told) or '?'} deg off."
 
 
 def _number(value: float) -> float | None:
@@ -285,6 +300,22 @@ def heading_change_rad(
     error of `old`. Both are for readings in the same axes; `turned` (3, 3) is the rotation into these from
     the axes in which the old heading was taken.
     """
+    seen, psi = seen_by_old(old, new, horizontal_mgauss, vertical_mgauss, roll_rad, pitch_rad, load)
+    seen = seen @ (np.eye(3) if turned is None else turned)
+    return np.asarray(wrap_pi(tilt_compensated_heading(seen, roll_rad=roll_rad, pitch_rad=pitch_rad) - psi))
+
+
+def seen_by_old(
+    old: FieldCorrection,
+    new: FieldCorrection,
+    horizontal_mgauss: float,
+    vertical_mgauss: float,
+    roll_rad: float = 0.0,
+    pitch_rad: float = 0.0,
+    load: float = 0.0,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what `old` makes, (72, 3), of raw readings of which `new` makes the Earth's field, and the true
+    headings."""
     psi = np.arange(72) * (2.0 * math.pi / 72)
     level = np.stack(
         [
@@ -296,6 +327,4 @@ def heading_change_rad(
     )
     field_mgauss = level @ level_to_body(roll_rad, pitch_rad).T
     raw = new.undo(field_mgauss, load if new.motor_source != "none" else None)
-    seen = old.apply(raw, load if old.motor_source != "none" else None)
-    seen = seen @ (np.eye(3) if turned is None else turned)
-    return np.asarray(wrap_pi(tilt_compensated_heading(seen, roll_rad=roll_rad, pitch_rad=pitch_rad) - psi))
+    return old.apply(raw, load if old.motor_source != "none" else None), np.asarray(psi)

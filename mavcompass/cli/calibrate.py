@@ -9,9 +9,7 @@ from typing import Literal
 
 import click
 
-from mavcompass.cli.calibration.wanted import Wanted
-from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.options import Grouped, Number, Output, Whole, common_options
 from mavcompass.cli.source import (
     compass_option,
     effects_option,
@@ -20,6 +18,7 @@ from mavcompass.cli.source import (
     open_source,
     refuse_contradiction,
     refuse_unasked_write,
+    require_for,
     sign_key_option,
     systems_option,
     this_year,
@@ -27,8 +26,28 @@ from mavcompass.cli.source import (
 from mavcompass.errors import UsageError
 from mavcompass.vehicle.transport import Recording, parse_address
 
+_HELP = {
+    "What is calibrated": (
+        "flight.tlog --compass 1,2 --method ellipsoid",
+        ("instances", "method", "max_error_deg", "orientation", "rewrite", "in_force_file"),
+    ),
+    "How it turns": (
+        "sim:copter --motion hand --positions 6",
+        ("motion", "turn_by", "positions", "step_deg", "dwell_s", "speak"),
+    ),
+    "What you allow": (
+        "udpin:0.0.0.0:14550 --arm --set-mode --takeoff 3",
+        ("yes", "dry_run", "set_mode", "arm", "takeoff_m", "land", "reboot"),
+    ),
+    "What you get": (
+        "sim:rover --dry-run --report compass.html",
+        ("report_file", "params_out", "output"),
+    ),
+    "The link": ("udpin:0.0.0.0:14550 --system 2", ("system", "sign_key", "effects")),
+}
 
-@click.command()
+
+@click.command(cls=Grouped, groups=_HELP)
 @click.argument("source")
 @method_option
 @click.option(
@@ -53,7 +72,7 @@ from mavcompass.vehicle.transport import Recording, parse_address
 @click.option(
     "--takeoff",
     "takeoff_m",
-    type=click.FloatRange(2.0, 100.0),
+    type=Number(2.0, 100.0),
     metavar="M",
     help="Allow a copter to take off to M metres; it lands afterwards.",
 )
@@ -65,14 +84,14 @@ from mavcompass.vehicle.transport import Recording, parse_address
 @click.option("--dry-run", is_flag=True, help="Never write.")
 @click.option(
     "--positions",
-    type=click.IntRange(3, 24),
+    type=Whole(3, 24),
     default=4,
     show_default=True,
     help="Where it stands still; more are added while the heading is not sure enough.",
 )
 @click.option(
     "--step-deg",
-    type=click.FloatRange(-180.0, 180.0),
+    type=Number(-180.0, 180.0),
     default=90.0,
     show_default=True,
     help="Turn between positions; negative turns left.",
@@ -80,7 +99,7 @@ from mavcompass.vehicle.transport import Recording, parse_address
 @click.option(
     "--dwell",
     "dwell_s",
-    type=click.FloatRange(0.5, 60.0),
+    type=Number(0.5, 60.0),
     help="Seconds to stand still at each position; by default until the heading is sure enough.",
 )
 @max_error_option
@@ -121,7 +140,7 @@ def command(
     arm: bool,
     takeoff_m: float | None,
     land: bool,
-    instances: tuple[int, ...],
+    instances: tuple[int, ...] | None,
     yes: bool,
     dry_run: bool,
     positions: int,
@@ -151,12 +170,16 @@ def command(
     """
 
     address = parse_address(source)
+    if instances is None:  # who recorded need not have looked after more than the first
+        instances = (1,) if isinstance(address, Recording) else ()
     refuse_contradiction(yes, dry_run)
     if params_out is not None:
         from mavcompass.vehicle.parameters.files import parameter_form
 
         parameter_form(params_out)  # a wrong suffix is told before the vehicle moves
     require_for(address, report=report_file)
+    from mavcompass.cli.calibration.recording import Wanted
+
     wanted = Wanted(source, method, instances, max_error_deg, params_out, report_file, output)
     if isinstance(address, Recording):
         from mavcompass.cli.calibration.recording import solve_recording
@@ -188,9 +211,9 @@ def command(
         rewrite=rewrite,
         dwell=DwellSettings() if dwell_s is None else DwellSettings(dwell_s=dwell_s, shortest_s=dwell_s),
     )
-    with open_source(address, effects, as_ground_station=turn_by != "auto") as link:
+    with open_source(address, effects, turn_by != "auto", by_hand=motion == "hand") as link:
         if system == "all":
-            from mavcompass.cli.calibration.several import calibrate_all
+            from mavcompass.cli.calibration.vehicle import calibrate_all
 
             return calibrate_all(link, wanted, settings, speak)
         return calibrate_vehicle(link, wanted, settings, speak)

@@ -10,9 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
-from mavcompass.cli.source import effects_option, open_source, sign_key_option, system_option, this_year
+from mavcompass.cli.source import (
+    effects_option,
+    open_source,
+    require_for,
+    sign_key_option,
+    system_option,
+    this_year,
+)
 from mavcompass.cli.terminal.colour import mark
 from mavcompass.installation.invocation import program
 
@@ -100,19 +106,17 @@ def _say(report: CheckReport, source: str, output: Output, everything: bool) -> 
         output.say(f"{mark(item.verdict)}  {item.text}")
         if item.remedy and not (after and after.remedy == item.remedy):  # once, below all that it mends
             output.say(f"      {item.remedy}")
-    passed = sum(item.verdict == "pass" for item in report.items)
-    if passed and not everything:
-        output.say(f"{mark('pass')}  {passed} of {len(report.items)} questions.")
     from mavcompass.vehicle.transport import Recording, parse_address
 
-    turned = "" if report.turned else " No turn was made."
-    words = {"pass": "Fit to go.", "warn": "Go with care.", "fail": "Do not go."}[report.verdict]
     for remark in report.remarks:
         output.say(f"Note: {remark}")
-    advice = f" Next: {program()} calibrate {shlex.quote(source)}" if report.calibration_advised else ""
+    advice = f"Next: {program()} calibrate {shlex.quote(source)}" if report.calibration_advised else ""
     if advice and not report.turns_itself and not isinstance(parse_address(source), Recording):
         advice += " --motion hand (it cannot turn on the spot), or of its next flight's log"
-    output.say(f"{mark(report.verdict)}  {words}{turned}{advice}")
+    unturned = "" if report.turned or report.verdict == "pass" else " No turn was made."
+    output.say(f"{mark(report.verdict)}  {report.summary()}{unturned}")
+    if advice:
+        output.say(f"      {advice}")
 
 
 def _calibrate(link: Link, source: str, checked: CheckReport, system: int | None, output: Output) -> int:
@@ -120,7 +124,7 @@ def _calibrate(link: Link, source: str, checked: CheckReport, system: int | None
     who = "The vehicle will turn." if checked.turns_itself else "You will turn it."
     if not click.confirm(f"Calibrate now? {who}", err=True):
         return NOT_FIT
-    from mavcompass.cli.terminal.show import ask_on_terminal, showing
+    from mavcompass.cli.terminal.show import showing
     from mavcompass.procedure.calibrate import CalibrateSettings
     from mavcompass.report.calibration import write_report
     from mavcompass.vehicle.calibrating import calibrate_on
@@ -128,8 +132,8 @@ def _calibrate(link: Link, source: str, checked: CheckReport, system: int | None
     motion: Literal["auto", "hand"] = "auto" if checked.turns_itself else "hand"
     settings = CalibrateSettings(instances=(), motion=motion, system=system, year=this_year())
     with showing() as show:
-        report = calibrate_on(link, source, settings, on_show=show, on_ask=ask_on_terminal)
+        report = calibrate_on(link, source, settings, on_show=show, on_ask=show.ask)
     path = Path(f"compass-{report.identity.kind}-{report.identity.system}.html")
     write_report(report, path)
-    output.say(f"{'Written.' if report.written else 'Nothing was written.'} Report: {path}")
+    output.say(f"{'Written.' if report.written else 'Nothing written.'} Report: {path}")
     return 0 if report.written else NOT_FIT

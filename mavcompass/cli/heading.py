@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import Output, common_options, to_json
-from mavcompass.cli.source import sign_key_option, system_option
-from mavcompass.cli.terminal.dial import dial
+from mavcompass.cli.options import Number, Output, Whole, common_options, to_json
+from mavcompass.cli.source import require_for, sign_key_option, system_option
+from mavcompass.cli.terminal.dial import dial, is_drawable
 from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
@@ -39,6 +38,13 @@ class Row:
             f"   sigma {self.sigma_deg:4.1f} deg"
         )
 
+    def figures(self) -> list[str]:
+        """Return what stands beside a dial, what matters first."""
+        known = self.true_deg is not None
+        shown = f"{self.true_deg if known else self.magnetic_deg:05.1f} {'true' if known else 'magnetic'}"
+        magnetic = [f"{self.magnetic_deg:05.1f} magnetic"] if known else []
+        return [f"{shown} \u00b1{self.sigma_deg:.1f}", *magnetic, f"{self.time_s:.0f} s"]
+
     def document(self) -> dict[str, Any]:
         """Return the JSON form."""
         return {
@@ -52,15 +58,11 @@ class Row:
 
 @click.command()
 @click.argument("source")
-@click.option(
-    "--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True, help="Which compass."
-)
+@click.option("--compass", "instance", type=Whole(1, 3), default=1, show_default=True, help="Which compass.")
 @click.option("--two-axis", is_flag=True, help="Use X and Y only; Z comes from the Earth's field.")
 @click.option("--json-lines", is_flag=True, help="One JSON object a line.")
-@click.option(
-    "--rate", "rate_hz", type=click.FloatRange(0.01, 400.0), help="Rows a second (live: 5, recording: all)."
-)
-@click.option("--duration", "duration_s", type=click.FloatRange(0.0), help="End after this many seconds.")
+@click.option("--rate", "rate_hz", type=Number(0.01, 400.0), help="Rows a second (live: 5, recording: all).")
+@click.option("--duration", "duration_s", type=Number(0.0), help="End after this many seconds.")
 @system_option
 @sign_key_option
 @common_options
@@ -88,20 +90,22 @@ def command(
     address = parse_address(source)
     require_for(address)
     notes: list[str] = []
-    if isinstance(address, Recording):
-        rows = _recorded(source, instance, two_axis, notes)
-    else:
-        rows = _live(source, address, instance, two_axis, rate_hz or 5.0, system, notes)
-    chosen = _limited(rows, rate_hz, duration_s)
-    kept: list[dict[str, Any]] = []
     recorded = isinstance(address, Recording)
     redrawn = not (recorded or json_lines or output.json_file == "-")
+    if recorded:
+        rows = _recorded(source, instance, two_axis, notes)
+    else:
+        # Where a person looks on, a simulated vehicle's time is theirs.
+        speed = 1.0 if redrawn and is_drawable() else None
+        rows = _live(source, address, instance, two_axis, rate_hz or 5.0, system, notes, speed)
+    chosen = _limited(rows, rate_hz, duration_s)
+    kept: list[dict[str, Any]] = []
     with suppress(KeyboardInterrupt), dial(redrawn) as draw:  # Ctrl-C: the ordinary end of a live stream
         for row in chosen:
             if json_lines:
                 print(to_json(row.document()), flush=not recorded)
             elif draw is not None:
-                draw(row.magnetic_deg if row.true_deg is None else row.true_deg, row.text())
+                draw(row.magnetic_deg if row.true_deg is None else row.true_deg, row.figures())
             elif output.json_file is None or (output.json_file != "-" and sys.stdout.isatty()):
                 print(row.text(), flush=True)  # without a reader it ends
             if output.json_file is not None:
@@ -152,13 +156,14 @@ def _live(
     rate_hz: float,
     system: int | None,
     notes: list[str],
+    speed: float | None,
 ) -> Iterator[Row]:
     from mavcompass.vehicle.heading_stream import headings
     from mavcompass.vehicle.opening import open_link
 
     if two_axis and instance != 1:
         raise UsageError("--two-axis works on compass 1 of a live vehicle.", "Leave --compass away.")
-    with open_link(address) as link:
+    with open_link(address, speed=speed) as link:
         stream = headings(
             link,
             source,

@@ -18,8 +18,8 @@ from typing import Literal, TextIO
 import click
 
 from mavcompass import __version__
-from mavcompass.cli.options import discard_standard_output, verbose_option
-from mavcompass.cli.terminal.colour import styled
+from mavcompass.cli.options import Commands, discard_standard_output, verbose_option
+from mavcompass.cli.terminal.colour import styled, wrapped
 from mavcompass.errors import MavCompassError
 from mavcompass.printable import printable
 
@@ -43,7 +43,7 @@ READER_WENT_AWAY = 141  # what the shell reports for a program that ended by SIG
 UNEXPECTED = 1
 
 
-class LazyCommands(click.Group):
+class LazyCommands(Commands):
     """Import a command when it is called, not when it is listed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -59,6 +59,15 @@ class LazyCommands(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, COMMANDS[name]) for name in self.list_commands(ctx)])
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if ":" in args[0] or "." in args[0]:
+            raise click.UsageError(
+                f"{args[0]!r} is no command. Say what to do with it: mavcompass calibrate {args[0]}", ctx
+            )
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
         try:
@@ -82,7 +91,9 @@ def _print_completion(context: click.Context, parameter: click.Parameter, shell:
     context.exit()
 
 
-@click.command(cls=LazyCommands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    cls=LazyCommands, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__, prog_name="mavcompass", message="%(prog)s %(version)s")
 @click.option(
     "--completion",
@@ -93,17 +104,29 @@ def _print_completion(context: click.Context, parameter: click.Parameter, shell:
     help="Print what makes this shell complete commands and options.",
 )
 @verbose_option
-def program() -> None:
+@click.pass_context
+def program(context: click.Context) -> int | None:
     """Calibrate a vehicle's compass in four 90 degree turns, read its heading with an honest uncertainty,
     and explain the gap between the simulator and the real vehicle.
 
     SOURCE is an address (udpin:0.0.0.0:14550, tcp:HOST:PORT, /dev/ttyACM0:115200), a simulated vehicle
-    (sim:rover) or a recording (.tlog, .bin, .ulg, .csv).
+    (sim:rover) or a recording (.tlog, .bin, .ulg, .csv, .mcap).
+
+    Without a command it looks for vehicles, and asks what to do.
 
     \b
     Example: mavcompass calibrate sim:rover --yes
     Completion of words by TAB: eval "$(mavcompass --completion bash)"
     """
+    if context.invoked_subcommand is not None:
+        return None
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        click.echo(context.get_help(), err=True)
+        context.exit(WRONG_USAGE)
+    from mavcompass.cli.first_look import NOBODY, look_around
+
+    command = look_around()
+    return int(program.main(command, "mavcompass", standalone_mode=False) or 0) if command else NOBODY
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -177,7 +200,8 @@ def _log_warning(
 
 
 def _complain(sentence: str) -> None:
-    print(f"{styled('mavcompass:', fg='red', bold=True, err=True)} {sentence}", file=sys.stderr)
+    head = styled("mavcompass:", fg="red", bold=True, err=True)
+    print(wrapped(f"{head} {sentence}", sys.stderr), file=sys.stderr)
 
 
 def _log_traceback(error: BaseException, level: Literal["debug", "info"]) -> None:

@@ -14,12 +14,80 @@ from typing import Any, TypeVar
 
 import click
 
+from mavcompass.cli.terminal.colour import wrapped
 from mavcompass.files import write_text
-from mavcompass.printable import printable
+from mavcompass.printable import did_you_mean, printable
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _VERBOSITY = "mavcompass.verbosity"
+
+
+def _between(least: float | None, most: float | None) -> str:
+    """Spell a range of numbers as people write it."""
+    return f"at least {least:g}" if most is None else f"{least:g} to {most:g}"
+
+
+class Number(click.FloatRange):
+    """Be a number in a range."""
+
+    name = "number"
+
+    def _describe_range(self) -> str:
+        return _between(self.min, self.max)
+
+
+class Whole(click.IntRange):
+    """Be a whole number in a range."""
+
+    name = "number"
+
+    def _describe_range(self) -> str:
+        return _between(self.min, self.max)
+
+
+class Commands(click.Group):
+    """Be a command with commands: each with its whole first sentence, and a guess where none is meant."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find a command; a near miss is told, and a SOURCE that lacks its command."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            guess = did_you_mean(args[0], self.list_commands(ctx)).removeprefix(", ")
+            if not guess:
+                raise
+            raise click.UsageError(f"{error.message} {guess[0].upper()}{guess[1:]}", ctx) from None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write them."""
+        found = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        with formatter.section("Commands"):
+            formatter.write_dl([(n, c.get_short_help_str(_WHOLE)) for n, c in found if c is not None])
+
+
+_WHOLE = 1000  # letters: more than any first sentence has
+
+
+class Grouped(click.Command):
+    """Be a command with so many options that its help tells them in groups, each with an example."""
+
+    def __init__(self, *args: Any, groups: Mapping[str, tuple[str, tuple[str, ...]]], **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.groups = groups
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, group by group; what is in none comes last."""
+        options = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
+        left = {option.name: r for option in options if (r := option.get_help_record(ctx)) is not None}
+        for title, (example, names) in self.groups.items():
+            with formatter.section(title):
+                formatter.write_dl([left.pop(name) for name in names if name in left])
+                formatter.write_text(f"e.g. {ctx.command_path} {example}")
+        with formatter.section("Beside"):
+            formatter.write_dl(list(left.values()))
 
 
 def to_json(document: object, indent: int | None = None) -> str:
@@ -63,7 +131,8 @@ class Output:
             kept = r"(\x1b\[[\d;]*m)" if sys.stdout.isatty() else "(?!)()"
             for line in lines or ("",):
                 parts = re.split(kept, line)
-                _print("".join(part if at % 2 else printable(part) for at, part in enumerate(parts)))
+                text = "".join(part if at % 2 else printable(part) for at, part in enumerate(parts))
+                _print(wrapped(text, sys.stdout))
 
     def write_json(self, document: Mapping[str, object]) -> None:
         """Write the result where `--json` asked for it; without `--json` do nothing."""

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.options import Output, Whole, common_options
 from mavcompass.cli.serving import listen_option, quiet_option, serve, speed_option
+from mavcompass.cli.source import require_for
 from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _FAULTS = "loss, duplicate, reorder, latency, jitter, time-jump, saturation, fro
     help="loss=0.3, duplicate=0.05, reorder=0.1 (probabilities, each way), latency=SECONDS, jitter=SECONDS,"
     " time-jump=AT:BY, saturation=MILLIGAUSS, frozen-compass=AT (seconds of the replay); may be repeated.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the faults.")
+@click.option("--seed", type=Whole(0), default=0, show_default=True, help="Of the faults.")
 @quiet_option
 @common_options
 def command(

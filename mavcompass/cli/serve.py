@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import sys
@@ -11,10 +10,17 @@ from pathlib import Path
 
 import click
 
-from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import verbose_option
-from mavcompass.cli.source import sign_key_option, system_option
+from mavcompass.cli.options import Number, verbose_option
+from mavcompass.cli.source import require_for, sign_key_option, system_option
+from mavcompass.cli.terminal.colour import wrapped
 from mavcompass.errors import UsageError
+from mavcompass.installation.data_files import params_path
+
+
+def _print_config(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+    if wanted:
+        click.echo(params_path("service.toml").read_text("utf-8"), nl=False)
+        context.exit()
 
 
 @click.command()
@@ -27,8 +33,16 @@ from mavcompass.errors import UsageError
     type=click.Path(dir_okay=False, path_type=Path),
     help="Configuration; what is given here goes before it.",
 )
+@click.option(
+    "--print-config",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_config,
+    help="Print a configuration with every key and its default.",
+)
 @click.option("--storage", metavar="FOLDER", help="Where history, undo files and reports are kept.")
-@click.option("--speed", type=click.FloatRange(0.01, 1000.0), help="Of a simulated vehicle's time [1].")
+@click.option("--speed", type=Number(0.01, 1000.0), help="Of a simulated vehicle's time [1].")
 @system_option
 @sign_key_option
 @verbose_option
@@ -48,29 +62,36 @@ def command(
     \b
     mavcompass serve sim:rover
     mavcompass serve udpin:127.0.0.1:14571 --http 0.0.0.0:8808
-    mavcompass serve --config /etc/mavcompass.toml
+    mavcompass serve --print-config > mavcompass.toml
+    mavcompass serve --config mavcompass.toml
     """
     require_for(report=True, also=("The service",))
-    from mavcompass.service.config import ServiceConfig, load_config, parse_config
+    from mavcompass.service.addresses import page_urls, qr_code
+    from mavcompass.service.config import ServiceConfig, load_config
+    from mavcompass.service.models import Mistakes, read
     from mavcompass.service.run import Service
 
     config = ServiceConfig() if config_file is None else load_config(config_file)
     if source is None and config_file is None:
         raise UsageError("No vehicle was named.", "Give SOURCE, or --config with vehicle.source.")
     # What is given on the command line passes the same checks as what is in a file.
-    given: tuple[tuple[str, str, str | float | None], ...] = (
-        ("vehicle", "source", source),
-        ("vehicle", "speed", speed),
-        ("vehicle", "system", system),
-        ("http", "listen", listen),
-        ("storage", "folder", storage),
+    given: tuple[tuple[str, str, str, str | float | None], ...] = (
+        ("SOURCE", "vehicle", "source", source),
+        ("--speed", "vehicle", "speed", speed),
+        ("--system", "vehicle", "system", system),
+        ("--http", "http", "listen", listen),
+        ("--storage", "storage", "folder", storage),
     )
-    for table, key, value in given:
+    for option, table, key, value in given:
         if value is not None:
-            text = json.dumps(value) if isinstance(value, str) else repr(value)
-            checked = parse_config(f"[{table}]\n{key} = {text}\n", "command line")
-            changed = {key: getattr(getattr(checked, table), key)}
-            config = replace(config, **{table: replace(getattr(config, table), **changed)})
+            there = getattr(config, table)
+            try:
+                checked = read(type(there), {key: value})
+            except Mistakes as wrong:
+                raise UsageError(
+                    f"{option} {value!r} {wrong.found[0][1]}.", "See --help for examples."
+                ) from None
+            config = replace(config, **{table: replace(there, **{key: getattr(checked, key)})})
     require_for(config.vehicle.source)
     if not logging.getLogger("mavcompass").isEnabledFor(logging.INFO):
         logging.basicConfig(stream=sys.stderr, format="%(levelname)s: %(message)s")
@@ -78,17 +99,26 @@ def command(
 
     def say_ready() -> None:
         print(f"mavcompass serves {config.vehicle.source}")
-        print(f"  page       {_page(service.url, service.token, config.token_file)}")
-        print(f"  data       {config.folder}")
+        key = _key(service.token, config.token_file)
+        pages = page_urls(*service.address)
+        for number, (url, interface) in enumerate(pages.items()):
+            print(
+                f"  {'' if number else 'page':4}  {url}{key} {interface if len(pages) > 1 else ''}".rstrip()
+            )
+        print(f"  data  {config.folder}")
         if config.is_open_to_the_network:
-            print("  The page can be reached from the network; whoever has the token can move the vehicle.")
+            if sys.stdout.isatty():
+                print(*qr_code(f"{service.url}{key}"), sep="\n")
+            print(wrapped("Open to this network: whoever has this address can move the vehicle.", sys.stdout))
+        else:
+            print("Only this computer reaches the page; for phones too: --http 0.0.0.0:8808")
         sys.stdout.flush()
 
     service.run(say_ready)
     return 0
 
 
-def _page(url: str, token: str, token_file: Path) -> str:
-    """Spell the page's address; systemd's journal, which more people read than the file, gets no token."""
+def _key(token: str, token_file: Path) -> str:
+    """Spell what stands behind the page's address; systemd's journal, which many may read, gets no token."""
     in_journal = "JOURNAL_STREAM" in os.environ and not sys.stdout.isatty()
-    return f"{url} (token in {token_file})" if in_journal else f"{url}#token={token}"
+    return f" (token in {token_file})" if in_journal else f"#token={token}"

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mavcompass.cli.options import Number
+
 if TYPE_CHECKING:
     from mavcompass.vehicle.links.server import VehicleServer
     from mavcompass.vehicle.transport import Transport, WireAddress
@@ -21,7 +23,7 @@ listen_option = click.option(
 )
 speed_option = click.option(
     "--speed",
-    type=click.FloatRange(0.01, 1000.0),
+    type=Number(0.01, 1000.0),
     default=1.0,
     show_default=True,
     help="2 is twice real time.",

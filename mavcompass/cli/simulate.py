@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.options import Output, Whole, common_options
 from mavcompass.cli.serving import listen_option, quiet_option, serve, speed_option
+from mavcompass.cli.source import require_for
 from mavcompass.errors import UsageError
 from mavcompass.vehicle.transport import VEHICLES
 
@@ -53,7 +53,7 @@ def recording_to(tlog: Path, utc_start_s: float) -> Iterator[Record]:
     metavar="NAME[:p=v,..]",
     help="A physical effect on compass 1 and its IMU (see gap catalogue); may be repeated.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of everything random.")
+@click.option("--seed", type=Whole(0), default=0, show_default=True, help="Of everything random.")
 @speed_option
 @click.option("--disarmed", is_flag=True, help="Start at power-up, disarmed (default: armed and ready).")
 @click.option(

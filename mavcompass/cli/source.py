@@ -1,4 +1,4 @@
-"""What commands on a vehicle or a recording share: their options, opening it, asking before a write."""
+"""What commands on a vehicle or a recording share: options, what they need, opening it, asking to write."""
 
 from __future__ import annotations
 
@@ -11,16 +11,20 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcompass.calibration.methods import method_names
+from mavcompass.cli.options import Number, Whole
 from mavcompass.errors import UsageError
+from mavcompass.installation.parts import require
+from mavcompass.vehicle.transport import Address, Recording, Serial, parse_address
 
 if TYPE_CHECKING:
     from mavcompass.vehicle.link import Link
-    from mavcompass.vehicle.transport import Address
 
 
-def _instances(context: click.Context, parameter: click.Parameter, value: str) -> tuple[int, ...]:
-    if value == "all":
-        return ()
+def _instances(
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> tuple[int, ...] | None:
+    if value is None or value == "all":
+        return None if value is None else ()
     try:
         chosen = tuple(sorted({int(part) for part in value.split(",")}))
     except ValueError:
@@ -30,11 +34,17 @@ def _instances(context: click.Context, parameter: click.Parameter, value: str) -
     return chosen
 
 
-compass_option = click.option(
+recorded_compass_option = click.option(
     "--compass", "instances", default="1", callback=_instances, help="1, 2, 3, a list of them, or all."
 )
+compass_option = click.option(
+    "--compass",
+    "instances",
+    callback=_instances,
+    help="1, 2, 3, a list of them, or all (a live vehicle: all; a recording: 1).",
+)
 system_option = click.option(
-    "--system", type=click.IntRange(1, 255), help="System id, where several vehicles are heard."
+    "--system", type=Whole(1, 255), help="System id, where several vehicles are heard."
 )
 
 
@@ -84,7 +94,7 @@ method_option = click.option(
 )
 max_error_option = click.option(
     "--max-error-deg",
-    type=click.FloatRange(0.1, 45.0),
+    type=Number(0.1, 45.0),
     default=2.0,
     show_default=True,
     help="Accept no calibration with a larger predicted heading error.",
@@ -123,8 +133,10 @@ def this_year() -> float:
     return round(decimal_year(time.time()), 2)
 
 
-def open_source(address: Address, effects: Sequence[str], as_ground_station: bool = False) -> Link:
-    """Open a live address; effects go to an embedded simulated vehicle only.
+def open_source(
+    address: Address, effects: Sequence[str], as_ground_station: bool = False, by_hand: bool = False
+) -> Link:
+    """Open a live address; effects, and who turns it by hand, are of an embedded simulated vehicle.
 
     The pilot's controls are taken from a ground station only (SYSID_MYGCS).
     """
@@ -132,8 +144,45 @@ def open_source(address: Address, effects: Sequence[str], as_ground_station: boo
     from mavcompass.vehicle.opening import open_link
     from mavcompass.vehicle.transport import Simulated
 
-    if not effects:
-        return open_link(address, GROUND_STATION if as_ground_station else ONBOARD_COMPUTER)
-    if not isinstance(address, Simulated):
+    identity = GROUND_STATION if as_ground_station else ONBOARD_COMPUTER
+    if isinstance(address, Simulated):
+        from mavcompass.vehicle.links.simulated import SimulatedLink
+
+        effects = (*address.effects, *effects)
+        return SimulatedLink.of(
+            address.vehicle, seed=address.seed, effects=effects, identity=identity, by_hand=by_hand
+        )
+    if effects:
         raise UsageError("--effect is for sim:VEHICLE only.", "Leave it away for a real vehicle.")
-    return open_link(Simulated(address.vehicle, address.seed, (*address.effects, *effects)))
+    return open_link(address, identity)
+
+
+def require_for(
+    *sources: str | Path | Address | None, report: Path | bool | None = None, also: tuple[str, ...] = ()
+) -> None:
+    """Raise UsageError where a part that these sources, a report or `also` need is not installed, or the
+    report's folder is not there.
+
+    Args:
+        sources: addresses and recordings; None for one that was not given.
+        report: the file of a report, or whether there is one.
+        also: more keys of `PARTS`.
+    """
+    needs = [need for source in sources if source is not None and (need := _need_of(source)) is not None]
+    if report:
+        needs.append("An HTML report")
+    require(*dict.fromkeys([*needs, *also]))
+    if isinstance(report, Path) and not report.absolute().parent.is_dir():
+        raise UsageError(
+            f"The report could not be written: the folder of {report} does not exist.",
+            "Make it, or name another.",
+        )
+
+
+def _need_of(source: str | Path | Address) -> str | None:
+    if isinstance(source, Path):
+        source = Recording(source)
+    match parse_address(source) if isinstance(source, str) else source:
+        case Serial():
+            return "A serial port"
+    return None

@@ -15,7 +15,7 @@ from typing import Any
 from mavcompass.errors import UsageError
 from mavcompass.installation.parts import require
 
-SUFFIXES = frozenset({".tlog", ".bin", ".log", ".ulg", ".csv"})
+SUFFIXES = frozenset({".tlog", ".bin", ".log", ".ulg", ".csv", ".mcap", ".db3"})
 _MAGIC = frozenset("*?[")
 # What object stores and file systems call the mark that changes with the content.
 _CHANGE_MARKS = (

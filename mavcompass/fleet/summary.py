@@ -13,12 +13,15 @@ import numpy as np
 from mavcompass.errors import PoorCalibration
 from mavcompass.fleet.examine import Row, Work
 from mavcompass.fleet.population import Distribution, Odd, learn
+from mavcompass.printable import counted
 
 _AXES = ("x", "y", "z")
 _DAY_S = 86_400.0
 # A heading that is off by more than this, or that drifted by so many sigmas, is worth a person's time.
 NOTABLE_DEG = 2.0
 NOTABLE_SIGMAS = 3.0
+# Recordings within an hour are of one flight: the autopilot's log and the ground station's, or parts of it.
+ONE_FLIGHT_S = 3600.0
 LEAST_MGAUSS = 0.5  # an effect that is nowhere larger is not worth a line
 # Verdicts of a diagnosis after which the difference in heading is the recording's own noise.
 _SILENT = ("no_gap", "not_testable")
@@ -115,6 +118,12 @@ class Summary:
     population: Distribution | None = None
 
     @property
+    def trend(self) -> tuple[float, int] | None:
+        """Return the median drift in 30 days, degrees, and of how many compasses; None where unknown."""
+        rates = [r for v in self.vehicles for h in v.histories if (r := h.rate_deg_per_30_days) is not None]
+        return (median(rates), len(rates)) if rates else None
+
+    @property
     def look_first(self) -> tuple[Vehicle, ...]:
         """Return the vehicles that give a reason to look at them, worst first."""
         return tuple(vehicle for vehicle in self.vehicles if vehicle.why)
@@ -193,11 +202,6 @@ def _slowest(rows: Sequence[Row]) -> tuple[tuple[str, float], ...]:
     for row in rows:
         seconds[row["recording"]] += row.get("seconds") or 0.0
     return tuple(sorted(seconds.items(), key=lambda item: -item[1])[:3])
-
-
-def counted(number: int, thing: str) -> str:
-    """Spell a number of things: 1 recording, 2 recordings."""
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def _count(rows: Iterable[Row]) -> int:
@@ -299,6 +303,12 @@ def heading_between_deg(old: Row, new: Row) -> float | None:
     return math.degrees(math.sqrt(float((change**2).mean())))
 
 
+def in_words(span_s: float) -> str:
+    """Spell a time as people do: 3 hours, 40 days."""
+    unit_s, unit = (_DAY_S, "day") if span_s >= 2.0 * _DAY_S else (3600.0, "hour")
+    return counted(max(round(span_s / unit_s), 1), unit)
+
+
 def _measure(point: Point) -> float | None:
     return point.off_deg if point.drift_deg is None else point.drift_deg
 
@@ -312,8 +322,9 @@ def _reasons(history: History, diagnosed: bool) -> list[tuple[float, str]]:
         off = "the simulation's heading is {:.1f}° away" if diagnosed else "heading off by {:.1f}°"
         out.append((last.off_deg, f"{which}: {off.format(last.off_deg)} in its last recording"))
     if last.drift_deg is not None and last.sigma_deg is not None and last.drift_deg >= NOTABLE_DEG:
-        days = (last.time_unix_s - history.points[0].time_unix_s) / _DAY_S
         if last.drift_deg >= NOTABLE_SIGMAS * last.sigma_deg:
-            moved = f"{which}: its calibration moved by {last.drift_deg:.1f}° in {days:.0f} days"
-            out.append((last.drift_deg, moved))
+            span_s = last.time_unix_s - history.points[0].time_unix_s
+            moved = f"its calibration moved by {last.drift_deg:.1f}° in {in_words(span_s)}"
+            apart = f"recordings of the same hour differ by {last.drift_deg:.1f}°"
+            out.append((last.drift_deg, f"{which}: {moved if span_s >= ONE_FLIGHT_S else apart}"))
     return out

@@ -123,15 +123,15 @@ class FaultIsolation:
         seen = [i for i in self.likeliest if not math.isnan(self.sources[i].deviation_rad[0])]
         others = [self.sources[i].name for i in seen if i != index]
         shows = [name for name, z in mine.by_itself.items() if abs(z) > 2.0]
-        also = f"; it disagrees with {' and '.join(shows)} as well" if shows else ""
-        stand = (
-            f"{named(others)} stands"
-            if len(others) == 1
-            else f"{named(others)} agree with each other and stand"
-        )
+        also = f"; the {' and the '.join(shows)} {_speak(shows)} against it, too" if shows else ""
+        agree = f"{named(others)}{', which agree' if len(others) > 1 else ''}"
         if not others:
             return f"{_capital(mine.name)} disagrees with {' and '.join(shows) or 'all others'}."
-        return f"{_capital(stand)} {apart_deg:.0f} deg from {mine.name}{also}."
+        return f"{_capital(mine.name)} is {apart_deg:.0f} deg from {agree}{also}."
+
+
+def _speak(names: Sequence[str]) -> str:
+    return "speaks" if len(names) == 1 else "speak"
 
 
 def isolate_faults(sources: Sequence[HeadingSource]) -> FaultIsolation:

@@ -25,10 +25,13 @@ PARTS = {
         Part("An HTML report", "report", ("jinja2",)),
         Part("A plot", "report", ("matplotlib",)),
         Part(
-            "The service", "service", ("msgspec", "starlette", "uvicorn", "websockets", "prometheus_client")
+            "The service",
+            "service",
+            ("msgspec", "starlette", "uvicorn", "websockets", "prometheus_client", "segno"),
         ),
         Part("A fleet", "fleet", ("scipy",)),
         Part("A blind trial", "trial", ("scipy",)),
+        Part("A ROS 2 bag", "ros", ("rosbags",)),
         Part("A Parquet table", "fleet", ("pyarrow",)),
         Part("A cluster (--scheduler)", "fleet", ("distributed",)),
         Part("An object store", "fleet", ("fsspec",)),

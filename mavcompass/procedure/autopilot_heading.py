@@ -148,10 +148,12 @@ class OwnHeading:
         if self._follows:
             off_deg, self._follows = abs(self.error_deg), False
             self._context.show(
-                "heading", f"The autopilot steers {off_deg:.1f} deg off; it follows its compass now."
+                "heading", f"The autopilot is {off_deg:.1f} deg off and turns to the new heading."
             )
             yield from self._until_it_follows()
-            yield from self.overrides.release(self._context, "The autopilot's estimator is as it was.")
+            yield from self.overrides.release(
+                self._context, "The autopilot's estimator gets its settings back."
+            )
             self.by.append("believing its compass for some seconds")
             self.samples.clear()
         elif abs(self.error_deg) > _WORTH_DEG:
@@ -189,12 +191,18 @@ class OwnHeading:
                     began_s = self._context.now
                     continue
                 if self.samples and self._context.now - began_s > _SLOPE_AT_LEAST_S * self._slowness + 1.0:
-                    text = f"The autopilot still steers {abs(self.error_deg):.1f} deg off; waiting for it."
+                    left_s = self._patience_s() - (self._context.now - began_s)
+                    text = (
+                        f"All is written; the autopilot still follows, {abs(self.error_deg):.1f} deg off"
+                        f" now (at most {left_s:.0f} s more; you may stop here)."
+                    )
                     self._context.show("heading", text, live=float(told))
                     told = True
                 yield from pause(self._context, 1.0)
         except (Refused, LinkError) as trouble:
-            self._context.show("heading", f"{trouble.what} The autopilot's heading is not waited for.")
+            self._context.show(
+                "heading", f"{trouble.what} What was written stays; its heading is not waited for."
+            )
 
     def restarted(self) -> None:
         """Begin anew after a restart of the autopilot."""
@@ -214,6 +222,7 @@ class OwnHeading:
             set_aside=self.set_aside,
             not_loaded=self.not_loaded,
             flying=self.flying,
+            flies=self.desk.identity.kind == "copter",
         )
 
     # --- what is known of it ------------------------------------------------------------------------
@@ -321,7 +330,9 @@ class OwnHeading:
             how = yield from self.desk.dialect.load_written(self._context, self._values)
             yield from pause(self._context, _TAKES_S)
         finally:
-            yield from self.overrides.release(self._context, "The autopilot's estimator is as it was.")
+            yield from self.overrides.release(
+                self._context, "The autopilot's estimator gets its settings back."
+            )
         return how
 
     def _may_help(self) -> bool:
@@ -341,7 +352,7 @@ class OwnHeading:
     def _put_right(self, error_deg: float) -> Script[bool]:
         """Have the autopilot take its compass's yaw over, and say so; False where it knows no way."""
         if how := (yield from self._take_over()):
-            text = f"The autopilot steered {abs(error_deg):.1f} deg off: it has taken the new heading over."
+            text = f"The autopilot was {abs(error_deg):.1f} deg off; it now uses the new heading."
             self._context.show("heading", text)
             self.by.append(how)
             self.samples.clear()

@@ -7,7 +7,7 @@ neither sleeps nor reads a clock nor touches a socket or a file.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -24,11 +24,17 @@ from mavcompass.procedure.motion import Motion, Permissions, SafetyLimits, Wishe
 from mavcompass.procedure.positions import DwellSettings, HandMover, Mover, Window, prove, visit
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.restart import restart
-from mavcompass.procedure.script import Context, Script, ask
+from mavcompass.procedure.script import Ask, Context, Script, ask
 from mavcompass.procedure.turning import TurnBy
 from mavcompass.procedure.writing import Writer
 from mavcompass.track import Track
 
+# What is left of a bar then is the autopilot's own heading, which comes right by itself or not.
+_PROVEN = 0.95
+# Slower than any way turns a vehicle: this is sway, or what a hull glides on.
+_TURNING_DPS = 3.0
+# So long a stopped vehicle is watched; what is told after it would be told of a turn that goes on.
+_HALTS_WITHIN_S = 5.0
 # Midway between two positions proves as much as at the next one, and takes less of the vehicle's time.
 _PROOF_SHARE = 0.5
 # And so sure a heading: a third of what the field may turn more or less than the gyro.
@@ -117,7 +123,8 @@ def calibrate(context: Context, services: Services, settings: CalibrateSettings)
         if context.now - desk.state.heard_s > _LOST_S:
             remedy = "Bring the link back (power, cable, radio), then run again."
             raise LinkLost(why.what, remedy) from why
-        raise
+        yield from work.halts()
+        raise Refused(" ".join((why.what, *work.what_stands())), why.remedy) from why
 
 
 @dataclass(slots=True)
@@ -130,6 +137,30 @@ class _Calibration:
     instances: tuple[int, ...]
     overrides: Overrides
     own: OwnHeading
+    writer: Writer | None = None
+
+    @property
+    def rate_dps(self) -> float:
+        """Return how fast the vehicle turns, 0 while it has not told."""
+        attitude = self.desk.state.attitude
+        return 0.0 if attitude is None else math.degrees(abs(attitude.yawspeed))
+
+    def halts(self) -> Script[None]:
+        """Wait until a vehicle that was told to halt has done so."""
+        end_s = self.desk.context.now + _HALTS_WITHIN_S
+        while self.rate_dps > _TURNING_DPS and self.desk.context.now < end_s:
+            yield end_s
+
+    def what_stands(self) -> Iterator[str]:
+        """Say, where it is ended before its time, whether the vehicle moves and what has been written."""
+        if self.desk.state.attitude is not None:
+            armed = "armed" if self.desk.state.armed else "disarmed"
+            turning = f"It is still turning, by {self.rate_dps:.0f} deg/s, {armed}: keep clear."
+            yield turning if self.rate_dps > _TURNING_DPS else f"It no longer turns; it is {armed}."
+        if self.writer is None or not self.writer.began:
+            yield "Nothing written."
+        elif self.writer.taken_back:
+            yield "The old values are back on the vehicle."
 
     def run(self) -> Script[CalibrationReport]:
         """Calibrate, and see that the autopilot steers by it; put every rate back however it ends."""
@@ -154,7 +185,9 @@ class _Calibration:
         mobility = desk.mobility(
             Wishes(settings.motion, settings.turn_by, settings.permissions, settings.limits), self.overrides
         )
-        writer = Writer(desk, self.overrides.save_undo, settings.writing == "ask", self.own.expect)
+        self.writer = writer = Writer(
+            desk, self.overrides.save_undo, settings.writing == "ask", self.own.expect
+        )
         try:
             mover = yield from mobility.take_charge(desk.context, desk.parameters)
             report = self.solve((yield from self.visit(mover)))
@@ -268,7 +301,7 @@ class _Calibration:
             if mended is None or self.settings.writing == "never":
                 continue
             if not wanted and self.settings.writing == "ask":
-                question = f"Set how it is mounted, with the calibration for it?\n{result.reasons[0]}"
+                question = Ask("Set how it is mounted, with the calibration for it?", result.reasons[:1])
                 wanted = yield from ask(self.desk.context, question)
             if wanted:
                 results[k] = mended
@@ -310,7 +343,7 @@ class _Calibration:
         context, last = self.desk.context, report.windows[-1]
         try:
             yield from self.own.written(outcome.values)
-            context.show("prove", "One more turn proves the new values.")
+            context.show("prove", "Turning once more to check the new values.")
             enough = replace(self.settings.dwell, enough_deg=_PROOF_ENOUGH_DEG)
             turned_rad = self.desk.gyro.angle_rad - last.turned_rad
             for _ in range(_PROOF_TURNS):
@@ -338,7 +371,7 @@ class _Calibration:
             duration_s=with_it.duration_s,
         )
         if proof.passed:
-            context.show("prove", proof.summary(), 1.0)
+            context.show("prove", proof.summary(), _PROVEN)
             return report
         yield from writer.take_back(report, proof.summary())
         return replace(report, undone=True).noting(f"{proof.summary()} The old values were put back.")

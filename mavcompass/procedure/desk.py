@@ -57,7 +57,7 @@ class Desk:
         # Only now: before, every vehicle on the link is heard.
         state = VehicleState()
         context.listeners.append(state.hear)
-        context.show("connect", f"Found {identity.autopilot} {identity.kind} (system {identity.system}).")
+        context.show("connect", f"Found {identity}.")
         dialect = dialect_for(identity.autopilot)
         parameters = yield from dialect.compass_parameters(context)
         vehicle = yield from dialect.claim(context, parameters)

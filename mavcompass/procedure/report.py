@@ -30,7 +30,7 @@ class AutopilotHeading:
         set_aside: True where the autopilot follows no compass any more.
         not_loaded: True where the autopilot has not loaded the new calibration, and may lose it.
         flying: True where it is in the air.
-        written: False where the values in force were left alone.
+        written: False where the values in force were left alone. flies: True for what does, when it does.
     """
 
     error_before_deg: float
@@ -43,6 +43,7 @@ class AutopilotHeading:
     not_loaded: bool = False
     flying: bool = False
     written: bool = True
+    flies: bool = False
 
     @property
     def known(self) -> bool:
@@ -61,32 +62,32 @@ class AutopilotHeading:
     def summary(self) -> str:
         """Return the sentence for the person."""
         before_deg, after_deg = abs(self.error_before_deg), abs(self.error_after_deg)
+        go = "flying" if self.flies else "driving"
+        look = f"Compare it with a landmark before {go}."
         if self.not_loaded:
-            off = f" and steers {after_deg:.1f} deg off now" if self.known else ""
+            off = f", {after_deg:.1f} deg off" if self.known else ""
             return (
-                f"The autopilot still flies by the old calibration{off}: it loads the new one on the ground,"
-                " and puts what it has learnt in flight in its place when it is disarmed."
+                f"The autopilot still flies by the old calibration{off}: it loads the new one on the ground"
+                " only, and stores what it learnt in flight over it when it is disarmed."
             )
         if not self.known:
-            return "Whether the autopilot steers by the new heading could not be told."
+            return f"The autopilot's own heading could not be measured. {look}"
         if not self.written:
-            then = ": see that it is right before you drive" if self.is_off else ""
-            return f"The autopilot's own heading is {after_deg:.1f} deg off{then}."
+            return (
+                f"The autopilot's own heading is {after_deg:.1f} deg off.{f' {look}' if self.is_off else ''}"
+            )
         if not self.is_off:
             return (
-                f"The autopilot's own heading was {before_deg:.1f} deg off at the start and is"
-                f" {after_deg:.1f} deg off now, by {self.by}."
+                f"The autopilot's own heading: {before_deg:.1f} deg off before, {after_deg:.1f} deg now"
+                f" ({self.by})."
             )
         if after_deg <= RIGHT_DEG and self.wander_deg:
             wanders = f"may wander by {self.wander_deg:.1f} deg while it stands"
             stays = "does not stay there" if math.isnan(self.wander_deg) else wanders
-            return (
-                f"The autopilot's own heading is {after_deg:.1f} deg off now, but {stays}: see that it is"
-                " right before you drive."
-            )
+            return f"The autopilot's own heading is {after_deg:.1f} deg off now, but {stays}. {look}"
         aside = " and has set its compasses aside" if self.set_aside else ""
-        then = "land it, and restart it before you fly on" if self.flying else "restart it before you drive"
-        return f"The autopilot still steers {after_deg:.1f} deg off{aside}; {then}."
+        then = "Land, disarm and reboot before flying again" if self.flying else f"Reboot it before {go}"
+        return f"The autopilot's own heading is still {after_deg:.1f} deg off{aside}. {then}."
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -79,9 +79,14 @@ class Show:
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Ask the person a yes-or-no question; the driver brings an `Answer` when there is one."""
+    """Ask the person a yes-or-no question; the driver brings an `Answer` when there is one.
+
+    `about` is what to know before answering, a sentence each; `details` may be folded away.
+    """
 
     question: str
+    about: tuple[str, ...] = ()
+    details: tuple[str, ...] = ()
 
 
 Action = Send | Show | Ask
@@ -118,10 +123,6 @@ class Context:
     def show(self, step: str, text: str, fraction: float | None = None, **data: float) -> None:
         """Leave a line for the person."""
         self.outbox.append(Show(step, text, fraction, tuple(data.items())))
-
-    def ask(self, question: str) -> None:
-        """Leave a question for the person."""
-        self.outbox.append(Ask(question))
 
     def heard_from_vehicle(self, event: Event) -> Incoming | None:
         """Return the event if it is a message of this script's vehicle (or none is chosen yet)."""
@@ -275,9 +276,9 @@ def request(
     )
 
 
-def ask(context: Context, question: str) -> Script[bool]:
+def ask(context: Context, question: Ask) -> Script[bool]:
     """Ask the person and wait for the answer, however long it takes."""
-    context.ask(question)
+    context.outbox.append(question)
     while True:
         event = yield context.now + 1.0
         if isinstance(event, Answer):

@@ -33,6 +33,13 @@ class VehicleIdentity:
     autopilot: str
     kind: Kind
 
+    def __str__(self) -> str:
+        """Return it as people write it."""
+        return f"{_MAKES.get(self.autopilot, self.autopilot)} {self.kind}, system {self.system}"
+
+
+_MAKES = {"ardupilot": "ArduPilot", "px4": "PX4"}
+
 
 def identify(heard: mav.Incoming) -> VehicleIdentity | None:
     """Recognise an autopilot's heartbeat; None for ground stations, cameras, radios and the rest."""

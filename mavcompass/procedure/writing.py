@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from mavcompass.calibration.result import CalibrationResult, before_and_after
+from mavcompass.printable import counted
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.procedure.script import Script, ask, nothing
+from mavcompass.procedure.script import Ask, Script, ask, nothing
+
+# Of a calibration's bar: what is left is the proof, and the autopilot's own heading.
+_WRITTEN = 0.9
 
 
 @dataclass(slots=True)
 class Writer:
     """Write what a calibration found; `save_undo` puts the way back on disk before anything is changed.
 
-    `just_before` is done between a person's consent and the write.
+    Attributes:
+        just_before: done between a person's consent and the write.
+        began, taken_back: whether values went to the vehicle, and whether the old ones are back.
     """
 
     desk: Desk
     save_undo: SaveUndo
     asks: bool
     just_before: Callable[[], Script[None]] = lambda: nothing(None)
+    began: bool = False
+    taken_back: bool = False
 
     def write(self, report: CalibrationReport) -> Script[CalibrationReport]:
         """Plan, ask where wanted, write and read back; without an outcome nothing was written.
@@ -37,11 +46,13 @@ class Writer:
         report = replace(report, plan=plan).noting(*plan.refusals, *remarks)
         if plan.refusals:
             return report
-        if self.asks and not (yield from ask(desk.context, _question(plan))):
-            return report.noting("Not written: the answer was no.")
+        if self.asks and not (yield from ask(desk.context, _question(plan, report.results))):
+            return report.noting("Cancelled.")
         yield from self.just_before()
+        self.began = True
         outcome = yield from desk.dialect.write(desk.context, plan, self.save_undo)
         report = replace(report, outcome=outcome)
+        desk.context.show("written", "Written and read back.", _WRITTEN)
         if report.takes_effect_later:
             return report
         now = {**desk.parameters, **outcome.values}
@@ -59,8 +70,11 @@ class Writer:
         """Write the old values again. Raises WriteFailed, with the way back, where that fails."""
         assert report.outcome is not None
         yield from report.outcome.take_back(self.desk.context, why)
+        self.taken_back = True
 
 
-def _question(plan: ParameterPlan) -> str:
-    lines = [f"  {c.name:<18} {c.old:>10.4g} -> {c.new:.4g}" for c in plan.changes]
-    return "\n".join(["Write these parameters?", *lines])
+def _question(plan: ParameterPlan, results: Sequence[CalibrationResult]) -> Ask:
+    about = tuple(before_and_after(result) for result in results)
+    details = tuple(f"{c.name:<18} {c.old:>10.4g} -> {c.new:.4g}" for c in plan.changes)
+    count = counted(len(plan.changes), "parameter")
+    return Ask(f"Write the new calibration ({count})?", about, details)

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad, summary
+from mavcompass.calibration.result import CalibrationResult, summary
 from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import earth_field_of
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.report import figures
 from mavcompass.report.page import write_page
@@ -25,18 +26,26 @@ def write_report(report: CalibrationReport, path: Path) -> None:
     elif report.written:
         end = "Written to the vehicle and read back."
     else:
-        end = "Nothing was written."
+        end = "Nothing written."
     facts = {
-        "Vehicle": f"{report.identity.autopilot} {report.identity.kind}, system {report.identity.system}",
+        "Vehicle": str(report.identity),
         "Duration": f"{report.duration_s:.0f} s",
         "Outcome": end,
     }
     if outcome is not None and outcome.undo_file is not None:
-        facts["Undo file"] = str(outcome.undo_file)
+        facts["To undo"] = outcome.restore_command or str(outcome.undo_file)
     if report.heading is not None:
         facts["Autopilot"] = report.heading.summary()
     proof = None if report.proof is None else report.proof.summary()
-    _write(path, report.track, report.results, facts, report.messages, proof, report.written)
+    _write(
+        path,
+        report.track,
+        report.results,
+        facts | _place(report.track),
+        report.messages,
+        proof,
+        report.written,
+    )
 
 
 def write_recording_report(track: Track, results: Sequence[CalibrationResult], path: Path) -> None:
@@ -46,7 +55,24 @@ def write_recording_report(track: Track, results: Sequence[CalibrationResult], p
         "Vehicle": f"{track.autopilot} {track.vehicle}",
         "Duration": f"{track.duration_s:.0f} s",
     }
-    _write(path, track, results, facts, track.notes, None, False)
+    _write(path, track, results, facts | _place(track), track.notes, None, False)
+
+
+def _place(track: Track) -> dict[str, str]:
+    """Say where it was, what the Earth's field is there, and which sensors these are."""
+    facts = {}
+    world = earth_field_of(track)
+    if world is not None and track.place is not None:
+        lat, lon = np.nanmedian(track.place.values[:, :2], axis=0)
+        facts["Place"] = (
+            f"{abs(lat):.4f}° {'N' if lat >= 0 else 'S'}, {abs(lon):.4f}° {'E' if lon >= 0 else 'W'}"
+        )
+        facts["Earth's field there"] = (
+            f"{world.total_mgauss:.0f} mG, dip {math.degrees(world.inclination_rad):.1f}°, declination"
+            f" {math.degrees(world.declination_rad):+.1f}° (World Magnetic Model)"
+        )
+    ids = [f"{i}: {c.device_id}" for i, c in sorted(track.compasses.items()) if c.device_id]
+    return facts | ({"Device ids": ", ".join(ids)} if ids else {})
 
 
 def _write(
@@ -115,12 +141,7 @@ def _rows(old: FieldCorrection, new: FieldCorrection) -> list[tuple[str, float, 
 
 def _deviation_card(result: CalibrationResult) -> list[tuple[int, float, float]]:
     """List heading, error of the old calibration and sigma of the new one, every 30 degrees."""
-    if not (math.isfinite(result.horizontal_mgauss) and math.isfinite(result.vertical_mgauss)):
+    if (old_deg := result.in_force_error_deg()) is None:
         return []
-    old_deg = np.degrees(
-        heading_change_rad(
-            result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss
-        )
-    )
     sigma = figures.sigma_deg(result, np.arange(72) * 5.0)
     return [(5 * k, float(old_deg[k]), float(sigma[k])) for k in range(0, 72, 6)]

@@ -8,7 +8,7 @@ from pathlib import Path
 from mavcompass.gap.comparison import Comparison
 from mavcompass.report.compare_words import compare_advice
 from mavcompass.report.gap_figures import levels_figure, residual_overlay
-from mavcompass.report.gap_words import SHADES, VERDICTS, shrink_words
+from mavcompass.report.gap_words import SHADES, VERDICTS, cause_values, shrink_words
 from mavcompass.report.page import write_page
 from mavcompass.simulation.effects import get
 
@@ -54,7 +54,7 @@ def write_compare_report(comparison: Comparison, path: Path) -> None:
                 "lacks": d.lacks,
                 "id": d.cause.effect,
                 "title": get(d.cause.effect).title,
-                "parameters": ", ".join(f"{name} {value:.4g}" for name, value in d.cause.parameters.items()),
+                "parameters": cause_values(d.cause),
                 "field": d.cause.removes_mgauss,
                 "heading": d.cause.removes_deg,
             }

@@ -23,7 +23,9 @@ def compare_advice(comparison: Comparison) -> str:
     if surplus:
         return f"Take out of the simulator what the vehicle does not have: {', '.join(surplus)}."
     if comparison.told.verdict == "no_gap":
-        return "Nothing to do: the simulator's compass is as good as the vehicle's, to the noise of both."
+        return (
+            "No difference found: the simulator's compass is as good as the vehicle's, to the noise of both."
+        )
     if comparison.told.verdict == "not_testable":
         return "Record again, with turns through all headings, and with tilt if the vehicle can."
     return "They differ in a way that no effect of the catalogue explains; look at what it goes with (below)."
@@ -85,8 +87,8 @@ def _difference(difference: Difference) -> str:
 
 
 def _gap(name: str, closing: Closing, unit: str) -> str:
-    said = f"  {name}: {closing.nominal:.1f} {unit} rms apart, of which {closing.floor:.1f} may be noise"
-    return said if closing.after == closing.nominal else f"{said}; {closing.after:.1f} once that is the same"
+    then = "" if closing.after == closing.nominal else f"; {closing.after:.1f} once that is the same"
+    return f"  {name}: {closing.nominal:.1f} {unit} apart now{then} ({closing.floor:.1f} is noise)"
 
 
 def _percent(share: float) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mavcompass.attitude import down_in_body
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.heading.compute import level_heading
@@ -93,15 +93,9 @@ def raw_figure(track: Track, result: CalibrationResult) -> str:
 
 def heading_error_figure(result: CalibrationResult) -> str:
     """Draw how far the old correction's heading is off, against the new one's sigma."""
-    if not (math.isfinite(result.horizontal_mgauss) and math.isfinite(result.vertical_mgauss)):
+    if (old := result.in_force_error_deg()) is None:
         return ""
-    psi = np.arange(73) * 5.0
-    old = np.degrees(
-        heading_change_rad(
-            result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss
-        )
-    )
-    old = np.append(old, old[0])
+    psi, old = np.arange(73) * 5.0, np.append(old, old[0])
     plot = Plot(
         (0.0, 360.0),
         limits(old, [-1.0, 1.0], sigma_deg(result, psi)),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mavcompass.fleet.summary import LEAST_MGAUSS, NOTABLE_DEG, History, Summary, Vehicle
+from mavcompass.fleet.summary import LEAST_MGAUSS, NOTABLE_DEG, ONE_FLIGHT_S, History, Summary, Vehicle
 from mavcompass.frames import FloatArray
 from mavcompass.report.page import write_page
 from mavcompass.report.svg import Plot, bars, limits
@@ -17,7 +17,6 @@ from mavcompass.report.svg import Plot, bars, limits
 _UNITS = (
     (86_400.0, "days", "%Y-%m-%d"),
     (3_600.0, "hours", "%Y-%m-%d %H:%M UTC"),
-    (60.0, "minutes", "%Y-%m-%d %H:%M UTC"),
 )
 # A page stays one that a person can read; the Parquet file has everything.
 _MOST_VEHICLES, _MOST_DRIFTS, _MOST_ERRORS, _MOST_FIRST = 300, 24, 50, 12
@@ -28,7 +27,7 @@ _CURVES = (("new", "new"), ("old", "old"), ("truth", "axis-z"))
 def write_fleet_report(summary: Summary, facts: Mapping[str, str], path: Path) -> None:
     """Write the page. Raises UsageError where it cannot be written or jinja2 is missing."""
     effects = [e for e in summary.effects if e.largest_mgauss >= LEAST_MGAUSS]
-    drifting = [v for v in summary.vehicles if any(len(h.points) > 1 for h in v.histories)]
+    drifting = [v for v in summary.vehicles if any(map(_is_over_time, v.histories))]
     shown = {
         "summary": summary,
         "facts": facts,
@@ -49,9 +48,13 @@ def write_fleet_report(summary: Summary, facts: Mapping[str, str], path: Path) -
     write_page(path, "fleet.html", shown)
 
 
+def _is_over_time(history: History) -> bool:
+    return history.points[-1].time_unix_s - history.points[0].time_unix_s >= ONE_FLIGHT_S
+
+
 def drift_figure(vehicle: Vehicle, calibrated: bool) -> str:
     """Draw a vehicle's compasses over time: drift of the calibration, or the heading gap, in degrees."""
-    drawn = [h for h in vehicle.histories if len(h.points) > 1]
+    drawn = list(filter(_is_over_time, vehicle.histories))
     start = min(h.points[0].time_unix_s for h in drawn)
     span_s = max(h.points[-1].time_unix_s for h in drawn) - start
     unit_s, unit, written = next((u for u in _UNITS if span_s >= 2.0 * u[0]), _UNITS[-1])

@@ -16,7 +16,7 @@ from mavcompass.report.gap_figures import (
     tests_figure,
     waterfall_figure,
 )
-from mavcompass.report.gap_words import SHADES, VERDICTS, advice, shrink_words
+from mavcompass.report.gap_words import SHADES, VERDICTS, advice, figures_of, shrink_words
 from mavcompass.report.page import write_page
 from mavcompass.simulation.effects import catalogue
 
@@ -68,13 +68,32 @@ def write_trial_report(trial: Trial, path: Path) -> None:
         low, high = wilson(hits, of)
         share = f"{100 * hits / of:.1f} %" if of else "-"
         drawn = interval_figure(low, hits / of, high) if of else ""
-        rows.append((name, hits, of, share, f"{100 * low:.1f} to {100 * high:.1f}" if of else "-", drawn))
+        rows.append(
+            (_in_words(name), hits, of, share, f"{100 * low:.1f} to {100 * high:.1f}" if of else "-", drawn)
+        )
     shown = {
         "trial": trial,
         "rows": rows,
         "reliability": reliability(trial),
     }
     write_page(path, "gap_trial.html", shown)
+
+
+# The symbols of docs/gap.md, for who has not read it.
+_SYMBOLS = {
+    "d_sep": "separation",
+    "d_perp": "part that nothing known mimics",
+    "single, ": "one effect, ",
+    "pair, ": "two effects, ",
+    "withheld, ": "one that may not be named, ",
+    ">=": "at least",
+}
+
+
+def _in_words(name: str) -> str:
+    for symbol, words in _SYMBOLS.items():
+        name = name.replace(symbol, words)
+    return name[:1].upper() + name[1:]
 
 
 def reliability(trial: Trial) -> list[tuple[str, int, str, str]]:
@@ -94,17 +113,14 @@ def reliability(trial: Trial) -> list[tuple[str, int, str, str]]:
 
 def _cause(cause: Cause) -> dict[str, Any]:
     effect = catalogue()[cause.effect]
-    units = {p.name: p.unit for p in effect.parameters}
     return {
         "id": cause.effect,
         "title": effect.title,
         "probability": f"{100 * cause.probability:.0f} %",
-        "removes": f"{cause.removes_mgauss:.2f}",
-        "separation": "-" if cause.separation is None else f"{cause.separation:.0f}",
+        "field": f"{cause.removes_mgauss:.1f}",
+        "heading": f"{cause.removes_deg:.1f}",
+        "separation": None if cause.separation is None else f"{cause.separation:.0f}",
         "separated_by": effect.separated_by,
         "ambiguous_with": cause.ambiguous_with,
-        "parameters": [
-            (name, f"{value:.5g}", "{:.4g} to {:.4g}".format(*cause.ci95[name]), units[name])
-            for name, value in cause.parameters.items()
-        ],
+        "parameters": figures_of(cause),
     }

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 from mavcompass.gap.result import Cause, Closing, Diagnosis, Place
+from mavcompass.printable import counted
 from mavcompass.simulation.effects import get
+from mavcompass.simulation.effects.effect import NEVER_S, ON_IRON
 
 VERDICTS = {
     "no_gap": "no gap",
@@ -59,6 +62,9 @@ _REMEDIES = {
     "vibration_rectification": "Damp the autopilot's vibrations: it is not the compass",
 }
 _COARSE_DEG = 3.0
+_ALIKE = 0.05  # shares of the gap that are no more apart are not told apart
+_UNITS = {"1": (1.0, ""), "rad": (math.degrees(1.0), "deg"), "degC": (1.0, "°C")}
+_NAMES = {"on_s": "from", "off_s": "until", "lag_s": "late by"}
 _SHARP_PERCENT = 1.0
 _SHOWN_VALUES = 9
 _SHOWN_SETS = 4
@@ -68,14 +74,11 @@ def advice(diagnosis: Diagnosis) -> str:
     """Say in one sentence what to do."""
     match diagnosis.verdict:
         case "no_gap" if diagnosis.heading.floor > _COARSE_DEG:
-            return (
-                f"Nothing to do that this recording could tell: heading errors below"
-                f" {diagnosis.heading.floor:.0f} deg do not show in it."
-            )
+            return f"No problem found; errors under {diagnosis.heading.floor:.0f} deg would be invisible."
         case "no_gap":
+            right_deg = max(diagnosis.heading.nominal, 0.1)
             return (
-                f"Nothing to do: the heading is right to {max(diagnosis.heading.nominal, 0.1):.1f} deg rms,"
-                " which is the noise of this recording."
+                f"No problem found: the heading is right to {right_deg:.1f} deg, the noise of this recording."
             )
         case "named":
             return f"{_remedy(diagnosis)}."
@@ -138,9 +141,9 @@ def summary(diagnosis: Diagnosis, everything: bool = False) -> list[str]:
     lines.append(_closing("heading", diagnosis.heading, "deg"))
     lines.append(_closing("field", diagnosis.field, "mG"))
     if diagnosis.verdict not in ("no_gap", "not_testable") and diagnosis.where:
-        lines.append(f"  where: {_places(diagnosis.where)}")
+        lines.append(f"  {_places(diagnosis.where)}")
     if diagnosis.unknown and diagnosis.unknown_coordinate:
-        lines.append(f"  what is left goes with: {diagnosis.unknown_coordinate}")
+        lines.append(f"  what is left depends on: {diagnosis.unknown_coordinate}")
     if diagnosis.verdict != "no_gap":
         for flight in diagnosis.next_flight[:2]:
             lines.append(
@@ -150,22 +153,43 @@ def summary(diagnosis: Diagnosis, everything: bool = False) -> list[str]:
         lines += _background(diagnosis)
     elif diagnosis.not_testable:
         lines += unseen_iron(diagnosis)
-        lines.append(f"  {len(diagnosis.not_testable)} effects could not show in this recording (-v: which)")
+        count = counted(len(diagnosis.not_testable), "possible cause")
+        lines.append(f"  {count} cannot be tested with this recording (-v: which)")
     return lines
 
 
 def unseen_iron(diagnosis: Diagnosis) -> list[str]:
     """Say why the commonest of all faults could not show, where it could not."""
     why = dict(diagnosis.not_testable).get("hard_iron")
-    return [] if why is None else [f"  hard_iron could not show: {why}"]
+    return [] if why is None else [f"  iron on the vehicle (hard_iron) cannot be tested: {why}"]
 
 
 def cause_values(cause: Cause) -> str:
     """Spell a cause's parameters with their units; of many the first ones."""
-    units = {p.name: "" if p.unit == "1" else f" {p.unit}" for p in get(cause.effect).parameters}
-    shown = list(cause.parameters.items())[:_SHOWN_VALUES]
-    values = ", ".join(f"{name} {value:.3g}{units.get(name, '')}" for name, value in shown)
-    return values + ", ..." if len(shown) < len(cause.parameters) else values
+    rows = figures_of(cause)
+    values = ", ".join(
+        f"{name} {value}{f' {unit}' if unit else ''}" for name, value, _, unit in rows[:_SHOWN_VALUES]
+    )
+    return values + ", ..." if len(rows) > _SHOWN_VALUES else values
+
+
+def figures_of(cause: Cause) -> list[tuple[str, str, str, str]]:
+    """List a cause's parameters as people read them: name, value, 95 % interval, unit.
+
+    What belongs to the model alone is left out: a time that stands for never, and whether it comes before the
+    iron or after it. Angles are told in degrees; a name does not repeat its unit.
+    """
+    rows = []
+    for parameter in get(cause.effect).parameters:
+        value = cause.parameters.get(parameter.name)
+        if value is None or abs(value) >= NEVER_S or parameter.name == ON_IRON:
+            continue
+        factor, unit = _UNITS.get(parameter.unit, (1.0, parameter.unit))
+        name = _NAMES.get(parameter.name) or re.sub(r"_(mgauss\w*|s|rad|degc|m|hz)$", "", parameter.name)
+        low, high = (factor * end for end in cause.ci95.get(parameter.name, (value, value)))
+        interval = f"{low:.3g} to {high:.3g}" if low < high else "-"
+        rows.append((name.replace("_", " "), f"{factor * value:.3g}", interval, unit))
+    return rows
 
 
 def _cause(cause: Cause, rivals: bool) -> list[str]:
@@ -177,11 +201,12 @@ def _cause(cause: Cause, rivals: bool) -> list[str]:
 
 
 def _closing(name: str, closing: Closing, unit: str) -> str:
-    said = f"  {name}: {closing.nominal:.1f} {unit} rms off, of which {closing.floor:.1f} may be noise"
+    noise = f"{closing.floor:.1f} is the recording's noise"
     if closing.after == closing.nominal:
-        return said
+        return f"  {name}: {closing.nominal:.1f} {unit} now; {noise}"
     return (
-        f"{said}; with this in the simulator {closing.after:.1f}: {shrink_words(closing)} of the gap closes"
+        f"  {name}: {closing.nominal:.1f} {unit} now; {closing.after:.1f} once corrected"
+        f" ({shrink_words(closing)} of the gap; {noise})"
     )
 
 
@@ -207,11 +232,13 @@ def _places(places: Sequence[Place]) -> str:
     for place in places:
         if place.coordinate != "axis":
             goes_with[place.coordinate] = max(place.share, goes_with.get(place.coordinate, 0.0))
-    parts = [f"{p.channel} ({100.0 * p.share:.0f} %)" for p in channels[:1]]
-    largest = sorted(goes_with.items(), key=lambda item: -item[1])[:3]
-    if largest:
-        parts.append("goes with " + ", ".join(f"{name} ({100.0 * share:.0f} %)" for name, share in largest))
-    return "; ".join(parts)
+    on = f", most on {channels[0].channel}" if channels else ""
+    if not goes_with:
+        return f"on no one thing{on}".replace("on no one thing, most on", "mostly on")
+    most = max(goes_with.values())
+    # What goes along with something else all the time explains as much and is not told apart from it here.
+    alike = [name for name, share in goes_with.items() if share > most - _ALIKE]
+    return f"mostly depends on {' or '.join(alike)} ({100.0 * most:.0f} %){on}"
 
 
 def _background(diagnosis: Diagnosis) -> list[str]:

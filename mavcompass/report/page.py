@@ -9,6 +9,7 @@ from pathlib import Path
 from mavcompass import __version__
 from mavcompass.files import write_text
 from mavcompass.installation.parts import require
+from mavcompass.printable import figure
 
 _TEMPLATES = Path(__file__).with_name("templates")
 
@@ -28,6 +29,7 @@ def write_page(path: Path, template: str, values: Mapping[str, object]) -> None:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["figure"] = figure
     made = {"made_at": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), "version": __version__}
     html = environment.get_template(template).render({**values, **made})
     write_text(path, html, "The report")

@@ -140,12 +140,14 @@ class Plot:
             at = f"{self.x(tick):.1f}"
             css = "zero" if tick == 0.0 else "grid"
             pieces.append(f'<line class="{css}" x1="{at}" x2="{at}" y1="{_TOP}" y2="{bottom}"/>')
-            pieces.append(f'<text class="tick" x="{at}" y="{bottom + 14:.1f}">{tick:g}</text>')
+            pieces.append(f'<text class="tick" x="{at}" y="{bottom + 14:.1f}">{tick + 0.0:g}</text>')
         for tick in nice_ticks(*self.y_range):
             at = f"{self.y(tick):.1f}"
             css = "zero" if tick == 0.0 else "grid"
             pieces.append(f'<line class="{css}" x1="{_LEFT}" x2="{right}" y1="{at}" y2="{at}"/>')
-            pieces.append(f'<text class="tick side" x="{_LEFT - 6}" y="{at}" dy="0.32em">{tick:g}</text>')
+            pieces.append(
+                f'<text class="tick side" x="{_LEFT - 6}" y="{at}" dy="0.32em">{tick + 0.0:g}</text>'
+            )
         middle_x, middle_y = (_LEFT + right) / 2, (_TOP + bottom) / 2
         label = f'<text class="label" x="{middle_x}" y="{self.height - 4}">{escape(self.x_label)}</text>'
         turned = f'transform="translate(11 {middle_y}) rotate(-90)"'

@@ -14,7 +14,8 @@ from msgspec import Meta
 
 from mavcompass.errors import MavCompassError, UsageError
 from mavcompass.files import read_text
-from mavcompass.service.models import Compass, Mistakes, Text, checked, did_you_mean, read
+from mavcompass.printable import did_you_mean
+from mavcompass.service.models import Compass, Mistakes, Text, checked, read
 
 
 def _source(value: str) -> str | None:
@@ -42,7 +43,7 @@ def _publish_address(value: str) -> str | None:
 
 
 def _origins(values: tuple[str, ...]) -> str | None:
-    good = all(re.fullmatch(r"https?://[^/\s]+", value) for value in values)
+    good = all(re.fullmatch(r"https?://[^/\s;,'\"]+", value) for value in values)
     return None if good else 'must be origins such as "http://boat.local:8808", without a path'
 
 
@@ -92,12 +93,16 @@ class HttpConfig:
         listen: HOST:PORT; loopback unless told. token_file: where the secret lies that writing and moving
             need ("": `token` in the storage folder; made at the first start).
         allowed_origins, allowed_hosts: pages of other places, and names of this machine, to accept.
+        framed_by: origins whose pages may show ours in a frame; "http://{host}" is port 80 of this machine,
+            by whatever name it was called. Programs of this machine are then handed the token, as BlueOS
+            needs for its menu.
     """
 
     listen: Annotated[Text, checked(_host_and_port)] = "127.0.0.1:8808"
     token_file: str = ""
     allowed_origins: Annotated[tuple[str, ...], checked(_origins)] = ()
     allowed_hosts: tuple[Text, ...] = ()
+    framed_by: Annotated[tuple[str, ...], checked(_origins)] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +247,7 @@ def parse_config(text: str, name: str = "configuration") -> ServiceConfig:
     if mistakes:
         raise UsageError(
             f"The configuration has {len(mistakes)} mistake{'s' if len(mistakes) > 1 else ''}:",
-            "Correct it; docs/operating.md lists every key.",
+            "Correct it; `mavcompass serve --print-config` lists every key with its default.",
             tuple(f"{name}:{line}: {what}" for line, what in sorted(mistakes)),
         )
     return ServiceConfig(**tables)

@@ -140,9 +140,9 @@ class MavCompassModule(mp_module.MPModule):  # type: ignore[misc]  # MAVProxy sh
                     self._send(message)
                 case Show():
                     self._say(action.text)
-                case Ask(question):
+                case Ask(question, about, details):
                     self._question = question
-                    self._say(f"{question}\nmavcompass yes, or mavcompass no")
+                    self._say("\n".join([*about, *details, question, "mavcompass yes, or mavcompass no"]))
         if machine.done:
             self._end()
             self._tell(machine)

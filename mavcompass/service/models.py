@@ -6,13 +6,14 @@ The fields are annotated with `msgspec.Meta`: limits, a description for the docu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from difflib import get_close_matches
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 import msgspec
 from msgspec import Meta, inspect
+
+from mavcompass.printable import did_you_mean
 
 Model = TypeVar("Model")
 Check = Callable[[Any], str | None]
@@ -97,9 +98,3 @@ def wanted(kind: inspect.Type) -> str:
         case inspect.UnionType():
             return wanted(next(one for one in kind.types if not isinstance(one, inspect.NoneType)))
     raise TypeError(f"no words for {kind}")
-
-
-def did_you_mean(word: str, known: Collection[str]) -> str:
-    """Return a guess at what was meant, with a comma before it, or nothing."""
-    close = get_close_matches(word, known, n=1)
-    return f", did you mean {close[0]!r}?" if close else ""

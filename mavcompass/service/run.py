@@ -14,6 +14,7 @@ from pathlib import Path
 import uvicorn
 
 from mavcompass.errors import UsageError
+from mavcompass.service.addresses import page_urls
 from mavcompass.service.config import ServiceConfig, split_host_port
 from mavcompass.service.station import OpenLink, Station
 from mavcompass.service.systemd import Notifier
@@ -84,9 +85,8 @@ class Service:
 
     @property
     def url(self) -> str:
-        """Return the page's address."""
-        host, port = self.address
-        return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+        """Return the page's address, the first where there are several."""
+        return next(iter(page_urls(*self.address)))
 
     def run(self, on_ready: Callable[[], None] = lambda: None) -> None:
         """Serve until SIGTERM, SIGINT or `stop`."""

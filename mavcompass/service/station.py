@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -15,16 +16,16 @@ from collections.abc import Callable
 from mavcompass import messages as mav
 from mavcompass.earth_field import decimal_year
 from mavcompass.errors import MavCompassError
+from mavcompass.heading.live import Heading
 from mavcompass.messages import Incoming
 from mavcompass.procedure.vehicle_state import RollCall, VehicleIdentity, several
-from mavcompass.service.config import ServiceConfig
+from mavcompass.service.config import ServiceConfig, split_host_port
 from mavcompass.service.mavlink.rates import RateKeeper
 from mavcompass.service.mavlink.teller import Teller
-from mavcompass.service.publisher import HeadingPublisher
-from mavcompass.service.schedule import Schedule
 from mavcompass.service.view import GONE_S, VehicleView
 from mavcompass.service.watch import CompassWatch, Finding
 from mavcompass.service.work import clock
+from mavcompass.service.work.clock import Schedule
 from mavcompass.service.work.history import History
 from mavcompass.service.work.jobs import Jobs
 from mavcompass.service.work.learning import Learning
@@ -44,6 +45,7 @@ _REOPEN_S = 0.5
 _PATIENCE_S = 15.0
 # More than this computer reads has to come for so long to be told.
 _FLOODED_S = 5.0
+_DEG = 180.0 / math.pi
 
 OpenLink = Callable[[], Link]
 
@@ -181,6 +183,8 @@ class Station:
             self.headings += 1
             if self._publisher is not None:
                 self._publisher.publish(heading)
+            if self._jobs.task is not None:
+                self._jobs.task.trail.add(heading, view.level.turned_rad)
         if self._jobs.recorder is not None:
             self._jobs.recorder.add(heard)
 
@@ -270,3 +274,36 @@ def _wanted_rates(identity: VehicleIdentity, rate_hz: float) -> dict[type[mav.Me
         mav.SysStatus: 2.0,
         mav.SystemTime: 1.0,
     }
+
+
+class HeadingPublisher:
+    """Send every heading to other programs here, one JSON datagram each; nobody needs to listen."""
+
+    def __init__(self, address: str) -> None:
+        """Take "udp:HOST:PORT"; raises OSError for an unknown host."""
+        host, port = split_host_port(address.removeprefix("udp:"))
+        family, kind, _, _, target = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        self._socket = socket.socket(family, kind)
+        self._socket.setblocking(False)
+        self._target = target
+
+    def publish(self, heading: Heading) -> None:
+        """Send one heading; what cannot be sent is left."""
+        try:
+            self._socket.sendto(datagram(heading), self._target)
+        except OSError:
+            pass  # nobody listens, or the buffer is full: the next one comes soon
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+def datagram(heading: Heading) -> bytes:
+    """Write a heading as JSON; degrees, the vehicle's clock in seconds."""
+    true = "null" if heading.true_rad is None else f"{heading.true_rad * _DEG:.3f}"
+    return (
+        f'{{"boot_s":{heading.boot_s:.6f},"compass":{heading.instance},'
+        f'"magnetic_deg":{heading.magnetic_rad * _DEG:.3f},"true_deg":{true},'
+        f'"sigma_deg":{heading.sigma_rad * _DEG:.3f}}}'
+    ).encode()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
 from mavcompass.attitude import Level
 from mavcompass.attitude.heard import hear
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.compass_parameters import (
     ardupilot_name,
     ardupilot_naming,
@@ -150,6 +151,19 @@ class VehicleView:
         if self.identity.autopilot == "px4" and self.parameters:
             correction = make_dialect("px4").correction(self.parameters, compass.instance)
             compass.set_uncorrected(correction, px4_sensor_to_body(self.parameters, compass.instance))
+
+    def calibrated(self, results: Iterable[CalibrationResult]) -> None:
+        """Take what was just written, so that the heading is told with the doubt of that from now on."""
+        for result in results:
+            compass = self.compasses.get(result.instance)
+            if compass is None or not result.accepted or result.already_right:
+                continue
+            compass.restart()
+            self.set_calibration_sigma(result.instance, result.heading_sigma_deg)
+            if self.identity.autopilot == "px4" and result.mounting.turned is None:
+                compass.set_uncorrected(
+                    result.correction, px4_sensor_to_body(self.parameters, result.instance)
+                )
 
     def instances(self) -> tuple[int, ...]:
         """List the compasses that the vehicle has, by its parameters and by those heard."""

@@ -12,7 +12,7 @@ from mavcompass.earth_field import EarthField
 from mavcompass.procedure.calibrate import CalibrateSettings, Services, Solve, calibrate
 from mavcompass.procedure.positions import Window
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.procedure.script import Machine, Show
+from mavcompass.procedure.script import Ask, Machine, Show
 from mavcompass.track import Track
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import PollAnswer, run
@@ -29,7 +29,7 @@ def calibrate_on(
     max_heading_error_deg: float = 2.0,
     *,
     on_show: Callable[[Show], None] | None = None,
-    on_ask: Callable[[str], PollAnswer] | None = None,
+    on_ask: Callable[[Ask], PollAnswer] | None = None,
     stop: StopRequest | None = None,
     undo_directory: Path | None = None,
 ) -> CalibrationReport:

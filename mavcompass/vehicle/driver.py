@@ -51,7 +51,7 @@ def run(
     *,
     on_show: Callable[[Show], None] | None = None,
     on_message: Callable[[Incoming], None] | None = None,
-    on_ask: Callable[[str], PollAnswer] | None = None,
+    on_ask: Callable[[Ask], PollAnswer] | None = None,
     stop: StopRequest | None = None,
     silence_s: float = SILENCE_S,
 ) -> T:
@@ -108,7 +108,7 @@ def _what_the_link_shows(link: Link) -> str:
     return ""
 
 
-def _refuse(question: str) -> PollAnswer:
+def _refuse(question: Ask) -> PollAnswer:
     return lambda: False
 
 
@@ -120,7 +120,7 @@ class _Drive:
         machine: Machine[Any],
         link: Link,
         on_show: Callable[[Show], None],
-        on_ask: Callable[[str], PollAnswer],
+        on_ask: Callable[[Ask], PollAnswer],
         stop: StopRequest,
         silence_s: float,
     ) -> None:
@@ -180,8 +180,8 @@ class _Drive:
                     self.link.send(message)
                 case Show():
                     self.on_show(action)
-                case Ask(question):
-                    self.poll_answer = self.on_ask(question)
+                case Ask():
+                    self.poll_answer = self.on_ask(action)
 
     def _stop(self, reason: str) -> None:
         self._stopped = True

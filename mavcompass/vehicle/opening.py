@@ -44,12 +44,14 @@ def open_link(
     signing: Signing | None = None,
     reconnect: Reconnect | None = None,
     read_track: Callable[[Path], Track] | None = None,
+    speed: float | None = None,
 ) -> Link:
     """Open the link that a SOURCE names; the caller closes it (it is a context manager).
 
     `identity` is who we are, by default the vehicle's onboard computer. `signing` and `reconnect` are for
     links on a wire; without `signing` the key is taken from the file that $MAVCOMPASS_SIGN_KEY names, if it
-    does. `read_track` (`mavcompass.logs.read_track`) is for playing recordings that are not .tlog.
+    does. `read_track` (`mavcompass.logs.read_track`) is for playing recordings that are not .tlog. `speed` is
+    of a simulated vehicle's time, as fast as can be where it is None.
 
     Raises UsageError for a wrong address, NoVehicle where nothing listens, BadRecording for a bad file.
     """
@@ -61,7 +63,7 @@ def open_link(
         case Simulated(vehicle, seed, effects):
             from mavcompass.vehicle.links.simulated import SimulatedLink
 
-            return SimulatedLink.of(vehicle, seed=seed, effects=effects, identity=identity)
+            return SimulatedLink.of(vehicle, seed=seed, effects=effects, identity=identity, speed=speed)
         case Recording(path):
             from mavcompass.vehicle.replay import ReplayedLink
 

@@ -9,7 +9,7 @@ from mavcompass.errors import BadRecording, Refused, UsageError
 from mavcompass.messages import Incoming
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.nameplate import Nameplate
-from mavcompass.procedure.script import Context, Script, ask
+from mavcompass.procedure.script import Ask, Context, Script, ask
 from mavcompass.procedure.vehicle_state import VehicleState, find_vehicle
 from mavcompass.vehicle.dialects import DIALECTS, make_dialect
 from mavcompass.vehicle.parameters.dialect import CompassDialect
@@ -161,9 +161,7 @@ def write_values(
         return WriteReport(held, plan, None)
     if plan.refusals:
         raise Refused(" ".join(plan.refusals), "Nothing was written.")
-    if question and not (yield from ask(context, question)):
-        raise Refused(
-            "Nothing was written: the question was not answered with yes.", "Run it again to be asked again."
-        )
+    if question and not (yield from ask(context, Ask(question))):
+        raise Refused("Cancelled. Nothing written.", "Run it again to be asked again.")
     outcome = yield from held.dialect.write(context, plan, save_undo)
     return WriteReport(held, plan, outcome)

@@ -157,8 +157,8 @@ def service(port: int, seconds: float) -> None:
         StorageConfig,
         VehicleConfig,
     )
-    from mavcompass.service.publisher import HeadingPublisher
     from mavcompass.service.run import Service
+    from mavcompass.service.station import HeadingPublisher
 
     delays: list[float] = []
 

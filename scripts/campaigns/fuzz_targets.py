@@ -207,7 +207,7 @@ def seeds(target: str) -> list[bytes]:
         "params": [b"# Vehicle-Id\tComponent\n1\t1\tCAL_MAG0_ID\t396809\t6\n1\t1\tCAL_MAG0_XOFF\t0.1\t9\n"],
         "undo": [undo + b'"before":{"A":1},"planned":{"A":2.5},"parameters":{}}'],
         "preset": [json.dumps(preset).encode()],
-        "toml": [(PROJECT / "scripts" / "deploy" / "mavcompass.toml").read_bytes()[:3000]],
+        "toml": [(PROJECT / "params" / "service.toml").read_bytes()[:3000]],
         "address": [
             b"udpin:0.0.0.0:14550",
             b"tcp:[::1]:5760",

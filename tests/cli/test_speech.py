@@ -96,4 +96,4 @@ def test_the_command_speaks(heard: Path, tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert "One more turn proves the new values." in wait_for(heard, 1)[0]
+    assert "Turning once more to check the new values." in wait_for(heard, 1)[0]

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import io
+import re
+import time
 
+import click
 import pytest
+from click.testing import CliRunner
 from rich.console import Console
 from rich.progress import Progress
 
+from mavcompass.cli import calibrate, first_look
 from mavcompass.cli.calibration.vehicle import _told_later
+from mavcompass.cli.heading import Row
+from mavcompass.cli.main import main
 from mavcompass.cli.options import Output
-from mavcompass.cli.terminal.show import LiveShow, PlainShow
-from mavcompass.procedure.script import Show
+from mavcompass.cli.terminal.colour import wrapped
+from mavcompass.cli.terminal.dial import dial
+from mavcompass.cli.terminal.show import LiveShow, PlainShow, ask_on_terminal
+from mavcompass.installation.invocation import program
+from mavcompass.procedure.script import Ask, Show
+from mavcompass.procedure.vehicle_state import VehicleIdentity
 
 
 @pytest.mark.parametrize(("told_later", "times"), [((), 1), (("solve",), 0)])
@@ -39,7 +50,118 @@ def test_a_pipe_is_told_an_outcome_once(
     assert said.count("One more turn") == 1
 
 
-def test_who_is_asked_whether_to_write_sees_first_what_was_found() -> None:
-    assert "solve" in _told_later(Output(), "yes")
-    assert "solve" not in _told_later(Output(), "ask")
-    assert _told_later(Output("-"), "yes") == ()
+def test_what_the_same_eyes_see_again_is_told_once() -> None:
+    assert "solve" in _told_later(Output())
+    assert _told_later(Output("-")) == ()
+
+
+@pytest.mark.parametrize(
+    ("typed", "yes", "asked"),
+    [("y\n", True, 1), ("\n", False, 1), ("", False, 1), ("maybe\nYES\n", True, 2), ("d\nn\n", False, 2)],
+)
+def test_what_is_neither_yes_nor_no_is_asked_again(
+    typed: str, yes: bool, asked: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+    poll = ask_on_terminal(Ask("Write it?", ("Compass 1: 24.9 -> 0.2 deg off.",), ("COMPASS_OFS_X 5 -> 60",)))
+    while (answer := poll()) is None:
+        time.sleep(0.01)
+    said = capsys.readouterr().err
+    assert answer is yes and said.count("Write it?") == asked
+    assert said.index("24.9") < said.index("Write it?") and said.endswith("details] ")
+    assert ("COMPASS_OFS_X" in said) is typed.startswith("d")
+
+
+@pytest.mark.parametrize(
+    ("columns", "told"),
+    [
+        (40, "247.2 true ±23.0"),
+        (80, "247.2 true ±23.0  234.6 magnetic  65 s"),
+        (200, "247.2 true ±23.0  234.6 magnetic  65 s"),
+    ],
+)
+def test_a_dial_leaves_out_whole_what_has_no_room(
+    columns: int, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    screen = io.StringIO()
+    monkeypatch.setattr("sys.stdout", screen)
+    monkeypatch.setattr(screen, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", str(columns))
+    with dial() as draw:
+        assert draw is not None
+        draw(247.2, Row(65.0, 234.6, 247.2, None, 23.0).figures())
+    (line,) = (part for part in re.split(r"\r|\x1b\[K|\n", screen.getvalue()) if part)
+    assert line.endswith(f"  {told}") and len(line) < columns and "[" in line
+
+
+def test_a_line_breaks_at_its_words_and_a_command_stays_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = io.StringIO()
+    monkeypatch.setattr(screen, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "40")
+    sentence = "Stopped by Ctrl-C. It no longer turns; it is armed. Nothing was written."
+    lines = wrapped(sentence, screen).splitlines()
+    assert all(len(line) < 40 for line in lines) and " ".join(map(str.strip, lines)) == sentence
+    command = f"To undo: {program()} params restore sim:rover /a/long/way/to/an/undo/file.json --yes"
+    assert wrapped(command, screen) == command
+    assert wrapped(sentence, io.StringIO()) == sentence, "a pipe gets lines as they are"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "guess"),
+    [
+        (["calibrat", "sim:rover"], "Did you mean 'calibrate'?"),
+        (["gap", "diagnos"], "Did you mean 'diagnose'?"),
+        (["sim:rover"], "mavcompass calibrate sim:rover"),
+        (["calibrate", "192.168.1.1:5760", "--dry-run"], "Did you mean tcp:192.168.1.1:5760"),
+        (["calibrate", "sim:rovr", "--dry-run"], "Did you mean sim:rover"),
+    ],
+)
+def test_a_near_miss_gets_a_guess(
+    arguments: list[str], guess: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert guess in capsys.readouterr().err
+
+
+def test_every_option_of_a_long_help_stands_in_one_group(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "--help"]) == 0
+    said = capsys.readouterr().out
+    for parameter in calibrate.command.params:
+        for name in parameter.opts if isinstance(parameter, click.Option) else ():
+            assert len(re.findall(rf"^  (-\w, )?{name}\b", said, re.MULTILINE)) == 1, name
+    assert said.count("e.g. mavcompass calibrate") == len(calibrate.command.groups) == 5
+    assert "<=" not in said, "a range is spelt as people write it"
+
+
+@pytest.mark.parametrize(
+    ("heard", "answers", "command"),
+    [
+        ({}, "", []),
+        ({"tcp:127.0.0.1:5760": [1]}, "1\n", ["check", "tcp:127.0.0.1:5760", "--turn", "none"]),
+        ({"tcp:127.0.0.1:5760": [1]}, "3\nn\n", []),
+        ({"tcp:127.0.0.1:5760": [1, 2]}, "2\n3\ny\n", ["calibrate", "tcp:127.0.0.1:5760", "--system", "2"]),
+    ],
+)
+def test_alone_it_finds_vehicles_and_asks_at_most_three_questions(
+    heard: dict[str, list[int]], answers: str, command: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def at(place: str) -> list[tuple[str, VehicleIdentity]]:
+        return [(place, VehicleIdentity(n, 1, "ardupilot", "rover")) for n in heard.get(place, ())]
+
+    monkeypatch.setattr(first_look, "vehicles_at", at)
+    found: list[str] = []
+
+    @click.command()
+    def look() -> None:
+        found.extend(first_look.look_around())
+
+    result = CliRunner().invoke(look, input=answers, catch_exceptions=False)
+    assert found == command, result.output
+    assert answers.count("\n") <= 3 and ("doctor" in result.output) is not bool(heard)
+
+
+def test_a_vehicle_is_heard_where_one_is_and_nobody_elsewhere() -> None:
+    assert [v.kind for _, v in first_look.vehicles_at("sim:rover")] == ["rover"]
+    assert first_look.vehicles_at("tcp:127.0.0.1:1") == []

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from mavcompass.cli.fleet import shown
 from mavcompass.fleet.run import Progress
-from mavcompass.fleet.summary import History, Point, Vehicle
-from mavcompass.report.fleet import drift_figure
+from mavcompass.fleet.summary import History, Point, Summary, Vehicle, _reasons
+from mavcompass.printable import figure
+from mavcompass.report.fleet import drift_figure, write_fleet_report
 
 
 def test_a_pipe_gets_no_bar(capsys: pytest.CaptureFixture[str]) -> None:
@@ -50,10 +53,33 @@ def test_what_takes_less_than_twenty_seconds_is_not_named(
 
 
 @pytest.mark.parametrize(
+    ("span_s", "words"),
+    [
+        (600.0, "compass 1: recordings of the same hour differ by 32.3°"),
+        (10_800.0, "compass 1: its calibration moved by 32.3° in 3 hours"),
+        (40.0 * 86_400.0, "compass 1: its calibration moved by 32.3° in 40 days"),
+    ],
+)
+def test_a_drift_is_told_over_a_time_that_a_person_knows(span_s: float, words: str, tmp_path: Path) -> None:
+    points = (Point(0.0, "a.tlog", 0.0, 0.0, 0.1), Point(span_s, "a.BIN", 0.0, 32.3, 0.1))
+    history = History(1, None, points)
+    assert [reason for _, reason in _reasons(history, diagnosed=False)] == [words]
+    one = Vehicle("one", "rover", 2, 0, 0, (), (history,), 32.3, (words,))
+    summary = Summary("calibrate", 2, (), (one,), ())
+    write_fleet_report(summary, {}, tmp_path / "fleet.html")
+    page = (tmp_path / "fleet.html").read_text("utf-8")
+    assert ("Over time" in page) is (span_s > 3600.0), "a flight's two recordings are no history"
+    assert ("the median of 1 compasses" in page) is (span_s > 86_400.0) and ">-0" not in page
+
+
+def test_what_rounds_to_nothing_has_no_sign() -> None:
+    assert [figure(v, "%+.2f") for v in (-0.001, 0.001, -0.01)] == ["+0.00", "+0.00", "-0.01"]
+
+
+@pytest.mark.parametrize(
     ("span_s", "axis"),
     [
-        (600.0, "minutes since 2026-05-01 06:30 UTC"),
-        (7_199.0, "minutes since 2026-05-01 06:30 UTC"),
+        (3_600.0, "hours since 2026-05-01 06:30 UTC"),
         (7_200.0, "hours since 2026-05-01 06:30 UTC"),
         (172_799.0, "hours since 2026-05-01 06:30 UTC"),
         (172_800.0, "days since 2026-05-01"),

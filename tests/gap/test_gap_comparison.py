@@ -57,7 +57,7 @@ def test_what_the_vehicle_has_more_the_simulator_lacks_and_flown_again_it_does_n
 def test_two_that_do_not_differ(simulator_and_vehicle: tuple[Track, Track]) -> None:
     comparison = compare(*simulator_and_vehicle)
     assert comparison.told.verdict == "no_gap" and not comparison.differences
-    assert compare_summary(comparison)[0].startswith("Nothing to do")
+    assert compare_summary(comparison)[0].startswith("No difference found")
 
 
 @pytest.mark.parametrize("lacks", ["simulator", "vehicle"])

@@ -46,7 +46,7 @@ def test_two_that_agree_outvote_the_third_whichever_it_is() -> None:
     assert found.blamed == (0,) and found.likeliest == (1, 2)
     assert math.degrees(found.apart_rad(0)) == pytest.approx(-26.0)
     assert math.degrees(found.error_rad[0]) == pytest.approx(26.0, abs=0.1)
-    assert found.why(0) == "Compasses 2 and 3 agree with each other and stand 26 deg from compass 1."
+    assert found.why(0) == "Compass 1 is 26 deg from compasses 2 and 3, which agree."
     assert blamed(at("a", 0.0, 1.0), at("b", 30.0, 1.0), at("c", 1.0, 1.0)) == (1,)
     assert blamed(at("a", 0.0, 1.0), at("b", 1.0, 1.0), at("c", 181.0, 1.0)) == (2,)
 
@@ -60,7 +60,7 @@ def test_a_majority_bent_alike_does_not_convict_the_one_that_the_earth_bears_out
 def test_the_gyros_turn_decides_between_two() -> None:
     found = isolate_faults([at("compass 1", 12.0, 1.0, gyro=-6.0), at("compass 2", 0.0, 1.0, gyro=0.3)])
     assert found.blamed == (0,)
-    assert found.why(0) == "Compass 2 stands 12 deg from compass 1; it disagrees with gyro as well."
+    assert found.why(0) == "Compass 1 is 12 deg from compass 2; the gyro speaks against it, too."
 
 
 @pytest.mark.parametrize("known", [{}, FITS, BENT])

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
-from mavcompass.cli.calibration.words import say_outcome
+from mavcompass.cli.calibration.vehicle import say_outcome
 from mavcompass.cli.options import Output
 from mavcompass.frames import wrap_pi
 from mavcompass.procedure.calibrate import CalibrateSettings
@@ -85,7 +85,7 @@ def test_without_the_permission_the_last_line_says_what_to_do(tmp_path: Path) ->
     assert report.heading is not None
     last_line = report.heading.summary()
     assert "has set its compasses aside" in last_line
-    assert last_line.endswith("restart it before you drive.")
+    assert last_line.endswith("Reboot it before driving.")
 
 
 @pytest.mark.parametrize(

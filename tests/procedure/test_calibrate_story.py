@@ -14,7 +14,7 @@ from bent_vehicles import bent_vehicle
 
 from mavcompass import messages as mav
 from mavcompass.calibration.result import Mounting
-from mavcompass.errors import PoorCalibration
+from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.messages import Message
 from mavcompass.procedure.calibrate import CalibrateSettings, _Calibration
 from mavcompass.procedure.check import CheckSettings, check
@@ -29,6 +29,7 @@ from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.links.simulated import SimulatedLink
+from mavcompass.vehicle.stopping import StopRequest
 
 
 def told(shown: list[Show]) -> list[tuple[str, float | None, str]]:
@@ -48,7 +49,7 @@ def test_the_story_of_a_calibration(tmp_path: Path) -> None:
     )
     assert told(shown) == [
         ("connect", 0.0, "Waiting for the vehicle's heartbeat."),
-        ("connect", None, "Found ardupilot rover (system 1)."),
+        ("connect", None, "Found ArduPilot rover, system 1."),
         ("dwell", 0.0, "Position 1 of 4"),
         ("turn", 0.1, "Turning to position 2 of 4."),
         ("dwell", 0.2, "Position 2 of 4"),
@@ -57,10 +58,11 @@ def test_the_story_of_a_calibration(tmp_path: Path) -> None:
         ("turn", 0.5, "Turning to position 4 of 4."),
         ("dwell", 0.6, "Position 4 of 4"),
         ("solve", 0.8, "Compass 1"),
-        ("write", None, "Writing 9 parameters; to put the old values back"),
-        ("heading", None, "The autopilot steered # deg off"),
-        ("prove", None, "One more turn proves the new values."),
-        ("prove", 1.0, "Proven"),
+        ("write", None, "Writing 9 parameters; to undo"),
+        ("written", 0.9, "Written and read back."),
+        ("heading", None, "The autopilot was # deg off; it now uses the new heading."),
+        ("prove", None, "Turning once more to check the new values."),
+        ("prove", 0.95, "Checked by a turn"),
     ]
     positions = [dict(show.data) for show in shown if show.step == "dwell"]
     assert [data["position"] for data in positions] == [1.0, 2.0, 3.0, 4.0]
@@ -69,6 +71,28 @@ def test_the_story_of_a_calibration(tmp_path: Path) -> None:
     assert report.proof is not None and report.on_vehicle_s is not None
     assert report.proof.compasses[0].gyro_turned_deg == pytest.approx(45.0, abs=8.0)
     assert 15.0 < report.on_vehicle_s < report.duration_s
+
+
+@pytest.mark.parametrize(
+    ("at", "says"), [("turn", "Nothing written."), ("written", "The old values are back on the vehicle.")]
+)
+def test_who_stops_it_is_told_what_stands(at: str, says: str, tmp_path: Path) -> None:
+    stop, vehicle = StopRequest(), bent_vehicle("rover", 2)
+    before = dict(vehicle.firmware.store.values)
+
+    def on_show(show: Show) -> None:
+        if show.step == at:
+            stop.reason = "Stopped by Ctrl-C."
+
+    settings = CalibrateSettings(writing="yes")
+    with pytest.raises(Refused) as caught:
+        calibrate_on(
+            SimulatedLink(vehicle), "sim:test", settings, on_show=on_show, stop=stop, undo_directory=tmp_path
+        )
+    assert caught.value.what == f"Stopped by Ctrl-C. It no longer turns; it is armed. {says}"
+    assert abs(vehicle.truth.yaw_rate_radps) < 0.05, "what is said is true"
+    now = vehicle.firmware.store.values
+    assert all(now[name] == old for name, old in before.items() if name.startswith("COMPASS_OFS"))
 
 
 def test_the_story_of_a_check() -> None:

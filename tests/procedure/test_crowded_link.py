@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
-from mavcompass.cli.calibration.several import calibrate_all
-from mavcompass.cli.calibration.wanted import Wanted
+from mavcompass.cli.calibration.recording import Wanted
+from mavcompass.cli.calibration.vehicle import calibrate_all
 from mavcompass.cli.options import Output
 from mavcompass.messages import Message
 from mavcompass.procedure.calibrate import CalibrateSettings
@@ -99,6 +99,6 @@ def test_all_vehicles_are_turned_one_after_the_other_with_one_report(
     assert heading_error_rms_deg(one) < 0.5 and heading_error_rms_deg(seven) < 0.5
     assert heading_error_rms_deg(nine) > 2.0
     said = capsys.readouterr().out
-    assert "System 7 (ardupilot rover): calibrated, written and proven." in said
+    assert "ArduPilot rover, system 7: calibrated, written and checked." in said
     assert (tmp_path / "new-system7.param").exists()
     assert "--system 7" in said, "the way back names the vehicle"

@@ -105,13 +105,15 @@ def test_a_link_that_dies_between_the_write_and_the_proof_is_told_with_the_way_b
 
 def test_each_event_is_named_to_the_person(campaign: ModuleType) -> None:
     told = {event: campaign.interrupt("rover", event, 1001, 20.0).told for event in EVENTS[:6]}
-    assert told["stick"] == "The pilot moved a stick."
-    assert told["mode"] == "The flight mode was changed to HOLD."
-    assert told["disarm"] == "The vehicle was disarmed."
-    assert told["battery"] in (
-        "The vehicle reports a failsafe.",
-        "The battery is at 9 %.",
-        "The flight mode was changed to HOLD.",
+    assert told["stick"].startswith("The pilot moved a stick. It no longer turns")
+    assert told["mode"].startswith("The flight mode was changed to HOLD. It no longer turns")
+    assert told["disarm"].startswith("The vehicle was disarmed. It no longer turns")
+    assert told["battery"].startswith(
+        (
+            "The vehicle reports a failsafe.",
+            "The battery is at 9 %.",
+            "The flight mode was changed to HOLD.",
+        )
     )
-    assert told["signal"] == "Stopped by the system (SIGTERM)."
+    assert told["signal"].startswith("Stopped by the system (SIGTERM).")
     assert "said nothing" in told["silence"] or "fell silent" in told["silence"]

@@ -107,7 +107,7 @@ def test_a_no_leaves_all_as_it_was_and_compares_nothing() -> None:
     bent_deg = heading_error_rms_deg(ground.vehicle)
     report = ground.writes(LearntSettings(), yes=False)
     assert not report.written and report.outcome is None and report.heading is None and ground.saved == []
-    assert report.messages[-1] == "Not written: the answer was no."
+    assert report.messages[-1] == "Cancelled."
     assert heading_error_rms_deg(ground.vehicle) == bent_deg
 
 

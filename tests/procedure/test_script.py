@@ -174,7 +174,7 @@ def test_whoever_breaks_beside_a_script_still_has_the_vehicle_put_back(who: str)
 
 def test_a_question_waits_for_its_answer() -> None:
     def script(context: Context) -> Script[bool]:
-        return (yield from ask(context, "Write?"))
+        return (yield from ask(context, Ask("Write?")))
 
     machine = Machine(script)
     assert machine.step(Tick(0.0)) == [Ask("Write?")]

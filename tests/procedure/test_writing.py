@@ -92,14 +92,12 @@ def test_a_plan_that_is_refused_is_not_written() -> None:
 def test_a_person_is_asked_with_old_and_new(yes: bool) -> None:
     vehicle = Vehicle()
     machine, actions = vehicle.does(writer(vehicle, asks=True).write(report()), yes)
-    (asked,) = [a.question for a in actions if isinstance(a, Ask)]
-    assert asked.splitlines() == [
-        "Write these parameters?",
-        "  COMPASS_OFS_X               5 -> 60",
-        "  COMPASS_OFS_Y               0 -> -40",
-    ]
+    (asked,) = [a for a in actions if isinstance(a, Ask)]
+    assert asked.question == "Write the new calibration (2 parameters)?"
+    assert asked.details == ("COMPASS_OFS_X               5 -> 60", "COMPASS_OFS_Y               0 -> -40")
+    assert [line.partition(":")[0] for line in asked.about] == ["Compass 1"]
     assert bool(vehicle.written) is yes and (machine.result.outcome is not None) is yes
-    assert ("Not written: the answer was no." in machine.result.messages) is not yes
+    assert ("Cancelled." in machine.result.messages) is not yes
 
 
 def test_it_is_taken_back_by_the_way_that_the_write_left() -> None:

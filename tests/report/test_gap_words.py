@@ -7,10 +7,19 @@ from dataclasses import replace
 import pytest
 
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.result import Closing, Diagnosis, Flight, Verdict
+from mavcompass.gap.result import Cause, Closing, Diagnosis, Flight, Place, Verdict
 from mavcompass.gap.trial.cases import Recipe, make_track
-from mavcompass.report.gap_words import advice, shrink_words, summary
+from mavcompass.report.gap_words import (
+    _closing,
+    _places,
+    advice,
+    cause_values,
+    figures_of,
+    shrink_words,
+    summary,
+)
 from mavcompass.simulation import effects
+from mavcompass.simulation.effects import get
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +38,7 @@ def test_the_first_line_says_what_to_do(magnet: Diagnosis) -> None:
 @pytest.mark.parametrize(
     ("verdict", "words"),
     [
-        ("no_gap", "Nothing to do"),
+        ("no_gap", "No problem found"),
         ("named_with_remainder", "Then record and diagnose again"),
         ("ambiguous", "record this to decide: spins"),
         ("unknown", "--baseline"),
@@ -62,7 +71,7 @@ def test_causes_with_one_remedy_need_not_be_told_apart(
 
 def test_a_coarse_recording_does_not_vouch_for_the_heading(magnet: Diagnosis) -> None:
     coarse = replace(magnet, verdict="no_gap", heading=Closing(4.8, 4.8, 12.8, 0.0, (0.0, 0.0)))
-    assert "heading errors below 13 deg do not show" in advice(coarse)
+    assert "No problem found; errors under 13 deg would be invisible." in advice(coarse)
 
 
 @pytest.mark.parametrize(
@@ -81,12 +90,42 @@ def test_a_share_is_said_with_its_interval_where_that_says_more(
     assert shrink_words(Closing(10.0, after, 1.0, shrink, interval)) == words
 
 
+def test_what_belongs_to_the_model_alone_is_not_shown() -> None:
+    def cause(effect: str, **parameters: float) -> Cause:
+        given = {p.name: p.default for p in get(effect).parameters} | parameters
+        return Cause(effect, given, {name: (v, v + 1.0) for name, v in given.items()}, 0.9, ())
+
+    step = cause("hard_iron_step", on_s=30.0)
+    assert "from 30 s" in cause_values(step) and "until" not in cause_values(step), "it stays on for good"
+    assert not any("e+" in value or "iron" in name for name, value, _, _ in figures_of(step))
+    turned = cause("inclination", angle_rad=0.1)
+    assert figures_of(turned) == [("angle", "5.73", "5.73 to 63", "deg")]
+    assert "on iron" not in cause_values(cause("misalignment"))
+
+
+def test_a_gap_is_told_as_it_is_and_as_it_would_be() -> None:
+    said = _closing("heading", Closing(39.5, 0.6, 0.5, 1.0, (1.0, 1.0)), "deg")
+    assert (
+        said == "  heading: 39.5 deg now; 0.6 once corrected (100 % of the gap; 0.5 is the recording's noise)"
+    )
+
+
+def test_what_is_not_told_apart_is_named_together() -> None:
+    places = [
+        Place("mag_x", "axis", 0.6, ""),
+        Place("heading", "time", 0.86, ""),
+        Place("heading", "temperature", 0.84, ""),
+        Place("heading", "tilt", 0.3, ""),
+    ]
+    assert _places(places) == "mostly depends on time or temperature (86 %), most on mag_x"
+
+
 def test_what_could_not_show_is_counted_and_listed_only_when_asked_for(magnet: Diagnosis) -> None:
     assert magnet.not_testable
     effect, why = magnet.not_testable[0]
-    assert f"{len(magnet.not_testable)} effects could not show" in summary(magnet)[-1]
+    assert f"{len(magnet.not_testable)} possible causes cannot be tested" in summary(magnet)[-1]
     assert why not in "\n".join(summary(magnet))
     hidden = replace(magnet, not_testable=(("hard_iron", "its estimator learns it"),))
-    assert "  hard_iron could not show: its estimator learns it" in summary(hidden)
+    assert "  iron on the vehicle (hard_iron) cannot be tested: its estimator learns it" in summary(hidden)
     listed = next(line for line in summary(magnet, everything=True) if why in line)
     assert effect in listed

@@ -86,7 +86,7 @@ def test_the_compass_that_two_others_outvote_is_the_one_found() -> None:
     at = lambda t: glance(t, *(replace(h, time_s=t) for h in see))  # noqa: E731
     assert found(at, watch=watch) == {"agreement1"}
     (finding,) = watch.findings
-    assert finding.text == "Compasses 2 and 3 agree with each other and stand 26 deg from compass 1."
+    assert finding.text == "Compass 1 is 26 deg from compasses 2 and 3, which agree."
     assert finding.short == "Compass 1: +26 deg off the others"
 
 

@@ -14,6 +14,7 @@ import pytest
 from running_service import RunningService
 
 from mavcompass import __version__
+from mavcompass.installation.data_files import params_path
 from mavcompass.service.config import ServiceConfig, load_config
 from mavcompass.service.run import STUCK_S
 from mavcompass.vehicle.transport import UdpIn, parse_address
@@ -30,13 +31,13 @@ def parsed(path: Path) -> configparser.ConfigParser:
 
 
 def test_the_example_configuration_is_the_defaults() -> None:
-    config = load_config(DEPLOY / "mavcompass.toml")
+    config = load_config(params_path("service.toml"))
     assert config == ServiceConfig()
 
 
 def test_the_example_configuration_names_every_key() -> None:
-    text = (DEPLOY / "mavcompass.toml").read_text()
-    for table in ("vehicle", "http", "mavlink", "heading", "watch", "storage"):
+    text = params_path("service.toml").read_text()
+    for table in ServiceConfig.__slots__:
         for name in getattr(ServiceConfig(), table).__slots__:
             assert re.search(rf"^{name} = ", text, re.MULTILINE), f"{table}.{name}"
 
@@ -120,6 +121,7 @@ def test_the_labels_are_those_that_blueos_reads() -> None:
 
 def test_blueos_is_told_what_is_served(quiet: RunningService) -> None:
     registration = quiet.stranger.get("/register_service").json()
+    assert "route" not in registration, "nobody who is not told to is handed the token"
     assert registration["version"] == __version__
     assert quiet.stranger.get(registration["api"]).status_code == 200
-    assert {"name", "description", "icon", "company"} <= set(registration)
+    assert {"name", "description", "icon", "company", "webpage"} <= set(registration)

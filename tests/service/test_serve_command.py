@@ -18,6 +18,7 @@ from click.testing import CliRunner
 
 from mavcompass.cli.serve import command
 from mavcompass.errors import UsageError
+from mavcompass.service import addresses
 
 
 @pytest.fixture
@@ -60,6 +61,22 @@ def test_it_serves_tells_the_manager_stays_small_and_ends_on_sigterm(
     assert "Traceback" not in complaints
 
 
+def test_every_way_to_the_page_is_told_and_a_phone_can_read_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    two = {"10.0.0.3": "eth0", "172.16.0.9": "wlan0"}
+    monkeypatch.setattr(addresses, "addresses_of_this_computer", lambda: two)
+    urls = addresses.page_urls("0.0.0.0", 8808)
+    assert urls == {"http://10.0.0.3:8808/": "eth0", "http://172.16.0.9:8808/": "wlan0"}
+    assert list(addresses.page_urls("fd00::2", 1)) == ["http://[fd00::2]:1/"]
+    drawn = addresses.qr_code(f"{next(iter(urls))}#token={'x' * 32}")
+    assert all(len(re.sub(r"\x1b\[[\d;]*m", "", line)) <= 40 for line in drawn), "a phone's terminal"
+    monkeypatch.setattr(addresses, "addresses_of_this_computer", dict)
+    assert addresses.page_urls("0.0.0.0", 8808) == {"http://127.0.0.1:8808/": ""}
+
+
+def test_loopback_is_none_of_the_addresses_for_others() -> None:
+    assert not any(address.startswith(("127.", "0.")) for address in addresses.addresses_of_this_computer())
+
+
 def test_the_command_line_goes_before_the_configuration(tmp_path: Path) -> None:
     """A port that is taken shows which address was meant."""
     (tmp_path / "boat.toml").write_text('[vehicle]\nsource = "sim:boat"\n[http]\nlisten = "127.0.0.1:1"\n')
@@ -75,9 +92,9 @@ def test_the_command_line_goes_before_the_configuration(tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         ([], "No vehicle was named"),
-        (["nowhere"], "vehicle.source is not an address"),
+        (["nowhere"], "SOURCE 'nowhere' is not an address"),
         (["flight.tlog"], "not a recording"),
-        (["sim:rover", "--http", "8808"], "http.listen must be HOST:PORT"),
+        (["sim:rover", "--http", "8808"], "--http '8808' must be HOST:PORT"),
         (["--config", "/nowhere.toml"], "cannot be read"),
     ],
 )

@@ -72,6 +72,7 @@ def test_all_mistakes_are_told_at_once_each_with_its_line() -> None:
         ('[http]\nlisten = "8808"', 2, "HOST:PORT"),
         ('[http]\nlisten = "127.0.0.1:99999"', 2, "0 to 65535"),
         ('[http]\nallowed_origins = ["boat.local"]', 2, "must be origins"),
+        ('[http]\nframed_by = ["http://boat; script-src *"]', 2, "must be origins"),
         ('[heading]\npublish = "tcp:1.2.3.4:5"', 2, "udp:HOST:PORT"),
         ('[heading]\npublish = "udp:boat"', 2, "must be HOST:PORT"),
         ("[heading]\nrate = 3", 2, "(there are: publish"),

@@ -14,8 +14,8 @@ import pytest
 from running_service import StartService, configured, wait_for
 
 from mavcompass.service.config import VehicleConfig
-from mavcompass.service.schedule import Schedule
 from mavcompass.service.station import Station
+from mavcompass.service.work.clock import Schedule
 from mavcompass.service.work.history import History
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.server import VehicleServer

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mavcompass import messages as mav
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.correction import IDENTITY
 from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.service.view import VehicleView
@@ -44,6 +48,17 @@ def test_which_messages_bring_a_heading(autopilot: str, message: mav.Message, in
     else:
         assert found is not None and (found.instance, found.boot_s, found.time_s) == (instance, 5.0, 7.0)
         assert seen.instances() == (instance,)
+
+
+def test_a_heading_has_the_doubt_of_what_was_just_written() -> None:
+    seen = view()
+    seen.hear(heard(mav.RawImu(time_usec=5_000_000, **FIELD)))
+    nothing = np.zeros(3)
+    bad = CalibrationResult(1, "sphere", False, ("no",), nothing, IDENTITY, heading_sigma_deg=0.2)
+    seen.calibrated([bad])
+    assert seen.compasses[1].calibration_sigma_rad > math.radians(4.0), "what was not written changes nothing"
+    seen.calibrated([replace(bad, accepted=True)])
+    assert seen.compasses[1].calibration_sigma_rad == pytest.approx(math.radians(0.2))
 
 
 def test_scaled_imu_counts_where_raw_imu_was_not_heard_lately() -> None:

@@ -12,7 +12,7 @@ from dialogue import HEARTBEAT, Expect, MemoryVehicle, Reply, Said, Silence, veh
 
 from mavcompass.errors import LinkLost, NoReply, Refused, WriteFailed
 from mavcompass.messages import CommandAck, CommandLong, Heartbeat, ParamSet, ParamValue, Statustext
-from mavcompass.procedure.script import Context, Machine, Script, Show, ask, pause, request
+from mavcompass.procedure.script import Ask, Context, Machine, Script, Show, ask, pause, request
 from mavcompass.vehicle import stopping
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.links.faults import Faults, FaultyLink
@@ -96,22 +96,22 @@ def test_a_question_does_not_stop_the_heartbeat() -> None:
     asked = []
 
     def decide(context: Context) -> Script[bool]:
-        return (yield from ask(context, "Write?"))
+        return (yield from ask(context, Ask("Write?")))
 
     with SimulatedLink(vehicle) as link:
 
-        def on_ask(question: str) -> object:
+        def on_ask(question: Ask) -> object:
             asked.append(question)
             return lambda: True if link.now() > 3.2 else None
 
         assert run(Machine(decide), link, on_ask=on_ask) is True
-    assert asked == ["Write?"]
+    assert asked == [Ask("Write?")]
     assert sum(isinstance(m, Heartbeat) for _, _, m in vehicle.heard) == 4
 
 
 def test_without_anybody_to_ask_the_answer_is_no() -> None:
     def decide(context: Context) -> Script[bool]:
-        return (yield from ask(context, "Write?"))
+        return (yield from ask(context, Ask("Write?")))
 
     with SimulatedLink(MemoryVehicle()) as link:
         assert run(Machine(decide), link) is False

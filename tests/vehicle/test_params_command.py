@@ -167,7 +167,7 @@ def test_a_dry_run_shows_and_writes_nothing(
     before = held(capsys)
     assert main(["params", "write", SOURCE, str(compass_file), "--dry-run"]) == 0
     said = capsys.readouterr().out
-    assert "COMPASS_OFS_X" in said and "-> 120" in said and "Nothing was written" in said
+    assert "COMPASS_OFS_X" in said and "-> 120" in said and "Nothing written" in said
     assert held(capsys) == before and not (tmp_path / "undo").exists()
 
 

@@ -70,9 +70,14 @@ def parts() -> Iterator[Finding]:
         yield Finding("parts", "pass", f"All {len(PARTS)} optional parts are installed.")
 
 
+def ports_of(devices: Path = Path("/dev")) -> list[Path]:
+    """List the serial ports that an autopilot may be at."""
+    return sorted(port for pattern in _PORTS for port in devices.glob(pattern))
+
+
 def serial_ports(devices: Path = Path("/dev"), processes: Path = Path("/proc")) -> Iterator[Finding]:
     """Tell each serial port, whether this user may open it, and which program has it open."""
-    ports = sorted(port for pattern in _PORTS for port in devices.glob(pattern))
+    ports = ports_of(devices)
     if not ports:
         yield Finding("serial", "pass", "No serial port is there; plug the autopilot in to use one.")
     for port in ports:

@@ -12,9 +12,14 @@ import click
 
 from mavcompass.cli.fleet.document import document
 from mavcompass.cli.fleet.shown import LONG_S, say, short, showing
-from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import Output, common_options
-from mavcompass.cli.source import compass_option, max_error_option, method_option, reference_option
+from mavcompass.cli.options import Commands, Number, Output, Whole, common_options
+from mavcompass.cli.source import (
+    max_error_option,
+    method_option,
+    recorded_compass_option,
+    reference_option,
+    require_for,
+)
 
 if TYPE_CHECKING:
     from mavcompass.fleet.engine import Engine
@@ -25,7 +30,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 NOTHING_USABLE = 4
 
 
-@click.group()
+@click.group(cls=Commands)
 def command() -> None:
     """Work through many recordings: a row for each in a Parquet file, and a summary page.
 
@@ -49,19 +54,17 @@ def fleet_options(function: Function) -> Function:
             metavar="FILE.parquet",
             help="The table; its journal FILE.parquet.journal stands beside it.",
         ),
-        click.option(
-            "--workers", type=click.IntRange(1, 1024), help="Processes here (default: one per processor)."
-        ),
+        click.option("--workers", type=Whole(1, 1024), help="Processes here (default: one per processor)."),
         click.option("--scheduler", metavar="ADDRESS", help="Use this Dask cluster, e.g. tcp://HOST:8786."),
         click.option(
             "--timeout",
             "timeout_s",
-            type=click.FloatRange(0.1),
+            type=Number(0.1),
             default=600.0,
             show_default=True,
             help="Give a recording up after so many seconds.",
         ),
-        compass_option,
+        recorded_compass_option,
         click.option(
             "--vehicle-pattern",
             metavar="REGEX",
@@ -127,7 +130,7 @@ def calibrate(
 )
 @click.option(
     "--presets",
-    type=click.IntRange(0, 10_000),
+    type=Whole(0, 10_000),
     default=0,
     metavar="N",
     help="Draw N vehicles of the fleet as presets for `simulate --effect @FILE`, beside the distribution.",

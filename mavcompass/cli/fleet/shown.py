@@ -29,7 +29,7 @@ def showing() -> Iterator[Callable[[Progress], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
-    from mavcompass.fleet.summary import counted
+    from mavcompass.printable import counted
 
     console = Console(stderr=True, no_color=bool(os.environ.get("NO_COLOR")))
     columns = (
@@ -57,7 +57,8 @@ def short(path: str) -> str:
 
 
 def say(output: Output, result: FleetResult, summary: Summary, out: Path, page: Path) -> None:
-    from mavcompass.fleet.summary import LEAST_MGAUSS, counted
+    from mavcompass.fleet.summary import LEAST_MGAUSS
+    from mavcompass.printable import counted
 
     kept = f", {result.kept} were done before" if result.kept else ""
     fruitless = ""

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcompass.cli.gap.shared import compass_option, say_summary, showing_progress
-from mavcompass.cli.needs import require_for
 from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.source import require_for
 from mavcompass.installation.invocation import program
 
 if TYPE_CHECKING:

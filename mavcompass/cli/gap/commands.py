@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcompass.cli.gap.shared import baseline_option, compass_option, diagnosed, say_summary
-from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import Output, common_options
-from mavcompass.cli.source import reference_option
+from mavcompass.cli.options import Commands, Output, Whole, common_options
+from mavcompass.cli.source import reference_option, require_for
 from mavcompass.errors import UsageError
 from mavcompass.files import write_text
 from mavcompass.installation.invocation import program
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from mavcompass.gap.trial import Generator
 
 
-@click.group()
+@click.group(cls=Commands)
 def command() -> None:
     """Explain the gap between the simulation and a recording.
 
@@ -192,8 +191,8 @@ def export(
 
 
 @command.command("blind-trial")
-@click.option("--cases", type=click.IntRange(1, 100_000), default=40, show_default=True, help="How many.")
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the cases.")
+@click.option("--cases", type=Whole(1, 100_000), default=40, show_default=True, help="How many.")
+@click.option("--seed", type=Whole(0), default=1, show_default=True, help="Of the cases.")
 @click.option(
     "--generator",
     type=click.Choice(("bench", "vehicles", "another")),

@@ -13,8 +13,8 @@ import click
 
 from mavcompass.cli.gap.closing import say_comparison, write_report
 from mavcompass.cli.gap.shared import baseline_option, diagnosed, showing_progress
-from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import Output, common_options
+from mavcompass.cli.options import Number, Output, common_options
+from mavcompass.cli.source import require_for
 from mavcompass.errors import UsageError
 from mavcompass.files import read_text
 
@@ -64,12 +64,12 @@ SCHEMA = "mavcompass.gap-fly/1"
 @click.option("--model", default="", metavar="NAME", help="Its --model (default: what the motion needs).")
 @click.option(
     "--seconds",
-    type=click.FloatRange(10.0),
+    type=Number(10.0),
     default=600.0,
     show_default=True,
     help="Fly at most so much of the recording.",
 )
-@click.option("--speed", type=click.FloatRange(0.1, 100.0), help="2 is twice real time (default: 8; PX4: 4).")
+@click.option("--speed", type=Number(0.1, 100.0), help="2 is twice real time (default: 8; PX4: 4).")
 @click.option(
     "--keep",
     type=click.Path(file_okay=False, path_type=Path),

@@ -10,9 +10,8 @@ from pathlib import Path
 import click
 
 from mavcompass.cli.gap.shared import baseline_option, compass_option, say_summary, showing_progress
-from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import Output, common_options
-from mavcompass.cli.source import reference_option
+from mavcompass.cli.options import Output, Whole, common_options
+from mavcompass.cli.source import reference_option, require_for
 from mavcompass.cli.terminal.colour import is_live
 from mavcompass.errors import UsageError
 
@@ -21,10 +20,8 @@ from mavcompass.errors import UsageError
 @click.argument("log", metavar="LOG", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @compass_option
 @baseline_option
-@click.option(
-    "--draws", type=click.IntRange(20, 100_000), default=1000, show_default=True, help="How many vehicles."
-)
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the draws.")
+@click.option("--draws", type=Whole(20, 100_000), default=1000, show_default=True, help="How many vehicles.")
+@click.option("--seed", type=Whole(0), default=1, show_default=True, help="Of the draws.")
 @reference_option
 @click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
 @common_options

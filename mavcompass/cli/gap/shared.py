@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mavcompass.cli.options import Output
+from mavcompass.cli.options import Output, Whole
 from mavcompass.cli.terminal.colour import styled
 
 if TYPE_CHECKING:
     from mavcompass.gap.result import Diagnosis
 
 compass_option = click.option(
-    "--compass", "instance", type=click.IntRange(1, 3), default=1, show_default=True, help="Which compass."
+    "--compass", "instance", type=Whole(1, 3), default=1, show_default=True, help="Which compass."
 )
 baseline_option = click.option(
     "--baseline",

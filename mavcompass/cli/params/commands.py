@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcompass.cli.needs import require_for
-from mavcompass.cli.options import Function, Output, common_options
-from mavcompass.cli.source import refuse_unasked_write, sign_key_option, system_option
+from mavcompass.cli.options import Commands, Function, Output, common_options
+from mavcompass.cli.source import refuse_unasked_write, require_for, sign_key_option, system_option
 from mavcompass.errors import MavCompassError, NoMagnetometer, UsageError, WriteFailed
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ def _write_options(function: Function) -> Function:
     return system_option(sign_key_option(yes(dry_run(other(function)))))
 
 
-@click.group()
+@click.group(cls=Commands)
 def command() -> None:
     """Show, compare, write, back up or restore a vehicle's compass parameters.
 
@@ -175,8 +174,8 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     \b
     Example: mavcompass params backup udpin:0.0.0.0:14550 compass.param
     """
+    from mavcompass.printable import counted
     from mavcompass.vehicle.parameters.files import parameter_form, parameter_text, write_parameter_file
-    from mavcompass.vehicle.parameters.transaction import counted
     from mavcompass.vehicle.parameters.undo import marked
 
     require_for(source)
@@ -192,7 +191,7 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     else:
         types = {name: parameter.type for name, parameter in held.compass_typed.items()}
         write_parameter_file(file, values, comment, types)
-        output.say(f"{counted(len(values))} saved in {file}.")
+        output.say(f"{counted(len(values), 'parameter')} saved in {file}.")
     saved = {"file": None if file is None else str(file), "parameters": values}
     output.write_json({**_head("backup", source, held), **saved})
 
@@ -246,7 +245,7 @@ def _write(
     output: Output,
 ) -> None:
     """Write what a file holds; without one, what the vehicle's last undo file holds."""
-    from mavcompass.vehicle.parameters.transaction import counted
+    from mavcompass.printable import counted
     from mavcompass.vehicle.parameters.undo import read_kept, undo_saver
     from mavcompass.vehicle.session import compass_part, write_values
 
@@ -265,7 +264,7 @@ def _write(
     def consent(held: HeldParameters, plan: ParameterPlan) -> str | None:
         document.update(_head(action, source, held), **_plan_part(plan))
         _say_plan(output, held, plan)
-        return None if dry_run else "" if yes else f"Write {counted(len(plan.changes))}?"
+        return None if dry_run else "" if yes else f"Write {counted(len(plan.changes), 'parameter')}?"
 
     def script(context: Context) -> Script[WriteReport]:
         return write_values(
@@ -320,17 +319,17 @@ def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None
 
 
 def _say_outcome(output: Output, report: WriteReport, dry_run: bool) -> None:
-    from mavcompass.vehicle.parameters.transaction import counted
+    from mavcompass.printable import counted
 
     outcome = report.outcome
     if outcome is None:
         for refusal in report.plan.refusals:
             output.say(f"It would be refused: {refusal}")
         held = "The vehicle already holds these values; nothing was written."
-        output.say("Nothing was written (--dry-run)." if dry_run and report.plan.changes else held)
+        output.say("Nothing written (--dry-run)." if dry_run and report.plan.changes else held)
         return
     for remark in outcome.remarks:
         output.say(f"Note: {remark}")
-    output.say(f"{counted(len(outcome.values))} written and read back.")
+    output.say(f"{counted(len(outcome.values), 'parameter')} written and read back.")
     if outcome.undo_file is not None:
         output.say(f"To undo: {outcome.restore_command}")

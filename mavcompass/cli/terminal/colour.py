@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
+from typing import TextIO
 
 import click
+
+from mavcompass.installation.invocation import program
 
 _COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
 
@@ -16,6 +20,22 @@ def styled(text: str, *, fg: str | None = None, bold: bool = False, err: bool = 
     if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM", "dumb") == "dumb":
         return text
     return click.style(text, fg=fg, bold=bold)
+
+
+def wrapped(line: str, stream: TextIO) -> str:
+    """Break a line at its words where a terminal would amid one; a command stays whole, to be copied."""
+    width = shutil.get_terminal_size().columns - 1
+    if not stream.isatty() or f"{program()} " in line or len(click.unstyle(line)) <= width:
+        return line
+    first, *words = line.split(" ")
+    hang = " " * (len(line) - len(line.lstrip(" ")) + 2)
+    lines = [first]
+    for word in words:
+        if len(click.unstyle(f"{lines[-1]} {word}")) <= width:
+            lines[-1] += f" {word}"
+        else:
+            lines.append(hang + word)
+    return "\n".join(lines)
 
 
 def is_live() -> bool:

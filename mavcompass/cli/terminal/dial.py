@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 _POINTS = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 315: "NW"}
 _DEG_PER_COLUMN = 5
 _COLUMNS = 31
+_AROUND = 6  # the mark, the gap, and the last column, in which some terminals break the line
 _REST_OF_LINE = "\x1b[K"
 _BOLD, _PLAIN = "\x1b[1m", "\x1b[0m"
 
@@ -31,23 +32,34 @@ def card(heading_deg: float, columns: int = _COLUMNS) -> str:
     return "".join(drawn)
 
 
+def is_drawable() -> bool:
+    """Tell whether a person looks at standard output in a terminal that can redraw a line."""
+    return sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+
+
 @contextmanager
-def dial(wanted: bool = True) -> Iterator[Callable[[float, str], None] | None]:
-    """Give a function that redraws the line with a heading and its figures.
+def dial(wanted: bool = True) -> Iterator[Callable[[float, Sequence[str]], None] | None]:
+    """Give a function that redraws the line with a heading and its figures, what matters first.
+
+    What has no room is left out whole; the card is as wide as there is room beside the first.
 
     None where it is not wanted, or standard output is no terminal that can redraw a line.
     """
-    if not wanted or not sys.stdout.isatty() or os.environ.get("TERM", "dumb") == "dumb":
+    if not wanted or not is_drawable():
         yield None
         return
     bold, plain = ("", "") if os.environ.get("NO_COLOR") else (_BOLD, _PLAIN)
 
-    def draw(heading_deg: float, figures: str) -> None:
-        drawn, middle = card(heading_deg), _COLUMNS // 2
+    def draw(heading_deg: float, figures: Sequence[str]) -> None:
+        width = shutil.get_terminal_size().columns - _AROUND
+        columns = min(_COLUMNS, max(width - len(figures[0]), 1))
+        columns -= 1 - columns % 2
+        drawn, middle = card(heading_deg, columns), columns // 2
         nose = drawn[middle].replace(" ", "|")
-        room = max(shutil.get_terminal_size().columns - _COLUMNS - 6, 0)
+        fitting = [n for n in range(1, len(figures) + 1) if columns + len("  ".join(figures[:n])) <= width]
+        told = "  ".join(figures[: max(fitting, default=1)])
         card_line = f" {drawn[:middle]}[{bold}{nose}{plain}]{drawn[middle + 1 :]}"
-        sys.stdout.write(f"\r{card_line}  {figures.strip()[:room]}{_REST_OF_LINE}")
+        sys.stdout.write(f"\r{card_line}  {told}{_REST_OF_LINE}")
         sys.stdout.flush()
 
     try:

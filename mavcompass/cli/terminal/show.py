@@ -13,15 +13,18 @@ from typing import Any
 
 from mavcompass.cli.terminal.colour import is_live
 from mavcompass.printable import printable
-from mavcompass.procedure.script import Show
+from mavcompass.procedure.script import Ask, Show
 
 _PROMPT_EVERY_S = 1.0
+_ROOM_FOR_A_BAR = 60
+_YES, _NO = ("y", "yes"), ("", "n", "no")
 _MARKS = {
     "connect": "·",
     "turn": "↻",
     "dwell": "■",
     "solve": "=",
     "write": ">",
+    "written": "✓",
     "prove": "✓",
     "undo": "!",
     "taken": "✓",
@@ -38,14 +41,20 @@ class PlainShow:
     Prompts that change all the time ("Turn right 34 deg more.") are printed once a second.
     """
 
-    def __init__(self, told_later: Container[str] = ()) -> None:
+    def __init__(self, told_later: Container[str] = (), quiet: bool = False) -> None:
         self._told_later = told_later
+        self._quiet = quiet
         self._last = ""
         self._prompted_s = -math.inf
 
+    def ask(self, question: Ask) -> Callable[[], bool | None]:
+        """Put a question."""
+        return ask_on_terminal(question)
+
     def __call__(self, show: Show) -> None:
         """Print a line."""
-        if show.text == self._last or (show.step in self._told_later and show.fraction is not None):
+        later = show.step in self._told_later and show.fraction is not None
+        if self._quiet or later or show.text == self._last:
             return
         if _has(show, "live"):
             now_s = time.monotonic()
@@ -57,13 +66,21 @@ class PlainShow:
 
 
 class LiveShow:
-    """Keep one live line with a bar; finished steps scroll up above it, but for those that are told later."""
+    """Keep one live line with a bar; finished steps scroll up above it, but for those that are told later.
+
+    A question takes its place until it is answered.
+    """
 
     def __init__(self, progress: Any, told_later: Container[str] = ()) -> None:
         self._told_later = told_later
         self._progress = progress
         self._task = progress.add_task("", total=1.0)
         self._last: Show | None = None
+
+    def ask(self, question: Ask) -> Callable[[], bool | None]:
+        """Put a question; the next step brings the live line back."""
+        self._progress.stop()
+        return ask_on_terminal(question)
 
     def __call__(self, show: Show) -> None:
         """Show a step; ring the terminal's bell where a person who turns the vehicle should look up."""
@@ -78,6 +95,7 @@ class LiveShow:
                 f"[dim]{_MARKS.get(self._last.step, '·')} {printable(self._last.text)}[/dim]", highlight=False
             )
         self._last = show
+        self._progress.start()
         update = {"description": f"{_MARKS.get(show.step, '·')} {printable(show.text)}"}
         if show.fraction is not None:
             self._progress.update(self._task, completed=show.fraction, **update)
@@ -86,39 +104,50 @@ class LiveShow:
 
 
 @contextmanager
-def showing(quiet: bool = False, told_later: Container[str] = ()) -> Iterator[Callable[[Show], None]]:
+def showing(quiet: bool = False, told_later: Container[str] = ()) -> Iterator[PlainShow | LiveShow]:
     """Show a procedure's progress on standard error while the block runs.
 
     Args:
         told_later: steps whose outcome is shown again in the same place, as the result.
     """
-    if quiet:
-        yield lambda _: None
-        return
-    if not is_live():
-        yield PlainShow(told_later)
+    if quiet or not is_live():
+        yield PlainShow(told_later, quiet)
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True, no_color=bool(os.environ.get("NO_COLOR")))
-    columns = (BarColumn(bar_width=24), TextColumn("{task.description}"), TimeElapsedColumn())
+    # The text has the room: what is no prompt may be cut, and a phone's terminal is too narrow for a bar.
+    wide = console.width >= _ROOM_FOR_A_BAR
+    columns = (BarColumn(bar_width=24), TextColumn("{task.description}"), TimeElapsedColumn())[not wide :]
     with Progress(*columns, console=console, transient=True) as progress:
         yield LiveShow(progress, told_later)
 
 
-def ask_on_terminal(question: str) -> Callable[[], bool | None]:
-    """Put a yes-or-no question on the terminal; the answer is read beside the running procedure."""
+def ask_on_terminal(question: Ask) -> Callable[[], bool | None]:
+    """Put a yes-or-no question on the terminal; the answer is read beside the running procedure.
+
+    What is neither is asked again; an end of the input, and an empty line, are no.
+    """
     answers: list[bool] = []
+    choices = "[y/N, d: details]" if question.details else "[y/N]"
+
+    def say(*lines: str) -> None:
+        print(*map(printable, lines), sep="\n", end=" ", file=sys.stderr, flush=True)
 
     def read() -> None:
-        # A whole line: a live progress bar keeps back what does not end.
-        print(f"{question} [y/N]", file=sys.stderr, flush=True)
-        try:
-            line = sys.stdin.readline()
-        except (OSError, ValueError):
-            line = ""
-        answers.append(line.strip().lower() in ("y", "yes"))
+        say(*question.about, f"{question.question} {choices}")
+        while not answers:
+            try:
+                word = sys.stdin.readline().strip().lower()
+            except (OSError, ValueError):
+                word = ""
+            if word in _YES or word in _NO:
+                answers.append(word in _YES)
+            elif question.details and word in ("d", "details"):
+                say(*question.details, f"{question.question} {choices}")
+            else:
+                say(f"Please answer y or n. {question.question} {choices}")
 
     threading.Thread(target=read, name="answer", daemon=True).start()
     return lambda: answers[0] if answers else None

@@ -166,7 +166,7 @@ def judge_yaw(instance: int, off_deg: float, source: SteeringSource) -> CheckIte
     """Judge the autopilot's own yaw, less the declination, against one compass's heading."""
     verdict = _grade(abs(off_deg), 5.0, 15.0)
     steers = "which steers it" if source == instance else f"while {_STEERING[source]}"
-    text = f"The autopilot's own yaw stands {abs(off_deg):.1f} deg from compass {instance}, {steers}."
+    text = f"The autopilot's own yaw is {abs(off_deg):.1f} deg from compass {instance}, {steers}."
     own = "Let it settle and check again; if it stays, restart the autopilot."
     other = "Hold both against a landmark: either the compass is wrong, or what steers."
     remedy = "" if verdict == "pass" else own if source == instance else other
@@ -212,7 +212,7 @@ def judge_agreement(sources: Mapping[int, HeadingSource]) -> list[CheckItem]:
         items.append(_apart(0, text, apart_deg, "both"))
     if not items:
         numbers = ", ".join(str(instance) for instance in instances)
-        items.append(CheckItem("agreement", "pass", f"The compasses {numbers} agree with each other."))
+        items.append(CheckItem("agreement", "pass", f"Compasses {numbers} agree."))
     return items
 
 
@@ -289,7 +289,7 @@ def judge_turn(instance: int, field_turned_deg: float, gyro_turned_deg: float, s
     verdict = _grade(abs(off_deg), limit_deg, max(8.0, 2.0 * limit_deg))
     remedy = "" if verdict == "pass" else "Calibrate."
     text = (
-        f"Compass {instance} saw a turn of {field_turned_deg:.1f} deg, the gyro one of"
-        f" {gyro_turned_deg:.1f} deg ({off_deg:+.1f})."
+        f"Turned by compass {instance} {field_turned_deg:.1f} deg, by the gyro {gyro_turned_deg:.1f} deg"
+        f" ({off_deg:+.1f})."
     )
     return CheckItem("turn", verdict, text, remedy, instance, off_deg, limit_deg)

@@ -20,8 +20,9 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi
-from mavcompass.heading.fault_isolation import HeadingSource
+from mavcompass.heading.fault_isolation import HeadingSource, named
 from mavcompass.parameter_remarks import parameter_remarks
+from mavcompass.printable import counted
 from mavcompass.procedure.check import items
 from mavcompass.procedure.check.items import AGREEMENT_SIGMA_DEG, CheckItem, Reading, Verdict
 from mavcompass.procedure.check.mounting import turned_by
@@ -62,6 +63,13 @@ class CheckSettings:
     limits: SafetyLimits = field(default_factory=SafetyLimits)
 
 
+_GOES = {"copter": "fly", "sub": "dive", "boat": "sail"}
+
+
+def _is_calibration(item: CheckItem) -> bool:
+    return "alibrate" in item.remedy
+
+
 @dataclass(frozen=True, slots=True)
 class CheckReport:
     """Hold the list; `verdict` is that of its worst item, `remarks` what else to know of the parameters."""
@@ -80,7 +88,7 @@ class CheckReport:
     @property
     def calibration_advised(self) -> bool:
         """Tell whether a calibration is the remedy of something that is not right."""
-        return any(item.verdict != "pass" and "alibrate" in item.remedy for item in self.items)
+        return any(item.verdict != "pass" and _is_calibration(item) for item in self.items)
 
     @property
     def turns_itself(self) -> bool:
@@ -90,13 +98,16 @@ class CheckReport:
     def summary(self) -> str:
         """Return one sentence."""
         wrong = [item for item in self.items if item.verdict == self.verdict]
+        go, count = _GOES.get(self.identity.kind, "drive"), counted(len(self.items), "check")
         match self.verdict:
             case "pass":
-                turned = "" if self.turned else " (without a turn)"
-                return f"Pass: {len(self.items)} questions, nothing wrong{turned}."
-            case verdict:
-                more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
-                return f"{verdict.title()}: {wrong[0].text.rstrip('.')}{more}."
+                return f"Fit to {go}: {count} passed{'' if self.turned else ', without a turn'}."
+            case "warn":
+                more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+                return f"Fit to {go}, with care: {wrong[0].text.rstrip('.')}{more}."
+        cured = sorted({item.instance for item in wrong if item.instance and _is_calibration(item)})
+        what = f"calibrate {named([f'compass {i}' for i in cured])}" if cured else wrong[0].text.rstrip(".")
+        return f"Not fit to {go}: {what}. {len(wrong)} of {count} failed."
 
     def to_json(self) -> dict[str, Any]:
         """Return the machine-readable form."""

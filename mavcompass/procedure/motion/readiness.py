@@ -18,7 +18,7 @@ from mavcompass.printable import printable
 from mavcompass.procedure.commands import command
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.modes import ModeKeeper, mode_name, turning_mode
-from mavcompass.procedure.script import Context, Script, ask, pause
+from mavcompass.procedure.script import Ask, Context, Script, ask, pause
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 
 _CLIMB_PATIENCE_S = 40.0
@@ -168,9 +168,9 @@ class Readiness:
             case "yes":
                 context.show("ready", f"{what}: arming with that check set aside ({aside}).")
             case "ask":
-                question = (
-                    f"Set the compass's arming check aside until it is armed ({aside})?\n{what}."
-                    f"{self._last_words()} All other checks stay."
+                question = Ask(
+                    f"Set the compass's arming check aside until it is armed ({aside})?",
+                    (f"{what}.{self._last_words()} All other checks stay.",),
                 )
                 return values if (yield from ask(context, question)) else {}
             case "never":

@@ -66,7 +66,13 @@ class HandMover:
             side, degrees = "right" if left_rad > 0.0 else "left", abs(math.degrees(left_rad))
             turned_deg = math.degrees(self.gyro.angle_rad - began_rad)
             text = f"Turn {side} {degrees:.0f} deg more."
-            self._prompt(context, text, turned_deg=turned_deg, remaining=float(remaining))
+            self._prompt(
+                context,
+                text,
+                turned_deg=turned_deg,
+                remaining=float(remaining),
+                left_deg=math.degrees(left_rad),
+            )
             yield from pause(context, _POLL_S)
         raise PoorCalibration(
             f"The vehicle was not turned to a new position within {self.patience_s:.0f} s.",

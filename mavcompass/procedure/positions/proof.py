@@ -79,10 +79,9 @@ class Proof:
 
     def summary(self) -> str:
         """Return the sentence for the person."""
-        parts = [
-            f"compass {c.instance} turned {c.field_turned_deg:.1f} deg, the gyro {c.gyro_turned_deg:.1f} deg"
-            for c in self.compasses
-        ]
+        turned = ", ".join(f"compass {c.instance} {c.field_turned_deg:.1f}" for c in self.compasses)
+        gyro = ", ".join(dict.fromkeys(f"{c.gyro_turned_deg:.1f}" for c in self.compasses))
+        parts = [f"{turned} deg; gyro {gyro} deg"]
         if not self.tells:
             parts.append("too small a turn to prove anything")
         for compass in self.compasses:
@@ -92,7 +91,7 @@ class Proof:
                     f" {compass.change_deg:.1f} deg another"
                 )
         doubts = "".join(f" {doubt}" for compass in self.compasses for doubt in compass.doubts)
-        verdict = "Proven" if self.passed else "Not proven"
+        verdict = "Checked by a turn" if self.passed else "The turn does not confirm the new values"
         return f"{verdict}: {'; '.join(parts)}.{doubts}"
 
 

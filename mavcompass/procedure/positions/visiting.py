@@ -322,7 +322,7 @@ def visit(
             yield from mover.next(context, angle_rad, wanted - index)
         context.show(
             "dwell",
-            f"Position {index + 1} of {wanted}: standing still.",
+            f"Position {index + 1} of {wanted}: measuring.",
             index / (wanted + 1.0),
             position=float(index + 1),
             turned_deg=math.degrees(gyro.angle_rad),

@@ -12,10 +12,9 @@ from mavcompass.errors import MavCompassError
 from mavcompass.messages import Incoming
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.mavlink import component
-from mavcompass.service.schedule import Schedule
 from mavcompass.service.view import GONE_S, VehicleView
 from mavcompass.service.watch import Finding
-from mavcompass.service.work.clock import utc_now
+from mavcompass.service.work.clock import Schedule, utc_now
 from mavcompass.service.work.tasks import Busy, CalibrationRequest, Desk, Task
 from mavcompass.vehicle.link import Link
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import mimetypes
 from collections.abc import Awaitable, Callable
@@ -38,7 +39,7 @@ from mavcompass.service.web.bodies import (
 from mavcompass.service.web.connections import MOST_HELD_BYTES
 from mavcompass.service.web.metrics import CONTENT_TYPE, Metrics
 from mavcompass.service.web.openapi import OPERATIONS, Operation, openapi
-from mavcompass.service.web.security import MOST_BODY_BYTES, PAGE_POLICY, Guard
+from mavcompass.service.web.security import MOST_BODY_BYTES, Guard, page_policy
 from mavcompass.service.web.state import moment_json, state_json
 from mavcompass.service.web.stream import Stream
 from mavcompass.service.work.clock import utc_now
@@ -62,8 +63,21 @@ def build_app(
 ) -> Starlette:
     """Put the interface together."""
     api = Api(config, station, history, gaps, is_alive)
+    framed_by = config.http.framed_by
+
+    async def page(request: Request) -> Response:
+        policy = page_policy(framed_by, request.headers.get("host", ""))
+        text = _parts()["index.html"]
+        return Response(text, media_type="text/html", headers={"content-security-policy": policy})
+
+    async def register(request: Request) -> Response:
+        here = request.client is not None and ipaddress.ip_address(request.client.host).is_loopback
+        return JSONResponse(registration(token if framed_by and here else None))
+
     routes: list[BaseRoute] = [
-        Route("/", _page),
+        Route("/", page),
+        Route(f"{ENTER}{{token}}", page),
+        Route("/register_service", register),
         Route("/openapi.json", _describe),
         *(_route(operation, api) for operation in OPERATIONS),
         WebSocketRoute("/api/stream", Stream(station).endpoint),
@@ -74,14 +88,33 @@ def build_app(
         token=token,
         allowed_origins=config.http.allowed_origins,
         allowed_hosts=config.http.allowed_hosts,
+        framed_by=framed_by,
     )
     handlers: Any = {HTTPException: _http_error, BadRequest: _bad_request, MavCompassError: _our_error}
     return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
 
 
-async def _page(request: Request) -> Response:
-    text = _parts()["index.html"]
-    return Response(text, media_type="text/html", headers={"content-security-policy": PAGE_POLICY})
+# Behind it stands the token, which the page keeps and takes out of its address.
+ENTER = "/enter/"
+
+
+def registration(token: str | None) -> dict[str, str]:
+    """Tell BlueOS, which asks every port of its host, what is served here.
+
+    Its menu's link leads to `route`, and what stands behind our name in it is what it opens in its frame. So
+    the token goes to those who may use BlueOS; to whom it is None, nothing is handed.
+    """
+    there = {} if token is None else {"route": f"/extension/mavcompass{ENTER}{token}"}
+    return {
+        "name": "mavcompass",
+        "description": "Compass calibration in four turns, heading with sigma, a watch over the compass.",
+        "icon": "mdi-compass-outline",
+        "company": "mavcompass",
+        "version": __version__,
+        "webpage": "https://github.com/mavcompass/mavcompass",
+        "api": "/openapi.json",
+        **there,
+    }
 
 
 async def _part(request: Request) -> Response:
@@ -176,20 +209,6 @@ class Api:
     async def metrics(self) -> Response:
         return Response(self._metrics.render(), headers={"content-type": CONTENT_TYPE})
 
-    async def register(self) -> Response:
-        """Tell BlueOS, which asks every port of its host, what is served here."""
-        return JSONResponse(
-            {
-                "name": "mavcompass",
-                "description": "Compass calibration in four turns, heading with sigma,"
-                " a watch over the compass.",
-                "icon": "mdi-compass-outline",
-                "company": "mavcompass",
-                "version": __version__,
-                "api": "/openapi.json",
-            }
-        )
-
     async def health(self) -> Response:
         alive = self._is_alive()
         return JSONResponse(
@@ -271,7 +290,7 @@ class Api:
         entry = await self._entry(wanted.entry)
         if entry.undo_file is None:
             raise HTTPException(404, f"Entry {entry.id} wrote nothing, so there is nothing to undo.")
-        return self._take(UndoRequest(entry.undo_file))
+        return self._take(UndoRequest(entry.undo_file, entry.id))
 
     def _take(self, request: TaskRequest) -> Response:
         return _show(self._station.desk.submit(request, "http", utc_now()), 202)

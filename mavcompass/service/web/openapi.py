@@ -141,7 +141,6 @@ OPERATIONS = (
         {200: "Task.", **_NOT_THERE},
     ),
     _get("metrics", "/metrics", "Metrics for Prometheus.", {200: "Metrics."}, content="text/plain"),
-    _get("register", "/register_service", "Tell BlueOS what is served here.", {200: "Registration."}),
     _get("health", "/healthz", "Tell whether the service lives.", {200: "It does.", 503: "It is stuck."}),
     _get("ready", "/readyz", "Tell whether the vehicle is heard.", {200: "It is.", 503: "It is not heard."}),
 )

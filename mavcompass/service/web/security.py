@@ -27,16 +27,28 @@ SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 MOST_BODY_BYTES = 65_536
 _TOKEN_BYTES = 24
 
-PAGE_POLICY = (
+_PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self';"
-    " manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    " manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors "
 )
 _HEADERS = (
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"),
-    (b"x-frame-options", b"DENY"),
     (b"cross-origin-resource-policy", b"same-origin"),
 )
+# In the name of an origin: whatever this computer was called by in the request, another port of it.
+SAME_HOST = "{host}"
+
+
+def page_policy(framed_by: Collection[str], host: str) -> str:
+    """Say what the page may load, and which pages may show it in a frame of theirs.
+
+    Args:
+        host: of the request, checked already to be a name or an address of ours.
+    """
+    name = urlsplit(f"//{host}").hostname or ""
+    name = f"[{name}]" if ":" in name else name
+    return _PAGE_POLICY + (" ".join(origin.replace(SAME_HOST, name) for origin in framed_by) or "'none'")
 
 
 def load_token(path: Path) -> str:
@@ -73,8 +85,11 @@ class Guard:
         token: str,
         allowed_origins: Collection[str] = (),
         allowed_hosts: Collection[str] = (),
+        framed_by: Collection[str] = (),
     ) -> None:
         self._app = app
+        # An older word for frame-ancestors 'none', which knows no names.
+        self._headers = _HEADERS if framed_by else (*_HEADERS, (b"x-frame-options", b"DENY"))
         self._token = token
         self._origins = frozenset(origin.lower() for origin in allowed_origins)
         self._hosts = own_names() | {host.lower() for host in allowed_hosts}
@@ -87,7 +102,7 @@ class Guard:
         headers = Headers(scope=scope)
         refusal = self._refusal(scope, headers)
         if refusal is None:
-            await self._app(scope, receive, _with_headers(send))
+            await self._app(scope, receive, self._with_headers(send))
         elif scope["type"] == "websocket":
             await receive()  # the opening
             await send({"type": "websocket.close", "code": 4000 + refusal[0], "reason": refusal[1]})
@@ -140,15 +155,14 @@ class Guard:
     async def _refuse(self, refusal: tuple[int, str], scope: Scope, receive: Receive, send: Send) -> None:
         status, what = refusal
         extra = {"WWW-Authenticate": "Bearer"} if status == 401 else None
-        await JSONResponse({"error": what}, status, extra)(scope, receive, _with_headers(send))
+        await JSONResponse({"error": what}, status, extra)(scope, receive, self._with_headers(send))
 
+    def _with_headers(self, send: Send) -> Send:
+        """Add the headers that tell browsers to be careful."""
 
-def _with_headers(send: Send) -> Send:
-    """Add the headers that tell browsers to be careful."""
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message.get("headers", ()), *self._headers]
+            await send(message)
 
-    async def send_with_headers(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            message["headers"] = [*message.get("headers", ()), *_HEADERS]
-        await send(message)
-
-    return send_with_headers
+        return send_with_headers

@@ -28,7 +28,7 @@ class Stream:
         self._station = station
 
     async def endpoint(self, socket: WebSocket) -> None:
-        """Send `now` at the listener's rate, and task and findings when they have changed."""
+        """Send `now` and what a run's trail has grown by at the listener's rate, the rest as it changes."""
         rate_hz = _rate(socket.query_params.get("rate_hz"))
         with contextlib.suppress(WebSocketDisconnect):
             await socket.accept()
@@ -40,6 +40,7 @@ class Stream:
 
     async def _send(self, socket: WebSocket, period_s: float, goodbye: asyncio.Future[None]) -> None:
         seen: dict[str, Any] = {}
+        drawn: dict[int, dict[int, int]] = {}  # by task and compass: the points that were sent
         while not goodbye.done():
             message: dict[str, Any] = {"now": moment_json(self._station)}
             task = self._station.desk.current
@@ -49,6 +50,11 @@ class Stream:
             }
             message |= {key: value for key, value in news.items() if seen.get(key, ...) != value}
             seen = news
+            if task is not None and task.trail.points:
+                known = drawn.setdefault(task.number, {})
+                message["trail"] = {"task": task.number, **task.trail.since(known)}
+                for instance, trail in message["trail"]["compasses"].items():
+                    known[instance] = trail["first"] + len(trail["points"])
             await socket.send_text(json.dumps(message))
             await asyncio.wait([goodbye], timeout=period_s)
 

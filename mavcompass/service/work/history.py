@@ -43,6 +43,7 @@ _MIGRATIONS = (
     );
     CREATE INDEX entry_compass_by_device ON entry_compass (device, entry);
     """,
+    "ALTER TABLE entry ADD COLUMN undone_by INTEGER;",
 )
 
 
@@ -65,6 +66,7 @@ class Entry:
         made_at: UTC, ISO 8601. vehicle: its key. ok: accepted and written, passed, or done.
         compasses: (instance, device id) that it is about. document: the machine-readable result.
         report: path of the HTML report, None where there is none. undo_file: as the write left it.
+        undone_by: the undo that has taken it back, None where it stands.
     """
 
     id: int
@@ -77,6 +79,7 @@ class Entry:
     document: Mapping[str, Any]
     report: str | None
     undo_file: str | None
+    undone_by: int | None = None
 
     def head(self) -> dict[str, Any]:
         """Return all but the document, for lists."""
@@ -90,6 +93,7 @@ class Entry:
             "compasses": [{"instance": i, "device_id": d} for i, d in self.compasses],
             "has_report": self.report is not None,
             "undo_file": self.undo_file,
+            "undone_by": self.undone_by,
         }
 
 
@@ -181,6 +185,17 @@ class History:
         with self._transaction() as database:
             database.execute("UPDATE entry SET report = ? WHERE id = ?", (report, number))
 
+    def undone(self, entry: int, by: int) -> None:
+        """Note that an undo has put back what was in force before an entry: it and what was written since are
+        undone, and what it had undone itself stands again."""
+        with self._transaction() as database:
+            database.execute("UPDATE entry SET undone_by = NULL WHERE undone_by = ?", (entry,))
+            database.execute(
+                "UPDATE entry SET undone_by = :by WHERE id >= :entry AND id < :by AND undone_by IS NULL"
+                " AND undo_file IS NOT NULL AND vehicle = (SELECT vehicle FROM entry WHERE id = :by)",
+                {"entry": entry, "by": by},
+            )
+
     def undo_files(self) -> set[str]:
         """Return the undo files that entries name."""
         with self._lock:
@@ -212,16 +227,16 @@ class History:
         return self._select(f"{where} ORDER BY id DESC LIMIT ?", (*values, limit))
 
     def latest_calibration(self, vehicle: str, device: int) -> Entry | None:
-        """Return the newest calibration of a compass that was accepted and written."""
+        """Return the newest calibration of a compass that was accepted and written, and not undone."""
         found = self._select(
-            "WHERE kind = 'calibration' AND ok = 1 AND vehicle = ?"
+            "WHERE kind = 'calibration' AND ok = 1 AND undone_by IS NULL AND vehicle = ?"
             " AND id IN (SELECT entry FROM entry_compass WHERE device = ?) ORDER BY id DESC LIMIT 1",
             (vehicle, device),
         )
         return found[0] if found else None
 
     def _select(self, rest: str, values: Sequence[object]) -> list[Entry]:
-        columns = "id, made_at, kind, vehicle, ok, summary, document, report, undo_file"
+        columns = "id, made_at, kind, vehicle, ok, summary, document, report, undo_file, undone_by"
         with self._lock:
             rows = self._database.execute(f"SELECT {columns} FROM entry {rest}", tuple(values)).fetchall()
             about = {
@@ -234,8 +249,8 @@ class History:
                 for row in rows
             }
         return [
-            Entry(i, made_at, kind, vehicle, bool(ok), summary, about[i], json.loads(document), report, undo)
-            for i, made_at, kind, vehicle, ok, summary, document, report, undo in rows
+            Entry(i, made_at, kind, vehicle, bool(ok), summary, about[i], json.loads(document), *rest)
+            for i, made_at, kind, vehicle, ok, summary, document, *rest in rows
         ]
 
     def close(self) -> None:

@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from mavcompass.errors import MavCompassError
 from mavcompass.messages import Incoming
+from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.procedure.script import Machine, Show
+from mavcompass.procedure.script import Ask, Machine, Show
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
 from mavcompass.service.work import clock, procedures
+from mavcompass.service.work.clock import utc_now
 from mavcompass.service.work.history import History
-from mavcompass.service.work.interrupted import note_interrupted_write
 from mavcompass.service.work.learning import Learning
-from mavcompass.service.work.recorder import Recorder
-from mavcompass.service.work.results import Results, sigma_deg
+from mavcompass.service.work.results import Recorder, Results, old_and_new, sigma_deg
 from mavcompass.service.work.staleness import stale_findings
 from mavcompass.service.work.tasks import LEARNT, CalibrationRequest, CheckRequest, Task, UndoRequest
 from mavcompass.service.work.worker import Worker
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import PollAnswer, run
 from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.parameters.transaction import restore_command
+from mavcompass.vehicle.parameters.undo import UndoRecord, load_record, newest_record
+from mavcompass.vehicle.parameters.values import same_value
 from mavcompass.vehicle.stopping import StopRequest
 
 _log = logging.getLogger(__name__)
@@ -35,7 +39,7 @@ class Jobs:
     """Run procedures on the station's thread.
 
     Attributes:
-        recorder: of the calibration under way, None otherwise.
+        recorder: of the calibration under way, None otherwise. task: the one under way, None while idle.
     """
 
     def __init__(
@@ -46,6 +50,8 @@ class Jobs:
         hear: Callable[[Link, Incoming], None],
     ) -> None:
         self.recorder: Recorder | None = None
+        self.task: Task | None = None
+        self._view: VehicleView | None = None
         self._config = config
         self._history = history
         self._learning = learning
@@ -58,6 +64,7 @@ class Jobs:
         try:
             if view is None:
                 raise MavCompassError("No vehicle was heard yet.", "Check the link, then ask again.")
+            self.task, self._view = task, view
             self._do(link, view, task)
         except MavCompassError as error:
             self._results.failed(task, view, error)
@@ -65,7 +72,7 @@ class Jobs:
             _log.exception("unexpected error in a %s", task.request.kind)
             self._results.failed(task, view, error)
         finally:
-            self.recorder = None
+            self.recorder = self.task = self._view = None
             self._worker.end()
 
     def meet(self, link: Link, view: VehicleView, stop: StopRequest) -> None:
@@ -157,10 +164,12 @@ class Jobs:
         def on_show(show: Show) -> None:
             if task is not None:
                 task.show(show)
+                if show.step == "written" and self._view is not None:
+                    self._view.calibrated(task.results)
 
-        def on_ask(question: str) -> PollAnswer:
+        def on_ask(question: Ask) -> PollAnswer:
             assert task is not None
-            task.ask(question)
+            task.ask(question, tuple(map(old_and_new, task.results)) if question.details else ())
             return task.poll_answer
 
         return run(
@@ -171,3 +180,38 @@ class Jobs:
             on_ask=None if task is None else on_ask,
             stop=stop,
         )
+
+
+def note_interrupted_write(
+    history: History, vehicle: Nameplate, parameters: Mapping[str, float], undo_folder: Path
+) -> None:
+    """Offer the vehicle's last undo file that the history does not know, where it was made for what it holds.
+
+    `parameters` are those in force of the compasses. What was to be put back at once leaves a file only where
+    it was not, and the next calibration puts it back, too.
+    """
+    newest = newest_record(vehicle, undo_folder, history.undo_files())
+    if newest is None:
+        return
+    record = load_record(newest)
+    if record.for_now:
+        what = f"A calibration was cut short: {', '.join(record.before)} may not be as before."
+    elif _was_written(record, parameters):
+        what = "A write was cut short: the vehicle may hold some new and some old values."
+    else:
+        return
+    command = restore_command(record.source, newest, vehicle.system)
+    document = {"error": what, "remedy": f"Undo it, here or with: {command}", "lines": []}
+    _log.warning("%s %s", what, document["remedy"])
+    try:
+        history.add("calibration", utc_now(), vehicle.key, False, what, document, undo_file=str(newest))
+    except MavCompassError as error:
+        _log.warning("%s", error)
+
+
+def _was_written(record: UndoRecord, now: Mapping[str, float]) -> bool:
+    """Tell whether the vehicle holds values that were to be written, and for the rest the old ones."""
+    changed = [name for name, old in record.before.items() if name in now and not same_value(now[name], old)]
+    return bool(changed) and all(
+        name in record.planned and same_value(now[name], record.planned[name]) for name in changed
+    )

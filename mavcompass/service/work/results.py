@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.calibration.result import CalibrationResult, seen_by_old
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import MavCompassError, UsageError
+from mavcompass.installation.private_files import private_folder, write_private
+from mavcompass.messages import Incoming
 from mavcompass.procedure.check import CheckReport
 from mavcompass.procedure.dialect import WriteOutcome
 from mavcompass.procedure.report import CalibrationReport
@@ -20,16 +22,47 @@ from mavcompass.procedure.script import Show
 from mavcompass.report.document import live_document
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.view import VehicleView
+from mavcompass.service.work import clock
 from mavcompass.service.work.clock import utc_now
 from mavcompass.service.work.history import Entry, History
-from mavcompass.service.work.recorder import Recorder
 from mavcompass.service.work.tasks import CalibrationRequest, Task, UndoRequest
 from mavcompass.service.work.worker import Worker, write_calibration_report
+from mavcompass.vehicle.wire import FrameWriter
 
 _log = logging.getLogger(__name__)
 
 _KEPT_RECORDINGS, _KEPT_REPORTS = 50, 200
+# Ten minutes of a fast link; what comes after is not needed to explain a calibration.
+_MOST_BYTES = 64_000_000
 _CARD_STEP = 3  # of the 72 headings: every 15 degrees
+
+
+class Recorder:
+    """Record a calibration as a .tlog, which every tool of the field reads: what the vehicle says, frames
+    with their time of arrival, microseconds since 1970, big-endian."""
+
+    def __init__(self) -> None:
+        self._writers: dict[tuple[int, int], FrameWriter] = {}
+        self._data = bytearray()
+        self._offset_s: float | None = None
+
+    def add(self, heard: Incoming) -> None:
+        """Append one message."""
+        if len(self._data) > _MOST_BYTES:
+            return
+        if self._offset_s is None:
+            self._offset_s = clock.now().timestamp() - heard.time_s
+        sender = (heard.system, heard.component)
+        if sender not in self._writers:
+            self._writers[sender] = FrameWriter(2, None)
+        stamp_us = round((heard.time_s + self._offset_s) * 1e6)
+        self._data += stamp_us.to_bytes(8, "big")
+        self._data += self._writers[sender].write(heard.message, heard.system, heard.component)
+
+    def save(self, path: Path) -> None:
+        """Write the file. Raises OSError."""
+        private_folder(path.parent)
+        write_private(path, self._data, flushed=False)
 
 
 class Results:
@@ -47,7 +80,7 @@ class Results:
         assert isinstance(task.request, CalibrationRequest)
         task.results = report.results  # the proof solves anew, but what counts is what was written
         document = live_document(self._config.vehicle.source, report, task.request.method)
-        document["old_and_new"] = [_old_and_new(result) for result in report.results]
+        document["old_and_new"] = [old_and_new(result) for result in report.results]
         ok = report.accepted and not report.undone
         undo_file = document["undo_file"]
         number = self._record(
@@ -124,6 +157,8 @@ class Results:
         number = self._record(
             task, view, outcome.verified, summary, document, undo_file=document["undo_file"]
         )
+        if number is not None:
+            self._history.undone(task.request.entry, number)
         task.finish(outcome.verified, document, number)
 
     def failed(self, task: Task, view: VehicleView | None, error: Exception) -> None:
@@ -178,29 +213,37 @@ def _summary(report: CalibrationReport) -> str:
     end = "written" if report.written else "put back" if report.undone else "not written"
     steers = ""
     if report.heading is not None and report.steers_off:
-        steers = f"; the autopilot steers {abs(report.heading.error_after_deg):.1f} deg off: restart it"
+        steers = f". {report.heading.summary().rstrip('.')}"
     return f"{', '.join(parts)}; {end}{steers}"
 
 
-def _old_and_new(result: CalibrationResult) -> dict[str, Any]:
-    """Set the correction that was in force beside the new one, with the old one's deviation card."""
+def old_and_new(result: CalibrationResult) -> dict[str, Any]:
+    """Set the correction that was in force beside the new one: how far off each is, the old one's deviation
+    card, and what it makes, forward and right, of the circle that the new one shows."""
     document: dict[str, Any] = {
         "instance": result.instance,
+        "accepted": result.accepted,
+        "already_right": result.already_right,
+        "before_deg": _known(result.heading_change_deg),
+        "after_deg": _known(result.heading_sigma_deg),
+        "horizontal_mgauss": _known(result.horizontal_mgauss),
+        "old_circle": [],
         "old": _correction(result.in_force),
         "new": _correction(result.correction),
         "deviation": [],
     }
-    if math.isfinite(result.horizontal_mgauss) and math.isfinite(result.vertical_mgauss):
-        change_deg = np.degrees(
-            heading_change_rad(
-                result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss
-            )
-        )
+    if (change_deg := result.in_force_error_deg()) is not None:
+        field = (result.in_force, result.correction, result.horizontal_mgauss, result.vertical_mgauss)
+        document["old_circle"] = np.round(seen_by_old(*field)[0][::2, :2], 1).tolist()
         document["deviation"] = [
             {"heading_deg": 5.0 * k, "old_error_deg": round(float(change_deg[k]), 2)}
             for k in range(0, 72, _CARD_STEP)
         ]
     return document
+
+
+def _known(value: float) -> float | None:
+    return round(value, 3) if math.isfinite(value) else None
 
 
 def _correction(correction: FieldCorrection) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,7 +12,8 @@ from msgspec import Meta
 
 from mavcompass.calibration.methods import method_names
 from mavcompass.errors import MavCompassError, Refused
-from mavcompass.procedure.script import Show
+from mavcompass.heading.live import Heading
+from mavcompass.procedure.script import Ask, Show
 from mavcompass.service.models import Compass, checked
 from mavcompass.service.work.history import Kind
 from mavcompass.vehicle.stopping import StopRequest
@@ -103,6 +105,7 @@ class UndoRequest:
     """Ask to put back what an undo file holds."""
 
     undo_file: str
+    entry: int
 
     kind: ClassVar[Kind] = "undo"
 
@@ -120,6 +123,62 @@ class GapRequest:
 Request = CalibrationRequest | CheckRequest | UndoRequest | GapRequest
 
 
+# So many points of a run are drawn, no nearer to each other than this.
+_MOST_POINTS, _APART_MGAUSS = 900, 1.5
+Point = tuple[float, float]
+
+
+@dataclass(slots=True)
+class Trail:
+    """Keep what a page draws of a run, whenever it joins: each compass's level field, forward and right.
+
+    Attributes:
+        turned_rad: the gyro's angle at the start; nan before that is known.
+        positions: where the field was as each still position was reached.
+        written: how many points there were before the write.
+    """
+
+    turned_rad: float = math.nan
+    points: dict[int, list[Point]] = field(default_factory=dict)
+    positions: dict[int, list[Point]] = field(default_factory=dict)
+    written: dict[int, int] = field(default_factory=dict)
+
+    def add(self, heading: Heading, turned_rad: float) -> None:
+        """Take a heading."""
+        if math.isnan(self.turned_rad):
+            self.turned_rad = turned_rad
+        forward, right, _ = heading.level_mgauss
+        here, drawn = (round(forward, 1), round(right, 1)), self.points.setdefault(heading.instance, [])
+        far = not drawn or math.dist(here, drawn[-1]) >= _APART_MGAUSS
+        if far and len(drawn) < _MOST_POINTS:
+            drawn.append(here)
+
+    def mark(self, show: Show) -> None:
+        """Take note of a position that was reached, and of the write."""
+        if show.step == "write" and not self.written:
+            self.written = {instance: len(drawn) for instance, drawn in self.points.items()}
+        position = next((round(value) for name, value in show.data if name == "position"), 0)
+        for instance, drawn in self.points.items():
+            spots = self.positions.setdefault(instance, [])
+            if show.step == "dwell" and drawn and len(spots) < position:
+                spots.append(drawn[-1])
+
+    def since(self, known: Mapping[int, int]) -> dict[str, Any]:
+        """Return what was added since a listener had so many points of each compass."""
+        return {
+            "turned_at_start_deg": round(math.degrees(self.turned_rad), 1),
+            "compasses": {
+                instance: {
+                    "first": known.get(instance, 0),
+                    "points": drawn[known.get(instance, 0) :],
+                    "positions": self.positions.get(instance, []),
+                    "written": self.written.get(instance),
+                }
+                for instance, drawn in list(self.points.items())
+            },
+        }
+
+
 class Busy(MavCompassError):
     """Report that something else is being done: one motion at a time."""
 
@@ -131,7 +190,7 @@ class Task:
     Attributes:
         lines: what was told so far: step, text, fraction, data.
         fraction: of the whole, 0..1, never falling.
-        question: what the person is asked now, None while nothing.
+        question: what the person is asked now, None while nothing. proposals: what it would write.
         document: the machine-readable result. entry: its number in the history.
         results: the latest solution for each compass of a calibration, as soon as there is one.
     """
@@ -143,7 +202,9 @@ class Task:
     state: State = "waiting"
     lines: list[dict[str, Any]] = field(default_factory=list)
     fraction: float = 0.0
-    question: str | None = None
+    question: Ask | None = None
+    proposals: tuple[Mapping[str, Any], ...] = ()
+    trail: Trail = field(default_factory=Trail)
     document: Mapping[str, Any] | None = None
     entry: int | None = None
     error: str = ""
@@ -161,6 +222,7 @@ class Task:
 
     def show(self, show: Show) -> None:
         """Take note of what the procedure tells."""
+        self.trail.mark(show)
         if show.fraction is not None:
             # A write counts its own steps; the whole goes on after it.
             most = _AFTER_WRITING if show.step == "write" else 1.0
@@ -171,10 +233,10 @@ class Task:
         else:  # a person who turns by hand gets many prompts; the latest is the one that counts
             self.lines[-1] = line
 
-    def ask(self, question: str) -> None:
+    def ask(self, question: Ask, proposals: tuple[Mapping[str, Any], ...] = ()) -> None:
         """Put a question to the person."""
         self._answer = None
-        self.question, self.state = question, "asking"
+        self.question, self.proposals, self.state = question, proposals, "asking"
 
     def give_answer(self, yes: bool) -> bool:
         """Answer the question; False where none is open. The first answer counts, whoever gives it."""
@@ -213,7 +275,10 @@ class Task:
             "ok": self.ok,
             "fraction": self.fraction,
             "lines": list(self.lines),
-            "question": self.question,
+            "question": None if self.question is None else self.question.question,
+            "about": [] if self.question is None else list(self.question.about),
+            "details": [] if self.question is None else list(self.question.details),
+            "proposals": [] if self.question is None else list(self.proposals),
             "document": self.document,
             "history_entry": self.entry,
             "error": self.error,

@@ -46,7 +46,7 @@ class ArduPilotPlanner(Planner):
     autopilot = "ardupilot"
     motor_terms, motor_switch = r"COMPASS[123]?_MOT[23]?_[XYZ]", "COMPASS_MOTCT"
     instance_of = staticmethod(instance_of)
-    unwatched = "The autopilot's own heading follows a new calibration slowly: restart it before you drive."
+    unwatched = "The autopilot's own heading follows a new calibration slowly: reboot it before it moves."
 
     def absent(self, instance: int) -> str:
         """Say that there is no such compass."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mavcompass.errors import LinkLost
 from mavcompass.messages import Incoming, Message
+from mavcompass.procedure.script import Show
 from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
 from mavcompass.vehicle.links.autopilot import Autopilot, Said
 from mavcompass.vehicle.links.pace import Pace
@@ -24,7 +26,10 @@ class SimulatedLink(Link):
 
     Attributes:
         autopilot: the vehicle, for looking at its truth and for playing the pilot in tests.
+        person: follows a procedure's prompts and turns the vehicle by hand; None where nobody does.
     """
+
+    person: SimulatedPerson | None = None
 
     def __init__(
         self,
@@ -51,10 +56,16 @@ class SimulatedLink(Link):
         effects: Sequence[str] = (),
         identity: Identity = ONBOARD_COMPUTER,
         speed: float | None = None,
+        by_hand: bool = False,
     ) -> SimulatedLink:
-        """Make a vehicle and the link to it. Raises UsageError for an unknown vehicle or effect."""
-        autopilot = simulated_autopilot(vehicle, seed, effects)
-        return cls(autopilot, f"sim:{vehicle},seed={seed}", identity, speed)
+        """Make a vehicle and the link to it; `by_hand` it is disarmed, and a person is there to turn it.
+
+        Raises UsageError for an unknown vehicle or effect.
+        """
+        autopilot = simulated_autopilot(vehicle, seed, effects, armed=not by_hand)
+        link = cls(autopilot, f"sim:{vehicle},seed={seed}", identity, speed)
+        link.person = SimulatedPerson(autopilot) if by_hand else None
+        return link
 
     @property
     def waiting(self) -> bool:
@@ -101,6 +112,25 @@ class SimulatedLink(Link):
                 self._heard.append((said, said.message))
         if self._pace is not None:
             self._pace.sleep_until(until_s)
+
+
+class SimulatedPerson:
+    """Turn a simulated vehicle by hand as a procedure's prompts say, so that this can be tried."""
+
+    def __init__(self, autopilot: SimulatedAutopilot) -> None:
+        self._autopilot = autopilot
+        self._busy_until_s = autopilot.time_s
+
+    def __call__(self, show: Show) -> None:
+        """Read a prompt, and do what it says unless the hands are still at the one before."""
+        from mavcompass.simulation.physics.hand import HandMove
+
+        left_deg = dict(show.data).get("left_deg")
+        if left_deg is None or self._autopilot.time_s < self._busy_until_s:
+            return
+        move = HandMove(math.radians(left_deg), rests_s=0.0)
+        self._autopilot.turn_by_hand([move])
+        self._busy_until_s = self._autopilot.time_s + move.lasts_s
 
 
 def simulated_autopilot(

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from mavcompass.errors import MavCompassError, Refused, WriteFailed
 from mavcompass.installation.invocation import consent, program
+from mavcompass.printable import counted
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Context, Script
@@ -63,7 +64,9 @@ class Transaction:
         undo_file = save_undo(plan, {name: p.value for name, p in old.items()}, vehicle)
         way_back = WayBack(self.encoding, self.source, old, undo_file)
         command = restore_command(self.source, undo_file, context.system)
-        context.show("write", f"Writing {counted(len(new))}; to put the old values back: {command}")
+        count = counted(len(new), "parameter")
+        doing = f"Setting {count} for a while; if they stay" if plan.for_now else f"Writing {count}; to undo"
+        context.show("write", f"{doing}: {command}")
         remarks: tuple[str, ...] = ()
         try:
             echoes_s = yield from protocol.write(context, new, self.encoding)
@@ -76,7 +79,8 @@ class Transaction:
             yield from way_back.take(context, why)
             if isinstance(why, MavCompassError) and not isinstance(why, Refused):
                 raise WriteFailed(
-                    f"{why.what} What was written was put back, and {counted(len(old))} read back as before.",
+                    f"{why.what} What was written was put back, and"
+                    f" {counted(len(old), 'parameter')} read back as before.",
                     why.remedy,
                     undo_file,
                 ) from why
@@ -134,7 +138,7 @@ class WayBack:
         Raises WriteFailed where that fails.
         """
         stopped: Refused | None = None
-        context.show("undo", f"{_sentence(why)} Putting {counted(len(self.old))} back.")
+        context.show("undo", f"{_sentence(why)} Putting {counted(len(self.old), 'parameter')} back.")
         back = {name: self.old[name] for name in reversed(list(self.old))}
         while True:
             try:
@@ -174,11 +178,6 @@ def refuse_unwritable(plan: ParameterPlan) -> None:
                 break
     if reasons:
         raise Refused(" ".join(reasons), "Nothing was written.")
-
-
-def counted(parameters: int) -> str:
-    """Spell a number of parameters."""
-    return "1 parameter" if parameters == 1 else f"{parameters} parameters"
 
 
 def restore_command(source: str, undo_file: Path, system: int) -> str:

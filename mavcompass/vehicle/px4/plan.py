@@ -95,7 +95,7 @@ class PX4Planner(Planner):
             ("cross terms", np.subtract(new.off_diagonals, old.off_diagonals), _SMALLEST_LIVE_CHANGE),
         ):
             if _ROUNDING < float(np.linalg.norm(moved)) <= smallest:
-                remarks.append(f"{label}: so small a change of the {what} is taken over at the next start.")
+                remarks.append(f"{label}: the small change of the {what} takes effect at the next start.")
         return refusals, remarks
 
 

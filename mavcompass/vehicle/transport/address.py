@@ -2,7 +2,7 @@
 
     udpin:HOST:PORT  udpout:HOST:PORT  tcp:HOST:PORT  tcpin:HOST:PORT  /dev/ttyACM0[:BAUD]
     udpin://HOST:PORT  udpout://..  tcpout://..  tcpin://..  serial:///dev/ttyACM0:BAUD   (MAVSDK's)
-    sim:VEHICLE[,seed=N][,effect=NAME[+NAME..]]  mavsdk+URL  FILE.tlog|.bin|.log|.ulg|.csv
+    sim:VEHICLE[,seed=N][,effect=NAME[+NAME..]]  mavsdk+URL  FILE.tlog|.bin|.log|.ulg|.csv|.mcap|.db3
 
 `str(address)` is the canonical spelling.
 """
@@ -18,7 +18,7 @@ from typing import ClassVar
 from mavcompass.errors import UsageError
 
 VEHICLES = ("rover", "ackermann-rover", "boat", "copter", "sub", "px4-copter")
-RECORDING_SUFFIXES = (".tlog", ".bin", ".log", ".ulg", ".csv")
+RECORDING_SUFFIXES = (".tlog", ".bin", ".log", ".ulg", ".csv", ".mcap", ".db3")
 DEFAULT_BAUD = 115_200
 # What a person may write, MAVSDK's spellings and old ones included, by what it means here.
 _SCHEMES = {
@@ -234,6 +234,10 @@ def _mavsdk(source: str) -> Mavsdk:
 
 def _unknown(source: str, scheme: str) -> UsageError:
     known = [*_NETWORK, "serial", "sim", "replay", "mavsdk+udpin"]
+    if re.fullmatch(r"(\[[^\]]+\]|localhost|[\w-]+(\.[\w-]+)+):\d+/?", source):
+        return UsageError(
+            f"{source!r} does not say what kind of link.", f"Did you mean tcp:{source}, or udpout:{source}?"
+        )
     if scheme:
         hint = _did_you_mean(scheme, known, "", f":{source.partition(':')[2]}")
         return UsageError(f"{source!r} is not an address: {scheme!r} is no kind of link.", hint + _REMEDY)

@@ -147,7 +147,7 @@ def serve(scene: Scene) -> bool:
 
 def serve_undo(scene: Scene) -> bool:
     """Have the service put back what the first undo file holds."""
-    return _serve(scene, lambda: UndoRequest(first_undo(scene).name))
+    return _serve(scene, lambda: UndoRequest(first_undo(scene).name, 1))
 
 
 def prepare_write(scene: Scene) -> None:

@@ -302,7 +302,7 @@ def test_a_proof_passes_where_the_turns_agree_and_the_solution_stands(
     one = CompassProof(1, 90.0 + off_deg, 90.0, 1.5, change_deg, 0.75, doubts)
     assert one.passed is passed and Proof((one,)).passed is passed
     said = Proof((one,)).summary()
-    assert said.startswith("Proven" if passed else "Not proven")
+    assert said.startswith("Checked by a turn" if passed else "The turn does not confirm")
     assert ("would be 0.8 deg another" in said) is (change_deg > 0.75) and said.endswith(
         "." if not doubts else "slipped."
     )

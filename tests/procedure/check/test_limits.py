@@ -151,7 +151,7 @@ def test_agreement(apart_deg: float, verdict: Verdict) -> None:
     assert [i.verdict for i in found] == [verdict] and found[0].name == "agreement"
     assert items.judge_agreement({1: HeadingSource.at("compass 1", 10.0, 1.0)}) == []
     if verdict == "pass" and apart_deg == 0.0:
-        assert found[0].text == "The compasses 1, 2 agree with each other." and not found[0].remedy
+        assert found[0].text == "Compasses 1, 2 agree." and not found[0].remedy
     if verdict != "pass":
         assert found[0].remedy.startswith("Calibrate both") and found[0].limit == 5.0
 
@@ -236,7 +236,7 @@ def test_prearm_texts_about_the_compass_are_passed_on_once() -> None:
 def test_turn(off_deg: float, sigma_deg: float, verdict: Verdict) -> None:
     item = items.judge_turn(1, 90.0 + off_deg, 90.0, sigma_deg)
     assert item.verdict == verdict and with_remedy(item) and item.limit == max(3.0, 3.0 * sigma_deg)
-    assert "the gyro one of 90.0 deg" in item.text and f"a turn of {90.0 + off_deg:.1f} deg" in item.text
+    assert "by the gyro 90.0 deg" in item.text and f"by compass 1 {90.0 + off_deg:.1f} deg" in item.text
 
 
 def test_the_worst_counts_and_what_is_unknown_is_null() -> None:
@@ -250,9 +250,10 @@ def test_the_worst_counts_and_what_is_unknown_is_null() -> None:
     assert CheckItem("turn", "warn", "t", "r", 2, 1.5).to_json()["compass"] == 2
 
 
-def report(*verdicts: Verdict, turned: bool = True) -> CheckReport:
+def report(*verdicts: Verdict, turned: bool = True, instance: int = 0) -> CheckReport:
     found = tuple(
-        CheckItem("dip", v, f"Compass 1 is {v}.", "Calibrate." if v == "fail" else "Wait.") for v in verdicts
+        CheckItem("dip", v, f"Compass 1 is {v}.", "Calibrate." if v == "fail" else "Wait.", instance)
+        for v in verdicts
     )
     return CheckReport(VehicleIdentity(1, 1, "ardupilot", "rover"), found, turned, 7.0)
 
@@ -260,10 +261,19 @@ def report(*verdicts: Verdict, turned: bool = True) -> CheckReport:
 @pytest.mark.parametrize(
     ("told", "says", "advised"),
     [
-        (report("pass", "pass"), "Pass: 2 questions, nothing wrong.", False),
-        (report("pass", turned=False), "Pass: 1 questions, nothing wrong (without a turn).", False),
-        (report("pass", "warn"), "Warn: Compass 1 is warn.", False),
-        (report("warn", "fail", "fail", "fail"), "Fail: Compass 1 is fail and 2 more.", True),
+        (report("pass", "pass"), "Fit to drive: 2 checks passed.", False),
+        (report("pass", turned=False), "Fit to drive: 1 check passed, without a turn.", False),
+        (report("pass", "warn"), "Fit to drive, with care: Compass 1 is warn.", False),
+        (
+            report("warn", "fail", "fail", "fail"),
+            "Not fit to drive: Compass 1 is fail. 3 of 4 checks failed.",
+            True,
+        ),
+        (
+            report("pass", "fail", instance=2),
+            "Not fit to drive: calibrate compass 2. 1 of 2 checks failed.",
+            True,
+        ),
     ],
 )
 def test_the_report_says_its_worst(told: CheckReport, says: str, advised: bool) -> None:

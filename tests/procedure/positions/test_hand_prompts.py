@@ -163,7 +163,8 @@ def test_what_a_page_is_told_beside_the_words() -> None:
     machine = person.next()
     (first,) = machine.step(Tick(0.0))
     assert isinstance(first, Show) and first.step == "turn"
-    assert dict(first.data) == {"live": 1.0, "turned_deg": 0.0, "remaining": 2.0}
+    told_of = {name: round(value, 6) for name, value in first.data}
+    assert told_of == {"live": 1.0, "turned_deg": 0.0, "remaining": 2.0, "left_deg": 60.0}
     person.at(45.0)
     told = [a for step in range(1, 8) for a in machine.step(Tick(0.1 * step)) if isinstance(a, Show)]
     assert dict(told[0].data)["turned_deg"] == pytest.approx(5.0)

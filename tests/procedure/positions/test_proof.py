@@ -37,7 +37,7 @@ def proof_of(report: CalibrationReport, doubts: tuple[str, ...] = (), off_mgauss
 
 def test_a_right_calibration_is_proven(report: CalibrationReport) -> None:
     proof = proof_of(report)
-    assert proof.passed and proof.summary().startswith("Proven: compass 1 turned ")
+    assert proof.passed and proof.summary().startswith("Checked by a turn: compass 1 ")
     assert proof.compasses[0].change_deg < 0.3
 
 
@@ -53,7 +53,7 @@ def test_a_bend_that_the_turn_does_not_show_is_seen_by_solving_anew(report: Cali
 def test_a_position_that_contradicts_the_others_proves_nothing(report: CalibrationReport) -> None:
     proof = proof_of(report, doubts=("The positions do not fit one rigid compass.",))
     assert not proof.passed
-    assert proof.summary().startswith("Not proven: ")
+    assert proof.summary().startswith("The turn does not confirm the new values: ")
     assert proof.summary().endswith("The positions do not fit one rigid compass.")
 
 

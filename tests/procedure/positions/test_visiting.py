@@ -254,13 +254,13 @@ def test_four_positions_are_visited_with_three_turns() -> None:
         "at each", "turn, 3 left", "at each", "turn, 2 left", "at each", "turn, 1 left",
     ]  # fmt: skip
     assert shown == [
-        "dwell 0.00: Position 1 of 4: standing still.",
+        "dwell 0.00: Position 1 of 4: measuring.",
         "turn 0.10: Turning to position 2 of 4.",
-        "dwell 0.20: Position 2 of 4: standing still.",
+        "dwell 0.20: Position 2 of 4: measuring.",
         "turn 0.30: Turning to position 3 of 4.",
-        "dwell 0.40: Position 3 of 4: standing still.",
+        "dwell 0.40: Position 3 of 4: measuring.",
         "turn 0.50: Turning to position 4 of 4.",
-        "dwell 0.60: Position 4 of 4: standing still.",
+        "dwell 0.60: Position 4 of 4: measuring.",
         "4",
     ]
 

@@ -19,9 +19,9 @@ from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.mavlink import component
 from mavcompass.service.mavlink.teller import Teller
-from mavcompass.service.schedule import Schedule
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
+from mavcompass.service.work.clock import Schedule
 from mavcompass.service.work.tasks import Busy, CalibrationRequest, CheckRequest, Desk, Task
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from mavcompass.errors import Refused
-from mavcompass.procedure.script import Answer, Context, Script
+from mavcompass.procedure.script import Answer, Ask, Context, Script
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import LinkStatistics
@@ -125,7 +125,7 @@ def test_a_check_names_what_does_not_pass_and_sums_up_in_mavlink_1_too(ground: G
     ground.type("mavcompass check")
     ground.type("mavcompass status")
     assert ground.console.lines[-1] == "mavcompass: running"
-    ground.pass_time(120.0, until="Fail: ")
+    ground.pass_time(120.0, until="Not fit to ")
     document = ground.module.document
     assert document is not None and document["verdict"] == "fail"
     bad = [item["text"] for item in document["items"] if item["verdict"] != "pass"]
@@ -170,7 +170,7 @@ def test_an_answer_reaches_the_procedure_once(
     answer: str, ground: Ground, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def asking(context: Context, *_: object) -> Script[Any]:
-        context.ask("Go on?")
+        context.outbox.append(Ask("Go on?"))
         while not isinstance(event := (yield context.now + 1.0), Answer):
             pass
         raise Refused(f"The answer was {event.yes}.")

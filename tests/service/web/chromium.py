@@ -118,6 +118,18 @@ class Page:
             raise RuntimeError(f"{script}: {result['exceptionDetails']['text']}")
         return result["result"].get("value")
 
+    def run_in_frame(self, script: str) -> Any:
+        """Evaluate an expression in the first frame of the page, None where it has none."""
+        frames = self._call("Page.getFrameTree", {})["frameTree"].get("childFrames", ())
+        for frame in frames:
+            world = self._call("Page.createIsolatedWorld", {"frameId": frame["frame"]["id"]})
+            result = self._call(
+                "Runtime.evaluate",
+                {"expression": script, "returnByValue": True, "contextId": world["executionContextId"]},
+            )
+            return result["result"].get("value")
+        return None
+
     def wait(self, condition: str) -> Any:
         """Wait until an expression is true in the page."""
         end = time.monotonic() + _PATIENCE_S
@@ -157,6 +169,22 @@ class Page:
                 off = [o + wanted - got for o, wanted, got in zip(off, box, landed, strict=False)]
             time.sleep(0.1)
         raise AssertionError(f"{selector} does not get the click")
+
+    def press(self, key: str) -> None:
+        """Press Tab or Enter."""
+        code = {"Tab": 9, "Enter": 13}[key]
+        pressed = {"key": key, "code": key, "windowsVirtualKeyCode": code}
+        text = {"text": "\r"} if key == "Enter" else {}
+        self._call("Input.dispatchKeyEvent", {"type": "keyDown", **pressed, **text})
+        self._call("Input.dispatchKeyEvent", {"type": "keyUp", **pressed})
+
+    def tab_to(self, selector: str, most: int = 20) -> None:
+        """Reach an element by the Tab key alone."""
+        for _ in range(most):
+            if self.run(f"document.activeElement === document.querySelector({selector!r})"):
+                return
+            self.press("Tab")
+        raise AssertionError(f"{selector} is not reached by the keyboard")
 
     def text(self, selector: str) -> str:
         """Return what an element says."""

@@ -16,7 +16,7 @@ from running_service import RunningService, StartService, wait_for
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from mavcompass.cli.serve import _page
+from mavcompass.cli.serve import _key
 from mavcompass.enums import MavCmd
 from mavcompass.messages import CommandAck, CommandLong, Heartbeat, Incoming, Message, ParamValue, Statustext
 from mavcompass.service.web import connections, stream
@@ -229,9 +229,9 @@ def test_the_token_is_in_no_answer_and_in_no_argument(quiet: RunningService) -> 
 
 def test_the_token_is_not_in_systemds_journal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("JOURNAL_STREAM", raising=False)
-    assert _page("http://127.0.0.1:8808/", "secret", Path("t")) == "http://127.0.0.1:8808/#token=secret"
+    assert _key("secret", Path("t")) == "#token=secret"
     monkeypatch.setenv("JOURNAL_STREAM", "8:1234")
-    assert _page("http://127.0.0.1:8808/", "secret", Path("t")) == "http://127.0.0.1:8808/ (token in t)"
+    assert _key("secret", Path("t")) == " (token in t)"
 
 
 # --- what a vehicle says ----------------------------------------------------------------------------

@@ -88,7 +88,7 @@ def test_the_person_is_asked_before_anything_is_written(running: RunningService)
     for yes in (False, True):
         task = running.client.post("/api/calibration", json={"compasses": [1]}).json()
         asking = wait_for(lambda: (t := running.client.get("/api/task").json())["state"] == "asking" and t)
-        assert "COMPASS_OFS_X" in asking["question"]
+        assert "COMPASS_OFS_X" in "".join(asking["details"])
         answered = running.client.post("/api/task/answer", json={"yes": yes})
         assert answered.status_code == 200
         ended = running.finish(task)

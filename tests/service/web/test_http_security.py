@@ -146,6 +146,21 @@ def test_pages_are_served_with_careful_headers(quiet: RunningService) -> None:
         assert headers["x-frame-options"] == "DENY"
 
 
+def test_a_named_page_may_frame_it_and_is_handed_the_token_on_this_machine(
+    start_service: StartService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    http = HttpConfig(listen="127.0.0.1:0", framed_by=("http://{host}", "http://boat.example"))
+    running = start_service(http=http)
+    route = running.stranger.get("/register_service").json()["route"]
+    page = running.stranger.get(route.removeprefix("/extension/mavcompass"), headers={"host": "[::1]:8808"})
+    assert route.endswith(running.service.token) and page.text == running.stranger.get("/").text
+    policy = page.headers["content-security-policy"]
+    assert policy.endswith("frame-ancestors http://[::1] http://boat.example")
+    assert "x-frame-options" not in page.headers
+    monkeypatch.setattr("ipaddress.IPv4Address.is_loopback", False)
+    assert "route" not in running.stranger.get("/register_service").json(), "asked from another machine"
+
+
 @pytest.mark.parametrize("path", ["/web/../app.py", "/web/%2e%2e/app.py", "/web/..%2fapp.py"])
 def test_only_the_page_s_files_are_served(quiet: RunningService, path: str) -> None:
     with httpx.Client() as client:

@@ -6,13 +6,18 @@ Pictures of every step are saved in the folder $MAVCOMPASS_SCREENSHOTS, by defau
 from __future__ import annotations
 
 import os
+import re
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 from chromium import Page, find_chromium
 from running_service import RunningService, StartService, wait_for
 
+from mavcompass.service.config import HttpConfig
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
@@ -22,6 +27,30 @@ SCREENSHOTS = Path(
 PHONE, DESK = (390, 844), (1200, 900)
 
 OpenPage = Callable[..., Page]
+
+
+@pytest.fixture
+def start_site() -> Iterator[Callable[[dict[str, str]], str]]:
+    """Serve pages of somebody else on another port; return their origin."""
+    with ExitStack() as stack:
+
+        def start(pages: dict[str, str]) -> str:
+            class Answer(BaseHTTPRequestHandler):
+                def do_GET(self) -> None:
+                    self.send_response(200)
+                    self.send_header("content-type", "text/html")
+                    self.end_headers()
+                    self.wfile.write(pages.get(self.path, "").encode())
+
+                def log_message(self, *_: object) -> None:
+                    pass
+
+            server = stack.enter_context(ThreadingHTTPServer(("127.0.0.1", 0), Answer))
+            stack.callback(server.shutdown)
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            return f"http://127.0.0.1:{server.server_port}"
+
+        yield start
 
 
 @pytest.fixture
@@ -72,8 +101,26 @@ def test_a_calibration_from_the_page_to_written_parameters(
     page.wait("!document.querySelector('#question').hidden")
     # Four, and further ones where four left doubt: whatever was visited is lit.
     assert lit(page) == page.run("document.querySelectorAll('.c-spot').length") >= 4
-    assert "COMPASS_OFS_X" in page.text("#question-text")
+    page.wait("document.querySelector('#prompt').innerText.startsWith('Write the new calibration')")
+    told = page.text("#proposals")
+    assert re.findall(r"Compass (\d)", told) == ["1", "2", "3"]
+    assert re.search(r"Compass 1\s+\d\d\.\d° → 0\.\d\d° off", told), told
+    assert page.run("document.querySelectorAll('#proposals svg').length") >= 1
+    assert page.text("#yes") == "Write" and not page.run("document.querySelector('#details').open")
+    for shown in ("prompt", "proposals", "yes"):  # all of it on one screen
+        box = f"document.querySelector('#{shown}').getBoundingClientRect()"
+        assert page.run(f"{box}.top >= 0 && {box}.bottom <= innerHeight"), shown
     look(page, "3-question")
+    late = open_page(running, token=False)  # a second device joins now
+    late.wait("!document.querySelector('#question').hidden")
+    late.wait("document.querySelectorAll('.c-spot.lit').length >= 4")
+    for what in ("#proposals", "#prompt", "#turned"):
+        inner = f"document.querySelector('{what}').textContent"
+        assert late.run(inner) == page.run(inner), what
+    trail = "document.querySelector('.c-trail').getAttribute('d')"
+    assert late.run(trail) == page.run(trail)
+    page.click("#details summary")
+    assert "COMPASS_OFS_X" in page.text("#details")
     before_deg = heading_error_rms_deg(running.link.autopilot)  # type: ignore[arg-type]
 
     page.click("#yes")
@@ -126,13 +173,48 @@ def test_a_disarmed_vehicle_is_armed_after_a_person_has_agreed_to_that(
     assert "arming check aside" in page.text("#prompt")
     look(page, "9-compass-check")
     page.click("#yes")
-    page.wait("document.querySelector('#question-text').innerText.includes('COMPASS_OFS_X')")
-    assert page.text("#prompt") == "Write these parameters?"
+    page.wait("document.querySelector('#prompt').innerText.startsWith('Write the new calibration')")
     page.click("#yes")
     page.wait("!document.querySelector('#result').hidden")
     assert "written, read back" in page.text("#result .verdict")
     assert not disarmed.autopilot.firmware.status.armed  # type: ignore[attr-defined]
     assert page.errors == []
+
+
+def test_a_keyboard_is_enough(start_service: StartService, open_page: OpenPage) -> None:
+    page = open_page(start_service(speed=20.0))
+    page.tab_to("#calibrate")
+    page.press("Enter")
+    page.wait("document.activeElement === document.querySelector('#stop')")
+    page.wait("document.activeElement === document.querySelector('#question')")
+    page.tab_to("#yes", most=4)
+    page.press("Enter")
+    page.wait("document.querySelector('#result .verdict')?.innerText.includes('read back')")
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_in_blueos_the_page_stands_in_a_frame_and_has_the_token(
+    start_service: StartService, open_page: OpenPage, start_site: Callable[[dict[str, str]], str], named: bool
+) -> None:
+    site: dict[str, str] = {}
+    other = start_site(site)
+    origins = (other,) if named else ()
+    running = start_service(http=HttpConfig(listen="127.0.0.1:0", framed_by=origins))
+    enter = running.stranger.get("/register_service").json().get("route", "/extension/mavcompass/")
+    inner = running.service.url + enter.removeprefix("/extension/mavcompass/")
+    site["/"] = f"<iframe src='{inner}?time=1' style='width:100%;height:95vh;border:0'></iframe>"
+    page = open_page(running, token=False)
+    page.open(other)
+    if not named:
+        wait_for(lambda: "refused" in str(page.run_in_frame("document.body.innerText")))
+        return
+    degrees = "document.querySelector('#heading').innerText"
+    wait_for(lambda: str(page.run_in_frame(degrees)).isdecimal())
+    assert page.run_in_frame("location.pathname + location.search + location.hash") == "/"
+    page.screenshot(SCREENSHOTS / "390x844-10-framed.png")
+    page.run_in_frame("document.querySelector('#calibrate').click()")
+    wait_for(lambda: running.service.station.desk.busy)
+    assert page.run_in_frame("document.querySelector('#refusal').hidden")
 
 
 def test_without_the_token_the_page_only_shows(running: RunningService, open_page: OpenPage) -> None:
@@ -146,7 +228,7 @@ def test_without_the_token_the_page_only_shows(running: RunningService, open_pag
     page.click("#token-form button")
     page.click("#check")
     page.wait("!document.querySelector('#result').hidden")
-    assert "Fail" in page.text("#result .verdict")
+    assert "Not fit" in page.text("#result .verdict")
     page.screenshot(SCREENSHOTS / "390x844-7-check.png", whole=True)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.service.work.history import History
-from mavcompass.service.work.interrupted import note_interrupted_write
+from mavcompass.service.work.jobs import note_interrupted_write
 from mavcompass.vehicle.parameters.undo import UndoRecord, save_record
 
 OLD = {"COMPASS_OFS_X": 5.0, "COMPASS_OFS_Y": 13.0}

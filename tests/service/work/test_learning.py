@@ -184,7 +184,7 @@ def test_what_was_learnt_is_written_with_consent_and_undone(disarmed: RunningSer
 
     task = client.post("/api/calibration", json={"method": "running"}).json()
     asking = wait_for(lambda: (t := client.get("/api/task").json())["question"] and t)
-    assert "COMPASS_OFS_X" in asking["question"]
+    assert "COMPASS_OFS_X" in "".join(asking["details"])
     assert heading_error_rms_deg(vehicle) == bent_deg, "nothing is written without consent"
     client.post("/api/task/answer", json={"yes": True})
     done = disarmed.finish(task)

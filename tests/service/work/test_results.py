@@ -18,8 +18,14 @@ from mavcompass.procedure.report import AutopilotHeading
 from mavcompass.procedure.script import Show
 from mavcompass.service.config import ServiceConfig, StorageConfig
 from mavcompass.service.work.history import Entry, History
-from mavcompass.service.work.recorder import Recorder
-from mavcompass.service.work.results import Results, _old_and_new, _summary, recording_path, sigma_deg
+from mavcompass.service.work.results import (
+    Recorder,
+    Results,
+    _summary,
+    old_and_new,
+    recording_path,
+    sigma_deg,
+)
 from mavcompass.service.work.tasks import CheckRequest, Task, UndoRequest
 
 
@@ -78,8 +84,8 @@ def report(
         (report(found(), written=False, undone=True), "compass 1 within 0.4 deg; put back"),
         (
             report(found(), found(sigma=1.0), off_deg=-9.0),
-            "compass 1 within 0.4 deg, compass 1 within 1.0 deg; written; the autopilot steers 9.0 deg off:"
-            " restart it",
+            "compass 1 within 0.4 deg, compass 1 within 1.0 deg; written. The autopilot's own heading is"
+            " still 9.0 deg off. Reboot it before driving",
         ),
     ],
 )
@@ -128,8 +134,8 @@ def test_only_undo_files_of_the_folder_are_undone(name: str, results: Results, t
     (tmp_path / "undo").mkdir()
     (tmp_path / "undo" / "20260501-000-ardupilot.json").write_text("{}")
     with pytest.raises(UsageError, match="There is no undo file"):
-        results.undo_path(UndoRequest(name))
-    kept = results.undo_path(UndoRequest("20260501-000-ardupilot.json"))
+        results.undo_path(UndoRequest(name, 1))
+    kept = results.undo_path(UndoRequest("20260501-000-ardupilot.json", 1))
     assert kept == (tmp_path / "undo" / "20260501-000-ardupilot.json").resolve()
 
 
@@ -147,9 +153,9 @@ def test_the_sigma_that_the_history_claims(compasses: list[dict[str, Any]], sigm
     assert sigma_deg(entry, 2) == sigma
 
 
-def test_old_and_new_stand_side_by_side_with_a_card_where_the_field_is_known() -> None:
-    plain = _old_and_new(found())
+def testold_and_new_stand_side_by_side_with_a_card_where_the_field_is_known() -> None:
+    plain = old_and_new(found())
     assert plain["old"] == plain["new"] and plain["deviation"] == []
-    known = _old_and_new(found(horizontal_mgauss=200.0, vertical_mgauss=400.0))
+    known = old_and_new(found(horizontal_mgauss=200.0, vertical_mgauss=400.0))
     assert [row["heading_deg"] for row in known["deviation"]] == [15.0 * k for k in range(24)]
     assert {row["old_error_deg"] for row in known["deviation"]} == {0.0}

@@ -74,6 +74,33 @@ def test_the_latest_calibration_in_force_is_found_by_vehicle_and_device(tmp_path
     history.close()
 
 
+def test_an_undo_takes_back_what_was_written_since_and_is_itself_taken_back(tmp_path: Path) -> None:
+    history = History(tmp_path / "history.db")
+    first, undone, other, last = add(history), add(history), add(history, vehicle="rover"), add(history)
+
+    def undo() -> int:
+        return history.add("undo", "now", "boat", True, "", {}, undo_file="/nowhere/again.json")
+
+    def latest() -> int | None:
+        entry = history.latest_calibration("boat", 7)
+        return None if entry is None else entry.id
+
+    by = undo()
+    history.undone(undone, by)
+    assert latest() == first, "what was in force before is in force again: nothing to be warned of"
+    assert {e.id: e.undone_by for e in history.entries()} == {
+        by: None,
+        last: by,
+        other: None,
+        undone: by,
+        first: None,
+    }
+    again = undo()
+    history.undone(by, again)
+    assert latest() == last and history.entry(by).head()["undone_by"] == again  # type: ignore[union-attr]
+    history.close()
+
+
 def test_a_database_of_a_newer_program_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "history.db"
     database = sqlite3.connect(path)

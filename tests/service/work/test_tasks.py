@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from mavcompass.errors import Refused
-from mavcompass.procedure.script import Show
+from mavcompass.heading.live import Heading
+from mavcompass.procedure.script import Ask, Show
 from mavcompass.service.work.tasks import Busy, CheckRequest, Desk, Task
 
 
@@ -42,20 +43,44 @@ def test_of_many_lines_the_latest_stays() -> None:
 def test_a_question_is_answered_once(yes: bool) -> None:
     one = task()
     assert not one.give_answer(yes) and one.poll_answer() is None
-    one.ask("Write?")
-    assert (one.state, one.question) == ("asking", "Write?") and one.poll_answer() is None
+    one.ask(Ask("Write?"))
+    assert (one.state, one.question) == ("asking", Ask("Write?")) and one.poll_answer() is None
     assert one.give_answer(yes) and not one.give_answer(not yes), "a second answer is too late"
     assert one.poll_answer() is yes
     assert (one.state, one.question) == ("running", None) and one.poll_answer() is None
     one.give_answer(True)
-    one.ask("Again?")
+    one.ask(Ask("Again?"))
     assert one.poll_answer() is None, "an old answer is none to a new question"
+
+
+def test_who_joins_late_sees_the_whole_run() -> None:
+    one = task()
+
+    def turned_to(forward: float, turned_rad: float = 0.0) -> None:
+        one.trail.add(Heading(0.0, 0.0, 2, 0.0, None, 0.1, (forward, 5.0, 400.0)), turned_rad)
+
+    for forward in (100.0, 101.0, 150.0):
+        turned_to(forward, turned_rad=1.0)
+    one.show(Show("dwell", "", None, (("position", 1.0),)))
+    early = one.trail.since({})
+    one.show(Show("write", ""))
+    turned_to(200.0)
+    late, more = one.trail.since({}), one.trail.since({2: 2})
+    assert early["compasses"][2]["points"] == [(100.0, 5.0), (150.0, 5.0)]
+    assert late["compasses"][2] == {
+        "first": 0,
+        "points": [(100.0, 5.0), (150.0, 5.0), (200.0, 5.0)],
+        "positions": [(150.0, 5.0)],
+        "written": 2,
+    }
+    assert (more["compasses"][2]["first"], more["compasses"][2]["points"]) == (2, [(200.0, 5.0)])
+    assert late["turned_at_start_deg"] == 57.3
 
 
 def test_an_end_is_an_end() -> None:
     done, failed = task(), task()
     assert not done.finished
-    done.ask("?")
+    done.ask(Ask("?"))
     done.finish(True, {"x": 1}, 4)
     assert done.finished and done.question is None and done.fraction == 1.0
     failed.fail(Refused("The pilot moved a stick.", "Let go."))

@@ -22,13 +22,14 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MavCmd
 from mavcompass.errors import LinkError, MavCompassError, Refused, WriteFailed
 from mavcompass.messages import Incoming, Message, ParamSet, ParamValue
+from mavcompass.printable import counted
 from mavcompass.procedure.dialect import Change, ParameterPlan
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Machine, Stop, Tick
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameters.dialect import CompassDialect
 from mavcompass.vehicle.parameters.files import read_parameter_file
-from mavcompass.vehicle.parameters.transaction import _sentence, counted
+from mavcompass.vehicle.parameters.transaction import _sentence
 from mavcompass.vehicle.parameters.undo import load_record, newest_record, undo_directory, undo_saver
 
 SOURCE = "udpin:0.0.0.0:14550"
@@ -536,4 +537,4 @@ def test_why_it_was_put_back_is_a_sentence_or_the_fault(error: Exception, senten
 
 
 def test_parameters_are_counted_as_people_do() -> None:
-    assert [counted(n) for n in (0, 1, 2)] == ["0 parameters", "1 parameter", "2 parameters"]
+    assert [counted(n, "parameter") for n in (0, 1, 2)] == ["0 parameters", "1 parameter", "2 parameters"]

@@ -7,15 +7,16 @@ const $ = (id) => document.getElementById(id);
 const rose = new Rose($("rose"));
 const circle = new Circle($("circle"));
 
-const page = { compass: 1, now: null, task: null, world: null, vehicle: null, drawn: null, oldest: null, positionsSeen: 0 };
+const page = { compass: 1, now: null, task: null, world: null, vehicle: null, drawn: null, oldest: null, trail: null };
 
 // --- the token ----------------------------------------------------------------------------------
 
-// It comes in the fragment, which browsers never send, and leaves the address bar at once.
-const fragment = new URLSearchParams(location.hash.slice(1));
-if (fragment.has("token")) {
-  localStorage.setItem("mavcompass-token", fragment.get("token"));
-  history.replaceState(null, "", location.pathname);
+// It comes in the fragment, which browsers never send, or, from BlueOS's menu, as the end of the address. It leaves
+// the address bar at once.
+const entered = location.pathname.match(/^\/enter\/(.+)$/)?.[1] ?? new URLSearchParams(location.hash.slice(1)).get("token");
+if (entered) {
+  localStorage.setItem("mavcompass-token", decodeURIComponent(entered));
+  history.replaceState(null, "", "/");
 }
 const token = () => localStorage.getItem("mavcompass-token") ?? "";
 
@@ -115,6 +116,7 @@ function listen() {
     page.now = message.now;
     if ("findings" in message) showFindings(message.findings);
     if ("task" in message) takeTask(message.task);
+    if ("trail" in message) takeTrail(message.trail);
     requestAnimationFrame(showNow);
   };
   socket.onopen = loadState;
@@ -181,12 +183,11 @@ function showNow() {
   $("dip").textContent = `${((Math.atan2(down, level) * 180) / Math.PI).toFixed(1)}°`;
   $("tilt").textContent = `${Math.round(now.roll_deg) || 0}°, ${Math.round(now.pitch_deg) || 0}°`;
   if (page.task && isRunning(page.task)) {
-    $("turned").textContent = `${(now.turned_deg - (page.turnedAtStart ?? now.turned_deg)).toFixed(0)}°`;
+    const trail = page.trail?.task === page.task.id ? page.trail : null;
+    $("turned").textContent = `${(now.turned_deg - (trail?.turned ?? now.turned_deg)).toFixed(0)}°`;
     $("still").classList.toggle("on", now.still);
-    circle.earth = page.world?.horizontal_mgauss ?? null;
-    circle.add(forward, right);
-    markPositions(page.task, forward, right);
-    circle.draw();
+    const planned = page.task.kind === "calibration" ? 4 : 0;
+    circle.draw(trail?.compasses[heading.instance], [forward, right], page.world?.horizontal_mgauss ?? null, planned);
   }
 }
 
@@ -225,16 +226,14 @@ function takeTask(task) {
   const before = page.task;
   page.task = task;
   if (!task) return;
-  if (!before || before.id !== task.id) {
-    circle.reset(4, page.world?.horizontal_mgauss ?? null);
-    page.turnedAtStart = page.now?.turned_deg ?? 0;
-    page.positionsSeen = 0;
-  }
   const running = isRunning(task);
   $("idle").hidden = running;
   $("running").hidden = !running;
   document.body.classList.toggle("busy", running);
-  if (running && before?.id !== task.id) $("work").scrollIntoView({ block: "start" });
+  if (running && before?.id !== task.id) {
+    $("work").scrollIntoView({ block: "start" });
+    $("stop").focus({ preventScroll: true }); // what had the focus is gone, and this is what one may want next
+  }
   if (running) showRunning(task);
   else if (page.drawn !== task.id) {
     page.drawn = task.id;
@@ -248,24 +247,38 @@ function showRunning(task) {
   $("running-title").textContent = titles[task.kind] ?? task.kind;
   $("result").hidden = true;
   const last = task.lines[task.lines.length - 1];
-  const [asked, ...rest] = task.question?.split("\n") ?? [];
-  $("prompt").textContent = asked ?? last?.text ?? "Waiting for the vehicle.";
+  $("prompt").textContent = task.question ?? last?.text ?? "Waiting for the vehicle.";
   $("bar").style.width = `${Math.round(100 * task.fraction)}%`;
   const told = task.lines.slice(0, -1).filter((line, k, all) => line.step !== all[k + 1]?.step);
   $("steps").replaceChildren(...told.reverse().map((line) => show.node("li", { text: line.text })));
-  $("question").hidden = !task.question;
-  $("question-text").textContent = rest.join("\n");
-  $("question-text").hidden = !rest.length;
+  showQuestion(task);
 }
 
-function markPositions(task, forward, right) {
-  for (const line of task.lines) {
-    if (line.step === "write") circle.written();
-    const position = line.data.position;
-    if (line.step !== "dwell" || !position || position <= page.positionsSeen) continue;
-    page.positionsSeen = position;
-    circle.positions = Math.max(circle.positions, position);
-    circle.reach(position, forward, right);
+function showQuestion(task) {
+  const writes = task.proposals.length > 0, was = !$("question").hidden;
+  $("question").hidden = !task.question;
+  $("running").classList.toggle("writes", writes);
+  if (!task.question || (was && $("question").dataset.of === `${task.id} ${task.question}`)) return;
+  $("question").dataset.of = `${task.id} ${task.question}`;
+  $("proposals").replaceChildren(...task.proposals.map(show.proposal));
+  $("about").replaceChildren(...(writes ? [] : task.about.map((text) => show.node("p", { text }))));
+  $("details").hidden = !task.details.length;
+  $("details").open = false;
+  $("details").firstChild.textContent = `${task.details.length} parameters`;
+  $("details").lastChild.textContent = task.details.join("\n");
+  $("yes").textContent = writes ? "Write" : "Yes";
+  $("no").textContent = writes ? "Do not write" : "No";
+  $("work").scrollIntoView({ block: "start" });
+  $("question").focus({ preventScroll: true });
+}
+
+// What a run has drawn comes from the service, so that who joins late sees the same as all others.
+function takeTrail(told) {
+  if (page.trail?.task !== told.task) page.trail = { task: told.task, compasses: {} };
+  page.trail.turned = told.turned_at_start_deg;
+  for (const [instance, more] of Object.entries(told.compasses)) {
+    const points = page.trail.compasses[instance]?.points.slice(0, more.first) ?? [];
+    page.trail.compasses[instance] = { ...more, points: points.concat(more.points) };
   }
 }
 
@@ -285,7 +298,7 @@ function showDocument(kind, document, entry) {
   const pieces = document.error
     ? [show.node("p", { class: "verdict bad", text: document.error }), show.node("p", { class: "soft", text: document.remedy ?? "" })]
     : kind === "undo"
-      ? [show.node("p", { class: "verdict good", text: `${Object.keys(document.values).length} parameters put back and read back` })]
+      ? [show.node("p", { class: "verdict good", text: `The old calibration is back: ${Object.keys(document.values).length} parameters put back and read back` })]
       : show[kind](document);
   if (kind === "calibration" && !document.error && entry) {
     pieces.push(show.node("p", {}, show.node("a", { href: `/api/history/${entry}/report`, target: "_blank", rel: "noopener", text: "Full report" })));

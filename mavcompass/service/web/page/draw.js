@@ -57,73 +57,57 @@ export class Rose {
 
 // --- the field as the vehicle turns -------------------------------------------------------------
 
-const MOST_POINTS = 900;
+const closed = (points) => `${line(points)}Z`;
+const line = (points) => points.map((p, k) => `${k ? "L" : "M"}${p.map((v) => v.toFixed(1)).join(" ")}`).join("");
+// Forward is up.
+const placing = (farthest, radius) => ([forward, right]) => [(right * radius) / farthest, (-forward * radius) / farthest];
+const far = (points) => Math.max(0, ...points.map(([f, r]) => Math.hypot(f, r)));
 
 export class Circle {
   constructor(svg) {
     this.svg = svg;
-    this.reset(4);
   }
 
-  reset(positions, earth = null) {
-    this.positions = positions;
-    this.earth = earth;
-    this.points = [];
-    this.after = null; // index of the first point after the write
-    this.spots = [];
-    this.reached = 0;
-    this.dwelling = false;
-  }
-
-  add(forward, right) {
-    const last = this.points[this.points.length - 1];
-    if (last && Math.hypot(last[0] - forward, last[1] - right) < 1.5) return;
-    if (this.points.length < MOST_POINTS) this.points.push([forward, right]);
-  }
-
-  // A position counts as reached when its dwell begins; it is drawn where the field was then.
-  reach(position, forward, right) {
-    this.spots[position - 1] = [forward, right];
-    this.reached = Math.max(this.reached, position);
-  }
-
-  written() {
-    this.after ??= this.points.length;
-  }
-
-  draw() {
-    const all = [...this.points];
-    const farthest = Math.max(this.earth ?? 0, ...all.map(([f, r]) => Math.hypot(f, r)), 50);
-    const scale = 100 / farthest;
-    const place = ([forward, right]) => [right * scale, -forward * scale];
-    const path = (points) => points.map((p, k) => `${k ? "L" : "M"}${place(p).map((v) => v.toFixed(1)).join(" ")}`).join("");
+  draw(trail, now, earth, planned) {
+    const { points, positions, written } = trail ?? { points: [], positions: [], written: null };
+    const farthest = Math.max(earth ?? 0, far(points), far([now]), 50), place = placing(farthest, 100);
     const pieces = [
       element("line", { x1: -112, x2: 112, y1: 0, y2: 0, class: "c-axis" }),
       element("line", { y1: -112, y2: 112, x1: 0, x2: 0, class: "c-axis" }),
     ];
-    if (this.earth) pieces.push(element("circle", { r: this.earth * scale, class: "c-earth" }));
-    const cut = this.after ?? all.length;
-    pieces.push(element("path", { d: path(all.slice(0, cut)), class: "c-trail" }));
-    pieces.push(element("path", { d: path(all.slice(cut)), class: "c-trail c-after" }));
-    if (all.length) {
-      const [cx, cy] = place(all[all.length - 1]);
-      pieces.push(element("circle", { cx, cy, r: 5, class: "c-now" }));
-    }
-    for (let k = 0; k < this.positions; k++) pieces.push(...this.spot(k, place));
+    if (earth) pieces.push(element("circle", { r: (100 * earth) / farthest, class: "c-earth" }));
+    const placed = points.map(place), cut = written ?? points.length;
+    pieces.push(element("path", { d: line(placed.slice(0, cut)), class: "c-trail" }));
+    pieces.push(element("path", { d: line(placed.slice(cut)), class: "c-trail c-after" }));
+    const [cx, cy] = place(now);
+    pieces.push(element("circle", { cx, cy, r: 5, class: "c-now" }));
+    for (let k = 0; k < Math.max(planned, positions.length); k++) pieces.push(...this.spot(k, positions, place));
     this.svg.replaceChildren(...pieces);
   }
 
-  spot(k, place) {
-    const spot = this.spots[k];
-    const lit = spot !== undefined;
+  spot(k, positions, place) {
+    const lit = k < positions.length;
     // Until reached, it waits in a row below the circle.
-    const [cx, cy] = lit ? place(spot) : [-112 + 9 + 22 * k, 110];
-    const css = lit ? "c-spot lit" : k === this.reached ? "c-spot next" : "c-spot";
+    const [cx, cy] = lit ? place(positions[k]) : [-112 + 9 + 22 * k, 110];
+    const css = lit ? "c-spot lit" : k === positions.length ? "c-spot next" : "c-spot";
     return [
       element("circle", { cx, cy, r: 9, class: css }),
       element("text", { x: cx, y: cy, class: lit ? "c-digit lit" : "c-digit" }, k + 1),
     ];
   }
+}
+
+// What the old calibration makes of the circle that the new one shows.
+export function beforeAndAfter({ instance, old_circle, horizontal_mgauss }) {
+  const svg = element("svg", { viewBox: "-60 -60 120 120", role: "img", "aria-label": `Compass ${instance}: the field before and after` });
+  const place = placing(Math.max(horizontal_mgauss, far(old_circle), 1), 54);
+  svg.append(
+    element("line", { x1: -58, x2: 58, y1: 0, y2: 0, class: "c-axis" }),
+    element("line", { y1: -58, y2: 58, x1: 0, x2: 0, class: "c-axis" }),
+    element("path", { d: closed(old_circle.map(place)), class: "c-trail" }),
+    element("circle", { r: -place([horizontal_mgauss, 0])[1], class: "c-trail c-after" }),
+  );
+  return svg;
 }
 
 // --- the deviation card as a line ---------------------------------------------------------------
@@ -141,7 +125,7 @@ export function deviationPlot(rows, sigma) {
     svg.append(element("text", { x: 26, y: y(error) + 3, class: "p-text p-side" }, `${error > 0 ? "+" : ""}${error.toFixed(most < 5 ? 1 : 0)}`));
   }
   if (sigma) svg.append(element("rect", { x: x(0), width: 322, y: y(sigma), height: y(-sigma) - y(sigma), class: "p-band" }));
-  const closed = [...rows, { ...rows[0], heading_deg: 360 }];
-  svg.append(element("path", { class: "p-old", d: closed.map((row, k) => `${k ? "L" : "M"}${x(row.heading_deg).toFixed(1)} ${y(row.old_error_deg).toFixed(1)}`).join("") }));
+  const round = [...rows, { ...rows[0], heading_deg: 360 }];
+  svg.append(element("path", { class: "p-old", d: line(round.map((row) => [x(row.heading_deg), y(row.old_error_deg)])) }));
   return svg;
 }

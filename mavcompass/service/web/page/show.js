@@ -1,6 +1,6 @@
 // Results as pieces of the page: calibration, check, gap report, history. Text goes in as text only.
 
-import { deviationPlot } from "./draw.js";
+import { beforeAndAfter, deviationPlot } from "./draw.js";
 
 export function node(name, options = {}, ...children) {
   const { text, ...rest } = options;
@@ -33,13 +33,26 @@ export function calibration(document) {
   return pieces;
 }
 
+// What a write would change of one compass, read in a second.
+export function proposal(one) {
+  const known = (value, digits) => (value === null ? "?" : `${fixed(value, digits)}°`);
+  const words = !one.accepted ? "not accepted; nothing is written for it"
+    : one.already_right ? `already right, within ${known(Math.max(one.after_deg, one.before_deg), 2)}` : null;
+  const figures = words
+    ? node("p", { text: words, class: one.accepted ? "soft" : "bad" })
+    : node("p", { class: "change" }, node("span", { class: "old", text: known(one.before_deg, 1) }), document_text(" → "),
+        node("span", { class: "new", text: known(one.after_deg, 2) }), node("small", { text: " off" }));
+  const drawn = !words && one.old_circle.length ? [beforeAndAfter(one)] : [];
+  return node("figure", {}, ...drawn, node("figcaption", {}, node("b", { text: `Compass ${one.instance}` }), figures));
+}
+
 function oneCompass(compass, both) {
   const sigma = compass.heading_sigma_deg;
   const brief = compass.accepted ? ` within ${fixed(sigma, 2)}°` : " not accepted";
   const pieces = [node("summary", {}, node("b", { text: `Compass ${compass.instance}` }), document_text(brief))];
   const sentence = compass.accepted
     ? `Heading within ${fixed(sigma, 2)}° (one sigma). The old values were ${fixed(compass.heading_change_deg)}° off.`
-    : "Nothing was written for it.";
+    : "Nothing written for it.";
   pieces.push(node("p", { text: sentence }));
   for (const reason of compass.reasons) pieces.push(node("p", { class: "bad", text: reason }));
   for (const warning of compass.warnings ?? []) pieces.push(node("p", { class: "soft", text: warning }));
@@ -50,7 +63,7 @@ function oneCompass(compass, both) {
 }
 
 function oldAndNew({ old, new: fresh }) {
-  const table = node("table", {}, row("th", "", "old", "new"));
+  const table = node("table", {}, row("th", "value", "old", "new"));
   const add = (name, a, b, digits) => table.append(row("td", name, fixed(a, digits), fixed(b, digits)));
   ["X", "Y", "Z"].forEach((axis, k) => add(`offset ${axis}, mG`, old.offsets_mgauss[k], fresh.offsets_mgauss[k], 1));
   ["X", "Y", "Z"].forEach((axis, k) => add(`diagonal ${axis}`, old.diagonals[k], fresh.diagonals[k], 3));
@@ -128,9 +141,10 @@ export function historyLine(entry, acts) {
   const buttons = node("div", { class: "acts" });
   buttons.append(node("button", { text: "Show", onclick: () => acts.show(entry.id) }));
   if (entry.has_report) buttons.append(node("a", { href: `/api/history/${entry.id}/report`, target: "_blank", rel: "noopener", text: "Report" }));
-  if (entry.undo_file && entry.kind === "calibration") buttons.append(node("button", { text: "Undo", onclick: () => acts.undo(entry.id) }));
+  if (entry.undo_file && entry.kind === "calibration" && !entry.undone_by) buttons.append(node("button", { text: "Undo", onclick: () => acts.undo(entry.id) }));
   if (entry.kind === "calibration" && entry.compasses.length) buttons.append(node("button", { text: "Explain the gap", onclick: () => acts.gap(entry.id) }));
-  const mark = node("span", { class: entry.ok ? "good" : "bad", text: entry.ok ? "ok" : "no" });
+  const css = entry.undone_by ? "soft" : entry.ok ? "good" : "bad";
+  const mark = node("span", { class: css, text: entry.undone_by ? "undone" : entry.ok ? "ok" : "no" });
   const words = node("div", {}, node("b", { text: entry.kind }), document_text(` · ${entry.summary}`));
   return node("li", { "data-kind": entry.kind }, words, mark, node("time", { datetime: entry.made_at, text: shown }), buttons);
 }
