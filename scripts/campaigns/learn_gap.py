@@ -29,7 +29,7 @@ from mavcompass.gap.answer import figures, statistics
 from mavcompass.gap.diagnose import examine, withheld_effects
 from mavcompass.gap.tables import KINDS, OUTCOMES, SCHEMA
 from mavcompass.gap.trial import another, bench
-from mavcompass.gap.trial.label import Label
+from mavcompass.gap.trial.cases import Label
 from mavcompass.gap.trial.score import Answer, score, wilson
 from mavcompass.gap.trial.vehicles import cases as vehicles
 from mavcompass.installation.data_files import params_path
@@ -70,7 +70,7 @@ PENALTY: dict[str, tuple[float, float]] = {
 OTHERS = [(a, b) for a in (0.5, 1.0, 1.5, 2.0) for b in (5.0, 10.0, 20.0, 30.0, 40.0, 60.0)]
 # False-alarm rates of the two tests, and the probability that is called sure.
 LEVELS = {"gain": 0.01, "fit": 0.005, "sure": 0.9}
-# What the map and the score of healthy vehicles are made of (gap/answer/statistics.py).
+# What the map and the score of healthy vehicles are made of (gap/answer/evidence.py).
 MAPPED = (
     "lead", "residual", "held_out", "structure", "strain", "confirmed", "members", "unlikely", "exact",
     "alone",

@@ -16,9 +16,8 @@ from mavcompass.cli.main import main
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.export.ardupilot import ardupilot_sitl
-from mavcompass.gap.export.exported import Found
-from mavcompass.gap.export.ours import preset
-from mavcompass.gap.export.vehicle import affine_map, settings_of
+from mavcompass.gap.export.others import preset
+from mavcompass.gap.export.vehicle import Found, affine_map, settings_of
 from mavcompass.gap.trial.bench import draw_label, tracks_of
 from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
 from mavcompass.logs import write_track_csv

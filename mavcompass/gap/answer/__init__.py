@@ -2,11 +2,10 @@
 
 from mavcompass.gap.answer.decision import Answer, decide
 from mavcompass.gap.answer.description import describe
-from mavcompass.gap.answer.evidence import Evidence
+from mavcompass.gap.answer.evidence import Evidence, Statistics, statistics
 from mavcompass.gap.answer.locate import bin_means
 from mavcompass.gap.answer.several import together
 from mavcompass.gap.answer.shrink import figures
-from mavcompass.gap.answer.statistics import Statistics, statistics
 
 __all__ = [
     "Answer",

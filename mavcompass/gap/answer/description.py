@@ -8,8 +8,7 @@ from pathlib import Path
 
 from mavcompass.files import sha256_of
 from mavcompass.gap.answer.advise import next_flights
-from mavcompass.gap.answer.belief import beliefs
-from mavcompass.gap.answer.cure import corrected_rms, cured_iron
+from mavcompass.gap.answer.belief import beliefs, corrected_rms, cured_iron
 from mavcompass.gap.answer.decision import Answer
 from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.answer.locate import picture, where

@@ -1,20 +1,114 @@
-"""Put the named effects in words that a person can use: values, intervals, probabilities, rivals."""
+"""Put the named effects in words that a person can use: values, 95 % intervals, probabilities, rivals."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.gap.answer.intervals import intervals
-from mavcompass.gap.fit import Fit, make_term
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit import Fit, Problem, make_term
 from mavcompass.gap.left import Scatter, apart
 from mavcompass.gap.result import Cause
-from mavcompass.gap.selection import Identified
+from mavcompass.gap.selection import Identified, between_rows
 from mavcompass.gap.traces import Traces
 from mavcompass.simulation.effects import detected_by, get
+from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
+
+_SIGMAS = 1.96
+# Twice the logarithm of the likelihood that a value costs at the end of its interval.
+_COST = _SIGMAS**2
+# A value without a derivative is followed in steps that grow, and its end closed in on by halving.
+_FIRST_STEP, _GROWTH, _HALVINGS = 1e-3, 4.0, 12
+
+_Interval = tuple[float, float]
+
+
+def intervals(problem: Problem, fit: Fit) -> list[dict[str, _Interval]]:
+    """Return the 95 % interval of each parameter of each effect of a fit.
+
+    Of what was fitted it is that of errors that may last for seconds (`Problem.lasting_covariance`); of what
+    the fit does without, that of a fit with it; of what has no derivative, as a threshold, the values that
+    fit as well (Venzon and Moolgavkar, Applied Statistics 37, 1988, with the other values held).
+    """
+    if not fit.terms:
+        return []
+    whole = replace(fit, terms=tuple(make_term(t.effect, problem.replay.signals) for t in fit.terms))
+    sigmas = _sigmas(problem, whole)
+    for term, needed, sigma in zip(fit.terms, _sigmas(problem, fit), sigmas, strict=True):
+        sigma[term.free] = needed[term.free]
+    out = []
+    for place, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
+        told = {}
+        for i, parameter in enumerate(term.effect.parameters):
+            value, off = float(theta[i]), float(sigmas[place][i])
+            if parameter.scale == 0.0 and not parameter.integer:
+                told[parameter.name] = _as_well(_cost(problem, fit, place, i), parameter, value)
+            else:
+                told[parameter.name] = _interval(problem, parameter, value, off)
+        out.append(told)
+    return out
+
+
+def _sigmas(problem: Problem, fit: Fit) -> list[FloatArray]:
+    """Return the standard deviation of each parameter of each effect, (k,); 0 of what is not free."""
+    sigma = np.sqrt(np.maximum(np.diag(problem.lasting_covariance(fit)), 0.0))
+    at = sum(n.mean.size for n in problem.nuisances)
+    out = []
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        own = np.zeros(theta.size)
+        own[term.free] = sigma[at : at + term.dimension]
+        at += term.dimension
+        out.append(own)
+    return out
+
+
+def _interval(problem: Problem, parameter: Parameter, value: float, sigma: float) -> _Interval:
+    low, high = value - _SIGMAS * sigma, value + _SIGMAS * sigma
+    if parameter.name in MOMENTS and abs(value) < NEVER_S:
+        before, after = between_rows(problem, value)
+        return min(low, before), max(high, after)
+    return max(low, parameter.low), min(high, parameter.high)
+
+
+def _cost(problem: Problem, fit: Fit, place: int, parameter: int) -> Callable[[float], float]:
+    """Return what another value of a parameter adds to the whitened sum of squares."""
+    term, theta, signals = fit.terms[place], fit.thetas[place].copy(), problem.signals(fit)
+    r = problem.residual(signals.reading)
+    own = term.effect.forward(signals, theta, {}, None).reading
+
+    def cost(value: float) -> float:
+        theta[parameter] = value
+        other = term.effect.forward(signals, theta, {}, None).reading
+        if not (other.mag_mgauss - own.mag_mgauss)[problem.index].any():
+            return 0.0
+        column = problem.shift(other, own)
+        return float(column @ column - 2.0 * column @ r)
+
+    return cost
+
+
+def _as_well(cost: Callable[[float], float], parameter: Parameter, value: float) -> _Interval:
+    ends = []
+    for end in (parameter.low, parameter.high):
+        sign = 1.0 if end > value else -1.0
+        inside, step = value, _FIRST_STEP * max(abs(value), _FIRST_STEP)
+        outside = value + sign * step
+        while abs(outside - value) < abs(end - value) and cost(outside) < _COST:
+            inside, step = outside, _GROWTH * step
+            outside = value + sign * step
+        if abs(outside - value) >= abs(end - value):
+            if cost(end) < _COST:
+                ends.append(end)
+                continue
+            outside = end
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (middle, outside) if cost(middle) < _COST else (inside, middle)
+        ends.append(inside)
+    return ends[0], ends[1]
 
 
 def named_causes(

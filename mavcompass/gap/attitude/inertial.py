@@ -15,7 +15,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray, rotate_back
 from mavcompass.gap.attitude.kinematics import integral, turned_about_down
-from mavcompass.gap.attitude.rest import Bias
+from mavcompass.gap.attitude.scatter import Bias
 from mavcompass.gap.attitude.steering import told_rotation
 from mavcompass.gap.result import Cause
 from mavcompass.simulation.effects import detected_by

@@ -16,7 +16,7 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.kinematics import integrated, turned_about_down, with_down
 from mavcompass.gap.attitude.receiver import Velocity, triangle_means
-from mavcompass.gap.attitude.rest import Bias
+from mavcompass.gap.attitude.scatter import Bias
 from mavcompass.gap.attitude.smoother import Sensed
 from mavcompass.simulation.effects.rotations import skew
 from mavcompass.track import Track, uncut

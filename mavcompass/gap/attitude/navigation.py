@@ -16,7 +16,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.chain import Solved
 from mavcompass.gap.attitude.kinematics import exponentials
 from mavcompass.gap.attitude.receiver import Velocity
-from mavcompass.gap.attitude.rest import Bias
+from mavcompass.gap.attitude.scatter import Bias
 from mavcompass.gap.attitude.smoother import BIAS, PHI, SCALE, SCALE_SIGMA, Sensed, Sizes, Smoother, Witness
 
 # What is left of a pass is the square of how far it moved, and how much its velocities are believed.

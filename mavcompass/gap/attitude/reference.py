@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
-from mavcompass.gap.attitude.doubt import doubt_of
+from mavcompass.gap.attitude.doubt import doubt_of, wandering_yaw
 from mavcompass.gap.attitude.kinematics import (
     carried,
     integral,
@@ -35,11 +35,9 @@ from mavcompass.gap.attitude.navigation import (
     stretched,
 )
 from mavcompass.gap.attitude.receiver import Velocity, receiver_velocity
-from mavcompass.gap.attitude.rest import Bias, bias_at_rest
+from mavcompass.gap.attitude.scatter import Bias, bias_at_rest
 from mavcompass.gap.attitude.smoother import LEVEL_RAD, Witness
-from mavcompass.gap.attitude.steering import steered_by, told_rotation
-from mavcompass.gap.attitude.wander import wandering_yaw
-from mavcompass.gap.attitude.yaw import age_of
+from mavcompass.gap.attitude.steering import age_of, steered_by, told_rotation
 from mavcompass.gravity import require_gravity
 from mavcompass.simulation.effects.sampling import at_times, rotation_at
 from mavcompass.simulation.physics.signals import Turning

@@ -35,8 +35,7 @@ from mavcompass.gap.attitude.kinematics import (
     rotation_vectors,
 )
 from mavcompass.gap.attitude.receiver import Velocity
-from mavcompass.gap.attitude.rest import Bias
-from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES, missed_between, white_floor
+from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES, Bias, missed_between, white_floor
 from mavcompass.gap.attitude.steering import TURN_MEMORIES_S, remembered_turns
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 

@@ -6,14 +6,13 @@ import math
 from collections.abc import Callable
 from types import MappingProxyType
 
-from mavcompass.gap.export.ardupilot import ardupilot_sitl
-from mavcompass.gap.export.exported import Exported, Found, known_to
-from mavcompass.gap.export.gazebo import gazebo
-from mavcompass.gap.export.lua import ardupilot_lua
-from mavcompass.gap.export.ours import preset
-from mavcompass.gap.export.px4 import px4_sitl
+from mavcompass.gap.export.ardupilot import ardupilot_lua, ardupilot_sitl
+from mavcompass.gap.export.others import gazebo, preset, px4_sitl
 from mavcompass.gap.export.vehicle import (
+    Exported,
+    Found,
     follows_places,
+    known_to,
     left_of_the_place,
     nominal_settings,
     settings_of,

@@ -1,10 +1,9 @@
 """Fit hypotheses to a replay, and search the set of effects that explains it best."""
 
-from mavcompass.gap.fit.chance import least_gain
-from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, make_term, placements
+from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, least_gain, make_term, placements
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.pruning import pruned
 from mavcompass.gap.fit.search import Found, Search
+from mavcompass.gap.fit.starts import pruned
 
 __all__ = [
     "Fit",

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.fit.algebra import BlockNormal
 from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, placements
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.normal import BlockNormal
 from mavcompass.gap.replay import REFERENCE_YAW, WORLD_FIELD, group_values, yaw_starts
 from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from mavcompass.chance import chance_of_more
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.chance import CHANCE, least_gain
+from mavcompass.gap.fit.algebra import bridge, cluster_covariance, invert, moved, room, solve_within
 from mavcompass.gap.fit.composition import Changes, Composition
-from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
-from mavcompass.gap.fit.newton import bridge, cluster_covariance, invert, moved, room, solve_within
+from mavcompass.gap.fit.hypothesis import CHANCE, Fit, Mask, Term, least_gain, weak_cost, weak_precision
 from mavcompass.gap.replay import (
     Noise,
     Prior,

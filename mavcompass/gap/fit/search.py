@@ -12,14 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.gap.fit.beam import likeliest_sets
 from mavcompass.gap.fit.candidates import Candidate, Candidates
-from mavcompass.gap.fit.criteria import Criteria
+from mavcompass.gap.fit.criteria import Criteria, likeliest_sets
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.polish import polished
-from mavcompass.gap.fit.starts import beside_known_age, facing, in_place_of_each_other, turn_alone
-from mavcompass.gap.fit.unbent import unbent
+from mavcompass.gap.fit.starts import (
+    beside_known_age,
+    facing,
+    in_place_of_each_other,
+    polished,
+    turn_alone,
+    unbent,
+)
 from mavcompass.gap.tables import Kind
 from mavcompass.simulation.effects.effect import Effect
 

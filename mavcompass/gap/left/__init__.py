@@ -5,6 +5,8 @@ from mavcompass.gap.left.doubtful import doubting
 from mavcompass.gap.left.floor import (
     Floor,
     apart,
+    foreseen,
+    from_recording,
     heading_error_rad,
     heading_scatter,
     kind_of,
@@ -14,13 +16,11 @@ from mavcompass.gap.left.floor import (
     widened,
     with_noise,
 )
-from mavcompass.gap.left.foreseen import foreseen
 from mavcompass.gap.left.scatter import (
     Scatter,
     find_scatter,
     noise_with,
 )
-from mavcompass.gap.left.stated import from_recording
 from mavcompass.gap.left.taught import DISCREPANCY_MGAUSS, from_baseline
 
 __all__ = [

@@ -9,6 +9,7 @@ from mavcompass.gap.replay.in_force import (
     calibration_in_force,
     known_iron,
 )
+from mavcompass.gap.replay.integrity import Readings
 from mavcompass.gap.replay.noise import (
     USUAL_SCATTER_MGAUSS,
     WORST_SCATTER_MGAUSS,
@@ -31,7 +32,6 @@ from mavcompass.gap.replay.nuisance import (
     turned,
     yaw_starts,
 )
-from mavcompass.gap.replay.readings import Readings
 from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
 from mavcompass.gap.replay.testable import half_testable, untestable_effects
 

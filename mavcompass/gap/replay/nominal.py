@@ -25,8 +25,7 @@ from mavcompass.gap.attitude import (
     second_derivative,
 )
 from mavcompass.gap.replay.in_force import KnownIron, calibration_in_force, known_iron, load_of
-from mavcompass.gap.replay.integrity import Trace
-from mavcompass.gap.replay.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
+from mavcompass.gap.replay.integrity import Readings, Trace
 from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import (
     AGE,
@@ -36,8 +35,6 @@ from mavcompass.gap.replay.nuisance import (
     Nuisance,
     reference_attitude_error,
 )
-from mavcompass.gap.replay.present import present_in
-from mavcompass.gap.replay.readings import Readings
 from mavcompass.gap.replay.rows import (
     averaged,
     compass_rows,
@@ -46,7 +43,14 @@ from mavcompass.gap.replay.rows import (
     swing,
     unbroken,
 )
-from mavcompass.gap.replay.whereabouts import goes_about, place_scatter_m, position_of
+from mavcompass.gap.replay.whereabouts import (
+    UNKNOWN_SIGMA_MGAUSS,
+    goes_about,
+    place_scatter_m,
+    position_of,
+    present_in,
+    world_field,
+)
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.effects.sampling import thinned

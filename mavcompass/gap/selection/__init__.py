@@ -1,8 +1,7 @@
 """Choose the effects: held-out blocks, search, the criterion, and the choice fitted again on all rows."""
 
 from mavcompass.gap.selection.identification import identify
-from mavcompass.gap.selection.identified import Identified
-from mavcompass.gap.selection.posterior import Explanation, Posterior
+from mavcompass.gap.selection.posterior import Explanation, Identified, Posterior
 from mavcompass.gap.selection.remainder import Remainder, what_is_left, with_white
 from mavcompass.gap.selection.split import split_blocks
 from mavcompass.gap.selection.transient import between_rows

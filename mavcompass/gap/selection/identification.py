@@ -13,8 +13,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit import Fit, Mask, Problem, Search, Term, pruned
 from mavcompass.gap.left import Floor, kind_of, rms, widened
 from mavcompass.gap.replay import Replay, group_values
-from mavcompass.gap.selection.identified import Identified
-from mavcompass.gap.selection.posterior import posterior_of
+from mavcompass.gap.selection.posterior import Identified, posterior_of
 from mavcompass.gap.selection.split import Split, probe, with_parts, with_windows
 from mavcompass.gap.selection.transient import (
     moments,

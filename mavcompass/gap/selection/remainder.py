@@ -20,7 +20,7 @@ from mavcompass.gap.left import (
     noise_with,
 )
 from mavcompass.gap.replay import Noise
-from mavcompass.gap.selection.identified import Identified
+from mavcompass.gap.selection.posterior import Identified
 from mavcompass.gap.traces import Traces
 from mavcompass.simulation.effects.effect import LIMIT
 from mavcompass.simulation.physics.signals import Reading

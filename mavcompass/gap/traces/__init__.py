@@ -1,7 +1,6 @@
 """What single readings tell before any search: repeats, coarse steps, scatter, what changes each reading."""
 
-from mavcompass.gap.traces.in_step import follows_way, keeps_step
-from mavcompass.gap.traces.rapid import Rapid
+from mavcompass.gap.traces.rapid import Rapid, follows_way, keeps_step
 from mavcompass.gap.traces.scattered import excess_variance, neighbours, quiet_doubt, quiet_scatter
 from mavcompass.gap.traces.traces import Traces, find_traces, searched
 

@@ -15,15 +15,17 @@ from mavcompass.gap.replay import Prior, group_values, replay
 from mavcompass.gap.trial.cases import (
     CASE_NOISE,
     MOTIONS,
+    SHARES,
+    Label,
     Motion,
     Recipe,
+    Tier,
     affected,
     ideal,
     noisy,
     stimulus_of,
     to_track,
 )
-from mavcompass.gap.trial.label import SHARES, Label, Tier
 from mavcompass.simulation.effects import Distortion, Effect, Setting, catalogue, parse, spell
 from mavcompass.simulation.effects.effect import GROUPS, MOMENTS, Parameter, Stage
 from mavcompass.simulation.physics.signals import Stimulus

@@ -21,7 +21,7 @@ from mavcompass.gap.replay import (
     untestable_effects,
 )
 from mavcompass.gap.trial import another
-from mavcompass.gap.trial.label import SHARES, Generator, Label, Tier
+from mavcompass.gap.trial.cases import SHARES, Generator, Label, Tier
 from mavcompass.gap.trial.vehicles import VehicleCase, make_case
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Effect, Signals

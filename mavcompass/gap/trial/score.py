@@ -19,8 +19,7 @@ from mavcompass.gap.fit import Fit, Problem, Search, Term, placements
 from mavcompass.gap.replay import replay
 from mavcompass.gap.trial import bench, foreign
 from mavcompass.gap.trial.bench import recipe_of, tracks_of
-from mavcompass.gap.trial.cases import affected, ideal, stimulus_of
-from mavcompass.gap.trial.label import Label
+from mavcompass.gap.trial.cases import Label, affected, ideal, stimulus_of
 from mavcompass.simulation.effects import catalogue, parse
 
 _NO_NEARER = 0.99

@@ -13,7 +13,7 @@ from functools import partial
 from mavcompass.errors import UsageError
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.trial import bench, foreign
-from mavcompass.gap.trial.label import SHARES, Generator, Tier
+from mavcompass.gap.trial.cases import SHARES, Generator, Tier
 from mavcompass.gap.trial.score import Answer, Case, score, scoreboard, wilson
 from mavcompass.track import Track
 

@@ -15,7 +15,7 @@ from mavcompass.gap.attitude.inertial import (
     without_fault,
 )
 from mavcompass.gap.attitude.reference import body_rate, reference_attitude
-from mavcompass.gap.attitude.rest import Bias
+from mavcompass.gap.attitude.scatter import Bias
 from mavcompass.gap.result import Cause
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2

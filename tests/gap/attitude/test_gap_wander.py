@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.attitude import Reference
-from mavcompass.gap.attitude.wander import wandering_yaw
+from mavcompass.gap.attitude.doubt import wandering_yaw
 
 
 def reference(witnessed: bool) -> Reference:

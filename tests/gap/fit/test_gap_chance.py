@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavcompass.gap.fit.chance import CHANCE, least_gain
+from mavcompass.gap.fit.hypothesis import CHANCE, least_gain
 from mavcompass.gap.left.adequacy import ALPHA
 
 

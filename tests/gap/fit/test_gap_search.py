@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.fit import Fit, Problem, Search, Term
-from mavcompass.gap.fit.unbent import unbent
+from mavcompass.gap.fit.starts import unbent
 from mavcompass.gap.replay import Prior, replay
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, reference_attitude_error
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track

@@ -17,7 +17,7 @@ from mavcompass.gap.fit.candidates import Candidates
 from mavcompass.gap.fit.hypothesis import make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
-from mavcompass.gap.left.stated import from_recording
+from mavcompass.gap.left.floor import from_recording
 from mavcompass.gap.replay.in_force import ANOTHER_IRON, STATED, KnownIron, known_iron
 from mavcompass.gap.replay.noise import SensorNoise, white
 from mavcompass.gap.replay.nominal import Replay, replay

@@ -21,7 +21,7 @@ from mavcompass.gap.replay import Readings, replay
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.gap.traces import excess_variance, find_traces, quiet_doubt, quiet_scatter
 from mavcompass.gap.traces.rapid import find_rapid
-from mavcompass.gap.traces.steps_and_repeats import _overdue_share, names_stale, stale_share
+from mavcompass.gap.traces.traces import _overdue_share, names_stale, stale_share
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.gap.trial.vehicles.cases import make_case
 from mavcompass.simulation.effects import catalogue

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.traces.in_step import follows_way, keeps_step
+from mavcompass.gap.traces.rapid import follows_way, keeps_step
 
 TIME = np.arange(0.0, 60.0, 0.1)
 

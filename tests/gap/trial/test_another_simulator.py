@@ -11,9 +11,9 @@ import pytest
 import mavcompass.gap.trial.closed_form as closed_form
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.trial.another import make_case
+from mavcompass.gap.trial.cases import SHARES
 from mavcompass.gap.trial.closed_form.formulas import quaternion, rotation_of, wave
 from mavcompass.gap.trial.closed_form.simulator import PLACES, make
-from mavcompass.gap.trial.label import SHARES
 from mavcompass.gap.trial.trial import run_trial
 from mavcompass.logs.formats.csv.columns import KNOWN
 from mavcompass.simulation.effects import parse

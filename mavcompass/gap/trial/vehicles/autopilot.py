@@ -15,8 +15,7 @@ import numpy as np
 from mavcompass.gap.trial.vehicles.draw import Vehicle
 from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S
 from mavcompass.gap.trial.vehicles.rotations import Array, angles, from_angles, from_quaternions, quaternions
-from mavcompass.gap.trial.vehicles.scene import Scene
-from mavcompass.gap.trial.vehicles.sensors import Felt, Fixes
+from mavcompass.gap.trial.vehicles.scene import Felt, Fixes, Scene
 
 _FAST_HZ, _SLOW_HZ = 50.0, 25.0
 _LONG_S = 150.0

@@ -9,8 +9,6 @@ from typing import Literal
 import numpy as np
 
 from mavcompass.gap.trial.vehicles.draw import KINDS, Site, Vehicle, draw_site, draw_vehicle
-from mavcompass.gap.trial.vehicles.effects.electronics import ELECTRONICS
-from mavcompass.gap.trial.vehicles.effects.fields import FIELDS
 from mavcompass.gap.trial.vehicles.effects.kind import (
     FLOOR_MGAUSS,
     LARGEST,
@@ -19,12 +17,12 @@ from mavcompass.gap.trial.vehicles.effects.kind import (
     changed_rms,
     sized,
 )
+from mavcompass.gap.trial.vehicles.effects.known import ELECTRONICS, FIELDS
 from mavcompass.gap.trial.vehicles.effects.outside import OUTSIDE
-from mavcompass.gap.trial.vehicles.loads import loads_of
 from mavcompass.gap.trial.vehicles.motion import MOTIONS, ON_THE_WAY, Motion, move
 from mavcompass.gap.trial.vehicles.record import record
 from mavcompass.gap.trial.vehicles.rotations import Array
-from mavcompass.gap.trial.vehicles.scene import Effect, Scene, scene_of
+from mavcompass.gap.trial.vehicles.scene import Effect, Scene, loads_of, scene_of
 from mavcompass.track import Track
 
 Tier = Literal["none", "single", "pair", "outside"]

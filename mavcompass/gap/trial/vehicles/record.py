@@ -11,8 +11,18 @@ from mavcompass.gap.trial.vehicles.autopilot import attitude_at, parameters_of, 
 from mavcompass.gap.trial.vehicles.draw import Site
 from mavcompass.gap.trial.vehicles.motion import STEP_S
 from mavcompass.gap.trial.vehicles.rotations import Array, angles, quaternions
-from mavcompass.gap.trial.vehicles.scene import Effect, Scene, Stage, ambient, readings, stream
-from mavcompass.gap.trial.vehicles.sensors import Fixes, fixes_of, measured_imu, true_imu
+from mavcompass.gap.trial.vehicles.scene import (
+    Effect,
+    Fixes,
+    Scene,
+    Stage,
+    ambient,
+    fixes_of,
+    measured_imu,
+    readings,
+    stream,
+    true_imu,
+)
 from mavcompass.track import InForce, MagSeries, Series, Track
 
 _FIX_RATE_HZ = 5.0

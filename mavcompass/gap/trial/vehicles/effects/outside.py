@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from mavcompass.gap.trial.vehicles.effects.fields import dipole
 from mavcompass.gap.trial.vehicles.effects.kind import AXES, Grow, Kind, Rng, along, grown, of, only, unit
+from mavcompass.gap.trial.vehicles.effects.known import dipole
 from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S
 from mavcompass.gap.trial.vehicles.rotations import Array, from_vector, to_body
 from mavcompass.gap.trial.vehicles.scene import Scene, Stage, Values
