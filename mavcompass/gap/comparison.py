@@ -20,9 +20,11 @@ from mavcompass.blas import single_thread
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import Replayed, diagnose_gap
 from mavcompass.gap.export import follows_places, settings_of
-from mavcompass.gap.left import DISCREPANCY_MGAUSS, heading_error_rad, rms, rms_deg
-from mavcompass.gap.replay import Replay, replay, shared_period_s
-from mavcompass.gap.result import Cause, Closing, Diagnosis
+from mavcompass.gap.left.floor import heading_error_rad, rms, rms_deg
+from mavcompass.gap.left.taught import DISCREPANCY_MGAUSS
+from mavcompass.gap.replay.nominal import Replay, replay
+from mavcompass.gap.replay.rows import shared_period_s
+from mavcompass.gap.result import Cause, Closing, Diagnosis, plain
 from mavcompass.simulation.effects import catalogue, get
 from mavcompass.simulation.effects.effect import Chain
 from mavcompass.track import Track
@@ -210,11 +212,11 @@ def _give(forth: Diagnosis, simulator: Track, replayed: Replayed) -> None:
     """Give the simulator's replay what it was found to lack, so that only what the vehicle lacks is left."""
     if forth.verdict not in ("named", "ambiguous"):
         return
-    for key, (track, plain) in replayed.items():
+    for key, (track, own) in replayed.items():
         if track is simulator:
-            more = _made(forth, plain) - plain.signals.reading.mag_mgauss
-            measured = replace(plain.measured, mag_mgauss=plain.measured.mag_mgauss + more)
-            replayed[key] = (track, replace(plain, measured=measured))
+            more = _made(forth, own) - own.signals.reading.mag_mgauss
+            measured = replace(own.measured, mag_mgauss=own.measured.mag_mgauss + more)
+            replayed[key] = (track, replace(own, measured=measured))
 
 
 def _scatter2(diagnosis: Diagnosis) -> float:
@@ -304,17 +306,10 @@ def _squares(diagnosis: Diagnosis) -> dict[int, tuple[float, float]]:
 
 
 def _difference(difference: Difference) -> dict[str, object]:
-    cause = difference.cause
-    return {
-        "effect": cause.effect,
-        "lacks": difference.lacks,
-        "parameters": dict(cause.parameters),
-        "ci95": {name: list(ends) for name, ends in cause.ci95.items()},
-        "probability": cause.probability,
-        "ambiguous_with": list(cause.ambiguous_with),
-        "field_rms_mgauss": cause.removes_mgauss,
-        "heading_rms_deg": cause.removes_deg,
-    }
+    cause = plain(difference.cause)
+    del cause["separation"]
+    rms = {"field_rms_mgauss": cause.pop("removes_mgauss"), "heading_rms_deg": cause.pop("removes_deg")}
+    return {**cause, "lacks": difference.lacks, **rms}
 
 
 def _achieved(achieved: Achieved) -> dict[str, object]:

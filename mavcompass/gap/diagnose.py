@@ -8,40 +8,24 @@ from dataclasses import dataclass, replace
 
 from mavcompass.blas import single_thread
 from mavcompass.errors import UsageError
-from mavcompass.gap.answer import Evidence, decide, describe
-from mavcompass.gap.attitude import (
-    Choice,
-    accelerometer_fault,
-    sensor_fault,
-    steered_by,
-    without_fault,
-)
-from mavcompass.gap.left import (
-    Floor,
-    doubting,
-    foreseen,
-    from_baseline,
-    from_recording,
-    judge,
-    with_noise,
-)
-from mavcompass.gap.replay import (
-    Replay,
-    half_testable,
-    replay,
-    shared_period_s,
-    untestable_effects,
-)
+from mavcompass.gap.answer.decision import decide
+from mavcompass.gap.answer.description import describe
+from mavcompass.gap.answer.evidence import Evidence
+from mavcompass.gap.attitude.inertial import accelerometer_fault, sensor_fault, without_fault
+from mavcompass.gap.attitude.reference import Choice
+from mavcompass.gap.attitude.steering import steered_by
+from mavcompass.gap.left.adequacy import judge
+from mavcompass.gap.left.doubtful import doubting
+from mavcompass.gap.left.floor import Floor, foreseen, from_recording, with_noise
+from mavcompass.gap.left.taught import from_baseline
+from mavcompass.gap.replay.nominal import Replay, replay
+from mavcompass.gap.replay.rows import shared_period_s
+from mavcompass.gap.replay.testable import half_testable, untestable_effects
 from mavcompass.gap.result import Cause, Diagnosis
-from mavcompass.gap.selection import (
-    Identified,
-    Remainder,
-    identify,
-    split_blocks,
-    what_is_left,
-    with_white,
-)
-from mavcompass.gap.traces import Traces, find_traces, searched
+from mavcompass.gap.selection.identification import Remainder, identify, what_is_left, with_white
+from mavcompass.gap.selection.posterior import Identified
+from mavcompass.gap.selection.split import split_blocks
+from mavcompass.gap.traces.traces import Traces, find_traces, searched
 from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.track import Track
 

@@ -13,6 +13,18 @@ from numpy.typing import NDArray
 from mavcompass.correction import MotorSource
 from mavcompass.frames import FloatArray
 
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it: dataclasses by their fields, arrays and tuples as lists."""
+    if dataclasses.is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {key: plain(one) for key, one in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [plain(one) for one in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
 Verdict = Literal["no_gap", "named", "ambiguous", "named_with_remainder", "unknown", "not_testable"]
 SCHEMA = "mavcompass.gap/1"
 
@@ -150,13 +162,7 @@ class Belief:
 
     def to_json(self) -> dict[str, object]:
         """Return the belief for machines; of the covariance the lower triangle, row by row."""
-        return {
-            "weight": self.weight,
-            "effects": list(self.effects),
-            "places": list(self.places),
-            "mean": self.mean.tolist(),
-            "covariance": self.covariance[np.tril_indices(self.mean.size)].tolist(),
-        }
+        return plain(self) | {"covariance": self.covariance[np.tril_indices(self.mean.size)].tolist()}
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Belief:
@@ -242,23 +248,16 @@ class Diagnosis:
         return {
             "schema": SCHEMA,
             "log": {
-                "path": self.path,
-                "sha256": self.sha256,
-                "duration_s": self.duration_s,
-                "samples": self.samples,
-                "autopilot": self.autopilot,
+                name: getattr(self, name) for name in ("path", "sha256", "duration_s", "samples", "autopilot")
             },
             "compass": self.compass,
             "reference": self.reference,
             "verdict": self.verdict,
-            "causes": [_cause(c) for c in self.causes],
-            "look_alikes": [_cause(c) for c in self.look_alikes],
+            "causes": plain(self.causes),
+            "look_alikes": plain(self.look_alikes),
             "ambiguity_set": [{"effects": list(ids), "weight": w} for ids, w in self.ambiguity_set],
-            "where": [
-                {"channel": p.channel, "coordinate": p.coordinate, "share": p.share, "at": p.at}
-                for p in self.where
-            ],
-            "gap": {"field_rms_mgauss": _closing(self.field), "heading_rms_deg": _closing(self.heading)},
+            "where": plain(self.where),
+            "gap": {"field_rms_mgauss": plain(self.field), "heading_rms_deg": plain(self.heading)},
             "waterfall": [
                 {
                     "effect": b.effect,
@@ -273,14 +272,7 @@ class Diagnosis:
                 "tests": [{"name": name, "p": p} for name, p in self.tests],
             },
             "not_testable": [{"effect": e, "why": why} for e, why in self.not_testable],
-            "next_flight": [
-                {
-                    "protocol": f.protocol,
-                    "separates": list(f.separates),
-                    "predicted_separation": f.predicted_separation,
-                }
-                for f in self.next_flight
-            ],
+            "next_flight": plain(self.next_flight),
             "corrected_rms_mgauss": self.corrected_rms_mgauss,
             "in_force": self.in_force.to_json() if self.in_force is not None else None,
             "folded_from_baseline": list(self.folded),
@@ -289,29 +281,6 @@ class Diagnosis:
             "seconds": self.seconds,
             "beliefs": [belief.to_json() for belief in self.beliefs],
         }
-
-
-def _cause(cause: Cause) -> dict[str, object]:
-    return {
-        "effect": cause.effect,
-        "parameters": dict(cause.parameters),
-        "ci95": {name: list(interval) for name, interval in cause.ci95.items()},
-        "probability": cause.probability,
-        "ambiguous_with": list(cause.ambiguous_with),
-        "separation": cause.separation,
-        "removes_mgauss": cause.removes_mgauss,
-        "removes_deg": cause.removes_deg,
-    }
-
-
-def _closing(closing: Closing) -> dict[str, object]:
-    return {
-        "nominal": closing.nominal,
-        "after": closing.after,
-        "floor": closing.floor,
-        "shrink": closing.shrink,
-        "shrink_ci95": list(closing.shrink_ci95),
-    }
 
 
 def _listed(values: FloatArray, digits: int) -> str:

@@ -25,7 +25,8 @@ from typing import Any
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.answer import figures, statistics
+from mavcompass.gap.answer.evidence import statistics
+from mavcompass.gap.answer.shrink import figures
 from mavcompass.gap.diagnose import examine, withheld_effects
 from mavcompass.gap.tables import KINDS, OUTCOMES, SCHEMA
 from mavcompass.gap.trial import another, bench

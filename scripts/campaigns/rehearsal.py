@@ -31,7 +31,7 @@ from mavcompass.blas import single_thread
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, Refused
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.left import rms, rms_deg
+from mavcompass.gap.left.floor import rms, rms_deg
 from mavcompass.gap.rehearsal import Expected
 from mavcompass.gap.rehearsal.draws import Draws
 from mavcompass.gap.rehearsal.kind import kind_of

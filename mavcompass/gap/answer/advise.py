@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.attitude import body_rate
-from mavcompass.gap.fit import Fit, Term, make_term
-from mavcompass.gap.replay import Noise
+from mavcompass.gap.attitude.reference import body_rate
+from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
+from mavcompass.gap.replay.noise import Noise
 from mavcompass.gap.result import Flight
 from mavcompass.simulation.effects import Setting
 from mavcompass.simulation.effects.effect import Chain, Signals

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Problem
-from mavcompass.gap.left import Floor, rms
-from mavcompass.gap.replay import IRON_MATRIX, IRON_OFFSET, WORLD_FIELD, level_mgauss
+from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.floor import Floor, rms
+from mavcompass.gap.replay.nominal import level_mgauss
+from mavcompass.gap.replay.nuisance import IRON_MATRIX, IRON_OFFSET, WORLD_FIELD
 from mavcompass.gap.result import Belief, Cured
-from mavcompass.gap.selection import Identified
+from mavcompass.gap.selection.posterior import Identified
 
 # Field, matrix, offset and motors: what every belief begins with.
 _PLACES = {WORLD_FIELD.id: slice(0, 3), IRON_MATRIX: slice(3, 12), IRON_OFFSET: slice(12, 18)}

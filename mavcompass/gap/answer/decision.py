@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from mavcompass.gap.answer.evidence import Evidence, statistics
 from mavcompass.gap.answer.shrink import above, figures, yaw_wander_deg
-from mavcompass.gap.fit import Fit
+from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.result import Closing, Verdict
 from mavcompass.gap.tables import Kind, Levels, Outcome, tables
-from mavcompass.gap.traces import follows_way, keeps_step
+from mavcompass.gap.traces.rapid import follows_way, keeps_step
 from mavcompass.simulation.effects.effect import FREQUENCY
 
 

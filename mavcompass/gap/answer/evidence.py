@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.gap.fit import Fit, Problem
-from mavcompass.gap.left import Adequacy, Floor, kind_of
-from mavcompass.gap.replay import Replay
+from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.adequacy import Adequacy
+from mavcompass.gap.left.floor import Floor, kind_of
+from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.result import Cause, Closing
-from mavcompass.gap.selection import Identified, Remainder
+from mavcompass.gap.selection.identification import Remainder
+from mavcompass.gap.selection.posterior import Identified
 from mavcompass.gap.tables import Kind
-from mavcompass.gap.traces import Traces
+from mavcompass.gap.traces.traces import Traces
 from mavcompass.simulation.effects import detected_by
 from mavcompass.track import Track
 

@@ -9,11 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Problem, make_term
-from mavcompass.gap.left import Scatter, apart
+from mavcompass.gap.fit.hypothesis import Fit, make_term
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.floor import apart
+from mavcompass.gap.left.scatter import Scatter
 from mavcompass.gap.result import Cause
-from mavcompass.gap.selection import Identified, between_rows
-from mavcompass.gap.traces import Traces
+from mavcompass.gap.selection.posterior import Identified
+from mavcompass.gap.selection.transient import between_rows
+from mavcompass.gap.traces.traces import Traces
 from mavcompass.simulation.effects import detected_by, get
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mavcompass.gap.result import Cause, Diagnosis
+from mavcompass.gap.result import Cause, Diagnosis, plain
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import MOMENTS
 
@@ -45,9 +45,7 @@ class VehicleDiagnosis:
             "schema": "mavcompass.gap-vehicle/1",
             "vehicle": [
                 {
-                    "effect": s.cause.effect,
-                    "parameters": dict(s.cause.parameters),
-                    "ci95": {name: list(ends) for name, ends in s.cause.ci95.items()},
+                    **{name: plain(getattr(s.cause, name)) for name in ("effect", "parameters", "ci95")},
                     "named_in": s.named_in,
                     "of": len(self.flights),
                 }

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from mavcompass.chance import students_t
 from mavcompass.frames import FloatArray
 from mavcompass.gap.answer.evidence import Evidence
-from mavcompass.gap.fit import Fit, Problem
-from mavcompass.gap.left import Floor, Scatter, heading_error_rad, heading_scatter, rms
-from mavcompass.gap.replay import REFERENCE_YAW
+from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.floor import Floor, heading_error_rad, heading_scatter, rms
+from mavcompass.gap.left.scatter import Scatter
+from mavcompass.gap.replay.nuisance import REFERENCE_YAW
 from mavcompass.gap.result import Bar, Closing
 from mavcompass.simulation.effects.effect import LIMIT
 

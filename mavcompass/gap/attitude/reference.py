@@ -19,20 +19,22 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
-from mavcompass.gap.attitude.doubt import doubt_of, wandering_yaw
 from mavcompass.gap.attitude.kinematics import (
     carried,
     integral,
     turned_about_down,
     turned_between,
 )
-from mavcompass.gap.attitude.levelling import sensed_by, started
 from mavcompass.gap.attitude.navigation import (
     FAULTY_SCALE,
     believable,
+    doubt_of,
     faulty,
+    sensed_by,
     smoothed_attitude,
+    started,
     stretched,
+    wandering_yaw,
 )
 from mavcompass.gap.attitude.receiver import Velocity, receiver_velocity
 from mavcompass.gap.attitude.scatter import Bias, bias_at_rest

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay import calibration_in_force, known_iron
+from mavcompass.gap.replay.nuisance import calibration_in_force, known_iron
 from mavcompass.gap.result import Belief, Cause, Diagnosis
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Chain, Signals

@@ -12,10 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, euler_to_matrix
-from mavcompass.gap.attitude import Reference, cross_matrices
+from mavcompass.gap.attitude.kinematics import cross_matrices
+from mavcompass.gap.attitude.reference import Reference
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.fit.lateness import TURNING, Late, Order, late_members, lateness, made_late, together
-from mavcompass.gap.replay import REFERENCE_YAW, Nuisance, Replay, group_values, turned
+from mavcompass.gap.replay.noise import group_values
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import REFERENCE_YAW, Nuisance, turned
 from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, Effect, Group, Signals, Stage
 from mavcompass.simulation.physics.signals import Reading
 

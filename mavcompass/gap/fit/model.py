@@ -16,12 +16,9 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.algebra import bridge, cluster_covariance, invert, moved, room, solve_within
 from mavcompass.gap.fit.composition import Changes, Composition
 from mavcompass.gap.fit.hypothesis import CHANCE, Fit, Mask, Term, least_gain, weak_cost, weak_precision
-from mavcompass.gap.replay import (
-    Noise,
-    Prior,
-    Replay,
-    group_values,
-)
+from mavcompass.gap.replay.noise import Noise, group_values
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import Prior
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading
 

@@ -17,7 +17,7 @@ from mavcompass.gap.fit.candidates import misfit_of
 from mavcompass.gap.fit.criteria import Criteria
 from mavcompass.gap.fit.hypothesis import Fit, Term, least_gain
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.replay import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, yaw_starts
+from mavcompass.gap.replay.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, yaw_starts
 from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S
 
 

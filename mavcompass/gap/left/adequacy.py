@@ -16,8 +16,10 @@ import numpy as np
 
 from mavcompass.chance import chance_above, chance_of_more
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Problem
-from mavcompass.gap.replay import block_diagonal, group_values
+from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.replay.noise import group_values
+from mavcompass.gap.replay.nuisance import block_diagonal
 from mavcompass.simulation.effects.effect import Group, Signals
 
 ALPHA = 0.002

@@ -6,10 +6,14 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
-from mavcompass.gap.fit import Problem, make_term
+from mavcompass.gap.fit.hypothesis import make_term
+from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.adequacy import judge
 from mavcompass.gap.left.floor import first_noise, measured_noise
-from mavcompass.gap.replay import Prior, Replay, SensorNoise, untestable_effects
+from mavcompass.gap.replay.noise import SensorNoise
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import Prior
+from mavcompass.gap.replay.testable import untestable_effects
 from mavcompass.simulation.effects.effect import Effect, Group
 
 # A sensor is doubted where structure shows in it that chance makes once in a thousand recordings.

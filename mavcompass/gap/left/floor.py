@@ -13,22 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Mask, Problem
-from mavcompass.gap.replay import (
-    STATED,
+from mavcompass.gap.fit.hypothesis import Fit, Mask
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.replay.noise import (
     USUAL_SCATTER_MGAUSS,
     WORST_SCATTER_MGAUSS,
     Noise,
-    Prior,
-    Replay,
     SensorNoise,
-    Trust,
     estimate_noise,
     group_values,
     rough_sigma,
     wandering,
     white,
 )
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import STATED, Prior, Trust
 from mavcompass.gap.tables import Kind
 from mavcompass.simulation.effects.effect import Group
 

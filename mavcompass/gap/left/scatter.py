@@ -8,16 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Problem, least_gain
+from mavcompass.gap.fit.hypothesis import Fit, least_gain
+from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import Floor
-from mavcompass.gap.replay import (
-    USUAL_SCATTER_MGAUSS,
-    WORST_SCATTER_MGAUSS,
-    Noise,
-    Replay,
-    estimate_noise,
-)
-from mavcompass.gap.traces import quiet_doubt, quiet_scatter
+from mavcompass.gap.replay.noise import USUAL_SCATTER_MGAUSS, WORST_SCATTER_MGAUSS, Noise, estimate_noise
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.traces.scattered import quiet_doubt, quiet_scatter
 from mavcompass.simulation.effects import detected_by, get
 
 # The scatter's own distribution is only known from the recording: be slower to name it.

@@ -14,8 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude import north_east_m
-from mavcompass.gap.fit import Fit, Problem, Search
+from mavcompass.gap.attitude.receiver import north_east_m
+from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.fit.search import Search
 from mavcompass.gap.left.adequacy import judge
 from mavcompass.gap.left.floor import (
     Floor,
@@ -27,7 +29,9 @@ from mavcompass.gap.left.floor import (
     prior_of,
     rms,
 )
-from mavcompass.gap.replay import (
+from mavcompass.gap.replay.noise import Noise, SensorNoise
+from mavcompass.gap.replay.nominal import Replay, level_mgauss
+from mavcompass.gap.replay.nuisance import (
     ANOTHER_IRON,
     IRON_MATRIX,
     IRON_OFFSET,
@@ -35,15 +39,11 @@ from mavcompass.gap.replay import (
     STATED,
     TELEMETRY_AGE,
     WORLD_FIELD,
-    Noise,
     Nuisance,
     Prior,
-    Replay,
-    SensorNoise,
     Trust,
-    level_mgauss,
-    untestable_effects,
 )
+from mavcompass.gap.replay.testable import untestable_effects
 from mavcompass.simulation.effects.causes.world import gradient_origin
 from mavcompass.simulation.effects.effect import FREQUENCY, LIMIT, Effect
 

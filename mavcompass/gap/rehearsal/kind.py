@@ -13,9 +13,9 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, PoorCalibration
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude import Choice
+from mavcompass.gap.attitude.reference import Choice
 from mavcompass.gap.rehearsal.result import Stored
-from mavcompass.gap.replay import Replay, replay
+from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.result import Belief, Cause, Diagnosis
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.physics.signals import Stimulus

@@ -16,7 +16,7 @@ import numpy as np
 from mavcompass.blas import single_thread
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude import Choice
+from mavcompass.gap.attitude.reference import Choice
 from mavcompass.gap.rehearsal.draws import MOTORS, Draws
 from mavcompass.gap.rehearsal.kind import Kind, kind_of
 from mavcompass.gap.rehearsal.procedure import (

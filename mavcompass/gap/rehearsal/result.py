@@ -10,9 +10,12 @@ from typing import Any
 from mavcompass.errors import UsageError
 from mavcompass.files import read_text, sha256_of
 from mavcompass.gap.result import SCHEMA as DIAGNOSIS_SCHEMA
-from mavcompass.gap.result import Belief, Cause, Verdict
+from mavcompass.gap.result import Belief, Cause, Verdict, plain
 
 SCHEMA = "mavcompass.gap-rehearsal/1"
+_AS_THEY_ARE = (
+    "draws", "compared", "refused", "positions", "claimed_deg", "stances", "seed", "notes", "seconds",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,16 +128,7 @@ class Rehearsal:
                 }
                 for remedy in self.remedies
             ],
-            "draws": self.draws,
-            "compared": self.compared,
-            "refused": self.refused,
-            "positions": self.positions,
-            "claimed_deg": self.claimed_deg,
-            "stances": self.stances,
-            "seed": self.seed,
-            "notes": list(self.notes),
-            "seconds": self.seconds,
-        }
+        } | {name: plain(getattr(self, name)) for name in _AS_THEY_ARE}
 
 
 def _errors(errors: Errors) -> dict[str, object]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude import integral
+from mavcompass.gap.attitude.kinematics import integral
 from mavcompass.track import Series
 
 _FEWEST_LEVELS, _FEWEST_TOGETHER = 6, 10

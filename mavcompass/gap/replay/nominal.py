@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 from mavcompass.earth_field import middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
-from mavcompass.gap.attitude import (
+from mavcompass.gap.attitude.kinematics import second_derivative
+from mavcompass.gap.attitude.reference import (
     SLOWEST_GYRO_S,
     UNKNOWN_YAW_RAD,
     Choice,
     Reference,
     reference_attitude,
-    second_derivative,
 )
-from mavcompass.gap.replay.in_force import KnownIron, calibration_in_force, known_iron, load_of
 from mavcompass.gap.replay.integrity import Readings, Trace
 from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import (
@@ -32,7 +31,11 @@ from mavcompass.gap.replay.nuisance import (
     AGE_SIGMA_S,
     USUAL_AGE_S,
     WORLD_FIELD,
+    KnownIron,
     Nuisance,
+    calibration_in_force,
+    known_iron,
+    load_of,
     reference_attitude_error,
 )
 from mavcompass.gap.replay.rows import (

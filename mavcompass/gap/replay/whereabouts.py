@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from mavcompass.earth_field import decimal_year, earth_field, middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate
-from mavcompass.gap.attitude import Reference, integral, local_position
+from mavcompass.gap.attitude.kinematics import integral
+from mavcompass.gap.attitude.receiver import local_position
+from mavcompass.gap.attitude.reference import Reference
 from mavcompass.gap.attitude.scatter import white_scatter
 from mavcompass.gap.replay.rows import FEWEST_ROWS
 from mavcompass.simulation.physics.signals import Stimulus

@@ -20,7 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.gap.fit import Fit, Found, Problem, Search
+from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.fit.search import Found, Search
 from mavcompass.gap.selection.split import Split
 
 # So many of the cheapest sets are fitted to the end, but none that costs so much more than the cheapest.

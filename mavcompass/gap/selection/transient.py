@@ -9,8 +9,10 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES
-from mavcompass.gap.fit import Fit, Mask, Problem, Term
-from mavcompass.gap.replay import TELEMETRY_AGE, Replay
+from mavcompass.gap.fit.hypothesis import Fit, Mask, Term
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import TELEMETRY_AGE
 from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S, PLACED, SMOOTHING
 
 _BIN_S = 0.25

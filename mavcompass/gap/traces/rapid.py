@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude import integral
-from mavcompass.gap.replay import Readings, Replay, averaged
+from mavcompass.gap.attitude.kinematics import integral
+from mavcompass.gap.replay.integrity import Readings
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.rows import averaged
 from mavcompass.gap.traces.scattered import excess_variance, quiet_variance
 from mavcompass.simulation.effects import detected_by
 from mavcompass.simulation.effects.effect import FREQUENCY, Detector

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay import Replay
+from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.traces.rapid import Rapid, find_rapid
 from mavcompass.gap.traces.scattered import burst_mgauss, excess_variance
 from mavcompass.simulation.effects import Effect, detected_by

@@ -10,8 +10,10 @@ from typing import cast
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Problem
-from mavcompass.gap.replay import Prior, group_values, replay
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.replay.noise import group_values
+from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.replay.nuisance import Prior
 from mavcompass.gap.trial.cases import (
     CASE_NOISE,
     MOTIONS,

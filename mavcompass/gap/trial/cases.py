@@ -14,8 +14,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from mavcompass.frames import FloatArray, euler_to_matrix, euler_to_quaternion, rotate_back
-from mavcompass.gap.attitude import body_rate
-from mavcompass.gap.replay import Noise, SensorNoise, group_values
+from mavcompass.gap.attitude.reference import body_rate
+from mavcompass.gap.replay.noise import Noise, SensorNoise, group_values
 from mavcompass.simulation.effects import Distortion, Setting
 from mavcompass.simulation.effects.effect import GROUPS, Group, Stage
 from mavcompass.simulation.physics.signals import Reading, Stimulus

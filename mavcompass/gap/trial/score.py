@@ -15,8 +15,10 @@ from mavcompass.blas import single_thread
 from mavcompass.errors import UsageError
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import withheld_effects
-from mavcompass.gap.fit import Fit, Problem, Search, Term, placements
-from mavcompass.gap.replay import replay
+from mavcompass.gap.fit.hypothesis import Fit, Term, placements
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.fit.search import Search
+from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.trial import bench, foreign
 from mavcompass.gap.trial.bench import recipe_of, tracks_of
 from mavcompass.gap.trial.cases import Label, affected, ideal, stimulus_of

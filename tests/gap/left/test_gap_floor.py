@@ -10,7 +10,7 @@ import pytest
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.left.floor import heading_error_rad, heading_scatter, measured_noise, rms
-from mavcompass.gap.replay import replay
+from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.trial.vehicles import make_case
 
 

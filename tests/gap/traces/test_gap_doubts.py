@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay import Readings
+from mavcompass.gap.replay.integrity import Readings
 from mavcompass.gap.traces.rapid import find_rapid
 from mavcompass.gap.traces.scattered import burst_mgauss, excess_variance
 from mavcompass.gap.traces.traces import stale_doubt, told_step

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from mavcompass.frames import FloatArray as Array
 from mavcompass.gap.trial.vehicles.draw import KINDS, Site, Vehicle, draw_site, draw_vehicle
 from mavcompass.gap.trial.vehicles.effects.kind import (
     FLOOR_MGAUSS,
@@ -21,7 +22,6 @@ from mavcompass.gap.trial.vehicles.effects.known import ELECTRONICS, FIELDS
 from mavcompass.gap.trial.vehicles.effects.outside import OUTSIDE
 from mavcompass.gap.trial.vehicles.motion import MOTIONS, ON_THE_WAY, Motion, move
 from mavcompass.gap.trial.vehicles.record import record
-from mavcompass.gap.trial.vehicles.rotations import Array
 from mavcompass.gap.trial.vehicles.scene import Effect, Scene, loads_of, scene_of
 from mavcompass.track import Track
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, decimal_year, earth_field
-from mavcompass.gap.trial.vehicles.rotations import Array, from_vector
+from mavcompass.frames import FloatArray as Array
+from mavcompass.gap.trial.vehicles.motion import from_vector
 
 Cure = Literal["exact", "two_percent", "old"]
 Steering = Literal["this_compass", "another_compass", "gps_antennas"]

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcompass.frames import FloatArray as Array
+from mavcompass.frames import euler_to_quaternion, matrix_to_euler
 from mavcompass.gap.trial.vehicles.autopilot import attitude_at, parameters_of, steer_of
 from mavcompass.gap.trial.vehicles.draw import Site
-from mavcompass.gap.trial.vehicles.motion import STEP_S
-from mavcompass.gap.trial.vehicles.rotations import Array, angles, quaternions
+from mavcompass.gap.trial.vehicles.motion import STEP_S, angles
 from mavcompass.gap.trial.vehicles.scene import (
     Effect,
     Fixes,
@@ -74,7 +75,7 @@ def record(
         return Series.of(scene.start_s + time_s[there], values[there])
 
     gyro, acc = felt.gyro_radps[rows], felt.acc_mps2[rows]
-    truth = quaternions(scene.motion.rotation[rows])
+    truth = euler_to_quaternion(*matrix_to_euler(scene.motion.rotation[rows]))
     columns = {name: kept(series.time_s, series.values) for name, series in loads.items()}
     columns |= {name: kept(*column) for name, column in _places(scene, site, fixes).items()}
     track = Track(

@@ -16,9 +16,10 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from mavcompass.frames import FloatArray as Array
+from mavcompass.frames import rotate_back
 from mavcompass.gap.trial.vehicles.draw import Compass, Imu, Receiver, Vehicle
 from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S, Motion, smooth
-from mavcompass.gap.trial.vehicles.rotations import Array, to_body
 
 # Roll, pitch and yaw share of a quadrotor's motors: front right, rear left, front left, rear right.
 _QUAD_X = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, -1.0]])
@@ -78,7 +79,7 @@ def _driving(kind: str, motion: Motion, rng: np.random.Generator) -> tuple[Array
 
 
 def _lifting(motion: Motion, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    force = to_body(motion.rotation, GRAVITY_NED_MPS2[None, :] - motion.acceleration_mps2)
+    force = rotate_back(motion.rotation, GRAVITY_NED_MPS2[None, :] - motion.acceleration_mps2)
     hover = rng.uniform(0.28, 0.5)
     lift = np.clip(force[:, 2] / GRAVITY_NED_MPS2[2], 0.2, 2.0)
     throttle = np.clip(hover * lift + 0.008 * _drift(motion.time_s, 0.4, rng), 0.0, 1.0)
@@ -197,7 +198,7 @@ def scene_of(
 def ambient(scene: Scene, effects: Sequence[Effect] = ()) -> Array:
     """Return the world's field at the vehicle in body axes at 100 Hz, (N, 3), milligauss."""
     world = np.tile(scene.field_mgauss, (scene.motion.time_s.size, 1))
-    return to_body(scene.motion.rotation, _acted(world, Stage.WORLD, scene, effects))
+    return rotate_back(scene.motion.rotation, _acted(world, Stage.WORLD, scene, effects))
 
 
 def stream(scene: Scene, effects: Sequence[Effect] = ()) -> Array:
@@ -270,7 +271,7 @@ class Fixes:
 
 def true_imu(motion: Motion) -> Felt:
     """Return what a perfect IMU gives."""
-    force = to_body(motion.rotation, motion.acceleration_mps2 - GRAVITY_NED_MPS2)
+    force = rotate_back(motion.rotation, motion.acceleration_mps2 - GRAVITY_NED_MPS2)
     return Felt(motion.rate_radps, force)
 
 

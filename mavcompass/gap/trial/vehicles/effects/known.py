@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from mavcompass.frames import FloatArray as Array
+from mavcompass.frames import euler_to_matrix
 from mavcompass.gap.trial.vehicles.effects.kind import (
     AXES,
     Grow,
@@ -20,8 +22,7 @@ from mavcompass.gap.trial.vehicles.effects.kind import (
     only,
     reference,
 )
-from mavcompass.gap.trial.vehicles.motion import STEP_S
-from mavcompass.gap.trial.vehicles.rotations import Array, from_angles, from_vector
+from mavcompass.gap.trial.vehicles.motion import STEP_S, from_vector
 from mavcompass.gap.trial.vehicles.scene import Scene, Stage, Values
 
 _FARTHEST_M = 800.0
@@ -232,9 +233,8 @@ def _draw_orientation(rng: Rng, scene: Scene) -> Grow:
 
 
 def _act_orientation(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
-    roll, pitch, yaw = (np.array([np.radians(a)]) for a in _MOUNTINGS[round(p["orientation"])])
     # The sensor's axes in the body are the columns; each measures the field along itself.
-    return values @ from_angles(roll, pitch, yaw)[0]
+    return values @ euler_to_matrix(*np.radians(_MOUNTINGS[round(p["orientation"])]))
 
 
 def _draw_temperature_sensitivity(rng: Rng, scene: Scene) -> Grow:
