@@ -31,7 +31,6 @@ def make_case(seed: int, tier: str) -> VehicleCase:
         track=_track(flight, "flight"),
         baseline=_track(made.baseline, "baseline"),
         effects=made.effects,
-        clean=_track(flight, "clean"),
         clean_nominal_mgauss=flight.plain_mgauss,
         clean_mgauss=flight.raw_mgauss,
         description={"vehicle": "another simulator", "motion": made.words},

@@ -56,11 +56,10 @@ def healthy(cure: str, count: int = 1) -> list[VehicleCase]:
 
 def test_a_healthy_compass_reads_the_field_to_its_stated_noise() -> None:
     (case,) = healthy("exact")
-    expected = field_in_body(case.clean, case.description["field_ned_mgauss"])
-    np.testing.assert_allclose(case.clean.compasses[1].reported.values, expected, atol=1e-6)
     off = case.track.compasses[1].reported.values - field_in_body(
         case.track, case.description["field_ned_mgauss"]
     )
+    assert np.all(np.abs(off.mean(axis=0)) < 0.3)
     correction = case.track.compasses[1].in_force[0].correction.matrix
     stated = np.sqrt(
         np.diag(correction @ np.diag(np.square(case.description["noise_mgauss"])) @ correction.T)
@@ -166,14 +165,13 @@ def test_sizes_lie_between_half_a_floor_and_twelve() -> None:
             assert 1.45 <= size <= 37.5
 
 
-def test_lost_rows_are_missing_in_bursts_and_the_clean_flight_is_whole() -> None:
+def test_lost_rows_are_missing_in_bursts() -> None:
     at = scene(vehicle_of(7), seconds=200.0)
     complete, holed = recorded(at), recorded(at, lost=0.04)
     rows = len(complete.track.compasses[1].reported)
     kept = len(holed.track.compasses[1].reported)
     assert 0.94 < kept / rows < 0.98
     assert holed.nominal_mgauss.shape == holed.changed_mgauss.shape == (kept, 3)
-    assert len(holed.clean.compasses[1].reported) == rows
     gaps = np.diff(holed.track.compasses[1].time_s)
     assert gaps.max() > 4.0 * np.median(gaps)
 

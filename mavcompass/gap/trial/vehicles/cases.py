@@ -47,8 +47,6 @@ class VehicleCase:
     Attributes:
         track: the flight to be diagnosed; baseline: the same vehicle in its healthy state, or None.
         effects: (id, parameters) in the order in which they act, named and in the units of the catalogue.
-        clean: the flight without sensor noise, quantisation by the messages, and loss, with the effects;
-            the true attitude is its `reference_q`.
         clean_nominal_mgauss, clean_mgauss: the raw readings without noise, without and with the effects, at
             the times of `track`'s compass rows, (N, 3). What an effect draws by chance is in the latter.
         description: what else was drawn, by name.
@@ -59,7 +57,6 @@ class VehicleCase:
     track: Track
     baseline: Track | None
     effects: tuple[tuple[str, dict[str, float]], ...]
-    clean: Track
     clean_nominal_mgauss: Array
     clean_mgauss: Array
     description: Mapping[str, object]
@@ -98,27 +95,17 @@ def make_case(seed: int, tier: Tier, baseline: bool = True) -> VehicleCase:
         ground = _scene(vehicle, base_name, vehicle.site, day, frozenset(), seconds, grounding)
         base_lost = float(grounding.uniform(0.0, 0.05)) if grounding.random() < 1.0 / 3.0 else 0.0
         before = record(ground, vehicle.site, (), base_lost, other_noise).track
-    change = flown.changed_mgauss - flown.nominal_mgauss
     return VehicleCase(
         track=flown.track,
         baseline=before,
         effects=tuple((effect.id, dict(effect.parameters)) for effect in effects),
-        clean=flown.clean,
         clean_nominal_mgauss=flown.nominal_mgauss,
         clean_mgauss=flown.changed_mgauss,
         description={
-            "tier": tier,
-            "seed": seed,
             "vehicle": kind,
             "motion": motion_name,
-            "baseline_motion": base_name if baseline else None,
-            "elsewhere": bool(elsewhere),
-            "rate_hz": vehicle.rate_hz,
-            "duration_s": float(flight.motion.time_s[-1]),
-            "lost_share": lost,
             "cure": str(vehicle.cure),
             "steered_by": vehicle.steering,
-            "receiver": vehicle.receiver,
             "averaged": vehicle.compass.averaged,
             "whole": vehicle.compass.whole,
             "noise_mgauss": vehicle.compass.noise_mgauss.tolist(),
@@ -126,8 +113,6 @@ def make_case(seed: int, tier: Tier, baseline: bool = True) -> VehicleCase:
             "matrix": vehicle.compass.matrix.tolist(),
             "current_field_mgauss_per_a": vehicle.compass.current_field.tolist(),
             "field_ned_mgauss": site.field_mgauss.tolist(),
-            "model_ned_mgauss": site.model.vector_mgauss.tolist(),
-            "rms_change_mgauss": float(np.sqrt(np.mean(change**2))),
             "rms_change_of_each_mgauss": [changed_rms(flight, (effect,)) for effect in effects],
         },
     )
