@@ -257,22 +257,22 @@ def _amount(cause: Cause) -> bool:
 
 def _reached(path: str, before: Diagnosis, again: Diagnosis) -> Achieved:
     """Measure how far the gap closed on the held-out parts of the vehicle's recording."""
-    first, second = _squares(before), _squares(again)
-    blocks = sorted(first.keys() & second.keys())
-    sums = np.array([(*first[b], *second[b]) for b in blocks]).reshape(-1, 4)
+    gap, left = _squares(before), _squares(again)
+    size = min(len(gap), len(left))
+    both = np.hstack([gap[:size], left[:size]])
+    both = both[(both[:, 1] > 0.0) & (both[:, 3] > 0.0)]
     interval = (math.nan, math.nan)
-    if len(blocks) >= _FEWEST_BLOCKS:
-        picks = np.random.default_rng(_SEED).integers(len(blocks), size=(_RESAMPLES, len(blocks)))
-        gap, gap_count, left, left_count = sums[picks].sum(axis=1).T
-        gap2 = gap / gap_count - before.field.floor**2
-        left2 = _off(left / left_count, again.field.floor**2)
-        values = 1.0 - left2[gap2 > 0.0] / gap2[gap2 > 0.0]
-        if values.size:
-            low, high = np.quantile(values, [0.025, 0.975]).tolist()
+    if len(both) >= _FEWEST_BLOCKS:
+        picks = np.random.default_rng(_SEED).integers(len(both), size=(_RESAMPLES, len(both)))
+        total = both[picks].sum(axis=1).T
+        excess2 = total[0] / total[1] - before.field.floor**2
+        shrink = 1.0 - (_off(total[2] / total[3], again.field.floor**2) / excess2)[excess2 > 0.0]
+        if shrink.size:
+            low, high = np.quantile(shrink, [0.025, 0.975]).tolist()
             interval = (min(max(low, -1.0), 1.0), min(high, 1.0))
-    excess = before.field.nominal**2 - before.field.floor**2
-    left = float(_off(np.array(again.field.nominal**2), again.field.floor**2))
-    of_field = 1.0 - left / excess if excess > 0.0 else 0.0
+    whole2 = before.field.nominal**2 - before.field.floor**2
+    stays2 = float(_off(np.array(again.field.nominal**2), again.field.floor**2))
+    of_field = 1.0 - stays2 / whole2 if whole2 > 0.0 else 0.0
     return Achieved(path, again, of_field, interval, _heading_shrink(before.heading, again.heading))
 
 
@@ -293,16 +293,13 @@ def _heading_shrink(before: Closing, again: Closing) -> float:
     return 1.0 - left / excess if _FLOOR_KNOWN * before.nominal**2 > before.floor**2 else math.nan
 
 
-def _squares(diagnosis: Diagnosis) -> dict[int, tuple[float, float]]:
-    """Return sum and count of the squared held-out residual without effects, by block of time."""
+def _squares(diagnosis: Diagnosis) -> FloatArray:
+    """Return sum and count of the squared held-out residual without effects, by block of time, (B, 2)."""
     picture = diagnosis.picture
     assert picture is not None
-    rows = np.flatnonzero(picture.test)
-    squares: FloatArray = np.sum(picture.before_mgauss[rows] ** 2, axis=1)
-    block = np.floor(picture.time_s[rows] / _BLOCK_S).astype(np.int64)
-    return {
-        int(b): (float(squares[block == b].sum()), 3.0 * float((block == b).sum())) for b in np.unique(block)
-    }
+    block = np.floor(picture.time_s[picture.test] / _BLOCK_S).astype(np.int64)
+    square = np.sum(picture.before_mgauss[picture.test] ** 2, axis=1)
+    return np.stack([np.bincount(block, square), 3.0 * np.bincount(block)], axis=1)
 
 
 def _difference(difference: Difference) -> dict[str, object]:

@@ -206,7 +206,8 @@ class Diagnosis:
     `field` and `heading` are about the vehicle beside its nominal simulation, which knows the calibration in
     force (`in_force`: what that cures, which is not sought). `corrected_rms_mgauss` is the corrected reading
     beside the plain field (None: no calibration is in force). `beliefs` are the explanations as
-    distributions: one, or those between which the recording does not decide.
+    distributions: one, or those between which the recording does not decide. `late_s` is how late readings
+    come, where that is more than autopilots' usually are and no baseline tells whether it was always so.
     """
 
     path: str
@@ -233,6 +234,7 @@ class Diagnosis:
     withheld: tuple[str, ...]
     seconds: float
     notes: tuple[str, ...] = ()
+    late_s: float | None = None
     corrected_rms_mgauss: float | None = None
     in_force: Cured | None = None
     beliefs: tuple[Belief, ...] = dataclasses.field(default=(), repr=False, compare=False)
@@ -273,6 +275,7 @@ class Diagnosis:
             },
             "not_testable": [{"effect": e, "why": why} for e, why in self.not_testable],
             "next_flight": plain(self.next_flight),
+            "late_s": self.late_s,
             "corrected_rms_mgauss": self.corrected_rms_mgauss,
             "in_force": self.in_force.to_json() if self.in_force is not None else None,
             "folded_from_baseline": list(self.folded),

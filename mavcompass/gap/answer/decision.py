@@ -10,7 +10,7 @@ from mavcompass.gap.answer.shrink import above, figures, yaw_wander_deg
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.result import Closing, Verdict
 from mavcompass.gap.tables import Kind, Levels, Outcome, tables
-from mavcompass.gap.traces.rapid import follows_way, keeps_step
+from mavcompass.gap.traces.rapid import follows_way
 from mavcompass.simulation.effects.effect import FREQUENCY
 
 
@@ -157,10 +157,8 @@ def _in_step(evidence: Evidence, named: Fit) -> bool:
     if evidence.track.vehicle == "copter":
         # What flies has nothing that turns with its way.
         return False
-    replayed, taken = evidence.replay, [r for r in evidence.traces.rapid if FREQUENCY in r.parameters]
-    lines_hz = [r.parameters[FREQUENCY] for r in taken]
-    if (hertz := named.value(FREQUENCY)) is not None:
-        lines_hz.append(hertz)
-    return any(keeps_step(replayed, hertz) for hertz in lines_hz) or any(
-        follows_way(replayed, r.change_mgauss, hertz) for r, hertz in zip(taken, lines_hz, strict=False)
-    )
+    replayed = evidence.replay
+    taken = [r for r in evidence.traces.rapid if FREQUENCY in r.parameters]
+    if (hertz := named.value(FREQUENCY)) is not None and follows_way(replayed, hertz):
+        return True
+    return any(follows_way(replayed, r.parameters[FREQUENCY], r.change_mgauss) for r in taken)

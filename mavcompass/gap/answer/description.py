@@ -23,6 +23,7 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import heading_error_rad
 from mavcompass.gap.replay.noise import group_values
 from mavcompass.gap.replay.nominal import level_mgauss
+from mavcompass.gap.replay.nuisance import AGE_SIGMA_S, TELEMETRY_AGE, USUAL_AGE_S
 from mavcompass.gap.result import Bar, Diagnosis, Picture, Place
 from mavcompass.gap.selection.posterior import Identified
 from mavcompass.parameter_remarks import remarks_said
@@ -137,6 +138,8 @@ def picture(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> Picture:
 
 
 _MOST_SHAPLEY = 4
+# An age of readings beyond so many of its sigmas is unusual.
+_BEYOND_USUAL = 2.0
 _IN_STEP = (
     "The line keeps step with the way driven: a magnet on something that turns with the wheels would look "
     "the same. Record the vehicle at another speed."
@@ -204,6 +207,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
             *((_UNSEEN,) if named.terms and not shows(problem, named, test) else ()),
             *(_same(evidence) if named.terms else ()),
         ),
+        late_s=_unusually_late_s(evidence, named),
         corrected_rms_mgauss=corrected_rms(problem, named, test),
         in_force=cured_iron(problem, named, floor),
         beliefs=beliefs(identified, named, answer.sets if answer.verdict == "ambiguous" else ()),
@@ -219,6 +223,16 @@ def _same(evidence: Evidence) -> Iterator[str]:
         if posterior.restates(other) and not known < other.fit.ids:
             names, same = (" + ".join(sorted(ids)) for ids in (known, other.fit.ids))
             yield f"{names}; the same to first order: {same}."
+
+
+def _unusually_late_s(evidence: Evidence, named: Fit) -> float | None:
+    """Return how late readings come where that is beyond what is usual; None beside a baseline, which
+    tells what is this vehicle's."""
+    found = zip(evidence.identified.problem.nuisances, named.nuisance_thetas, strict=True)
+    ages = [float(theta[0]) for nuisance, theta in found if nuisance.effect.id == TELEMETRY_AGE]
+    late_s = sum(ages) + evidence.replay.late_s
+    beyond = not evidence.floor.measured and late_s > USUAL_AGE_S + _BEYOND_USUAL * AGE_SIGMA_S
+    return late_s if ages and beyond else None
 
 
 def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:

@@ -168,12 +168,9 @@ def reference_attitude(
 
 
 def _gyro_is_fast(track: Track) -> bool:
-    return (
-        track.gyro_radps is not None
-        and track.acc_mps2 is not None
-        and len(track.gyro_radps) > _FEWEST
-        and float(np.median(np.diff(track.gyro_radps.time_s))) <= SLOWEST_GYRO_S
-    )
+    """Tell whether gyro and accelerometer were recorded, with numbers, often enough to be integrated."""
+    sensed = sensed_by(track)
+    return sensed is not None and float(np.median(np.diff(sensed.time_s))) <= SLOWEST_GYRO_S
 
 
 def _columns(track: Track, time_s: FloatArray) -> Reference | None:

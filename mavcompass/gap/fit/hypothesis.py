@@ -74,6 +74,11 @@ class Fit:
         return frozenset(term.effect.id for term in self.terms)
 
     @property
+    def is_turned(self) -> bool:
+        """Tell whether it has the compass in another orientation."""
+        return any(term.effect.kind == "discrete" for term in self.terms)
+
+    @property
     def dimension(self) -> int:
         """Count the fitted parameters of the effects; an optional one at its end is not one."""
         return sum(active_dimension(t, x) for t, x in zip(self.terms, self.thetas, strict=True))

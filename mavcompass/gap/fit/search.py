@@ -55,11 +55,6 @@ class Found:
     explored: dict[frozenset[str], Fit]
 
 
-def _is_turned(fit: Fit) -> bool:
-    """Tell whether a set has the compass in another orientation."""
-    return any(term.effect.kind == "discrete" for term in fit.terms)
-
-
 class Search:
     """Search sets of effects on one problem.
 
@@ -126,7 +121,7 @@ class Search:
         explained = min((fit.sse for fit in turns), default=np.inf)
         if explained < _UNEXPLAINED * noise:
             best = self._rounds(null, most, (), best, 1)
-        nearest = np.inf if _is_turned(best) else best.sse
+        nearest = np.inf if best.is_turned else best.sse
         # A turn that leaves nothing, where nothing else comes near at once, needs no second look at others.
         if explained > min(_UNEXPLAINED * noise, _HOPEFUL * nearest):
             best = self._rounds(null, most, (), best)
@@ -194,7 +189,7 @@ class Search:
 
         Beside nothing what limits the readings, or lasts for a moment, hides or bends what others do.
         """
-        if _is_turned(best) or len(best.terms) < 2:
+        if best.is_turned or len(best.terms) < 2:
             return best
         if len(best.terms) == 2:
             ones = [self.without(best, effect_id) for effect_id in sorted(best.ids)]
@@ -338,7 +333,7 @@ class Search:
 
     def _rivals(self, best: Fit) -> list[Fit]:
         """Fit what else could explain as much with as many effects, for the posterior."""
-        if _is_turned(best):
+        if best.is_turned:
             return []
         candidates = self._linearised(unbent(self.problem, best), ())
         size = max(len(best.terms), 1)

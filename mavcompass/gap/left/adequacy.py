@@ -9,23 +9,28 @@ turns all of them into one decision; the smallest p names the coordinate, never 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mavcompass.chance import chance_above, chance_of_more
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.floor import first_noise, measured_noise
 from mavcompass.gap.replay.noise import group_values
-from mavcompass.gap.replay.nuisance import block_diagonal
-from mavcompass.simulation.effects.effect import Group, Signals
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import Prior, block_diagonal
+from mavcompass.gap.replay.testable import untestable_effects
+from mavcompass.simulation.effects.effect import Effect, Group, Signals
 
-ALPHA = 0.002
 # Columns have unit length: what is left of a direction below this share is the model's own.
 _RANK = 1e-4
 _SLOW_HZ = 0.5
+# A sensor is left out where structure shows in it that chance makes once in a hundred thousand recordings.
+_EXPLAINED_P = 1e-5
+_SENSOR_WORDS: dict[Group, str] = {"acc": "accelerometer", "gyro": "gyro"}
 _MOST_SWEEPS = 400
 
 
@@ -44,10 +49,9 @@ class Test:
 
 @dataclass(frozen=True, slots=True)
 class Adequacy:
-    """Hold all tests, sorted by p, and the decision."""
+    """Hold all tests, sorted by p."""
 
     tests: tuple[Test, ...]
-    flagged: bool
 
     @property
     def p(self) -> float:
@@ -56,7 +60,7 @@ class Adequacy:
 
     @property
     def where(self) -> str:
-        """Return where what is left shows most, flagged or not."""
+        """Return where what is left shows most."""
         return self.tests[0].coordinate if self.tests else "time"
 
 
@@ -68,7 +72,7 @@ def judge(problem: Problem, fit: Fit, compare_scatter: bool, thorough: bool = Tr
     """
     tests = [*_structure(problem, fit), *_scatter(problem, fit, compare_scatter, thorough)]
     tests.sort(key=lambda test: test.p)
-    return Adequacy(tuple(tests), bool(tests) and tests[0].p * len(tests) < ALPHA)
+    return Adequacy(tuple(tests))
 
 
 def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
@@ -86,8 +90,6 @@ def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
     left = left - J @ (root @ (root.T @ (J.T @ left)))
     rest = left.reshape(len(problem.groups), n, 3)
     for at, group in enumerate(problem.groups):
-        if group in problem.replay.doubtful:
-            continue
         part = J[at * 3 * n : (at + 1) * 3 * n].reshape(n, 3, -1) if J.shape[1] else np.zeros((n, 3, 0))
         whitener = problem.noise[group]
         for name, coordinate, regressors in _blocks(group, states[-1]):
@@ -197,8 +199,6 @@ def _scatter(problem: Problem, fit: Fit, compare: bool, thorough: bool) -> Itera
     innovations = problem.innovations(problem.predict(fit))
     signals = problem.signals(fit)
     for group in problem.groups:
-        if group in problem.replay.doubtful:
-            continue
         z = innovations[group][problem.index]
         z = z - z.mean(axis=0)
         scale = z.std(axis=0)
@@ -306,3 +306,46 @@ def _variance_ratio(scale: FloatArray, count: int, problem: Problem, group: Grou
     log_ratio = 2.0 * float(np.log(np.maximum(scale, 1e-9)).sum())
     sigma = math.sqrt(3.0 * (2.0 / count + 2.0 / problem.noise[group].samples))
     return 2.0 * chance_above(abs(log_ratio) / sigma)
+
+
+def with_explained_sensors(
+    replayed: Replay, baseline: Replay | None, effects: Collection[Effect]
+) -> tuple[Replay, Replay | None]:
+    """Leave out, of a recording and its baseline, the sensors that the simulation does not explain in detail.
+
+    A real accelerometer or gyro feels unknown motion, vibration, imperfect timing against the reference: what
+    it says of a cause is then no more than that.
+    """
+    never = untestable_effects(replayed, effects)
+    gone = _unexplained(replayed, [e for e in effects if e.id not in never])
+    if baseline is not None:
+        never = untestable_effects(baseline, effects)
+        # What a baseline's motion makes its accelerometer feel is no cause that would come again.
+        steady = [e for e in effects if e.groups != ("acc",) or not e.needs - {"reference"}]
+        gone |= _unexplained(baseline, [e for e in steady if e.id not in never])
+        baseline = _left_out(baseline, gone)
+    return _left_out(replayed, gone), baseline
+
+
+def _unexplained(witness: Replay, effects: Sequence[Effect]) -> set[Group]:
+    """Tell which sensors show structure beside all effects of theirs that a recording can test."""
+    out: set[Group] = set()
+    for group in witness.groups[1:]:
+        alone = replace(witness, groups=(group,))
+        terms = [make_term(e, alone.signals) for e in effects if group in e.groups]
+        problem = Problem(alone, first_noise(alone), alone.valid, Prior.of(()))
+        fit = problem.fit(terms, [t.effect.neutral() for t in terms], ())
+        judged = Problem(alone, measured_noise(problem, fit), alone.valid, problem.prior)
+        if judge(judged, fit, compare_scatter=False).tests[0].p <= _EXPLAINED_P:
+            out.add(group)
+    return out
+
+
+def _left_out(replayed: Replay, gone: set[Group]) -> Replay:
+    notes = tuple(
+        f"The {_SENSOR_WORDS[g]} does not fit the reference in detail: left out."
+        for g in replayed.groups
+        if g in gone
+    )
+    kept = tuple(g for g in replayed.groups if g not in gone)
+    return replace(replayed, groups=kept, notes=(*replayed.notes, *notes))

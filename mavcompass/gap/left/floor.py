@@ -75,9 +75,6 @@ def first_noise(replay: Replay) -> Noise:
     """State a first noise from the scatter between neighbouring readings."""
     noise: Noise = {}
     for group in replay.groups:
-        if group in replay.doubtful:
-            noise[group] = replay.doubtful[group]
-            continue
         measured, ideal = group_values(replay.measured, group), group_values(replay.signals.reading, group)
         sigma = rough_sigma(measured - ideal, replay.valid)
         least = max(_least_sigma(replay, group), _STATED_MGAUSS if group == "mag" else 0.0)
@@ -91,9 +88,6 @@ def measured_noise(problem: Problem, fit: Fit) -> Noise:
     replay = problem.replay
     noise: Noise = {}
     for group in replay.groups:
-        if group in replay.doubtful:
-            noise[group] = replay.doubtful[group]
-            continue
         error = group_values(replay.measured, group) - group_values(predicted, group)
         found = estimate_noise(
             error,
@@ -144,7 +138,7 @@ def widened(floor: Floor, problem: Problem, fit: Fit) -> Floor:
         excess = np.full(3, float(np.sqrt(np.mean(excess**2))))
     excess = np.maximum(excess, 1.0)
     mag = floor.noise["mag"]
-    return with_noise(floor, {**floor.noise, "mag": replace(mag, sigma=mag.sigma * excess)})
+    return replace(floor, noise={**floor.noise, "mag": replace(mag, sigma=mag.sigma * excess)})
 
 
 def kind_of(replay: Replay, floor: Floor) -> Kind:
@@ -154,11 +148,6 @@ def kind_of(replay: Replay, floor: Floor) -> Kind:
     if floor.measured:
         return "baseline"
     return "reference" if replay.reference.kind == "columns" else "alone"
-
-
-def with_noise(floor: Floor, noise: Noise) -> Floor:
-    """Return the same floor with another noise for whitening."""
-    return replace(floor, noise=noise)
 
 
 def prior_of(replay: Replay, trust: Trust | None) -> Prior:

@@ -254,10 +254,8 @@ def _rapid(
     )
 
 
-# A line keeps step with a way that is within so much of a turn of an even one, as far as that is known: a
-# receiver's velocity errs by so much for a second, and its sum, less a straight line, by root of time / 15.
-_WITHIN_A_TURN, _DRIVING_MPS, _UNKNOWN_SHARE = 0.25, 0.3, 0.1
-_RECEIVER_MPS, _RECEIVER_S = 0.1, 1.0
+# A vehicle that drives, and the share of its way that may be unknown.
+_DRIVING_MPS, _UNKNOWN_SHARE = 0.3, 0.1
 # Stretches over which a receiver's way is good to a turn; what turns on a vehicle has a circumference of so
 # many metres, and as many readings as a line needs.
 _STRETCH_S, _CIRCUMFERENCES_M, _FEWEST = 8.0, (0.2, 3.0), 20
@@ -265,31 +263,18 @@ _STRETCH_S, _CIRCUMFERENCES_M, _FEWEST = 8.0, (0.2, 3.0), 20
 _BESIDE, _AS_WELL = np.linspace(0.85, 1.15, 31), 0.95
 
 
-def keeps_step(replay: Replay, frequency_hz: float) -> bool:
-    """Tell whether a line goes with the way of a vehicle as well as with the time: it drives evenly."""
-    stimulus = replay.signals.stimulus
-    speed = _speed_mps(stimulus)
-    if speed is None:
-        return False
-    time = stimulus.time_s
-    way = integral(time, speed[:, None])[:, 0]
-    off = way - np.polyval(np.polyfit(time, way, 1), time)
-    known_m = _RECEIVER_MPS * math.sqrt(_RECEIVER_S * float(np.ptp(time)) / 15.0)
-    rms_m = float(np.sqrt(np.mean(off**2)))
-    return rms_m < math.hypot(_WITHIN_A_TURN * float(speed.mean()) / frequency_hz, known_m)
-
-
-def follows_way(replay: Replay, line_mgauss: FloatArray, frequency_hz: float) -> bool:
-    """Tell whether a line that was taken out of the readings (M, 3) goes with the vehicle's way no worse.
+def follows_way(replay: Replay, frequency_hz: float, taken_mgauss: FloatArray | float = 0.0) -> bool:
+    """Tell whether a line goes with the vehicle's way no worse than with the time.
 
     However the vehicle drives: its power by the time and by the way, over some seconds each, where no error
-    of a receiver's way counts. A sampled line may be one of a higher frequency.
+    of a receiver's way counts. A sampled line may be one of a higher frequency. `taken_mgauss` (M, 3) is what
+    was taken out of the readings.
     """
     stimulus, readings = replay.signals.stimulus, replay.readings
     speed = _speed_mps(stimulus)
     if speed is None:
         return False
-    time, field = readings.time_s, readings.error_mgauss + line_mgauss
+    time, field = readings.time_s, readings.error_mgauss + taken_mgauss
     way = integral(time, np.interp(time, stimulus.time_s, speed)[:, None])[:, 0]
     sampling_hz, mean_mps = 1.0 / readings.period_s, float(speed.mean())
     may_be_hz = (frequency_hz, sampling_hz - frequency_hz, sampling_hz + frequency_hz)
