@@ -168,11 +168,7 @@ def _believed(beside: Diagnosis) -> bool:
 
 
 def _by_what_it_has(
-    forth: Diagnosis,
-    simulator: Track,
-    vehicle: Track,
-    track: Track,
-    progress: Callable[[str], None],
+    forth: Diagnosis, simulator: Track, vehicle: Track, track: Track, progress: Callable[[str], None]
 ) -> Diagnosis:
     """Judge a flight by the effects that are found in it, as they would act on the vehicle's motion.
 

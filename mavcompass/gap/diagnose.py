@@ -154,12 +154,7 @@ def examine(
 
 
 def _replays(
-    track: Track,
-    baseline: Track | None,
-    compass: int,
-    reference: Choice,
-    thorough: bool,
-    kept: Replayed,
+    track: Track, baseline: Track | None, compass: int, reference: Choice, thorough: bool, kept: Replayed
 ) -> tuple[Replay, Replay | None]:
     """Replay the recording and its baseline, with rows that follow each other alike; `kept` is shared."""
     tracks = [track] if baseline is None else [track, baseline]

@@ -185,7 +185,6 @@ class Picture:
         time_s: (N,); valid, test: rows with data, rows held out.
         before_mgauss, after_mgauss: residual of the field without and with the effects, (N, 3).
         coordinates: values (N,) and unit by name; tilt and heading in degrees among them.
-        floor_mgauss: the noise of each axis, (3,).
         innovations: what is left, in sigmas, (N, 3).
     """
 
@@ -195,7 +194,6 @@ class Picture:
     before_mgauss: FloatArray
     after_mgauss: FloatArray
     coordinates: dict[str, tuple[FloatArray, str]]
-    floor_mgauss: FloatArray
     innovations: FloatArray
 
 

@@ -69,9 +69,9 @@ def advice(diagnosis: Diagnosis) -> str:
     match diagnosis.verdict:
         case "no_gap" if diagnosis.late_s is not None:
             return (
-                f"Look at the compass's driver and the logging rate: readings are {diagnosis.late_s:.2f} s old."
-                f" Beside that the heading is right to {max(diagnosis.heading.nominal, 0.1):.1f} deg rms. A"
-                " recording of the vehicle in a good state (--baseline) would tell whether it was always so."
+                f"Look at the compass's driver and the logging rate: readings are {diagnosis.late_s:.2f} s"
+                f" old. Beside that the heading is right to {max(diagnosis.heading.nominal, 0.1):.1f} deg"
+                " rms. A recording of the vehicle in a good state (--baseline) tells if it was so before."
             )
         case "no_gap" if diagnosis.heading.floor > _COARSE_DEG:
             return (

@@ -103,9 +103,12 @@ def main() -> None:
     parser.add_argument("--evidence", type=Path, required=True, help="made where it lacks cases")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--write", action="store_true", help="write params/gap/criterion.json")
+    parser.add_argument("--every", type=int, default=1, help="a try, with every so many of the cases")
     parser.add_argument("--picture", type=Path, help="write the reliability diagram")
     arguments = parser.parse_args()
-    lines = collected(arguments.evidence, arguments.workers)
+    if arguments.write and arguments.every != 1:
+        parser.error("the tables are made of all cases: --write goes without --every")
+    lines = collected(arguments.evidence, arguments.workers, arguments.every)
     learnt = [line for line in lines if line["maker"] != JUDGES]
     judged = [line for line in lines if line["maker"] == JUDGES]
     penalties(learnt)
@@ -124,11 +127,11 @@ def main() -> None:
         path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def collected(path: Path, workers: int) -> list[Line]:
+def collected(path: Path, workers: int, every: int = 1) -> list[Line]:
     """Read the evidence, and make what it lacks."""
     known: list[Line] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
     have = {json.dumps(line["case"]) for line in known}
-    missing = [w for w in wanted() if json.dumps(_case_of(w)) not in have]
+    missing = [w for w in wanted(every) if json.dumps(_case_of(w)) not in have]
     with ProcessPoolExecutor(workers) as pool:
         for done, line in enumerate(pool.map(examined, missing, chunksize=4)):
             known += [line] if line is not None else []
@@ -140,9 +143,9 @@ def collected(path: Path, workers: int) -> list[Line]:
     return known
 
 
-def wanted() -> Iterator[Wanted]:
+def wanted(every: int = 1) -> Iterator[Wanted]:
     for maker, tier, with_baseline, seed, count in LOT:
-        for index in range(count):
+        for index in range(0, count, every):
             yield Wanted(maker, tier, with_baseline, seed, index)
 
 
@@ -268,12 +271,14 @@ def healthy(lines: Sequence[Line]) -> Line:
     usual, scores = {}, []
     for kind in KINDS:
         own = [line for line in lines if line["kind"] == kind]
+        if not own:  # of a try
+            continue
         values = np.array([[line["values"][name] for name in LEFT] for line in own])
         centre = np.median(values, axis=0)
         size = np.maximum(np.percentile(values, 84, axis=0) - centre, LEAST)
         scores += ((values - centre) / size).max(axis=1).tolist()
         usual[kind] = {"count": len(own), "centre": _rounded(centre), "size": _rounded(size)}
-    kept = len(lines) // KEPT
+    kept = max(len(lines) // KEPT, 1)
     return {
         "count": len(lines),
         "names": list(LEFT),

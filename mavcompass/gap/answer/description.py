@@ -132,7 +132,6 @@ def picture(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> Picture:
         before_mgauss=before,
         after_mgauss=replay.measured.mag_mgauss - predicted.mag_mgauss,
         coordinates=coordinates(problem),
-        floor_mgauss=problem.noise["mag"].rms,
         innovations=problem.innovations(predicted)["mag"],
     )
 

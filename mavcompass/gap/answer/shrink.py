@@ -171,10 +171,7 @@ def _interval(
 
 
 def waterfall(
-    refit: Callable[[frozenset[str]], Fit],
-    problem: Problem,
-    ids: frozenset[str],
-    test: NDArray[np.bool_],
+    refit: Callable[[frozenset[str]], Fit], problem: Problem, ids: frozenset[str], test: NDArray[np.bool_]
 ) -> tuple[Bar, ...]:
     """Share the fall of the mean square on held-out rows among effects: Shapley's value and its range.
 

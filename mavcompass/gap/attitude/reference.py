@@ -19,12 +19,7 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
-from mavcompass.gap.attitude.kinematics import (
-    carried,
-    integral,
-    turned_about_down,
-    turned_between,
-)
+from mavcompass.gap.attitude.kinematics import carried, integral, turned_about_down, turned_between
 from mavcompass.gap.attitude.navigation import (
     FAULTY_SCALE,
     believable,
@@ -143,11 +138,7 @@ class Reference:
 
 
 def reference_attitude(
-    track: Track,
-    time_s: FloatArray,
-    choice: Choice = "auto",
-    instance: int = 1,
-    doubted: slice = _EVERY,
+    track: Track, time_s: FloatArray, choice: Choice = "auto", instance: int = 1, doubted: slice = _EVERY
 ) -> Reference:
     """Choose and build the attitude reference of one compass at some times, and at some of these its doubt.
 
@@ -220,12 +211,7 @@ def body_rate(time_s: FloatArray, rotation: FloatArray) -> FloatArray:
 
 
 def _fused(
-    track: Track,
-    time_s: FloatArray,
-    choice: Choice,
-    instance: int,
-    doubted: slice,
-    listening: bool = True,
+    track: Track, time_s: FloatArray, choice: Choice, instance: int, doubted: slice, listening: bool = True
 ) -> Reference | None:
     """Smooth gyro and accelerometer with the receiver and the witnesses that the choice allows.
 

@@ -165,11 +165,7 @@ class _After:
     """Carry changes through the members of a composition that come after them, for some sensors."""
 
     def __init__(
-        self,
-        order: Order,
-        thetas: Sequence[FloatArray],
-        states: Sequence[Signals],
-        groups: tuple[Group, ...],
+        self, order: Order, thetas: Sequence[FloatArray], states: Sequence[Signals], groups: tuple[Group, ...]
     ) -> None:
         self._order, self._thetas, self._states = order, thetas, states
         self.groups = groups

@@ -15,7 +15,7 @@ from mavcompass.chance import chance_of_more
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.algebra import bridge, cluster_covariance, invert, moved, room, solve_within
 from mavcompass.gap.fit.composition import Changes, Composition
-from mavcompass.gap.fit.hypothesis import CHANCE, Fit, Mask, Term, least_gain, weak_cost, weak_precision
+from mavcompass.gap.fit.hypothesis import CHANCE, Fit, Mask, Term, weak_cost, weak_precision
 from mavcompass.gap.replay.noise import Noise, group_values
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import Prior
@@ -196,22 +196,9 @@ class Problem:
         known = sum(n.known for n in self.nuisances)
         return chance_of_more(self.strain(fit), known) if known else 1.0
 
-    def strains(self, fit: Fit) -> list[tuple[float, int]]:
-        """Return how far a fit strains each nuisance that does not wander, in squared sigmas of so many."""
-        covariance = np.linalg.pinv(self._precision) if self.nuisances else self._precision
-        out, at = [], 0
-        for nuisance, theta in zip(self.nuisances, fit.nuisance_thetas, strict=True):
-            own = slice(at, at + theta.size)
-            at += theta.size
-            if nuisance.known == theta.size:
-                off = theta - nuisance.mean
-                out.append((float(off @ np.linalg.pinv(covariance[own, own]) @ off), theta.size))
-        return out
-
     def straight(self, fit: Fit) -> bool:
         """Tell whether a fit bends what is known of vehicle and place no further than by chance."""
-        together = self.chance_of_strain(fit) > CHANCE
-        return together and all(cost < least_gain(size) for cost, size in self.strains(fit))
+        return self.chance_of_strain(fit) > CHANCE
 
     def forget(self) -> None:
         """Let go of the derivatives that fits lend each other."""

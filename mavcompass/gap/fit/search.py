@@ -101,11 +101,7 @@ class Search:
             self.explored[frozenset()] = self.problem.null()
         return self.explored[frozenset()]
 
-    def run(
-        self,
-        most: int = MOST_EFFECTS,
-        likely: Sequence[Fit] = (),
-    ) -> Found:
+    def run(self, most: int = MOST_EFFECTS, likely: Sequence[Fit] = ()) -> Found:
         """Search up to `most` effects, from the best of sets that are `likely` on."""
         null = self._null()
         known = unbent(self.problem, null, curves=True).nuisance_thetas
@@ -191,10 +187,11 @@ class Search:
         """
         if best.is_turned or len(best.terms) < 2:
             return best
-        if len(best.terms) == 2:
-            ones = [self.without(best, effect_id) for effect_id in sorted(best.ids)]
-        else:
-            ones = [fit for ids, fit in self.explored.items() if len(ids) == 1 and ids <= best.ids]
+        ones = [
+            self.explored.get(frozenset({term.effect.id}))
+            or self.problem.fit((term,), (theta,), best.nuisance_thetas)
+            for term, theta in zip(best.terms, best.thetas, strict=True)
+        ]
         empty, fits = Fit((), (), (), np.inf), [best]
         for one in sorted(ones, key=self.criteria.score)[:_ALONE]:
             if (one.ids, 0) not in self._candidates:
@@ -203,9 +200,8 @@ class Search:
                 fits += [self._fitted(candidates, chosen, empty, _SHORT) for chosen in sets]
         self._remember(fits)
         likeliest = min(fits, key=self.criteria.score)
-        return (
-            likeliest if self.criteria.score(likeliest) < self.criteria.score(best) - _FAR_LIKELIER else best
-        )
+        gained = self.criteria.score(best) - self.criteria.score(likeliest)
+        return likeliest if gained > _FAR_LIKELIER else best
 
     def nearest(self, most: int, held: Fit | None = None) -> Fit:
         """Return the fit that comes nearest with up to `most` effects, beside those `held`, needed or not.
@@ -258,7 +254,7 @@ class Search:
         self.criteria.temper = 1.0
         for _ in range(rounds):
             base = unbent(self.problem, best, curves=True)
-            candidates = self._linearised(base, held, None if base is best else best)
+            candidates = self._linearised(base, held)
             sets = likeliest_sets(candidates, self.criteria, most - len(held))
             chosen = self._to_fit(candidates, sets, len(best.terms) - len(held))
             fits = [self._fitted(candidates, c, kept, _SHORT) for c in chosen]
@@ -273,12 +269,12 @@ class Search:
                 break
         return best
 
-    def _linearised(self, base: Fit, held: Sequence[Term], bent: Fit | None = None) -> Candidates:
+    def _linearised(self, base: Fit, held: Sequence[Term]) -> Candidates:
         """Linearise the catalogue beside a fit, once for fits of the same set that are as good."""
         key = (base.ids, len(held))
         known = self._candidates.get(key)
         if known is None or abs(known.base.sse - base.sse) > max(_AS_GOOD, _AS_GOOD_SHARE * base.sse):
-            known = Candidates(self.problem, self.terms, base, self.criteria.blocks(), held, bent)
+            known = Candidates(self.problem, self.terms, base, self.criteria.blocks(), held)
             self._candidates[key] = known
         return known
 
@@ -349,19 +345,6 @@ class Search:
         for fit in fits:
             if fit.ids not in self.explored or fit.sse < self.explored[fit.ids].sse:
                 self.explored[fit.ids] = fit
-
-    def without(self, fit: Fit, effect_id: str) -> Fit:
-        """Return the fit of the same set without one effect."""
-        keep = [i for i, t in enumerate(fit.terms) if t.effect.id != effect_id]
-        terms = [fit.terms[i] for i in keep]
-        refitted = self.problem.fit(terms, [fit.thetas[i] for i in keep], fit.nuisance_thetas)
-        known = self.explored.get(refitted.ids)
-        if known is not None:
-            # It may have been fitted a few steps only, or from a better start.
-            known = self.problem.refit(known)
-            refitted = min(refitted, known, key=lambda f: f.sse)
-        self.explored[refitted.ids] = refitted
-        return refitted
 
     def polished(self, fit: Fit, moments: bool = False) -> Fit:
         """Fit to convergence, and look again for where the effects begin, or for `moments` only."""

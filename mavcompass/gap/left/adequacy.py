@@ -27,11 +27,9 @@ from mavcompass.simulation.effects.effect import Effect, Group, Signals
 
 # Columns have unit length: what is left of a direction below this share is the model's own.
 _RANK = 1e-4
-_SLOW_HZ = 0.5
 # A sensor is left out where structure shows in it that chance makes once in a hundred thousand recordings.
 _EXPLAINED_P = 1e-5
 _SENSOR_WORDS: dict[Group, str] = {"acc": "accelerometer", "gyro": "gyro"}
-_MOST_SWEEPS = 400
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +62,12 @@ class Adequacy:
         return self.tests[0].coordinate if self.tests else "time"
 
 
-def judge(problem: Problem, fit: Fit, compare_scatter: bool, thorough: bool = True) -> Adequacy:
+def judge(problem: Problem, fit: Fit, compare_scatter: bool) -> Adequacy:
     """Test what a fit leaves, on all usable rows (the fit must have been made on all of them too).
 
-    `compare_scatter` also compares the scatter with the floor's, which must then be representative;
-    `thorough` also looks for lines that sweep, which takes a while.
+    `compare_scatter` also compares the scatter with the floor's, which must then be representative.
     """
-    tests = [*_structure(problem, fit), *_scatter(problem, fit, compare_scatter, thorough)]
+    tests = [*_structure(problem, fit), *_scatter(problem, fit, compare_scatter)]
     tests.sort(key=lambda test: test.p)
     return Adequacy(tuple(tests))
 
@@ -194,7 +191,7 @@ def _loads(load: FloatArray, u: FloatArray) -> FloatArray:
     return np.hstack([own, lagged, x[:, None] * u])
 
 
-def _scatter(problem: Problem, fit: Fit, compare: bool, thorough: bool) -> Iterator[Test]:
+def _scatter(problem: Problem, fit: Fit, compare: bool) -> Iterator[Test]:
     """Test lines, correlation, bursts and the amount of scatter."""
     innovations = problem.innovations(problem.predict(fit))
     signals = problem.signals(fit)
@@ -204,8 +201,6 @@ def _scatter(problem: Problem, fit: Fit, compare: bool, thorough: bool) -> Itera
         scale = z.std(axis=0)
         z = z / np.maximum(scale, 1e-9)
         yield Test(f"{group}: spectral line", "frequency", _line(z))
-        if group == "mag" and thorough:
-            yield Test(f"{group}: sweeping line", "frequency", _sweep(z))
         lags = 20
         rho = np.stack([(z[lag:] * z[:-lag]).mean(axis=0) for lag in range(1, lags + 1)])
         # Their estimate has used up a correlation coefficient or so per lag of the floor's model.
@@ -226,25 +221,6 @@ def _line(z: FloatArray) -> float:
     return min(1.0, 2.0 * p)
 
 
-def _sweep(z: FloatArray) -> float:
-    """Return the p-value of the highest line whose frequency grows or falls evenly, axes together.
-
-    Each rate of change that the length can tell from its neighbour is taken out of z (N, 3) before the
-    transform: a motor that speeds up makes such a line, and no line of one frequency.
-    """
-    n = len(z)
-    t = np.arange(n) - 0.5 * (n - 1)
-    # Neighbours differ by a third of a turn at the ends; the fastest goes from zero to Nyquist's frequency.
-    step, fastest = 8.0 / (3.0 * n * n), 0.5 / n
-    count = min(int(fastest / step), _MOST_SWEEPS)
-    highest = 0.0
-    for rate in step * np.arange(1, count + 1):
-        # Falling ones are the negative frequencies.
-        turned = np.fft.fft(z * np.exp(-1j * np.pi * rate * t * t)[:, None], axis=0)
-        highest = max(highest, float((np.abs(turned) ** 2).sum(axis=1).max()))
-    return min(1.0, chance_of_more(2.0 * highest / n, 6) * n * count)
-
-
 def _kurtosis_factor(z: FloatArray) -> float:
     """Return the variance of z^2 over that of a Gaussian's, from the bulk of the sample."""
     return max(float(np.mean(z**4) - 1.0) / 2.0, 1.0)
@@ -252,7 +228,6 @@ def _kurtosis_factor(z: FloatArray) -> float:
 
 def _variance_tests(group: Group, z: FloatArray, signals: Signals, problem: Problem) -> Iterator[Test]:
     power = (z**2).mean(axis=1) - 1.0
-    step_s = float(np.median(np.diff(signals.stimulus.time_s)))
     factor = _kurtosis_factor(z)
     deviation = math.sqrt(2.0 * factor / 3.0)
     # Bursts: windows of half a second to eight seconds, each half overlapping the next.
@@ -272,22 +247,11 @@ def _variance_tests(group: Group, z: FloatArray, signals: Signals, problem: Prob
         lowest = min(lowest, chance_above(float(normal.max())), chance_of_more(float(shift.max()), 3))
         tried += 2 * starts.size
     yield Test(f"{group}: bursts", "time", min(1.0, lowest * tried))
-    yield Test(f"{group}: scatter that comes and goes", "time", _recurring(power / deviation, step_s))
     coordinates = _scatter_coordinates(group, signals, problem)
     for name, x in coordinates:
         x = (x - x.mean()) / max(float(x.std()), 1e-12)
         statistic = float(power @ x) / (deviation * math.sqrt(float(x @ x)))
         yield Test(f"{group}: scatter with {name}", name, chance_of_more(statistic**2, 1))
-
-
-def _recurring(power: FloatArray, step_s: float) -> float:
-    """Return the p-value of the highest line in the periodogram of power (N,) of unit variance, below 0.5 Hz.
-
-    Scatter that comes again and again is seen in its rhythm long before any one of its bursts stands out.
-    """
-    waves = np.abs(np.fft.rfft(power)) ** 2 / len(power)
-    slow = waves[1 : max(int(_SLOW_HZ * step_s * len(power)), 1) + 1]
-    return min(1.0, len(slow) * math.exp(-float(slow.max()))) if len(slow) else 1.0
 
 
 def _scatter_coordinates(group: Group, signals: Signals, problem: Problem) -> list[tuple[str, FloatArray]]:

@@ -87,8 +87,7 @@ def find_scatter(
     trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
     late_shows = late_size * float(np.mean(x)) > _LEAST_LATE**2
     if late_times in allowed and trusted and late_shows:
-        gain = late if representative else _beyond_even(y, x)
-        candidates.append(Scatter(late_times, math.sqrt(late_size), gain / inflation))
+        candidates.append(Scatter(late_times, math.sqrt(late_size), late / inflation))
     if not floor.measured and more in allowed:
         sigma = quiet_scatter(problem.replay.readings)
         if sigma > WORST_SCATTER_MGAUSS:
@@ -141,19 +140,6 @@ def _late_gain(y: FloatArray, x: FloatArray, base: float) -> tuple[float, float]
 def _log_ratio(y: FloatArray, x: FloatArray, base: float, a: float) -> float:
     v = base + a * x
     return float(np.sum(y / base - y / v - np.log(v / base)))
-
-
-def _beyond_even(y: FloatArray, x: FloatArray) -> float:
-    """Return what the dependence on the rate explains beyond even scatter of any size."""
-    even = max(float(y.mean()), 1e-12)
-    best = 0.0
-    for share in (0.2, 0.5, 0.8, 0.95):
-        best = max(best, _late_gain(y, x, share * even)[0] + _even_part(y, share * even))
-    return best - _even_part(y, even)
-
-
-def _even_part(y: FloatArray, variance: float) -> float:
-    return float(np.sum(y - y / variance) - y.size * math.log(variance))
 
 
 def noise_with(problem: Problem, fit: Fit, scatter: Scatter) -> Noise:

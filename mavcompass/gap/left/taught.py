@@ -44,7 +44,6 @@ from mavcompass.gap.replay.nuisance import (
     Trust,
 )
 from mavcompass.gap.replay.testable import untestable_effects
-from mavcompass.simulation.effects.causes.world import gradient_origin
 from mavcompass.simulation.effects.effect import FREQUENCY, LIMIT, Effect
 
 _FOLD_WIDENING, _MOST_FOLDED = 4.0, 4
@@ -75,7 +74,7 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
     """Tune the simulator to a baseline, with those effects that it can tell, and measure what it leaves."""
     trust, problem, fit = _tuned(baseline)
     sharp = baseline.reference.kind == "columns"
-    if sharp and judge(problem, fit, compare_scatter=False, thorough=False).p < _GAP_P:
+    if sharp and judge(problem, fit, compare_scatter=False).p < _GAP_P:
         never = untestable_effects(baseline, effects).keys()
         foldable = [e for e in effects if e.kind == "mean" and not _passes(e) and e.id not in never]
         for _ in range(2):
@@ -218,7 +217,7 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
             if nuisance.effect.id == TELEMETRY_AGE:
                 mean += baseline.late_s - replay.late_s
             if nuisance.effect is WORLD_FIELD:
-                mean = _field_here(replay, baseline, theta) + _from_start_to_start(replay, baseline, fit)
+                mean = _field_here(replay, baseline, theta)
             nuisance = replace(nuisance, mean=mean)
             source += range(first, first + theta.size)
             place += range(at, at + theta.size)
@@ -302,20 +301,3 @@ def _same_place(replay: Replay, baseline: Replay) -> bool:
         return True
     (lat, lon, _), (there_lat, there_lon, _) = replay.place, baseline.place
     return math.hypot(*north_east_m(there_lat, there_lon, lat, lon)) < _SAME_PLACE_M
-
-
-def _from_start_to_start(replay: Replay, baseline: Replay, fit: Fit) -> FloatArray:
-    """Return how a folded gradient changes the field from one recording's origin to the other's.
-
-    Only positions of a reference share their datum.
-    """
-    if not replay.reference.kind == baseline.reference.kind == "columns":
-        return np.zeros(3)
-    own, other = (gradient_origin(one.signals.stimulus.position_ned_m) for one in (replay, baseline))
-    away_m = own - other
-    changes = [
-        t.effect.from_origin(x, away_m)
-        for t, x in zip(fit.terms, fit.thetas, strict=True)
-        if t.effect.from_origin
-    ]
-    return sum(changes, np.zeros(3))

@@ -170,15 +170,7 @@ def read_stored(path: Path) -> Stored:
             causes=tuple(map(_cause, document["causes"])),
             beliefs=tuple(map(Belief.from_json, document["beliefs"])),
         )
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        OverflowError,
-        RecursionError,
-    ) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise UsageError(
             f"{path} is no diagnosis that can be rehearsed.",
             "Name the recording itself, or what `mavcompass gap diagnose LOG --json FILE` writes for one"

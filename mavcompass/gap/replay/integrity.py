@@ -57,10 +57,7 @@ class Trace:
 
 
 def inspect(
-    field_mgauss: FloatArray,
-    valid: NDArray[np.bool_],
-    time_s: FloatArray,
-    gyro_radps: Series | None = None,
+    field_mgauss: FloatArray, valid: NDArray[np.bool_], time_s: FloatArray, gyro_radps: Series | None = None
 ) -> Trace:
     """Look for repeats and a lattice in readings (N, 3) at some times (N,), before any averaging."""
     same = np.concatenate([[False], (np.diff(field_mgauss, axis=0) == 0.0).all(axis=1)]) & valid

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from mavcompass.earth_field import middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
-from mavcompass.gap.attitude.kinematics import second_derivative
 from mavcompass.gap.attitude.reference import (
     SLOWEST_GYRO_S,
     UNKNOWN_YAW_RAD,
@@ -36,14 +35,7 @@ from mavcompass.gap.replay.nuisance import (
     load_of,
     reference_attitude_error,
 )
-from mavcompass.gap.replay.rows import (
-    averaged,
-    compass_rows,
-    middles,
-    shared_period_s,
-    swing,
-    unbroken,
-)
+from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing, unbroken
 from mavcompass.gap.replay.whereabouts import (
     UNKNOWN_SIGMA_MGAUSS,
     goes_about,
@@ -93,7 +85,6 @@ class Replay:
         place: latitude, longitude in degrees, altitude in metres; None where unknown.
         place_scatter_m: how far each place is off by itself, (3,).
         loads_every_s: how often the loads were recorded.
-        taken_mgauss: rms of what was taken out of the rows.
         notes: what a reader of the result must know.
     """
 
@@ -118,7 +109,6 @@ class Replay:
     place: tuple[float, float, float] | None = None
     place_scatter_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     loads_every_s: float = 0.0
-    taken_mgauss: float = 0.0
 
     @property
     def time_s(self) -> FloatArray:
@@ -137,7 +127,6 @@ class Replay:
             measured=replace(self.measured, mag_mgauss=self.measured.mag_mgauss - change),
             corrected_mgauss=corrected,
             readings=self.readings.without(change_mgauss),
-            taken_mgauss=math.hypot(self.taken_mgauss, float(np.sqrt(np.mean(change[self.valid] ** 2)))),
         )
 
 
@@ -204,7 +193,6 @@ def replay(
     acc = _column(track.acc_mps2, time_s, rows.width)
     gyro = _column(track.gyro_radps, time_s, rows.width)
     measured = Reading(raw, acc, gyro)
-    stimulus = _with_linear_acceleration(stimulus, acc, reference)
     ideal = Reading(
         rotate_back(stimulus.rotation, stimulus.field_ned_mgauss),
         stimulus.specific_force_mps2,
@@ -235,13 +223,7 @@ def replay(
         valid=valid,
         groups=groups,
         nuisances=_nuisances(
-            reference,
-            stimulus,
-            raw if corrected is None else corrected,
-            sigma,
-            rows.telemetry,
-            valid,
-            told_s,
+            reference, stimulus, raw if corrected is None else corrected, sigma, rows.telemetry, valid, told_s
         ),
         present=present,
         reference=reference,
@@ -339,24 +321,6 @@ def _stimulus(
         motors=motors,
         turning=turning,
     )
-
-
-def _with_linear_acceleration(stimulus: Stimulus, acc: FloatArray, reference: Reference) -> Stimulus:
-    """Add the acceleration of the recorded path, where that explains the accelerometer better."""
-    position = stimulus.position_ned_m
-    known = np.isfinite(position).all(axis=1) & np.isfinite(acc).all(axis=1) & reference.known
-    if reference.kind != "columns" or known.sum() < 0.9 * len(position):
-        return stimulus
-    step = float(np.median(np.diff(stimulus.time_s)))
-    window = max(5, 2 * round(0.08 / step) + 1)
-    path = np.stack(
-        [np.interp(stimulus.time_s, stimulus.time_s[known], p[known]) for p in position.T], axis=1
-    )
-    linear = second_derivative(path, window, step)
-    moving = stimulus.specific_force_mps2 + rotate_back(stimulus.rotation, linear)
-    at_rest_error = np.median(np.abs(acc - stimulus.specific_force_mps2)[known])
-    moving_error = np.median(np.abs(acc - moving)[known])
-    return replace(stimulus, specific_force_mps2=moving) if moving_error < 0.9 * at_rest_error else stimulus
 
 
 def _nuisances(

@@ -4,9 +4,4 @@ from mavcompass.gap.trial.cases import Generator
 from mavcompass.gap.trial.score import wilson
 from mavcompass.gap.trial.trial import Trial, run_trial
 
-__all__ = [
-    "Generator",
-    "Trial",
-    "run_trial",
-    "wilson",
-]
+__all__ = ["Generator", "Trial", "run_trial", "wilson"]

@@ -79,9 +79,7 @@ def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
     stimulus = replace(replayed.signals.stimulus, rotation=rotation)
     reading = replace(replayed.signals.reading, mag_mgauss=rotate_back(rotation, stimulus.field_ned_mgauss))
     exact = replace(
-        replayed,
-        signals=Signals(stimulus, reading),
-        nominal_mgauss=replayed.iron.raw(reading.mag_mgauss),
+        replayed, signals=Signals(stimulus, reading), nominal_mgauss=replayed.iron.raw(reading.mag_mgauss)
     )
     every = list(catalogue().values())
     floor = from_baseline(exact, before, every)

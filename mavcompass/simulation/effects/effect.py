@@ -202,7 +202,6 @@ class Effect:
         detector: what shows it by itself, beside or instead of a search over sets.
         daily: what differs from one good flight of a vehicle to the next, in the parameters' unit.
         about_vertical: True for a turn of the world's field about the vertical, which a yaw hides.
-        from_origin: the world's field (3,) that it adds so far (3,) from where it begins to count.
     """
 
     id: str
@@ -226,7 +225,6 @@ class Effect:
     detector: Detector | None = None
     daily: float = 0.0
     about_vertical: bool = False
-    from_origin: Callable[[FloatArray, FloatArray], FloatArray] | None = None
 
     @property
     def switched(self) -> bool:

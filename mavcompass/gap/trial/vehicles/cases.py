@@ -75,10 +75,7 @@ def make_case(seed: int, tier: Tier, baseline: bool = True) -> VehicleCase:
     needs = frozenset[str]().union(*(kind.needs for kind in wanted))
     kind, motion_name = _vehicle_for(needs, choosing)
     vehicle = draw_vehicle(
-        building,
-        kind,
-        averaged=False if "each_row" in needs else None,
-        precise="way" in needs,
+        building, kind, averaged=False if "each_row" in needs else None, precise="way" in needs
     )
     elsewhere = building.random() < 0.1
     site = draw_site(building, vehicle.utc_s, near=vehicle.site) if elsewhere else vehicle.site

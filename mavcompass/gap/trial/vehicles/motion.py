@@ -22,18 +22,8 @@ MOTIONS: dict[str, tuple[str, ...]] = {
     "boat": (*ON_THE_WAY, "four_positions"),
     "copter": (*ON_THE_WAY, "four_positions", "hand"),
 }
-_SPEED_MPS = {
-    "rover": (0.6, 2.5),
-    "ackermann-rover": (1.5, 5.0),
-    "boat": (1.0, 3.5),
-    "copter": (2.0, 8.0),
-}
-_TURN_RADPS = {
-    "rover": (0.4, 1.1),
-    "ackermann-rover": (0.3, 0.8),
-    "boat": (0.15, 0.5),
-    "copter": (0.3, 0.9),
-}
+_SPEED_MPS = {"rover": (0.6, 2.5), "ackermann-rover": (1.5, 5.0), "boat": (1.0, 3.5), "copter": (2.0, 8.0)}
+_TURN_RADPS = {"rover": (0.4, 1.1), "ackermann-rover": (0.3, 0.8), "boat": (0.15, 0.5), "copter": (0.3, 0.9)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

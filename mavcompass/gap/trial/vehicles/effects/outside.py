@@ -76,10 +76,7 @@ def _draw_swinging(rng: Rng, scene: Scene) -> Grow:
     length = rng.uniform(1.0, 3.0) if scene.vehicle.kind == "copter" else rng.uniform(0.25, 0.7)
     swing = np.radians(rng.uniform(8.0, 25.0))
     return grown(
-        rng,
-        ("moment_forward", "moment_right", "moment_down"),
-        length_m=float(length),
-        swing_rad=float(swing),
+        rng, ("moment_forward", "moment_right", "moment_down"), length_m=float(length), swing_rad=float(swing)
     )
 
 
