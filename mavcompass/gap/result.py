@@ -46,6 +46,15 @@ class Cause:
     removes_mgauss: float = 0.0
     removes_deg: float = 0.0
 
+    @classmethod
+    def told(
+        cls, effect: str, values: Mapping[str, float], sigma: Mapping[str, float], removes_mgauss: float = 0.0
+    ) -> Cause:
+        """Describe an effect that was read off by itself: its values, with standard deviations if any."""
+        off = {name: 1.96 * sigma.get(name, 0.0) for name in values}
+        ends = {name: (value - off[name], value + off[name]) for name, value in values.items()}
+        return cls(effect, values, ends, 1.0, (), removes_mgauss=removes_mgauss)
+
 
 @dataclass(frozen=True, slots=True)
 class Place:

@@ -128,7 +128,7 @@ def decide(evidence: Evidence) -> Answer:
     where = evidence.adequacy.where if said in ("unknown", "named_with_remainder") else None
     if said in ("named", "ambiguous", "named_with_remainder"):
         return Answer(said, fit, field, heading, _told(known_sets), where, in_step, wander_deg)
-    if said == "unknown" and (evidence.faults or evidence.traces.named):
+    if said == "unknown" and (evidence.faults or evidence.traces.causes):
         # What single readings show by themselves is named, whatever else there is.
         both = figures(evidence, none, with_scatter=True)
         sets = ((none.ids, 1.0 - outcomes["unknown"]),)

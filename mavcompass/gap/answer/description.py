@@ -16,7 +16,7 @@ from mavcompass.gap.answer.advise import next_flights
 from mavcompass.gap.answer.belief import beliefs, corrected_rms, cured_iron
 from mavcompass.gap.answer.decision import Answer
 from mavcompass.gap.answer.evidence import Evidence
-from mavcompass.gap.answer.naming import named_causes, trace_causes
+from mavcompass.gap.answer.naming import named_causes
 from mavcompass.gap.answer.shrink import shows, waterfall
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.fit.model import Problem
@@ -158,7 +158,10 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     weights = dict(answer.sets)
     beside = evidence.faults
     if answer.verdict != "unknown":
-        beside = trace_causes(scatter, evidence.traces, level_mgauss(evidence.replay)) + beside
+        level = level_mgauss(evidence.replay)
+        read = (*(() if scatter is None else (scatter.cause,)), *evidence.traces.causes)
+        read = tuple(replace(c, removes_deg=math.degrees(c.removes_mgauss / level)) for c in read)
+        beside = read + beside
     # Whatever else is named, what single readings tell is there.
     beside = tuple(replace(cause, probability=sum(weights.values())) for cause in beside)
     causes = named_causes(identified, named, weights) + beside

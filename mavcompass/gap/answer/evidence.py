@@ -17,7 +17,6 @@ from mavcompass.gap.selection.identification import Remainder
 from mavcompass.gap.selection.posterior import Identified
 from mavcompass.gap.tables import Kind
 from mavcompass.gap.traces.traces import Traces
-from mavcompass.simulation.effects import detected_by
 from mavcompass.track import Track
 
 
@@ -50,14 +49,9 @@ class Evidence:
     @property
     def beside_ids(self) -> frozenset[str]:
         """Return what is named besides the fitted effects."""
-        ids = {fault.effect for fault in self.faults} | {rapid.effect for rapid in self.traces.rapid}
-        if self.traces.stale_share > 0.0:
-            ids.add(detected_by("repeats").id)
-        if self.traces.step_mgauss > 0.0:
-            ids.add(detected_by("steps").id)
-        if self.remainder.scatter is not None:
-            ids.add(self.remainder.scatter.effect)
-        return frozenset(ids)
+        scatter = self.remainder.scatter
+        ids = {cause.effect for cause in (*self.faults, *self.traces.causes)}
+        return frozenset(ids if scatter is None else ids | {scatter.effect})
 
     @property
     def frozen(self) -> bool:

@@ -12,12 +12,9 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import apart
-from mavcompass.gap.left.scatter import Scatter
 from mavcompass.gap.result import Cause
 from mavcompass.gap.selection.posterior import Identified
 from mavcompass.gap.selection.transient import between_rows
-from mavcompass.gap.traces.traces import Traces
-from mavcompass.simulation.effects import detected_by, get
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
 
 _SIGMAS = 1.96
@@ -151,34 +148,3 @@ def named_causes(
             )
         )
     return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
-
-
-def trace_causes(scatter: Scatter | None, traces: Traces, level_mgauss: float) -> tuple[Cause, ...]:
-    """Describe effects that single readings told, in a level field."""
-    found = [_read_off(r.effect, r.parameters, r.sigma, math.sqrt(r.variance_mgauss2)) for r in traces.rapid]
-    if traces.step_mgauss > 0.0:
-        step = traces.step_mgauss
-        found.insert(
-            0, _of_size(detected_by("steps").id, step, traces.step_doubt_mgauss, step / math.sqrt(12.0))
-        )
-    if traces.stale_share > 0.0:
-        found.insert(0, _of_size(detected_by("repeats").id, traces.stale_share, traces.stale_doubt, 0.0))
-    if scatter is not None:
-        removes = scatter.size if scatter.white else 0.0
-        found.insert(0, _of_size(scatter.effect, scatter.size, scatter.doubt, removes))
-    return tuple(
-        replace(cause, removes_deg=math.degrees(cause.removes_mgauss / level_mgauss)) for cause in found
-    )
-
-
-def _of_size(effect: str, size: float, doubt: float, removes_mgauss: float) -> Cause:
-    name = get(effect).names[0]
-    return _read_off(effect, {name: size}, {name: doubt}, removes_mgauss)
-
-
-def _read_off(
-    effect: str, values: Mapping[str, float], sigma: Mapping[str, float], removes_mgauss: float
-) -> Cause:
-    doubts = {name: 1.96 * sigma.get(name, 0.0) for name in values}
-    ends = {name: (value - doubts[name], value + doubts[name]) for name, value in values.items()}
-    return Cause(effect, values, ends, 1.0, (), removes_mgauss=removes_mgauss)

@@ -45,9 +45,8 @@ def sensor_fault(shown: Detector, now: Bias | None, before: Bias | None) -> tupl
     change, sigma = now.mean - before.mean, np.hypot(now.sigma, before.sigma)
     if np.abs(change).max() < effect.daily or float(np.sum((change / sigma) ** 2)) < _IMPROBABLE:
         return ()
-    values = dict(zip("xyz", change.tolist(), strict=True))
-    ends = {n: (v - 1.96 * s, v + 1.96 * s) for (n, v), s in zip(values.items(), sigma.tolist(), strict=True)}
-    return (Cause(effect.id, values, ends, 1.0, ()),)
+    values, doubts = (dict(zip("xyz", column.tolist(), strict=True)) for column in (change, sigma))
+    return (Cause.told(effect.id, values, doubts),)
 
 
 def without_fault(track: Track, fault: tuple[Cause, ...]) -> Track:

@@ -13,6 +13,7 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import Floor
 from mavcompass.gap.replay.noise import USUAL_SCATTER_MGAUSS, WORST_SCATTER_MGAUSS, Noise, estimate_noise
 from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.result import Cause
 from mavcompass.gap.traces.scattered import quiet_doubt, quiet_scatter
 from mavcompass.simulation.effects import detected_by, get
 
@@ -38,6 +39,12 @@ class Scatter:
     size: float
     gain: float
     doubt: float = 0.0
+
+    @property
+    def cause(self) -> Cause:
+        """Return it as it is named."""
+        name, removes = get(self.effect).names[0], self.size if self.white else 0.0
+        return Cause.told(self.effect, {name: self.size}, {name: self.doubt}, removes)
 
     @property
     def white(self) -> bool:

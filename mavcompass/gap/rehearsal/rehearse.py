@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
@@ -128,20 +129,23 @@ def rehearse(
         compared = min(draws, max(round(_COMPARED_SHARE * draws), _FEWEST_COMPARED))
         names = [*SOURCES, *kind.effects]
         protocols = list(_protocols(kind))
-        bar = _Bar(progress, draws + compared * (len(names) + len(protocols)))
+        done, of = count(1), draws + compared * (len(names) + len(protocols))
         vehicles = Draws(kind, seed)
-        whole = calibrations(kind, vehicles, draws, done=bar.step)
+
+        def run(of_them: int, protocol: Protocol = USUAL, without: Collection[str] = ()) -> Run:
+            return calibrations(kind, vehicles, of_them, protocol, without, lambda: progress(next(done), of))
+
+        whole = run(draws)
         if not np.isfinite(whole.errors_deg).any() and whole.refusal is not None:
             raise whole.refusal
-        few = whole.first(compared)
-        parts = [
-            _part(name, calibrations(kind, vehicles, compared, without={name}, done=bar.step), few, kind)
-            for name in names
-        ]
-        remedies = [
-            _remedy(words, calibrations(kind, vehicles, compared, protocol, done=bar.step), few)
-            for words, protocol in protocols
-        ]
+        few, parts, remedies = whole.first(compared), list[Part](), list[Remedy]()
+        for name in names:
+            other = run(compared, without={name})
+            level, tilted = other.change_from(few)
+            parts.append(Part(name, name in kind.effects, other.errors, 1.0 - level**2, 1.0 - tilted**2))
+        for words, protocol in protocols:
+            other = run(compared, protocol)
+            remedies.append(Remedy(words, other.errors, *other.change_from(few)))
     return Rehearsal(
         source=track.source,
         compass=diagnosis.compass,
@@ -159,26 +163,6 @@ def rehearse(
         seconds=time.perf_counter() - started,
         notes=tuple(_notes(kind, diagnosis)),
     )
-
-
-class _Bar:
-    """Count calibrations."""
-
-    def __init__(self, progress: Callable[[int, int], None], of: int) -> None:
-        self._progress, self._of, self._done = progress, of, 0
-
-    def step(self) -> None:
-        self._done += 1
-        self._progress(self._done, self._of)
-
-
-def _part(name: str, without: Run, usual: Run, kind: Kind) -> Part:
-    level, tilted = without.change_from(usual)
-    return Part(name, name in kind.effects, without.errors, 1.0 - level**2, 1.0 - tilted**2)
-
-
-def _remedy(words: str, otherwise: Run, usual: Run) -> Remedy:
-    return Remedy(words, otherwise.errors, *otherwise.change_from(usual))
 
 
 def _protocols(kind: Kind) -> Iterator[tuple[str, Protocol]]:

@@ -78,9 +78,7 @@ class Posterior:
         return [e for e in self.explanations[1:] if e.fit.terms and not self.restates(e)]
 
     def without(self, effect_id: str) -> float:
-        """Return by how many sigmas the best set without an effect falls short of the best one; 0 where it
-        does
-        not."""
+        """Return by how many sigmas the best set without an effect falls short of the best one, or 0."""
         others = [e.cost for e in self.explanations if effect_id not in e.fit.ids]
         return math.sqrt(max(min(others, default=math.inf) - self.best.cost, 0.0))
 

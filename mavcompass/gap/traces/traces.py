@@ -10,6 +10,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.result import Cause
 from mavcompass.gap.traces.rapid import Rapid, find_rapid
 from mavcompass.gap.traces.scattered import burst_mgauss, excess_variance
 from mavcompass.simulation.effects import Effect, detected_by
@@ -172,8 +173,7 @@ class Traces:
 
     Attributes:
         stale_share: the share of repeats; step_mgauss: the step of the numbers; zero where not to be named.
-        stale_doubt, step_doubt_mgauss: their standard deviations.
-        rapid: effects that change with every reading, and were taken out.
+        rapid: effects that change with every reading, and were taken out. causes: all that is to be named.
         excess_mgauss2: the variance of white scatter beyond the baseline's, of single readings.
         unexplained: the coordinate of what single readings show beyond the baseline's and the floor, and what
             no name is for: "time" of bursts, "frequency" of a line that may not be named, or none.
@@ -183,14 +183,8 @@ class Traces:
     step_mgauss: float = 0.0
     rapid: tuple[Rapid, ...] = ()
     excess_mgauss2: float = 0.0
-    stale_doubt: float = 0.0
-    step_doubt_mgauss: float = 0.0
     unexplained: str = ""
-
-    @property
-    def named(self) -> bool:
-        """Tell whether something is to be named."""
-        return self.stale_share > 0.0 or self.step_mgauss > 0.0 or bool(self.rapid)
+    causes: tuple[Cause, ...] = ()
 
 
 def find_traces(
@@ -226,11 +220,19 @@ def find_traces(
     rapid = named
     for one in rapid:
         replay = replay.without(one.change_mgauss)
-    stale = stale if detected_by("repeats").id in names else 0.0
-    step = step if detected_by("steps").id in names else 0.0
+    repeats, steps, causes = detected_by("repeats"), detected_by("steps"), list[Cause]()
+    stale = stale if repeats.id in names else 0.0
+    step = step if steps.id in names else 0.0
+    if stale > 0.0:
+        name = repeats.names[0]
+        causes.append(Cause.told(repeats.id, {name: stale}, {name: stale_doubt(replay, stale)}))
+    if step > 0.0:
+        name = steps.names[0]
+        causes.append(Cause.told(steps.id, {name: step}, {name: step_doubt}, step / math.sqrt(12.0)))
+    causes += [Cause.told(r.effect, r.parameters, r.sigma, math.sqrt(r.variance_mgauss2)) for r in rapid]
     if before is not None and burst_mgauss(readings, before) > _MATERIAL * floor_mgauss:
         unexplained = "time"
-    return Traces(stale, step, rapid, excess, stale_doubt(replay, stale), step_doubt, unexplained), replay
+    return Traces(stale, step, rapid, excess, unexplained, tuple(causes)), replay
 
 
 def searched(replay: Replay, effects: Iterable[Effect]) -> list[Effect]:

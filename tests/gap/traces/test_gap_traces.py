@@ -297,7 +297,7 @@ def test_long_telemetry_names_what_averaged_rows_hide() -> None:
     # Where it may not be named it is not taken for noise either, and stays in the readings.
     now, before = (replay(t, 1, "auto", 0.3) for t in (case.track, case.baseline) if t is not None)
     traces, left = find_traces(now, before, 2.0, 2.6, frozenset({"noise_excess"}), exact=False)
-    assert not traces.named and traces.excess_mgauss2 == 0.0 and left is now
+    assert not traces.causes and traces.excess_mgauss2 == 0.0 and left is now
 
 
 def test_replay_without_an_effect_is_that_of_rows_and_readings_without_it() -> None:
