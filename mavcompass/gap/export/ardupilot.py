@@ -59,34 +59,35 @@ class Affine:
         ]
 
 
-def affine_of(found: Found) -> Affine | None:
-    """Compose all affine effects; None where there is none."""
+NOTHING = Affine(np.eye(3), np.zeros(3), 0.0)
+
+
+def affine_of(found: Found) -> tuple[Affine, dict[str, float]]:
+    """Compose all affine effects; return also the parameters of the simulator."""
     affine = [s for s in found.settings if s.effect.affine]
-    if not affine:
-        return None
-    matrix, offset = affine_map(affine)
-    u, sizes, vt = np.linalg.svd(matrix)
-    angle = math.acos(float(np.clip((np.trace(u @ vt) - 1.0) / 2.0, -1.0, 1.0)))
-    return Affine(u @ np.diag(sizes) @ u.T, offset, angle)
+    parameters: dict[str, float] = {}
+    composed = NOTHING
+    if affine:
+        matrix, offset = affine_map(affine)
+        u, sizes, vt = np.linalg.svd(matrix)
+        angle = math.acos(float(np.clip((np.trace(u @ vt) - 1.0) / 2.0, -1.0, 1.0)))
+        composed = Affine(u @ np.diag(sizes) @ u.T, offset, angle)
+        parameters = composed.parameters()
+    for setting in found.settings:
+        parameters |= setting.effect.sitl(setting.values) if setting.effect.sitl is not None else {}
+    return composed, parameters
 
 
 def ardupilot_sitl(found: Found) -> Exported:
     """Write a parameter file that ArduPilot's simulator and ground stations load."""
-    affine = affine_of(found)
-    parameters = affine.parameters() if affine is not None else {}
-    lacking = [*(affine.lacking() if affine is not None else []), *found.of_the_place(SIMULATOR)]
-    left_out = affine.left_out if affine is not None else []
-    for setting in found.settings:
-        if setting.effect.sitl is not None:
-            parameters |= setting.effect.sitl(setting.values)
-        elif not setting.effect.affine:
-            lacking.append(found.without(setting, SIMULATOR))
-            left_out.append(setting.effect.id)
+    affine, parameters = affine_of(found)
+    lost, gone = found.lost(SIMULATOR, lambda setting: setting.effect.sitl)
+    lacking = [*affine.lacking(), *found.of_the_place(SIMULATOR), *lost]
     lines = commented("#", found.headed(SIMULATOR))
     lines += commented("# not in the simulator:", lacking)
     lines += [f"{name},{value:.6g}" for name, value in parameters.items()]
     use = "sim_vehicle.py --add-param-file=FILE"
-    return Exported("\n".join(lines) + "\n", use, parameters, tuple(lacking), tuple(left_out))
+    return Exported("\n".join(lines) + "\n", use, parameters, tuple(lacking), (*affine.left_out, *gone))
 
 
 _FRAME = Template("""\
@@ -219,30 +220,19 @@ def _written(setting: Setting) -> str | None:
 
 def ardupilot_lua(found: Found) -> Exported:
     """Write a Lua script for the simulator's scripts folder."""
-    affine = affine_of(found)
-    matrix = np.eye(3) if affine is None else affine.stretch
-    offset = np.zeros(3) if affine is None else affine.offset_mgauss
-    parameters = {} if affine is None else affine.parameters()
-    lacking = [*([] if affine is None else affine.lacking()), *found.of_the_place(SIMULATOR)]
-    left_out = [] if affine is None else affine.left_out
-    effects = []
-    for setting in found.settings:
-        text = _written(setting)
-        if setting.effect.sitl is not None:
-            parameters |= setting.effect.sitl(setting.values)
-        elif text is not None:
-            effects.append(f"  function(b) -- {setting.effect.id}\n    {text}\n  end,")
-        elif not setting.effect.affine:
-            lacking.append(found.without(setting, SIMULATOR))
-            left_out.append(setting.effect.id)
+    affine, parameters = affine_of(found)
+    texts = {s.effect.id: text for s in found.settings if (text := _written(s)) is not None}
+    effects = [f"  function(b) -- {effect}\n    {text}\n  end," for effect, text in texts.items()]
+    lost, gone = found.lost(SIMULATOR, lambda s: s.effect.sitl or s.effect.id in texts)
+    lacking = [*affine.lacking(), *found.of_the_place(SIMULATOR), *lost]
     head = [*found.headed(SIMULATOR), "Put it into scripts/, with SCR_ENABLE 1 in the parameters."]
     head += [f"Not in the simulator: {s}" for s in lacking]
     text = _FRAME.substitute(
         head="\n".join(commented("--", head)),
         parameters="\n".join(f"  {n} = {v:.6g}," for n, v in parameters.items() if "_OFS_" not in n),
-        matrix=", ".join("{ " + ", ".join(f"{x:.6g}" for x in row) + " }" for row in matrix.tolist()),
-        offset=", ".join(f"{x:.6g}" for x in offset.tolist()),
+        matrix=", ".join("{ " + ", ".join(f"{x:.6g}" for x in row) + " }" for row in affine.stretch.tolist()),
+        offset=", ".join(f"{x:.6g}" for x in affine.offset_mgauss.tolist()),
         effects="\n".join(effects),
     )
     use = "cp FILE scripts/ beside the simulator, and start it with SCR_ENABLE 1"
-    return Exported(text, use, parameters, tuple(lacking), tuple(left_out))
+    return Exported(text, use, parameters, tuple(lacking), (*affine.left_out, *gone))

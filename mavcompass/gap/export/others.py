@@ -37,9 +37,8 @@ def px4_sitl(found: Found) -> Exported:
     """Write a parameter file in the form of PX4's ground stations: system, component, name, value, type."""
     offset, lacking, left_out = found.offset_alone(_PX4)
     parameters = {f"SIM_MAG_OFFSET_{axis}": float(offset[i]) / 1000.0 for i, axis in enumerate("XYZ")}
-    lost = [s for s in found.settings if not s.effect.affine]
-    lacking += [found.without(s, _PX4) for s in lost]
-    left_out += [s.effect.id for s in lost]
+    lost, gone = found.lost(_PX4, lambda setting: None)
+    lacking, left_out = lacking + lost, left_out + gone
     lines = commented("#", found.headed(_PX4))
     lines += commented("# not in the simulator:", lacking)
     lines += [f"1\t1\t{name}\t{value:.9g}\t9" for name, value in parameters.items()]
@@ -58,9 +57,8 @@ def gazebo(found: Found) -> Exported:
     offset, lacking, left_out = found.offset_alone(_GAZEBO)
     values = {s.effect.id: s.values for s in found.settings}
     held = {"noise_excess", "quantisation", "bias_random_walk"}
-    lost = [s for s in found.settings if not s.effect.affine and s.effect.id not in held]
-    lacking += [found.without(s, _GAZEBO) for s in lost]
-    left_out += [s.effect.id for s in lost]
+    lost, gone = found.lost(_GAZEBO, lambda setting: setting.effect.id in held)
+    lacking, left_out = lacking + lost, left_out + gone
     scatter = _TESLA * values.get("noise_excess", {}).get("sigma_mgauss", 0.0)
     step = _TESLA * values.get("quantisation", {}).get("step_mgauss", 0.0)
     walk = values.get("bias_random_walk", {}).get("sigma_mgauss_per_sqrt_s", 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -177,6 +177,14 @@ class Found:
         cost = self.heading_deg.get(setting.effect.id)
         stays = "" if cost is None else f" {cost:.1f} deg of heading stay unsimulated."
         return f"{setting.effect.id}: {setting.effect.title}. {simulator} has no such thing.{stays}"
+
+    def lost(self, simulator: str, held: Callable[[Setting], object]) -> tuple[list[str], list[str]]:
+        """Return what a simulator lacks beside the affine effects, in sentences, and those effects.
+
+        `held` tells what of a setting it holds, if anything.
+        """
+        gone = [s for s in self.settings if not s.effect.affine and not held(s)]
+        return [self.without(s, simulator) for s in gone], [s.effect.id for s in gone]
 
     def of_the_place(self, simulator: str) -> list[str]:
         """Say by how much the field of the place differs from the one that a simulator has."""
