@@ -14,7 +14,7 @@ from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.attitude.inertial import accelerometer_fault, sensor_fault, without_fault
 from mavcompass.gap.attitude.reference import Choice
 from mavcompass.gap.attitude.steering import steered_by
-from mavcompass.gap.left.adequacy import judge, with_explained_sensors
+from mavcompass.gap.left.adequacy import doubting, judge
 from mavcompass.gap.left.floor import Floor, foreseen, from_recording
 from mavcompass.gap.left.taught import from_baseline
 from mavcompass.gap.replay.nominal import Replay, replay
@@ -111,8 +111,8 @@ def examine(
         of_gyro += sensor_fault("gyro gain", own.gyro_scale, usual.gyro_scale)
         faults += tuple(f for f in of_gyro if f.effect not in withheld)
 
-    # 3. Sensors that are explained, and what the recording can tell
-    now, before = with_explained_sensors(now, before, every)
+    # 3. Doubtful sensors, and with them what the recording can tell
+    now, before = doubting(now, before, every)
     untestable = untestable_effects(now, every, before is not None and before.telemetry)
     half = half_testable(now, every)
     weighed = every if among is None else [e for e in every if e.id in among]

@@ -9,7 +9,7 @@ turns all of them into one decision; the smallest p names the coordinate, never 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import first_noise, measured_noise
-from mavcompass.gap.replay.noise import group_values
+from mavcompass.gap.replay.noise import SensorNoise, group_values
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import Prior, block_diagonal
 from mavcompass.gap.replay.testable import untestable_effects
@@ -27,8 +27,10 @@ from mavcompass.simulation.effects.effect import Effect, Group, Signals
 
 # Columns have unit length: what is left of a direction below this share is the model's own.
 _RANK = 1e-4
-# A sensor is left out where structure shows in it that chance makes once in a hundred thousand recordings.
+# A sensor is doubted where structure shows in it that chance makes once in a hundred thousand recordings.
 _EXPLAINED_P = 1e-5
+# Six degrees of tilt, three degrees a second: sensors that leave more unexplained tell nothing.
+_USELESS: dict[Group, float] = {"acc": 1.0, "gyro": 0.05}
 _SENSOR_WORDS: dict[Group, str] = {"acc": "accelerometer", "gyro": "gyro"}
 
 
@@ -87,6 +89,8 @@ def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
     left = left - J @ (root @ (root.T @ (J.T @ left)))
     rest = left.reshape(len(problem.groups), n, 3)
     for at, group in enumerate(problem.groups):
+        if group in problem.replay.doubtful:
+            continue
         part = J[at * 3 * n : (at + 1) * 3 * n].reshape(n, 3, -1) if J.shape[1] else np.zeros((n, 3, 0))
         whitener = problem.noise[group]
         for name, coordinate, regressors in _blocks(group, states[-1]):
@@ -196,6 +200,8 @@ def _scatter(problem: Problem, fit: Fit, compare: bool) -> Iterator[Test]:
     innovations = problem.innovations(problem.predict(fit))
     signals = problem.signals(fit)
     for group in problem.groups:
+        if group in problem.replay.doubtful:
+            continue
         z = innovations[group][problem.index]
         z = z - z.mean(axis=0)
         scale = z.std(axis=0)
@@ -272,44 +278,50 @@ def _variance_ratio(scale: FloatArray, count: int, problem: Problem, group: Grou
     return 2.0 * chance_above(abs(log_ratio) / sigma)
 
 
-def with_explained_sensors(
+def doubting(
     replayed: Replay, baseline: Replay | None, effects: Collection[Effect]
 ) -> tuple[Replay, Replay | None]:
-    """Leave out, of a recording and its baseline, the sensors that the simulation does not explain in detail.
-
-    A real accelerometer or gyro feels unknown motion, vibration, imperfect timing against the reference: what
-    it says of a cause is then no more than that.
-    """
+    """Let sensors that the simulation cannot explain, here or in the baseline, count for less in both."""
     never = untestable_effects(replayed, effects)
-    gone = _unexplained(replayed, [e for e in effects if e.id not in never])
+    doubtful = _doubtful(replayed, [e for e in effects if e.id not in never])
     if baseline is not None:
         never = untestable_effects(baseline, effects)
         # What a baseline's motion makes its accelerometer feel is no cause that would come again.
         steady = [e for e in effects if e.groups != ("acc",) or not e.needs - {"reference"}]
-        gone |= _unexplained(baseline, [e for e in steady if e.id not in never])
-        baseline = _left_out(baseline, gone)
-    return _left_out(replayed, gone), baseline
+        doubtful |= _doubtful(baseline, [e for e in steady if e.id not in never])
+        baseline = _with_doubt(baseline, doubtful)
+    return _with_doubt(replayed, doubtful), baseline
 
 
-def _unexplained(witness: Replay, effects: Sequence[Effect]) -> set[Group]:
-    """Tell which sensors show structure beside all effects of theirs that a recording can test."""
-    out: set[Group] = set()
+def _doubtful(witness: Replay, effects: Sequence[Effect]) -> dict[Group, SensorNoise]:
+    """Return the noise of sensors that show structure beside all effects of theirs that a recording can test.
+
+    A real accelerometer or gyro feels unknown motion, vibration, imperfect timing against the reference. What
+    it says about a cause then counts by the noise that would make all this look like chance: the noise of
+    its residual, raised until the worst of the structure in it is no more than that.
+    """
+    out: dict[Group, SensorNoise] = {}
     for group in witness.groups[1:]:
         alone = replace(witness, groups=(group,))
         terms = [make_term(e, alone.signals) for e in effects if group in e.groups]
         problem = Problem(alone, first_noise(alone), alone.valid, Prior.of(()))
         fit = problem.fit(terms, [t.effect.neutral() for t in terms], ())
-        judged = Problem(alone, measured_noise(problem, fit), alone.valid, problem.prior)
-        if judge(judged, fit, compare_scatter=False).tests[0].p <= _EXPLAINED_P:
-            out.add(group)
+        noise = measured_noise(problem, fit)
+        tests = judge(Problem(alone, noise, alone.valid, problem.prior), fit, compare_scatter=False).tests
+        if tests[0].p <= _EXPLAINED_P:
+            worse, own = math.sqrt(max(1.0, *(t.excess for t in tests))), noise[group]
+            out[group] = replace(own, sigma=own.sigma * worse, rms=own.rms * worse)
     return out
 
 
-def _left_out(replayed: Replay, gone: set[Group]) -> Replay:
+def _with_doubt(replayed: Replay, doubtful: Mapping[Group, SensorNoise]) -> Replay:
+    useless = {g for g, noise in doubtful.items() if float(noise.rms.mean()) > _USELESS[g]}
     notes = tuple(
-        f"The {_SENSOR_WORDS[g]} does not fit the reference in detail: left out."
+        f"The {_SENSOR_WORDS[g]} does not fit the reference in detail:"
+        f" {'left out' if g in useless else 'it counts for less'}."
         for g in replayed.groups
-        if g in gone
+        if g in doubtful
     )
-    kept = tuple(g for g in replayed.groups if g not in gone)
-    return replace(replayed, groups=kept, notes=(*replayed.notes, *notes))
+    kept = tuple(g for g in replayed.groups if g not in useless)
+    doubts = {g: noise for g, noise in doubtful.items() if g not in useless}
+    return replace(replayed, groups=kept, doubtful=doubts, notes=(*replayed.notes, *notes))

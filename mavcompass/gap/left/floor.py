@@ -75,6 +75,9 @@ def first_noise(replay: Replay) -> Noise:
     """State a first noise from the scatter between neighbouring readings."""
     noise: Noise = {}
     for group in replay.groups:
+        if group in replay.doubtful:
+            noise[group] = replay.doubtful[group]
+            continue
         measured, ideal = group_values(replay.measured, group), group_values(replay.signals.reading, group)
         sigma = rough_sigma(measured - ideal, replay.valid)
         least = max(_least_sigma(replay, group), _STATED_MGAUSS if group == "mag" else 0.0)
@@ -88,6 +91,9 @@ def measured_noise(problem: Problem, fit: Fit) -> Noise:
     replay = problem.replay
     noise: Noise = {}
     for group in replay.groups:
+        if group in replay.doubtful:
+            noise[group] = replay.doubtful[group]
+            continue
         error = group_values(replay.measured, group) - group_values(predicted, group)
         found = estimate_noise(
             error,

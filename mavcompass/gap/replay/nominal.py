@@ -7,6 +7,7 @@ to a reading (ten readings a second, averaged, repeated, late) belongs to the re
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from mavcompass.gap.attitude.reference import (
     reference_attitude,
 )
 from mavcompass.gap.replay.integrity import Readings, Trace
+from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import (
     AGE,
     AGE_SIGMA_S,
@@ -84,6 +86,8 @@ class Replay:
             late_s: by how much the rows are earlier than their readings came.
         place: latitude, longitude in degrees, altitude in metres; None where unknown.
         place_scatter_m: how far each place is off by itself, (3,).
+        doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
+            noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
         loads_every_s: how often the loads were recorded.
         notes: what a reader of the result must know.
     """
@@ -108,6 +112,7 @@ class Replay:
     late_s: float = 0.0
     place: tuple[float, float, float] | None = None
     place_scatter_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    doubtful: Mapping[Group, SensorNoise] = field(default_factory=dict)
     loads_every_s: float = 0.0
 
     @property

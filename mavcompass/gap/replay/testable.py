@@ -59,6 +59,9 @@ def untestable_effects(
         if not seen and effect.id not in out:
             away = "reference" not in replayed.present
             out[effect.id] = _NEED_WORDS["reference"] if away else _NO_SENSOR
+        if len(effect.groups) == 1 and effect.groups[0] in replayed.doubtful:
+            # What is not known of the motion looks like any fault of the sensor that feels it.
+            out[effect.id] = _NO_SENSOR
         # A baseline that was read in the same way teaches how late, and how smooth, readings are by nature.
         repeats, jitter = effect.detector == "repeats", effect.detector == "jitter"
         taught = (age_known and not jitter) or (replayed.trace.froze and repeats)

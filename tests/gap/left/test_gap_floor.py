@@ -32,6 +32,7 @@ def fitted(J: FloatArray, readings: FloatArray) -> tuple[Any, Any]:
     problem = SimpleNamespace(
         replay=SimpleNamespace(
             groups=("mag",),
+            doubtful={},
             measured=SimpleNamespace(mag_mgauss=readings),
             valid=np.ones(len(readings), dtype=np.bool_),
             reference=SimpleNamespace(kind="columns"),
