@@ -145,7 +145,7 @@ def test_preset_in_our_simulator_closes_the_gap_as_claimed(baseline: Track, tmp_
     path.write_text(preset(Found(settings_of(diagnosis.causes), "case")).text, encoding="utf-8")
     distortion = effects.Distortion(effects.read_preset(path))
     truth = effects.distortion(["hard_iron:x=40,y=-25", "misalignment:x=0.03,z=0.02"])
-    from mavcompass.gap.trial.cases import ideal
+    from mavcompass.simulation.physics.signals import ideal
 
     stimulus = stimulus_of(RICH)
     rng = np.random.default_rng(0)

@@ -21,11 +21,11 @@ from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions
 from mavcompass.calibration.positions.budget import ACCELEROMETER
 from mavcompass.correction import FieldCorrection
-from mavcompass.frames import FloatArray, euler_to_matrix, rotate, rotate_back, wrap_pi
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate, wrap_pi
 from mavcompass.gap.rehearsal.draws import Individual
 from mavcompass.gap.rehearsal.kind import STEP_S, Kind, rows_of
 from mavcompass.simulation.effects.effect import Signals
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Stimulus, ideal
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 NOISE, QUANTISATION, TILT, GYRO, FIELD = "noise", "quantisation", "tilt", "gyro", "field"
@@ -105,13 +105,8 @@ def observed(
     """Let a vehicle visit its positions; return them as the calibration observes them."""
     count = protocol.positions + len(protocol.leaning_rad)
     stimulus = _motion(kind, individual, protocol, count, without)
-    ideal = Reading(
-        rotate_back(stimulus.rotation, stimulus.field_ned_mgauss),
-        stimulus.specific_force_mps2,
-        stimulus.rate_radps,
-    )
     chain = individual.chain(without, loads(stimulus, kind.in_force))
-    said = chain.run(Signals(stimulus, ideal), None).reading
+    said = chain.run(Signals(stimulus, ideal(stimulus)), None).reading
     # The compensation in force stays in what a calibration sees.
     compensated = np.linalg.solve(in_force.matrix, in_force.motor_field(loads(stimulus, in_force)).T).T
     vertical = np.einsum("ij,ij->i", stimulus.rotation[:, 2, :], said.gyro_radps)
@@ -259,9 +254,8 @@ def heading_errors_deg(
         temperature_degc=moment.temperature_degc,
         motors=moment.motors,
     )
-    ideal = Reading(rotate_back(rotation, stimulus.field_ned_mgauss), force, np.zeros((n, 3)))
     chain = individual.chain(without, loads(stimulus, kind.in_force))
-    raw = chain.run(Signals(stimulus, ideal), None).reading.mag_mgauss[_READINGS - 1 :: _READINGS]
+    raw = chain.run(Signals(stimulus, ideal(stimulus)), None).reading.mag_mgauss[_READINGS - 1 :: _READINGS]
     load = loads(stimulus, correction)[_READINGS - 1 :: _READINGS]
     level = rotate(_LEVELLING, correction.apply(raw, None if correction.motor_source == "none" else load))
     declination = math.atan2(field[1], field[0])

@@ -49,7 +49,7 @@ from mavcompass.gap.replay.whereabouts import (
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.effects.sampling import thinned
-from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning
+from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning, ideal
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -198,11 +198,7 @@ def replay(
     acc = _column(track.acc_mps2, time_s, rows.width)
     gyro = _column(track.gyro_radps, time_s, rows.width)
     measured = Reading(raw, acc, gyro)
-    ideal = Reading(
-        rotate_back(stimulus.rotation, stimulus.field_ned_mgauss),
-        stimulus.specific_force_mps2,
-        stimulus.rate_radps,
-    )
+    nominal = ideal(stimulus)
     independent = reference.kind == "columns"
     about = goes_about(position, track, reference)
     present = present_in(stimulus, reference, about, reference.known & usable)
@@ -217,13 +213,15 @@ def replay(
     motion_note: tuple[str, ...] = ()
     for name, values in inertial:
         if independent and np.isfinite(values[valid]).all() and np.abs(values).sum() > 0.0:
-            off = np.median(np.abs(values - (ideal.acc_mps2 if name == "acc" else ideal.gyro_radps))[valid])
+            off = np.median(
+                np.abs(values - (nominal.acc_mps2 if name == "acc" else nominal.gyro_radps))[valid]
+            )
             if name == "acc" and off > _UNKNOWN_MOTION_MPS2:
                 motion_note = ("The accelerometer feels motion that the recording does not tell: left out.",)
                 continue
             groups = (*groups, name)
     return Replay(
-        signals=Signals(stimulus, ideal),
+        signals=Signals(stimulus, nominal),
         measured=measured,
         valid=valid,
         groups=groups,
@@ -239,7 +237,7 @@ def replay(
         notes=(*track.notes, *reference.notes, *field_notes, *motion_note),
         corrected_mgauss=corrected,
         iron=iron,
-        nominal_mgauss=iron.raw(ideal.mag_mgauss),
+        nominal_mgauss=iron.raw(nominal.mag_mgauss),
         readings=readings,
         averaged=rows.width,
         late_s=told_s,

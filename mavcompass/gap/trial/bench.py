@@ -23,14 +23,13 @@ from mavcompass.gap.trial.cases import (
     Recipe,
     Tier,
     affected,
-    ideal,
     noisy,
     stimulus_of,
     to_track,
 )
 from mavcompass.simulation.effects import Distortion, Effect, Setting, catalogue, parse, spell
 from mavcompass.simulation.effects.effect import GROUPS, MOMENTS, Parameter, Stage
-from mavcompass.simulation.physics.signals import Stimulus
+from mavcompass.simulation.physics.signals import Stimulus, ideal
 from mavcompass.track import Track
 
 _SIZES = (6.0, 150.0)

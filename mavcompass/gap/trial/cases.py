@@ -13,12 +13,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, euler_to_matrix, euler_to_quaternion, rotate_back
+from mavcompass.frames import FloatArray, euler_to_matrix, euler_to_quaternion
 from mavcompass.gap.attitude.reference import body_rate
 from mavcompass.gap.replay.noise import Noise, SensorNoise, group_values
 from mavcompass.simulation.effects import Distortion, Setting
 from mavcompass.simulation.effects.effect import GROUPS, Group, Stage
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Stimulus, ideal
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -147,15 +147,6 @@ def stimulus_of(recipe: Recipe) -> Stimulus:
 
     field = earth_field(*PLACE, round(decimal_year(UTC_S), 3)).vector_mgauss
     return _stimulus(recipe, field, np.random.default_rng([recipe.seed, 1]))
-
-
-def ideal(stimulus: Stimulus) -> Reading:
-    """Return what perfect sensors say."""
-    return Reading(
-        rotate_back(stimulus.rotation, stimulus.field_ned_mgauss),
-        stimulus.specific_force_mps2,
-        stimulus.rate_radps,
-    )
 
 
 def affected(stimulus: Stimulus, settings: Sequence[Setting]) -> Reading:

@@ -21,8 +21,9 @@ from mavcompass.gap.fit.search import Search
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.trial import bench, foreign
 from mavcompass.gap.trial.bench import recipe_of, tracks_of
-from mavcompass.gap.trial.cases import Label, affected, ideal, stimulus_of
+from mavcompass.gap.trial.cases import Label, affected, stimulus_of
 from mavcompass.simulation.effects import catalogue, parse
+from mavcompass.simulation.physics.signals import ideal
 
 _NO_NEARER = 0.99
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, rotate_back
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,3 +65,9 @@ class Reading:
     mag_mgauss: FloatArray
     acc_mps2: FloatArray
     gyro_radps: FloatArray
+
+
+def ideal(stimulus: Stimulus) -> Reading:
+    """Return what perfect sensors say."""
+    field = rotate_back(stimulus.rotation, stimulus.field_ned_mgauss)
+    return Reading(field, stimulus.specific_force_mps2, stimulus.rate_radps)

@@ -33,9 +33,10 @@ from mavcompass.gap.replay.nuisance import (
     reference_attitude_error,
 )
 from mavcompass.gap.selection.split import split_blocks
-from mavcompass.gap.trial.cases import Recipe, ideal, make_track, stimulus_of
+from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
 from mavcompass.simulation import effects
 from mavcompass.simulation.effects.effect import Signals
+from mavcompass.simulation.physics.signals import ideal
 
 RICH = Recipe("rich", duration_s=30.0, rate_hz=20.0, seed=21)
 
