@@ -74,7 +74,7 @@ def _from_no_load(size: int, usual_load: float) -> FloatArray:
 def cured_iron(problem: Problem, fit: Fit, floor: Floor) -> Cured:
     """Collect what the calibration in force cures, and what a fit found it to be."""
     iron = problem.replay.iron
-    values = {n.effect.id: x for n, x in zip(problem.nuisances, fit.nuisance_thetas, strict=True)}
+    values = problem.values(fit)
     change = values.get(IRON_MATRIX, np.zeros(9)).reshape(3, 3)
     offset = values.get(IRON_OFFSET, np.zeros(3))
     motor = offset[3:] if offset.size > 3 else np.zeros(3)

@@ -31,6 +31,7 @@ from mavcompass.simulation.effects import Stage, catalogue
 
 _BINS = 12
 _REPORTED = 16
+_UNITS = {"current": "A", "throttle": "", "temperature": "degC"}
 
 
 def coordinates(problem: Problem) -> dict[str, tuple[FloatArray, str]]:
@@ -43,12 +44,7 @@ def coordinates(problem: Problem) -> dict[str, tuple[FloatArray, str]]:
         "time": (s.time_s, "s"),
         "rate": (np.degrees(np.linalg.norm(s.rate_radps, axis=1)), "deg/s"),
     }
-    for name, values, unit in (
-        ("current", s.current_a, "A"),
-        ("throttle", s.throttle, ""),
-        ("temperature", s.temperature_degc, "degC"),
-    ):
-        found[name] = (values, unit)
+    found |= {name: (load, _UNITS[name]) for name, load in s.loads.items()}
     position = s.position_ned_m
     if np.isfinite(position).all():
         found["position"] = (np.linalg.norm(position - position.mean(axis=0), axis=1), "m from the middle")
@@ -230,11 +226,11 @@ def _same(evidence: Evidence) -> Iterator[str]:
 def _unusually_late_s(evidence: Evidence, named: Fit) -> float | None:
     """Return how late readings come where that is beyond what is usual; None beside a baseline, which
     tells what is this vehicle's."""
-    found = zip(evidence.identified.problem.nuisances, named.nuisance_thetas, strict=True)
-    ages = [float(theta[0]) for nuisance, theta in found if nuisance.effect.id == TELEMETRY_AGE]
-    late_s = sum(ages) + evidence.replay.late_s
-    beyond = not evidence.floor.measured and late_s > USUAL_AGE_S + _BEYOND_USUAL * AGE_SIGMA_S
-    return late_s if ages and beyond else None
+    age = evidence.identified.problem.values(named).get(TELEMETRY_AGE)
+    if age is None or evidence.floor.measured:
+        return None
+    late_s = float(age[0]) + evidence.replay.late_s
+    return late_s if late_s > USUAL_AGE_S + _BEYOND_USUAL * AGE_SIGMA_S else None
 
 
 def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:

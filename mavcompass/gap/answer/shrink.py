@@ -91,12 +91,8 @@ def yaw_wander_deg(problem: Problem, fit: Fit, floor: Floor, heading: Closing) -
     reference = problem.replay.reference
     if reference.witnessed or floor.measured:
         return 0.0
-    turned = [
-        rms(reference.wander_rad(theta[1:])[problem.usable])
-        for nuisance, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True)
-        if nuisance.effect.id == REFERENCE_YAW
-    ]
-    wander = math.degrees(max(turned, default=0.0))
+    yaw = problem.values(fit).get(REFERENCE_YAW)
+    wander = 0.0 if yaw is None else math.degrees(rms(reference.wander_rad(yaw[1:])[problem.usable]))
     return wander if wander > ABOVE * heading.floor else 0.0
 
 

@@ -181,6 +181,11 @@ class Problem:
         label = np.tile(np.repeat(block, 3), len(self.groups))
         return cluster_covariance(columns, r, label, self._known(weak_precision(fit.terms)))
 
+    def values(self, fit: Fit) -> dict[str, FloatArray]:
+        """Return what a fit makes of each nuisance, by its id."""
+        pairs = zip(self.nuisances, fit.nuisance_thetas, strict=True)
+        return {nuisance.effect.id: theta for nuisance, theta in pairs}
+
     def strain(self, fit: Fit) -> float:
         """Return how far a fit strains what is known of vehicle and place together, in squared sigmas.
 

@@ -139,11 +139,7 @@ def _blocks(group: Group, signals: Signals) -> Iterator[tuple[str, str, FloatArr
     yield f"{group}: slow time", "time", modes
     slow = np.stack([u_time - 0.5, (u_time - 0.5) ** 2], axis=1)
     yield f"{group}: stability", "time", _products(slow, u)
-    for name, load in (
-        ("current", s.current_a),
-        ("throttle", s.throttle),
-        ("temperature", s.temperature_degc),
-    ):
+    for name, load in s.loads.items():
         if np.isfinite(load).all() and float(load.std()) > 1e-6:
             yield f"{group}: {name}", name, _loads(load, u)
     if s.motors.size and float(s.motors.std(axis=0).max()) > 1e-6:

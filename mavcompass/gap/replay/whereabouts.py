@@ -99,11 +99,7 @@ def present_in(
     `goes_about` tells whether its path is longer than the errors of its places.
     """
     present = set()
-    for name, values in (
-        ("current", stimulus.current_a),
-        ("throttle", stimulus.throttle),
-        ("temperature", stimulus.temperature_degc),
-    ):
+    for name, values in stimulus.loads.items():
         if np.isfinite(values).any() and float(np.ptp(values[np.isfinite(values)])) > _LEAST_RANGE[name]:
             present.add(name)
     if stimulus.motors.size and float(np.ptp(stimulus.motors, axis=0).max()) > _LEAST_RANGE["throttle"]:

@@ -83,9 +83,7 @@ def switched(problem: Problem, fit: Fit) -> Mask:
     """
     replay, time = problem.replay, problem.replay.time_s
     rows: Mask = np.zeros(time.size, dtype=np.bool_)
-    late = fit.value(LAG) or 0.0
-    for nuisance, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True):
-        late += theta[0] if nuisance.effect.id == TELEMETRY_AGE else 0.0
+    late = (fit.value(LAG) or 0.0) + float(problem.values(fit).get(TELEMETRY_AGE, np.zeros(1))[0])
     fields: list[tuple[FloatArray, FloatArray]] = []
     width = max(float(np.median(np.diff(time))), replay.loads_every_s, _LOAD_S)
     # What is smoothed goes on for as long as that takes.

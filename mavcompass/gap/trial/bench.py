@@ -40,12 +40,7 @@ _NEVER_NAMED = frozenset({"bias_random_walk"})
 
 def usable_effects(stimulus: Stimulus) -> list[Effect]:
     """List the effects that a motion can show at all."""
-    loads = {
-        "current": stimulus.current_a,
-        "throttle": stimulus.throttle,
-        "temperature": stimulus.temperature_degc,
-    }
-    varied = {name for name, values in loads.items() if float(np.ptp(values)) > 3.0e-1}
+    varied = {name for name, values in stimulus.loads.items() if float(np.ptp(values)) > 3.0e-1}
     if float(np.ptp(stimulus.motors, axis=0).max()) > 0.05:
         varied.add("motors")
     if float(np.ptp(stimulus.position_ned_m, axis=0).max()) > 0.2:

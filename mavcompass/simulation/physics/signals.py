@@ -37,6 +37,11 @@ class Stimulus:
     temperature_degc: FloatArray
     motors: FloatArray
 
+    @property
+    def loads(self) -> dict[str, FloatArray]:
+        """Return what the whole vehicle is loaded with, by name, (N,) each."""
+        return {"current": self.current_a, "throttle": self.throttle, "temperature": self.temperature_degc}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turning:

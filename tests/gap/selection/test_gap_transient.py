@@ -125,7 +125,7 @@ def switching(
     replay = SimpleNamespace(time_s=TIME, signals=Still(), loads_every_s=every_s, measured=as_predicted)
     usable = np.ones(TIME.size, dtype=np.bool_)
     problem: Any = SimpleNamespace(
-        replay=replay, nuisances=[age], usable=usable, predict=lambda fit: as_predicted
+        replay=replay, values=lambda fit: {AGE.id: age.mean}, usable=usable, predict=lambda fit: as_predicted
     )
     return TIME[transient.switched(problem, fit)]
 
