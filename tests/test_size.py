@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (16_050, 10_500),
+    "package gap": (15_950, 10_500),
     "package simulation": (7_750, 5_800),
     "package attitude calibration heading": (9_100, 5_400),
     "package vehicle messages mavlink enums.py": (8_200, 5_200),
@@ -18,7 +18,7 @@ LINES = {
     "package service": (5_100, 4_100),
     "package logs": (4_550, 3_600),
     "package cli": (3_800, 2_900),
-    "package": (67_200, 46_500),
+    "package": (67_100, 46_500),
     "tests": (44_650, 29_000),
     "scripts": (8_950, 4_400),
 }

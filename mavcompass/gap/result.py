@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from mavcompass.correction import MotorSource
 from mavcompass.frames import FloatArray
 
+Verdict = Literal["no_gap", "named", "ambiguous", "named_with_remainder", "unknown", "not_testable"]
+SCHEMA = "mavcompass.gap/1"
+
 
 def plain(value: Any) -> Any:
     """Return a value as JSON has it: dataclasses by their fields, arrays and tuples as lists."""
@@ -23,10 +26,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, (tuple, list)):
         return [plain(one) for one in value]
     return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-Verdict = Literal["no_gap", "named", "ambiguous", "named_with_remainder", "unknown", "not_testable"]
-SCHEMA = "mavcompass.gap/1"
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,12 @@ from mavcompass.gap.tables import Kind, Levels, Outcome, tables
 from mavcompass.gap.traces.rapid import follows_way
 from mavcompass.simulation.effects.effect import FREQUENCY
 
+# Where a heading is told no better, a recording tells nothing.
+_COARSEST_DEG = 15.0
+# Sets are told until they hold so much of what any known set does, but none that weighs less than this.
+_HELD, _WEIGHTLESS = 0.9, 0.01
+Sets = tuple[tuple[frozenset[str], float], ...]
+
 
 @dataclass(frozen=True, slots=True)
 class Findings:
@@ -52,14 +58,6 @@ def verdict(of: Findings, levels: Levels) -> Verdict:
     if left or part > max(whole, other):
         return "named_with_remainder" if whole + part > other + unknown else "unknown"
     return "ambiguous"
-
-
-# Where a heading is told no better, a recording tells nothing.
-_COARSEST_DEG = 15.0
-# Sets are told until they hold so much of what any known set does, but none that weighs less than this.
-_HELD, _WEIGHTLESS = 0.9, 0.01
-
-Sets = tuple[tuple[frozenset[str], float], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,6 +32,19 @@ from mavcompass.simulation.effects import Stage, catalogue
 _BINS = 12
 _REPORTED = 16
 _UNITS = {"current": "A", "throttle": "", "temperature": "degC"}
+_MOST_SHAPLEY = 4
+# An age of readings beyond so many of its sigmas is unusual.
+_BEYOND_USUAL = 2.0
+_IN_STEP = (
+    "The line keeps step with the way driven: a magnet on something that turns with the wheels would look "
+    "the same. Record the vehicle at another speed."
+)
+_WANDERS = (
+    "The yaw of the attitude, which only the compass itself tells, has to wander by {:.0f} deg: field and "
+    "dip were compared, but the heading hardly. A recording of the vehicle in a good state (--baseline) "
+    "would tell."
+)
+_UNSEEN = "No held-out part shows what is named: its shrink is not measured. Record it again."
 
 
 def coordinates(problem: Problem) -> dict[str, tuple[FloatArray, str]]:
@@ -130,21 +143,6 @@ def picture(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> Picture:
         coordinates=coordinates(problem),
         innovations=problem.innovations(predicted)["mag"],
     )
-
-
-_MOST_SHAPLEY = 4
-# An age of readings beyond so many of its sigmas is unusual.
-_BEYOND_USUAL = 2.0
-_IN_STEP = (
-    "The line keeps step with the way driven: a magnet on something that turns with the wheels would look "
-    "the same. Record the vehicle at another speed."
-)
-_WANDERS = (
-    "The yaw of the attitude, which only the compass itself tells, has to wander by {:.0f} deg: field and "
-    "dip were compared, but the heading hardly. A recording of the vehicle in a good state (--baseline) "
-    "would tell."
-)
-_UNSEEN = "No held-out part shows what is named: its shrink is not measured. Record it again."
 
 
 def describe(evidence: Evidence, answer: Answer) -> Diagnosis:

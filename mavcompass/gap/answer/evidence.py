@@ -19,6 +19,9 @@ from mavcompass.gap.tables import Kind
 from mavcompass.gap.traces.traces import Traces
 from mavcompass.track import Track
 
+# A lead over no rival at all.
+_ALONE = 100.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
@@ -66,10 +69,6 @@ class Evidence:
         if scatter is not None and scatter.white:
             unseen += scatter.size**2 - scatter.on_rows_mgauss2(self.replay)
         return unseen
-
-
-# A lead over no rival at all.
-_ALONE = 100.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,10 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 
+# So far apart at least, and no more of them than this.
+KNOT_S, _MOST_KNOTS, _FEWEST_KNOTS = 0.4, 600, 8
+_SILENCE = 2.5
+
 
 class Reduced:
     """Reduce a block tridiagonal, positive definite matrix: every other state is eliminated, again and again.
@@ -239,11 +243,6 @@ class Chain:
             states.reshape(length, width), found, covariance, misfit + determinants - self._log_weights,
             reduced, bent,
         )  # fmt: skip
-
-
-# So far apart at least, and no more of them than this.
-KNOT_S, _MOST_KNOTS, _FEWEST_KNOTS = 0.4, 600, 8
-_SILENCE = 2.5
 
 
 def silences(clock: FloatArray) -> NDArray[np.bool_]:

@@ -33,6 +33,27 @@ _PASSES, _SETTLED_RAD, _AS_TRUSTED = 10, math.radians(0.3), 0.1
 _STRAINED, _FAULTY_RADPS = 2.0, math.radians(3.0)
 # A scale that is off by so many of its sigmas is a fault, and may be off by any.
 _STRETCHED, FAULTY_SCALE = 5.0, 0.1
+_UNKNOWN_YAW_RAD = math.radians(60.0)
+# Curves smaller than this over all are of no consequence: a tenth of a milligauss. Larger ones may last for
+# the seconds between two silences, and leave tens of sigmas there.
+_LEAST_CURVE_RAD, _MOST_CURVES, _LEAST_CONSTANT_RAD = math.radians(0.015), 200, math.radians(0.5)
+# A yaw that is told no better may lie on the wrong side altogether.
+_MOST_LINEAR_RAD = math.radians(5.0)
+_DOWN = np.array([0.0, 0.0, 1.0])
+# Autopilots without a baseline are seen to be off by ten to forty degrees for minutes, after a knock most of
+# all. What changes faster is left to the compass: no turn of the vehicle is swallowed.
+_WANDER_RAD, _LENGTH_S, _MOST_LENGTHS = math.radians(20.0), 20.0, 15.0
+# Modes smaller than this are of no consequence.
+_LEAST_RAD = math.radians(0.1)
+# Half the averaging window, seconds: the shortest and the longest.
+_SHORTEST_S, _LONGEST_S = 4.0, 30.0
+_QUICK_S = 2.0
+_FEWEST = 20
+_LEVELLINGS = 3
+# Accelerations of vehicles come and go within this time.
+_MEMORY_S = 5.0
+# What remains of a gyro's bias, because it changes on the way.
+_WANDERING_RADPS = math.radians(0.05)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,15 +146,6 @@ def faulty(bias: Bias) -> Bias:
     return Bias(bias.mean, np.maximum(bias.sigma, _FAULTY_RADPS))
 
 
-_UNKNOWN_YAW_RAD = math.radians(60.0)
-# Curves smaller than this over all are of no consequence: a tenth of a milligauss. Larger ones may last for
-# the seconds between two silences, and leave tens of sigmas there.
-_LEAST_CURVE_RAD, _MOST_CURVES, _LEAST_CONSTANT_RAD = math.radians(0.015), 200, math.radians(0.5)
-# A yaw that is told no better may lie on the wrong side altogether.
-_MOST_LINEAR_RAD = math.radians(5.0)
-_DOWN = np.array([0.0, 0.0, 1.0])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Doubt:
     """Hold what an attitude may be off by, as `Reference` tells it at the same times (N,).
@@ -191,13 +203,6 @@ def doubt_of(smoothed: Smoothed, time_s: FloatArray, told: bool, healthy: bool) 
     )
 
 
-# Autopilots without a baseline are seen to be off by ten to forty degrees for minutes, after a knock most of
-# all. What changes faster is left to the compass: no turn of the vehicle is swallowed.
-_WANDER_RAD, _LENGTH_S, _MOST_LENGTHS = math.radians(20.0), 20.0, 15.0
-# Modes smaller than this are of no consequence.
-_LEAST_RAD = math.radians(0.1)
-
-
 def wandering_yaw(time_s: FloatArray) -> FloatArray:
     """Return how a yaw may wander at some times (N,): rotation vectors in world axes, radians, (N, 3, k).
 
@@ -221,17 +226,6 @@ def wandering_yaw(time_s: FloatArray) -> FloatArray:
     curves = np.zeros((time_s.size, 3, keep.size))
     curves[:, 2] = covariance(time_s) @ vectors[:, keep] / np.sqrt(values[keep])
     return curves
-
-
-# Half the averaging window, seconds: the shortest and the longest.
-_SHORTEST_S, _LONGEST_S = 4.0, 30.0
-_QUICK_S = 2.0
-_FEWEST = 20
-_LEVELLINGS = 3
-# Accelerations of vehicles come and go within this time.
-_MEMORY_S = 5.0
-# What remains of a gyro's bias, because it changes on the way.
-_WANDERING_RADPS = math.radians(0.05)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

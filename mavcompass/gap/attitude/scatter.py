@@ -19,6 +19,18 @@ _WINDOW, _WINDOWED = 32, 3
 # usual square it does; the median of squares of normal deviates.
 _MISSED, _FAR_OUT = 0.1, 6.0
 MEDIAN_OF_SQUARES = 0.455
+_SMOOTHING_S = 0.7
+_SHORTEST_S = 2.0
+_SAME_RATE_RADPS = math.radians(1.0)
+# A gyro that an autopilot has calibrated is off by less; what turns faster turns.
+_LARGEST_RADPS = math.radians(3.0)
+_SAME_FORCE_MPS2 = 0.15
+# An autopilot calibrates its gyro when it starts: what warming up leaves.
+_UNKNOWN_RADPS = math.radians(0.15)
+_ONE_PART_RADPS = math.radians(0.15)
+_LEAST_RADPS = math.radians(0.02)
+_PART_S = 2.0
+_FEWEST_PARTS = 3
 
 
 def white_scatter(values: FloatArray) -> FloatArray:
@@ -63,20 +75,6 @@ def missed_between(clock: FloatArray, values: FloatArray, knots: FloatArray) -> 
     steps = len(knots) - 1
     within = np.clip(np.searchsorted(knots, clock, side="right") - 1, 0, steps - 1)
     return np.stack([np.bincount(within, one, minlength=steps) for one in missed.T], axis=1)
-
-
-_SMOOTHING_S = 0.7
-_SHORTEST_S = 2.0
-_SAME_RATE_RADPS = math.radians(1.0)
-# A gyro that an autopilot has calibrated is off by less; what turns faster turns.
-_LARGEST_RADPS = math.radians(3.0)
-_SAME_FORCE_MPS2 = 0.15
-# An autopilot calibrates its gyro when it starts: what warming up leaves.
-_UNKNOWN_RADPS = math.radians(0.15)
-_ONE_PART_RADPS = math.radians(0.15)
-_LEAST_RADPS = math.radians(0.02)
-_PART_S = 2.0
-_FEWEST_PARTS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)

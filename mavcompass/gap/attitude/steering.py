@@ -14,6 +14,9 @@ from mavcompass.track import Series, Track
 Steering = Literal["own", "other", "unknown"]
 # How long a filter remembers what a turn has made of its yaw: one of these about, none tells.
 TURN_MEMORIES_S = np.array([2.0, 8.0, 32.0])
+_AGE_STEP_S, _LONGEST_AGE_S, _LEAST_TURNING_RADPS = 0.01, 0.2, 0.05
+# An age that there is leaves half of what none leaves, or less; one that even turns do not show, nearly all.
+_LEFT = 0.8
 
 
 def told_rotation(attitude_rad: Series, time_s: FloatArray) -> FloatArray:
@@ -41,11 +44,6 @@ def steered_by(track: Track, instance: int) -> Steering:
     if source is None:
         return "unknown"
     return "own" if source == instance else "other"
-
-
-_AGE_STEP_S, _LONGEST_AGE_S, _LEAST_TURNING_RADPS = 0.01, 0.2, 0.05
-# An age that there is leaves half of what none leaves, or less; one that even turns do not show, nearly all.
-_LEFT = 0.8
 
 
 def age_of(clock: FloatArray, rate: FloatArray, when: FloatArray, yaw: FloatArray) -> float | None:

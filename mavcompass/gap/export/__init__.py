@@ -29,6 +29,18 @@ TARGETS: MappingProxyType[str, Callable[[Found], Exported]] = MappingProxyType(
         "px4-sitl": px4_sitl,
     }
 )
+__all__ = [
+    "TARGETS",
+    "Exported",
+    "Found",
+    "follows_places",
+    "found_in",
+    "known_to",
+    "left_of_the_place",
+    "nominal_settings",
+    "settings_of",
+    "vehicle_settings",
+]
 
 
 def found_in(diagnosis: Diagnosis, source: str, beside_simulator: bool = False) -> Found:
@@ -47,17 +59,3 @@ def found_in(diagnosis: Diagnosis, source: str, beside_simulator: bool = False) 
     left2 = left_of_the_place(diagnosis)
     shrink = diagnosis.field.shrink - (left2 / gap if gap > 0.0 else 0.0)
     return Found(settings, source, costs, shrink, shares, known, math.sqrt(left2))
-
-
-__all__ = [
-    "TARGETS",
-    "Exported",
-    "Found",
-    "follows_places",
-    "found_in",
-    "known_to",
-    "left_of_the_place",
-    "nominal_settings",
-    "settings_of",
-    "vehicle_settings",
-]

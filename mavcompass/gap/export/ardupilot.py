@@ -23,6 +23,8 @@ from mavcompass.simulation.effects.effect import NEVER_S
 SIMULATOR = "ArduPilot's simulator"
 _AXES = "XYZ"
 _ROTATION_WORTH_SAYING_RAD = math.radians(0.1)
+# Outputs by function: motors 1 to 8 are 33 to 40.
+_FIRST_MOTOR = 33
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,8 +134,6 @@ end
 
 return update()
 """)
-# Outputs by function: motors 1 to 8 are 33 to 40.
-_FIRST_MOTOR = 33
 
 
 def _listed(values: Mapping[str, float], names: str) -> str:

@@ -18,6 +18,12 @@ from mavcompass.gap.export.vehicle import Exported, Found, commented
 from mavcompass.simulation.effects import spell
 from mavcompass.simulation.effects.registry import PRESET_SCHEMA
 
+_PX4 = "PX4's simulated magnetometer"
+_GAZEBO = "Gazebo's magnetometer"
+_TESLA = 1e-7
+_LEFT_UP = np.array([1.0, -1.0, -1.0])
+_WANDERS_S = 3600.0
+
 
 def preset(found: Found) -> Exported:
     """Write a preset: `mavcompass simulate --effect @FILE`."""
@@ -28,9 +34,6 @@ def preset(found: Found) -> Exported:
     }
     use = "mavcompass calibrate sim:rover --dry-run --effect @FILE"
     return Exported(json.dumps(document, indent=2) + "\n", use)
-
-
-_PX4 = "PX4's simulated magnetometer"
 
 
 def px4_sitl(found: Found) -> Exported:
@@ -44,12 +47,6 @@ def px4_sitl(found: Found) -> Exported:
     lines += [f"1\t1\t{name}\t{value:.9g}\t9" for name, value in parameters.items()]
     text = "\n".join(lines) + "\n"
     return Exported(text, "load FILE in QGroundControl", parameters, tuple(lacking), tuple(left_out))
-
-
-_GAZEBO = "Gazebo's magnetometer"
-_TESLA = 1e-7
-_LEFT_UP = np.array([1.0, -1.0, -1.0])
-_WANDERS_S = 3600.0
 
 
 def gazebo(found: Found) -> Exported:

@@ -23,6 +23,8 @@ _DIFFERS = 7.81
 _PLACE, _MOTOR = slice(0, 3), slice(15, 18)
 # What such effects do, a baseline does not teach.
 _OF_PLACES = frozenset({"position", "height"})
+_OWN_MATRIX = 1e-3
+_WORTH_SAYING_MGAUSS = 0.5
 
 
 def settings_of(causes: Iterable[Cause]) -> list[Setting]:
@@ -140,10 +142,6 @@ def affine_map(settings: Sequence[Setting]) -> tuple[FloatArray, FloatArray]:
     out = Chain(list(settings)).run(Signals(stimulus, Reading(field, zero, zero)), None)
     raw = out.reading.mag_mgauss
     return (raw[1:] - raw[0]).T / 100.0, raw[0]
-
-
-_OWN_MATRIX = 1e-3
-_WORTH_SAYING_MGAUSS = 0.5
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,9 @@ from mavcompass.frames import FloatArray
 
 # How often what leaves its room is looked for again.
 _ACTIVE = 3
+_RIDGE = 1e-9
+# Columns shorter than this change nothing.
+_NOTHING = 1e-9
 
 
 def bridge(valid: NDArray[np.bool_]) -> NDArray[np.int64] | None:
@@ -115,11 +118,6 @@ def cluster_covariance(
     sigma, least = (np.sqrt(np.maximum(np.diag(m), 0.0)) for m in (lasting, plain))
     wider = np.divide(np.maximum(sigma, least), sigma, out=np.ones_like(sigma), where=sigma > 0.0)
     return np.asarray(lasting * np.outer(wider, wider))
-
-
-_RIDGE = 1e-9
-# Columns shorter than this change nothing.
-_NOTHING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,9 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.tables import Kind, tables
 
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
+_BEAM = 5
+# Sets that come so near to the best one of their size are fitted through the simulation, so many at most.
+_NEAR, _FITTED = 40.0, 4
 
 
 class Criteria:
@@ -79,11 +82,6 @@ class Criteria:
         time = self._problem.replay.time_s
         length = max(_BLOCK_S, float(time[-1] - time[0]) / _MOST_BLOCKS)
         return np.floor((time - time[0]) / length).astype(np.int64)
-
-
-_BEAM = 5
-# Sets that come so near to the best one of their size are fitted through the simulation, so many at most.
-_NEAR, _FITTED = 40.0, 4
 
 
 def likeliest_sets(

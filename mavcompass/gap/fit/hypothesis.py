@@ -14,6 +14,11 @@ from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects.effect import MOMENTS, ON_IRON, Effect, Parameter, Signals
 
 CHANCE = 2.0e-5
+Mask = NDArray[np.bool_]
+# A direction that the data do not tell stays near zero: amplitudes have priors of twenty natural sizes.
+_PRIOR_SIZES = 20.0
+# With less iron beside it, it does not matter whether an error of the sensor acts on that too.
+_IRON_TO_TELL_MGAUSS = 10.0
 
 
 @lru_cache(maxsize=1024)
@@ -23,13 +28,6 @@ def least_gain(dimension: int, trials: int = 1) -> float:
     `trials` is how many places (moments, frequencies, thresholds) were tried for it.
     """
     return chi_square_of(CHANCE / max(trials, 1), max(dimension, 1))
-
-
-Mask = NDArray[np.bool_]
-# A direction that the data do not tell stays near zero: amplitudes have priors of twenty natural sizes.
-_PRIOR_SIZES = 20.0
-# With less iron beside it, it does not matter whether an error of the sensor acts on that too.
-_IRON_TO_TELL_MGAUSS = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,6 +20,17 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, yaw_starts
 from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S
 
+# An age of telemetry that is bent by so many natural sizes may hide such an effect.
+_BENT = 1.0
+_ITERATIONS = 3
+_LIKELY_YAWS = 2
+_POLISHING_STEPS = 3
+# A start so near, in natural sizes, leads to where a fit is.
+_SAME = 0.1
+_PRUNING_STEPS = 3
+# Twice the gain that a useless parameter has on average.
+_PRUNING = 2.0
+
 
 def unbent(problem: Problem, fit: Fit, curves: bool = False) -> Fit:
     """Return nuisances to their prior where a gap has bent them far: what is wrong must show to be
@@ -56,12 +67,6 @@ def _by_chance(nuisance: Nuisance, theta: FloatArray) -> bool:
     """Tell whether a nuisance by itself lies no farther from what is known of it than by chance."""
     off = theta - nuisance.mean
     return float(off @ nuisance.precision @ off) < least_gain(theta.size)
-
-
-# An age of telemetry that is bent by so many natural sizes may hide such an effect.
-_BENT = 1.0
-_ITERATIONS = 3
-_LIKELY_YAWS = 2
 
 
 def beside_known_age(
@@ -147,11 +152,6 @@ def turn_alone(problem: Problem, fit: Fit) -> Fit:
     return problem.fit((fit.terms[place],), (fit.thetas[place],), fit.nuisance_thetas)
 
 
-_POLISHING_STEPS = 3
-# A start so near, in natural sizes, leads to where a fit is.
-_SAME = 0.1
-
-
 def polished(problem: Problem, criteria: Criteria, fit: Fit, moments: bool = False) -> Fit:
     """Fit to convergence; look again for moments, places and frequencies beside the other effects, or for
     `moments` only."""
@@ -180,11 +180,6 @@ def _in_order(fit: Fit, like: Fit) -> Fit:
     order = [place[t.effect.id] for t in like.terms]
     terms, thetas = tuple(fit.terms[i] for i in order), tuple(fit.thetas[i] for i in order)
     return replace(fit, terms=terms, thetas=thetas)
-
-
-_PRUNING_STEPS = 3
-# Twice the gain that a useless parameter has on average.
-_PRUNING = 2.0
 
 
 def pruned(problem: Problem, fit: Fit) -> Fit:

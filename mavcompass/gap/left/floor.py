@@ -35,6 +35,18 @@ _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
 _STATED_MGAUSS, _LEAST_IN_FLIGHT_MGAUSS = 0.3, 0.8
 # A fit that leaves less of the noise than this tells nothing of it.
 _LEAST_LEFT = 0.2
+_REFERENCE_DOUBT_RAD = {
+    "columns": math.radians(0.2),
+    "fused": math.radians(0.4),
+    "gps-yaw": math.radians(0.5),
+    "gyro": math.radians(0.4),
+    "attitude": math.radians(1.0),
+}
+_DOUBT_LASTS_S = 5.0
+# How much of the doubt shows along the field, where only the calibration and what nobody models is in doubt,
+# and across it.
+_ACROSS = np.array([0.6, 1.0, 1.0])
+_TIME_DOUBT_S = {"telemetry": 0.03, "direct": 0.01}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,20 +232,6 @@ def rms_deg(angle_rad: FloatArray) -> float:
 def rms(error: FloatArray) -> float:
     """Return the root mean square over samples and axes together."""
     return math.sqrt(float(np.mean(error**2))) if error.size else math.nan
-
-
-_REFERENCE_DOUBT_RAD = {
-    "columns": math.radians(0.2),
-    "fused": math.radians(0.4),
-    "gps-yaw": math.radians(0.5),
-    "gyro": math.radians(0.4),
-    "attitude": math.radians(1.0),
-}
-_DOUBT_LASTS_S = 5.0
-# How much of the doubt shows along the field, where only the calibration and what nobody models is in doubt,
-# and across it.
-_ACROSS = np.array([0.6, 1.0, 1.0])
-_TIME_DOUBT_S = {"telemetry": 0.03, "direct": 0.01}
 
 
 def from_recording(replay: Replay) -> Floor:

@@ -28,6 +28,18 @@ _STEP = 1e-4
 _UNTOLD_MGAUSS_PER_A = 1e3
 # How far the motors' field of a calibration may be off, as a share.
 _CALIBRATED = 0.1
+MOST_POSITIONS = 10
+# What the recording leaves open of the motors' field, beside what the calibration in force says of it.
+MOTORS = "motors"
+_MOTOR = slice(15, 18)
+# Half of the vehicles whose recording shows no field of the motors have one that it does not exclude.
+_MOTORS_BEFORE = 0.5
+# The horizontal cross term of the iron, and the vertical ones.
+_CROSS = (((0, 1),), ((0, 2), (1, 2)))
+# What scatters single readings or their times is in the vehicle's stances.
+_ACTING = frozenset({"mean", "discrete"})
+# How far a turn of 90 degrees ends from where it should.
+_TURN_SIGMA_RAD = math.radians(3.0)
 
 
 def iron_settings(
@@ -98,20 +110,6 @@ def _trusting(
     """
     gain = covariance[:, 9:] @ np.linalg.inv(covariance[9:, 9:] + sigma**2 * np.eye(3))
     return values + gain @ (motor_mgauss - values[9:]), covariance - gain @ covariance[9:, :]
-
-
-MOST_POSITIONS = 10
-# What the recording leaves open of the motors' field, beside what the calibration in force says of it.
-MOTORS = "motors"
-_MOTOR = slice(15, 18)
-# Half of the vehicles whose recording shows no field of the motors have one that it does not exclude.
-_MOTORS_BEFORE = 0.5
-# The horizontal cross term of the iron, and the vertical ones.
-_CROSS = (((0, 1),), ((0, 2), (1, 2)))
-# What scatters single readings or their times is in the vehicle's stances.
-_ACTING = frozenset({"mean", "discrete"})
-# How far a turn of 90 degrees ends from where it should.
-_TURN_SIGMA_RAD = math.radians(3.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,6 +31,10 @@ _CALM_RADPS = math.radians(2.0)
 _TURNING_RADPS, _AFTERWARDS_S = math.radians(10.0), 3.0
 _ROLLING_RADPS = math.radians(30.0)
 _MOTORS_ON = 0.1
+# A turn of 90 degrees, and the two halves of the positions beside it.
+STEP_S = 5.0
+# What rocks and buildings add to the world model, as a share of the field; more counts as not told.
+_ANOMALY_SHARE, _TOLD = 0.01, 2.0
 
 
 def stances_of(
@@ -93,12 +97,6 @@ def _calm(track: Track, record: TurnRecord, length_s: float, times: FloatArray) 
         if all(abs(middles[i] - other) >= length_s for other in chosen):
             chosen.append(float(middles[i]))
     return chosen
-
-
-# A turn of 90 degrees, and the two halves of the positions beside it.
-STEP_S = 5.0
-# What rocks and buildings add to the world model, as a share of the field; more counts as not told.
-_ANOMALY_SHARE, _TOLD = 0.01, 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,6 +33,11 @@ _ENOUGH_RAD, _MOST_POSITIONS = math.radians(0.3), 8
 _HZ, _DWELL_ROWS = 10.0, 13
 _STEP_ROWS = round(STEP_S * _HZ)
 _AFTERWARDS_S = 60.0
+TILT_RAD = math.radians(15.0)
+_HEADINGS, _LEANINGS = 12, 8
+# Each attitude is held until every lag has settled.
+_HELD_S, _READINGS = 10.0, 2
+_MUCH_LATER_S = 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,13 +211,6 @@ def _motion(
         temperature_degc=kind.still.temperature_degc[at],
         motors=kind.still.motors[at] * load,
     )
-
-
-TILT_RAD = math.radians(15.0)
-_HEADINGS, _LEANINGS = 12, 8
-# Each attitude is held until every lag has settled.
-_HELD_S, _READINGS = 10.0, 2
-_MUCH_LATER_S = 600.0
 
 
 def _attitudes() -> tuple[FloatArray, FloatArray]:

@@ -38,6 +38,13 @@ from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import PLACED
 from mavcompass.track import Track
 
+SOURCES = (NOISE, QUANTISATION, TILT, GYRO, FIELD, MOTORS)
+# So many vehicles tell a difference, since they meet the same chances.
+_COMPARED_SHARE, _FEWEST_COMPARED = 0.06, 40
+_AWAY_M = 10.0
+_LOADS = frozenset({"current", "motors", "throttle|current|motors"})
+_FEW_STANCES = 5
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
@@ -100,14 +107,6 @@ def calibrations(
 def _expected(errors_deg: FloatArray) -> Expected:
     rms_deg, median_deg = float(np.sqrt(np.mean(errors_deg**2))), float(np.median(errors_deg))
     return Expected(rms_deg, median_deg, float(np.quantile(errors_deg, 0.95, method="higher")))
-
-
-SOURCES = (NOISE, QUANTISATION, TILT, GYRO, FIELD, MOTORS)
-# So many vehicles tell a difference, since they meet the same chances.
-_COMPARED_SHARE, _FEWEST_COMPARED = 0.06, 40
-_AWAY_M = 10.0
-_LOADS = frozenset({"current", "motors", "throttle|current|motors"})
-_FEW_STANCES = 5
 
 
 def rehearse(

@@ -23,6 +23,7 @@ _ALWAYS, _TURNED_RAD = 0.97, math.radians(10.0)
 # Telemetry may come once in a second, and miss one or two.
 _FROZE_S = 4.0
 _BIN_MGAUSS, _MOST_BINS = 0.25, 1 << 18
+_QUIET_SHARE = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,9 +154,6 @@ def _levels(column: FloatArray, step_mgauss: float) -> int:
     """Count the steps on which more than a few readings lie."""
     _, counts = np.unique(np.round(column / step_mgauss), return_counts=True)
     return int((counts >= max(_WORTH_A_LEVEL * column.size, 2.0)).sum())
-
-
-_QUIET_SHARE = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,6 +30,9 @@ _TURNS = 6
 # How old a reading usually is when an autopilot reports it, and how much that differs.
 USUAL_AGE_S, AGE_SIGMA_S = 0.06, 0.05
 REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
+IRON_MATRIX, IRON_OFFSET = "iron matrix in force", "iron offset in force"
+_LEAST_VARIATION = 0.2
+_ENTRIES = tuple(f"{row}{column}" for row in "xyz" for column in "xyz")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,11 +164,6 @@ AGE = Effect(
     parameters=(Parameter("age", "s", -LONGEST_LAG_S, LONGEST_LAG_S, 0.08, 0.005),),
     forward=_telemetry_age,
 )
-
-
-IRON_MATRIX, IRON_OFFSET = "iron matrix in force", "iron offset in force"
-_LEAST_VARIATION = 0.2
-_ENTRIES = tuple(f"{row}{column}" for row in "xyz" for column in "xyz")
 
 
 @dataclass(frozen=True, slots=True)

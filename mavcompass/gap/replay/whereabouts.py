@@ -32,6 +32,17 @@ _LEAST_M, _MOST_M = 0.05, 3.0
 # Standard deviations of a path beside which the errors of a position are small.
 _LEAST_PATH_M, _LEAST_RECEIVED_PATH_M = 0.05, 1.5
 _LEAST_TOLD_PATH_M, _BEYOND_WANDER = 0.5, 3.0
+_TURNING_RAD = math.radians(25.0)
+_TILT_RAD = math.radians(4.0)
+_LEAST_CLIMB_M = 4.0
+# What a load must at least vary by to be told from everything else that happens meanwhile.
+_LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
+UNKNOWN_SIGMA_MGAUSS = 300.0
+_ANOMALY_SHARE = 0.01
+_LOCAL_SIGMA_MGAUSS = 0.7
+_STEADY_MGAUSS = 3.0
+_AGREES_MGAUSS = 8.0
+_YEAR_WHERE_UNKNOWN = 2026.5
 
 
 def place_scatter_m(position_m: Series | None) -> FloatArray:
@@ -84,13 +95,6 @@ def goes_about(position: Series | None, track: Track, reference: Reference) -> b
     return bool((spread > np.minimum(least, _LEAST_RECEIVED_PATH_M)).any())
 
 
-_TURNING_RAD = math.radians(25.0)
-_TILT_RAD = math.radians(4.0)
-_LEAST_CLIMB_M = 4.0
-# What a load must at least vary by to be told from everything else that happens meanwhile.
-_LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
-
-
 def present_in(
     stimulus: Stimulus, reference: Reference, goes_about: bool, valid: NDArray[np.bool_]
 ) -> frozenset[str]:
@@ -119,14 +123,6 @@ def present_in(
     if reference.kind == "columns":
         present.add("reference")
     return frozenset(present)
-
-
-UNKNOWN_SIGMA_MGAUSS = 300.0
-_ANOMALY_SHARE = 0.01
-_LOCAL_SIGMA_MGAUSS = 0.7
-_STEADY_MGAUSS = 3.0
-_AGREES_MGAUSS = 8.0
-_YEAR_WHERE_UNKNOWN = 2026.5
 
 
 def world_field(

@@ -39,6 +39,18 @@ from mavcompass.simulation.physics.signals import Reading
 
 _LEAST_MGAUSS = 0.3
 _SEED = 20260102
+_PASSES = 2
+# What is switched is told better once it is told: so often, while it takes this share of the rows more.
+_CALMINGS, _FEW = 3, 0.01
+_CLOSINGS_IN = 6
+# Times the floor from which a single row stands out.
+_LOUD = 3.0
+# The share of rows that a passing disturbance takes at most.
+_PASSING = 0.25
+# What leaves no more than this many times as much is no worse.
+_NO_WORSE = 1.05
+# What healthy sensors may be off by, in mG, m/s^2 and rad/s: a search for less ends.
+_HEALTHY: dict[Group, float] = {"mag": 1.0, "acc": 0.1, "gyro": 0.004}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,20 +124,6 @@ def _before_rounding(
     share = np.random.default_rng(_SEED).random(rounded.shape)
     p = np.clip(p_low + share * (p_high - p_low), 1e-12, 1.0 - 1e-12)
     return np.asarray(np.clip(predicted + sigma * ndtri(p), low, high))
-
-
-_PASSES = 2
-# What is switched is told better once it is told: so often, while it takes this share of the rows more.
-_CALMINGS, _FEW = 3, 0.01
-_CLOSINGS_IN = 6
-# Times the floor from which a single row stands out.
-_LOUD = 3.0
-# The share of rows that a passing disturbance takes at most.
-_PASSING = 0.25
-# What leaves no more than this many times as much is no worse.
-_NO_WORSE = 1.05
-# What healthy sensors may be off by, in mG, m/s^2 and rad/s: a search for less ends.
-_HEALTHY: dict[Group, float] = {"mag": 1.0, "acc": 0.1, "gyro": 0.004}
 
 
 def identify(

@@ -41,6 +41,14 @@ _NO_NOISE, _ITS_OWN, _ITS_MOTION = 100.0, 0.3, 0.05
 _SKIRTS, _ALONE = 10.0, 0.3
 # How much nearer than its width in the spectrum the frequency of a line is sought.
 _STEPS, _ROUNDS = 8, 3
+_WAVES = (*(f"{wave}_{axis}" for wave in ("sin", "cos") for axis in "xyz"), FREQUENCY)
+# A vehicle that drives, and the share of its way that may be unknown.
+_DRIVING_MPS, _UNKNOWN_SHARE = 0.3, 0.1
+# Stretches over which a receiver's way is good to a turn; what turns on a vehicle has a circumference of so
+# many metres, and as many readings as a line needs.
+_STRETCH_S, _CIRCUMFERENCES_M, _FEWEST = 8.0, (0.2, 3.0), 20
+# Circumferences beside that of the mean speed, as shares of it, and how well the way must explain a line.
+_BESIDE, _AS_WELL = np.linspace(0.85, 1.15, 31), 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,9 +227,6 @@ def _loudest_near(power: FloatArray, hertz: FloatArray, width_hz: float) -> Floa
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1))
 
 
-_WAVES = (*(f"{wave}_{axis}" for wave in ("sin", "cos") for axis in "xyz"), FREQUENCY)
-
-
 def _waves(time_s: FloatArray, hertz: float) -> FloatArray:
     phase = 2.0 * math.pi * hertz * time_s
     return np.stack([np.sin(phase), np.cos(phase)], axis=1)
@@ -252,15 +257,6 @@ def _rapid(
         dict(zip(names, sigma.tolist(), strict=True)),
         np.asarray(change),
     )
-
-
-# A vehicle that drives, and the share of its way that may be unknown.
-_DRIVING_MPS, _UNKNOWN_SHARE = 0.3, 0.1
-# Stretches over which a receiver's way is good to a turn; what turns on a vehicle has a circumference of so
-# many metres, and as many readings as a line needs.
-_STRETCH_S, _CIRCUMFERENCES_M, _FEWEST = 8.0, (0.2, 3.0), 20
-# Circumferences beside that of the mean speed, as shares of it, and how well the way must explain a line.
-_BESIDE, _AS_WELL = np.linspace(0.85, 1.15, 31), 0.95
 
 
 def follows_way(replay: Replay, frequency_hz: float, taken_mgauss: FloatArray | float = 0.0) -> bool:

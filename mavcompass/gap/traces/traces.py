@@ -32,6 +32,11 @@ _CHANGED = 7.0
 _MISSED_TWICE = 3
 # Messages as often as readings fall beside them now and then: one reading in two of them.
 _SEEN_TWICE_S = 0.2
+# An effect of less than this share of the floor lifts nothing above it.
+_MATERIAL = 0.75
+# Less than this share of what was taken out may be what the times of its readings make of it.
+_OF_RAPID = 0.5
+_MOST_RAPID = 2
 
 
 def names_stale(replay: Replay, baseline: Replay | None) -> bool:
@@ -158,13 +163,6 @@ def names_step(replay: Replay, baseline: Replay | None, noise_mgauss: float) -> 
     if nominal is not None and nominal.step_mgauss > 0.9 * found.step_mgauss:
         return False
     return found.step_mgauss > 0.5 * noise_mgauss
-
-
-# An effect of less than this share of the floor lifts nothing above it.
-_MATERIAL = 0.75
-# Less than this share of what was taken out may be what the times of its readings make of it.
-_OF_RAPID = 0.5
-_MOST_RAPID = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

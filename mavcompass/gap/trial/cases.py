@@ -31,6 +31,21 @@ SHARES: dict[Generator, dict[Tier, float]] = {
     "vehicles": {"none": 0.3, "single": 0.3, "pair": 0.15, "withheld": 0.1, "outside": 0.15},
     "another": {"none": 0.3, "single": 0.5, "pair": 0.2},
 }
+Motion = Literal["yaw-steps", "figure-8", "rich"]
+MOTIONS: tuple[Motion, ...] = ("yaw-steps", "figure-8", "rich")
+PLACE = (47.3977, 8.5456, 488.0)
+UTC_S = 1_780_272_000.0
+_NOISE: dict[Group, tuple[float, float]] = {"mag": (3.0, 0.3), "acc": (0.03, 0.0), "gyro": (0.003, 0.0)}
+# The same as a diagnosis has it: standard deviation and first-order correlation of each sensor.
+CASE_NOISE: Noise = {
+    group: SensorNoise(
+        np.full((1 if rho else 0, 3), rho),
+        np.full(3, sigma * math.sqrt(1.0 - rho**2)),
+        np.full(3, sigma),
+        6000.0,
+    )
+    for group, (sigma, rho) in _NOISE.items()
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,23 +66,6 @@ class Label:
     def ids(self) -> tuple[str, ...]:
         """Return the names of the effects, sorted."""
         return tuple(sorted(text.partition(":")[0] for text in self.effects))
-
-
-Motion = Literal["yaw-steps", "figure-8", "rich"]
-MOTIONS: tuple[Motion, ...] = ("yaw-steps", "figure-8", "rich")
-PLACE = (47.3977, 8.5456, 488.0)
-UTC_S = 1_780_272_000.0
-_NOISE: dict[Group, tuple[float, float]] = {"mag": (3.0, 0.3), "acc": (0.03, 0.0), "gyro": (0.003, 0.0)}
-# The same as a diagnosis has it: standard deviation and first-order correlation of each sensor.
-CASE_NOISE: Noise = {
-    group: SensorNoise(
-        np.full((1 if rho else 0, 3), rho),
-        np.full(3, sigma * math.sqrt(1.0 - rho**2)),
-        np.full(3, sigma),
-        6000.0,
-    )
-    for group, (sigma, rho) in _NOISE.items()
-}
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,7 @@ from mavcompass.simulation.effects import catalogue, parse
 from mavcompass.simulation.physics.signals import ideal
 
 _NO_NEARER = 0.99
+_NOT_SURE = ("unknown", "ambiguous", "named_with_remainder")
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,6 +275,3 @@ def scoreboard(cases: Sequence[Case]) -> dict[str, tuple[int, int]]:
         "confident wrong names": count(list(cases), lambda c: c.wrong_name),
         "after above nominal": count(list(cases), lambda c: c.answer.after > c.answer.nominal * (1 + 1e-9)),
     }
-
-
-_NOT_SURE = ("unknown", "ambiguous", "named_with_remainder")

@@ -9,6 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Values = Mapping[str, float]
+AXES = ("x", "y", "z")
+NAMES = (
+    "hard_iron", "hard_iron_step", "soft_iron", "axis_scale", "motor_current", "temperature_bias",
+    "transport_lag", "noise_excess", "spatial_dipole", "field_intensity", "inclination", "declination",
+)  # fmt: skip
+# What a level head, or one without a logged attitude, does not show.
+NEEDS_TILT = frozenset({"soft_iron", "declination"})
+_SYMMETRIC = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+_ALWAYS_S = 1e7
+_FIXED = frozenset({"reference_degc", "on_s", "off_s", "north_m", "east_m", "down_m"})
+_MOST = {"transport_lag": 0.45, "field_intensity": 0.4, "inclination": 0.3, "declination": 0.5}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,21 +122,6 @@ def quaternion(angles: Array) -> tuple[Array, Array, Array, Array]:
         c[0] * s[1] * c[2] + s[0] * c[1] * s[2],
         c[0] * c[1] * s[2] - s[0] * s[1] * c[2],
     )
-
-
-Values = Mapping[str, float]
-
-AXES = ("x", "y", "z")
-NAMES = (
-    "hard_iron", "hard_iron_step", "soft_iron", "axis_scale", "motor_current", "temperature_bias",
-    "transport_lag", "noise_excess", "spatial_dipole", "field_intensity", "inclination", "declination",
-)  # fmt: skip
-# What a level head, or one without a logged attitude, does not show.
-NEEDS_TILT = frozenset({"soft_iron", "declination"})
-_SYMMETRIC = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-_ALWAYS_S = 1e7
-_FIXED = frozenset({"reference_degc", "on_s", "off_s", "north_m", "east_m", "down_m"})
-_MOST = {"transport_lag": 0.45, "field_intensity": 0.4, "inclination": 0.3, "declination": 0.5}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,6 +23,17 @@ from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S, Motio
 
 # Roll, pitch and yaw share of a quadrotor's motors: front right, rear left, front left, rear right.
 _QUAD_X = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, -1.0]])
+Values = dict[str, float]
+_READ_EVERY_S = 0.1
+_AVERAGED = 10
+_SLOW_NOISE_S = 3.0
+_CUTOFF_HZ = 20.0
+# White noise of velocity (m/s) and position (m), slow wander of velocity and position, its memory (s).
+_RECEIVERS: dict[Receiver, tuple[float, float, float, float, float]] = {
+    "gps": (0.05, 0.03, 0.05, 0.7, 60.0),
+    "rtk": (0.03, 0.008, 0.02, 0.012, 30.0),
+    "vision": (0.02, 0.005, 0.01, 0.01, 30.0),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,12 +127,6 @@ def _drift(time: Array, memory_s: float, rng: np.random.Generator) -> Array:
     knots = rng.standard_normal(time.size // coarse + 4)
     knots = np.convolve(knots, [0.5, 0.5**0.5, 0.5], mode="same")
     return np.interp(time, np.arange(knots.size) * coarse * STEP_S, knots)
-
-
-Values = dict[str, float]
-_READ_EVERY_S = 0.1
-_AVERAGED = 10
-_SLOW_NOISE_S = 3.0
 
 
 class Stage(IntEnum):
@@ -241,15 +246,6 @@ def _acted(values: Array, stage: Stage, scene: Scene, effects: Sequence[Effect])
         if effect.stage == stage:
             values = effect.act(values, effect.parameters, scene, np.random.default_rng(effect.seed))
     return values
-
-
-_CUTOFF_HZ = 20.0
-# White noise of velocity (m/s) and position (m), slow wander of velocity and position, its memory (s).
-_RECEIVERS: dict[Receiver, tuple[float, float, float, float, float]] = {
-    "gps": (0.05, 0.03, 0.05, 0.7, 60.0),
-    "rtk": (0.03, 0.008, 0.02, 0.012, 30.0),
-    "vision": (0.02, 0.005, 0.01, 0.01, 30.0),
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,6 +27,9 @@ from mavcompass.gap.trial.vehicles.scene import Scene, Stage, Values
 
 _FARTHEST_M = 800.0
 _PAIRS = ("xx", "yy", "zz", "xy", "xz", "yz")
+_CROSSED = ("xy", "xz", "yx", "yz", "zx", "zy")
+_BELOW = ("yx", "zx", "zy")
+_GAUSS = 1000.0
 
 
 def _hard_iron_step(rng: Rng, scene: Scene) -> Grow:
@@ -201,9 +204,6 @@ FIELDS = (
 )
 
 
-_CROSSED = ("xy", "xz", "yx", "yz", "zx", "zy")
-_BELOW = ("yx", "zx", "zy")
-_GAUSS = 1000.0
 # MAV_SENSOR_ORIENTATION: roll, pitch, yaw of the sensor in the body, degrees.
 _MOUNTINGS = {
     2: (0, 0, 90),
