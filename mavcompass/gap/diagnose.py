@@ -11,9 +11,8 @@ from mavcompass.errors import UsageError
 from mavcompass.gap.answer.decision import decide
 from mavcompass.gap.answer.description import describe
 from mavcompass.gap.answer.evidence import Evidence
-from mavcompass.gap.attitude.inertial import accelerometer_fault, sensor_fault, without_fault
 from mavcompass.gap.attitude.reference import Choice
-from mavcompass.gap.attitude.steering import steered_by
+from mavcompass.gap.attitude.steering import accelerometer_fault, sensor_fault, steered_by, without_fault
 from mavcompass.gap.left.adequacy import doubting, judge
 from mavcompass.gap.left.floor import Floor, foreseen, from_recording
 from mavcompass.gap.left.taught import from_baseline

@@ -29,10 +29,10 @@ from mavcompass.gap.answer.evidence import statistics
 from mavcompass.gap.answer.shrink import figures
 from mavcompass.gap.diagnose import examine, withheld_effects
 from mavcompass.gap.tables import KINDS, OUTCOMES, SCHEMA
-from mavcompass.gap.trial import another, bench
+from mavcompass.gap.trial import bench
 from mavcompass.gap.trial.cases import Label
+from mavcompass.gap.trial.foreign import case_of
 from mavcompass.gap.trial.score import Answer, score, wilson
-from mavcompass.gap.trial.vehicles import cases as vehicles
 from mavcompass.installation.data_files import params_path
 
 # What is learnt from, and what judges: maker, tier, with a baseline, first seed, how many.
@@ -162,8 +162,7 @@ def examined(of: Wanted) -> Line | None:
         label, track, baseline = bench.draw_case(of.seed, of.index, of.tier)  # type: ignore[arg-type]
         cured = True
     else:
-        maker: Any = vehicles if of.maker == "vehicles" else another
-        case = maker.make_case(of.seed + of.index, "single" if of.tier == "withheld" else of.tier)
+        case = case_of(of.maker, of.tier, of.seed + of.index)  # type: ignore[arg-type]
         track, baseline = case.track, case.baseline
         cured = case.description.get("cure") != "old"
         spelt = (
