@@ -138,6 +138,13 @@ class Problem:
         """
         return self.whitened(self.composition.changes(terms, thetas, nuisance_thetas, states, wanted))
 
+    def jacobian(self, fit: Fit) -> FloatArray:
+        """Return the derivatives of the whitened prediction by all that a fit may move."""
+        states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
+        n = len(self.nuisances)
+        members = range(n if self._steady else 0, n + len(fit.terms))
+        return self.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, members)
+
     def nuisance_changes(self, fit: Fit) -> Changes:
         """Return the derivatives of the prediction by the nuisances' parameters, under a fit."""
         states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
@@ -172,11 +179,7 @@ class Problem:
         An attitude wanders: readings that follow each other err together, which no noise of single readings
         tells (`cluster_covariance`).
         """
-        states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
-        n = len(self.nuisances)
-        members = range(n if self._steady else 0, n + len(fit.terms))
-        columns = self.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, members)
-        r = self.residual(states[-1].reading)
+        columns, r = self.jacobian(fit), self.residual(self.predict(fit))
         block = np.floor(self.replay.time_s[self.index] / _LASTING_S).astype(np.int64)
         label = np.tile(np.repeat(block, 3), len(self.groups))
         return cluster_covariance(columns, r, label, self._known(weak_precision(fit.terms)))

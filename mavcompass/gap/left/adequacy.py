@@ -76,9 +76,7 @@ def judge(problem: Problem, fit: Fit, compare_scatter: bool) -> Adequacy:
 
 def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
     z = problem.innovations(problem.predict(fit))
-    states = problem.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
-    count = len(problem.nuisances) + len(fit.terms)
-    J = problem.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, range(count))
+    J, signals = problem.jacobian(fit), problem.signals(fit)
     n = problem.index.size
     size = np.sqrt(np.maximum((J**2).sum(axis=0), 1e-300))
     J = J / size
@@ -93,7 +91,7 @@ def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
             continue
         part = J[at * 3 * n : (at + 1) * 3 * n].reshape(n, 3, -1) if J.shape[1] else np.zeros((n, 3, 0))
         whitener = problem.noise[group]
-        for name, coordinate, regressors in _blocks(group, states[-1]):
+        for name, coordinate, regressors in _blocks(group, signals):
             white = whitener.decorrelated(regressors[:, None])[problem.index]
             T = [np.ascontiguousarray(white[:, c]) for c in range(3)]
             yield _score_test(name, coordinate, T, rest[at], part, root)

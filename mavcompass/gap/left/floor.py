@@ -130,9 +130,7 @@ def _left_by(problem: Problem, fit: Fit) -> dict[Group, FloatArray]:
     count = fit.covariance.shape[0]
     if not count:
         return {group: np.ones(3) for group in problem.groups}
-    states = problem.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
-    members = range(len(problem.nuisances) + len(fit.terms))
-    J = problem.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, members)
+    J = problem.jacobian(fit)
     leverage = np.einsum("ij,ij->i", J @ fit.covariance, J).reshape(len(problem.groups), -1, 3)
     left = np.maximum(1.0 - leverage.mean(axis=1), _LEAST_LEFT)
     return dict(zip(problem.groups, left, strict=True))

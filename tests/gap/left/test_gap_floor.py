@@ -41,8 +41,7 @@ def fitted(J: FloatArray, readings: FloatArray) -> tuple[Any, Any]:
         groups=("mag",),
         nuisances=(None,),
         noise={"mag": SimpleNamespace(channels=None)},
-        composition=SimpleNamespace(states=lambda *_: None),
-        columns=lambda *_: J,
+        jacobian=lambda fit: J,
         predict=lambda fit: SimpleNamespace(mag_mgauss=predicted),
     )
     return problem, SimpleNamespace(covariance=covariance, terms=(), thetas=(), nuisance_thetas=())
