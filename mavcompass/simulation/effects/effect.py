@@ -237,11 +237,6 @@ class Effect:
         return self.switched or any(p.name in MOMENTS and not p.optional for p in self.parameters)
 
     @property
-    def local(self) -> bool:
-        """Tell whether it belongs to a moment, a switch or a place."""
-        return self.switched or bool(MOMENTS & set(self.names)) or bool(self.needs & PLACED)
-
-    @property
     def of_vehicle(self) -> bool:
         """Tell whether it is the vehicle's own, and neither the world's nor a moment's."""
         return self.stage > Stage.WORLD and not MOMENTS & set(self.names)
