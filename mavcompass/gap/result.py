@@ -15,6 +15,8 @@ from mavcompass.frames import FloatArray
 
 Verdict = Literal["no_gap", "named", "ambiguous", "named_with_remainder", "unknown", "not_testable"]
 SCHEMA = "mavcompass.gap/1"
+# Where a belief has the field, the matrix, the offset and the motors; and where its effects begin.
+FIELD, MATRIX, OFFSET, MOTOR, EFFECTS = slice(0, 3), slice(3, 12), slice(12, 15), slice(15, 18), 18
 
 
 def plain(value: Any) -> Any:

@@ -14,12 +14,10 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import Floor, rms
 from mavcompass.gap.replay.nominal import level_mgauss
 from mavcompass.gap.replay.nuisance import IRON_MATRIX, IRON_OFFSET, WORLD_FIELD
-from mavcompass.gap.result import Belief, Cured
+from mavcompass.gap.result import EFFECTS, FIELD, MATRIX, MOTOR, OFFSET, Belief, Cured
 from mavcompass.gap.selection.posterior import Identified
 
-# Field, matrix, offset and motors: what every belief begins with.
-_PLACES = {WORLD_FIELD.id: slice(0, 3), IRON_MATRIX: slice(3, 12), IRON_OFFSET: slice(12, 18)}
-_COMMON = 18
+_PLACES = {WORLD_FIELD.id: FIELD, IRON_MATRIX: MATRIX, IRON_OFFSET: slice(OFFSET.start, MOTOR.stop)}
 _LEAST_WEIGHT = 0.02
 
 
@@ -37,7 +35,7 @@ def beliefs(
 
 
 def _belief(problem: Problem, weight: float, fit: Fit) -> Belief:
-    values = [np.zeros(_COMMON), *fit.thetas]
+    values = [np.zeros(EFFECTS), *fit.thetas]
     starts = np.cumsum([0, *(v.size for v in values)])
     mean = np.concatenate(values)
     rows: list[int] = []  # of the mean, for each fitted parameter; -1 for those of other nuisances
@@ -67,7 +65,7 @@ def _belief(problem: Problem, weight: float, fit: Fit) -> Belief:
 def _from_no_load(size: int, usual_load: float) -> FloatArray:
     """Count the motors' field from no load on: the fit counts its doubt of it from the usual load on."""
     out = np.eye(size)
-    out[12:15, 15:18] = -usual_load * np.eye(3)
+    out[OFFSET, MOTOR] = -usual_load * np.eye(3)
     return out
 
 

@@ -23,7 +23,17 @@ from mavcompass.gap.attitude.kinematics import (
 )
 from mavcompass.gap.attitude.receiver import Velocity, triangle_means
 from mavcompass.gap.attitude.scatter import Bias
-from mavcompass.gap.attitude.smoother import BIAS, PHI, SCALE, SCALE_SIGMA, Sensed, Sizes, Smoother, Witness
+from mavcompass.gap.attitude.smoother import (
+    BIAS,
+    LOST_YAW_RAD,
+    PHI,
+    SCALE,
+    SCALE_SIGMA,
+    Sensed,
+    Sizes,
+    Smoother,
+    Witness,
+)
 from mavcompass.simulation.effects.rotations import skew
 from mavcompass.track import Track, uncut
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -33,7 +43,6 @@ _PASSES, _SETTLED_RAD, _AS_TRUSTED = 10, math.radians(0.3), 0.1
 _STRAINED, _FAULTY_RADPS = 2.0, math.radians(3.0)
 # A scale that is off by so many of its sigmas is a fault, and may be off by any.
 _STRETCHED, FAULTY_SCALE = 5.0, 0.1
-_UNKNOWN_YAW_RAD = math.radians(60.0)
 # Curves smaller than this over all are of no consequence: a tenth of a milligauss. Larger ones may last for
 # the seconds between two silences, and leave tens of sigmas there.
 _LEAST_CURVE_RAD, _MOST_CURVES, _LEAST_CONSTANT_RAD = math.radians(0.015), 200, math.radians(0.5)
@@ -195,7 +204,7 @@ def doubt_of(smoothed: Smoothed, time_s: FloatArray, told: bool, healthy: bool) 
     then = interpolated(smoothed.knots_s, at_knots.reshape(len(at_knots), -1), time_s)
     then = then.reshape(time_s.size, 3, -1)
     return Doubt(
-        yaw_sigma_rad=sigma if told else _UNKNOWN_YAW_RAD,
+        yaw_sigma_rad=sigma if told else LOST_YAW_RAD,
         with_yaw=then[:, :, 0],
         curves_rad=then[:, :, 1:],
         rest_rad2=np.einsum("kim,kjm->ij", small, small),

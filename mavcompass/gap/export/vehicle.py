@@ -10,7 +10,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.nuisance import calibration_in_force, known_iron
-from mavcompass.gap.result import Belief, Cause, Diagnosis
+from mavcompass.gap.result import FIELD, MOTOR, Belief, Cause, Diagnosis
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Chain, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
@@ -19,8 +19,6 @@ from mavcompass.track import Track
 _ROTATION_LEFT_OUT_RAD = math.radians(0.05)
 # Beyond this a vector of three differs from zero: chi^2 of three, 95 %.
 _DIFFERS = 7.81
-# Where a belief has what the field is more than the world model says, and the motors' than the calibration.
-_PLACE, _MOTOR = slice(0, 3), slice(15, 18)
 # What such effects do, a baseline does not teach.
 _OF_PLACES = frozenset({"position", "height"})
 _OWN_MATRIX = 1e-3
@@ -66,7 +64,7 @@ def _is_known(motor_mgauss: FloatArray, beliefs: Sequence[Belief]) -> bool:
     """
     if not beliefs:
         return True
-    covariance = max(beliefs, key=lambda belief: belief.weight).covariance[_MOTOR, _MOTOR]
+    covariance = max(beliefs, key=lambda belief: belief.weight).covariance[MOTOR, MOTOR]
     return float(motor_mgauss @ np.linalg.pinv(covariance) @ motor_mgauss) > _DIFFERS
 
 
@@ -83,7 +81,7 @@ def left_of_the_place(diagnosis: Diagnosis) -> float:
     """
     if not diagnosis.beliefs or not follows_places(diagnosis):
         return 0.0
-    local_mgauss = max(diagnosis.beliefs, key=lambda belief: belief.weight).mean[_PLACE]
+    local_mgauss = max(diagnosis.beliefs, key=lambda belief: belief.weight).mean[FIELD]
     closing = diagnosis.field
     return max(
         closing.after**2 + float(np.mean(local_mgauss**2)) - max(closing.after, closing.floor) ** 2, 0.0

@@ -17,6 +17,7 @@ from mavcompass.gap.fit.criteria import Criteria, likeliest_sets
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.starts import (
+    FEW_STEPS,
     beside_known_age,
     facing,
     in_place_of_each_other,
@@ -29,7 +30,6 @@ from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
-_SHORT = 3
 # What is so much cheaper is worth another search; seen beside so many effects alone.
 _FAR_LIKELIER, _ALONE = 20.0, 2
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
@@ -160,7 +160,7 @@ class Search:
         sets = [sets[0] for sets in ranked.values()]
         if not sets:
             return False
-        self._remember([self._fitted(candidates, sets[0], Fit((), (), (), np.inf), _SHORT)])
+        self._remember([self._fitted(candidates, sets[0], Fit((), (), (), np.inf), FEW_STEPS)])
         nothing, *left = candidates.expected([(), *sets])
         for chosen, after in zip(sets, left, strict=True):
             parameters = sum(candidate.dimension for candidate in chosen)
@@ -197,7 +197,7 @@ class Search:
             if (one.ids, 0) not in self._candidates:
                 candidates = self._linearised(self.problem.refit(one), ())
                 sets = likeliest_sets(candidates, self.criteria, 2).get(2, ())
-                fits += [self._fitted(candidates, chosen, empty, _SHORT) for chosen in sets]
+                fits += [self._fitted(candidates, chosen, empty, FEW_STEPS) for chosen in sets]
         self._remember(fits)
         likeliest = min(fits, key=self.criteria.score)
         gained = self.criteria.score(best) - self.criteria.score(likeliest)
@@ -257,7 +257,7 @@ class Search:
             candidates = self._linearised(base, held)
             sets = likeliest_sets(candidates, self.criteria, most - len(held))
             chosen = self._to_fit(candidates, sets, len(best.terms) - len(held))
-            fits = [self._fitted(candidates, c, kept, _SHORT) for c in chosen]
+            fits = [self._fitted(candidates, c, kept, FEW_STEPS) for c in chosen]
             self._remember(fits)
             if not self.criteria.exact and fits:
                 likeliest = min(fits, key=lambda f: f.sse)
@@ -306,7 +306,7 @@ class Search:
         fit = self.problem.fit(start.terms, start.thetas, start.nuisance_thetas, iterations)
         if any(fit.sse > smaller.sse for ids, smaller in self.explored.items() if ids < fit.ids):
             # More effects leave no more: it has not come to its end yet.
-            fit = self.problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas, _SHORT)
+            fit = self.problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas, FEW_STEPS)
         known = self.explored.get(fit.ids)
         self._fits[key] = fit if known is None or fit.sse < known.sse else known
         return self._fits[key]
@@ -336,7 +336,7 @@ class Search:
         sets = likeliest_sets(candidates, self.criteria, size).get(size, [])
         empty = Fit((), (), (), np.inf)
         return [
-            self._fitted(candidates, chosen, empty, _SHORT)
+            self._fitted(candidates, chosen, empty, FEW_STEPS)
             for chosen in sets
             if frozenset(c.term.effect.id for c in chosen) != best.ids
         ]

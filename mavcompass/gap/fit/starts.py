@@ -20,14 +20,13 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, yaw_starts
 from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S
 
+# So many steps tell whether a fit is worth going on with.
+FEW_STEPS = 3
 # An age of telemetry that is bent by so many natural sizes may hide such an effect.
 _BENT = 1.0
-_ITERATIONS = 3
 _LIKELY_YAWS = 2
-_POLISHING_STEPS = 3
 # A start so near, in natural sizes, leads to where a fit is.
 _SAME = 0.1
-_PRUNING_STEPS = 3
 # Twice the gain that a useless parameter has on average.
 _PRUNING = 2.0
 
@@ -86,7 +85,7 @@ def beside_known_age(
         return []
     start = [*nuisance_thetas[:age], nuisance.mean.copy(), *nuisance_thetas[age + 1 :]]
     late = [term for term in terms if term.effect.delays.any()]
-    return [problem.fit((term,), (_as_late(term, late_s),), start, _ITERATIONS) for term in late]
+    return [problem.fit((term,), (_as_late(term, late_s),), start, FEW_STEPS) for term in late]
 
 
 def in_place_of_each_other(problem: Problem, terms: Sequence[Term], fit: Fit) -> list[Fit]:
@@ -104,7 +103,7 @@ def in_place_of_each_other(problem: Problem, terms: Sequence[Term], fit: Fit) ->
             later_s = late_s * ((LAG in term.effect.names) - (LAG in other.effect.names))
             members = zip(rest.terms, rest.thetas, strict=True)
             thetas = (*(_moved(*member, later_s) for member in members), _as_late(other, late_s))
-            out.append(problem.fit((*rest.terms, other), thetas, fit.nuisance_thetas, _ITERATIONS))
+            out.append(problem.fit((*rest.terms, other), thetas, fit.nuisance_thetas, FEW_STEPS))
     return out
 
 
@@ -136,7 +135,7 @@ def facing(problem: Problem, terms: Sequence[Term], beside: Fit, most_sse: float
             fits = sorted((problem.fit(together, thetas, start, 1) for start in starts), key=lambda f: f.sse)
             if len(starts) > 1 and fits[0].sse >= most_sse:
                 # Where the yaw may be anything, one of six is off by so much that it takes a few steps more.
-                fits = [problem.fit(together, f.thetas, f.nuisance_thetas, _ITERATIONS) for f in fits[:1]]
+                fits = [problem.fit(together, f.thetas, f.nuisance_thetas, FEW_STEPS) for f in fits[:1]]
             # Elsewhere one step is enough to see that a compass is not mounted so.
             likely = [fit for fit in fits[:_LIKELY_YAWS] if fit.sse < most_sse]
             if likely:
@@ -168,7 +167,7 @@ def polished(problem: Problem, criteria: Criteria, fit: Fit, moments: bool = Fal
             if (np.abs(start - best.thetas[i]) <= _SAME * term.effect.scale).all():
                 continue
             terms = (*rest.terms, term)
-            trial = problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas, _POLISHING_STEPS)
+            trial = problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas, FEW_STEPS)
             if criteria.score(trial) < criteria.score(best) - 1e-6:
                 best = _in_order(problem.refit(trial), best)
     return best
@@ -201,7 +200,7 @@ def pruned(problem: Problem, fit: Fit) -> Fit:
                 theta[j] = 0.0
                 terms = (*fit.terms[:i], replace(term, free=free), *fit.terms[i + 1 :])
                 thetas = (*fit.thetas[:i], theta, *fit.thetas[i + 1 :])
-                trial = problem.fit(terms, thetas, fit.nuisance_thetas, _PRUNING_STEPS)
+                trial = problem.fit(terms, thetas, fit.nuisance_thetas, FEW_STEPS)
                 if trial.sse < fit.sse + _PRUNING:
                     options.append(trial)
         if not options:

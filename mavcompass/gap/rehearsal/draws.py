@@ -14,7 +14,7 @@ from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.frames import FloatArray
 from mavcompass.gap.export.vehicle import affine_map
 from mavcompass.gap.rehearsal.kind import Kind
-from mavcompass.gap.result import Belief, Diagnosis
+from mavcompass.gap.result import MATRIX, MOTOR, OFFSET, Belief, Diagnosis
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Chain, Effect, Memory, Rng, Signals, Stage
 
@@ -31,7 +31,6 @@ _CALIBRATED = 0.1
 MOST_POSITIONS = 10
 # What the recording leaves open of the motors' field, beside what the calibration in force says of it.
 MOTORS = "motors"
-_MOTOR = slice(15, 18)
 # Half of the vehicles whose recording shows no field of the motors have one that it does not exclude.
 _MOTORS_BEFORE = 0.5
 # The horizontal cross term of the iron, and the vertical ones.
@@ -81,9 +80,9 @@ def whole_iron(diagnosis: Diagnosis) -> tuple[FloatArray, FloatArray] | None:
     by_current = cured.motor_source == "current"
 
     def whole(values: FloatArray) -> FloatArray:
-        matrix = cured.matrix @ (np.eye(3) + values[3:12].reshape(3, 3))
-        offset = cured.hard_iron_mgauss + values[12:15]
-        motor = (cured.motor_mgauss + values[15:18]) * by_current
+        matrix = cured.matrix @ (np.eye(3) + values[MATRIX].reshape(3, 3))
+        offset = cured.hard_iron_mgauss + values[OFFSET]
+        motor = (cured.motor_mgauss + values[MOTOR]) * by_current
         effects = effects_in(belief, values)
         affine = [setting for setting in effects if setting.effect.affine]
         a, b = affine_map([*iron_settings(matrix, offset, np.zeros(3), np.zeros(4)), *affine])
@@ -174,9 +173,9 @@ class Draws:
         values = belief.mean + self._roots[which] @ rng.standard_normal(belief.mean.size)
         if rng.random() >= self._loaded[which]:
             # What is known of all the rest once the motors are known to make no field.
-            shared = belief.covariance[:, _MOTOR] @ np.linalg.inv(belief.covariance[_MOTOR, _MOTOR])
-            values = values - shared @ values[_MOTOR]
-        matrix = kind.matrix @ (np.eye(3) + values[3:12].reshape(3, 3))
+            shared = belief.covariance[:, MOTOR] @ np.linalg.inv(belief.covariance[MOTOR, MOTOR])
+            values = values - shared @ values[MOTOR]
+        matrix = kind.matrix @ (np.eye(3) + values[MATRIX].reshape(3, 3))
         # A turn of the compass in the vehicle shows in no turn of both: it is the mounting's, see (M1).
         matrix = 0.5 * (matrix + matrix.T)
         for places, probability in zip(_CROSS, self._crossed[which], strict=True):
@@ -186,8 +185,8 @@ class Draws:
         return Individual(
             field_ned_mgauss=kind.field_ned_mgauss + values[:3],
             matrix=matrix,
-            offset_mgauss=kind.offset_mgauss + values[12:15],
-            motor_mgauss=kind.motor_mgauss + values[_MOTOR],
+            offset_mgauss=kind.offset_mgauss + values[OFFSET],
+            motor_mgauss=kind.motor_mgauss + values[MOTOR],
             known_motor_mgauss=kind.motor_mgauss,
             settings=tuple(s for s in effects_in(belief, values) if s.effect.kind in _ACTING)
             + tuple(self._faults(rng)),
@@ -223,8 +222,8 @@ def _crossed(kind: Kind, belief: Belief) -> list[float]:
     Before anything is known a quarter of the compasses have some, of a certain size; what the recording
     leaves unknown of them is no reason to believe in those that it does not show.
     """
-    matrix = kind.matrix @ (np.eye(3) + belief.mean[3:12].reshape(3, 3))
-    sigma = np.sqrt(np.diag(belief.covariance)[3:12]).reshape(3, 3)
+    matrix = kind.matrix @ (np.eye(3) + belief.mean[MATRIX].reshape(3, 3))
+    sigma = np.sqrt(np.diag(belief.covariance)[MATRIX]).reshape(3, 3)
     out = []
     for places in _CROSS:
         log_odds = math.log(CROSS_TERMS_BEFORE / (1.0 - CROSS_TERMS_BEFORE))
@@ -242,7 +241,7 @@ def _loaded(kind: Kind, belief: Belief) -> float:
     What a recording leaves open of it is more than vehicles have: a doubt of every one, it would be told as
     the error of all.
     """
-    covariance, mean = belief.covariance[_MOTOR, _MOTOR], belief.mean[_MOTOR]
+    covariance, mean = belief.covariance[MOTOR, MOTOR], belief.mean[MOTOR]
     if "motor_current" in belief.effects or kind.motor_mgauss.any() or np.linalg.matrix_rank(covariance) < 3:
         return 1.0
     log_odds = math.log(_MOTORS_BEFORE / (1.0 - _MOTORS_BEFORE))

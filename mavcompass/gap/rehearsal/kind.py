@@ -16,6 +16,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.reference import Choice
 from mavcompass.gap.rehearsal.result import Stored
 from mavcompass.gap.replay.nominal import Replay, replay
+from mavcompass.gap.replay.whereabouts import ANOMALY_SHARE
 from mavcompass.gap.result import Belief, Cause, Diagnosis
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.physics.signals import Stimulus
@@ -33,8 +34,8 @@ _ROLLING_RADPS = math.radians(30.0)
 _MOTORS_ON = 0.1
 # A turn of 90 degrees, and the two halves of the positions beside it.
 STEP_S = 5.0
-# What rocks and buildings add to the world model, as a share of the field; more counts as not told.
-_ANOMALY_SHARE, _TOLD = 0.01, 2.0
+# More of a field than so many times what rocks and buildings add to the world model counts as not told.
+_TOLD = 2.0
 
 
 def stances_of(
@@ -187,7 +188,7 @@ def _told(belief: Belief, replayed: Replay, earth: EarthField | None) -> Belief:
     Where a vehicle does not turn, or its place is unknown, the field and the vehicle's offset cannot be told
     apart.
     """
-    sigma = _ANOMALY_SHARE * float(np.linalg.norm(replayed.signals.stimulus.field_ned_mgauss[0]))
+    sigma = ANOMALY_SHARE * float(np.linalg.norm(replayed.signals.stimulus.field_ned_mgauss[0]))
     if math.sqrt(float(np.diag(belief.covariance)[:3].max())) < _TOLD * sigma:
         return belief
     gain = belief.covariance[:, :3] @ np.linalg.inv(belief.covariance[:3, :3] + sigma**2 * np.eye(3))

@@ -33,7 +33,7 @@ from mavcompass.gap.rehearsal.procedure import (
     heading_errors_deg,
 )
 from mavcompass.gap.rehearsal.result import Errors, Expected, Part, Rehearsal, Remedy, Stored
-from mavcompass.gap.result import Diagnosis
+from mavcompass.gap.result import MOTOR, Diagnosis
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import PLACED
 from mavcompass.track import Track
@@ -192,7 +192,7 @@ def _motor_mean(kind: Kind) -> np.ndarray:
     """Return the motors' raw field per ampere, (3,), as the likeliest explanation with it has it."""
     best = max((b for b in kind.beliefs if "motor_current" in b.effects), key=lambda b: b.weight)
     at = best.places[best.effects.index("motor_current")]
-    return kind.motor_mgauss + best.mean[15:18] + best.mean[at : at + 3]
+    return kind.motor_mgauss + best.mean[MOTOR] + best.mean[at : at + 3]
 
 
 def _notes(kind: Kind, diagnosis: Diagnosis | Stored) -> Iterator[str]:

@@ -38,7 +38,8 @@ _LEAST_CLIMB_M = 4.0
 # What a load must at least vary by to be told from everything else that happens meanwhile.
 _LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
 UNKNOWN_SIGMA_MGAUSS = 300.0
-_ANOMALY_SHARE = 0.01
+# What rocks and buildings add to the world model, as a share of the field.
+ANOMALY_SHARE = 0.01
 _LOCAL_SIGMA_MGAUSS = 0.7
 _STEADY_MGAUSS = 3.0
 _AGREES_MGAUSS = 8.0
@@ -161,7 +162,7 @@ def _with_anomaly(field: FloatArray, sigma: Sequence[float], reference: Referenc
 
     Beside an independent attitude (a laboratory's) such an anomaly shows itself, and is judged as a cause.
     """
-    anomaly = 0.0 if reference.kind == "columns" else _ANOMALY_SHARE * float(np.linalg.norm(field))
+    anomaly = 0.0 if reference.kind == "columns" else ANOMALY_SHARE * float(np.linalg.norm(field))
     return np.hypot(np.asarray(sigma), anomaly)
 
 
