@@ -278,13 +278,15 @@ def doubting(
     """Let sensors that the simulation cannot explain, here or in the baseline, count for less in both."""
     never = untestable_effects(replayed, effects)
     doubtful = _doubtful(replayed, [e for e in effects if e.id not in never])
+    useless = _useless(doubtful)
     if baseline is not None:
         never = untestable_effects(baseline, effects)
         # What a baseline's motion makes its accelerometer feel is no cause that would come again.
         steady = [e for e in effects if e.groups != ("acc",) or not e.needs - {"reference"}]
-        doubtful |= _doubtful(baseline, [e for e in steady if e.id not in never])
-        baseline = _with_doubt(baseline, doubtful)
-    return _with_doubt(replayed, doubtful), baseline
+        more = _doubtful(baseline, [e for e in steady if e.id not in never])
+        doubtful, useless = doubtful | more, useless | _useless(more)
+        baseline = _with_doubt(baseline, doubtful, useless)
+    return _with_doubt(replayed, doubtful, useless), baseline
 
 
 def _doubtful(witness: Replay, effects: Sequence[Effect]) -> dict[Group, SensorNoise]:
@@ -308,8 +310,11 @@ def _doubtful(witness: Replay, effects: Sequence[Effect]) -> dict[Group, SensorN
     return out
 
 
-def _with_doubt(replayed: Replay, doubtful: Mapping[Group, SensorNoise]) -> Replay:
-    useless = {g for g, noise in doubtful.items() if float(noise.rms.mean()) > _USELESS[g]}
+def _useless(doubtful: Mapping[Group, SensorNoise]) -> set[Group]:
+    return {g for g, noise in doubtful.items() if float(noise.rms.mean()) > _USELESS[g]}
+
+
+def _with_doubt(replayed: Replay, doubtful: Mapping[Group, SensorNoise], useless: set[Group]) -> Replay:
     notes = tuple(
         f"The {_SENSOR_WORDS[g]} does not fit the reference in detail:"
         f" {'left out' if g in useless else 'it counts for less'}."
