@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (17_300, 10_500),
+    "package gap": (15_920, 10_500),
     "package simulation": (7_750, 5_800),
     "package attitude calibration heading": (9_150, 5_400),
     "package vehicle messages mavlink enums.py": (8_200, 5_200),
@@ -18,8 +18,8 @@ LINES = {
     "package service": (5_300, 4_100),
     "package logs": (4_650, 3_600),
     "package cli": (4_100, 2_900),
-    "package": (69_350, 46_500),
-    "tests": (45_400, 29_000),
+    "package": (68_000, 46_500),
+    "tests": (45_350, 29_000),
     "scripts": (8_950, 4_400),
 }
 

@@ -20,9 +20,11 @@ from mavcompass.blas import single_thread
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import Replayed, diagnose_gap
 from mavcompass.gap.export import follows_places, settings_of
-from mavcompass.gap.left import DISCREPANCY_MGAUSS, heading_error_rad, rms, rms_deg
-from mavcompass.gap.replay import Replay, replay, shared_period_s
-from mavcompass.gap.result import Cause, Closing, Diagnosis
+from mavcompass.gap.left.floor import heading_error_rad, rms, rms_deg
+from mavcompass.gap.left.taught import DISCREPANCY_MGAUSS
+from mavcompass.gap.replay.nominal import Replay, replay
+from mavcompass.gap.replay.rows import shared_period_s
+from mavcompass.gap.result import Cause, Closing, Diagnosis, plain
 from mavcompass.simulation.effects import catalogue, get
 from mavcompass.simulation.effects.effect import Chain
 from mavcompass.track import Track
@@ -166,11 +168,7 @@ def _believed(beside: Diagnosis) -> bool:
 
 
 def _by_what_it_has(
-    forth: Diagnosis,
-    simulator: Track,
-    vehicle: Track,
-    track: Track,
-    progress: Callable[[str], None],
+    forth: Diagnosis, simulator: Track, vehicle: Track, track: Track, progress: Callable[[str], None]
 ) -> Diagnosis:
     """Judge a flight by the effects that are found in it, as they would act on the vehicle's motion.
 
@@ -210,11 +208,11 @@ def _give(forth: Diagnosis, simulator: Track, replayed: Replayed) -> None:
     """Give the simulator's replay what it was found to lack, so that only what the vehicle lacks is left."""
     if forth.verdict not in ("named", "ambiguous"):
         return
-    for key, (track, plain) in replayed.items():
+    for key, (track, own) in replayed.items():
         if track is simulator:
-            more = _made(forth, plain) - plain.signals.reading.mag_mgauss
-            measured = replace(plain.measured, mag_mgauss=plain.measured.mag_mgauss + more)
-            replayed[key] = (track, replace(plain, measured=measured))
+            more = _made(forth, own) - own.signals.reading.mag_mgauss
+            measured = replace(own.measured, mag_mgauss=own.measured.mag_mgauss + more)
+            replayed[key] = (track, replace(own, measured=measured))
 
 
 def _scatter2(diagnosis: Diagnosis) -> float:
@@ -255,22 +253,22 @@ def _amount(cause: Cause) -> bool:
 
 def _reached(path: str, before: Diagnosis, again: Diagnosis) -> Achieved:
     """Measure how far the gap closed on the held-out parts of the vehicle's recording."""
-    first, second = _squares(before), _squares(again)
-    blocks = sorted(first.keys() & second.keys())
-    sums = np.array([(*first[b], *second[b]) for b in blocks]).reshape(-1, 4)
+    gap, left = _squares(before), _squares(again)
+    size = min(len(gap), len(left))
+    both = np.hstack([gap[:size], left[:size]])
+    both = both[(both[:, 1] > 0.0) & (both[:, 3] > 0.0)]
     interval = (math.nan, math.nan)
-    if len(blocks) >= _FEWEST_BLOCKS:
-        picks = np.random.default_rng(_SEED).integers(len(blocks), size=(_RESAMPLES, len(blocks)))
-        gap, gap_count, left, left_count = sums[picks].sum(axis=1).T
-        gap2 = gap / gap_count - before.field.floor**2
-        left2 = _off(left / left_count, again.field.floor**2)
-        values = 1.0 - left2[gap2 > 0.0] / gap2[gap2 > 0.0]
-        if values.size:
-            low, high = np.quantile(values, [0.025, 0.975]).tolist()
+    if len(both) >= _FEWEST_BLOCKS:
+        picks = np.random.default_rng(_SEED).integers(len(both), size=(_RESAMPLES, len(both)))
+        total = both[picks].sum(axis=1).T
+        excess2 = total[0] / total[1] - before.field.floor**2
+        shrink = 1.0 - (_off(total[2] / total[3], again.field.floor**2) / excess2)[excess2 > 0.0]
+        if shrink.size:
+            low, high = np.quantile(shrink, [0.025, 0.975]).tolist()
             interval = (min(max(low, -1.0), 1.0), min(high, 1.0))
-    excess = before.field.nominal**2 - before.field.floor**2
-    left = float(_off(np.array(again.field.nominal**2), again.field.floor**2))
-    of_field = 1.0 - left / excess if excess > 0.0 else 0.0
+    whole2 = before.field.nominal**2 - before.field.floor**2
+    stays2 = float(_off(np.array(again.field.nominal**2), again.field.floor**2))
+    of_field = 1.0 - stays2 / whole2 if whole2 > 0.0 else 0.0
     return Achieved(path, again, of_field, interval, _heading_shrink(before.heading, again.heading))
 
 
@@ -291,30 +289,20 @@ def _heading_shrink(before: Closing, again: Closing) -> float:
     return 1.0 - left / excess if _FLOOR_KNOWN * before.nominal**2 > before.floor**2 else math.nan
 
 
-def _squares(diagnosis: Diagnosis) -> dict[int, tuple[float, float]]:
-    """Return sum and count of the squared held-out residual without effects, by block of time."""
+def _squares(diagnosis: Diagnosis) -> FloatArray:
+    """Return sum and count of the squared held-out residual without effects, by block of time, (B, 2)."""
     picture = diagnosis.picture
     assert picture is not None
-    rows = np.flatnonzero(picture.test)
-    squares: FloatArray = np.sum(picture.before_mgauss[rows] ** 2, axis=1)
-    block = np.floor(picture.time_s[rows] / _BLOCK_S).astype(np.int64)
-    return {
-        int(b): (float(squares[block == b].sum()), 3.0 * float((block == b).sum())) for b in np.unique(block)
-    }
+    block = np.floor(picture.time_s[picture.test] / _BLOCK_S).astype(np.int64)
+    square = np.sum(picture.before_mgauss[picture.test] ** 2, axis=1)
+    return np.stack([np.bincount(block, square), 3.0 * np.bincount(block)], axis=1)
 
 
 def _difference(difference: Difference) -> dict[str, object]:
-    cause = difference.cause
-    return {
-        "effect": cause.effect,
-        "lacks": difference.lacks,
-        "parameters": dict(cause.parameters),
-        "ci95": {name: list(ends) for name, ends in cause.ci95.items()},
-        "probability": cause.probability,
-        "ambiguous_with": list(cause.ambiguous_with),
-        "field_rms_mgauss": cause.removes_mgauss,
-        "heading_rms_deg": cause.removes_deg,
-    }
+    cause = plain(difference.cause)
+    del cause["separation"]
+    rms = {"field_rms_mgauss": cause.pop("removes_mgauss"), "heading_rms_deg": cause.pop("removes_deg")}
+    return {**cause, "lacks": difference.lacks, **rms}
 
 
 def _achieved(achieved: Achieved) -> dict[str, object]:

@@ -4,44 +4,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from mavcompass.blas import single_thread
 from mavcompass.errors import UsageError
-from mavcompass.gap.answer import Evidence, decide, describe
-from mavcompass.gap.attitude import (
-    Choice,
-    accelerometer_fault,
-    sensor_fault,
-    steered_by,
-    without_fault,
-)
-from mavcompass.gap.left import (
-    Floor,
-    doubting,
-    foreseen,
-    from_baseline,
-    from_recording,
-    judge,
-    with_noise,
-)
-from mavcompass.gap.replay import (
-    Replay,
-    half_testable,
-    replay,
-    shared_period_s,
-    untestable_effects,
-)
+from mavcompass.gap.answer.decision import decide
+from mavcompass.gap.answer.description import describe
+from mavcompass.gap.answer.evidence import Evidence
+from mavcompass.gap.attitude.reference import Choice
+from mavcompass.gap.attitude.steering import accelerometer_fault, sensor_fault, steered_by, without_fault
+from mavcompass.gap.left.adequacy import doubting, judge
+from mavcompass.gap.left.floor import Floor, foreseen, from_recording
+from mavcompass.gap.left.taught import from_baseline
+from mavcompass.gap.replay.nominal import Replay, replay
+from mavcompass.gap.replay.rows import shared_period_s
+from mavcompass.gap.replay.testable import half_testable, untestable_effects
 from mavcompass.gap.result import Cause, Diagnosis
-from mavcompass.gap.selection import (
-    Identified,
-    Remainder,
-    identify,
-    split_blocks,
-    what_is_left,
-    with_white,
-)
-from mavcompass.gap.traces import Traces, find_traces, searched
+from mavcompass.gap.selection.identification import Remainder, identify, what_is_left, with_white
+from mavcompass.gap.selection.posterior import Identified
+from mavcompass.gap.selection.split import split_blocks
+from mavcompass.gap.traces.traces import Traces, find_traces, searched
 from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.track import Track
 
@@ -75,8 +57,9 @@ def diagnose_gap(
     started = time.perf_counter()
     withheld = withheld_effects(withhold)
     with single_thread():
-        how = _How(instance, reference, thorough, progress, among, {} if replayed is None else replayed)
-        evidence = _examined(track, baseline, withheld, how)
+        evidence = examine(
+            track, baseline, withheld, instance, reference, thorough, progress, among=among, replayed=replayed
+        )
         result = describe(evidence, decide(evidence))
     return replace(result, seconds=time.perf_counter() - started)
 
@@ -95,28 +78,22 @@ def withheld_effects(names: Iterable[str]) -> frozenset[str]:
     return frozenset(out)
 
 
-@dataclass(frozen=True, slots=True)
-class _How:
-    """Hold how a diagnosis is to be made."""
-
-    compass: int
-    reference: Choice
-    thorough: bool
-    progress: Callable[[str], None]
-    among: Collection[str] | None
-    replayed: Replayed
-
-
-def examine(track: Track, baseline: Track | None, withheld: frozenset[str] = frozenset()) -> Evidence:
-    """Find all that can be found about a recording, as a diagnosis does before anything is said of it."""
-    with single_thread():
-        return _examined(track, baseline, withheld, _How(1, "auto", False, lambda doing: None, None, {}))
-
-
-def _examined(track: Track, baseline: Track | None, withheld: frozenset[str], how: _How) -> Evidence:
-    """Go through the steps of docs/gap.md."""
+@single_thread()
+def examine(
+    track: Track,
+    baseline: Track | None,
+    withheld: frozenset[str] = frozenset(),
+    compass: int = 1,
+    reference: Choice = "auto",
+    thorough: bool = False,
+    progress: Callable[[str], None] = lambda doing: None,
+    *,
+    among: Collection[str] | None = None,
+    replayed: Replayed | None = None,
+) -> Evidence:
+    """Find all that can be found about a recording, in the steps of docs/gap.md, before anything is said."""
     every = catalogue().values()
-    how.progress("finding the attitude")
+    progress("finding the attitude")
 
     # 1. Accelerometer
     shifted: tuple[Cause, ...] = ()
@@ -124,91 +101,80 @@ def _examined(track: Track, baseline: Track | None, withheld: frozenset[str], ho
         shifted = tuple(f for f in accelerometer_fault(track, baseline) if f.effect not in withheld)
 
     # 2. Replay, and with its attitude the gyro
-    replayed, before = _replays(without_fault(track, shifted), baseline, how)
+    kept = {} if replayed is None else replayed
+    now, before = _replays(without_fault(track, shifted), baseline, compass, reference, thorough, kept)
     faults = shifted
     if before is not None:
-        now, then = replayed.reference, before.reference
-        of_gyro = sensor_fault("gyro offset", now.gyro_bias, then.gyro_bias)
-        of_gyro += sensor_fault("gyro gain", now.gyro_scale, then.gyro_scale)
+        own, usual = now.reference, before.reference
+        of_gyro = sensor_fault("gyro offset", own.gyro_bias, usual.gyro_bias)
+        of_gyro += sensor_fault("gyro gain", own.gyro_scale, usual.gyro_scale)
         faults += tuple(f for f in of_gyro if f.effect not in withheld)
 
     # 3. Doubtful sensors, and with them what the recording can tell
-    replayed, before = doubting(replayed, before, every)
-    untestable = untestable_effects(replayed, every, before is not None and before.telemetry)
-    half = half_testable(replayed, every)
-    weighed = every if how.among is None else [e for e in every if e.id in how.among]
+    now, before = doubting(now, before, every)
+    untestable = untestable_effects(now, every, before is not None and before.telemetry)
+    half = half_testable(now, every)
+    weighed = every if among is None else [e for e in every if e.id in among]
     testable = [e for e in weighed if e.id not in withheld and (e.id in half or e.id not in untestable)]
 
     # 4. Floor
-    how.progress("measuring the floor")
-    floor = from_recording(replayed) if before is None else from_baseline(replayed, before, every)
+    progress("measuring the floor")
+    floor = from_recording(now) if before is None else from_baseline(now, before, every)
     if faults:
         # The autopilot's attitude is made of the same sensors: a witness less than in the baseline.
         floor = floor.larger(_WITHOUT_WITNESS)
 
     # 5. Traces
-    traces, replayed = find_traces(
-        replayed, before, float(floor.noise["mag"].rms.mean()), floor.field_rms_mgauss,
+    traces, now = find_traces(
+        now, before, float(floor.noise["mag"].rms.mean()), floor.field_rms_mgauss,
         frozenset(e.id for e in testable), floor.representative,
     )  # fmt: skip
     if before is None and traces.rapid:
-        floor = from_recording(replayed)
-
-    if traces.stale_share > 0.0 and replayed.trace.frozen:
+        floor = from_recording(now)
+    if traces.stale_share > 0.0 and now.trace.frozen:
         # A compass that says one thing tells of nothing else.
         testable = []
 
     # 6. Split, 7. Search, 8. What is left
-    how.progress(f"weighing {len(testable)} effects")
-    identified, remainder, floor = _explained(replayed, floor, testable, traces)
-    if (
-        any(t.effect.kind == "discrete" for t in identified.fit.terms)
-        and steered_by(track, how.compass) != "other"
-    ):
+    progress(f"weighing {len(testable)} effects")
+    identified, remainder, floor = _explained(now, floor, testable, traces)
+    if identified.fit.is_turned and steered_by(track, compass) != "other":
         # An autopilot that steers by a compass in another orientation leans as it should not: it says nothing
         # of the other sensors.
         faults = ()
-    how.progress("looking at what is left")
+    progress("looking at what is left")
     adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
 
-    found = {fault.effect for fault in faults}
-    hidden = {effect: why for effect, why in untestable.items() if effect not in found}
+    hidden = {effect: why for effect, why in untestable.items() if effect not in {f.effect for f in faults}}
     return Evidence(
-        track, how.compass, replayed, floor, identified, remainder, adequacy, traces, hidden, half,
+        track, compass, now, floor, identified, remainder, adequacy, traces, hidden, half,
         withheld, faults,
     )  # fmt: skip
 
 
-def _replays(track: Track, baseline: Track | None, how: _How) -> tuple[Replay, Replay | None]:
-    """Replay the recording and its baseline, with rows that follow each other alike."""
+def _replays(
+    track: Track, baseline: Track | None, compass: int, reference: Choice, thorough: bool, kept: Replayed
+) -> tuple[Replay, Replay | None]:
+    """Replay the recording and its baseline, with rows that follow each other alike; `kept` is shared."""
     tracks = [track] if baseline is None else [track, baseline]
-    period_s = shared_period_s(tracks, how.compass) / (_THOROUGH if how.thorough else 1.0)
+    period_s = shared_period_s(tracks, compass) / (_THOROUGH if thorough else 1.0)
+
+    def made(one: Track, instance: int, alone: bool = False, late_s: float | None = None) -> Replay:
+        key = (id(one), instance, period_s, alone)
+        if key not in kept:
+            kept[key] = (one, replay(one, instance, reference, period_s, alone=alone, late_s=late_s))
+        return kept[key][1]
+
     if baseline is None:
-        return _replayed(track, how.compass, period_s, how, alone=True), None
-    compass = how.compass if how.compass in baseline.compasses else 1
-    before = _replayed(baseline, compass, period_s, how)
+        return made(track, compass, alone=True), None
+    other = compass if compass in baseline.compasses else 1
+    before = made(baseline, other)
     # What is late in the recording alone is a gap: its rows are no earlier than the baseline's.
-    replayed = _replayed(track, how.compass, period_s, how, late_s=before.late_s)
-    if before.averaged > replayed.averaged:
+    now = made(track, compass, late_s=before.late_s)
+    if before.averaged > now.averaged:
         # Means of fewer readings scatter more: a recording that lacks readings is held against the like.
-        before = replay(baseline, compass, how.reference, period_s, replayed.averaged, late_s=before.late_s)
-    return replayed, before
-
-
-def _replayed(
-    track: Track,
-    compass: int,
-    period_s: float,
-    how: _How,
-    alone: bool = False,
-    late_s: float | None = None,
-) -> Replay:
-    """Replay a recording, once for all who keep the replays."""
-    key = (id(track), compass, period_s, alone)
-    if key not in how.replayed:
-        made = replay(track, compass, how.reference, period_s, alone=alone, late_s=late_s)
-        how.replayed[key] = (track, made)
-    return how.replayed[key][1]
+        before = replay(baseline, other, reference, period_s, now.averaged, late_s=before.late_s)
+    return now, before
 
 
 def _explained(
@@ -223,19 +189,16 @@ def _explained(
     detailed = floor.representative or not floor.measured
     white = 0.0 if detailed or traces.step_mgauss > 0.0 else traces.excess_mgauss2 / replayed.averaged
     added = white + traces.step_mgauss**2 / 12.0
-    start = with_noise(floor, with_white(floor.noise, added)) if added > 0.0 else floor
+    start = replace(floor, noise=with_white(floor.noise, added)) if added > 0.0 else floor
     effects = searched(replayed, testable)
     identified, own = identify(replayed, start, split, effects, noise_known=floor.measured)
-    floor = with_noise(own, floor.noise) if floor.measured else own
+    floor = replace(own, noise=floor.noise) if floor.measured else own
     remainder = what_is_left(identified, floor, names, traces)
     found = remainder.scatter
-    if white > 0.0:
-        done = found is not None and found.white
-    else:
-        done = found is None or not identified.found.best.terms
-    if done:
+    expected = found is not None and found.white if white > 0.0 else found is None
+    if expected or (white == 0.0 and not identified.found.best.terms):
         return identified, remainder, floor
     # Extra scatter makes every gain look larger than it is: choose again under it.
-    noisy = with_noise(floor, remainder.problem.noise)
+    noisy = replace(floor, noise=remainder.problem.noise)
     identified, _ = identify(replayed, noisy, split, effects, noise_known=True)
     return identified, what_is_left(identified, floor, names, replace(traces, step_mgauss=0.0)), floor

@@ -15,6 +15,19 @@ from mavcompass.frames import FloatArray
 
 Verdict = Literal["no_gap", "named", "ambiguous", "named_with_remainder", "unknown", "not_testable"]
 SCHEMA = "mavcompass.gap/1"
+# Where a belief has the field, the matrix, the offset and the motors; and where its effects begin.
+FIELD, MATRIX, OFFSET, MOTOR, EFFECTS = slice(0, 3), slice(3, 12), slice(12, 15), slice(15, 18), 18
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it: dataclasses by their fields, arrays and tuples as lists."""
+    if dataclasses.is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {key: plain(one) for key, one in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [plain(one) for one in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +46,15 @@ class Cause:
     separation: float | None = None
     removes_mgauss: float = 0.0
     removes_deg: float = 0.0
+
+    @classmethod
+    def told(
+        cls, effect: str, values: Mapping[str, float], sigma: Mapping[str, float], removes_mgauss: float = 0.0
+    ) -> Cause:
+        """Describe an effect that was read off by itself: its values, with standard deviations if any."""
+        off = {name: 1.96 * sigma.get(name, 0.0) for name in values}
+        ends = {name: (value - off[name], value + off[name]) for name, value in values.items()}
+        return cls(effect, values, ends, 1.0, (), removes_mgauss=removes_mgauss)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,13 +172,7 @@ class Belief:
 
     def to_json(self) -> dict[str, object]:
         """Return the belief for machines; of the covariance the lower triangle, row by row."""
-        return {
-            "weight": self.weight,
-            "effects": list(self.effects),
-            "places": list(self.places),
-            "mean": self.mean.tolist(),
-            "covariance": self.covariance[np.tril_indices(self.mean.size)].tolist(),
-        }
+        return plain(self) | {"covariance": self.covariance[np.tril_indices(self.mean.size)].tolist()}
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Belief:
@@ -179,7 +195,6 @@ class Picture:
         time_s: (N,); valid, test: rows with data, rows held out.
         before_mgauss, after_mgauss: residual of the field without and with the effects, (N, 3).
         coordinates: values (N,) and unit by name; tilt and heading in degrees among them.
-        floor_mgauss: the noise of each axis, (3,).
         innovations: what is left, in sigmas, (N, 3).
     """
 
@@ -189,7 +204,6 @@ class Picture:
     before_mgauss: FloatArray
     after_mgauss: FloatArray
     coordinates: dict[str, tuple[FloatArray, str]]
-    floor_mgauss: FloatArray
     innovations: FloatArray
 
 
@@ -200,7 +214,8 @@ class Diagnosis:
     `field` and `heading` are about the vehicle beside its nominal simulation, which knows the calibration in
     force (`in_force`: what that cures, which is not sought). `corrected_rms_mgauss` is the corrected reading
     beside the plain field (None: no calibration is in force). `beliefs` are the explanations as
-    distributions: one, or those between which the recording does not decide.
+    distributions: one, or those between which the recording does not decide. `late_s` is how late readings
+    come, where that is more than autopilots' usually are and no baseline tells whether it was always so.
     """
 
     path: str
@@ -227,6 +242,7 @@ class Diagnosis:
     withheld: tuple[str, ...]
     seconds: float
     notes: tuple[str, ...] = ()
+    late_s: float | None = None
     corrected_rms_mgauss: float | None = None
     in_force: Cured | None = None
     beliefs: tuple[Belief, ...] = dataclasses.field(default=(), repr=False, compare=False)
@@ -242,23 +258,16 @@ class Diagnosis:
         return {
             "schema": SCHEMA,
             "log": {
-                "path": self.path,
-                "sha256": self.sha256,
-                "duration_s": self.duration_s,
-                "samples": self.samples,
-                "autopilot": self.autopilot,
+                name: getattr(self, name) for name in ("path", "sha256", "duration_s", "samples", "autopilot")
             },
             "compass": self.compass,
             "reference": self.reference,
             "verdict": self.verdict,
-            "causes": [_cause(c) for c in self.causes],
-            "look_alikes": [_cause(c) for c in self.look_alikes],
+            "causes": plain(self.causes),
+            "look_alikes": plain(self.look_alikes),
             "ambiguity_set": [{"effects": list(ids), "weight": w} for ids, w in self.ambiguity_set],
-            "where": [
-                {"channel": p.channel, "coordinate": p.coordinate, "share": p.share, "at": p.at}
-                for p in self.where
-            ],
-            "gap": {"field_rms_mgauss": _closing(self.field), "heading_rms_deg": _closing(self.heading)},
+            "where": plain(self.where),
+            "gap": {"field_rms_mgauss": plain(self.field), "heading_rms_deg": plain(self.heading)},
             "waterfall": [
                 {
                     "effect": b.effect,
@@ -273,14 +282,8 @@ class Diagnosis:
                 "tests": [{"name": name, "p": p} for name, p in self.tests],
             },
             "not_testable": [{"effect": e, "why": why} for e, why in self.not_testable],
-            "next_flight": [
-                {
-                    "protocol": f.protocol,
-                    "separates": list(f.separates),
-                    "predicted_separation": f.predicted_separation,
-                }
-                for f in self.next_flight
-            ],
+            "next_flight": plain(self.next_flight),
+            "late_s": self.late_s,
             "corrected_rms_mgauss": self.corrected_rms_mgauss,
             "in_force": self.in_force.to_json() if self.in_force is not None else None,
             "folded_from_baseline": list(self.folded),
@@ -289,29 +292,6 @@ class Diagnosis:
             "seconds": self.seconds,
             "beliefs": [belief.to_json() for belief in self.beliefs],
         }
-
-
-def _cause(cause: Cause) -> dict[str, object]:
-    return {
-        "effect": cause.effect,
-        "parameters": dict(cause.parameters),
-        "ci95": {name: list(interval) for name, interval in cause.ci95.items()},
-        "probability": cause.probability,
-        "ambiguous_with": list(cause.ambiguous_with),
-        "separation": cause.separation,
-        "removes_mgauss": cause.removes_mgauss,
-        "removes_deg": cause.removes_deg,
-    }
-
-
-def _closing(closing: Closing) -> dict[str, object]:
-    return {
-        "nominal": closing.nominal,
-        "after": closing.after,
-        "floor": closing.floor,
-        "shrink": closing.shrink,
-        "shrink_ci95": list(closing.shrink_ci95),
-    }
 
 
 def _listed(values: FloatArray, digits: int) -> str:

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.answer import bin_means
+from mavcompass.gap.answer.description import bin_means
 from mavcompass.gap.result import Bar, Closing, Diagnosis, Picture
 from mavcompass.report.svg import Plot, limits
 

@@ -73,6 +73,12 @@ _SHOWN_SETS = 4
 def advice(diagnosis: Diagnosis) -> str:
     """Say in one sentence what to do."""
     match diagnosis.verdict:
+        case "no_gap" if diagnosis.late_s is not None:
+            return (
+                f"Look at the compass's driver and the logging rate: readings are {diagnosis.late_s:.2f} s"
+                f" old. Beside that the heading is right to {max(diagnosis.heading.nominal, 0.1):.1f} deg"
+                " rms. A recording of the vehicle in a good state (--baseline) tells if it was so before."
+            )
         case "no_gap" if diagnosis.heading.floor > _COARSE_DEG:
             return f"No problem found; errors under {diagnosis.heading.floor:.0f} deg would be invisible."
         case "no_gap":

@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from mavcompass.gap.trial.label import GENERATORS, TIERS
+from mavcompass.gap.trial.cases import GENERATORS, TIERS
 from mavcompass.gap.trial.trial import run_trial
 
 

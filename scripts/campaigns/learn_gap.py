@@ -26,13 +26,14 @@ import numpy as np
 
 from mavcompass.chance import wilson
 from mavcompass.frames import FloatArray
-from mavcompass.gap.answer import figures, statistics
+from mavcompass.gap.answer.evidence import statistics
+from mavcompass.gap.answer.shrink import figures
 from mavcompass.gap.diagnose import examine, withheld_effects
 from mavcompass.gap.tables import KINDS, OUTCOMES, SCHEMA
-from mavcompass.gap.trial import another, bench
-from mavcompass.gap.trial.label import Label
+from mavcompass.gap.trial import bench
+from mavcompass.gap.trial.cases import Label
+from mavcompass.gap.trial.foreign import case_of
 from mavcompass.gap.trial.score import Answer, score
-from mavcompass.gap.trial.vehicles import cases as vehicles
 from mavcompass.installation.data_files import params_path
 
 # What is learnt from, and what judges: maker, tier, with a baseline, first seed, how many.
@@ -71,7 +72,7 @@ PENALTY: dict[str, tuple[float, float]] = {
 OTHERS = [(a, b) for a in (0.5, 1.0, 1.5, 2.0) for b in (5.0, 10.0, 20.0, 30.0, 40.0, 60.0)]
 # False-alarm rates of the two tests, and the probability that is called sure.
 LEVELS = {"gain": 0.01, "fit": 0.005, "sure": 0.9}
-# What the map and the score of healthy vehicles are made of (gap/answer/statistics.py).
+# What the map and the score of healthy vehicles are made of (gap/answer/evidence.py).
 MAPPED = (
     "lead", "residual", "held_out", "structure", "strain", "confirmed", "members", "unlikely", "exact",
     "alone",
@@ -103,9 +104,12 @@ def main() -> None:
     parser.add_argument("--evidence", type=Path, required=True, help="made where it lacks cases")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--write", action="store_true", help="write params/gap/criterion.json")
+    parser.add_argument("--every", type=int, default=1, help="a try, with every so many of the cases")
     parser.add_argument("--picture", type=Path, help="write the reliability diagram")
     arguments = parser.parse_args()
-    lines = collected(arguments.evidence, arguments.workers)
+    if arguments.write and arguments.every != 1:
+        parser.error("the tables are made of all cases: --write goes without --every")
+    lines = collected(arguments.evidence, arguments.workers, arguments.every)
     learnt = [line for line in lines if line["maker"] != JUDGES]
     judged = [line for line in lines if line["maker"] == JUDGES]
     penalties(learnt)
@@ -124,11 +128,11 @@ def main() -> None:
         path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def collected(path: Path, workers: int) -> list[Line]:
+def collected(path: Path, workers: int, every: int = 1) -> list[Line]:
     """Read the evidence, and make what it lacks."""
     known: list[Line] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
     have = {json.dumps(line["case"]) for line in known}
-    missing = [w for w in wanted() if json.dumps(_case_of(w)) not in have]
+    missing = [w for w in wanted(every) if json.dumps(_case_of(w)) not in have]
     with ProcessPoolExecutor(workers) as pool:
         for done, line in enumerate(pool.map(examined, missing, chunksize=4)):
             known += [line] if line is not None else []
@@ -140,9 +144,9 @@ def collected(path: Path, workers: int) -> list[Line]:
     return known
 
 
-def wanted() -> Iterator[Wanted]:
+def wanted(every: int = 1) -> Iterator[Wanted]:
     for maker, tier, with_baseline, seed, count in LOT:
-        for index in range(count):
+        for index in range(0, count, every):
             yield Wanted(maker, tier, with_baseline, seed, index)
 
 
@@ -159,8 +163,7 @@ def examined(of: Wanted) -> Line | None:
         label, track, baseline = bench.draw_case(of.seed, of.index, of.tier)  # type: ignore[arg-type]
         cured = True
     else:
-        maker: Any = vehicles if of.maker == "vehicles" else another
-        case = maker.make_case(of.seed + of.index, "single" if of.tier == "withheld" else of.tier)
+        case = case_of(of.maker, of.tier, of.seed + of.index)  # type: ignore[arg-type]
         track, baseline = case.track, case.baseline
         cured = case.description.get("cure") != "old"
         spelt = (
@@ -268,12 +271,14 @@ def healthy(lines: Sequence[Line]) -> Line:
     usual, scores = {}, []
     for kind in KINDS:
         own = [line for line in lines if line["kind"] == kind]
+        if not own:  # of a try
+            continue
         values = np.array([[line["values"][name] for name in LEFT] for line in own])
         centre = np.median(values, axis=0)
         size = np.maximum(np.percentile(values, 84, axis=0) - centre, LEAST)
         scores += ((values - centre) / size).max(axis=1).tolist()
         usual[kind] = {"count": len(own), "centre": _rounded(centre), "size": _rounded(size)}
-    kept = len(lines) // KEPT
+    kept = max(len(lines) // KEPT, 1)
     return {
         "count": len(lines),
         "names": list(LEFT),

@@ -44,7 +44,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "procedure": ("procedure",),
     "service": ("service",),
     "vehicle": ("vehicle",),
-    "gap verdicts": ("gap/answer/verdict.py", "gap/selection"),
+    "gap verdicts": ("gap/answer/decision.py", "gap/selection"),
 }
 # These try the project's folder itself, which a copy is not.
 _UNFIT = ("tests/test_", "tests/acceptance/")

@@ -22,9 +22,9 @@ from mavcompass.gap import diagnose_gap
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
 from mavcompass.gap.replay.nominal import replay
-from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, ideal, noisy, stimulus_of, to_track
+from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, noisy, stimulus_of, to_track
 from mavcompass.simulation.effects import catalogue
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Stimulus, ideal
 
 Shape = Callable[[Stimulus, FloatArray, np.random.Generator], FloatArray]
 FLAGGED = ("unknown", "named_with_remainder", "ambiguous")

@@ -16,9 +16,8 @@ from mavcompass.cli.main import main
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.export.ardupilot import ardupilot_sitl
-from mavcompass.gap.export.exported import Found
-from mavcompass.gap.export.ours import preset
-from mavcompass.gap.export.vehicle import affine_map, settings_of
+from mavcompass.gap.export.others import preset
+from mavcompass.gap.export.vehicle import Found, affine_map, settings_of
 from mavcompass.gap.trial.bench import draw_label, tracks_of
 from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
 from mavcompass.logs import write_track_csv
@@ -146,7 +145,7 @@ def test_preset_in_our_simulator_closes_the_gap_as_claimed(baseline: Track, tmp_
     path.write_text(preset(Found(settings_of(diagnosis.causes), "case")).text, encoding="utf-8")
     distortion = effects.Distortion(effects.read_preset(path))
     truth = effects.distortion(["hard_iron:x=40,y=-25", "misalignment:x=0.03,z=0.02"])
-    from mavcompass.gap.trial.cases import ideal
+    from mavcompass.simulation.physics.signals import ideal
 
     stimulus = stimulus_of(RICH)
     rng = np.random.default_rng(0)

@@ -14,9 +14,10 @@ from mavcompass.gap import diagnose, diagnose_gap
 from mavcompass.gap.answer.decision import Answer
 from mavcompass.gap.answer.description import describe
 from mavcompass.gap.answer.evidence import Evidence
-from mavcompass.gap.trial.cases import Motion, Recipe, ideal, make_track, stimulus_of, to_track
+from mavcompass.gap.trial.cases import Motion, Recipe, make_track, stimulus_of, to_track
 from mavcompass.gap.trial.vehicles.cases import Tier, VehicleCase, make_case
 from mavcompass.simulation import effects
+from mavcompass.simulation.physics.signals import ideal
 from mavcompass.track import Track
 
 CAUSES = (

@@ -11,12 +11,11 @@ import pytest
 from mavcompass.frames import FloatArray
 from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.export.ardupilot import ardupilot_sitl
-from mavcompass.gap.export.exported import Found
-from mavcompass.gap.export.ours import preset
-from mavcompass.gap.export.vehicle import settings_of, vehicle_settings
+from mavcompass.gap.export.others import preset
+from mavcompass.gap.export.vehicle import Found, settings_of, vehicle_settings
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.left.stated import from_recording
+from mavcompass.gap.left.floor import from_recording
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.logs import read_track
 from mavcompass.simulation.effects import Setting, read_preset

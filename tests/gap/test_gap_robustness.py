@@ -10,8 +10,9 @@ import pytest
 from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.replay.noise import SensorNoise, wandering
 from mavcompass.gap.replay.nominal import replay
-from mavcompass.gap.trial.cases import Recipe, ideal, make_track, stimulus_of, to_track
+from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of, to_track
 from mavcompass.simulation import effects
+from mavcompass.simulation.physics.signals import ideal
 from mavcompass.track import MagSeries, Series, Track
 
 RICH = Recipe("rich", duration_s=60.0, rate_hz=10.0, seed=51)

@@ -9,9 +9,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 
-from mavcompass.gap.answer import figures, statistics
+from mavcompass.gap.answer.evidence import statistics
+from mavcompass.gap.answer.shrink import figures
 from mavcompass.gap.diagnose import examine
 from mavcompass.gap.tables import KINDS, OUTCOMES, parsed, tables
 from mavcompass.gap.trial.cases import Recipe, make_track
@@ -53,6 +55,44 @@ def test_healthy_vehicles_of_every_kind_were_seen_and_bound_the_p_values() -> No
     assert 1.0 / (1.0 + healthy.count) < min(levels.gain, levels.fit)
     assert healthy.p_of_gain(-1.0) > max(levels.gain, levels.fit) > healthy.p_of_gain(1e9)
     assert healthy.p_of_gain(50.0) >= healthy.p_of_gain(500.0)
+
+
+def evidence_of(command: ModuleType, kind: str, tier: str, number: int) -> dict[str, Any]:
+    """Make a line of evidence as the command keeps them, by chance alone."""
+    rng = np.random.default_rng([KINDS.index(kind), len(tier), number])  # type: ignore[arg-type]
+    names = {*command.MAPPED, *command.LEFT}
+    ids = [[], ["hard_iron"], ["soft_iron"], ["hard_iron", "soft_iron"]]
+    order = rng.permutation(len(ids)).tolist()
+    return {
+        "case": ["vehicles", tier, True, 1, number], "maker": "vehicles", "tier": tier, "kind": kind,
+        "truth": {"none": [], "single": ["hard_iron"], "pair": ["hard_iron", "soft_iron"]}.get(tier, []),
+        "beside": [], "gain": float(rng.exponential(50.0)), "found": True, "rows": 500, "overdispersion": 1.2,
+        "values": {name: float(rng.normal()) for name in names}, "separation": None,
+        "sets": [
+            {"ids": ids[i], "sse": 500.0 + 30.0 * k, "strain": 3.0, "d": 3 * len(ids[i]), "same": k == 2}
+            for k, i in enumerate(order)
+        ],
+    }  # fmt: skip
+
+
+def test_evidence_becomes_tables_with_all_that_is_printed_of_them(
+    command: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiers = ("none", "single", "pair", "outside")
+    lines = [evidence_of(command, kind, tier, k) for kind in KINDS for tier in tiers for k in range(6)]
+    command.penalties(lines)
+    document = command.learn(lines, lines)
+    made = parsed(json.loads(json.dumps(document)))
+    assert set(made.healthy.usual) == set(KINDS) and made.healthy.count == 24
+    assert sum(made.map.probabilities(lines[0]["values"]).values()) == pytest.approx(1.0)
+    bins = command.report("out of fold", lines, command.out_of_fold(lines))
+    command.false_alarms(lines, document)
+    assert command.drawn(bins).count("<circle") == len(bins) > 0
+    said = capsys.readouterr().out
+    assert "Brier" in said and "hard_iron" in said and "alarmed" in said
+    # A try has too few of some kind; it prints what it has.
+    few = [line for line in lines if line["kind"] != "reference"]
+    assert set(command.learn(few, few)["healthy"]["usual"]) == set(KINDS) - {"reference"}
 
 
 def test_tables_of_another_form_are_refused() -> None:

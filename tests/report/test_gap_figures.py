@@ -39,7 +39,7 @@ def test_lines_that_end_together_have_their_letters_side_by_side() -> None:
     before = np.tile([-50.0, 40.0, 40.5], (time.size, 1))
     every = np.ones(time.size, dtype=np.bool_)
     picture = Picture(
-        time_s=time, before_mgauss=before, after_mgauss=0.0 * before, floor_mgauss=np.ones(3),
+        time_s=time, before_mgauss=before, after_mgauss=0.0 * before,
         valid=every, test=every, innovations=0.0 * before, coordinates={"time": (time, "s")},
     )  # fmt: skip
     root = ET.fromstring(strip(picture, "time"))

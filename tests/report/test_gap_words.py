@@ -69,6 +69,11 @@ def test_causes_with_one_remedy_need_not_be_told_apart(
     assert f"  instead it may be: {sets[1][0]}" in summary(torn)
 
 
+def test_readings_that_come_late_are_no_silence(magnet: Diagnosis) -> None:
+    late = replace(magnet, verdict="no_gap", late_s=0.31)
+    assert advice(late).startswith("Look at the compass's driver") and "0.31 s old" in advice(late)
+
+
 def test_a_coarse_recording_does_not_vouch_for_the_heading(magnet: Diagnosis) -> None:
     coarse = replace(magnet, verdict="no_gap", heading=Closing(4.8, 4.8, 12.8, 0.0, (0.0, 0.0)))
     assert "No problem found; errors under 13 deg would be invisible." in advice(coarse)

@@ -68,7 +68,7 @@ def diagnose(
         _say(diagnosis, output)
     diagnosis = found[0]
     if len(logs) > 1:
-        from mavcompass.gap.answer import together
+        from mavcompass.gap.answer.naming import together
 
         vehicle = together(found)
         for line in vehicle.lines():

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.attitude import body_rate
-from mavcompass.gap.fit import Fit, Term, make_term
-from mavcompass.gap.replay import Noise
+from mavcompass.frames import FloatArray, euler_to_matrix
+from mavcompass.gap.attitude.reference import body_rate
+from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
+from mavcompass.gap.replay.noise import Noise
 from mavcompass.gap.result import Flight
 from mavcompass.simulation.effects import Setting
 from mavcompass.simulation.effects.effect import Chain, Signals
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Stimulus, ideal
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 _RATE_HZ = 10.0
@@ -134,4 +134,4 @@ def _signals(protocol: Protocol, field: FloatArray) -> Signals:
         t, rotation, world, rate_radps, force, position, np.zeros((n, 3)), 1.0 + 28.0 * throttle**1.5,
         throttle, temperature, np.repeat(throttle[:, None], 4, axis=1),
     )  # fmt: skip
-    return Signals(stimulus, Reading(rotate_back(rotation, world), force, rate_radps))
+    return Signals(stimulus, ideal(stimulus))

@@ -2,25 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from mavcompass.gap.answer.evidence import Evidence
+from mavcompass.gap.answer.evidence import Evidence, statistics
 from mavcompass.gap.answer.shrink import above, figures, yaw_wander_deg
-from mavcompass.gap.answer.statistics import statistics
-from mavcompass.gap.answer.verdict import Findings, verdict
-from mavcompass.gap.fit import Fit
+from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.result import Closing, Verdict
-from mavcompass.gap.tables import Kind, tables
-from mavcompass.gap.traces import follows_way, keeps_step
+from mavcompass.gap.tables import Kind, Levels, Outcome, tables
+from mavcompass.gap.traces.rapid import follows_way
 from mavcompass.simulation.effects.effect import FREQUENCY
 
 # Where a heading is told no better, a recording tells nothing.
 _COARSEST_DEG = 15.0
 # Sets are told until they hold so much of what any known set does, but none that weighs less than this.
 _HELD, _WEIGHTLESS = 0.9, 0.01
-
 Sets = tuple[tuple[frozenset[str], float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """Hold what the verdict is made of.
+
+    Attributes:
+        found: there is a best set, or single readings show something; searched: only that set shows it.
+        confirmed: something lies above the floor without it, or what it was not fitted to gains.
+        p_gain: how seldom healthy vehicles gain as much from any set; p_fit: how seldom they leave as much.
+        outcomes: what the best set may be; shared: something else than the catalogue's effect makes the same.
+        above: what is left lies above the floor; testable: silence would tell something.
+    """
+
+    found: bool
+    searched: bool
+    confirmed: bool
+    p_gain: float
+    p_fit: float
+    outcomes: Mapping[Outcome, float]
+    shared: bool
+    above: bool
+    testable: bool
+
+
+def verdict(of: Findings, levels: Levels) -> Verdict:
+    """Decide what is said: equation (3) of docs/gap.md."""
+    left = of.above or of.p_fit <= levels.fit
+    if not of.found or (of.searched and (of.p_gain > levels.gain or not of.confirmed)):
+        if left:
+            return "unknown"
+        return "no_gap" if of.testable else "not_testable"
+    whole, part, other, unknown = (of.outcomes[one] for one in ("whole", "part", "other", "unknown"))
+    if unknown > max(whole + part, other):
+        return "unknown"
+    if whole >= levels.sure and not (left or of.shared):
+        return "named"
+    if left or part > max(whole, other):
+        return "named_with_remainder" if whole + part > other + unknown else "unknown"
+    return "ambiguous"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +126,7 @@ def decide(evidence: Evidence) -> Answer:
     where = evidence.adequacy.where if said in ("unknown", "named_with_remainder") else None
     if said in ("named", "ambiguous", "named_with_remainder"):
         return Answer(said, fit, field, heading, _told(known_sets), where, in_step, wander_deg)
-    if said == "unknown" and (evidence.faults or evidence.traces.named):
+    if said == "unknown" and (evidence.faults or evidence.traces.causes):
         # What single readings show by themselves is named, whatever else there is.
         both = figures(evidence, none, with_scatter=True)
         sets = ((none.ids, 1.0 - outcomes["unknown"]),)
@@ -118,10 +155,8 @@ def _in_step(evidence: Evidence, named: Fit) -> bool:
     if evidence.track.vehicle == "copter":
         # What flies has nothing that turns with its way.
         return False
-    replayed, taken = evidence.replay, [r for r in evidence.traces.rapid if FREQUENCY in r.parameters]
-    lines_hz = [r.parameters[FREQUENCY] for r in taken]
-    if (hertz := named.value(FREQUENCY)) is not None:
-        lines_hz.append(hertz)
-    return any(keeps_step(replayed, hertz) for hertz in lines_hz) or any(
-        follows_way(replayed, r.change_mgauss, hertz) for r, hertz in zip(taken, lines_hz, strict=False)
-    )
+    replayed = evidence.replay
+    taken = [r for r in evidence.traces.rapid if FREQUENCY in r.parameters]
+    if (hertz := named.value(FREQUENCY)) is not None and follows_way(replayed, hertz):
+        return True
+    return any(follows_way(replayed, r.parameters[FREQUENCY], r.change_mgauss) for r in taken)

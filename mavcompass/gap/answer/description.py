@@ -1,28 +1,40 @@
-"""Put the answer together: how far the gap closes on held-out parts, what was named, what to do next."""
+"""Put the answer together: how far the gap closes, where it lies, what was named, what to do next."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mavcompass.files import sha256_of
+from mavcompass.frames import FloatArray, matrix_to_euler
 from mavcompass.gap.answer.advise import next_flights
-from mavcompass.gap.answer.belief import beliefs
-from mavcompass.gap.answer.cure import corrected_rms, cured_iron
+from mavcompass.gap.answer.belief import beliefs, corrected_rms, cured_iron
 from mavcompass.gap.answer.decision import Answer
 from mavcompass.gap.answer.evidence import Evidence
-from mavcompass.gap.answer.locate import picture, where
-from mavcompass.gap.answer.naming import named_causes, trace_causes
+from mavcompass.gap.answer.naming import named_causes
 from mavcompass.gap.answer.shrink import shows, waterfall
-from mavcompass.gap.fit import Fit
-from mavcompass.gap.replay import level_mgauss
-from mavcompass.gap.result import Bar, Diagnosis
-from mavcompass.gap.selection import Identified
+from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.floor import heading_error_rad
+from mavcompass.gap.replay.noise import group_values
+from mavcompass.gap.replay.nominal import level_mgauss
+from mavcompass.gap.replay.nuisance import AGE_SIGMA_S, TELEMETRY_AGE, USUAL_AGE_S
+from mavcompass.gap.result import Bar, Diagnosis, Picture, Place
+from mavcompass.gap.selection.posterior import Identified
 from mavcompass.parameter_remarks import remarks_said
 from mavcompass.simulation.effects import Stage, catalogue
 
+_BINS = 12
+_REPORTED = 16
+_UNITS = {"current": "A", "throttle": "", "temperature": "degC"}
 _MOST_SHAPLEY = 4
+# An age of readings beyond so many of its sigmas is unusual.
+_BEYOND_USUAL = 2.0
 _IN_STEP = (
     "The line keeps step with the way driven: a magnet on something that turns with the wheels would look "
     "the same. Record the vehicle at another speed."
@@ -35,6 +47,104 @@ _WANDERS = (
 _UNSEEN = "No held-out part shows what is named: its shrink is not measured. Record it again."
 
 
+def coordinates(problem: Problem) -> dict[str, tuple[FloatArray, str]]:
+    """Return the coordinates that the recording has: values (N,), and their unit."""
+    s = problem.replay.signals.stimulus
+    yaw = matrix_to_euler(s.rotation)[2]
+    found: dict[str, tuple[FloatArray, str]] = {
+        "heading": (np.degrees(yaw % (2.0 * math.pi)), "deg"),
+        "tilt": (np.degrees(np.arccos(np.clip(s.rotation[:, 2, 2], -1.0, 1.0))), "deg"),
+        "time": (s.time_s, "s"),
+        "rate": (np.degrees(np.linalg.norm(s.rate_radps, axis=1)), "deg/s"),
+    }
+    found |= {name: (load, _UNITS[name]) for name, load in s.loads.items()}
+    position = s.position_ned_m
+    if np.isfinite(position).all():
+        found["position"] = (np.linalg.norm(position - position.mean(axis=0), axis=1), "m from the middle")
+    return {n: (v, u) for n, (v, u) in found.items() if np.isfinite(v).all() and float(np.std(v)) > 1e-9}
+
+
+def channels(problem: Problem, fit: Fit) -> dict[str, FloatArray]:
+    """Return nominal residuals in units of the floor, by channel, (n,) on usable rows."""
+    nominal = problem.predict(fit, effects=False)
+    out: dict[str, FloatArray] = {}
+    rows = problem.usable
+    for group in problem.groups:
+        error = group_values(problem.replay.measured, group) - group_values(nominal, group)
+        for axis, letter in enumerate("xyz"):
+            out[f"{group}_{letter}"] = error[rows, axis] / problem.noise[group].rms[axis]
+    heading = heading_error_rad(problem.replay, problem.replay.measured.mag_mgauss, nominal.mag_mgauss)
+    field = problem.replay.signals.stimulus.field_ned_mgauss[0]
+    sigma = float(np.mean(problem.noise["mag"].rms)) / max(float(np.hypot(field[0], field[1])), 1.0)
+    out["heading"] = heading[rows] / sigma
+    return out
+
+
+def where(problem: Problem, fit: Fit) -> tuple[Place, ...]:
+    """Rank (channel, coordinate): the share of the excess that binned means along the coordinate hold.
+
+    The share is (between-bin sum of squares less its expectation) / (sum of squares less n), of all
+    that exceeds the floor in the sensor's three channels. `frequency` is what no coordinate explains at
+    low order: the share above a fifth of half the sampling rate.
+    """
+    rows = problem.usable
+    residuals = channels(problem, fit)
+    excess = {name: max(float(r @ r) - r.size, 0.0) for name, r in residuals.items()}
+    sensors = {name.split("_")[0] for name in excess}
+    total = {g: sum(e for name, e in excess.items() if name.split("_")[0] == g) for g in sensors}
+    found = []
+    for channel, residual in residuals.items():
+        whole = total[channel.split("_")[0]]
+        if whole <= 4.0 * math.sqrt(6.0 * residual.size) or excess[channel] <= 0.0:
+            continue
+        axis_share = excess[channel] / whole
+        if channel != "heading":
+            found.append(Place(channel, "axis", min(axis_share, 1.0), channel.split("_")[1]))
+        for name, (values, unit) in coordinates(problem).items():
+            share, at = _between(values[rows], residual, unit)
+            found.append(Place(channel, name, float(np.clip(share / whole, 0.0, 1.0)), at))
+        power = np.abs(np.fft.rfft(residual)) ** 2
+        fast = power[power.size // 5 :].sum() / max(float(power[1:].sum()), 1e-12)
+        part = max(float(fast) * float(residual @ residual) - 0.8 * residual.size, 0.0)
+        found.append(Place(channel, "frequency", float(np.clip(part / whole, 0.0, 1.0)), "fast"))
+    found.sort(key=lambda place: -place.share)
+    return tuple(p for p in found if p.share > 0.02)[:_REPORTED]
+
+
+def bin_means(values: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return centres, means and counts of the residual in bins of equal width along a coordinate."""
+    edges = np.linspace(float(values.min()), float(values.max()) + 1e-9, _BINS + 1)
+    label = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _BINS - 1)
+    count = np.bincount(label, minlength=_BINS).astype(np.float64)
+    mean = np.bincount(label, residual, minlength=_BINS) / np.maximum(count, 1.0)
+    return 0.5 * (edges[1:] + edges[:-1]), mean, count
+
+
+def _between(values: FloatArray, residual: FloatArray, unit: str) -> tuple[float, str]:
+    # A constant offset belongs to the axis, not to every coordinate.
+    centres, mean, count = bin_means(values, residual - residual.mean())
+    squares = count * mean**2
+    used = int((count > 0).sum())
+    top = int(np.argmax(np.where(count >= 5, np.abs(mean), 0.0)))
+    return float(squares.sum()) - used, f"{centres[top]:.3g} {unit}".strip()
+
+
+def picture(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> Picture:
+    """Collect what the report draws."""
+    replay = problem.replay
+    before = replay.measured.mag_mgauss - problem.predict(fit, effects=False).mag_mgauss
+    predicted = problem.predict(fit)
+    return Picture(
+        time_s=replay.time_s,
+        valid=replay.valid,
+        test=test,
+        before_mgauss=before,
+        after_mgauss=replay.measured.mag_mgauss - predicted.mag_mgauss,
+        coordinates=coordinates(problem),
+        innovations=problem.innovations(predicted)["mag"],
+    )
+
+
 def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     """Write everything down."""
     identified, floor, scatter = evidence.identified, evidence.floor, evidence.remainder.scatter
@@ -42,7 +152,10 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     weights = dict(answer.sets)
     beside = evidence.faults
     if answer.verdict != "unknown":
-        beside = trace_causes(scatter, evidence.traces, level_mgauss(evidence.replay)) + beside
+        level = level_mgauss(evidence.replay)
+        read = (*(() if scatter is None else (scatter.cause,)), *evidence.traces.causes)
+        read = tuple(replace(c, removes_deg=math.degrees(c.removes_mgauss / level)) for c in read)
+        beside = read + beside
     # Whatever else is named, what single readings tell is there.
     beside = tuple(replace(cause, probability=sum(weights.values())) for cause in beside)
     causes = named_causes(identified, named, weights) + beside
@@ -90,6 +203,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
             *((_UNSEEN,) if named.terms and not shows(problem, named, test) else ()),
             *(_same(evidence) if named.terms else ()),
         ),
+        late_s=_unusually_late_s(evidence, named),
         corrected_rms_mgauss=corrected_rms(problem, named, test),
         in_force=cured_iron(problem, named, floor),
         beliefs=beliefs(identified, named, answer.sets if answer.verdict == "ambiguous" else ()),
@@ -105,6 +219,16 @@ def _same(evidence: Evidence) -> Iterator[str]:
         if posterior.restates(other) and not known < other.fit.ids:
             names, same = (" + ".join(sorted(ids)) for ids in (known, other.fit.ids))
             yield f"{names}; the same to first order: {same}."
+
+
+def _unusually_late_s(evidence: Evidence, named: Fit) -> float | None:
+    """Return how late readings come where that is beyond what is usual; None beside a baseline, which
+    tells what is this vehicle's."""
+    age = evidence.identified.problem.values(named).get(TELEMETRY_AGE)
+    if age is None or evidence.floor.measured:
+        return None
+    late_s = float(age[0]) + evidence.replay.late_s
+    return late_s if late_s > USUAL_AGE_S + _BEYOND_USUAL * AGE_SIGMA_S else None
 
 
 def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:

@@ -1,20 +1,123 @@
-"""Put the named effects in words that a person can use: values, intervals, probabilities, rivals."""
+"""Put the named effects in words that a person can use, of one recording and of several of one vehicle.
+
+Every flight has its own nuisances (yaw, place, noise), so that the joint least squares of what they share is
+the mean of what each flight tells alone, weighed by its covariance. A cause that several flights tell alike
+is the vehicle's; one that comes once, or every time with another value, is the flight's: a magnet nearby,
+another place.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.gap.answer.intervals import intervals
-from mavcompass.gap.fit import Fit, make_term
-from mavcompass.gap.left import Scatter, apart
-from mavcompass.gap.result import Cause
-from mavcompass.gap.selection import Identified
-from mavcompass.gap.traces import Traces
-from mavcompass.simulation.effects import detected_by, get
+from mavcompass.frames import FloatArray
+from mavcompass.gap.fit.hypothesis import Fit, make_term
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.floor import apart
+from mavcompass.gap.result import Cause, Diagnosis, plain
+from mavcompass.gap.selection.posterior import Identified
+from mavcompass.gap.selection.transient import between_rows
+from mavcompass.simulation.effects import get
+from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
+
+_SIGMAS = 1.96
+# Twice the logarithm of the likelihood that a value costs at the end of its interval.
+_COST = _SIGMAS**2
+# A value without a derivative is followed in steps that grow, and its end closed in on by halving.
+_FIRST_STEP, _GROWTH, _HALVINGS = 1e-3, 4.0, 12
+
+_Interval = tuple[float, float]
+# Models are not exact: values agree within four sigmas, or a fifth of their size.
+_AGREEING_SIGMAS, _SHARE = 4.0, 0.2
+
+
+def intervals(problem: Problem, fit: Fit) -> list[dict[str, _Interval]]:
+    """Return the 95 % interval of each parameter of each effect of a fit.
+
+    Of what was fitted it is that of errors that may last for seconds (`Problem.lasting_covariance`); of what
+    the fit does without, that of a fit with it; of what has no derivative, as a threshold, the values that
+    fit as well (Venzon and Moolgavkar, Applied Statistics 37, 1988, with the other values held).
+    """
+    if not fit.terms:
+        return []
+    whole = replace(fit, terms=tuple(make_term(t.effect, problem.replay.signals) for t in fit.terms))
+    sigmas = _sigmas(problem, whole)
+    for term, needed, sigma in zip(fit.terms, _sigmas(problem, fit), sigmas, strict=True):
+        sigma[term.free] = needed[term.free]
+    out = []
+    for place, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
+        told = {}
+        for i, parameter in enumerate(term.effect.parameters):
+            value, off = float(theta[i]), float(sigmas[place][i])
+            if parameter.scale == 0.0 and not parameter.integer:
+                told[parameter.name] = _as_well(_cost(problem, fit, place, i), parameter, value)
+            else:
+                told[parameter.name] = _interval(problem, parameter, value, off)
+        out.append(told)
+    return out
+
+
+def _sigmas(problem: Problem, fit: Fit) -> list[FloatArray]:
+    """Return the standard deviation of each parameter of each effect, (k,); 0 of what is not free."""
+    sigma = np.sqrt(np.maximum(np.diag(problem.lasting_covariance(fit)), 0.0))
+    at = sum(n.mean.size for n in problem.nuisances)
+    out = []
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        own = np.zeros(theta.size)
+        own[term.free] = sigma[at : at + term.dimension]
+        at += term.dimension
+        out.append(own)
+    return out
+
+
+def _interval(problem: Problem, parameter: Parameter, value: float, sigma: float) -> _Interval:
+    low, high = value - _SIGMAS * sigma, value + _SIGMAS * sigma
+    if parameter.name in MOMENTS and abs(value) < NEVER_S:
+        before, after = between_rows(problem, value)
+        return min(low, before), max(high, after)
+    return max(low, parameter.low), min(high, parameter.high)
+
+
+def _cost(problem: Problem, fit: Fit, place: int, parameter: int) -> Callable[[float], float]:
+    """Return what another value of a parameter adds to the whitened sum of squares."""
+    term, theta, signals = fit.terms[place], fit.thetas[place].copy(), problem.signals(fit)
+    r = problem.residual(signals.reading)
+    own = term.effect.forward(signals, theta, {}, None).reading
+
+    def cost(value: float) -> float:
+        theta[parameter] = value
+        other = term.effect.forward(signals, theta, {}, None).reading
+        if not (other.mag_mgauss - own.mag_mgauss)[problem.index].any():
+            return 0.0
+        column = problem.shift(other, own)
+        return float(column @ column - 2.0 * column @ r)
+
+    return cost
+
+
+def _as_well(cost: Callable[[float], float], parameter: Parameter, value: float) -> _Interval:
+    ends = []
+    for end in (parameter.low, parameter.high):
+        sign = 1.0 if end > value else -1.0
+        inside, step = value, _FIRST_STEP * max(abs(value), _FIRST_STEP)
+        outside = value + sign * step
+        while abs(outside - value) < abs(end - value) and cost(outside) < _COST:
+            inside, step = outside, _GROWTH * step
+            outside = value + sign * step
+        if abs(outside - value) >= abs(end - value):
+            if cost(end) < _COST:
+                ends.append(end)
+                continue
+            outside = end
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (middle, outside) if cost(middle) < _COST else (inside, middle)
+        ends.append(inside)
+    return ends[0], ends[1]
 
 
 def named_causes(
@@ -56,32 +159,105 @@ def named_causes(
     return tuple(sorted(out, key=lambda c: -c.removes_mgauss))
 
 
-def trace_causes(scatter: Scatter | None, traces: Traces, level_mgauss: float) -> tuple[Cause, ...]:
-    """Describe effects that single readings told, in a level field."""
-    found = [_read_off(r.effect, r.parameters, r.sigma, math.sqrt(r.variance_mgauss2)) for r in traces.rapid]
-    if traces.step_mgauss > 0.0:
-        step = traces.step_mgauss
-        found.insert(
-            0, _of_size(detected_by("steps").id, step, traces.step_doubt_mgauss, step / math.sqrt(12.0))
-        )
-    if traces.stale_share > 0.0:
-        found.insert(0, _of_size(detected_by("repeats").id, traces.stale_share, traces.stale_doubt, 0.0))
-    if scatter is not None:
-        removes = scatter.size if scatter.white else 0.0
-        found.insert(0, _of_size(scatter.effect, scatter.size, scatter.doubt, removes))
-    return tuple(
-        replace(cause, removes_deg=math.degrees(cause.removes_mgauss / level_mgauss)) for cause in found
-    )
+@dataclass(frozen=True, slots=True)
+class SharedCause:
+    """Hold a cause of the vehicle: joint parameters and intervals, in how many flights it was named."""
+
+    cause: Cause
+    named_in: int
 
 
-def _of_size(effect: str, size: float, doubt: float, removes_mgauss: float) -> Cause:
-    name = get(effect).names[0]
-    return _read_off(effect, {name: size}, {name: doubt}, removes_mgauss)
+@dataclass(frozen=True, slots=True)
+class VehicleDiagnosis:
+    """Hold the diagnoses of several flights of one vehicle, and what they share.
+
+    `flights` are in the order given; `own` lists for each the causes that are the flight's alone.
+    """
+
+    flights: tuple[Diagnosis, ...]
+    shared: tuple[SharedCause, ...]
+    own: tuple[tuple[Cause, ...], ...]
+
+    def to_json(self) -> dict[str, object]:
+        """Return one document: the vehicle's causes, and each flight's whole diagnosis."""
+        return {
+            "schema": "mavcompass.gap-vehicle/1",
+            "vehicle": [
+                {
+                    **{name: plain(getattr(s.cause, name)) for name in ("effect", "parameters", "ci95")},
+                    "named_in": s.named_in,
+                    "of": len(self.flights),
+                }
+                for s in self.shared
+            ],
+            "flights": [
+                {**flight.to_json(), "of_this_flight": [c.effect for c in own]}
+                for flight, own in zip(self.flights, self.own, strict=True)
+            ],
+        }
+
+    def lines(self) -> list[str]:
+        """Say it for a terminal."""
+        out = []
+        for s in self.shared:
+            values = ", ".join(f"{name} {value:.4g}" for name, value in s.cause.parameters.items())
+            out.append(
+                f"of the vehicle (in {s.named_in} of {len(self.flights)} flights): {s.cause.effect}: {values}"
+            )
+        for flight, own in zip(self.flights, self.own, strict=True):
+            if own:
+                out.append(f"of one flight ({flight.path}): {', '.join(c.effect for c in own)}")
+        return out or ["nothing that the flights share, nothing of one alone"]
 
 
-def _read_off(
-    effect: str, values: Mapping[str, float], sigma: Mapping[str, float], removes_mgauss: float
-) -> Cause:
-    doubts = {name: 1.96 * sigma.get(name, 0.0) for name in values}
-    ends = {name: (value - doubts[name], value + doubts[name]) for name, value in values.items()}
-    return Cause(effect, values, ends, 1.0, (), removes_mgauss=removes_mgauss)
+def together(flights: Sequence[Diagnosis]) -> VehicleDiagnosis:
+    """Tell the causes that flights of one vehicle share from those of one flight."""
+    shared: list[SharedCause] = []
+    for effect in sorted({c.effect for d in flights for c in d.causes}):
+        # What happens around a vehicle or at one moment is not its own, however often it comes.
+        if not get(effect).of_vehicle:
+            continue
+        told = [c for d in flights for c in d.causes if c.effect == effect]
+        could = [d for d in flights if effect not in dict(d.not_testable)]
+        if len(told) > 1 and 2 * len(told) > len(could) and _agree(told):
+            shared.append(SharedCause(_joint(told), len(told)))
+    names = {s.cause.effect for s in shared}
+    own = tuple(tuple(c for c in d.causes if c.effect not in names) for d in flights)
+    return VehicleDiagnosis(tuple(flights), tuple(shared), own)
+
+
+def _sigma_of(cause: Cause, name: str) -> float:
+    low, high = cause.ci95.get(name, (math.nan, math.nan))
+    sigma = (high - low) / 3.92
+    scale = next(p.scale for p in get(cause.effect).parameters if p.name == name)
+    return sigma if math.isfinite(sigma) and sigma > 0.0 else max(scale, 1e-9)
+
+
+def _agree(causes: Sequence[Cause]) -> bool:
+    """Tell whether the parameters of a cause are the same in all flights, each within its doubt."""
+    names = [n for n in causes[0].parameters if n not in MOMENTS]
+    size = math.sqrt(sum(max(abs(c.parameters.get(n, 0.0)) for c in causes) ** 2 for n in names))
+    for name in names:
+        joint, _ = _mean(causes, name)
+        for cause in causes:
+            off = abs(cause.parameters.get(name, 0.0) - joint)
+            if off > max(_AGREEING_SIGMAS * _sigma_of(cause, name), _SHARE * size):
+                return False
+    return True
+
+
+def _mean(causes: Sequence[Cause], name: str) -> tuple[float, float]:
+    weights = [_sigma_of(c, name) ** -2 for c in causes]
+    total = sum(weights)
+    return sum(
+        w * c.parameters.get(name, 0.0) for w, c in zip(weights, causes, strict=True)
+    ) / total, total**-0.5
+
+
+def _joint(causes: Sequence[Cause]) -> Cause:
+    parameters, ends = {}, {}
+    for name in causes[0].parameters:
+        value, sigma = _mean(causes, name)
+        parameters[name], ends[name] = value, (value - 1.96 * sigma, value + 1.96 * sigma)
+    probability = 1.0 - math.prod(1.0 - c.probability for c in causes)
+    return Cause(causes[0].effect, parameters, ends, probability, ())

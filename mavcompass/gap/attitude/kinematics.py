@@ -37,25 +37,6 @@ def interpolated(clock: FloatArray, values: FloatArray, time_s: FloatArray) -> F
     return np.stack([np.interp(time_s, clock, column) for column in values.T], axis=1)
 
 
-def second_derivative(values: FloatArray, window: int, step_s: float) -> FloatArray:
-    """Return the second derivative of columns (N, k): of a cubic fitted to each odd window of even steps.
-
-    At the ends that of the last whole window goes on (Savitzky and Golay 1964). N is at least the window.
-    """
-    half = window // 2
-    place = np.arange(-half, half + 1) * step_s
-    fitted = np.linalg.pinv(np.vander(place, 4, increasing=True))
-    out = np.empty_like(values)
-    middle = np.stack(
-        [np.convolve(column, 2.0 * fitted[2, ::-1], mode="valid") for column in values.T], axis=1
-    )
-    out[half : len(values) - half] = middle
-    for rows, inside in ((slice(0, half), slice(0, window)), (slice(-half, None), slice(-window, None))):
-        ends = fitted @ values[inside]
-        out[rows] = 2.0 * ends[2] + 6.0 * place[rows, None] * ends[3]
-    return out
-
-
 def products(rotations: FloatArray) -> FloatArray:
     """Return the products of the first 1, 2, ... of rotations (N, 3, 3)."""
     n = len(rotations)

@@ -1,4 +1,4 @@
-"""One attitude from all that knows it but the compass under test.
+"""One attitude from all that knows it but the compass under test: a first one, smoothed, and its doubt.
 
 The smoother's equations are solved about a first trajectory, and about the corrected one again until nothing
 moves.
@@ -14,16 +14,55 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.chain import Solved
-from mavcompass.gap.attitude.kinematics import exponentials
-from mavcompass.gap.attitude.receiver import Velocity
-from mavcompass.gap.attitude.rest import Bias
-from mavcompass.gap.attitude.smoother import BIAS, PHI, SCALE, SCALE_SIGMA, Sensed, Sizes, Smoother, Witness
+from mavcompass.gap.attitude.kinematics import (
+    exponentials,
+    integrated,
+    interpolated,
+    turned_about_down,
+    with_down,
+)
+from mavcompass.gap.attitude.receiver import Velocity, triangle_means
+from mavcompass.gap.attitude.scatter import Bias
+from mavcompass.gap.attitude.smoother import (
+    BIAS,
+    LOST_YAW_RAD,
+    PHI,
+    SCALE,
+    SCALE_SIGMA,
+    Sensed,
+    Sizes,
+    Smoother,
+    Witness,
+)
+from mavcompass.simulation.effects.rotations import skew
+from mavcompass.track import Track, uncut
+from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # What is left of a pass is the square of how far it moved, and how much its velocities are believed.
 _PASSES, _SETTLED_RAD, _AS_TRUSTED = 10, math.radians(0.3), 0.1
 _STRAINED, _FAULTY_RADPS = 2.0, math.radians(3.0)
 # A scale that is off by so many of its sigmas is a fault, and may be off by any.
 _STRETCHED, FAULTY_SCALE = 5.0, 0.1
+# Curves smaller than this over all are of no consequence: a tenth of a milligauss. Larger ones may last for
+# the seconds between two silences, and leave tens of sigmas there.
+_LEAST_CURVE_RAD, _MOST_CURVES, _LEAST_CONSTANT_RAD = math.radians(0.015), 200, math.radians(0.5)
+# A yaw that is told no better may lie on the wrong side altogether.
+_MOST_LINEAR_RAD = math.radians(5.0)
+_DOWN = np.array([0.0, 0.0, 1.0])
+# Autopilots without a baseline are seen to be off by ten to forty degrees for minutes, after a knock most of
+# all. What changes faster is left to the compass: no turn of the vehicle is swallowed.
+_WANDER_RAD, _LENGTH_S, _MOST_LENGTHS = math.radians(20.0), 20.0, 15.0
+# Modes smaller than this are of no consequence.
+_LEAST_RAD = math.radians(0.1)
+# Half the averaging window, seconds: the shortest and the longest.
+_SHORTEST_S, _LONGEST_S = 4.0, 30.0
+_QUICK_S = 2.0
+_FEWEST = 20
+_LEVELLINGS = 3
+# Accelerations of vehicles come and go within this time.
+_MEMORY_S = 5.0
+# What remains of a gyro's bias, because it changes on the way.
+_WANDERING_RADPS = math.radians(0.05)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,3 +153,208 @@ def stretched(smoothed: Smoothed) -> bool:
 def faulty(bias: Bias) -> Bias:
     """Let a gyro be off by more than a healthy one is."""
     return Bias(bias.mean, np.maximum(bias.sigma, _FAULTY_RADPS))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Doubt:
+    """Hold what an attitude may be off by, as `Reference` tells it at the same times (N,).
+
+    Rotation vectors are in world axes: `with_yaw` (N, 3) per radian of the yaw's constant, `curves_rad`
+    (N, 3, k) of standard normal amplitudes; `rest_rad2` is (3, 3).
+    """
+
+    yaw_sigma_rad: float
+    with_yaw: FloatArray
+    curves_rad: FloatArray
+    rest_rad2: FloatArray
+    tilt_sigma_rad: float
+
+
+def doubt_of(smoothed: Smoothed, time_s: FloatArray, told: bool, healthy: bool) -> Doubt:
+    """Part an attitude's error at some times (N,); its yaw is `told` by a witness, its gyro is `healthy`.
+
+    At some knots the error is a constant c of the yaw with what goes with it, and modes of what is left
+    (principal components of its covariance). Between them it is what it is expected to be beside them
+    (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, equation A.6): a level that is
+    off by what turns with the vehicle goes round in world axes, which straight lines would not see.
+    """
+    covariance, some = smoothed.covariance(), smoothed.knots_s[smoothed.some]
+    # Knots stand closer where readings were lost: each counts by the time about it.
+    share = np.gradient(some) / float(some[-1] - some[0])
+    share /= share.sum()
+    mean = np.kron(share, _DOWN)
+    variance = float(mean @ covariance @ mean)
+    sigma = math.hypot(math.sqrt(variance), _LEAST_CONSTANT_RAD)
+    told = told and sigma <= _MOST_LINEAR_RAD
+    # A constant that nothing tells is no small turn, and takes nothing along; nor does one beside a gyro that
+    # is off by degrees a second, of which the smoother's models hold less well.
+    tied = told and healthy
+    goes = covariance @ mean / variance if tied else np.tile(_DOWN, some.size)
+    varying = np.eye(mean.size) - np.outer(goes, mean)
+    weight = np.sqrt(np.repeat(share, 3))
+    values, vectors = np.linalg.eigh(weight[:, None] * (varying @ covariance @ varying.T) * weight)
+    size = np.sqrt(np.maximum(values, 0.0))
+    keep = np.flatnonzero(size > _LEAST_CURVE_RAD)[::-1][:_MOST_CURVES]
+    small = np.delete(vectors * size, keep, axis=1).reshape(some.size, 3, -1)
+    amplitudes = varying.T @ (weight[:, None] * vectors[:, keep]) / size[keep]
+    with_sums = smoothed.covariance_with(np.column_stack([mean, amplitudes]))
+    goes_on = with_sums[:, :, :1] / variance if tied else np.tile(_DOWN[:, None], (len(with_sums), 1, 1))
+    curves = with_sums[:, :, 1:] - goes_on * (mean @ covariance @ amplitudes)
+    at_knots = np.concatenate([goes_on - _DOWN[:, None], curves], axis=2)
+    then = interpolated(smoothed.knots_s, at_knots.reshape(len(at_knots), -1), time_s)
+    then = then.reshape(time_s.size, 3, -1)
+    return Doubt(
+        yaw_sigma_rad=sigma if told else LOST_YAW_RAD,
+        with_yaw=then[:, :, 0],
+        curves_rad=then[:, :, 1:],
+        rest_rad2=np.einsum("kim,kjm->ij", small, small),
+        tilt_sigma_rad=float(np.sqrt(np.mean(np.diag(covariance).reshape(-1, 3)[:, :2]))),
+    )
+
+
+def wandering_yaw(time_s: FloatArray) -> FloatArray:
+    """Return how a yaw may wander at some times (N,): rotation vectors in world axes, radians, (N, 3, k).
+
+    They are the modes of a smooth process, each with a standard normal amplitude: its covariance is the
+    squared exponential (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, equation
+    2.31).
+    """
+    span_s = float(time_s[-1] - time_s[0])
+    # A long recording has no more modes than one of some minutes: they cost time.
+    length_s = max(_LENGTH_S, span_s / _MOST_LENGTHS)
+    count = max(math.ceil(2.0 * span_s / length_s), 3) + 1
+    knots = np.linspace(time_s[0], time_s[-1], count)
+
+    def covariance(at_s: FloatArray) -> FloatArray:
+        """Return the covariance of the yaw at some times (M,) with that at the knots, (M, K)."""
+        return np.asarray(_WANDER_RAD**2 * np.exp(-0.5 * ((at_s[:, None] - knots) / length_s) ** 2))
+
+    values, vectors = np.linalg.eigh(covariance(knots))
+    keep = np.flatnonzero(values > count * _LEAST_RAD**2)[::-1]
+    # Between the knots the process is what it is expected to be beside them.
+    curves = np.zeros((time_s.size, 3, keep.size))
+    curves[:, 2] = covariance(time_s) @ vectors[:, keep] / np.sqrt(values[keep])
+    return curves
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Hold a first attitude at the gyro's times.
+
+    Attributes:
+        rotation: body to NED where `bearing` is known, else to a level frame of any yaw, (N, 3, 3).
+        bearing: True where the receiver's velocity explains the forces that are felt, and told the yaw.
+    """
+
+    rotation: FloatArray
+    bearing: bool
+
+
+def sensed_by(track: Track) -> Sensed | None:
+    """Return what gyro and accelerometer say; None where the recording lacks either."""
+    if track.gyro_radps is None or track.acc_mps2 is None or len(track.gyro_radps) < _FEWEST:
+        return None
+    finite = np.isfinite(track.gyro_radps.values).all(axis=1)
+    clock, first = np.unique(track.gyro_radps.time_s[finite], return_index=True)
+    if clock.size < _FEWEST:
+        return None
+    force = track.acc_mps2.at(clock)
+    felt = np.asarray(np.isfinite(force).all(axis=1))
+    if felt.sum() < _FEWEST:
+        return None
+    # Numbers that were cut toward zero are half a step too small on the average.
+    force = uncut(np.where(felt[:, None], force, 0.0), track.acc_truncation_mps2)
+    return Sensed(
+        clock, uncut(track.gyro_radps.values[finite][first], track.gyro_truncation_radps), force, felt
+    )
+
+
+def started(data: Sensed, resting: Bias, velocity: Velocity | None, autopilot: FloatArray | None) -> Start:
+    """Start from an autopilot's attitude (N, 3, 3) where there is one, else by levelling the gyro."""
+    if autopilot is None:
+        return _levelled(data, resting, velocity)
+    # Only a start: it goes on where readings were lost, and its level is about right.
+    bearing = None if velocity is None else velocity.bearing(data.time_s, autopilot, data.force_mps2, 0.0)
+    rotation = autopilot if bearing is None else turned_about_down(autopilot, -bearing)
+    return Start(rotation, bearing is not None)
+
+
+def _levelled(data: Sensed, resting: Bias, velocity: Velocity | None) -> Start:
+    """Find the receiver's bearing, the gyro's bias and the level by turns, from the rest's bias on."""
+    linear = np.zeros_like(data.force_mps2)
+    bias, bearing = resting.mean, None
+    there = _still_axes(data, bias)
+    for turn in range(_LEVELLINGS):
+        if turn > 0:
+            prior = Bias(resting.mean - bias, resting.sigma)
+            bias = bias + _leaning_bias(data, there, _felt_there(data, there) - linear, prior)
+            again = _still_axes(data, bias)
+            linear = np.einsum("nij,nkj,nk->ni", again, there, linear)
+            there = again
+        gravity = _felt_there(data, there) - linear
+        half_s = _half_window_s(data, there, gravity)
+        down = _smoothed_down(data, there, gravity, half_s)
+        rotation = with_down(data.time_s, data.rate_radps - bias, down)
+        if velocity is not None:
+            absorbed = half_s if bearing is None else 0.0
+            bearing = velocity.bearing(data.time_s, rotation, data.force_mps2, absorbed)
+            if bearing is not None:
+                # From the receiver's axes back into those that stand still.
+                turned = turned_about_down(rotation, -bearing)
+                acceleration = velocity.acceleration(data.time_s)
+                linear = np.einsum("nij,nkj,nk->ni", there, turned, acceleration)
+    if bearing is not None:
+        rotation = turned_about_down(rotation, -bearing)
+    return Start(rotation, bearing is not None)
+
+
+def _still_axes(data: Sensed, bias: FloatArray) -> FloatArray:
+    """Integrate the gyro without a bias: body to axes that stand still, (N, 3, 3)."""
+    return integrated(data.time_s, data.rate_radps - bias)
+
+
+def _felt_there(data: Sensed, there: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("nij,nj->ni", there, data.force_mps2))
+
+
+def _leaning_bias(data: Sensed, there: FloatArray, gravity: FloatArray, prior: Bias) -> FloatArray:
+    """Return the change of the gyro's bias (3,) that makes down stand still.
+
+    With true rotations (1 + [phi]x) R, phi' = -R b, gravity is -g d there, or R f = -g d + g [d]x C b
+    with C the integral of R: linear in d and b.
+    """
+    step = np.diff(data.time_s, prepend=data.time_s[0])[:, None, None]
+    turned = np.cumsum(there * step, axis=0)
+    mean = gravity[data.felt].mean(axis=0)
+    d = -mean / max(float(np.linalg.norm(mean)), 1e-9)
+    leaning = STANDARD_GRAVITY_MPS2 * np.einsum("ij,njk->nik", skew(d), turned[data.felt])
+    design = (leaning - leaning.mean(axis=0)).reshape(-1, 3)
+    target = (gravity[data.felt] - mean).reshape(-1)
+    # Only one value in each memory of the accelerations is news, and a turn's acceleration can look like a
+    # bias: all of what varies, in two directions, counts as noise.
+    news = min(float(np.median(np.diff(data.time_s))) / _MEMORY_S, 1.0)
+    weight = news / max(float(target @ target) / int(data.felt.sum()) / 2.0, 1e-6)
+    precision = weight * design.T @ design + np.diag(prior.sigma**-2)
+    right = weight * design.T @ target + prior.mean / prior.sigma**2
+    return np.asarray(np.linalg.solve(precision, right))
+
+
+def _half_window_s(data: Sensed, there: FloatArray, gravity: FloatArray) -> float:
+    """Return the half window that loses least between accelerations and the gyro's drift.
+
+    An acceleration a that lasts for tau tilts the mean over T by a tau / (g T), a drift b by b T / 4 at the
+    ends: least at T = 2 sqrt(a tau / (g b)).
+    """
+    quick, slow = (_smoothed_down(data, there, gravity, s) for s in (_QUICK_S, _LONGEST_S))
+    leaning = math.sqrt(float(np.mean(np.sum((quick - slow) ** 2, axis=1))))
+    best = 2.0 * math.sqrt(leaning * _MEMORY_S / _WANDERING_RADPS)
+    return min(max(best, _SHORTEST_S), _LONGEST_S)
+
+
+def _smoothed_down(data: Sensed, there: FloatArray, gravity: FloatArray, half_s: float) -> FloatArray:
+    """Return the down vector in body axes, (N, 3): gravity averaged over both sides of each time."""
+    down = -gravity * data.felt[:, None]
+    # Where nothing was felt nearby, the average of all is the best there is.
+    total = triangle_means(data.time_s, down, half_s) + 1e-6 * down.mean(axis=0)
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+    return np.asarray(np.einsum("nji,nj->ni", there, total))

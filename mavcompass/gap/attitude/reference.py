@@ -19,27 +19,22 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
-from mavcompass.gap.attitude.doubt import doubt_of
-from mavcompass.gap.attitude.kinematics import (
-    carried,
-    integral,
-    turned_about_down,
-    turned_between,
-)
-from mavcompass.gap.attitude.levelling import sensed_by, started
+from mavcompass.gap.attitude.kinematics import carried, integral, turned_about_down, turned_between
 from mavcompass.gap.attitude.navigation import (
     FAULTY_SCALE,
     believable,
+    doubt_of,
     faulty,
+    sensed_by,
     smoothed_attitude,
+    started,
     stretched,
+    wandering_yaw,
 )
 from mavcompass.gap.attitude.receiver import Velocity, receiver_velocity
-from mavcompass.gap.attitude.rest import Bias, bias_at_rest
+from mavcompass.gap.attitude.scatter import Bias, bias_at_rest
 from mavcompass.gap.attitude.smoother import LEVEL_RAD, Witness
-from mavcompass.gap.attitude.steering import steered_by, told_rotation
-from mavcompass.gap.attitude.wander import wandering_yaw
-from mavcompass.gap.attitude.yaw import age_of
+from mavcompass.gap.attitude.steering import age_of, steered_by, told_rotation
 from mavcompass.gravity import require_gravity
 from mavcompass.simulation.effects.sampling import at_times, rotation_at
 from mavcompass.simulation.physics.signals import Turning
@@ -143,11 +138,7 @@ class Reference:
 
 
 def reference_attitude(
-    track: Track,
-    time_s: FloatArray,
-    choice: Choice = "auto",
-    instance: int = 1,
-    doubted: slice = _EVERY,
+    track: Track, time_s: FloatArray, choice: Choice = "auto", instance: int = 1, doubted: slice = _EVERY
 ) -> Reference:
     """Choose and build the attitude reference of one compass at some times, and at some of these its doubt.
 
@@ -168,12 +159,9 @@ def reference_attitude(
 
 
 def _gyro_is_fast(track: Track) -> bool:
-    return (
-        track.gyro_radps is not None
-        and track.acc_mps2 is not None
-        and len(track.gyro_radps) > _FEWEST
-        and float(np.median(np.diff(track.gyro_radps.time_s))) <= SLOWEST_GYRO_S
-    )
+    """Tell whether gyro and accelerometer were recorded, with numbers, often enough to be integrated."""
+    sensed = sensed_by(track)
+    return sensed is not None and float(np.median(np.diff(sensed.time_s))) <= SLOWEST_GYRO_S
 
 
 def _columns(track: Track, time_s: FloatArray) -> Reference | None:
@@ -223,12 +211,7 @@ def body_rate(time_s: FloatArray, rotation: FloatArray) -> FloatArray:
 
 
 def _fused(
-    track: Track,
-    time_s: FloatArray,
-    choice: Choice,
-    instance: int,
-    doubted: slice,
-    listening: bool = True,
+    track: Track, time_s: FloatArray, choice: Choice, instance: int, doubted: slice, listening: bool = True
 ) -> Reference | None:
     """Smooth gyro and accelerometer with the receiver and the witnesses that the choice allows.
 

@@ -1,10 +1,13 @@
-"""How sampled readings scatter: what is white in them, and what lies between them."""
+"""How sampled readings scatter: what is white in them, what lies between them, and a gyro's bias at rest."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 
@@ -16,6 +19,18 @@ _WINDOW, _WINDOWED = 32, 3
 # usual square it does; the median of squares of normal deviates.
 _MISSED, _FAR_OUT = 0.1, 6.0
 MEDIAN_OF_SQUARES = 0.455
+_SMOOTHING_S = 0.7
+_SHORTEST_S = 2.0
+_SAME_RATE_RADPS = math.radians(1.0)
+# A gyro that an autopilot has calibrated is off by less; what turns faster turns.
+_LARGEST_RADPS = math.radians(3.0)
+_SAME_FORCE_MPS2 = 0.15
+# An autopilot calibrates its gyro when it starts: what warming up leaves.
+_UNKNOWN_RADPS = math.radians(0.15)
+_ONE_PART_RADPS = math.radians(0.15)
+_LEAST_RADPS = math.radians(0.02)
+_PART_S = 2.0
+_FEWEST_PARTS = 3
 
 
 def white_scatter(values: FloatArray) -> FloatArray:
@@ -60,3 +75,62 @@ def missed_between(clock: FloatArray, values: FloatArray, knots: FloatArray) -> 
     steps = len(knots) - 1
     within = np.clip(np.searchsorted(knots, clock, side="right") - 1, 0, steps - 1)
     return np.stack([np.bincount(within, one, minlength=steps) for one in missed.T], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bias:
+    """Hold a sensor's bias and its standard deviation, (3,) each, in the sensor's unit."""
+
+    mean: FloatArray
+    sigma: FloatArray
+
+
+def bias_at_rest(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> Bias:
+    """Return the bias (3,) that the stretches at rest show; wide about zero where nothing rests.
+
+    Parts of a rest differ by what still moves (a hovering copter drifts about): that is its sigma.
+    """
+    parts = [
+        rate[rows].mean(axis=0) for stretch in rests(clock, rate, acc) for rows in _parts(clock, stretch)
+    ]
+    if not parts:
+        return Bias(np.zeros(3), np.full(3, _UNKNOWN_RADPS))
+    if len(parts) < _FEWEST_PARTS:
+        return Bias(np.mean(parts, axis=0), np.full(3, _ONE_PART_RADPS))
+    # Slow motion makes neighbouring parts alike: two of them count as one.
+    spread = np.std(parts, axis=0, ddof=1) / math.sqrt(0.5 * len(parts))
+    return Bias(np.median(parts, axis=0), np.maximum(spread, _LEAST_RADPS))
+
+
+def rests(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> list[slice]:
+    """Return the stretches of some seconds in which neither gyro nor accelerometer changes."""
+    still = _still(clock, rate, acc)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    found = [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [s for s in found if clock[s.stop - 1] - clock[s.start] >= _SHORTEST_S]
+
+
+def _parts(clock: FloatArray, stretch: slice) -> list[slice]:
+    count = max(int((clock[stretch.stop - 1] - clock[stretch.start]) / _PART_S), 1)
+    edges = np.linspace(stretch.start, stretch.stop, count + 1).round().astype(np.int64)
+    return [slice(int(a), int(b)) for a, b in pairwise(edges) if b > a]
+
+
+def _still(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> NDArray[np.bool_]:
+    width = max(3, int(_SMOOTHING_S / max(float(np.median(np.diff(clock))), 1e-3)))
+    smooth, force = _smoothed(rate, width), _smoothed(acc, width)
+    slow = np.abs(smooth).max(axis=1) < _LARGEST_RADPS
+    if not slow.any():
+        return slow
+    # The quietest stretch tells the bias; whatever turns no faster than that is still.
+    size = np.where(slow, np.abs(smooth).max(axis=1), np.inf)
+    bias = np.median(smooth[size <= size.min() + _SAME_RATE_RADPS], axis=0)
+    still = slow & (np.abs(smooth - bias).max(axis=1) < _SAME_RATE_RADPS)
+    change = np.zeros(clock.size)
+    change[width:] = np.abs(force[width:] - force[:-width]).max(axis=1)
+    return np.asarray(still & (change < _SAME_FORCE_MPS2))
+
+
+def _smoothed(values: FloatArray, width: int) -> FloatArray:
+    kernel = np.ones(width) / width
+    return np.stack([np.convolve(values[:, i], kernel, mode="same") for i in range(3)], axis=1)

@@ -35,8 +35,7 @@ from mavcompass.gap.attitude.kinematics import (
     rotation_vectors,
 )
 from mavcompass.gap.attitude.receiver import Velocity
-from mavcompass.gap.attitude.rest import Bias
-from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES, missed_between, white_floor
+from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES, Bias, missed_between, white_floor
 from mavcompass.gap.attitude.steering import TURN_MEMORIES_S, remembered_turns
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -48,7 +47,7 @@ SCALE, _ACC, _LATE, _OFFSET, _TURNS, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7
 # Angle and bias walk, rad and rad/s per root second; velocity, m/s per root second.
 _WALK, _WANDER, _PUSH = math.radians(0.01), math.radians(0.005), 0.005
 SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S = 0.005, 0.08, 0.1
-_UNKNOWN_YAW_RAD, _UNKNOWN_V_MPS = math.radians(60.0), 100.0
+LOST_YAW_RAD, _UNKNOWN_V_MPS = math.radians(60.0), 100.0
 # A receiver's errors last for a second or so; a velocity that nobody tells, for ten.
 _RECEIVER_MEMORY_S, _VELOCITY_MEMORY_S, _OUTLIER = 1.0, 10.0, 2.5
 # A velocity is contradicted where more is left of it than it varies by, and than so many of its errors.
@@ -253,13 +252,13 @@ class Smoother:
         return np.asarray((self.seen.mean_mps + late - solved.states[:, _V]) / self.seen.sigma_mps)
 
     def _add_first(self, chain: Chain) -> None:
-        sigma = np.repeat([_UNKNOWN_YAW_RAD, 0.0, _UNKNOWN_V_MPS], 3)
+        sigma = np.repeat([LOST_YAW_RAD, 0.0, _UNKNOWN_V_MPS], 3)
         sigma[BIAS] = self.bias.sigma
         none = np.zeros((1, sigma.size))
         chain.add(slice(1), np.eye(_STATES)[None, : sigma.size], None, none, none + sigma**-2.0)
-        offset = _UNKNOWN_YAW_RAD if self.witness is None else self.witness.constant_rad
+        offset = LOST_YAW_RAD if self.witness is None else self.witness.constant_rad
         known = np.repeat([self._scale_sigma, _ACC_SIGMA_MPS2, _LATE_SIGMA_S, 0.0], [3, 3, 1, 4])
-        known[_OFFSET] = min(offset, _UNKNOWN_YAW_RAD)
+        known[_OFFSET] = min(offset, LOST_YAW_RAD)
         known[_TURNS] = np.hypot(self._scale_sigma, _WITNESS_LATE_S / TURN_MEMORIES_S)
         chain.know(np.zeros(_CONSTANTS), known)
 

@@ -6,14 +6,13 @@ import math
 from collections.abc import Callable
 from types import MappingProxyType
 
-from mavcompass.gap.export.ardupilot import ardupilot_sitl
-from mavcompass.gap.export.exported import Exported, Found, known_to
-from mavcompass.gap.export.gazebo import gazebo
-from mavcompass.gap.export.lua import ardupilot_lua
-from mavcompass.gap.export.ours import preset
-from mavcompass.gap.export.px4 import px4_sitl
+from mavcompass.gap.export.ardupilot import ardupilot_lua, ardupilot_sitl
+from mavcompass.gap.export.others import gazebo, preset, px4_sitl
 from mavcompass.gap.export.vehicle import (
+    Exported,
+    Found,
     follows_places,
+    known_to,
     left_of_the_place,
     nominal_settings,
     settings_of,
@@ -30,6 +29,18 @@ TARGETS: MappingProxyType[str, Callable[[Found], Exported]] = MappingProxyType(
         "px4-sitl": px4_sitl,
     }
 )
+__all__ = [
+    "TARGETS",
+    "Exported",
+    "Found",
+    "follows_places",
+    "found_in",
+    "known_to",
+    "left_of_the_place",
+    "nominal_settings",
+    "settings_of",
+    "vehicle_settings",
+]
 
 
 def found_in(diagnosis: Diagnosis, source: str, beside_simulator: bool = False) -> Found:
@@ -48,17 +59,3 @@ def found_in(diagnosis: Diagnosis, source: str, beside_simulator: bool = False) 
     left2 = left_of_the_place(diagnosis)
     shrink = diagnosis.field.shrink - (left2 / gap if gap > 0.0 else 0.0)
     return Found(settings, source, costs, shrink, shares, known, math.sqrt(left2))
-
-
-__all__ = [
-    "TARGETS",
-    "Exported",
-    "Found",
-    "follows_places",
-    "found_in",
-    "known_to",
-    "left_of_the_place",
-    "nominal_settings",
-    "settings_of",
-    "vehicle_settings",
-]

@@ -1,23 +1,30 @@
-"""ArduPilot's simulator, by its parameters, compass 1.
+"""ArduPilot's simulator, compass 1: by its parameters, and by a script for what must be reckoned in flight.
 
 It makes raw = E^-1 field - OFS with E symmetric (SIM_MAG1_DIA, SIM_MAG1_ODI). With raw = A field + b and the
-polar form A = P R: E = P^-1, OFS = -b; the rotation R it does not have.
+polar form A = P R: E = P^-1, OFS = -b; the rotation R it does not have. Fifty times a second the script sets
+SIM_MAG1_OFS to all that adds to the field of a compass: what switches, follows a temperature or the motors,
+or belongs to a place.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from string import Template
 
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.export.exported import Exported, Found, commented
-from mavcompass.gap.export.vehicle import affine_map
+from mavcompass.gap.export.vehicle import Exported, Found, affine_map, commented
+from mavcompass.simulation.effects import Setting
+from mavcompass.simulation.effects.effect import NEVER_S
 
 SIMULATOR = "ArduPilot's simulator"
 _AXES = "XYZ"
 _ROTATION_WORTH_SAYING_RAD = math.radians(0.1)
+# Outputs by function: motors 1 to 8 are 33 to 40.
+_FIRST_MOTOR = 33
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,31 +61,178 @@ class Affine:
         ]
 
 
-def affine_of(found: Found) -> Affine | None:
-    """Compose all affine effects; None where there is none."""
+NOTHING = Affine(np.eye(3), np.zeros(3), 0.0)
+
+
+def affine_of(found: Found) -> tuple[Affine, dict[str, float]]:
+    """Compose all affine effects; return also the parameters of the simulator."""
     affine = [s for s in found.settings if s.effect.affine]
-    if not affine:
-        return None
-    matrix, offset = affine_map(affine)
-    u, sizes, vt = np.linalg.svd(matrix)
-    angle = math.acos(float(np.clip((np.trace(u @ vt) - 1.0) / 2.0, -1.0, 1.0)))
-    return Affine(u @ np.diag(sizes) @ u.T, offset, angle)
+    parameters: dict[str, float] = {}
+    composed = NOTHING
+    if affine:
+        matrix, offset = affine_map(affine)
+        u, sizes, vt = np.linalg.svd(matrix)
+        angle = math.acos(float(np.clip((np.trace(u @ vt) - 1.0) / 2.0, -1.0, 1.0)))
+        composed = Affine(u @ np.diag(sizes) @ u.T, offset, angle)
+        parameters = composed.parameters()
+    for setting in found.settings:
+        parameters |= setting.effect.sitl(setting.values) if setting.effect.sitl is not None else {}
+    return composed, parameters
 
 
 def ardupilot_sitl(found: Found) -> Exported:
     """Write a parameter file that ArduPilot's simulator and ground stations load."""
-    affine = affine_of(found)
-    parameters = affine.parameters() if affine is not None else {}
-    lacking = [*(affine.lacking() if affine is not None else []), *found.of_the_place(SIMULATOR)]
-    left_out = affine.left_out if affine is not None else []
-    for setting in found.settings:
-        if setting.effect.sitl is not None:
-            parameters |= setting.effect.sitl(setting.values)
-        elif not setting.effect.affine:
-            lacking.append(found.without(setting, SIMULATOR))
-            left_out.append(setting.effect.id)
+    affine, parameters = affine_of(found)
+    lost, gone = found.lost(SIMULATOR, lambda setting: setting.effect.sitl)
+    lacking = [*affine.lacking(), *found.of_the_place(SIMULATOR), *lost]
     lines = commented("#", found.headed(SIMULATOR))
     lines += commented("# not in the simulator:", lacking)
     lines += [f"{name},{value:.6g}" for name, value in parameters.items()]
     use = "sim_vehicle.py --add-param-file=FILE"
-    return Exported("\n".join(lines) + "\n", use, parameters, tuple(lacking), tuple(left_out))
+    return Exported("\n".join(lines) + "\n", use, parameters, tuple(lacking), (*affine.left_out, *gone))
+
+
+_FRAME = Template("""\
+$head
+local PARAMETERS = {
+$parameters
+}
+-- raw = MATRIX field + OFFSET, in mG, body axes
+local MATRIX = { $matrix }
+local OFFSET = { $offset }
+
+for name, value in pairs(PARAMETERS) do param:set(name, value) end
+
+local function since_boot_s() return millis():tofloat() / 1000.0 end
+
+local function add(b, x, y, z)
+  b[1], b[2], b[3] = b[1] + x, b[2] + y, b[3] + z
+end
+
+-- A field of the world, north, east, down, seen by the compass.
+local function add_world(b, north, east, down)
+  local field = Vector3f()
+  field:x(north) field:y(east) field:z(down)
+  local f = ahrs:earth_to_body(field)
+  for i = 1, 3 do
+    b[i] = b[i] + MATRIX[i][1] * f:x() + MATRIX[i][2] * f:y() + MATRIX[i][3] * f:z()
+  end
+end
+
+local EFFECTS = {
+$effects
+}
+
+function update()
+  local b = { OFFSET[1], OFFSET[2], OFFSET[3] }
+  for _, effect in ipairs(EFFECTS) do effect(b) end
+  param:set('SIM_MAG1_OFS_X', -b[1])
+  param:set('SIM_MAG1_OFS_Y', -b[2])
+  param:set('SIM_MAG1_OFS_Z', -b[3])
+  return update, 20
+end
+
+return update()
+""")
+
+
+def _listed(values: Mapping[str, float], names: str) -> str:
+    return ", ".join(f"{values[name]:.6g}" for name in names)
+
+
+def _during(values: Mapping[str, float], on: str, off: str) -> str:
+    said = []
+    if values[on] > -NEVER_S:
+        said.append(f"since_boot_s() >= {values[on]:.3f}")
+    if values[off] < NEVER_S:
+        said.append(f"since_boot_s() < {values[off]:.3f}")
+    return " and ".join(said) or "true"
+
+
+def _step(v: Mapping[str, float]) -> str:
+    return f"if {_during(v, 'on_s', 'off_s')} then add(b, {_listed(v, 'xyz')}) end"
+
+
+def _temperature(v: Mapping[str, float]) -> str:
+    above = f"local above = baro:get_temperature() - {v['reference_degc']:.3f}"
+    return f"{above}\n    add(b, {', '.join(f'above * {v[a]:.6g}' for a in 'xyz')})"
+
+
+def _motor(number: int) -> str:
+    return f"((SRV_Channels:get_output_pwm({_FIRST_MOTOR + number}) or 1000) - 1000) / 1000"
+
+
+def _per_motor(v: Mapping[str, float]) -> str:
+    lines = []
+    for m in range(8):
+        field = [v.get(f"motor{m + 1}_{a}", 0.0) for a in "xyz"]
+        if any(field):
+            terms = ", ".join(f"m * {one:.6g}" for one in field)
+            lines.append(f"do local m = {_motor(m)}; add(b, {terms}) end")
+    return "\n    ".join(lines)
+
+
+def _relay(v: Mapping[str, float]) -> str | None:
+    source = round(v["source"])
+    if source == 0:
+        return None
+    load = "(battery:current_amps(0) or 0)" if source == 1 else _motor(source - 2)
+    return f"if {load} > {v['threshold']:.6g} then add(b, {_listed(v, 'xyz')}) end"
+
+
+def _dipole(v: Mapping[str, float]) -> str:
+    return f"""local p = ahrs:get_relative_position_NED_origin()
+    if p and {_during(v, "on_s", "off_s")} then
+      local x, y, z = p:x() - {v["north_m"]:.4f}, p:y() - {v["east_m"]:.4f}, p:z() - {v["down_m"]:.4f}
+      local r = math.sqrt(math.max(x * x + y * y + z * z, 0.0025))
+      x, y, z = x / r, y / r, z / r
+      local mn, me, md = {v["moment_north"]:.6g}, {v["moment_east"]:.6g}, {v["moment_down"]:.6g}
+      local along, cube = 3 * (x * mn + y * me + z * md), r * r * r
+      add_world(b, (x * along - mn) / cube, (y * along - me) / cube, (z * along - md) / cube)
+    end"""
+
+
+def _gradient(v: Mapping[str, float]) -> str:
+    nn, ee, ne, nd, ed = (v[name] for name in ("nn", "ee", "ne", "nd", "ed"))
+    rows = ((nn, ne, nd), (ne, ee, ed), (nd, ed, -nn - ee))
+    terms = [f"p:x() * {a:.6g} + p:y() * {b:.6g} + p:z() * {c:.6g}" for a, b, c in rows]
+    return (
+        "local p = ahrs:get_relative_position_NED_origin()\n    if p then\n      add_world(b, "
+        + ",\n        ".join(terms)
+        + ")\n    end"
+    )
+
+
+_WRITERS: Mapping[str, Callable[[Mapping[str, float]], str | None]] = {
+    "hard_iron_step": _step,
+    "temperature_bias": _temperature,
+    "per_motor": _per_motor,
+    "relay_field": _relay,
+    "spatial_dipole": _dipole,
+    "field_gradient": _gradient,
+}
+
+
+def _written(setting: Setting) -> str | None:
+    writer = _WRITERS.get(setting.effect.id)
+    return None if writer is None else writer(setting.values)
+
+
+def ardupilot_lua(found: Found) -> Exported:
+    """Write a Lua script for the simulator's scripts folder."""
+    affine, parameters = affine_of(found)
+    texts = {s.effect.id: text for s in found.settings if (text := _written(s)) is not None}
+    effects = [f"  function(b) -- {effect}\n    {text}\n  end," for effect, text in texts.items()]
+    lost, gone = found.lost(SIMULATOR, lambda s: s.effect.sitl or s.effect.id in texts)
+    lacking = [*affine.lacking(), *found.of_the_place(SIMULATOR), *lost]
+    head = [*found.headed(SIMULATOR), "Put it into scripts/, with SCR_ENABLE 1 in the parameters."]
+    head += [f"Not in the simulator: {s}" for s in lacking]
+    text = _FRAME.substitute(
+        head="\n".join(commented("--", head)),
+        parameters="\n".join(f"  {n} = {v:.6g}," for n, v in parameters.items() if "_OFS_" not in n),
+        matrix=", ".join("{ " + ", ".join(f"{x:.6g}" for x in row) + " }" for row in affine.stretch.tolist()),
+        offset=", ".join(f"{x:.6g}" for x in affine.offset_mgauss.tolist()),
+        effects="\n".join(effects),
+    )
+    use = "cp FILE scripts/ beside the simulator, and start it with SCR_ENABLE 1"
+    return Exported(text, use, parameters, tuple(lacking), (*affine.left_out, *gone))

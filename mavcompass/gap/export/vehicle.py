@@ -1,15 +1,16 @@
-"""The vehicle as a simulator must have it: the iron that its calibration cures, and what was found."""
+"""The vehicle as a simulator must have it, and what an export is: a text, and what is lacking."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay import calibration_in_force, known_iron
-from mavcompass.gap.result import Belief, Cause, Diagnosis
+from mavcompass.gap.replay.nuisance import calibration_in_force, known_iron
+from mavcompass.gap.result import FIELD, MOTOR, Belief, Cause, Diagnosis
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Chain, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
@@ -18,10 +19,10 @@ from mavcompass.track import Track
 _ROTATION_LEFT_OUT_RAD = math.radians(0.05)
 # Beyond this a vector of three differs from zero: chi^2 of three, 95 %.
 _DIFFERS = 7.81
-# Where a belief has what the field is more than the world model says, and the motors' than the calibration.
-_PLACE, _MOTOR = slice(0, 3), slice(15, 18)
 # What such effects do, a baseline does not teach.
 _OF_PLACES = frozenset({"position", "height"})
+_OWN_MATRIX = 1e-3
+_WORTH_SAYING_MGAUSS = 0.5
 
 
 def settings_of(causes: Iterable[Cause]) -> list[Setting]:
@@ -63,7 +64,7 @@ def _is_known(motor_mgauss: FloatArray, beliefs: Sequence[Belief]) -> bool:
     """
     if not beliefs:
         return True
-    covariance = max(beliefs, key=lambda belief: belief.weight).covariance[_MOTOR, _MOTOR]
+    covariance = max(beliefs, key=lambda belief: belief.weight).covariance[MOTOR, MOTOR]
     return float(motor_mgauss @ np.linalg.pinv(covariance) @ motor_mgauss) > _DIFFERS
 
 
@@ -80,7 +81,7 @@ def left_of_the_place(diagnosis: Diagnosis) -> float:
     """
     if not diagnosis.beliefs or not follows_places(diagnosis):
         return 0.0
-    local_mgauss = max(diagnosis.beliefs, key=lambda belief: belief.weight).mean[_PLACE]
+    local_mgauss = max(diagnosis.beliefs, key=lambda belief: belief.weight).mean[FIELD]
     closing = diagnosis.field
     return max(
         closing.after**2 + float(np.mean(local_mgauss**2)) - max(closing.after, closing.floor) ** 2, 0.0
@@ -139,3 +140,92 @@ def affine_map(settings: Sequence[Setting]) -> tuple[FloatArray, FloatArray]:
     out = Chain(list(settings)).run(Signals(stimulus, Reading(field, zero, zero)), None)
     raw = out.reading.mag_mgauss
     return (raw[1:] - raw[0]).T / 100.0, raw[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Hold what is to be exported.
+
+    Attributes:
+        settings: the whole vehicle's, in the order in which they act.
+        source: where they were found.
+        heading_deg: what each named effect costs in heading, rms.
+        shrink: by how much the gap in the field closes with all of them.
+        shares: the part of that which each named effect has.
+        known: in sentences, how well the parameters of each are known.
+        place_mgauss: what they leave because the field of the place is not the world model's, rms.
+    """
+
+    settings: Sequence[Setting]
+    source: str = ""
+    heading_deg: Mapping[str, float] = field(default_factory=dict)
+    shrink: float = 0.0
+    shares: Mapping[str, float] = field(default_factory=dict)
+    known: tuple[str, ...] = ()
+    place_mgauss: float = 0.0
+
+    def headed(self, simulator: str) -> list[str]:
+        """Return the first sentences of a file: where this comes from, and how well it is known."""
+        return [f"What was found in {self.source or 'a recording'}, for {simulator}", *self.known]
+
+    def without(self, setting: Setting, simulator: str) -> str:
+        """Say that a simulator has no such thing, and what error of the heading stays for it."""
+        cost = self.heading_deg.get(setting.effect.id)
+        stays = "" if cost is None else f" {cost:.1f} deg of heading stay unsimulated."
+        return f"{setting.effect.id}: {setting.effect.title}. {simulator} has no such thing.{stays}"
+
+    def lost(self, simulator: str, held: Callable[[Setting], object]) -> tuple[list[str], list[str]]:
+        """Return what a simulator lacks beside the affine effects, in sentences, and those effects.
+
+        `held` tells what of a setting it holds, if anything.
+        """
+        gone = [s for s in self.settings if not s.effect.affine and not held(s)]
+        return [self.without(s, simulator) for s in gone], [s.effect.id for s in gone]
+
+    def of_the_place(self, simulator: str) -> list[str]:
+        """Say by how much the field of the place differs from the one that a simulator has."""
+        if self.place_mgauss < _WORTH_SAYING_MGAUSS:
+            return []
+        return [f"The field of the place, {self.place_mgauss:.1f} mG. {simulator} has the world model's."]
+
+    def offset_alone(self, simulator: str) -> tuple[FloatArray, list[str], list[str]]:
+        """Return the offset (3,) in mG for a simulator that has no matrix, what that leaves out, and its
+        effects."""
+        matrix, offset = affine_map([s for s in self.settings if s.effect.affine])
+        if np.abs(matrix - np.eye(3)).max() <= _OWN_MATRIX:
+            return offset, [], []
+        bent = [s.effect.id for s in self.settings if s.effect.affine and s.effect.id != "hard_iron"]
+        return offset, [f"Gains, oblique axes and turns of the compass: {simulator} has none."], bent
+
+    def promised(self, exported: Exported) -> float:
+        """Return by how much the gap closes with those effects alone that an export holds."""
+        return max(self.shrink - sum(self.shares.get(effect, 0.0) for effect in set(exported.left_out)), 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """Hold a file for a simulator.
+
+    Attributes:
+        text: of the file. use: how a person uses it, FILE in the place of its name.
+        parameters: the simulator's own, where it has some.
+        lacking: in sentences what it cannot hold; left_out: the effects among that.
+    """
+
+    text: str
+    use: str
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    lacking: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+
+def known_to(cause: Cause) -> str:
+    """Say how well the parameters of a cause are known: a vehicle that never tilts hardly tells z."""
+    units = {p.name: "" if p.unit == "1" else f" {p.unit}" for p in get(cause.effect).parameters}
+    parts = [f"{name} {low:.3g} to {high:.3g}{units[name]}" for name, (low, high) in cause.ci95.items()]
+    return f"{cause.effect}, 95 %: {', '.join(parts)}"
+
+
+def commented(mark: str, lines: Iterable[str]) -> list[str]:
+    """Write sentences as comments."""
+    return [f"{mark} {line}" for line in lines]

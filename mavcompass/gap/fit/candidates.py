@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.fit.algebra import BlockNormal
 from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, placements
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.normal import BlockNormal
-from mavcompass.gap.replay import REFERENCE_YAW, WORLD_FIELD, group_values, yaw_starts
+from mavcompass.gap.replay.noise import group_values
+from mavcompass.gap.replay.nuisance import REFERENCE_YAW, WORLD_FIELD, yaw_starts
 from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading
 
@@ -65,12 +66,6 @@ def misfit_of(problem: Problem, signals: Signals) -> Misfit:
     return Misfit(signals, residual, rows, problem.sigma_mgauss, len(yaw_starts(problem.nuisances)) > 1)
 
 
-def _nearly(one: FloatArray, other: FloatArray, scale: FloatArray) -> bool:
-    """Tell whether two guesses are within some natural sizes of each other: derivatives lead from one to
-    the other."""
-    return bool((np.abs(one - other) <= _MOST_SIZES * scale).all())
-
-
 def _elsewhere(effect: Effect, guess: FloatArray, known: FloatArray) -> bool:
     return effect.stage_at(guess) is not effect.stage_at(known)
 
@@ -85,15 +80,9 @@ class Candidates:
         base: Fit,
         block: NDArray[np.int64],
         held: Sequence[Term] = (),
-        bent: Fit | None = None,
     ) -> None:
-        """Linearise `terms` beside `base`; what is in `held` stays in the base whatever is chosen.
-
-        `bent` is the base as a gap has bent what is known. That explains away what is like a field or an
-        iron, and so shows moments, loads and places which these would hide: guesses are made beside both.
-        """
+        """Linearise `terms` beside `base`; what is in `held` stays in the base whatever is chosen."""
         self.problem, self.base = problem, base
-        self._bent = None if bent is None else misfit_of(problem, problem.signals(bent))
         self.list: list[Candidate] = []
         self._columns = 0
         n = len(problem.nuisances)
@@ -171,9 +160,6 @@ class Candidates:
         if term.effect.starts is not None:
             misfit = misfit_of(problem, before[-1])
             guesses = term.effect.starts(misfit)
-            if self._bent is not None and term.effect.local:
-                more = term.effect.starts(self._bent)
-                guesses += [m for m in more if not any(_nearly(m, g, term.effect.scale) for g in guesses)]
         iron = problem.replay.iron.offset_mgauss
         for guess in [placed for g in guesses for placed in placements(term.effect, g, iron)]:
             if misfit is None and known is not None and not _elsewhere(term.effect, guess, known):

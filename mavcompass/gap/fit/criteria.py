@@ -1,21 +1,27 @@
-"""Weigh fits of sets of effects against each other, as the posterior does (`selection/posterior`).
+"""Weigh sets of effects as the posterior does (`selection/posterior`); the beam over sets.
 
 What a set costs is (1) there: its parameters and effects have prices that were learnt, and what readings say
 counts by how far blocks of the recording contradict each other. One more effect is taken where that makes a
-set cheaper.
+set cheaper. The likeliest sets of each size come from normal equations, without a fit.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.gap.fit.candidates import Candidates
+from mavcompass.gap.fit.candidates import Candidate, Candidates
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.tables import Kind, tables
 
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
+_BEAM = 5
+# Sets that come so near to the best one of their size are fitted through the simulation, so many at most.
+_NEAR, _FITTED = 40.0, 4
 
 
 class Criteria:
@@ -76,3 +82,49 @@ class Criteria:
         time = self._problem.replay.time_s
         length = max(_BLOCK_S, float(time[-1] - time[0]) / _MOST_BLOCKS)
         return np.floor((time - time[0]) / length).astype(np.int64)
+
+
+def likeliest_sets(
+    candidates: Candidates, criteria: Criteria, most: int
+) -> dict[int, list[tuple[Candidate, ...]]]:
+    """Return the likeliest sets of each size up to `most`, the best first."""
+    every = candidates.list
+    if not every:
+        return {}
+    effect, dimension = [c.term.effect.id for c in every], [c.dimension for c in every]
+    scores: dict[tuple[int, ...], float] = {}
+
+    def weigh(sets: Iterable[tuple[int, ...]]) -> None:
+        new = [members for members in sets if members not in scores]
+        left = candidates.expected([[every[i] for i in members] for members in new])
+        for members, sse in zip(new, left.tolist(), strict=True):
+            parameters = sum(dimension[i] for i in members)
+            scores[members] = sse / criteria.temper + criteria.cost(parameters, len(members))
+
+    def grown(parent: tuple[int, ...]) -> set[tuple[int, ...]]:
+        held = {effect[m] for m in parent}
+        return {tuple(sorted((*parent, i))) for i in range(len(every)) if effect[i] not in held}
+
+    out: dict[int, list[tuple[Candidate, ...]]] = {}
+    beam: list[tuple[int, ...]] = [()]
+    lowest = math.inf
+    for size in range(1, most + 1):
+        sets = {members for parent in beam for members in grown(parent)}
+        if not sets:
+            break
+        weigh(sets)
+        if size > 1:
+            best = min(sets, key=scores.__getitem__)
+            sets |= {other for gone in best for other in grown(tuple(m for m in best if m != gone))}
+            weigh(sets)
+        ranked = sorted(sets, key=scores.__getitem__)
+        beam = ranked[: _BEAM if size > 1 else 2 * _BEAM]
+        smaller, lowest = lowest, scores[ranked[0]]
+        seen: dict[frozenset[str], tuple[int, ...]] = {}
+        for members in ranked[: 8 * _FITTED]:
+            seen.setdefault(frozenset(effect[i] for i in members), members)
+        near = [m for m in seen.values() if scores[m] < lowest + _NEAR]
+        out[size] = [tuple(every[i] for i in members) for members in near[:_FITTED]]
+        if lowest > smaller + criteria.cost(2, 0):
+            break
+    return out

@@ -1,21 +1,33 @@
-"""A hypothesis: which effects, with which values; and the weak priors that every effect has."""
+"""A hypothesis: effects with values; the weak priors that every effect has; what chance gains."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.chance import chi_square_of
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects.effect import MOMENTS, ON_IRON, Effect, Parameter, Signals
 
+CHANCE = 2.0e-5
 Mask = NDArray[np.bool_]
 # A direction that the data do not tell stays near zero: amplitudes have priors of twenty natural sizes.
 _PRIOR_SIZES = 20.0
 # With less iron beside it, it does not matter whether an error of the sensor acts on that too.
 _IRON_TO_TELL_MGAUSS = 10.0
+
+
+@lru_cache(maxsize=1024)
+def least_gain(dimension: int, trials: int = 1) -> float:
+    """Return the fall of the sum of squares that chance reaches with probability CHANCE.
+
+    `trials` is how many places (moments, frequencies, thresholds) were tried for it.
+    """
+    return chi_square_of(CHANCE / max(trials, 1), max(dimension, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +70,11 @@ class Fit:
     def ids(self) -> frozenset[str]:
         """Return the effects' ids."""
         return frozenset(term.effect.id for term in self.terms)
+
+    @property
+    def is_turned(self) -> bool:
+        """Tell whether it has the compass in another orientation."""
+        return any(term.effect.kind == "discrete" for term in self.terms)
 
     @property
     def dimension(self) -> int:

@@ -13,16 +13,12 @@ from numpy.typing import NDArray
 
 from mavcompass.chance import chance_of_more
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.chance import CHANCE, least_gain
+from mavcompass.gap.fit.algebra import bridge, cluster_covariance, invert, moved, room, solve_within
 from mavcompass.gap.fit.composition import Changes, Composition
-from mavcompass.gap.fit.hypothesis import Fit, Mask, Term, weak_cost, weak_precision
-from mavcompass.gap.fit.newton import bridge, cluster_covariance, invert, moved, room, solve_within
-from mavcompass.gap.replay import (
-    Noise,
-    Prior,
-    Replay,
-    group_values,
-)
+from mavcompass.gap.fit.hypothesis import CHANCE, Fit, Mask, Term, weak_cost, weak_precision
+from mavcompass.gap.replay.noise import Noise, group_values
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import Prior
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading
 
@@ -142,6 +138,13 @@ class Problem:
         """
         return self.whitened(self.composition.changes(terms, thetas, nuisance_thetas, states, wanted))
 
+    def jacobian(self, fit: Fit) -> FloatArray:
+        """Return the derivatives of the whitened prediction by all that a fit may move."""
+        states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
+        n = len(self.nuisances)
+        members = range(n if self._steady else 0, n + len(fit.terms))
+        return self.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, members)
+
     def nuisance_changes(self, fit: Fit) -> Changes:
         """Return the derivatives of the prediction by the nuisances' parameters, under a fit."""
         states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
@@ -176,14 +179,15 @@ class Problem:
         An attitude wanders: readings that follow each other err together, which no noise of single readings
         tells (`cluster_covariance`).
         """
-        states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
-        n = len(self.nuisances)
-        members = range(n if self._steady else 0, n + len(fit.terms))
-        columns = self.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, members)
-        r = self.residual(states[-1].reading)
+        columns, r = self.jacobian(fit), self.residual(self.predict(fit))
         block = np.floor(self.replay.time_s[self.index] / _LASTING_S).astype(np.int64)
         label = np.tile(np.repeat(block, 3), len(self.groups))
         return cluster_covariance(columns, r, label, self._known(weak_precision(fit.terms)))
+
+    def values(self, fit: Fit) -> dict[str, FloatArray]:
+        """Return what a fit makes of each nuisance, by its id."""
+        pairs = zip(self.nuisances, fit.nuisance_thetas, strict=True)
+        return {nuisance.effect.id: theta for nuisance, theta in pairs}
 
     def strain(self, fit: Fit) -> float:
         """Return how far a fit strains what is known of vehicle and place together, in squared sigmas.
@@ -200,22 +204,9 @@ class Problem:
         known = sum(n.known for n in self.nuisances)
         return chance_of_more(self.strain(fit), known) if known else 1.0
 
-    def strains(self, fit: Fit) -> list[tuple[float, int]]:
-        """Return how far a fit strains each nuisance that does not wander, in squared sigmas of so many."""
-        covariance = np.linalg.pinv(self._precision) if self.nuisances else self._precision
-        out, at = [], 0
-        for nuisance, theta in zip(self.nuisances, fit.nuisance_thetas, strict=True):
-            own = slice(at, at + theta.size)
-            at += theta.size
-            if nuisance.known == theta.size:
-                off = theta - nuisance.mean
-                out.append((float(off @ np.linalg.pinv(covariance[own, own]) @ off), theta.size))
-        return out
-
     def straight(self, fit: Fit) -> bool:
         """Tell whether a fit bends what is known of vehicle and place no further than by chance."""
-        together = self.chance_of_strain(fit) > CHANCE
-        return together and all(cost < least_gain(size) for cost, size in self.strains(fit))
+        return self.chance_of_strain(fit) > CHANCE
 
     def forget(self) -> None:
         """Let go of the derivatives that fits lend each other."""

@@ -12,20 +12,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.gap.fit.beam import likeliest_sets
 from mavcompass.gap.fit.candidates import Candidate, Candidates
-from mavcompass.gap.fit.criteria import Criteria
+from mavcompass.gap.fit.criteria import Criteria, likeliest_sets
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.polish import polished
-from mavcompass.gap.fit.starts import beside_known_age, facing, in_place_of_each_other, turn_alone
-from mavcompass.gap.fit.unbent import unbent
+from mavcompass.gap.fit.starts import (
+    FEW_STEPS,
+    beside_known_age,
+    facing,
+    in_place_of_each_other,
+    polished,
+    turn_alone,
+    unbent,
+)
 from mavcompass.gap.tables import Kind
 from mavcompass.simulation.effects.effect import Effect
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
-_SHORT = 3
 # What is so much cheaper is worth another search; seen beside so many effects alone.
 _FAR_LIKELIER, _ALONE = 20.0, 2
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
@@ -49,11 +53,6 @@ class Found:
     null: Fit
     best: Fit
     explored: dict[frozenset[str], Fit]
-
-
-def _is_turned(fit: Fit) -> bool:
-    """Tell whether a set has the compass in another orientation."""
-    return any(term.effect.kind == "discrete" for term in fit.terms)
 
 
 class Search:
@@ -102,11 +101,7 @@ class Search:
             self.explored[frozenset()] = self.problem.null()
         return self.explored[frozenset()]
 
-    def run(
-        self,
-        most: int = MOST_EFFECTS,
-        likely: Sequence[Fit] = (),
-    ) -> Found:
+    def run(self, most: int = MOST_EFFECTS, likely: Sequence[Fit] = ()) -> Found:
         """Search up to `most` effects, from the best of sets that are `likely` on."""
         null = self._null()
         known = unbent(self.problem, null, curves=True).nuisance_thetas
@@ -122,7 +117,7 @@ class Search:
         explained = min((fit.sse for fit in turns), default=np.inf)
         if explained < _UNEXPLAINED * noise:
             best = self._rounds(null, most, (), best, 1)
-        nearest = np.inf if _is_turned(best) else best.sse
+        nearest = np.inf if best.is_turned else best.sse
         # A turn that leaves nothing, where nothing else comes near at once, needs no second look at others.
         if explained > min(_UNEXPLAINED * noise, _HOPEFUL * nearest):
             best = self._rounds(null, most, (), best)
@@ -165,7 +160,7 @@ class Search:
         sets = [sets[0] for sets in ranked.values()]
         if not sets:
             return False
-        self._remember([self._fitted(candidates, sets[0], Fit((), (), (), np.inf), _SHORT)])
+        self._remember([self._fitted(candidates, sets[0], Fit((), (), (), np.inf), FEW_STEPS)])
         nothing, *left = candidates.expected([(), *sets])
         for chosen, after in zip(sets, left, strict=True):
             parameters = sum(candidate.dimension for candidate in chosen)
@@ -190,23 +185,23 @@ class Search:
 
         Beside nothing what limits the readings, or lasts for a moment, hides or bends what others do.
         """
-        if _is_turned(best) or len(best.terms) < 2:
+        if best.is_turned or len(best.terms) < 2:
             return best
-        if len(best.terms) == 2:
-            ones = [self.without(best, effect_id) for effect_id in sorted(best.ids)]
-        else:
-            ones = [fit for ids, fit in self.explored.items() if len(ids) == 1 and ids <= best.ids]
+        ones = [
+            self.explored.get(frozenset({term.effect.id}))
+            or self.problem.fit((term,), (theta,), best.nuisance_thetas)
+            for term, theta in zip(best.terms, best.thetas, strict=True)
+        ]
         empty, fits = Fit((), (), (), np.inf), [best]
         for one in sorted(ones, key=self.criteria.score)[:_ALONE]:
             if (one.ids, 0) not in self._candidates:
                 candidates = self._linearised(self.problem.refit(one), ())
                 sets = likeliest_sets(candidates, self.criteria, 2).get(2, ())
-                fits += [self._fitted(candidates, chosen, empty, _SHORT) for chosen in sets]
+                fits += [self._fitted(candidates, chosen, empty, FEW_STEPS) for chosen in sets]
         self._remember(fits)
         likeliest = min(fits, key=self.criteria.score)
-        return (
-            likeliest if self.criteria.score(likeliest) < self.criteria.score(best) - _FAR_LIKELIER else best
-        )
+        gained = self.criteria.score(best) - self.criteria.score(likeliest)
+        return likeliest if gained > _FAR_LIKELIER else best
 
     def nearest(self, most: int, held: Fit | None = None) -> Fit:
         """Return the fit that comes nearest with up to `most` effects, beside those `held`, needed or not.
@@ -259,10 +254,10 @@ class Search:
         self.criteria.temper = 1.0
         for _ in range(rounds):
             base = unbent(self.problem, best, curves=True)
-            candidates = self._linearised(base, held, None if base is best else best)
+            candidates = self._linearised(base, held)
             sets = likeliest_sets(candidates, self.criteria, most - len(held))
             chosen = self._to_fit(candidates, sets, len(best.terms) - len(held))
-            fits = [self._fitted(candidates, c, kept, _SHORT) for c in chosen]
+            fits = [self._fitted(candidates, c, kept, FEW_STEPS) for c in chosen]
             self._remember(fits)
             if not self.criteria.exact and fits:
                 likeliest = min(fits, key=lambda f: f.sse)
@@ -274,12 +269,12 @@ class Search:
                 break
         return best
 
-    def _linearised(self, base: Fit, held: Sequence[Term], bent: Fit | None = None) -> Candidates:
+    def _linearised(self, base: Fit, held: Sequence[Term]) -> Candidates:
         """Linearise the catalogue beside a fit, once for fits of the same set that are as good."""
         key = (base.ids, len(held))
         known = self._candidates.get(key)
         if known is None or abs(known.base.sse - base.sse) > max(_AS_GOOD, _AS_GOOD_SHARE * base.sse):
-            known = Candidates(self.problem, self.terms, base, self.criteria.blocks(), held, bent)
+            known = Candidates(self.problem, self.terms, base, self.criteria.blocks(), held)
             self._candidates[key] = known
         return known
 
@@ -311,7 +306,7 @@ class Search:
         fit = self.problem.fit(start.terms, start.thetas, start.nuisance_thetas, iterations)
         if any(fit.sse > smaller.sse for ids, smaller in self.explored.items() if ids < fit.ids):
             # More effects leave no more: it has not come to its end yet.
-            fit = self.problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas, _SHORT)
+            fit = self.problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas, FEW_STEPS)
         known = self.explored.get(fit.ids)
         self._fits[key] = fit if known is None or fit.sse < known.sse else known
         return self._fits[key]
@@ -334,14 +329,14 @@ class Search:
 
     def _rivals(self, best: Fit) -> list[Fit]:
         """Fit what else could explain as much with as many effects, for the posterior."""
-        if _is_turned(best):
+        if best.is_turned:
             return []
         candidates = self._linearised(unbent(self.problem, best), ())
         size = max(len(best.terms), 1)
         sets = likeliest_sets(candidates, self.criteria, size).get(size, [])
         empty = Fit((), (), (), np.inf)
         return [
-            self._fitted(candidates, chosen, empty, _SHORT)
+            self._fitted(candidates, chosen, empty, FEW_STEPS)
             for chosen in sets
             if frozenset(c.term.effect.id for c in chosen) != best.ids
         ]
@@ -350,19 +345,6 @@ class Search:
         for fit in fits:
             if fit.ids not in self.explored or fit.sse < self.explored[fit.ids].sse:
                 self.explored[fit.ids] = fit
-
-    def without(self, fit: Fit, effect_id: str) -> Fit:
-        """Return the fit of the same set without one effect."""
-        keep = [i for i, t in enumerate(fit.terms) if t.effect.id != effect_id]
-        terms = [fit.terms[i] for i in keep]
-        refitted = self.problem.fit(terms, [fit.thetas[i] for i in keep], fit.nuisance_thetas)
-        known = self.explored.get(refitted.ids)
-        if known is not None:
-            # It may have been fitted a few steps only, or from a better start.
-            known = self.problem.refit(known)
-            refitted = min(refitted, known, key=lambda f: f.sse)
-        self.explored[refitted.ids] = refitted
-        return refitted
 
     def polished(self, fit: Fit, moments: bool = False) -> Fit:
         """Fit to convergence, and look again for where the effects begin, or for `moments` only."""

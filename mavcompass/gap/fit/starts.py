@@ -1,27 +1,71 @@
-"""Fits from starts that no derivative leads to.
+"""Where fits begin that no derivative leads to, and how they end: polished, and without what is not needed.
 
-What makes readings late is hidden by the age of telemetry; a compass in another orientation is turned by
-right angles.
+What is bent by a gap hides what bends it; what makes readings late is hidden by the age of telemetry; a
+compass in another orientation is turned by right angles.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.candidates import misfit_of
-from mavcompass.gap.fit.hypothesis import Fit, Term
+from mavcompass.gap.fit.criteria import Criteria
+from mavcompass.gap.fit.hypothesis import Fit, Term, least_gain
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.replay import TELEMETRY_AGE, yaw_starts
+from mavcompass.gap.replay.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, yaw_starts
 from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S
 
+# So many steps tell whether a fit is worth going on with.
+FEW_STEPS = 3
 # An age of telemetry that is bent by so many natural sizes may hide such an effect.
 _BENT = 1.0
-_ITERATIONS = 3
 _LIKELY_YAWS = 2
+# A start so near, in natural sizes, leads to where a fit is.
+_SAME = 0.1
+# Twice the gain that a useless parameter has on average.
+_PRUNING = 2.0
+
+
+def unbent(problem: Problem, fit: Fit, curves: bool = False) -> Fit:
+    """Return nuisances to their prior where a gap has bent them far: what is wrong must show to be
+    found. How the attitude wanders explains nothing away, but beside bent `curves` no derivative is
+    good."""
+    if fit.terms or not problem.nuisances:
+        return fit
+    straight = problem.straight(fit)
+
+    def kept_of(n: Nuisance, x: FloatArray) -> FloatArray:
+        if n.effect.id == REFERENCE_YAW:
+            return _facing_as_known(n, x, curves)
+        # How old readings are is another matter than the iron and the place that a gap may bend.
+        aged = n.effect.id == TELEMETRY_AGE and _by_chance(n, x)
+        return x if straight or aged else n.mean.copy()
+
+    kept = tuple(kept_of(n, x) for n, x in zip(problem.nuisances, fit.nuisance_thetas, strict=True))
+    same = all(np.array_equal(x, y) for x, y in zip(kept, fit.nuisance_thetas, strict=True))
+    return fit if same else replace(fit, nuisance_thetas=kept)
+
+
+def _facing_as_known(yaw: Nuisance, theta: FloatArray, curves: bool) -> FloatArray:
+    """Return the yaw's constant to what is known of it where it was bent far, and the attitude's `curves`
+    where they wandered farther than by chance."""
+    off, out = theta - yaw.mean, theta.copy()
+    if off[0] ** 2 * yaw.precision[0, 0] >= least_gain(1):
+        out[0] = yaw.mean[0]
+    if curves and off[1:] @ yaw.precision[1:, 1:] @ off[1:] >= least_gain(theta.size - 1):
+        out[1:] = yaw.mean[1:]
+    return out
+
+
+def _by_chance(nuisance: Nuisance, theta: FloatArray) -> bool:
+    """Tell whether a nuisance by itself lies no farther from what is known of it than by chance."""
+    off = theta - nuisance.mean
+    return float(off @ nuisance.precision @ off) < least_gain(theta.size)
 
 
 def beside_known_age(
@@ -41,7 +85,7 @@ def beside_known_age(
         return []
     start = [*nuisance_thetas[:age], nuisance.mean.copy(), *nuisance_thetas[age + 1 :]]
     late = [term for term in terms if term.effect.delays.any()]
-    return [problem.fit((term,), (_as_late(term, late_s),), start, _ITERATIONS) for term in late]
+    return [problem.fit((term,), (_as_late(term, late_s),), start, FEW_STEPS) for term in late]
 
 
 def in_place_of_each_other(problem: Problem, terms: Sequence[Term], fit: Fit) -> list[Fit]:
@@ -59,7 +103,7 @@ def in_place_of_each_other(problem: Problem, terms: Sequence[Term], fit: Fit) ->
             later_s = late_s * ((LAG in term.effect.names) - (LAG in other.effect.names))
             members = zip(rest.terms, rest.thetas, strict=True)
             thetas = (*(_moved(*member, later_s) for member in members), _as_late(other, late_s))
-            out.append(problem.fit((*rest.terms, other), thetas, fit.nuisance_thetas, _ITERATIONS))
+            out.append(problem.fit((*rest.terms, other), thetas, fit.nuisance_thetas, FEW_STEPS))
     return out
 
 
@@ -91,7 +135,7 @@ def facing(problem: Problem, terms: Sequence[Term], beside: Fit, most_sse: float
             fits = sorted((problem.fit(together, thetas, start, 1) for start in starts), key=lambda f: f.sse)
             if len(starts) > 1 and fits[0].sse >= most_sse:
                 # Where the yaw may be anything, one of six is off by so much that it takes a few steps more.
-                fits = [problem.fit(together, f.thetas, f.nuisance_thetas, _ITERATIONS) for f in fits[:1]]
+                fits = [problem.fit(together, f.thetas, f.nuisance_thetas, FEW_STEPS) for f in fits[:1]]
             # Elsewhere one step is enough to see that a compass is not mounted so.
             likely = [fit for fit in fits[:_LIKELY_YAWS] if fit.sse < most_sse]
             if likely:
@@ -105,3 +149,68 @@ def turn_alone(problem: Problem, fit: Fit) -> Fit:
         return fit
     place = next(i for i, term in enumerate(fit.terms) if term.effect.kind == "discrete")
     return problem.fit((fit.terms[place],), (fit.thetas[place],), fit.nuisance_thetas)
+
+
+def polished(problem: Problem, criteria: Criteria, fit: Fit, moments: bool = False) -> Fit:
+    """Fit to convergence; look again for moments, places and frequencies beside the other effects, or for
+    `moments` only."""
+    if not fit.terms:
+        return fit
+    best = problem.refit(fit)
+    for i, term in enumerate(best.terms):
+        if term.effect.starts is None or term.effect.kind == "discrete":
+            continue
+        if moments and MOMENTS.isdisjoint(term.effect.names):
+            continue
+        rest = best.without(i)
+        for start in term.effect.starts(misfit_of(problem, problem.signals(rest))):
+            if (np.abs(start - best.thetas[i]) <= _SAME * term.effect.scale).all():
+                continue
+            terms = (*rest.terms, term)
+            trial = problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas, FEW_STEPS)
+            if criteria.score(trial) < criteria.score(best) - 1e-6:
+                best = _in_order(problem.refit(trial), best)
+    return best
+
+
+def _in_order(fit: Fit, like: Fit) -> Fit:
+    """Put the terms of a fit in the order of another fit of the same set."""
+    place = {t.effect.id: i for i, t in enumerate(fit.terms)}
+    order = [place[t.effect.id] for t in like.terms]
+    terms, thetas = tuple(fit.terms[i] for i in order), tuple(fit.thetas[i] for i in order)
+    return replace(fit, terms=terms, thetas=thetas)
+
+
+def pruned(problem: Problem, fit: Fit) -> Fit:
+    """Hold parameters at zero that the data do not need beside the others, one after another.
+
+    Of several that could go, that one goes which leaves the smallest parameters in natural sizes.
+    """
+    if len(fit.terms) < 2:
+        return fit
+    while True:
+        options = []
+        for i, term in enumerate(fit.terms):
+            if not term.effect.affine or term.dimension < 2:
+                continue
+            for j in np.flatnonzero(term.free):
+                free = term.free.copy()
+                free[j] = False
+                theta = fit.thetas[i].copy()
+                theta[j] = 0.0
+                terms = (*fit.terms[:i], replace(term, free=free), *fit.terms[i + 1 :])
+                thetas = (*fit.thetas[:i], theta, *fit.thetas[i + 1 :])
+                trial = problem.fit(terms, thetas, fit.nuisance_thetas, FEW_STEPS)
+                if trial.sse < fit.sse + _PRUNING:
+                    options.append(trial)
+        if not options:
+            return fit
+        fit = min(options, key=_natural_size)
+
+
+def _natural_size(fit: Fit) -> float:
+    return sum(
+        float(np.sum((x / np.maximum(t.effect.scale, 1e-12))[t.free] ** 2))
+        for t, x in zip(fit.terms, fit.thetas, strict=True)
+        if t.effect.affine
+    )

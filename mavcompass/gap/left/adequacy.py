@@ -9,22 +9,29 @@ turns all of them into one decision; the smallest p names the coordinate, never 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mavcompass.chance import chance_above, chance_of_more
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Problem
-from mavcompass.gap.replay import block_diagonal, group_values
-from mavcompass.simulation.effects.effect import Group, Signals
+from mavcompass.gap.fit.hypothesis import Fit, make_term
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.floor import first_noise, measured_noise
+from mavcompass.gap.replay.noise import SensorNoise, group_values
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import Prior, block_diagonal
+from mavcompass.gap.replay.testable import untestable_effects
+from mavcompass.simulation.effects.effect import Effect, Group, Signals
 
-ALPHA = 0.002
 # Columns have unit length: what is left of a direction below this share is the model's own.
 _RANK = 1e-4
-_SLOW_HZ = 0.5
-_MOST_SWEEPS = 400
+# A sensor is doubted where structure shows in it that chance makes once in a hundred thousand recordings.
+_EXPLAINED_P = 1e-5
+# Six degrees of tilt, three degrees a second: sensors that leave more unexplained tell nothing.
+_USELESS: dict[Group, float] = {"acc": 1.0, "gyro": 0.05}
+_SENSOR_WORDS: dict[Group, str] = {"acc": "accelerometer", "gyro": "gyro"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +49,9 @@ class Test:
 
 @dataclass(frozen=True, slots=True)
 class Adequacy:
-    """Hold all tests, sorted by p, and the decision."""
+    """Hold all tests, sorted by p."""
 
     tests: tuple[Test, ...]
-    flagged: bool
 
     @property
     def p(self) -> float:
@@ -54,26 +60,23 @@ class Adequacy:
 
     @property
     def where(self) -> str:
-        """Return where what is left shows most, flagged or not."""
+        """Return where what is left shows most."""
         return self.tests[0].coordinate if self.tests else "time"
 
 
-def judge(problem: Problem, fit: Fit, compare_scatter: bool, thorough: bool = True) -> Adequacy:
+def judge(problem: Problem, fit: Fit, compare_scatter: bool) -> Adequacy:
     """Test what a fit leaves, on all usable rows (the fit must have been made on all of them too).
 
-    `compare_scatter` also compares the scatter with the floor's, which must then be representative;
-    `thorough` also looks for lines that sweep, which takes a while.
+    `compare_scatter` also compares the scatter with the floor's, which must then be representative.
     """
-    tests = [*_structure(problem, fit), *_scatter(problem, fit, compare_scatter, thorough)]
+    tests = [*_structure(problem, fit), *_scatter(problem, fit, compare_scatter)]
     tests.sort(key=lambda test: test.p)
-    return Adequacy(tuple(tests), bool(tests) and tests[0].p * len(tests) < ALPHA)
+    return Adequacy(tuple(tests))
 
 
 def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
     z = problem.innovations(problem.predict(fit))
-    states = problem.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
-    count = len(problem.nuisances) + len(fit.terms)
-    J = problem.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, range(count))
+    J, signals = problem.jacobian(fit), problem.signals(fit)
     n = problem.index.size
     size = np.sqrt(np.maximum((J**2).sum(axis=0), 1e-300))
     J = J / size
@@ -88,7 +91,7 @@ def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:
             continue
         part = J[at * 3 * n : (at + 1) * 3 * n].reshape(n, 3, -1) if J.shape[1] else np.zeros((n, 3, 0))
         whitener = problem.noise[group]
-        for name, coordinate, regressors in _blocks(group, states[-1]):
+        for name, coordinate, regressors in _blocks(group, signals):
             white = whitener.decorrelated(regressors[:, None])[problem.index]
             T = [np.ascontiguousarray(white[:, c]) for c in range(3)]
             yield _score_test(name, coordinate, T, rest[at], part, root)
@@ -134,11 +137,7 @@ def _blocks(group: Group, signals: Signals) -> Iterator[tuple[str, str, FloatArr
     yield f"{group}: slow time", "time", modes
     slow = np.stack([u_time - 0.5, (u_time - 0.5) ** 2], axis=1)
     yield f"{group}: stability", "time", _products(slow, u)
-    for name, load in (
-        ("current", s.current_a),
-        ("throttle", s.throttle),
-        ("temperature", s.temperature_degc),
-    ):
+    for name, load in s.loads.items():
         if np.isfinite(load).all() and float(load.std()) > 1e-6:
             yield f"{group}: {name}", name, _loads(load, u)
     if s.motors.size and float(s.motors.std(axis=0).max()) > 1e-6:
@@ -190,7 +189,7 @@ def _loads(load: FloatArray, u: FloatArray) -> FloatArray:
     return np.hstack([own, lagged, x[:, None] * u])
 
 
-def _scatter(problem: Problem, fit: Fit, compare: bool, thorough: bool) -> Iterator[Test]:
+def _scatter(problem: Problem, fit: Fit, compare: bool) -> Iterator[Test]:
     """Test lines, correlation, bursts and the amount of scatter."""
     innovations = problem.innovations(problem.predict(fit))
     signals = problem.signals(fit)
@@ -202,8 +201,6 @@ def _scatter(problem: Problem, fit: Fit, compare: bool, thorough: bool) -> Itera
         scale = z.std(axis=0)
         z = z / np.maximum(scale, 1e-9)
         yield Test(f"{group}: spectral line", "frequency", _line(z))
-        if group == "mag" and thorough:
-            yield Test(f"{group}: sweeping line", "frequency", _sweep(z))
         lags = 20
         rho = np.stack([(z[lag:] * z[:-lag]).mean(axis=0) for lag in range(1, lags + 1)])
         # Their estimate has used up a correlation coefficient or so per lag of the floor's model.
@@ -224,25 +221,6 @@ def _line(z: FloatArray) -> float:
     return min(1.0, 2.0 * p)
 
 
-def _sweep(z: FloatArray) -> float:
-    """Return the p-value of the highest line whose frequency grows or falls evenly, axes together.
-
-    Each rate of change that the length can tell from its neighbour is taken out of z (N, 3) before the
-    transform: a motor that speeds up makes such a line, and no line of one frequency.
-    """
-    n = len(z)
-    t = np.arange(n) - 0.5 * (n - 1)
-    # Neighbours differ by a third of a turn at the ends; the fastest goes from zero to Nyquist's frequency.
-    step, fastest = 8.0 / (3.0 * n * n), 0.5 / n
-    count = min(int(fastest / step), _MOST_SWEEPS)
-    highest = 0.0
-    for rate in step * np.arange(1, count + 1):
-        # Falling ones are the negative frequencies.
-        turned = np.fft.fft(z * np.exp(-1j * np.pi * rate * t * t)[:, None], axis=0)
-        highest = max(highest, float((np.abs(turned) ** 2).sum(axis=1).max()))
-    return min(1.0, chance_of_more(2.0 * highest / n, 6) * n * count)
-
-
 def _kurtosis_factor(z: FloatArray) -> float:
     """Return the variance of z^2 over that of a Gaussian's, from the bulk of the sample."""
     return max(float(np.mean(z**4) - 1.0) / 2.0, 1.0)
@@ -250,7 +228,6 @@ def _kurtosis_factor(z: FloatArray) -> float:
 
 def _variance_tests(group: Group, z: FloatArray, signals: Signals, problem: Problem) -> Iterator[Test]:
     power = (z**2).mean(axis=1) - 1.0
-    step_s = float(np.median(np.diff(signals.stimulus.time_s)))
     factor = _kurtosis_factor(z)
     deviation = math.sqrt(2.0 * factor / 3.0)
     # Bursts: windows of half a second to eight seconds, each half overlapping the next.
@@ -270,22 +247,11 @@ def _variance_tests(group: Group, z: FloatArray, signals: Signals, problem: Prob
         lowest = min(lowest, chance_above(float(normal.max())), chance_of_more(float(shift.max()), 3))
         tried += 2 * starts.size
     yield Test(f"{group}: bursts", "time", min(1.0, lowest * tried))
-    yield Test(f"{group}: scatter that comes and goes", "time", _recurring(power / deviation, step_s))
     coordinates = _scatter_coordinates(group, signals, problem)
     for name, x in coordinates:
         x = (x - x.mean()) / max(float(x.std()), 1e-12)
         statistic = float(power @ x) / (deviation * math.sqrt(float(x @ x)))
         yield Test(f"{group}: scatter with {name}", name, chance_of_more(statistic**2, 1))
-
-
-def _recurring(power: FloatArray, step_s: float) -> float:
-    """Return the p-value of the highest line in the periodogram of power (N,) of unit variance, below 0.5 Hz.
-
-    Scatter that comes again and again is seen in its rhythm long before any one of its bursts stands out.
-    """
-    waves = np.abs(np.fft.rfft(power)) ** 2 / len(power)
-    slow = waves[1 : max(int(_SLOW_HZ * step_s * len(power)), 1) + 1]
-    return min(1.0, len(slow) * math.exp(-float(slow.max()))) if len(slow) else 1.0
 
 
 def _scatter_coordinates(group: Group, signals: Signals, problem: Problem) -> list[tuple[str, FloatArray]]:
@@ -304,3 +270,57 @@ def _variance_ratio(scale: FloatArray, count: int, problem: Problem, group: Grou
     log_ratio = 2.0 * float(np.log(np.maximum(scale, 1e-9)).sum())
     sigma = math.sqrt(3.0 * (2.0 / count + 2.0 / problem.noise[group].samples))
     return 2.0 * chance_above(abs(log_ratio) / sigma)
+
+
+def doubting(
+    replayed: Replay, baseline: Replay | None, effects: Collection[Effect]
+) -> tuple[Replay, Replay | None]:
+    """Let sensors that the simulation cannot explain, here or in the baseline, count for less in both."""
+    never = untestable_effects(replayed, effects)
+    doubtful = _doubtful(replayed, [e for e in effects if e.id not in never])
+    useless = _useless(doubtful)
+    if baseline is not None:
+        never = untestable_effects(baseline, effects)
+        # What a baseline's motion makes its accelerometer feel is no cause that would come again.
+        steady = [e for e in effects if e.groups != ("acc",) or not e.needs - {"reference"}]
+        more = _doubtful(baseline, [e for e in steady if e.id not in never])
+        doubtful, useless = doubtful | more, useless | _useless(more)
+        baseline = _with_doubt(baseline, doubtful, useless)
+    return _with_doubt(replayed, doubtful, useless), baseline
+
+
+def _doubtful(witness: Replay, effects: Sequence[Effect]) -> dict[Group, SensorNoise]:
+    """Return the noise of sensors that show structure beside all effects of theirs that a recording can test.
+
+    A real accelerometer or gyro feels unknown motion, vibration, imperfect timing against the reference. What
+    it says about a cause then counts by the noise that would make all this look like chance: the noise of
+    its residual, raised until the worst of the structure in it is no more than that.
+    """
+    out: dict[Group, SensorNoise] = {}
+    for group in witness.groups[1:]:
+        alone = replace(witness, groups=(group,))
+        terms = [make_term(e, alone.signals) for e in effects if group in e.groups]
+        problem = Problem(alone, first_noise(alone), alone.valid, Prior.of(()))
+        fit = problem.fit(terms, [t.effect.neutral() for t in terms], ())
+        noise = measured_noise(problem, fit)
+        tests = judge(Problem(alone, noise, alone.valid, problem.prior), fit, compare_scatter=False).tests
+        if tests[0].p <= _EXPLAINED_P:
+            worse, own = math.sqrt(max(1.0, *(t.excess for t in tests))), noise[group]
+            out[group] = replace(own, sigma=own.sigma * worse, rms=own.rms * worse)
+    return out
+
+
+def _useless(doubtful: Mapping[Group, SensorNoise]) -> set[Group]:
+    return {g for g, noise in doubtful.items() if float(noise.rms.mean()) > _USELESS[g]}
+
+
+def _with_doubt(replayed: Replay, doubtful: Mapping[Group, SensorNoise], useless: set[Group]) -> Replay:
+    notes = tuple(
+        f"The {_SENSOR_WORDS[g]} does not fit the reference in detail:"
+        f" {'left out' if g in useless else 'it counts for less'}."
+        for g in replayed.groups
+        if g in doubtful
+    )
+    kept = tuple(g for g in replayed.groups if g not in useless)
+    doubts = {g: noise for g, noise in doubtful.items() if g not in useless}
+    return replace(replayed, groups=kept, doubtful=doubts, notes=(*replayed.notes, *notes))

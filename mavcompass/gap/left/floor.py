@@ -1,4 +1,8 @@
-"""The floor: what is left when nothing is wrong, as noise, as figures, and as what is known beforehand."""
+"""The floor: what is left when nothing is wrong, as noise, as figures, and as what is known beforehand.
+
+Without a baseline it is stated: scatter between neighbouring readings, the numbers' resolution, the doubt in
+attitude and times; the verdict is more careful then.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Problem
-from mavcompass.gap.replay import (
+from mavcompass.gap.fit.hypothesis import Fit, Mask
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.replay.noise import (
+    USUAL_SCATTER_MGAUSS,
+    WORST_SCATTER_MGAUSS,
     Noise,
-    Prior,
-    Replay,
     SensorNoise,
-    Trust,
     estimate_noise,
     group_values,
     rough_sigma,
+    wandering,
     white,
 )
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import STATED, Prior, Trust
 from mavcompass.gap.tables import Kind
 from mavcompass.simulation.effects.effect import Group
 
@@ -28,6 +35,18 @@ _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
 _STATED_MGAUSS, _LEAST_IN_FLIGHT_MGAUSS = 0.3, 0.8
 # A fit that leaves less of the noise than this tells nothing of it.
 _LEAST_LEFT = 0.2
+_REFERENCE_DOUBT_RAD = {
+    "columns": math.radians(0.2),
+    "fused": math.radians(0.4),
+    "gps-yaw": math.radians(0.5),
+    "gyro": math.radians(0.4),
+    "attitude": math.radians(1.0),
+}
+_DOUBT_LASTS_S = 5.0
+# How much of the doubt shows along the field, where only the calibration and what nobody models is in doubt,
+# and across it.
+_ACROSS = np.array([0.6, 1.0, 1.0])
+_TIME_DOUBT_S = {"telemetry": 0.03, "direct": 0.01}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,9 +130,7 @@ def _left_by(problem: Problem, fit: Fit) -> dict[Group, FloatArray]:
     count = fit.covariance.shape[0]
     if not count:
         return {group: np.ones(3) for group in problem.groups}
-    states = problem.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
-    members = range(len(problem.nuisances) + len(fit.terms))
-    J = problem.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, members)
+    J = problem.jacobian(fit)
     leverage = np.einsum("ij,ij->i", J @ fit.covariance, J).reshape(len(problem.groups), -1, 3)
     left = np.maximum(1.0 - leverage.mean(axis=1), _LEAST_LEFT)
     return dict(zip(problem.groups, left, strict=True))
@@ -137,7 +154,7 @@ def widened(floor: Floor, problem: Problem, fit: Fit) -> Floor:
         excess = np.full(3, float(np.sqrt(np.mean(excess**2))))
     excess = np.maximum(excess, 1.0)
     mag = floor.noise["mag"]
-    return with_noise(floor, {**floor.noise, "mag": replace(mag, sigma=mag.sigma * excess)})
+    return replace(floor, noise={**floor.noise, "mag": replace(mag, sigma=mag.sigma * excess)})
 
 
 def kind_of(replay: Replay, floor: Floor) -> Kind:
@@ -147,11 +164,6 @@ def kind_of(replay: Replay, floor: Floor) -> Kind:
     if floor.measured:
         return "baseline"
     return "reference" if replay.reference.kind == "columns" else "alone"
-
-
-def with_noise(floor: Floor, noise: Noise) -> Floor:
-    """Return the same floor with another noise for whitening."""
-    return replace(floor, noise=noise)
 
 
 def prior_of(replay: Replay, trust: Trust | None) -> Prior:
@@ -218,3 +230,104 @@ def rms_deg(angle_rad: FloatArray) -> float:
 def rms(error: FloatArray) -> float:
     """Return the root mean square over samples and axes together."""
     return math.sqrt(float(np.mean(error**2))) if error.size else math.nan
+
+
+def from_recording(replay: Replay) -> Floor:
+    """State a floor without a baseline: scatter, the reference's slow doubt, and the doubt in the times.
+
+    The doubt in the attitude wanders, as a first-order process of some seconds; the doubt in the times
+    grows with the field's rate of change. Scatter that no data sheet allows is not the floor's.
+    """
+    noise = first_noise(replay)
+    scatter = noise["mag"].sigma
+    world = replay.signals.stimulus.field_ned_mgauss[0]
+    total, level = float(np.linalg.norm(world)), max(float(np.hypot(world[0], world[1])), 1.0)
+    doubt = max(_REFERENCE_DOUBT_RAD[replay.reference.kind], replay.reference.tilt_sigma_rad)
+    white_rms = math.sqrt(float(np.mean(scatter**2)))
+    usual = white_rms if white_rms < WORST_SCATTER_MGAUSS else USUAL_SCATTER_MGAUSS
+    step = float(np.median(np.diff(replay.time_s)))
+    rho = math.exp(-step / _DOUBT_LASTS_S)
+    channels = field_channels(replay)
+    # A small random rotation moves the field by doubt |B| in the two directions across it.
+    slow = np.full(3, doubt * total * math.sqrt(2.0 / 3.0)) if channels is None else doubt * total * _ACROSS
+    each = [
+        wandering(np.full(3, white_rms) if channels is not None else scatter, float(v), rho) for v in slow
+    ]
+    sigma = np.array([one[0][c] for c, one in enumerate(each)])
+    late = _TIME_DOUBT_S["telemetry" if replay.telemetry else "direct"]
+    whole = np.hypot(white_rms, slow)
+    mag = SensorNoise(
+        np.full((1, 3), rho),
+        sigma,
+        whole,
+        np.inf,
+        moving=np.array([one[1] for one in each]),
+        channels=channels,
+    )
+    change = nominal_rate(replay, mag)
+    mag = replace(mag, row_scale=np.sqrt(1.0 + (late * change / sigma) ** 2))
+    timing = late * math.sqrt(float(np.mean(change[replay.valid] ** 2)))
+    trust = STATED if replay.iron.calibrated else None
+    # What a calibration usually leaves is no gap: it belongs to the floor.
+    doubted = replay.iron.sigma(STATED)
+    cured = 0.0 if trust is None else math.hypot(rms(doubted[:3]), rms(doubted[3:]) * total)
+    return Floor(
+        {**noise, "mag": mag},
+        math.hypot(usual, float(np.sqrt(np.mean(slow**2))), timing, cured),
+        math.degrees(math.hypot(usual, doubt * total, timing, cured) / level),
+        np.zeros((0, 3)),
+        False,
+        prior_of(replay, trust),
+        trust=trust,
+    )
+
+
+def foreseen(floor: Floor, replay: Replay, train: Mask, test: Mask) -> Floor:
+    """Raise a floor by what the training rows leave unknown of the held-out ones when nothing is wrong.
+
+    The nuisances' covariance, carried to the held-out field and heading: attitude, place and calibration are
+    known there only as well as the rest of the recording tells them.
+    """
+    problem = Problem(replay, floor.noise, train, floor.prior)
+    null = problem.null()
+    if not null.covariance.size or not test.any():
+        return floor
+    field_more, heading_more = _unknown(problem, null, test)
+    field_rest, heading_rest = _of_turns(
+        replay.signals.stimulus.field_ned_mgauss[0], replay.reference.rest_rad2
+    )
+    return _raised(floor, field_more + field_rest, heading_more + heading_rest)
+
+
+def _unknown(problem: Problem, fit: Fit, test: Mask) -> tuple[float, float]:
+    """Return the mean squares of field (mG) and heading (deg) that the nuisances leave unknown."""
+    rows, predicted = np.flatnonzero(test), problem.predict(fit).mag_mgauss
+    changes = problem.nuisance_changes(fit)["mag"]
+    changed = (predicted[:, :, None] + changes).transpose(2, 0, 1)
+    heading = [heading_error_rad(problem.replay, one, predicted)[rows] for one in changed]
+    field = changes[rows].reshape(3 * rows.size, -1)
+    turned = np.degrees(np.stack(heading, axis=1))
+    count = sum(n.mean.size for n in problem.nuisances)
+    covariance = fit.covariance[:count, :count]
+    field_more, heading_more = (
+        float(np.mean(np.einsum("np,pq,nq->n", J, covariance, J))) for J in (field, turned)
+    )
+    return field_more, heading_more
+
+
+def _raised(floor: Floor, field_more: float, heading_more: float) -> Floor:
+    return replace(
+        floor,
+        field_rms_mgauss=math.sqrt(floor.field_rms_mgauss**2 + field_more),
+        heading_rms_deg=math.sqrt(floor.heading_rms_deg**2 + heading_more),
+    )
+
+
+def _of_turns(field_mgauss: FloatArray, covariance_rad2: FloatArray) -> tuple[float, float]:
+    """Return the mean squares of field (mG) and heading (deg) that small turns of the attitude make."""
+    north, east, down = field_mgauss
+    # A turn v moves the field by v x B, of which heading sees what is level and across.
+    moved = np.array([[0.0, down, -east], [-down, 0.0, north], [east, -north, 0.0]])
+    across = (north * moved[1] - east * moved[0]) / max(north**2 + east**2, 1.0)
+    of_heading = float(across @ covariance_rad2 @ across)
+    return float(np.trace(moved @ covariance_rad2 @ moved.T)) / 3.0, math.degrees(math.sqrt(of_heading)) ** 2

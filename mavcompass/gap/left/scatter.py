@@ -8,16 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Problem, least_gain
+from mavcompass.gap.fit.hypothesis import Fit, least_gain
+from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import Floor
-from mavcompass.gap.replay import (
-    USUAL_SCATTER_MGAUSS,
-    WORST_SCATTER_MGAUSS,
-    Noise,
-    Replay,
-    estimate_noise,
-)
-from mavcompass.gap.traces import quiet_doubt, quiet_scatter
+from mavcompass.gap.replay.noise import USUAL_SCATTER_MGAUSS, WORST_SCATTER_MGAUSS, Noise, estimate_noise
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.result import Cause
+from mavcompass.gap.traces.scattered import quiet_doubt, quiet_scatter
 from mavcompass.simulation.effects import detected_by, get
 
 # The scatter's own distribution is only known from the recording: be slower to name it.
@@ -42,6 +39,12 @@ class Scatter:
     size: float
     gain: float
     doubt: float = 0.0
+
+    @property
+    def cause(self) -> Cause:
+        """Return it as it is named."""
+        name, removes = get(self.effect).names[0], self.size if self.white else 0.0
+        return Cause.told(self.effect, {name: self.size}, {name: self.doubt}, removes)
 
     @property
     def white(self) -> bool:
@@ -91,8 +94,7 @@ def find_scatter(
     trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
     late_shows = late_size * float(np.mean(x)) > _LEAST_LATE**2
     if late_times in allowed and trusted and late_shows:
-        gain = late if representative else _beyond_even(y, x)
-        candidates.append(Scatter(late_times, math.sqrt(late_size), gain / inflation))
+        candidates.append(Scatter(late_times, math.sqrt(late_size), late / inflation))
     if not floor.measured and more in allowed:
         sigma = quiet_scatter(problem.replay.readings)
         if sigma > WORST_SCATTER_MGAUSS:
@@ -145,19 +147,6 @@ def _late_gain(y: FloatArray, x: FloatArray, base: float) -> tuple[float, float]
 def _log_ratio(y: FloatArray, x: FloatArray, base: float, a: float) -> float:
     v = base + a * x
     return float(np.sum(y / base - y / v - np.log(v / base)))
-
-
-def _beyond_even(y: FloatArray, x: FloatArray) -> float:
-    """Return what the dependence on the rate explains beyond even scatter of any size."""
-    even = max(float(y.mean()), 1e-12)
-    best = 0.0
-    for share in (0.2, 0.5, 0.8, 0.95):
-        best = max(best, _late_gain(y, x, share * even)[0] + _even_part(y, share * even))
-    return best - _even_part(y, even)
-
-
-def _even_part(y: FloatArray, variance: float) -> float:
-    return float(np.sum(y - y / variance) - y.size * math.log(variance))
 
 
 def noise_with(problem: Problem, fit: Fit, scatter: Scatter) -> Noise:

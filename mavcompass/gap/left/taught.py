@@ -14,8 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude import north_east_m
-from mavcompass.gap.fit import Fit, Problem, Search
+from mavcompass.gap.attitude.receiver import north_east_m
+from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.fit.search import Search
 from mavcompass.gap.left.adequacy import judge
 from mavcompass.gap.left.floor import (
     Floor,
@@ -27,7 +29,9 @@ from mavcompass.gap.left.floor import (
     prior_of,
     rms,
 )
-from mavcompass.gap.replay import (
+from mavcompass.gap.replay.noise import Noise, SensorNoise
+from mavcompass.gap.replay.nominal import Replay, level_mgauss
+from mavcompass.gap.replay.nuisance import (
     ANOTHER_IRON,
     IRON_MATRIX,
     IRON_OFFSET,
@@ -35,21 +39,18 @@ from mavcompass.gap.replay import (
     STATED,
     TELEMETRY_AGE,
     WORLD_FIELD,
-    Noise,
     Nuisance,
     Prior,
-    Replay,
-    SensorNoise,
     Trust,
-    level_mgauss,
-    untestable_effects,
 )
-from mavcompass.simulation.effects.causes.world import gradient_origin
+from mavcompass.gap.replay.testable import untestable_effects
 from mavcompass.simulation.effects.effect import FREQUENCY, LIMIT, Effect
 
-_FOLD_WIDENING = 4.0
-_MOST_FOLDED = 4
-
+_FOLD_WIDENING, _MOST_FOLDED = 4.0, 4
+# A baseline has a gap of its own where chance makes so much structure so seldom.
+_GAP_P = 0.002
+# Slow causes dominate what is left where that is so many times the scatter between neighbours.
+_DOMINATED = 1.6
 # One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
 _REPRESENTATIVE_P = 1e-5
 # How much the same vehicle differs from one recording to the next, in the nuisances' own units.
@@ -73,14 +74,15 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
     """Tune the simulator to a baseline, with those effects that it can tell, and measure what it leaves."""
     trust, problem, fit = _tuned(baseline)
     sharp = baseline.reference.kind == "columns"
-    if sharp and _has_gap(problem, fit):
+    if sharp and judge(problem, fit, compare_scatter=False).p < _GAP_P:
         never = untestable_effects(baseline, effects).keys()
         foldable = [e for e in effects if e.kind == "mean" and not _passes(e) and e.id not in never]
-        fit = Search(problem, foldable).run(_MOST_FOLDED).best
-        problem = Problem(baseline, measured_noise(problem, fit), baseline.valid, problem.prior)
-        fit = problem.refit(fit)
-        if fit.terms:
+        for _ in range(2):
             fit = Search(problem, foldable).run(_MOST_FOLDED).best
+            if not fit.terms:
+                break
+            problem = Problem(baseline, measured_noise(problem, fit), baseline.valid, problem.prior)
+            fit = problem.refit(fit)
     noise = measured_noise(problem, fit)
     problem = Problem(baseline, noise, baseline.valid, problem.prior)
     fit = problem.refit(fit)
@@ -127,8 +129,12 @@ def _tuned(baseline: Replay) -> tuple[Trust | None, Problem, Fit]:
     what it leaves must not be made iron.
     """
     widest = Problem(baseline, first_noise(baseline), baseline.valid, prior_of(baseline, ANOTHER_IRON))
-    first = widest.null()
-    noise = _without_slow_causes(widest, first)
+    first, stated = widest.null(), widest.noise
+    # Where slow causes dominate, the scatter between neighbours is the noise.
+    noise: Noise = {
+        group: stated[group] if float(np.max(found.rms / stated[group].sigma)) > _DOMINATED else found
+        for group, found in measured_noise(widest, first).items()
+    }
     problem = Problem(baseline, noise, baseline.valid, widest.prior)
     fit = problem.null(first)
     least = _rms_left(problem, fit)
@@ -147,20 +153,6 @@ def _tuned(baseline: Replay) -> tuple[Trust | None, Problem, Fit]:
 def _rms_left(problem: Problem, fit: Fit) -> float:
     left = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
     return rms(left[problem.replay.valid])
-
-
-def _without_slow_causes(problem: Problem, fit: Fit) -> Noise:
-    """Estimate the noise of the residual; where slow causes dominate, keep the scatter between neighbours."""
-    measured, stated = measured_noise(problem, fit), problem.noise
-    out: Noise = {}
-    for group, noise in measured.items():
-        dominated = float(np.max(noise.rms / stated[group].sigma)) > 1.6
-        out[group] = stated[group] if dominated else noise
-    return out
-
-
-def _has_gap(problem: Problem, fit: Fit) -> bool:
-    return judge(problem, fit, compare_scatter=False, thorough=False).flagged
 
 
 def _growth(problem: Problem, fit: Fit) -> FloatArray:
@@ -205,33 +197,41 @@ def _represents(problem: Problem, fit: Fit) -> bool:
 def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust: Trust | None) -> Prior:
     """Carry over what a baseline tells of the vehicle and its place, with the joint covariance that it
     leaves."""
-    iron = () if trust is None else replay.iron.nuisances(trust)
     kept = {IRON_MATRIX, IRON_OFFSET, TELEMETRY_AGE}
     if _same_place(replay, baseline):
         kept.add(WORLD_FIELD.id)
-    own = [*replay.nuisances, *iron]
-    there = {n.effect.id: (n, theta, at) for n, theta, at in _placed(problem, fit)}
+    own = prior_of(replay, trust).nuisances
+    sizes = [theta.size for theta in fit.nuisance_thetas]
+    starts = np.cumsum([0, *sizes]).tolist()
+    there = {
+        n.effect.id: (theta, at)
+        for n, theta, at in zip(problem.nuisances, fit.nuisance_thetas, starts, strict=False)
+    }
     taught: list[Nuisance] = []
-    source: list[int] = []
-    place: list[int] = []
+    source, place = list[int](), list[int]()  # of parameters that are taught: there, and here
     at = 0
     for nuisance in own:
-        if nuisance.effect.id in kept and nuisance.effect.id in there:
-            _, theta, first = there[nuisance.effect.id]
-            if theta.size == nuisance.mean.size:
-                mean = theta.copy()
-                if nuisance.effect.id == TELEMETRY_AGE:
-                    mean += baseline.late_s - replay.late_s
-                if nuisance.effect is WORLD_FIELD:
-                    mean = _field_here(replay, baseline, theta) + _from_start_to_start(replay, baseline, fit)
-                nuisance = replace(nuisance, mean=mean)
-                source += range(first, first + theta.size)
-                place += range(at, at + theta.size)
-        if nuisance.effect.id == REFERENCE_YAW and REFERENCE_YAW in there:
-            nuisance = _same_witness(nuisance, there[REFERENCE_YAW], replay, baseline, fit)
+        theta, first = there.get(nuisance.effect.id, (np.zeros(0), 0))
+        if nuisance.effect.id in kept and theta.size == nuisance.mean.size:
+            mean = theta.copy()
+            if nuisance.effect.id == TELEMETRY_AGE:
+                mean += baseline.late_s - replay.late_s
+            if nuisance.effect is WORLD_FIELD:
+                mean = _field_here(replay, baseline, theta)
+            nuisance = replace(nuisance, mean=mean)
+            source += range(first, first + theta.size)
+            place += range(at, at + theta.size)
+        elif nuisance.effect.id == REFERENCE_YAW and theta.size and not _yaw_unknown(replay, baseline):
+            # A witness of the yaw is off by the same constant as it was in the baseline.
+            mean, precision = nuisance.mean.copy(), nuisance.precision.copy()
+            mean[0] = theta[0]
+            variance = _FOLD_WIDENING * float(fit.covariance[first, first]) + _WITNESS_DAILY_RAD**2
+            precision[0, 0] = 1.0 / variance
+            nuisance = replace(nuisance, mean=mean, precision=precision)
         taught.append(nuisance)
         at += nuisance.mean.size
-    folded_at = sum(theta.size for theta in fit.nuisance_thetas)
+    stated = np.concatenate([n.mean for n in own]) if own else np.zeros(0)
+    folded_at = starts[-1]
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
         index = np.flatnonzero(term.free)
         taught.append(Nuisance.of(term.effect, theta.copy(), np.maximum(term.effect.scale, 1e-9) * 1e-6))
@@ -240,40 +240,33 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
         folded_at += index.size
         at += theta.size
     prior = Prior.of(taught)
-    stated = np.concatenate([n.mean for n in own]) if own else np.zeros(0)
-    if source:
-        waiting_s = _BOUNDED * max(_waiting_s(replay), _waiting_s(baseline))
-        daily = np.concatenate([_daily(n, waiting_s, replay.late_s) for n in taught])
-        if replay.reference.kind == "columns":
-            daily = np.zeros(daily.size)
-        elif trust is ANOTHER_IRON:
-            # An iron that nobody measured but this baseline takes all its errors with it; times are not among
-            # them.
-            of_age = np.concatenate([np.full(n.mean.size, n.effect.id == TELEMETRY_AGE) for n in taught])
-            daily = np.where(of_age, daily, _UNMEASURED * daily)
-        covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
-        told = np.maximum(np.diag(covariance) * np.diag(prior.precision)[place], 1.0)
-        # What a baseline hardly shows (motors that idle) stays within what is stated for this recording.
-        covariance = covariance / np.sqrt(np.outer(told, told))
-        size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        precision = prior.precision.copy()
-        precision[np.ix_(place, place)] = np.linalg.pinv(covariance / np.outer(size, size)) / np.outer(
-            size, size
-        )
-        mean = prior.mean
-        known = np.flatnonzero(np.array(place) < stated.size)
-        at_known = np.array(place)[known]
-        mean[at_known] = stated[at_known] + (mean[at_known] - stated[at_known]) / told[known]
-        prior = replace(prior.moved(mean), precision=precision)
-    return prior
+    if not source:
+        return prior
+    daily = np.zeros(at)
+    if replay.reference.kind != "columns":
+        daily = np.concatenate([_daily(n, trust, replay, baseline) for n in taught])
+    covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
+    told = np.maximum(np.diag(covariance) * np.diag(prior.precision)[place], 1.0)
+    # What a baseline hardly shows (motors that idle) stays within what is stated for this recording.
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    precision, mean = prior.precision.copy(), prior.mean
+    precision[np.ix_(place, place)] = np.linalg.pinv(covariance / np.outer(size, size)) * np.outer(
+        np.sqrt(told) / size, np.sqrt(told) / size
+    )
+    known = np.flatnonzero(np.array(place) < stated.size)
+    at_known = np.array(place)[known]
+    mean[at_known] = stated[at_known] + (mean[at_known] - stated[at_known]) / told[known]
+    return replace(prior.moved(mean), precision=precision)
 
 
-def _daily(taught: Nuisance, waiting_s: float, late_s: float) -> FloatArray:
+def _daily(taught: Nuisance, trust: Trust | None, replay: Replay, baseline: Replay) -> FloatArray:
     """Say how much each parameter of a nuisance differs from one recording to the next."""
     daily = np.full(taught.mean.size, _FROM_DAY_TO_DAY.get(taught.effect.id, 0.0))
     if taught.effect.id == TELEMETRY_AGE:
-        daily = np.hypot(daily, np.minimum(waiting_s, _MOST_WAITING * np.abs(taught.mean + late_s)))
-    return daily
+        waiting_s = _BOUNDED * max(_waiting_s(replay), _waiting_s(baseline))
+        return np.hypot(daily, np.minimum(waiting_s, _MOST_WAITING * np.abs(taught.mean + replay.late_s)))
+    # An iron that nobody measured but this baseline takes all its errors with it.
+    return _UNMEASURED * daily if trust is ANOTHER_IRON else daily
 
 
 def _waiting_s(replay: Replay) -> float:
@@ -291,24 +284,8 @@ def _waiting_s(replay: Replay) -> float:
     return math.sqrt(max(step**2 / 6.0 - 2.0 * float(np.var(fresh - read)), 0.0))
 
 
-def _same_witness(
-    own: Nuisance, there: tuple[Nuisance, FloatArray, int], replay: Replay, baseline: Replay, fit: Fit
-) -> Nuisance:
-    """Let a witness of the yaw be off by the same constant as it was in the baseline."""
-    if replay.reference.yaw_unknown or baseline.reference.yaw_unknown:
-        return own
-    _, theta, at = there
-    mean, precision = own.mean.copy(), own.precision.copy()
-    mean[0] = theta[0]
-    precision[0, 0] = 1.0 / (_FOLD_WIDENING * fit.covariance[at, at] + _WITNESS_DAILY_RAD**2)
-    return replace(own, mean=mean, precision=precision)
-
-
-def _placed(problem: Problem, fit: Fit) -> list[tuple[Nuisance, FloatArray, int]]:
-    """List the nuisances of a fit with their values and their places in its covariance."""
-    sizes = [theta.size for theta in fit.nuisance_thetas]
-    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(int).tolist()
-    return list(zip(problem.nuisances, fit.nuisance_thetas, starts, strict=False))
+def _yaw_unknown(replay: Replay, baseline: Replay) -> bool:
+    return replay.reference.yaw_unknown or baseline.reference.yaw_unknown
 
 
 def _field_here(replay: Replay, baseline: Replay, theta: FloatArray) -> FloatArray:
@@ -324,20 +301,3 @@ def _same_place(replay: Replay, baseline: Replay) -> bool:
         return True
     (lat, lon, _), (there_lat, there_lon, _) = replay.place, baseline.place
     return math.hypot(*north_east_m(there_lat, there_lon, lat, lon)) < _SAME_PLACE_M
-
-
-def _from_start_to_start(replay: Replay, baseline: Replay, fit: Fit) -> FloatArray:
-    """Return how a folded gradient changes the field from one recording's origin to the other's.
-
-    Only positions of a reference share their datum.
-    """
-    if not replay.reference.kind == baseline.reference.kind == "columns":
-        return np.zeros(3)
-    own, other = (gradient_origin(one.signals.stimulus.position_ned_m) for one in (replay, baseline))
-    away_m = own - other
-    changes = [
-        t.effect.from_origin(x, away_m)
-        for t, x in zip(fit.terms, fit.thetas, strict=True)
-        if t.effect.from_origin
-    ]
-    return sum(changes, np.zeros(3))

@@ -1,9 +1,8 @@
 """The rehearsal: the calibration of a diagnosed vehicle, done a thousand times in the simulation."""
 
-from mavcompass.gap.rehearsal.iron import IRON_NAMES, whole_iron
+from mavcompass.gap.rehearsal.draws import IRON_NAMES, whole_iron
 from mavcompass.gap.rehearsal.rehearse import rehearse
-from mavcompass.gap.rehearsal.result import Errors, Expected, Part, Rehearsal, Remedy
-from mavcompass.gap.rehearsal.stored import Stored, read_stored
+from mavcompass.gap.rehearsal.result import Errors, Expected, Part, Rehearsal, Remedy, Stored, read_stored
 
 __all__ = [
     "IRON_NAMES",

@@ -1,4 +1,4 @@
-"""One vehicle of a kind: parameters from what is believed, and all that chance decides besides."""
+"""One vehicle of a kind: its whole iron, parameters from what is believed, and what chance decides."""
 
 from __future__ import annotations
 
@@ -12,16 +12,25 @@ from numpy.typing import NDArray
 from mavcompass.calibration.positions.fit import CROSS_TERMS_BEFORE
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.frames import FloatArray
-from mavcompass.gap.rehearsal.iron import effects_in, iron_settings
+from mavcompass.gap.export.vehicle import affine_map
 from mavcompass.gap.rehearsal.kind import Kind
-from mavcompass.gap.result import Belief
+from mavcompass.gap.result import MATRIX, MOTOR, OFFSET, Belief, Diagnosis
 from mavcompass.simulation.effects import Setting, get
-from mavcompass.simulation.effects.effect import Chain
+from mavcompass.simulation.effects.effect import Chain, Effect, Memory, Rng, Signals, Stage
 
+IRON_NAMES = (
+    *(f"offset_{axis}" for axis in "xyz"),
+    *(f"gain_{pair}" for pair in ("xx", "yy", "zz", "xy", "xz", "yz")),
+    *(f"motor_{axis}" for axis in "xyz"),
+)
+_GAINS = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
+_STEP = 1e-4
+_UNTOLD_MGAUSS_PER_A = 1e3
+# How far the motors' field of a calibration may be off, as a share.
+_CALIBRATED = 0.1
 MOST_POSITIONS = 10
 # What the recording leaves open of the motors' field, beside what the calibration in force says of it.
 MOTORS = "motors"
-_MOTOR = slice(15, 18)
 # Half of the vehicles whose recording shows no field of the motors have one that it does not exclude.
 _MOTORS_BEFORE = 0.5
 # The horizontal cross term of the iron, and the vertical ones.
@@ -30,6 +39,76 @@ _CROSS = (((0, 1),), ((0, 2), (1, 2)))
 _ACTING = frozenset({"mean", "discrete"})
 # How far a turn of 90 degrees ends from where it should.
 _TURN_SIGMA_RAD = math.radians(3.0)
+
+
+def iron_settings(
+    matrix: FloatArray, offset_mgauss: FloatArray, motor_mgauss: FloatArray, load: FloatArray
+) -> list[Setting]:
+    """Make raw = matrix field + offset + load motor, `load` (N,), where a diagnosis has them in the chain."""
+
+    def bent(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
+        return signals.with_mag(signals.reading.mag_mgauss @ matrix.T)
+
+    def moved(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
+        added = offset_mgauss + np.nan_to_num(load)[:, np.newaxis] * motor_mgauss
+        return signals.with_mag(signals.reading.mag_mgauss + added)
+
+    return [
+        Setting(Effect("the vehicle's matrix", "", stage, (), forward, affine=True), np.zeros(0))
+        for stage, forward in ((Stage.MATRIX, bent), (Stage.FIELD, moved))
+    ]
+
+
+def effects_in(belief: Belief, values: FloatArray) -> list[Setting]:
+    """Return the effects of a belief with values (P,) in the order of its mean, inside their ranges."""
+    out = []
+    for effect, at in zip(map(get, belief.effects), belief.places, strict=True):
+        theta = values[at : at + len(effect.parameters)]
+        out.append(Setting(effect, np.clip(theta, effect.lower, effect.upper)))
+    return out
+
+
+def whole_iron(diagnosis: Diagnosis) -> tuple[FloatArray, FloatArray] | None:
+    """Return what is known of a vehicle's iron, (12,) in the order of `IRON_NAMES`, and its covariance.
+
+    raw = A field + offset + motor current, A symmetric; the likeliest explanation counts. None where the
+    diagnosis believes nothing.
+    """
+    if not diagnosis.beliefs or diagnosis.in_force is None:
+        return None
+    belief, cured = max(diagnosis.beliefs, key=lambda b: b.weight), diagnosis.in_force
+    by_current = cured.motor_source == "current"
+
+    def whole(values: FloatArray) -> FloatArray:
+        matrix = cured.matrix @ (np.eye(3) + values[MATRIX].reshape(3, 3))
+        offset = cured.hard_iron_mgauss + values[OFFSET]
+        motor = (cured.motor_mgauss + values[MOTOR]) * by_current
+        effects = effects_in(belief, values)
+        affine = [setting for setting in effects if setting.effect.affine]
+        a, b = affine_map([*iron_settings(matrix, offset, np.zeros(3), np.zeros(4)), *affine])
+        motor = sum((s.theta for s in effects if s.effect.id == "motor_current"), motor)
+        return np.concatenate([b, (0.5 * (a + a.T))[_GAINS], motor])
+
+    jacobian, here = np.zeros((len(IRON_NAMES), belief.mean.size)), whole(belief.mean)
+    for place in np.flatnonzero(np.diag(belief.covariance)).tolist():
+        step = _STEP * np.eye(belief.mean.size)[place]
+        jacobian[:, place] = (whole(belief.mean + step) - here) / _STEP
+    covariance = jacobian @ belief.covariance @ jacobian.T
+    if not covariance[9:, 9:].any():
+        covariance[9:, 9:] = _UNTOLD_MGAUSS_PER_A**2 * np.eye(3)
+    size = float(np.linalg.norm(cured.motor_mgauss)) * by_current
+    return _trusting(here, covariance, cured.motor_mgauss, _CALIBRATED * size) if size else (here, covariance)
+
+
+def _trusting(
+    values: FloatArray, covariance: FloatArray, motor_mgauss: FloatArray, sigma: float
+) -> tuple[FloatArray, FloatArray]:
+    """Take the motors' field of a calibration for a measurement.
+
+    A diagnosis leaves open what its recording cannot exclude: far more than calibrations are wrong by.
+    """
+    gain = covariance[:, 9:] @ np.linalg.inv(covariance[9:, 9:] + sigma**2 * np.eye(3))
+    return values + gain @ (motor_mgauss - values[9:]), covariance - gain @ covariance[9:, :]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,9 +173,9 @@ class Draws:
         values = belief.mean + self._roots[which] @ rng.standard_normal(belief.mean.size)
         if rng.random() >= self._loaded[which]:
             # What is known of all the rest once the motors are known to make no field.
-            shared = belief.covariance[:, _MOTOR] @ np.linalg.inv(belief.covariance[_MOTOR, _MOTOR])
-            values = values - shared @ values[_MOTOR]
-        matrix = kind.matrix @ (np.eye(3) + values[3:12].reshape(3, 3))
+            shared = belief.covariance[:, MOTOR] @ np.linalg.inv(belief.covariance[MOTOR, MOTOR])
+            values = values - shared @ values[MOTOR]
+        matrix = kind.matrix @ (np.eye(3) + values[MATRIX].reshape(3, 3))
         # A turn of the compass in the vehicle shows in no turn of both: it is the mounting's, see (M1).
         matrix = 0.5 * (matrix + matrix.T)
         for places, probability in zip(_CROSS, self._crossed[which], strict=True):
@@ -106,8 +185,8 @@ class Draws:
         return Individual(
             field_ned_mgauss=kind.field_ned_mgauss + values[:3],
             matrix=matrix,
-            offset_mgauss=kind.offset_mgauss + values[12:15],
-            motor_mgauss=kind.motor_mgauss + values[_MOTOR],
+            offset_mgauss=kind.offset_mgauss + values[OFFSET],
+            motor_mgauss=kind.motor_mgauss + values[MOTOR],
             known_motor_mgauss=kind.motor_mgauss,
             settings=tuple(s for s in effects_in(belief, values) if s.effect.kind in _ACTING)
             + tuple(self._faults(rng)),
@@ -143,8 +222,8 @@ def _crossed(kind: Kind, belief: Belief) -> list[float]:
     Before anything is known a quarter of the compasses have some, of a certain size; what the recording
     leaves unknown of them is no reason to believe in those that it does not show.
     """
-    matrix = kind.matrix @ (np.eye(3) + belief.mean[3:12].reshape(3, 3))
-    sigma = np.sqrt(np.diag(belief.covariance)[3:12]).reshape(3, 3)
+    matrix = kind.matrix @ (np.eye(3) + belief.mean[MATRIX].reshape(3, 3))
+    sigma = np.sqrt(np.diag(belief.covariance)[MATRIX]).reshape(3, 3)
     out = []
     for places in _CROSS:
         log_odds = math.log(CROSS_TERMS_BEFORE / (1.0 - CROSS_TERMS_BEFORE))
@@ -162,7 +241,7 @@ def _loaded(kind: Kind, belief: Belief) -> float:
     What a recording leaves open of it is more than vehicles have: a doubt of every one, it would be told as
     the error of all.
     """
-    covariance, mean = belief.covariance[_MOTOR, _MOTOR], belief.mean[_MOTOR]
+    covariance, mean = belief.covariance[MOTOR, MOTOR], belief.mean[MOTOR]
     if "motor_current" in belief.effects or kind.motor_mgauss.any() or np.linalg.matrix_rank(covariance) < 3:
         return 1.0
     log_odds = math.log(_MOTORS_BEFORE / (1.0 - _MOTORS_BEFORE))

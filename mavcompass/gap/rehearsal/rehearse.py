@@ -8,20 +8,32 @@ after the other, and by other protocols: with the same chances, so that a few te
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
 from mavcompass.blas import single_thread
-from mavcompass.gap.attitude import Choice
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude.reference import Choice
 from mavcompass.gap.rehearsal.draws import MOTORS, Draws
-from mavcompass.gap.rehearsal.judging import TILT_RAD
 from mavcompass.gap.rehearsal.kind import Kind, kind_of
-from mavcompass.gap.rehearsal.procedure import FIELD, GYRO, NOISE, QUANTISATION, TILT, Protocol
-from mavcompass.gap.rehearsal.result import Part, Rehearsal, Remedy
-from mavcompass.gap.rehearsal.runs import Run, calibrations
-from mavcompass.gap.rehearsal.stored import Stored
-from mavcompass.gap.result import Diagnosis
+from mavcompass.gap.rehearsal.procedure import (
+    FIELD,
+    GYRO,
+    NOISE,
+    QUANTISATION,
+    TILT,
+    TILT_RAD,
+    USUAL,
+    Protocol,
+    calibrate,
+    heading_errors_deg,
+)
+from mavcompass.gap.rehearsal.result import Errors, Expected, Part, Rehearsal, Remedy, Stored
+from mavcompass.gap.result import MOTOR, Diagnosis
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import PLACED
 from mavcompass.track import Track
@@ -32,6 +44,69 @@ _COMPARED_SHARE, _FEWEST_COMPARED = 0.06, 40
 _AWAY_M = 10.0
 _LOADS = frozenset({"current", "motors", "throttle|current|motors"})
 _FEW_STANCES = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """Hold calibrations of the first N vehicles of a kind; nan where the fit had no solution.
+
+    Attributes:
+        errors_deg: rms over the circle, level and tilted, (N, 2).
+        claimed_deg: what the calibration says of the level error, (N,). positions: visited, (N,).
+        refusal: why the last that had none had no solution.
+    """
+
+    errors_deg: FloatArray
+    claimed_deg: FloatArray
+    positions: FloatArray
+    refusal: PoorCalibration | None = None
+
+    def first(self, count: int) -> Run:
+        """Return the first vehicles alone."""
+        return Run(self.errors_deg[:count], self.claimed_deg[:count], self.positions[:count], self.refusal)
+
+    @property
+    def errors(self) -> Errors:
+        """Return what is to be expected."""
+        level, tilted = (_expected(column[np.isfinite(column)]) for column in self.errors_deg.T)
+        return Errors(level, tilted)
+
+    def change_from(self, usual: Run) -> tuple[float, float]:
+        """Return the ratio of rms errors, level and tilted, to those of the same vehicles done otherwise."""
+        both = np.isfinite(self.errors_deg) & np.isfinite(usual.errors_deg)
+        mine, theirs = (np.where(both, run.errors_deg, 0.0) for run in (self, usual))
+        level, tilted = np.sqrt((mine**2).sum(axis=0) / np.maximum((theirs**2).sum(axis=0), 1e-12)).tolist()
+        return level, tilted
+
+
+def calibrations(
+    kind: Kind,
+    draws: Draws,
+    count: int,
+    protocol: Protocol = USUAL,
+    without: Collection[str] = (),
+    done: Callable[[], None] = lambda: None,
+) -> Run:
+    """Calibrate the first vehicles of a kind, judge what they got, and tell each that is done."""
+    out = np.full((count, 4), np.nan)
+    refusal = None
+    for number in range(count):
+        individual = draws[number]
+        try:
+            fit = calibrate(kind, individual, protocol, without)
+        except PoorCalibration as why:
+            refusal = why
+        else:
+            level, tilted = heading_errors_deg(kind, individual, fit.correction, without)
+            visited = len(fit.magnetic_headings_rad)
+            out[number] = level, tilted, np.degrees(fit.heading_sigma_rad), visited
+        done()
+    return Run(out[:, :2], out[:, 2], out[:, 3], refusal)
+
+
+def _expected(errors_deg: FloatArray) -> Expected:
+    rms_deg, median_deg = float(np.sqrt(np.mean(errors_deg**2))), float(np.median(errors_deg))
+    return Expected(rms_deg, median_deg, float(np.quantile(errors_deg, 0.95, method="higher")))
 
 
 def rehearse(
@@ -53,20 +128,23 @@ def rehearse(
         compared = min(draws, max(round(_COMPARED_SHARE * draws), _FEWEST_COMPARED))
         names = [*SOURCES, *kind.effects]
         protocols = list(_protocols(kind))
-        bar = _Bar(progress, draws + compared * (len(names) + len(protocols)))
+        done, of = count(1), draws + compared * (len(names) + len(protocols))
         vehicles = Draws(kind, seed)
-        whole = calibrations(kind, vehicles, draws, done=bar.step)
+
+        def run(of_them: int, protocol: Protocol = USUAL, without: Collection[str] = ()) -> Run:
+            return calibrations(kind, vehicles, of_them, protocol, without, lambda: progress(next(done), of))
+
+        whole = run(draws)
         if not np.isfinite(whole.errors_deg).any() and whole.refusal is not None:
             raise whole.refusal
-        few = whole.first(compared)
-        parts = [
-            _part(name, calibrations(kind, vehicles, compared, without={name}, done=bar.step), few, kind)
-            for name in names
-        ]
-        remedies = [
-            _remedy(words, calibrations(kind, vehicles, compared, protocol, done=bar.step), few)
-            for words, protocol in protocols
-        ]
+        few, parts, remedies = whole.first(compared), list[Part](), list[Remedy]()
+        for name in names:
+            other = run(compared, without={name})
+            level, tilted = other.change_from(few)
+            parts.append(Part(name, name in kind.effects, other.errors, 1.0 - level**2, 1.0 - tilted**2))
+        for words, protocol in protocols:
+            other = run(compared, protocol)
+            remedies.append(Remedy(words, other.errors, *other.change_from(few)))
     return Rehearsal(
         source=track.source,
         compass=diagnosis.compass,
@@ -84,26 +162,6 @@ def rehearse(
         seconds=time.perf_counter() - started,
         notes=tuple(_notes(kind, diagnosis)),
     )
-
-
-class _Bar:
-    """Count calibrations."""
-
-    def __init__(self, progress: Callable[[int, int], None], of: int) -> None:
-        self._progress, self._of, self._done = progress, of, 0
-
-    def step(self) -> None:
-        self._done += 1
-        self._progress(self._done, self._of)
-
-
-def _part(name: str, without: Run, usual: Run, kind: Kind) -> Part:
-    level, tilted = without.change_from(usual)
-    return Part(name, name in kind.effects, without.errors, 1.0 - level**2, 1.0 - tilted**2)
-
-
-def _remedy(words: str, otherwise: Run, usual: Run) -> Remedy:
-    return Remedy(words, otherwise.errors, *otherwise.change_from(usual))
 
 
 def _protocols(kind: Kind) -> Iterator[tuple[str, Protocol]]:
@@ -134,7 +192,7 @@ def _motor_mean(kind: Kind) -> np.ndarray:
     """Return the motors' raw field per ampere, (3,), as the likeliest explanation with it has it."""
     best = max((b for b in kind.beliefs if "motor_current" in b.effects), key=lambda b: b.weight)
     at = best.places[best.effects.index("motor_current")]
-    return kind.motor_mgauss + best.mean[15:18] + best.mean[at : at + 3]
+    return kind.motor_mgauss + best.mean[MOTOR] + best.mean[at : at + 3]
 
 
 def _notes(kind: Kind, diagnosis: Diagnosis | Stored) -> Iterator[str]:

@@ -1,15 +1,15 @@
-"""Exact traces in the numbers themselves: repeated readings and coarse steps."""
+"""Every reading of a compass before any averaging: beside its nominal one, repeated, in coarse steps."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude import integral
+from mavcompass.gap.attitude.kinematics import integral
 from mavcompass.track import Series
 
 _FEWEST_LEVELS, _FEWEST_TOGETHER = 6, 10
@@ -23,6 +23,7 @@ _ALWAYS, _TURNED_RAD = 0.97, math.radians(10.0)
 # Telemetry may come once in a second, and miss one or two.
 _FROZE_S = 4.0
 _BIN_MGAUSS, _MOST_BINS = 0.25, 1 << 18
+_QUIET_SHARE = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,10 +58,7 @@ class Trace:
 
 
 def inspect(
-    field_mgauss: FloatArray,
-    valid: NDArray[np.bool_],
-    time_s: FloatArray,
-    gyro_radps: Series | None = None,
+    field_mgauss: FloatArray, valid: NDArray[np.bool_], time_s: FloatArray, gyro_radps: Series | None = None
 ) -> Trace:
     """Look for repeats and a lattice in readings (N, 3) at some times (N,), before any averaging."""
     same = np.concatenate([[False], (np.diff(field_mgauss, axis=0) == 0.0).all(axis=1)]) & valid
@@ -156,3 +154,43 @@ def _levels(column: FloatArray, step_mgauss: float) -> int:
     """Count the steps on which more than a few readings lie."""
     _, counts = np.unique(np.round(column / step_mgauss), return_counts=True)
     return int((counts >= max(_WORTH_A_LEVEL * column.size, 2.0)).sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """Hold what single readings tell.
+
+    Attributes:
+        time_s: (M,), repeats of a slow compass left out.
+        error_mgauss: raw less nominal, (M, 3). nominal_mgauss: (M, 3).
+        valid: readings with a reference, (M,).
+        quiet: of these, with both neighbours, the ones while the field hardly turns: what is late, averaged
+            or repeated by nature scatters while the vehicle turns.
+    """
+
+    time_s: FloatArray
+    error_mgauss: FloatArray
+    nominal_mgauss: FloatArray
+    valid: NDArray[np.bool_]
+    quiet: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, time_s: FloatArray, raw: FloatArray, nominal: FloatArray, valid: NDArray[np.bool_]
+    ) -> Readings:
+        """Compare readings (M, 3) with their nominal simulation."""
+        turning = np.linalg.norm(np.gradient(nominal, time_s, axis=0), axis=1)
+        slow = turning <= np.quantile(turning[valid], _QUIET_SHARE) if valid.any() else valid
+        quiet = valid & slow
+        quiet[1:-1] &= (valid & slow)[:-2] & (valid & slow)[2:]
+        quiet[[0, -1]] = False
+        return cls(time_s, raw - nominal, nominal, valid, quiet)
+
+    @property
+    def period_s(self) -> float:
+        """Return the usual time between readings, seconds."""
+        return float(np.median(np.diff(self.time_s)))
+
+    def without(self, change_mgauss: FloatArray) -> Readings:
+        """Take an effect's part (M, 3) out of the readings."""
+        return replace(self, error_mgauss=self.error_mgauss - change_mgauss)

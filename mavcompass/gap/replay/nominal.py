@@ -16,41 +16,40 @@ from numpy.typing import NDArray
 from mavcompass.earth_field import middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
-from mavcompass.gap.attitude import (
+from mavcompass.gap.attitude.reference import (
     SLOWEST_GYRO_S,
     UNKNOWN_YAW_RAD,
     Choice,
     Reference,
     reference_attitude,
-    second_derivative,
 )
-from mavcompass.gap.replay.in_force import KnownIron, calibration_in_force, known_iron, load_of
-from mavcompass.gap.replay.integrity import Trace
-from mavcompass.gap.replay.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
+from mavcompass.gap.replay.integrity import Readings, Trace
 from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import (
     AGE,
     AGE_SIGMA_S,
     USUAL_AGE_S,
     WORLD_FIELD,
+    KnownIron,
     Nuisance,
+    calibration_in_force,
+    known_iron,
+    load_of,
     reference_attitude_error,
 )
-from mavcompass.gap.replay.present import present_in
-from mavcompass.gap.replay.readings import Readings
-from mavcompass.gap.replay.rows import (
-    averaged,
-    compass_rows,
-    middles,
-    shared_period_s,
-    swing,
-    unbroken,
+from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing, unbroken
+from mavcompass.gap.replay.whereabouts import (
+    UNKNOWN_SIGMA_MGAUSS,
+    goes_about,
+    place_scatter_m,
+    position_of,
+    present_in,
+    world_field,
 )
-from mavcompass.gap.replay.whereabouts import goes_about, place_scatter_m, position_of
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.effects.sampling import thinned
-from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning
+from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning, ideal
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -90,7 +89,6 @@ class Replay:
         doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
             noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
         loads_every_s: how often the loads were recorded.
-        taken_mgauss: rms of what was taken out of the rows.
         notes: what a reader of the result must know.
     """
 
@@ -116,7 +114,6 @@ class Replay:
     place_scatter_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     doubtful: Mapping[Group, SensorNoise] = field(default_factory=dict)
     loads_every_s: float = 0.0
-    taken_mgauss: float = 0.0
 
     @property
     def time_s(self) -> FloatArray:
@@ -135,7 +132,6 @@ class Replay:
             measured=replace(self.measured, mag_mgauss=self.measured.mag_mgauss - change),
             corrected_mgauss=corrected,
             readings=self.readings.without(change_mgauss),
-            taken_mgauss=math.hypot(self.taken_mgauss, float(np.sqrt(np.mean(change[self.valid] ** 2)))),
         )
 
 
@@ -202,12 +198,7 @@ def replay(
     acc = _column(track.acc_mps2, time_s, rows.width)
     gyro = _column(track.gyro_radps, time_s, rows.width)
     measured = Reading(raw, acc, gyro)
-    stimulus = _with_linear_acceleration(stimulus, acc, reference)
-    ideal = Reading(
-        rotate_back(stimulus.rotation, stimulus.field_ned_mgauss),
-        stimulus.specific_force_mps2,
-        stimulus.rate_radps,
-    )
+    nominal = ideal(stimulus)
     independent = reference.kind == "columns"
     about = goes_about(position, track, reference)
     present = present_in(stimulus, reference, about, reference.known & usable)
@@ -222,24 +213,20 @@ def replay(
     motion_note: tuple[str, ...] = ()
     for name, values in inertial:
         if independent and np.isfinite(values[valid]).all() and np.abs(values).sum() > 0.0:
-            off = np.median(np.abs(values - (ideal.acc_mps2 if name == "acc" else ideal.gyro_radps))[valid])
+            off = np.median(
+                np.abs(values - (nominal.acc_mps2 if name == "acc" else nominal.gyro_radps))[valid]
+            )
             if name == "acc" and off > _UNKNOWN_MOTION_MPS2:
                 motion_note = ("The accelerometer feels motion that the recording does not tell: left out.",)
                 continue
             groups = (*groups, name)
     return Replay(
-        signals=Signals(stimulus, ideal),
+        signals=Signals(stimulus, nominal),
         measured=measured,
         valid=valid,
         groups=groups,
         nuisances=_nuisances(
-            reference,
-            stimulus,
-            raw if corrected is None else corrected,
-            sigma,
-            rows.telemetry,
-            valid,
-            told_s,
+            reference, stimulus, raw if corrected is None else corrected, sigma, rows.telemetry, valid, told_s
         ),
         present=present,
         reference=reference,
@@ -250,7 +237,7 @@ def replay(
         notes=(*track.notes, *reference.notes, *field_notes, *motion_note),
         corrected_mgauss=corrected,
         iron=iron,
-        nominal_mgauss=iron.raw(ideal.mag_mgauss),
+        nominal_mgauss=iron.raw(nominal.mag_mgauss),
         readings=readings,
         averaged=rows.width,
         late_s=told_s,
@@ -337,24 +324,6 @@ def _stimulus(
         motors=motors,
         turning=turning,
     )
-
-
-def _with_linear_acceleration(stimulus: Stimulus, acc: FloatArray, reference: Reference) -> Stimulus:
-    """Add the acceleration of the recorded path, where that explains the accelerometer better."""
-    position = stimulus.position_ned_m
-    known = np.isfinite(position).all(axis=1) & np.isfinite(acc).all(axis=1) & reference.known
-    if reference.kind != "columns" or known.sum() < 0.9 * len(position):
-        return stimulus
-    step = float(np.median(np.diff(stimulus.time_s)))
-    window = max(5, 2 * round(0.08 / step) + 1)
-    path = np.stack(
-        [np.interp(stimulus.time_s, stimulus.time_s[known], p[known]) for p in position.T], axis=1
-    )
-    linear = second_derivative(path, window, step)
-    moving = stimulus.specific_force_mps2 + rotate_back(stimulus.rotation, linear)
-    at_rest_error = np.median(np.abs(acc - stimulus.specific_force_mps2)[known])
-    moving_error = np.median(np.abs(acc - moving)[known])
-    return replace(stimulus, specific_force_mps2=moving) if moving_error < 0.9 * at_rest_error else stimulus
 
 
 def _nuisances(

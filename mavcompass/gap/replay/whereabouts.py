@@ -1,4 +1,4 @@
-"""How far a receiver's places may be off, and how that wanders: what belongs to a place is found by them.
+"""The world about a recording: the field at its place, how far its places may be off, what it contains.
 
 A receiver tells velocities of its own, from the Doppler shift. What its places move against the way that
 these make is a bound of their wander, an Ornstein-Uhlenbeck process with the memory of the atmosphere's
@@ -8,13 +8,21 @@ delays.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude import Reference, integral, local_position
+from mavcompass.earth_field import decimal_year, earth_field, middle_place
+from mavcompass.errors import BadRecording
+from mavcompass.frames import FloatArray, rotate
+from mavcompass.gap.attitude.kinematics import integral
+from mavcompass.gap.attitude.receiver import local_position
+from mavcompass.gap.attitude.reference import Reference
 from mavcompass.gap.attitude.scatter import white_scatter
-from mavcompass.track import Series, Track
+from mavcompass.gap.replay.rows import FEWEST_ROWS
+from mavcompass.simulation.physics.signals import Stimulus
+from mavcompass.track import Series, Track, uncut
 
 _MEMORY_S = 60.0
 # How long places are compared with the way of the velocities, whose own errors would take over.
@@ -24,6 +32,18 @@ _LEAST_M, _MOST_M = 0.05, 3.0
 # Standard deviations of a path beside which the errors of a position are small.
 _LEAST_PATH_M, _LEAST_RECEIVED_PATH_M = 0.05, 1.5
 _LEAST_TOLD_PATH_M, _BEYOND_WANDER = 0.5, 3.0
+_TURNING_RAD = math.radians(25.0)
+_TILT_RAD = math.radians(4.0)
+_LEAST_CLIMB_M = 4.0
+# What a load must at least vary by to be told from everything else that happens meanwhile.
+_LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
+UNKNOWN_SIGMA_MGAUSS = 300.0
+# What rocks and buildings add to the world model, as a share of the field.
+ANOMALY_SHARE = 0.01
+_LOCAL_SIGMA_MGAUSS = 0.7
+_STEADY_MGAUSS = 3.0
+_AGREES_MGAUSS = 8.0
+_YEAR_WHERE_UNKNOWN = 2026.5
 
 
 def place_scatter_m(position_m: Series | None) -> FloatArray:
@@ -74,3 +94,100 @@ def goes_about(position: Series | None, track: Track, reference: Reference) -> b
     wander = wander_m(position, track.gps_velocity_mps)
     least = math.inf if wander is None else np.maximum(_BEYOND_WANDER * wander, _LEAST_TOLD_PATH_M)
     return bool((spread > np.minimum(least, _LEAST_RECEIVED_PATH_M)).any())
+
+
+def present_in(
+    stimulus: Stimulus, reference: Reference, goes_about: bool, valid: NDArray[np.bool_]
+) -> frozenset[str]:
+    """List what a recording contains of the needs of effects, its `valid` rows (N,) of motion.
+
+    `goes_about` tells whether its path is longer than the errors of its places.
+    """
+    present = set()
+    for name, values in stimulus.loads.items():
+        if np.isfinite(values).any() and float(np.ptp(values[np.isfinite(values)])) > _LEAST_RANGE[name]:
+            present.add(name)
+    if stimulus.motors.size and float(np.ptp(stimulus.motors, axis=0).max()) > _LEAST_RANGE["throttle"]:
+        present.add("motors")
+    if goes_about:
+        present.add("position")
+    if float(np.ptp(stimulus.position_ned_m[:, 2])) > _LEAST_CLIMB_M:
+        present.add("height")
+    rotation = stimulus.rotation[valid]
+    if len(rotation):
+        ahead = rotation[:, :2, 0] / np.maximum(np.linalg.norm(rotation[:, :2, 0], axis=1), 1e-9)[:, None]
+        if float(np.hypot(*np.mean(ahead, axis=0))) < math.cos(_TURNING_RAD):
+            present.add("turning")
+        spread = np.sqrt(np.var(rotation[:, 2, 0]) + np.var(rotation[:, 2, 1]))
+        if spread > math.sin(_TILT_RAD):
+            present.add("tilt")
+    if reference.kind == "columns":
+        present.add("reference")
+    return frozenset(present)
+
+
+def world_field(
+    track: Track, instance: int, time_s: FloatArray, reference: Reference, raw: FloatArray
+) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
+    """Return the field in NED, its sigma, and what to say about it."""
+    if track.place is not None and np.isfinite(track.place.values).all(axis=1).any():
+        lat, lon, alt = middle_place(track.place.values)
+        year = decimal_year(track.utc_offset_s) if track.utc_offset_s else _YEAR_WHERE_UNKNOWN
+        earth = earth_field(round(lat, 5), round(lon, 5), round(alt, 1), round(year, 3))
+        refined = _measured_by_others(track, instance, time_s, reference, earth.vector_mgauss)
+        if refined is not None:
+            note = "The vehicle's other compasses agree with the world model; they give the local field."
+            return (
+                refined,
+                np.array([_LOCAL_SIGMA_MGAUSS, earth.sigma_mgauss[1], _LOCAL_SIGMA_MGAUSS]),
+                (note,),
+            )
+        return earth.vector_mgauss, _with_anomaly(earth.vector_mgauss, earth.sigma_mgauss, reference), ()
+    rows = reference.known & np.isfinite(raw).all(axis=1)
+    if not rows.any():
+        raise BadRecording(
+            "The attitude reference and the compass never speak at the same time.",
+            "Choose another with --reference, or record both together.",
+        )
+    field = np.median(rotate(reference.rotation[rows], raw[rows]), axis=0)
+    note = (
+        "The recording does not say where it was made: the field is estimated from it, so that the field's"
+        " intensity, inclination and declination cannot be judged."
+    )
+    return field, np.full(3, UNKNOWN_SIGMA_MGAUSS), (note,)
+
+
+def _with_anomaly(field: FloatArray, sigma: Sequence[float], reference: Reference) -> FloatArray:
+    """Return the sigma of the world model with what rocks and buildings add to it.
+
+    Beside an independent attitude (a laboratory's) such an anomaly shows itself, and is judged as a cause.
+    """
+    anomaly = 0.0 if reference.kind == "columns" else ANOMALY_SHARE * float(np.linalg.norm(field))
+    return np.hypot(np.asarray(sigma), anomaly)
+
+
+def _measured_by_others(
+    track: Track, instance: int, time_s: FloatArray, reference: Reference, model: FloatArray
+) -> FloatArray | None:
+    """Return the local field as at least two other, calibrated compasses measure it.
+
+    They count where each sees a constant field and its level and vertical parts agree with the model's;
+    the declination stays the model's, since yaw may come from a compass.
+    """
+    seen = []
+    level = float(np.hypot(model[0], model[1]))
+    for number, compass in track.compasses.items():
+        if number == instance or not compass.correction_known or len(compass.reported) < FEWEST_ROWS:
+            continue
+        values = uncut(compass.reported.values, compass.quantum_mgauss * compass.truncated)
+        world = rotate(
+            reference.rotation[reference.known], Series.of(compass.time_s, values).at(time_s)[reference.known]
+        )
+        parts = np.array([np.median(np.hypot(world[:, 0], world[:, 1])), np.median(world[:, 2])])
+        spread = 1.4826 * np.median(np.abs(np.hypot(world[:, 0], world[:, 1]) - parts[0]))
+        if spread < _STEADY_MGAUSS and np.abs(parts - (level, model[2])).max() < _AGREES_MGAUSS:
+            seen.append(parts)
+    if len(seen) < 2 or float(np.ptp(np.array(seen), axis=0).max()) > 2.0 * _LOCAL_SIGMA_MGAUSS:
+        return None
+    horizontal, down = np.mean(seen, axis=0)
+    return np.array([model[0] * horizontal / level, model[1] * horizontal / level, down])

@@ -9,6 +9,8 @@ place is strained (its Mahalanobis distance from the prior); T >= 1 is the overd
 of the recording contradict each other about what the fullest set has more than none; d parameters cost
 Schwarz's a ln n each (Annals of Statistics 6, 1978), k effects their prior odds, b. Both are learnt
 (`params/gap`).
+
+What a search found, and what the criterion chose of it.
 """
 
 from __future__ import annotations
@@ -18,7 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.gap.fit import Fit, Found, Search
+from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.fit.search import Found, Search
+from mavcompass.gap.selection.split import Split
 
 # So many of the cheapest sets are fitted to the end, but none that costs so much more than the cheapest.
 _REFITTED, _HOPELESS = 8, 100.0
@@ -73,9 +78,7 @@ class Posterior:
         return [e for e in self.explanations[1:] if e.fit.terms and not self.restates(e)]
 
     def without(self, effect_id: str) -> float:
-        """Return by how many sigmas the best set without an effect falls short of the best one; 0 where it
-        does
-        not."""
+        """Return by how many sigmas the best set without an effect falls short of the best one, or 0."""
         others = [e.cost for e in self.explanations if effect_id not in e.fit.ids]
         return math.sqrt(max(min(others, default=math.inf) - self.best.cost, 0.0))
 
@@ -117,3 +120,20 @@ def posterior_of(search: Search, found: Found) -> Posterior:
         apart = float(np.sum(problem.shift(problem.predict(fit), here) ** 2)) if near else math.inf
         explanations.append(Explanation(fit, cost(fit), apart, problem.strain(fit)))
     return Posterior(tuple(explanations), spread)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identified:
+    """Hold the best set as fitted to the training rows of a split, and how it was found.
+
+    `first` is the problem that the sets were explored and weighed on (a change inside a held-out block
+    moves rows afterwards).
+    """
+
+    problem: Problem
+    split: Split
+    found: Found
+    fit: Fit
+    search: Search
+    first: Problem
+    posterior: Posterior

@@ -9,8 +9,10 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES
-from mavcompass.gap.fit import Fit, Mask, Problem, Term
-from mavcompass.gap.replay import TELEMETRY_AGE, Replay
+from mavcompass.gap.fit.hypothesis import Fit, Mask, Term
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import TELEMETRY_AGE
 from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S, PLACED, SMOOTHING
 
 _BIN_S = 0.25
@@ -73,44 +75,31 @@ def transients(problem: Problem, fit: Fit, when_s: Sequence[float]) -> Mask:
     return aside
 
 
-def switched_field(problem: Problem, term: Term, theta: FloatArray) -> FloatArray:
-    """Return the field (N, 3) of something that is switched, zero where it is off."""
-    unread = problem.replay.signals.with_mag(np.zeros((problem.replay.time_s.size, 3)))
-    return term.effect.forward(unread, theta, {}, None).reading.mag_mgauss
-
-
-def between(problem: Problem, fit: Fit) -> Mask:
-    """Tell which rows (N,) are so near to a switching as it is known that they may be of both on and off."""
-    time = problem.replay.time_s
-    rows: Mask = np.zeros(time.size, dtype=np.bool_)
-    late = fit.value(LAG) or 0.0
-    for nuisance, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True):
-        late += theta[0] if nuisance.effect.id == TELEMETRY_AGE else 0.0
-    for term, theta in zip(fit.terms, fit.thetas, strict=True):
-        if term.effect.switched:
-            field = switched_field(problem, term, theta)
-            last = np.flatnonzero(np.diff(np.abs(field).max(axis=1)))
-            when = 0.5 * (time[last] + time[last + 1]) + late
-            width = max(float(np.median(np.diff(time))), problem.replay.loads_every_s, _LOAD_S)
-            # What is smoothed goes on for as long as that takes.
-            width += _SETTLED * (fit.value(SMOOTHING) or 0.0)
-            at = np.searchsorted(when, time)
-            for beside in (np.append(when, np.inf)[at], np.insert(when, 0, -np.inf)[at]):
-                rows |= np.abs(time - beside) < width
-    return rows
-
-
 def switched(problem: Problem, fit: Fit) -> Mask:
-    """Tell which rows (N,) something that is switched may share between on and off.
+    """Tell which rows (N,) are so near to a switching as it is known that they may be of both on and off.
 
     A reading is the mean of some time, and the load is known at some times: when it was switched between
     two of them, or there and back again, nobody recorded. Where hardly a row is clear of that, none is told.
     """
-    rows = between(problem, fit)
+    replay, time = problem.replay, problem.replay.time_s
+    rows: Mask = np.zeros(time.size, dtype=np.bool_)
+    late = (fit.value(LAG) or 0.0) + float(problem.values(fit).get(TELEMETRY_AGE, np.zeros(1))[0])
+    fields: list[tuple[FloatArray, FloatArray]] = []
+    width = max(float(np.median(np.diff(time))), replay.loads_every_s, _LOAD_S)
+    # What is smoothed goes on for as long as that takes.
+    width += _SETTLED * (fit.value(SMOOTHING) or 0.0)
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
         if term.effect.switched:
-            field = switched_field(problem, term, theta)
-            rows |= _other_way(problem, fit, field, np.asarray(theta[:3]), rows)
+            unread = replay.signals.with_mag(np.zeros((time.size, 3)))
+            field = term.effect.forward(unread, theta, {}, None).reading.mag_mgauss
+            last = np.flatnonzero(np.diff(np.abs(field).max(axis=1)))
+            when = 0.5 * (time[last] + time[last + 1]) + late
+            at = np.searchsorted(when, time)
+            for beside in (np.append(when, np.inf)[at], np.insert(when, 0, -np.inf)[at]):
+                rows |= np.abs(time - beside) < width
+            fields.append((field, theta[:3]))
+    for field, own in fields:
+        rows |= _other_way(problem, fit, field, own, rows)
     return rows if rows[problem.usable].mean() < _MOST_SWITCHED else np.zeros_like(rows)
 
 

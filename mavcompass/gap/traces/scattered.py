@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay import Readings
+from mavcompass.gap.replay.integrity import Readings
 
 # How much larger than a baseline's the variance of the scatter must be where noise is not known in detail,
 # and where a vehicle circles evenly: readings of one that is never quiet scatter by nature.

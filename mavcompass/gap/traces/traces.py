@@ -1,27 +1,168 @@
-"""All that single readings tell, together."""
+"""All that single readings tell, together: repeats, steps of the numbers, what changes with each, scatter."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from mavcompass.gap.replay import Replay
+import numpy as np
+
+from mavcompass.frames import FloatArray
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.result import Cause
 from mavcompass.gap.traces.rapid import Rapid, find_rapid
 from mavcompass.gap.traces.scattered import burst_mgauss, excess_variance
-from mavcompass.gap.traces.steps_and_repeats import (
-    names_stale,
-    names_step,
-    stale_doubt,
-    stale_share,
-    told_step,
-)
 from mavcompass.simulation.effects import Effect, detected_by
 
+# MAVLink's messages and ArduPilot's parameters count whole milligauss.
+_USUAL_STEP_MGAUSS = 1.0 + 1e-6
+_REPEATS_WORTH_NAMING = 0.003
+# A sensor's steps are told from those of the messages only where they are far coarser: in units of the noise
+# that rounding to the messages' makes.
+_MUCH_COARSER = 14.0
+# Autopilots read their compass ten times a second and repeat it meanwhile; a rest may look like a repeat.
+# While the field changes by this, or the vehicle turns so far, a live sensor changes too.
+_MOVED_MGAUSS, _TURNED_RAD = 5.0, math.radians(2.0)
+_TELEMETRY_HOLDS_S, _FAR_LONGER = 0.3, 1.5
+# New readings come as they do in the baseline: so many of its steps, of as many messages, and what is more.
+_FEWEST_NEW, _SAME_RHYTHM, _LOST, _NEARLY_ALL, _FAR_MORE = 100, 0.1, 1.5, 0.995, 3.0
+# In units of the noise that rounding makes: two whole numbers.
+_CHANGED = 7.0
+_MISSED_TWICE = 3
+# Messages as often as readings fall beside them now and then: one reading in two of them.
+_SEEN_TWICE_S = 0.2
 # An effect of less than this share of the floor lifts nothing above it.
 _MATERIAL = 0.75
 # Less than this share of what was taken out may be what the times of its readings make of it.
 _OF_RAPID = 0.5
 _MOST_RAPID = 2
+
+
+def names_stale(replay: Replay, baseline: Replay | None) -> bool:
+    """Tell whether the repeats are an effect: more than by chance, than the baseline's, than telemetry's."""
+    if replay.telemetry:
+        return stale_share(replay, baseline) > _REPEATS_WORTH_NAMING
+    found, nominal = replay.trace, baseline.trace if baseline is not None else None
+    expected = nominal.stale_share if nominal is not None else 0.0
+    coarse = found.step_mgauss > 0.0 or replay.resolution_mgauss > 0.0
+    if coarse and (baseline is None or _steps_of(replay) != _steps_of(baseline)):
+        # Coarse numbers repeat by chance, and no baseline tells how often.
+        return False
+    count = found.stale.size
+    noise = math.sqrt(max(expected * (1.0 - expected), 1.0 / count) / count)
+    return found.stale_share > max(_REPEATS_WORTH_NAMING, expected + 5.0 * noise)
+
+
+def stale_share(replay: Replay, baseline: Replay | None) -> float:
+    """Return the share of readings that only repeat the one before, beyond what telemetry does by nature."""
+    if not replay.telemetry:
+        return replay.trace.stale_share
+    return max(_frozen_share(replay, baseline), _overdue_share(replay, baseline))
+
+
+def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
+    """Return the share of time in which readings stayed far longer than they do in a healthy vehicle.
+
+    Only where the gyro turned meanwhile, and the next reading jumps: a compass without noise that stands
+    still repeats itself for as long, and coarse numbers for as long as the field stays within their step.
+    """
+    trace = replay.trace
+    usual = _TELEMETRY_HOLDS_S
+    if baseline is not None and baseline.telemetry and baseline.trace.held_s.size:
+        usual = max(
+            float(baseline.trace.held_s.max()), _SEEN_TWICE_S, 0.5 * float(np.median(np.diff(replay.time_s)))
+        )
+    # Coarse numbers change only with the field, and how the last one would have changed nobody knows.
+    steps = 2.0 * trace.step_mgauss
+    missed = trace.jump_mgauss > max(_MOVED_MGAUSS, steps)
+    if steps > _MOVED_MGAUSS:
+        missed &= np.isfinite(trace.jump_mgauss)
+    held = trace.held_s[missed & (trace.turned_rad > _TURNED_RAD) & (trace.held_s > _FAR_LONGER * usual)]
+    span = float((trace.fresh_s + trace.held_s).max(initial=replay.time_s[-1]) - replay.time_s[0])
+    return min(float(held.sum()) / max(span, 1e-9), 1.0)
+
+
+def _overdue_share(replay: Replay, baseline: Replay | None) -> float:
+    """Return the share of readings that did not come when the baseline's compass always has a new one.
+
+    Of messages in the same rhythm alone, and only where that is far more often than in the baseline.
+    """
+    if baseline is None or not baseline.telemetry or _steps_of(replay) != _steps_of(baseline):
+        return 0.0
+    (now, step), (before, usual_step) = _between_new(replay), _between_new(baseline)
+    if min(now.size, before.size) < _FEWEST_NEW or abs(step / usual_step - 1.0) > _SAME_RHYTHM:
+        return 0.0
+    longest = max(float(np.quantile(before, _NEARLY_ALL)) + 0.5 * usual_step, 1.5 * float(before.mean()))
+    usual = (float(np.sum(before > longest)) + 1.0) / before.size
+    late = float(np.mean(now > longest))
+    if late < _FAR_MORE * usual + 5.0 * math.sqrt(usual / now.size):
+        return 0.0
+    # A sensor about as fast as its messages drifts against them: it misses one now and then, never two.
+    if np.sum(now > longest + usual_step) < _MISSED_TWICE:
+        return 0.0
+    return max(1.0 - float(before.mean()) / float(now.mean()), 0.0)
+
+
+def _between_new(replay: Replay) -> tuple[FloatArray, float]:
+    """Return the times between new readings, before which no message was lost, and between messages.
+
+    Whole numbers repeat by chance where the field hardly changes: there they say nothing.
+    """
+    trace, nominal = replay.trace, replay.readings.nominal_mgauss
+    between = np.diff(trace.fresh_s)
+    if between.size < _FEWEST_NEW or len(nominal) != trace.fresh_s.size:
+        return np.zeros(0), 1.0
+    silent = between - trace.held_s[:-1]
+    step = float(np.median(silent))
+    changed = np.abs(np.diff(nominal, axis=0)).max(axis=1) * float(np.median(between)) / between
+    told = (silent < _LOST * step) & (changed >= _CHANGED * replay.resolution_mgauss)
+    return between[told], step
+
+
+def _steps_of(replay: Replay) -> tuple[float, float]:
+    return replay.trace.step_mgauss, replay.resolution_mgauss
+
+
+def told_step(replay: Replay) -> tuple[float, float]:
+    """Return the step of the numbers and its sigma, mG: levels against how many steps they are.
+
+    What rounding makes of a level it makes of each reading there: a level counts once.
+    """
+    step, readings = replay.trace.step_mgauss, replay.readings
+    raw = (readings.error_mgauss + readings.nominal_mgauss)[readings.valid]
+    levels, means = [], []
+    for column in raw.T:
+        level, which, size = np.unique(
+            np.round((column - column[0]) / step), return_inverse=True, return_counts=True
+        )
+        mean = np.bincount(which, column) / size
+        levels.append(level - level.mean())
+        means.append(mean - mean.mean())
+    count, field = np.concatenate(levels), np.concatenate(means)
+    square, free = float(count @ count), count.size - 4
+    if free < 1:
+        return step, step
+    fitted = float(field @ count) / square
+    return fitted, math.sqrt(float(np.sum((field - fitted * count) ** 2)) / free / square)
+
+
+def stale_doubt(replay: Replay, share: float) -> float:
+    """Return the sigma of a share of readings that repeat, each by chance."""
+    count = replay.trace.fresh_s.size / max(1.0 - share, 1e-3)
+    return math.sqrt(share * (1.0 - share) / max(count, 1.0))
+
+
+def names_step(replay: Replay, baseline: Replay | None, noise_mgauss: float) -> bool:
+    """Tell whether the step of the numbers is an effect: coarse beside the noise, and not nominal."""
+    found, nominal = replay.trace, baseline.trace if baseline is not None else None
+    if found.step_mgauss <= _MUCH_COARSER * replay.resolution_mgauss:
+        return False
+    if found.step_mgauss <= _USUAL_STEP_MGAUSS:
+        return False
+    if nominal is not None and nominal.step_mgauss > 0.9 * found.step_mgauss:
+        return False
+    return found.step_mgauss > 0.5 * noise_mgauss
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,8 +171,7 @@ class Traces:
 
     Attributes:
         stale_share: the share of repeats; step_mgauss: the step of the numbers; zero where not to be named.
-        stale_doubt, step_doubt_mgauss: their standard deviations.
-        rapid: effects that change with every reading, and were taken out.
+        rapid: effects that change with every reading, and were taken out. causes: all that is to be named.
         excess_mgauss2: the variance of white scatter beyond the baseline's, of single readings.
         unexplained: the coordinate of what single readings show beyond the baseline's and the floor, and what
             no name is for: "time" of bursts, "frequency" of a line that may not be named, or none.
@@ -41,14 +181,8 @@ class Traces:
     step_mgauss: float = 0.0
     rapid: tuple[Rapid, ...] = ()
     excess_mgauss2: float = 0.0
-    stale_doubt: float = 0.0
-    step_doubt_mgauss: float = 0.0
     unexplained: str = ""
-
-    @property
-    def named(self) -> bool:
-        """Tell whether something is to be named."""
-        return self.stale_share > 0.0 or self.step_mgauss > 0.0 or bool(self.rapid)
+    causes: tuple[Cause, ...] = ()
 
 
 def find_traces(
@@ -84,11 +218,19 @@ def find_traces(
     rapid = named
     for one in rapid:
         replay = replay.without(one.change_mgauss)
-    stale = stale if detected_by("repeats").id in names else 0.0
-    step = step if detected_by("steps").id in names else 0.0
+    repeats, steps, causes = detected_by("repeats"), detected_by("steps"), list[Cause]()
+    stale = stale if repeats.id in names else 0.0
+    step = step if steps.id in names else 0.0
+    if stale > 0.0:
+        name = repeats.names[0]
+        causes.append(Cause.told(repeats.id, {name: stale}, {name: stale_doubt(replay, stale)}))
+    if step > 0.0:
+        name = steps.names[0]
+        causes.append(Cause.told(steps.id, {name: step}, {name: step_doubt}, step / math.sqrt(12.0)))
+    causes += [Cause.told(r.effect, r.parameters, r.sigma, math.sqrt(r.variance_mgauss2)) for r in rapid]
     if before is not None and burst_mgauss(readings, before) > _MATERIAL * floor_mgauss:
         unexplained = "time"
-    return Traces(stale, step, rapid, excess, stale_doubt(replay, stale), step_doubt, unexplained), replay
+    return Traces(stale, step, rapid, excess, unexplained, tuple(causes)), replay
 
 
 def searched(replay: Replay, effects: Iterable[Effect]) -> list[Effect]:

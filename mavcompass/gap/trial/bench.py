@@ -10,23 +10,26 @@ from typing import cast
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Problem
-from mavcompass.gap.replay import Prior, group_values, replay
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.replay.noise import group_values
+from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.replay.nuisance import Prior
 from mavcompass.gap.trial.cases import (
     CASE_NOISE,
     MOTIONS,
+    SHARES,
+    Label,
     Motion,
     Recipe,
+    Tier,
     affected,
-    ideal,
     noisy,
     stimulus_of,
     to_track,
 )
-from mavcompass.gap.trial.label import SHARES, Label, Tier
 from mavcompass.simulation.effects import Distortion, Effect, Setting, catalogue, parse, spell
 from mavcompass.simulation.effects.effect import GROUPS, MOMENTS, Parameter, Stage
-from mavcompass.simulation.physics.signals import Stimulus
+from mavcompass.simulation.physics.signals import Stimulus, ideal
 from mavcompass.track import Track
 
 _SIZES = (6.0, 150.0)
@@ -37,12 +40,7 @@ _NEVER_NAMED = frozenset({"bias_random_walk"})
 
 def usable_effects(stimulus: Stimulus) -> list[Effect]:
     """List the effects that a motion can show at all."""
-    loads = {
-        "current": stimulus.current_a,
-        "throttle": stimulus.throttle,
-        "temperature": stimulus.temperature_degc,
-    }
-    varied = {name for name, values in loads.items() if float(np.ptp(values)) > 3.0e-1}
+    varied = {name for name, values in stimulus.loads.items() if float(np.ptp(values)) > 3.0e-1}
     if float(np.ptp(stimulus.motors, axis=0).max()) > 0.05:
         varied.add("motors")
     if float(np.ptp(stimulus.position_ned_m, axis=0).max()) > 0.2:

@@ -1,4 +1,4 @@
-"""Recordings with a known cause, for the self-examination: motion, sensors, noise and effects.
+"""Recordings with a known cause, for the self-examination: labels, motion, sensors, noise and effects.
 
 The motions are three: level turns in steps of 90 degrees with dwells; figures of eight with some bank;
 a rich one that tumbles, works the throttle, warms up and cools down, and moves about.
@@ -9,19 +9,28 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, euler_to_matrix, euler_to_quaternion, rotate_back
-from mavcompass.gap.attitude import body_rate
-from mavcompass.gap.replay import Noise, SensorNoise, group_values
+from mavcompass.frames import FloatArray, euler_to_matrix, euler_to_quaternion
+from mavcompass.gap.attitude.reference import body_rate
+from mavcompass.gap.replay.noise import Noise, SensorNoise, group_values
 from mavcompass.simulation.effects import Distortion, Setting
 from mavcompass.simulation.effects.effect import GROUPS, Group, Stage
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Stimulus, ideal
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
+Generator = Literal["bench", "vehicles", "another"]
+Tier = Literal["none", "single", "pair", "withheld", "outside"]
+GENERATORS: tuple[Generator, ...] = get_args(Generator)
+TIERS: tuple[Tier, ...] = get_args(Tier)
+SHARES: dict[Generator, dict[Tier, float]] = {
+    "bench": {"none": 0.35, "single": 0.35, "pair": 0.15, "withheld": 0.15},
+    "vehicles": {"none": 0.3, "single": 0.3, "pair": 0.15, "withheld": 0.1, "outside": 0.15},
+    "another": {"none": 0.3, "single": 0.5, "pair": 0.2},
+}
 Motion = Literal["yaw-steps", "figure-8", "rich"]
 MOTIONS: tuple[Motion, ...] = ("yaw-steps", "figure-8", "rich")
 PLACE = (47.3977, 8.5456, 488.0)
@@ -37,6 +46,26 @@ CASE_NOISE: Noise = {
     )
     for group, (sigma, rho) in _NOISE.items()
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """Hold what is true of a case: tier, motion, the effects as `NAME:param=value,...`, their size in sigmas.
+
+    The size is nan where it is only known beside the diagnosis's own noise (vehicles), until it is scored.
+    """
+
+    tier: Tier
+    motion: str
+    seed: int
+    effects: tuple[str, ...]
+    size_sigma: float = math.nan
+    generator: Generator = "bench"
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Return the names of the effects, sorted."""
+        return tuple(sorted(text.partition(":")[0] for text in self.effects))
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,15 +145,6 @@ def stimulus_of(recipe: Recipe) -> Stimulus:
 
     field = earth_field(*PLACE, round(decimal_year(UTC_S), 3)).vector_mgauss
     return _stimulus(recipe, field, np.random.default_rng([recipe.seed, 1]))
-
-
-def ideal(stimulus: Stimulus) -> Reading:
-    """Return what perfect sensors say."""
-    return Reading(
-        rotate_back(stimulus.rotation, stimulus.field_ned_mgauss),
-        stimulus.specific_force_mps2,
-        stimulus.rate_radps,
-    )
 
 
 def affected(stimulus: Stimulus, settings: Sequence[Setting]) -> Reading:

@@ -1,4 +1,7 @@
-"""Cases of others, vehicles of another make and another simulator, as the trial seals and scores them."""
+"""Cases of others, vehicles of another make and another simulator, as the trial seals and scores them.
+
+Another simulator's columns become tracks by the contract and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -8,30 +11,70 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.frames import FloatArray, quaternion_to_matrix, rotate_back
-from mavcompass.gap.fit import Problem
-from mavcompass.gap.left import from_baseline
-from mavcompass.gap.replay import (
-    REFERENCE_YAW,
-    Prior,
-    averaged,
-    compass_rows,
-    half_testable,
-    replay,
-    shared_period_s,
-    untestable_effects,
-)
-from mavcompass.gap.trial import another
-from mavcompass.gap.trial.label import SHARES, Generator, Label, Tier
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.taught import from_baseline
+from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.replay.nuisance import REFERENCE_YAW, Prior
+from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
+from mavcompass.gap.replay.testable import half_testable, untestable_effects
+from mavcompass.gap.trial.cases import SHARES, Generator, Label, Tier
+from mavcompass.gap.trial.closed_form import UTC_S, Simulated, make
+from mavcompass.gap.trial.closed_form.formulas import quaternion
 from mavcompass.gap.trial.vehicles import VehicleCase, make_case
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Effect, Signals
-from mavcompass.track import Track
+from mavcompass.track import MagSeries, Series, Track
+
+_COUNTS = {"none": 0, "single": 1, "pair": 2}
+# Columns of the contract's Track CSV and where a track has them.
+_VECTORS = {
+    "acc_mps2": tuple(f"acc_{axis}_mps2" for axis in "xyz"),
+    "gyro_radps": tuple(f"gyro_{axis}_radps" for axis in "xyz"),
+    "attitude_rad": ("roll_rad", "pitch_rad", "yaw_rad"),
+    "reference_q": ("ref_qw", "ref_qx", "ref_qy", "ref_qz"),
+    "position_ned_m": ("pos_n_m", "pos_e_m", "pos_d_m"),
+    "place": ("lat_deg", "lon_deg", "alt_m"),
+}
+_SCALARS = ("current_a", "throttle", "temperature_degc")
+
+
+def another_case(seed: int, tier: str) -> VehicleCase:
+    """Make the case of a seed: none, one or two effects, with a flight of the same vehicle before."""
+    made = make(seed, _COUNTS[tier])
+    flight = made.flight
+    return VehicleCase(
+        track=_track(flight, "flight"),
+        baseline=_track(made.baseline, "baseline"),
+        effects=made.effects,
+        clean_nominal_mgauss=flight.plain_mgauss,
+        clean_mgauss=flight.raw_mgauss,
+        description={"vehicle": "another simulator", "motion": made.words},
+    )
+
+
+def _track(simulated: Simulated, name: str) -> Track:
+    columns, time_s = simulated.columns, simulated.time_s
+
+    def stacked(names: tuple[str, ...]) -> FloatArray:
+        return np.stack([columns[column] for column in names], axis=1)
+
+    found = {key: Series.of(time_s, stacked(names)) for key, names in _VECTORS.items() if names[0] in columns}
+    found |= {key: Series.of(time_s, columns[key]) for key in _SCALARS}
+    mag = Series.of(time_s, stacked(tuple(f"mag_{axis}_mgauss" for axis in "xyz")))
+    return Track(
+        source=name,
+        compasses={1: MagSeries(1, mag, correction_known=False)},
+        gps_velocity_mps=Series.of(time_s, simulated.velocity_mps),
+        truth_q=Series.of(time_s, np.stack(quaternion(simulated.angles_rad), axis=1)),
+        utc_offset_s=UTC_S,
+        **found,  # type: ignore[arg-type]
+    )
 
 
 def case_of(generator: Generator, tier: Tier, seed: int) -> VehicleCase:
     """Make the case of a label: one whose cause is withheld is a single one."""
     if generator == "another":
-        return another.make_case(seed, tier)
+        return another_case(seed, tier)
     return make_case(seed, "single" if tier == "withheld" else tier)
 
 
@@ -85,9 +128,7 @@ def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
     stimulus = replace(replayed.signals.stimulus, rotation=rotation)
     reading = replace(replayed.signals.reading, mag_mgauss=rotate_back(rotation, stimulus.field_ned_mgauss))
     exact = replace(
-        replayed,
-        signals=Signals(stimulus, reading),
-        nominal_mgauss=replayed.iron.raw(reading.mag_mgauss),
+        replayed, signals=Signals(stimulus, reading), nominal_mgauss=replayed.iron.raw(reading.mag_mgauss)
     )
     every = list(catalogue().values())
     floor = from_baseline(exact, before, every)

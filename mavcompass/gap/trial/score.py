@@ -15,15 +15,18 @@ from mavcompass.blas import single_thread
 from mavcompass.errors import UsageError
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import withheld_effects
-from mavcompass.gap.fit import Fit, Problem, Search, Term, placements
-from mavcompass.gap.replay import replay
+from mavcompass.gap.fit.hypothesis import Fit, Term, placements
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.fit.search import Search
+from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.trial import bench, foreign
 from mavcompass.gap.trial.bench import recipe_of, tracks_of
-from mavcompass.gap.trial.cases import affected, ideal, stimulus_of
-from mavcompass.gap.trial.label import Label
+from mavcompass.gap.trial.cases import Label, affected, stimulus_of
 from mavcompass.simulation.effects import catalogue, parse
+from mavcompass.simulation.physics.signals import ideal
 
 _NO_NEARER = 0.99
+_NOT_SURE = ("unknown", "ambiguous", "named_with_remainder")
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,6 +265,3 @@ def scoreboard(cases: Sequence[Case]) -> dict[str, tuple[int, int]]:
         "confident wrong names": count(list(cases), lambda c: c.wrong_name),
         "after above nominal": count(list(cases), lambda c: c.answer.after > c.answer.nominal * (1 + 1e-9)),
     }
-
-
-_NOT_SURE = ("unknown", "ambiguous", "named_with_remainder")

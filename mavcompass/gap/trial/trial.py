@@ -13,12 +13,17 @@ from functools import partial
 from mavcompass.chance import wilson
 from mavcompass.errors import UsageError
 from mavcompass.gap.diagnose import diagnose_gap
+from mavcompass.gap.result import plain
 from mavcompass.gap.trial import bench, foreign
-from mavcompass.gap.trial.label import SHARES, Generator, Tier
+from mavcompass.gap.trial.cases import SHARES, Generator, Tier
 from mavcompass.gap.trial.score import Answer, Case, score, scoreboard
 from mavcompass.track import Track
 
 SCHEMA = "mavcompass.gap-trial/1"
+_OF_THE_ANSWER = ("verdict", "effects", "nominal", "after", "shrink", "shrink_ci95", "seconds", "cpu_seconds")
+_OF_THE_CASE = (
+    "separation", "exact", "in_set", "oracle_shrink", "true_shrink", "own_separation", "truth_distance",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,23 +85,10 @@ class Trial:
                     "motion": c.label.motion,
                     "truth": list(c.label.effects),
                     "size_sigma": c.label.size_sigma,
-                    "separation": c.separation,
-                    "verdict": c.answer.verdict,
-                    "effects": list(c.answer.effects),
-                    "exact": c.exact,
-                    "in_set": c.in_set,
                     "verdict_withheld": c.withheld.verdict if c.withheld else None,
                     "effects_withheld": list(c.withheld.effects) if c.withheld else None,
-                    "nominal": c.answer.nominal,
-                    "after": c.answer.after,
-                    "shrink": c.answer.shrink,
-                    "shrink_ci95": list(c.answer.shrink_ci95),
-                    "oracle_shrink": c.oracle_shrink,
-                    "true_shrink": c.true_shrink,
-                    "own_separation": c.own_separation,
-                    "truth_distance": c.truth_distance,
-                    "seconds": c.answer.seconds,
-                    "cpu_seconds": c.answer.cpu_seconds,
+                    **{name: plain(getattr(c.answer, name)) for name in _OF_THE_ANSWER},
+                    **{name: getattr(c, name) for name in _OF_THE_CASE},
                 }
                 for c in self.cases
             ],

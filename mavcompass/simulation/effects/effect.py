@@ -202,7 +202,6 @@ class Effect:
         detector: what shows it by itself, beside or instead of a search over sets.
         daily: what differs from one good flight of a vehicle to the next, in the parameters' unit.
         about_vertical: True for a turn of the world's field about the vertical, which a yaw hides.
-        from_origin: the world's field (3,) that it adds so far (3,) from where it begins to count.
     """
 
     id: str
@@ -226,7 +225,6 @@ class Effect:
     detector: Detector | None = None
     daily: float = 0.0
     about_vertical: bool = False
-    from_origin: Callable[[FloatArray, FloatArray], FloatArray] | None = None
 
     @property
     def switched(self) -> bool:
@@ -237,11 +235,6 @@ class Effect:
     def moves(self) -> bool:
         """Tell whether it comes or goes at a moment, or as something is switched: not only perhaps."""
         return self.switched or any(p.name in MOMENTS and not p.optional for p in self.parameters)
-
-    @property
-    def local(self) -> bool:
-        """Tell whether it belongs to a moment, a switch or a place."""
-        return self.switched or bool(MOMENTS & set(self.names)) or bool(self.needs & PLACED)
 
     @property
     def of_vehicle(self) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, rotate_back
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +36,11 @@ class Stimulus:
     throttle: FloatArray
     temperature_degc: FloatArray
     motors: FloatArray
+
+    @property
+    def loads(self) -> dict[str, FloatArray]:
+        """Return what the whole vehicle is loaded with, by name, (N,) each."""
+        return {"current": self.current_a, "throttle": self.throttle, "temperature": self.temperature_degc}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,3 +70,9 @@ class Reading:
     mag_mgauss: FloatArray
     acc_mps2: FloatArray
     gyro_radps: FloatArray
+
+
+def ideal(stimulus: Stimulus) -> Reading:
+    """Return what perfect sensors say."""
+    field = rotate_back(stimulus.rotation, stimulus.field_ned_mgauss)
+    return Reading(field, stimulus.specific_force_mps2, stimulus.rate_radps)

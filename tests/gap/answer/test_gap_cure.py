@@ -10,8 +10,7 @@ import pytest
 from mavcompass.correction import FieldCorrection
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.export.ardupilot import ardupilot_sitl
-from mavcompass.gap.export.exported import Found
-from mavcompass.gap.export.vehicle import vehicle_settings
+from mavcompass.gap.export.vehicle import Found, vehicle_settings
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.report.gap_words import summary
 from mavcompass.simulation import effects

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from mavcompass.gap.answer.intervals import _as_well
+from mavcompass.gap.answer.naming import _as_well
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.simulation.effects.effect import Parameter

@@ -9,7 +9,7 @@ import pytest
 
 from mavcompass.cli.main import main
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.answer.several import together
+from mavcompass.gap.answer.naming import together
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.logs import write_track_csv
 from mavcompass.simulation import effects

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from mavcompass.gap.answer.verdict import Findings, verdict
+from mavcompass.gap.answer.decision import Findings, verdict
 from mavcompass.gap.result import Verdict
 from mavcompass.gap.tables import Levels, Outcome
 

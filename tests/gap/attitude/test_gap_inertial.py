@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.attitude.inertial import (
+from mavcompass.gap.attitude.reference import body_rate, reference_attitude
+from mavcompass.gap.attitude.scatter import Bias
+from mavcompass.gap.attitude.steering import (
     accelerometer_fault,
     sensor_fault,
     without_fault,
 )
-from mavcompass.gap.attitude.reference import body_rate, reference_attitude
-from mavcompass.gap.attitude.rest import Bias
 from mavcompass.gap.result import Cause
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2

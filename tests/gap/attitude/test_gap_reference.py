@@ -19,7 +19,7 @@ from mavcompass.gap.attitude.kinematics import (
 )
 from mavcompass.gap.attitude.receiver import local_position
 from mavcompass.gap.attitude.reference import body_rate, reference_attitude
-from mavcompass.gap.attitude.rest import bias_at_rest
+from mavcompass.gap.attitude.scatter import bias_at_rest
 from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -236,3 +236,17 @@ def test_places_on_both_sides_of_the_date_line_are_neighbours() -> None:
     assert local is not None
     apart_m = 0.0003 * 111_195.0 * math.cos(math.radians(17.0))
     assert np.ptp(local.values[:, 1]) == pytest.approx(apart_m, rel=0.01)
+
+
+def test_an_accelerometer_without_a_number_is_none() -> None:
+    track = make_track(Recipe("rich", seed=9))
+    assert track.acc_mps2 is not None and track.reference_q is not None
+    gone = Series.of(track.acc_mps2.time_s, np.full_like(track.acc_mps2.values, np.nan))
+    roll, pitch, yaw = matrix_to_euler(stimulus_of(Recipe("rich", seed=9)).rotation)
+    flown = replace(
+        track,
+        acc_mps2=gone,
+        reference_q=None,
+        attitude_rad=Series.of(track.reference_q.time_s, np.stack([roll, pitch, yaw], axis=1)),
+    )
+    assert reference_attitude(flown, track.reference_q.time_s).kind == "attitude"

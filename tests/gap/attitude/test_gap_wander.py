@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.gap.attitude import Reference
-from mavcompass.gap.attitude.wander import wandering_yaw
+from mavcompass.gap.attitude.navigation import wandering_yaw
+from mavcompass.gap.attitude.reference import Reference
 
 
 def reference(witnessed: bool) -> Reference:

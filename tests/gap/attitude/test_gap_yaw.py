@@ -10,8 +10,7 @@ import pytest
 from mavcompass.frames import FloatArray, euler_to_matrix
 from mavcompass.gap.attitude.kinematics import with_down
 from mavcompass.gap.attitude.reference import body_rate
-from mavcompass.gap.attitude.steering import Steering, steered_by
-from mavcompass.gap.attitude.yaw import age_of
+from mavcompass.gap.attitude.steering import Steering, age_of, steered_by
 from mavcompass.gap.trial.vehicles.motion import move
 from mavcompass.track import Track
 

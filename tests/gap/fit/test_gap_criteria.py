@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.fit import Fit, Term
 from mavcompass.gap.fit.criteria import Criteria
+from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.simulation.effects import registry
 
 LAG, LOW_PASS, HARD_IRON = (registry.get(name) for name in ("transport_lag", "low_pass", "hard_iron"))

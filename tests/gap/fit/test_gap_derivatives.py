@@ -8,11 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mavcompass.gap.fit import make_term
 from mavcompass.gap.fit.composition import Composition
-from mavcompass.gap.left.floor import prior_of
-from mavcompass.gap.left.stated import STATED
-from mavcompass.gap.replay import Replay, replay
+from mavcompass.gap.fit.hypothesis import make_term
+from mavcompass.gap.left.floor import STATED, prior_of
+from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.simulation.effects import catalogue
 

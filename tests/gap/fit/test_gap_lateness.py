@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.fit import Fit, Term
+from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.fit.starts import beside_known_age, in_place_of_each_other
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance
 from mavcompass.simulation.effects import registry

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.newton import cluster_covariance, invert, room, solve_within
+from mavcompass.gap.fit.algebra import cluster_covariance, invert, room, solve_within
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.newton import invert
-from mavcompass.gap.fit.normal import BlockNormal
+from mavcompass.gap.fit.algebra import BlockNormal, invert
 from mavcompass.gap.replay.noise import SensorNoise, estimate_noise
 
 ROWS, BLOCKS = 600, 20

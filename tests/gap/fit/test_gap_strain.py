@@ -7,8 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.gap.fit import Fit, Problem
-from mavcompass.gap.replay import Prior, replay
+from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.replay.nuisance import Prior
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavcompass.gap.fit import Fit, Problem, make_term
+from mavcompass.gap.fit.hypothesis import Fit, make_term
+from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.starts import facing, turn_alone
-from mavcompass.gap.replay import Prior, replay
+from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.replay.nuisance import Prior
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track
 from mavcompass.simulation.effects import parse, registry
 

@@ -10,7 +10,7 @@ import pytest
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.left.floor import heading_error_rad, heading_scatter, measured_noise, rms
-from mavcompass.gap.replay import replay
+from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.trial.vehicles import make_case
 
 
@@ -41,8 +41,7 @@ def fitted(J: FloatArray, readings: FloatArray) -> tuple[Any, Any]:
         groups=("mag",),
         nuisances=(None,),
         noise={"mag": SimpleNamespace(channels=None)},
-        composition=SimpleNamespace(states=lambda *_: None),
-        columns=lambda *_: J,
+        jacobian=lambda fit: J,
         predict=lambda fit: SimpleNamespace(mag_mgauss=predicted),
     )
     return problem, SimpleNamespace(covariance=covariance, terms=(), thetas=(), nuisance_thetas=())

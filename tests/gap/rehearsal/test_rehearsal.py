@@ -15,11 +15,9 @@ from mavcompass.errors import UsageError
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.rehearsal import Rehearsal, read_stored, rehearse
 from mavcompass.gap.rehearsal.draws import Draws
-from mavcompass.gap.rehearsal.judging import heading_errors_deg
 from mavcompass.gap.rehearsal.kind import Kind, kind_of
-from mavcompass.gap.rehearsal.procedure import calibrate
-from mavcompass.gap.rehearsal.rehearse import SOURCES
-from mavcompass.gap.rehearsal.runs import Run
+from mavcompass.gap.rehearsal.procedure import calibrate, heading_errors_deg
+from mavcompass.gap.rehearsal.rehearse import SOURCES, Run
 from mavcompass.gap.result import Diagnosis
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.logs import read_track, write_track_csv

@@ -17,22 +17,26 @@ from mavcompass.gap.fit.candidates import Candidates
 from mavcompass.gap.fit.hypothesis import make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
-from mavcompass.gap.left.stated import from_recording
-from mavcompass.gap.replay.in_force import ANOTHER_IRON, STATED, KnownIron, known_iron
+from mavcompass.gap.left.floor import from_recording
 from mavcompass.gap.replay.noise import SensorNoise, white
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.nuisance import (
     AGE,
+    ANOTHER_IRON,
     REFERENCE_YAW,
+    STATED,
     WORLD_FIELD,
+    KnownIron,
     Nuisance,
     Prior,
+    known_iron,
     reference_attitude_error,
 )
 from mavcompass.gap.selection.split import split_blocks
-from mavcompass.gap.trial.cases import Recipe, ideal, make_track, stimulus_of
+from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
 from mavcompass.simulation import effects
 from mavcompass.simulation.effects.effect import Signals
+from mavcompass.simulation.physics.signals import ideal
 
 RICH = Recipe("rich", duration_s=30.0, rate_hz=20.0, seed=21)
 

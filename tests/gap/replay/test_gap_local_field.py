@@ -12,7 +12,7 @@ import pytest
 from mavcompass.earth_field import earth_field
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.replay.local_field import UNKNOWN_SIGMA_MGAUSS, world_field
+from mavcompass.gap.replay.whereabouts import UNKNOWN_SIGMA_MGAUSS, world_field
 from mavcompass.track import MagSeries, Series, Track
 
 N = 600

@@ -12,8 +12,7 @@ from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.attitude.reference import body_rate
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.left.foreseen import foreseen
-from mavcompass.gap.left.stated import from_recording
+from mavcompass.gap.left.floor import foreseen, from_recording
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.nuisance import (
     REFERENCE_YAW,
@@ -24,7 +23,7 @@ from mavcompass.gap.replay.nuisance import (
 from mavcompass.gap.replay.rows import compass_rows
 from mavcompass.gap.replay.testable import untestable_effects
 from mavcompass.gap.selection.split import split_blocks
-from mavcompass.gap.traces.steps_and_repeats import names_stale, names_step
+from mavcompass.gap.traces.traces import names_stale, names_step
 from mavcompass.gap.trial.cases import PLACE, Recipe, make_track
 from mavcompass.simulation.effects import catalogue
 from mavcompass.track import MagSeries, Series, Track

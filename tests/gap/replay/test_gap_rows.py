@@ -10,8 +10,8 @@ import pytest
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap.attitude.reference import Reference, body_rate
-from mavcompass.gap.fit import Problem
-from mavcompass.gap.left.stated import STATED
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.left.floor import STATED
 from mavcompass.gap.left.taught import prior_of
 from mavcompass.gap.replay.noise import white
 from mavcompass.gap.replay.nominal import replay

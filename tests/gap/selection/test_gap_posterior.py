@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.fit import Fit, Term
 from mavcompass.gap.fit.criteria import Criteria
+from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.selection.posterior import Posterior, posterior_of
 from mavcompass.gap.tables import tables
 from mavcompass.simulation.effects import registry

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit import Fit, Term
-from mavcompass.gap.replay import Nuisance
+from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.replay.noise import white
-from mavcompass.gap.replay.nuisance import AGE
-from mavcompass.gap.selection import remainder, transient
+from mavcompass.gap.replay.nuisance import AGE, Nuisance
+from mavcompass.gap.selection import identification, transient
 from mavcompass.gap.selection.split import Split, probe, split_blocks, with_parts, with_windows
 from mavcompass.simulation.effects import registry
 from mavcompass.simulation.effects.effect import NEVER_S
@@ -126,7 +125,7 @@ def switching(
     replay = SimpleNamespace(time_s=TIME, signals=Still(), loads_every_s=every_s, measured=as_predicted)
     usable = np.ones(TIME.size, dtype=np.bool_)
     problem: Any = SimpleNamespace(
-        replay=replay, nuisances=[age], usable=usable, predict=lambda fit: as_predicted
+        replay=replay, values=lambda fit: {AGE.id: age.mean}, usable=usable, predict=lambda fit: as_predicted
     )
     return TIME[transient.switched(problem, fit)]
 
@@ -272,18 +271,20 @@ def test_a_gap_of_training_rows_is_probed_in_its_middle() -> None:
 def test_a_value_is_drawn_inside_the_step_that_it_was_rounded_to() -> None:
     true = 100.0 + 3.0 * np.random.default_rng(3).normal(size=(2000, 3))
     rounded = 10.0 * np.round(true / 10.0)
-    drawn = remainder._before_rounding(rounded, np.full_like(true, 100.0), np.full(3, 3.0), 10.0)
+    drawn = identification._before_rounding(rounded, np.full_like(true, 100.0), np.full(3, 3.0), 10.0)
     assert np.abs(drawn - rounded).max() <= 5.0
     # If the model is true, what is drawn is what was there before.
     assert drawn.mean() == pytest.approx(100.0, abs=0.15) and drawn.std() == pytest.approx(3.0, rel=0.04)
     assert ((drawn - 100.0) ** 4).mean() == pytest.approx(3.0 * 81.0, rel=0.15)
-    far = remainder._before_rounding(np.full((1, 3), 200.0), np.full((1, 3), 100.0), np.full(3, 3.0), 10.0)
+    far = identification._before_rounding(
+        np.full((1, 3), 200.0), np.full((1, 3), 100.0), np.full(3, 3.0), 10.0
+    )
     assert far.tolist() == [[195.0] * 3]
 
 
 def test_the_steps_own_noise_is_added_to_the_floors() -> None:
     quiet = white(np.array([1.0, 2.0, 3.0]))
-    noisy = remainder.with_white({"mag": quiet}, 3.0)["mag"]
+    noisy = identification.with_white({"mag": quiet}, 3.0)["mag"]
     assert noisy.rms == pytest.approx(np.sqrt(np.array([1.0, 4.0, 9.0]) + 3.0))
     assert noisy.sigma == pytest.approx(np.sqrt(quiet.sigma**2 + 3.0)) and math.isfinite(
         float(noisy.sigma[0])
@@ -308,13 +309,13 @@ def test_noise_is_compared_with_the_floors_where_it_is_the_floors(
             limit = {name: 1.0 for effect in effects for name in registry.get(effect).names}
             return SimpleNamespace(ids=frozenset(effects), terms=(), value=limit.get)
 
-    monkeypatch.setattr(remainder, "Problem", Fitted)
-    monkeypatch.setattr(remainder, "find_scatter", lambda *given: scatter)
-    monkeypatch.setattr(remainder, "noise_with", lambda problem, fit, scatter: "noisier")
+    monkeypatch.setattr(identification, "Problem", Fitted)
+    monkeypatch.setattr(identification, "find_scatter", lambda *given: scatter)
+    monkeypatch.setattr(identification, "noise_with", lambda problem, fit, scatter: "noisier")
     chosen: Any = SimpleNamespace(problem=SimpleNamespace(replay=SimpleNamespace(valid=None)), fit=None)
     floor: Any = SimpleNamespace(noise="the floor's", prior=None)
     traces: Any = SimpleNamespace(step_mgauss=0.0, excess_mgauss2=0.0)
-    left = remainder.what_is_left(chosen, floor, frozenset(), traces)
+    left = identification.what_is_left(chosen, floor, frozenset(), traces)
     assert left.comparable is comparable and left.scatter == scatter
     assert (
         left.problem.noise == ("the floor's" if scatter is None else "noisier") and made[0] == "the floor's"
@@ -337,15 +338,15 @@ def test_a_scatter_read_off_coarse_numbers_holds_that_of_their_rounding(
 
     reading = SimpleNamespace(mag_mgauss=np.zeros((3, 3)), acc_mps2=None, gyro_radps=None)
     fitted: Any = SimpleNamespace(refit=lambda fit: fit)
-    monkeypatch.setattr(remainder, "_before_rounding", drawn)
-    monkeypatch.setattr(remainder, "replace", lambda replay, measured: replay)
-    monkeypatch.setattr(remainder, "Problem", lambda replay, noise, rows, prior: fitted)
-    monkeypatch.setattr(remainder, "measured_noise", lambda problem, fit: {"mag": None})
+    monkeypatch.setattr(identification, "_before_rounding", drawn)
+    monkeypatch.setattr(identification, "replace", lambda replay, measured: replay)
+    monkeypatch.setattr(identification, "Problem", lambda replay, noise, rows, prior: fitted)
+    monkeypatch.setattr(identification, "measured_noise", lambda problem, fit: {"mag": None})
     problem: Any = SimpleNamespace(
         replay=SimpleNamespace(measured=reading), noise=None, rows=None, prior=None,
         predict=lambda fit: SimpleNamespace(mag_mgauss=None),
     )  # fmt: skip
     floor: Any = SimpleNamespace(noise={"mag": white(np.full(3, rms_mgauss))}, measured=measured)
     fit: Any = None
-    left = remainder._unrounded(problem, fit, floor, 12.0)
+    left = identification._unrounded(problem, fit, floor, 12.0)
     assert seen[0] == pytest.approx(np.full(3, sigma_mgauss)) and left.scatter is None and not left.comparable

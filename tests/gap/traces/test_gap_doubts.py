@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay import Readings
+from mavcompass.gap.replay.integrity import Readings
 from mavcompass.gap.traces.rapid import find_rapid
 from mavcompass.gap.traces.scattered import burst_mgauss, excess_variance
-from mavcompass.gap.traces.steps_and_repeats import stale_doubt, told_step
+from mavcompass.gap.traces.traces import stale_doubt, told_step
 
 B, NOISE = np.array([6.0, -9.0, 4.0]), 2.0
 T = np.arange(0.0, 100.0, 0.05)

@@ -17,11 +17,11 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.left.scatter import _told_twice
-from mavcompass.gap.replay import Readings, replay
-from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
-from mavcompass.gap.traces import excess_variance, find_traces, quiet_doubt, quiet_scatter
+from mavcompass.gap.replay.integrity import Readings, Trace, coarse_step, inspect
+from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.traces.rapid import find_rapid
-from mavcompass.gap.traces.steps_and_repeats import _overdue_share, names_stale, stale_share
+from mavcompass.gap.traces.scattered import excess_variance, quiet_doubt, quiet_scatter
+from mavcompass.gap.traces.traces import _overdue_share, find_traces, names_stale, stale_share
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.gap.trial.vehicles.cases import make_case
 from mavcompass.simulation.effects import catalogue
@@ -297,7 +297,7 @@ def test_long_telemetry_names_what_averaged_rows_hide() -> None:
     # Where it may not be named it is not taken for noise either, and stays in the readings.
     now, before = (replay(t, 1, "auto", 0.3) for t in (case.track, case.baseline) if t is not None)
     traces, left = find_traces(now, before, 2.0, 2.6, frozenset({"noise_excess"}), exact=False)
-    assert not traces.named and traces.excess_mgauss2 == 0.0 and left is now
+    assert not traces.causes and traces.excess_mgauss2 == 0.0 and left is now
 
 
 def test_replay_without_an_effect_is_that_of_rows_and_readings_without_it() -> None:
@@ -310,9 +310,6 @@ def test_replay_without_an_effect_is_that_of_rows_and_readings_without_it() -> N
     assert mended.readings.error_mgauss == pytest.approx(plain.readings.error_mgauss - change)
     of_rows = plain.measured.mag_mgauss - mended.measured.mag_mgauss
     assert of_rows[7] == pytest.approx(change[35:40].mean(axis=0))
-    taken = float(np.sqrt(np.mean(of_rows[plain.valid] ** 2)))
-    assert mended.taken_mgauss == pytest.approx(taken) and plain.taken_mgauss == 0.0
-    assert mended.without(change).taken_mgauss == pytest.approx(math.sqrt(2.0) * taken)
     of_corrected = plain.corrected_mgauss - mended.corrected_mgauss
     assert of_corrected == pytest.approx(of_rows @ plain.iron.correction.matrix.T)
 

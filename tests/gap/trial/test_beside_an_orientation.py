@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.diagnose import diagnose_gap
-from mavcompass.gap.replay import replay
-from mavcompass.gap.trial.label import Label
+from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.trial.cases import Label
 from mavcompass.gap.trial.score import Answer, score
 from mavcompass.gap.trial.vehicles import make_case
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from vehicle_scenes import recorded, scene, vehicle_of
 
+from mavcompass.frames import FloatArray as Array
 from mavcompass.gap.diagnose import diagnose_gap
-from mavcompass.gap.trial.vehicles.rotations import Array
 from mavcompass.gap.trial.vehicles.scene import Effect, Scene, Stage, Values
 
 _GAIN = {"x": 0.11, "y": -0.08, "z": 0.05}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcompass.gap.trial.label import Label, Tier
+from mavcompass.gap.trial.cases import Label, Tier
 from mavcompass.gap.trial.score import Answer, Case, scoreboard
 from mavcompass.gap.trial.trial import Trial
 from mavcompass.report.gap import reliability, write_trial_report

@@ -11,19 +11,12 @@ import pytest
 from vehicle_scenes import recorded, scene, vehicle_of
 
 import mavcompass.gap.trial.vehicles as package
+from mavcompass.frames import FloatArray as Array
+from mavcompass.frames import quaternion_to_matrix, rotate_back
 from mavcompass.gap.trial.vehicles import Tier, VehicleCase, make_case
 from mavcompass.gap.trial.vehicles.cases import CATALOGUE
 from mavcompass.gap.trial.vehicles.effects.kind import sized
-from mavcompass.gap.trial.vehicles.motion import MOTIONS, move
-from mavcompass.gap.trial.vehicles.rotations import (
-    Array,
-    angles,
-    from_angles,
-    from_quaternions,
-    from_vector,
-    quaternions,
-    to_body,
-)
+from mavcompass.gap.trial.vehicles.motion import MOTIONS, angles, from_vector, move
 from mavcompass.track import Track
 
 TIERS: tuple[Tier, ...] = ("none", "single", "pair", "outside")
@@ -32,12 +25,13 @@ ALLOWED = (
     "mavcompass.track",
     "mavcompass.correction",
     "mavcompass.earth_field",
+    "mavcompass.frames",
 )
 
 
 def field_in_body(track: Track, field_ned: object) -> Array:
     assert track.truth_q is not None
-    return to_body(from_quaternions(track.truth_q.values), np.asarray(field_ned))
+    return rotate_back(quaternion_to_matrix(track.truth_q.values), np.asarray(field_ned))
 
 
 @cache
@@ -62,11 +56,10 @@ def healthy(cure: str, count: int = 1) -> list[VehicleCase]:
 
 def test_a_healthy_compass_reads_the_field_to_its_stated_noise() -> None:
     (case,) = healthy("exact")
-    expected = field_in_body(case.clean, case.description["field_ned_mgauss"])
-    np.testing.assert_allclose(case.clean.compasses[1].reported.values, expected, atol=1e-6)
     off = case.track.compasses[1].reported.values - field_in_body(
         case.track, case.description["field_ned_mgauss"]
     )
+    assert np.all(np.abs(off.mean(axis=0)) < 0.3)
     correction = case.track.compasses[1].in_force[0].correction.matrix
     stated = np.sqrt(
         np.diag(correction @ np.diag(np.square(case.description["noise_mgauss"])) @ correction.T)
@@ -121,7 +114,7 @@ def test_the_attitude_of_a_healthy_vehicle_is_near_the_truth(kind: str) -> None:
     at = scene(vehicle_of(4, kind, "another_compass"), seconds=120.0)
     track = recorded(at).track
     assert track.attitude_rad is not None and track.truth_q is not None
-    off = track.attitude_rad.values - angles(from_quaternions(track.truth_q.values))
+    off = track.attitude_rad.values - angles(quaternion_to_matrix(track.truth_q.values))
     off = np.degrees((off + np.pi) % (2.0 * np.pi) - np.pi)[200:]
     assert np.sqrt(np.mean(off[:, :2] ** 2)) < 1.5
     assert np.sqrt(np.mean(off[:, 2] ** 2)) < 4.0
@@ -137,17 +130,6 @@ def test_gyro_and_accelerometer_are_those_of_the_motion(kind: str, name: str) ->
     way = np.cumsum(motion.velocity_mps, axis=0) * 0.01
     np.testing.assert_allclose(np.diff(way, axis=0), np.diff(motion.position_m, axis=0), atol=2e-3)
     assert np.linalg.norm(motion.acceleration_mps2, axis=1).max() < 12.0
-
-
-def test_a_rotation_goes_there_and_back() -> None:
-    given = np.random.default_rng(1).uniform(-1.4, 1.4, (50, 3))
-    rotation = from_angles(*given.T)
-    np.testing.assert_allclose(angles(rotation), given, atol=1e-12)
-    np.testing.assert_allclose(from_quaternions(quaternions(rotation)), rotation, atol=1e-12)
-    # Nose to the east, right wing down by 90 degrees: the body's right axis points down.
-    one = from_angles(np.array([np.pi / 2]), np.zeros(1), np.array([np.pi / 2]))[0]
-    np.testing.assert_allclose(one @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(one @ [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], atol=1e-12)
 
 
 def test_a_case_is_the_same_each_time_and_its_flight_needs_no_baseline() -> None:
@@ -183,14 +165,13 @@ def test_sizes_lie_between_half_a_floor_and_twelve() -> None:
             assert 1.45 <= size <= 37.5
 
 
-def test_lost_rows_are_missing_in_bursts_and_the_clean_flight_is_whole() -> None:
+def test_lost_rows_are_missing_in_bursts() -> None:
     at = scene(vehicle_of(7), seconds=200.0)
     complete, holed = recorded(at), recorded(at, lost=0.04)
     rows = len(complete.track.compasses[1].reported)
     kept = len(holed.track.compasses[1].reported)
     assert 0.94 < kept / rows < 0.98
     assert holed.nominal_mgauss.shape == holed.changed_mgauss.shape == (kept, 3)
-    assert len(holed.clean.compasses[1].reported) == rows
     gaps = np.diff(holed.track.compasses[1].time_s)
     assert gaps.max() > 4.0 * np.median(gaps)
 

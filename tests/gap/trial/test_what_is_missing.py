@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.diagnose import diagnose_gap
-from mavcompass.gap.replay import replay
+from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.simulation.effects import catalogue
 

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.gap.trial.vehicles.draw import Vehicle, draw_vehicle
-from mavcompass.gap.trial.vehicles.loads import loads_of
 from mavcompass.gap.trial.vehicles.motion import move
 from mavcompass.gap.trial.vehicles.record import Recording, record
-from mavcompass.gap.trial.vehicles.scene import Effect, Scene, scene_of
+from mavcompass.gap.trial.vehicles.scene import Effect, Scene, loads_of, scene_of
 
 
 def vehicle_of(

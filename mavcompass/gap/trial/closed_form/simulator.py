@@ -7,17 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.gap.trial.closed_form.effects import (
+from mavcompass.gap.trial.closed_form.formulas import (
     AXES,
     NAMES,
     NEEDS_TILT,
+    Array,
+    Flight,
     Head,
     Values,
+    quaternion,
     raw_readings,
     sized,
     unit,
+    wave,
 )
-from mavcompass.gap.trial.closed_form.formulas import Array, Flight, quaternion, wave
 
 # Latitude, longitude in degrees, altitude in metres, and the field there in the middle of 2026, north, east,
 # down, mG (WMM2025).

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavcompass.frames import FloatArray as Array
+from mavcompass.frames import euler_to_matrix, euler_to_quaternion, quaternion_to_matrix
 from mavcompass.gap.trial.vehicles.draw import Vehicle
-from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S
-from mavcompass.gap.trial.vehicles.rotations import Array, angles, from_angles, from_quaternions, quaternions
-from mavcompass.gap.trial.vehicles.scene import Scene
-from mavcompass.gap.trial.vehicles.sensors import Felt, Fixes
+from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S, angles
+from mavcompass.gap.trial.vehicles.scene import Felt, Fixes, Scene
 
 _FAST_HZ, _SLOW_HZ = 50.0, 25.0
 _LONG_S = 150.0
@@ -88,20 +88,20 @@ def attitude_at(
     declination = scene.vehicle.site.model.declination_rad
     expected = pull - GRAVITY_NED_MPS2
     track = _filter(scene.vehicle, rate, gyro, force, expected, measured, start, learnt, declination)
-    return angles(from_quaternions(_between(time, track, time_s)))
+    return angles(quaternion_to_matrix(_between(time, track, time_s)))
 
 
 def _first_attitude(scene: Scene, measured: list[tuple[float, float, float] | None]) -> Array:
     """Start at the true tilt and at the yaw that the steering sensor gives."""
     tilt = angles(scene.motion.rotation[:1])
-    flat = from_angles(tilt[:, 0], tilt[:, 1], np.zeros(1))[0]
+    flat = euler_to_matrix(tilt[0, 0], tilt[0, 1], 0.0)
     first = next(item for item in measured if item is not None)
     if scene.vehicle.steering == "gps_antennas":
         yaw = first[0]
     else:
         north, east, _ = flat @ np.array(first)
         yaw = scene.vehicle.site.model.declination_rad - math.atan2(east, north)
-    return quaternions(from_angles(tilt[:, 0], tilt[:, 1], np.array([yaw])))[0]
+    return euler_to_quaternion(tilt[0, 0], tilt[0, 1], yaw)
 
 
 def _filter(

@@ -8,9 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from mavcompass.frames import FloatArray as Array
 from mavcompass.gap.trial.vehicles.draw import KINDS, Site, Vehicle, draw_site, draw_vehicle
-from mavcompass.gap.trial.vehicles.effects.electronics import ELECTRONICS
-from mavcompass.gap.trial.vehicles.effects.fields import FIELDS
 from mavcompass.gap.trial.vehicles.effects.kind import (
     FLOOR_MGAUSS,
     LARGEST,
@@ -19,12 +18,11 @@ from mavcompass.gap.trial.vehicles.effects.kind import (
     changed_rms,
     sized,
 )
+from mavcompass.gap.trial.vehicles.effects.known import ELECTRONICS, FIELDS
 from mavcompass.gap.trial.vehicles.effects.outside import OUTSIDE
-from mavcompass.gap.trial.vehicles.loads import loads_of
 from mavcompass.gap.trial.vehicles.motion import MOTIONS, ON_THE_WAY, Motion, move
 from mavcompass.gap.trial.vehicles.record import record
-from mavcompass.gap.trial.vehicles.rotations import Array
-from mavcompass.gap.trial.vehicles.scene import Effect, Scene, scene_of
+from mavcompass.gap.trial.vehicles.scene import Effect, Scene, loads_of, scene_of
 from mavcompass.track import Track
 
 Tier = Literal["none", "single", "pair", "outside"]
@@ -49,8 +47,6 @@ class VehicleCase:
     Attributes:
         track: the flight to be diagnosed; baseline: the same vehicle in its healthy state, or None.
         effects: (id, parameters) in the order in which they act, named and in the units of the catalogue.
-        clean: the flight without sensor noise, quantisation by the messages, and loss, with the effects;
-            the true attitude is its `reference_q`.
         clean_nominal_mgauss, clean_mgauss: the raw readings without noise, without and with the effects, at
             the times of `track`'s compass rows, (N, 3). What an effect draws by chance is in the latter.
         description: what else was drawn, by name.
@@ -61,7 +57,6 @@ class VehicleCase:
     track: Track
     baseline: Track | None
     effects: tuple[tuple[str, dict[str, float]], ...]
-    clean: Track
     clean_nominal_mgauss: Array
     clean_mgauss: Array
     description: Mapping[str, object]
@@ -80,10 +75,7 @@ def make_case(seed: int, tier: Tier, baseline: bool = True) -> VehicleCase:
     needs = frozenset[str]().union(*(kind.needs for kind in wanted))
     kind, motion_name = _vehicle_for(needs, choosing)
     vehicle = draw_vehicle(
-        building,
-        kind,
-        averaged=False if "each_row" in needs else None,
-        precise="way" in needs,
+        building, kind, averaged=False if "each_row" in needs else None, precise="way" in needs
     )
     elsewhere = building.random() < 0.1
     site = draw_site(building, vehicle.utc_s, near=vehicle.site) if elsewhere else vehicle.site
@@ -100,27 +92,17 @@ def make_case(seed: int, tier: Tier, baseline: bool = True) -> VehicleCase:
         ground = _scene(vehicle, base_name, vehicle.site, day, frozenset(), seconds, grounding)
         base_lost = float(grounding.uniform(0.0, 0.05)) if grounding.random() < 1.0 / 3.0 else 0.0
         before = record(ground, vehicle.site, (), base_lost, other_noise).track
-    change = flown.changed_mgauss - flown.nominal_mgauss
     return VehicleCase(
         track=flown.track,
         baseline=before,
         effects=tuple((effect.id, dict(effect.parameters)) for effect in effects),
-        clean=flown.clean,
         clean_nominal_mgauss=flown.nominal_mgauss,
         clean_mgauss=flown.changed_mgauss,
         description={
-            "tier": tier,
-            "seed": seed,
             "vehicle": kind,
             "motion": motion_name,
-            "baseline_motion": base_name if baseline else None,
-            "elsewhere": bool(elsewhere),
-            "rate_hz": vehicle.rate_hz,
-            "duration_s": float(flight.motion.time_s[-1]),
-            "lost_share": lost,
             "cure": str(vehicle.cure),
             "steered_by": vehicle.steering,
-            "receiver": vehicle.receiver,
             "averaged": vehicle.compass.averaged,
             "whole": vehicle.compass.whole,
             "noise_mgauss": vehicle.compass.noise_mgauss.tolist(),
@@ -128,8 +110,6 @@ def make_case(seed: int, tier: Tier, baseline: bool = True) -> VehicleCase:
             "matrix": vehicle.compass.matrix.tolist(),
             "current_field_mgauss_per_a": vehicle.compass.current_field.tolist(),
             "field_ned_mgauss": site.field_mgauss.tolist(),
-            "model_ned_mgauss": site.model.vector_mgauss.tolist(),
-            "rms_change_mgauss": float(np.sqrt(np.mean(change**2))),
             "rms_change_of_each_mgauss": [changed_rms(flight, (effect,)) for effect in effects],
         },
     )

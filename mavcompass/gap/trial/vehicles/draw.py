@@ -9,7 +9,8 @@ import numpy as np
 
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, decimal_year, earth_field
-from mavcompass.gap.trial.vehicles.rotations import Array, from_vector
+from mavcompass.frames import FloatArray as Array
+from mavcompass.gap.trial.vehicles.motion import from_vector
 
 Cure = Literal["exact", "two_percent", "old"]
 Steering = Literal["this_compass", "another_compass", "gps_antennas"]
@@ -186,10 +187,7 @@ def _compass(rng: np.random.Generator, cure: Cure, averaged: bool, level_mgauss:
         matrix=turn @ matrix,
         current_field=current_field,
         correction=FieldCorrection.from_matrix(
-            offsets,
-            correcting,
-            motor_mgauss=motor,
-            motor_source="current" if motor.any() else "none",
+            offsets, correcting, motor_mgauss=motor, motor_source="current" if motor.any() else "none"
         ),
         noise_mgauss=rng.uniform(1.0, 4.0) * np.array([1.0, 1.0, rng.uniform(1.0, 1.3)]),
         slow_noise_mgauss=float(rng.uniform(0.2, 0.7)),

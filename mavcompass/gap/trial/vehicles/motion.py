@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.gap.trial.vehicles.rotations import Array, body_rates, from_angles, from_thrust
+from mavcompass.frames import FloatArray as Array
+from mavcompass.frames import euler_to_matrix, matrix_to_euler
 
 STEP_S = 0.01
 GRAVITY_NED_MPS2 = np.array([0.0, 0.0, 9.80665])
@@ -21,18 +22,8 @@ MOTIONS: dict[str, tuple[str, ...]] = {
     "boat": (*ON_THE_WAY, "four_positions"),
     "copter": (*ON_THE_WAY, "four_positions", "hand"),
 }
-_SPEED_MPS = {
-    "rover": (0.6, 2.5),
-    "ackermann-rover": (1.5, 5.0),
-    "boat": (1.0, 3.5),
-    "copter": (2.0, 8.0),
-}
-_TURN_RADPS = {
-    "rover": (0.4, 1.1),
-    "ackermann-rover": (0.3, 0.8),
-    "boat": (0.15, 0.5),
-    "copter": (0.3, 0.9),
-}
+_SPEED_MPS = {"rover": (0.6, 2.5), "ackermann-rover": (1.5, 5.0), "boat": (1.0, 3.5), "copter": (2.0, 8.0)}
+_TURN_RADPS = {"rover": (0.4, 1.1), "ackermann-rover": (0.3, 0.8), "boat": (0.15, 0.5), "copter": (0.3, 0.9)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +72,7 @@ def move(kind: str, name: str, duration_s: float, rng: np.random.Generator) -> M
         name=name,
         time_s=time,
         rotation=rotation,
-        rate_radps=body_rates(rotation, STEP_S),
+        rate_radps=_body_rates(rotation, STEP_S),
         position_m=position,
         velocity_mps=velocity,
         acceleration_mps2=np.gradient(velocity, STEP_S, axis=0),
@@ -179,7 +170,7 @@ def _flying(
     shake = _wobble(time, rng, 2, 0.9) * np.radians(rng.uniform(0.2, 0.8))
     thrust[:, :2] += 9.8 * shake
     nose = course if rng.random() < 0.7 else course + rng.uniform(-np.pi, np.pi)
-    return from_thrust(thrust, nose + np.radians(0.5) * _wobble(time, rng, 1, 3.0)[:, 0])
+    return _from_thrust(thrust, nose + np.radians(0.5) * _wobble(time, rng, 1, 3.0)[:, 0])
 
 
 def _afloat(
@@ -190,7 +181,7 @@ def _afloat(
     sideways = pull[:, 1] * np.cos(course) - pull[:, 0] * np.sin(course)
     roll = waves[:, 0] - rng.uniform(0.0, 0.6) * sideways / 9.8
     pitch = waves[:, 1] + np.radians(rng.uniform(0.0, 3.0)) * speed / max(float(speed.max()), 0.5)
-    return from_angles(roll, pitch, course + np.radians(1.0) * _wobble(time, rng, 1, period)[:, 0])
+    return euler_to_matrix(roll, pitch, course + np.radians(1.0) * _wobble(time, rng, 1, period)[:, 0])
 
 
 def _rolling(
@@ -211,7 +202,7 @@ def _rolling(
     spring = rng.uniform(0.0, 0.03)
     pitch = rise[:, 0] * c + rise[:, 1] * s + bumps[:, 0] + spring * ahead
     roll = rise[:, 0] * s - rise[:, 1] * c + bumps[:, 1] - spring * sideways
-    return from_angles(roll, pitch, course)
+    return euler_to_matrix(roll, pitch, course)
 
 
 def _hand(time: Array, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -222,4 +213,42 @@ def _hand(time: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     pitch = 0.85 * np.tanh(sway[:, 1]) + 0.3 * np.sin(0.31 * time)
     yaw = rng.uniform(-3.0, 3.0) + yaw_rate * time + 0.4 * sway[:, 2]
     position = 0.08 * _wobble(time, rng, 3, 2.0) + np.array([0.0, 0.0, -1.2])
-    return from_angles(roll, pitch, yaw), position
+    return euler_to_matrix(roll, pitch, yaw), position
+
+
+def _from_thrust(thrust_ned: Array, yaw_rad: Array) -> Array:
+    """Build rotations (N, 3, 3) with down against a thrust (N, 3) and the nose toward a yaw (N,)."""
+    down = -thrust_ned / np.linalg.norm(thrust_ned, axis=1, keepdims=True)
+    level = np.stack([np.cos(yaw_rad), np.sin(yaw_rad), np.zeros_like(yaw_rad)], axis=1)
+    right = np.cross(down, level)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    return np.stack([np.cross(right, down), right, down], axis=2)
+
+
+def from_vector(vector_rad: Array) -> Array:
+    """Build the rotations (..., 3, 3) about vectors (..., 3) by their lengths (Rodrigues)."""
+    vector = np.asarray(vector_rad, dtype=np.float64)
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    cross = np.zeros((*vector.shape[:-1], 3, 3))
+    cross[..., 2, 1], cross[..., 0, 2], cross[..., 1, 0] = (vector[..., i] for i in range(3))
+    cross = cross - np.swapaxes(cross, -1, -2)
+    half = np.sinc(angle / (2.0 * np.pi))
+    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * (cross @ cross)
+
+
+def _body_rates(rotation: Array, step_s: float) -> Array:
+    """Differentiate rotations (N, 3, 3) at equal steps: the angular rate (N, 3) in body axes, rad/s."""
+    between = np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:]
+    skew = 0.5 * (between - np.swapaxes(between, 1, 2))
+    sine_vector = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+    sine = np.linalg.norm(sine_vector, axis=1, keepdims=True)
+    cosine = 0.5 * (np.einsum("nii->n", between) - 1.0)[:, None]
+    angle = np.arctan2(sine, cosine)
+    middle = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0) * sine_vector / step_s
+    padded = np.concatenate([middle[:1], middle, middle[-1:]])
+    return 0.5 * (padded[:-1] + padded[1:])
+
+
+def angles(rotation: Array) -> Array:
+    """Read roll, pitch and yaw (N, 3) off rotations (N, 3, 3)."""
+    return np.stack(matrix_to_euler(rotation), axis=1)

@@ -7,12 +7,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcompass.frames import FloatArray as Array
+from mavcompass.frames import euler_to_quaternion, matrix_to_euler
 from mavcompass.gap.trial.vehicles.autopilot import attitude_at, parameters_of, steer_of
 from mavcompass.gap.trial.vehicles.draw import Site
 from mavcompass.gap.trial.vehicles.motion import STEP_S
-from mavcompass.gap.trial.vehicles.rotations import Array, angles, quaternions
-from mavcompass.gap.trial.vehicles.scene import Effect, Scene, Stage, ambient, readings, stream
-from mavcompass.gap.trial.vehicles.sensors import Fixes, fixes_of, measured_imu, true_imu
+from mavcompass.gap.trial.vehicles.scene import (
+    Effect,
+    Fixes,
+    Scene,
+    Stage,
+    ambient,
+    fixes_of,
+    measured_imu,
+    readings,
+    stream,
+)
 from mavcompass.track import InForce, MagSeries, Series, Track
 
 _FIX_RATE_HZ = 5.0
@@ -24,10 +34,9 @@ _METRES_PER_DEG = 111_195.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """Hold a track, the clean track, and the raw readings without noise at the track's rows, (N, 3)."""
+    """Hold a track, and the raw readings without noise at its rows, (N, 3), without and with the effects."""
 
     track: Track
-    clean: Track
     nominal_mgauss: Array
     changed_mgauss: Array
 
@@ -64,7 +73,7 @@ def record(
         return Series.of(scene.start_s + time_s[there], values[there])
 
     gyro, acc = felt.gyro_radps[rows], felt.acc_mps2[rows]
-    truth = quaternions(scene.motion.rotation[rows])
+    truth = euler_to_quaternion(*matrix_to_euler(scene.motion.rotation[rows]))
     columns = {name: kept(series.time_s, series.values) for name, series in loads.items()}
     columns |= {name: kept(*column) for name, column in _places(scene, site, fixes).items()}
     track = Track(
@@ -82,11 +91,9 @@ def record(
         parameters=parameters_of(vehicle),
     )
     track = replace(track, **columns)  # type: ignore[arg-type]
-    exact = correction.apply(quiet, scene.loads.current_a[_index(scene, scene.reading_s)])
-    clean = _clean(scene, site, exact[scene.held], truth, rows)
     there = keep(scene.row_s)
     plain = readings(scene, scene.plain_mgauss)
-    return Recording(track, clean, plain[scene.held][there], quiet[scene.held][there])
+    return Recording(track, plain[scene.held][there], quiet[scene.held][there])
 
 
 def _index(scene: Scene, time_s: Array) -> np.ndarray:
@@ -166,33 +173,3 @@ def _heard(length_s: float, lost_share: float, rng: np.random.Generator) -> Call
         return there
 
     return heard
-
-
-def _clean(scene: Scene, site: Site, field_mgauss: Array, truth: Array, rows: np.ndarray) -> Track:
-    """Assemble what a recorder without noise, steps and loss would have; the attitude is the true one."""
-    perfect, motion, loads = true_imu(scene.motion), scene.motion, scene.loads
-    time = scene.start_s + scene.row_s
-
-    def column(values: Array) -> Series:
-        return Series.of(time, values[rows])
-
-    return Track(
-        source=f"{scene.vehicle.kind}-{motion.name}-clean",
-        autopilot="ardupilot",
-        vehicle=scene.vehicle.kind.removeprefix("ackermann-"),
-        compasses={1: _compass(scene, Series.of(time, field_mgauss), False)},
-        acc_mps2=column(perfect.acc_mps2),
-        gyro_radps=column(perfect.gyro_radps),
-        attitude_rad=column(angles(motion.rotation)),
-        reference_q=Series.of(time, truth),
-        truth_q=Series.of(time, truth),
-        gps_velocity_mps=column(motion.velocity_mps),
-        position_ned_m=column(motion.position_m),
-        place=Series.of(time, _degrees(site, motion.position_m[rows])),
-        current_a=column(loads.current_a),
-        throttle=column(loads.throttle),
-        motors=column(loads.motors),
-        temperature_degc=column(loads.temperature_degc),
-        utc_offset_s=scene.vehicle.utc_s,
-        parameters=parameters_of(scene.vehicle),
-    )

@@ -286,7 +286,6 @@ EFFECTS = (
     ),
     Effect(
         id="field_gradient",
-        from_origin=lambda theta, away_m: np.asarray(away_m @ gradient_matrix(theta)),
         title="the field changes evenly with the place",
         stage=Stage.WORLD,
         parameters=axes(

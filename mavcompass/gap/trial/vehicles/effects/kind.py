@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.gap.trial.vehicles.rotations import Array
+from mavcompass.frames import FloatArray as Array
 from mavcompass.gap.trial.vehicles.scene import Effect, Scene, Stage, Values, readings, stream
 
 Rng = np.random.Generator

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from mavcompass.gap.trial.vehicles.effects.fields import dipole
+from mavcompass.frames import FloatArray as Array
+from mavcompass.frames import rotate_back
 from mavcompass.gap.trial.vehicles.effects.kind import AXES, Grow, Kind, Rng, along, grown, of, only, unit
-from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S
-from mavcompass.gap.trial.vehicles.rotations import Array, from_vector, to_body
+from mavcompass.gap.trial.vehicles.effects.known import dipole
+from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S, from_vector
 from mavcompass.gap.trial.vehicles.scene import Scene, Stage, Values
 
 _GAUSS = 1000.0
@@ -75,10 +76,7 @@ def _draw_swinging(rng: Rng, scene: Scene) -> Grow:
     length = rng.uniform(1.0, 3.0) if scene.vehicle.kind == "copter" else rng.uniform(0.25, 0.7)
     swing = np.radians(rng.uniform(8.0, 25.0))
     return grown(
-        rng,
-        ("moment_forward", "moment_right", "moment_down"),
-        length_m=float(length),
-        swing_rad=float(swing),
+        rng, ("moment_forward", "moment_right", "moment_down"), length_m=float(length), swing_rad=float(swing)
     )
 
 
@@ -91,7 +89,7 @@ def _act_swinging(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     swing = p["swing_rad"] * swing / (np.sqrt(2.0) * swing.std())
     hanging = np.column_stack([np.sin(swing), np.sqrt(1.0 - np.minimum((np.sin(swing) ** 2).sum(1), 0.9))])
     # Seen from the magnet the compass is above it.
-    apart = -p["length_m"] * to_body(scene.motion.rotation, hanging)
+    apart = -p["length_m"] * rotate_back(scene.motion.rotation, hanging)
     return values + dipole(apart, of(p, ("moment_forward", "moment_right", "moment_down")))
 
 
@@ -120,10 +118,10 @@ def _draw_flexing(rng: Rng, scene: Scene) -> Grow:
 def _act_flexing(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     """Bend the mast by the force across it: the sensor turns about the level axis square to the force."""
     motion = scene.motion
-    force = to_body(motion.rotation, motion.acceleration_mps2 - GRAVITY_NED_MPS2)
+    force = rotate_back(motion.rotation, motion.acceleration_mps2 - GRAVITY_NED_MPS2)
     bend = np.column_stack([-force[:, 1], force[:, 0], np.zeros(len(force))]) * p["rad_per_mps2"]
     bend = bend * (1.0 + 0.5 * of(p))
-    return to_body(from_vector(bend), values)
+    return rotate_back(from_vector(bend), values)
 
 
 def _act_growing_lag(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from mavcompass.frames import FloatArray, rotate_back
-from mavcompass.gap.replay import TELEMETRY_AGE
+from mavcompass.gap.replay.nuisance import TELEMETRY_AGE
 from mavcompass.simulation.effects.causes.timing import followed, late, late_beside, late_field, turned_since
 from mavcompass.simulation.effects.effect import LAG, SMOOTHING, Effect, Signals, Stage
 from mavcompass.simulation.physics.signals import RecordedStimulus

@@ -1,38 +1,67 @@
-"""Gazebo's magnetometer, as SDF: a constant, white noise, steps of the numbers, a bias that wanders.
+"""Exports to other simulators: our own, PX4's (an offset, no more), Gazebo's magnetometer.
 
-Its axes are x forward, y left, z up, its unit is the tesla. `mean` is the constant: `bias_mean` is drawn with
-either sign. Gains, oblique axes and what goes with motors or places need a plugin of the world's own.
+PX4's sensor_mag_sim (SIH, jMAVSim) reports field + SIM_MAG_OFFSET in gauss, with a noise of its own that no
+parameter changes. Gazebo's axes are x forward, y left, z up, its unit is the tesla; `mean` is the constant:
+`bias_mean` is drawn with either sign. Gains, oblique axes and what goes with motors or places need a plugin
+of the world's own.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from xml.sax.saxutils import escape
 
 import numpy as np
 
-from mavcompass.gap.export.exported import Exported, Found
+from mavcompass.gap.export.vehicle import Exported, Found, commented
+from mavcompass.simulation.effects import spell
+from mavcompass.simulation.effects.registry import PRESET_SCHEMA
 
-SIMULATOR = "Gazebo's magnetometer"
+_PX4 = "PX4's simulated magnetometer"
+_GAZEBO = "Gazebo's magnetometer"
 _TESLA = 1e-7
 _LEFT_UP = np.array([1.0, -1.0, -1.0])
 _WANDERS_S = 3600.0
 
 
+def preset(found: Found) -> Exported:
+    """Write a preset: `mavcompass simulate --effect @FILE`."""
+    document = {
+        "schema": PRESET_SCHEMA,
+        "source": found.source,
+        "effects": [spell(s) for s in found.settings],
+    }
+    use = "mavcompass calibrate sim:rover --dry-run --effect @FILE"
+    return Exported(json.dumps(document, indent=2) + "\n", use)
+
+
+def px4_sitl(found: Found) -> Exported:
+    """Write a parameter file in the form of PX4's ground stations: system, component, name, value, type."""
+    offset, lacking, left_out = found.offset_alone(_PX4)
+    parameters = {f"SIM_MAG_OFFSET_{axis}": float(offset[i]) / 1000.0 for i, axis in enumerate("XYZ")}
+    lost, gone = found.lost(_PX4, lambda setting: None)
+    lacking, left_out = lacking + lost, left_out + gone
+    lines = commented("#", found.headed(_PX4))
+    lines += commented("# not in the simulator:", lacking)
+    lines += [f"1\t1\t{name}\t{value:.9g}\t9" for name, value in parameters.items()]
+    text = "\n".join(lines) + "\n"
+    return Exported(text, "load FILE in QGroundControl", parameters, tuple(lacking), tuple(left_out))
+
+
 def gazebo(found: Found) -> Exported:
     """Write the <sensor> of a model; noise and steps are those that were found beside the simulator's."""
-    offset, lacking, left_out = found.offset_alone(SIMULATOR)
+    offset, lacking, left_out = found.offset_alone(_GAZEBO)
     values = {s.effect.id: s.values for s in found.settings}
     held = {"noise_excess", "quantisation", "bias_random_walk"}
-    lost = [s for s in found.settings if not s.effect.affine and s.effect.id not in held]
-    lacking += [found.without(s, SIMULATOR) for s in lost]
-    left_out += [s.effect.id for s in lost]
+    lost, gone = found.lost(_GAZEBO, lambda setting: setting.effect.id in held)
+    lacking, left_out = lacking + lost, left_out + gone
     scatter = _TESLA * values.get("noise_excess", {}).get("sigma_mgauss", 0.0)
     step = _TESLA * values.get("quantisation", {}).get("step_mgauss", 0.0)
     walk = values.get("bias_random_walk", {}).get("sigma_mgauss_per_sqrt_s", 0.0)
     kind = "gaussian_quantized" if step else "gaussian"
     lines = ['<?xml version="1.0"?>']
-    head, *known = (escape(sentence).replace("--", "- -") for sentence in found.headed(SIMULATOR))
+    head, *known = (escape(sentence).replace("--", "- -") for sentence in found.headed(_GAZEBO))
     lines += [f"<!-- {head}: tesla, x forward, y left, z up."]
     lines += [f"     In the vehicle's axes, x forward, y right, z down: {sentence}" for sentence in known]
     lines += [f"     Not in the simulator: {escape(sentence)}" for sentence in lacking]

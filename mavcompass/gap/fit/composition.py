@@ -1,4 +1,4 @@
-"""Derivatives of a simulation that nuisances and effects make of a replay.
+"""The simulation that a hypothesis makes of a replay: nuisances and effects in order, and its derivatives.
 
 They are those of the forward models in closed form, or differences: each parameter runs the composition again
 from its own stage on. What an attitude may be off by, and a common delay, are reckoned once for all columns.
@@ -12,17 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, euler_to_matrix
-from mavcompass.gap.attitude import Reference, cross_matrices
-from mavcompass.gap.fit.composition.lateness import (
-    TURNING,
-    Late,
-    Order,
-    late_members,
-    lateness,
-    made_late,
-    together,
-)
-from mavcompass.gap.replay import REFERENCE_YAW, Replay, group_values, turned
+from mavcompass.gap.attitude.kinematics import cross_matrices
+from mavcompass.gap.attitude.reference import Reference
+from mavcompass.gap.fit.hypothesis import Term
+from mavcompass.gap.fit.lateness import TURNING, Late, Order, late_members, lateness, made_late, together
+from mavcompass.gap.replay.noise import group_values
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import REFERENCE_YAW, Nuisance, turned
 from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, Effect, Group, Signals, Stage
 from mavcompass.simulation.physics.signals import Reading
 
@@ -169,11 +165,7 @@ class _After:
     """Carry changes through the members of a composition that come after them, for some sensors."""
 
     def __init__(
-        self,
-        order: Order,
-        thetas: Sequence[FloatArray],
-        states: Sequence[Signals],
-        groups: tuple[Group, ...],
+        self, order: Order, thetas: Sequence[FloatArray], states: Sequence[Signals], groups: tuple[Group, ...]
     ) -> None:
         self._order, self._thetas, self._states = order, thetas, states
         self.groups = groups
@@ -264,3 +256,75 @@ class _After:
         ]
         own = (np.stack(ends[:3], axis=2) - ends[3][:, :, None]) / _NUDGE_MGAUSS
         return own[0] if effect.affine else own
+
+
+class Composition:
+    """Run nuisances and effects on a replay; places count the nuisances first, then the terms."""
+
+    def __init__(self, replay: Replay, nuisances: Sequence[Nuisance]) -> None:
+        self.replay = replay
+        self.nuisances = nuisances
+
+    def free(self, terms: Sequence[Term], place: int) -> NDArray[np.int64]:
+        """Return the places of the free parameters of a member."""
+        n = len(self.nuisances)
+        if place < n:
+            return np.arange(len(self.nuisances[place].effect.parameters))
+        return np.flatnonzero(terms[place - n].free)
+
+    def _ordered(self, terms: Sequence[Term], everything: Sequence[FloatArray]) -> list[tuple[Effect, int]]:
+        """List the effects of the composition in order, with their places in the list of parameters."""
+        members = [(n.effect, i) for i, n in enumerate(self.nuisances)]
+        members += [(t.effect, len(self.nuisances) + i) for i, t in enumerate(terms)]
+        # Sorting is stable: a nuisance acts before the effects of its stage.
+        return sorted(members, key=lambda member: member[0].stage_at(everything[member[1]]))
+
+    def states(
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
+        without_last: Sequence[Signals] = (),
+    ) -> list[Signals]:  # fmt: skip
+        """Return the signals after each member of the composition, the replay's own first.
+
+        `without_last` are those without the last of the terms, where they are known.
+        """
+        everything = [*nuisance_thetas, *thetas]
+        order = self._ordered(terms, everything)
+        states = [self.replay.signals]
+        if without_last:
+            states = list(without_last[: 1 + [place for _, place in order].index(len(everything) - 1)])
+        for at, (effect, place) in enumerate(order[len(states) - 1 :], len(states) - 1):
+            late = together(order, at)
+            if len(late) == 1:
+                states.append(effect.forward(states[-1], everything[place], {}, None))
+            else:
+                # What is late and is made later waits for that.
+                last = at == late[-1]
+                members = [order[i] for i in late]
+                before = states[late[0]]
+                states.append(made_late(before, members, everything) if last else states[-1])
+        return states
+
+    def changes(
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
+        states: list[Signals], wanted: Sequence[int],
+    ) -> Changes:  # fmt: skip
+        """Return the derivatives of the prediction by the free parameters of some members, in their order;
+        nothing where there are none."""
+        everything = [*nuisance_thetas, *thetas]
+        order = self._ordered(terms, everything)
+        places = {place: at for at, (_, place) in enumerate(order)}
+        derivatives = Derivatives(self.replay, order, everything, states)
+        for place in wanted:
+            derivatives.by_member(places[place], self.free(terms, place))
+        return derivatives.changes()
+
+    def changes_beside(
+        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
+        states: list[Signals], others: Sequence[tuple[Term, FloatArray]],
+    ) -> Changes:  # fmt: skip
+        """Return the derivatives by the free parameters of others that do nothing yet, in their order."""
+        everything = [*nuisance_thetas, *thetas]
+        derivatives = Derivatives(self.replay, self._ordered(terms, everything), everything, states)
+        for term, theta in others:
+            derivatives.as_it_begins(term.effect, theta, np.flatnonzero(term.free))
+        return derivatives.changes()
