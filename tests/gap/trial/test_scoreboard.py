@@ -185,7 +185,8 @@ def test_the_page_groups_by_separation(tmp_path: Path) -> None:
     page = tmp_path / "trial.html"
     write_trial_report(trial(), page)
     text = page.read_text()
-    assert "8 cases, seed 7" in text and "single, d_sep &gt;= 9: exact" in text and "43.8 to 100.0" in text
+    assert "8 cases, seed 7" in text and "43.8 to 100.0" in text
+    assert "One effect, separation at least 9: exact" in text  # in words, for who has not read docs/gap.md
     document = trial().to_json()
     assert document["figures"]["single, d_sep >= 9: exact"] == {  # type: ignore[index]
         "hits": 3,
