@@ -12,6 +12,7 @@ from mavcompass.procedure.dialect import ParameterPlan, SaveUndo
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Ask, Script, ask, nothing
 
+CANCELLED = "Cancelled."  # by the person's answer
 # Of a calibration's bar: what is left is the proof, and the autopilot's own heading.
 _WRITTEN = 0.9
 
@@ -47,7 +48,7 @@ class Writer:
         if plan.refusals:
             return report
         if self.asks and not (yield from ask(desk.context, _question(plan, report.results))):
-            return report.noting("Cancelled.")
+            return report.noting(CANCELLED)
         yield from self.just_before()
         self.began = True
         outcome = yield from desk.dialect.write(desk.context, plan, self.save_undo)

@@ -15,6 +15,7 @@ from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Machine, Show
 from mavcompass.procedure.vehicle_state import find_vehicles
+from mavcompass.procedure.writing import CANCELLED
 from mavcompass.report.document import live_document
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.driver import run
@@ -64,7 +65,8 @@ def calibrate_one(
     for result in report.results:
         say_result(output, result)
     for message in report.messages:
-        output.say(f"Note: {message}")
+        if message != CANCELLED:
+            output.say(f"Note: {message}")
     document = live_document(source, report, wanted.method)
     if before_deg is not None and after_deg is not None:
         output.say(
@@ -129,7 +131,7 @@ def say_outcome(output: Output, report: CalibrationReport) -> None:
     elif report.undone:
         output.say("The old values are back on the vehicle: nothing has changed.")
     else:
-        output.say("Nothing written.")
+        output.say(f"{CANCELLED} Nothing written." if CANCELLED in report.messages else "Nothing written.")
         if report.heading is not None and report.heading.known:
             output.say(report.heading.summary())
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from mavcompass.cli.terminal.colour import is_live
+from mavcompass.cli.terminal.colour import is_live, wrapped
 from mavcompass.printable import printable
 from mavcompass.procedure.script import Ask, Show
 
@@ -133,7 +133,8 @@ def ask_on_terminal(question: Ask) -> Callable[[], bool | None]:
     choices = "[y/N, d: details]" if question.details else "[y/N]"
 
     def say(*lines: str) -> None:
-        print(*map(printable, lines), sep="\n", end=" ", file=sys.stderr, flush=True)
+        told = (wrapped(printable(line), sys.stderr) for line in lines)
+        print(*told, sep="\n", end=" ", file=sys.stderr, flush=True)
 
     def read() -> None:
         say(*question.about, f"{question.question} {choices}")
