@@ -211,12 +211,12 @@ def dwell_between(
     return _dwell(track, compass, in_force, time, reported, angles, record)
 
 
-def dwell_alone(track: Track, instance: int, start_s: float, end_s: float) -> Dwell:
-    """Average one stretch as `dwell_between` does, by what was recorded around it alone.
+def around(track: Track, start_s: float, end_s: float) -> Track:
+    """Cut out what tells the level of one stretch, of a long session that is looked at again and again.
 
-    Of a long session, looked at again and again, only what is near tells the level; turns count from there.
+    Turns count from there. The level is estimated once for all compasses that are asked about in it.
     """
-    return dwell_between(track.between(start_s - _NEAR_S, end_s + _NEAR_S), instance, start_s, end_s)
+    return track.between(start_s - _NEAR_S, end_s + _NEAR_S)
 
 
 def _dwell(
