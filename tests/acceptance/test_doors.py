@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,10 @@ SAMPLE = (
 def doors() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(CAMPAIGNS))
-        yield importlib.import_module("doors")
+        doors = importlib.import_module("doors")
+        # As many readings a second as a compass has: recordings of half the size.
+        patch.setattr(doors, "CalibrateSettings", partial(doors.CalibrateSettings, rate_hz=10.0))
+        yield doors
 
 
 def sampled(doors: Any, name: str) -> list[Any]:

@@ -46,7 +46,9 @@ def test_a_second_calibration_moves_the_offsets_by_less_than_two_milligauss() ->
 # The other vehicles: tests/procedure/test_calibrate_vehicles.py.
 @pytest.mark.parametrize(("positions", "step_deg"), [(3, 120.0), (4, -90.0), (6, 60.0)])
 def test_other_numbers_of_positions_steps_and_directions_are_usable(positions: int, step_deg: float) -> None:
-    settings = CalibrateSettings(writing="yes", positions=positions, step_rad=math.radians(step_deg))
+    settings = CalibrateSettings(
+        writing="yes", rate_hz=10.0, positions=positions, step_rad=math.radians(step_deg)
+    )
     with SimulatedLink.of("rover", seed=5) as link:
         report = calibrate_on(link, "sim:rover", settings)
         assert report.written

@@ -64,7 +64,9 @@ def with_its_compasses_aside() -> SimulatedAutopilot:
 
 def test_a_restart_that_was_allowed_brings_it_there(tmp_path: Path) -> None:
     vehicle = with_its_compasses_aside()
-    settings = CalibrateSettings(writing="yes", permissions=Permissions(set_mode=True, arm=True), reboot=True)
+    settings = CalibrateSettings(
+        writing="yes", rate_hz=10.0, permissions=Permissions(set_mode=True, arm=True), reboot=True
+    )
     shown: list[str] = []
     report = calibrated(vehicle, tmp_path, settings, shown=shown)
     assert vehicle.board.boots == 1, shown
@@ -77,7 +79,9 @@ def test_a_restart_that_was_allowed_brings_it_there(tmp_path: Path) -> None:
 
 def test_without_the_permission_the_last_line_says_what_to_do(tmp_path: Path) -> None:
     vehicle = with_its_compasses_aside()
-    settings = CalibrateSettings(writing="yes", permissions=Permissions(set_mode=True, arm=True))
+    settings = CalibrateSettings(
+        writing="yes", rate_hz=10.0, permissions=Permissions(set_mode=True, arm=True)
+    )
     report = calibrated(vehicle, tmp_path, settings)
     assert vehicle.board.boots == 0
     assert report.steers_off and report.written
@@ -96,7 +100,7 @@ def test_a_compass_that_stood_turned_is_held_against_the_autopilot_as_it_is_moun
     vehicle.firmware.store.set("COMPASS_ORIENT", 4.0)
     vehicle.firmware.compasses.parameters_changed()
     vehicle.advance(2.0)
-    report = calibrated(vehicle, tmp_path, CalibrateSettings(writing="yes", orientation=True))
+    report = calibrated(vehicle, tmp_path, CalibrateSettings(writing="yes", rate_hz=10.0, orientation=True))
     # Another compass steers it, and well: nothing of the half turn is the autopilot's.
     assert report.written and report.heading is not None
     assert abs(report.heading.error_before_deg) < 1.0 and abs(report.heading.error_after_deg) < 1.0

@@ -94,8 +94,7 @@ def test_one_that_may_land_lands_and_flew_by_the_old_calibration_for_the_last_ti
 
 
 def test_where_its_yaw_wanders_on_the_ground_nothing_is_promised(tmp_path: Path) -> None:
-    vehicle = SimulatedAutopilot("px4-copter", seed=6, armed=False, ready_s=2.0, calibration="old")
-    vehicle.advance(5.0)
+    vehicle = bent_vehicle("px4-copter", seed=3)
     correct = vehicle.filter.correct
 
     def wandering(dt_s: float, compass_yaw_rad: float | None) -> None:
@@ -104,8 +103,8 @@ def test_where_its_yaw_wanders_on_the_ground_nothing_is_promised(tmp_path: Path)
             vehicle.filter.yaw_rad += math.radians(1.6) * 0.7 * math.cos(0.7 * vehicle.time_s) * dt_s
 
     vehicle.filter.correct = wandering  # type: ignore[method-assign]
-    permissions = Permissions(set_mode=True, arm=True, takeoff_m=5.0)
-    report = calibrated(vehicle, tmp_path, CalibrateSettings(writing="yes", permissions=permissions))
+    settings = CalibrateSettings(writing="yes", permissions=Permissions(land=True))
+    report = calibrated(vehicle, tmp_path, settings)
     assert report.written and report.steers_off and report.heading is not None
     assert abs(report.heading.error_after_deg) < 2.0 and 0.8 < report.heading.wander_deg < 1.5
     assert "but may wander by" in report.heading.summary()

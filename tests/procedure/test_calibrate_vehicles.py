@@ -85,13 +85,11 @@ def test_where_the_live_gyro_misled_the_proof_it_turns_on_until_it_tells(tmp_pat
     assert heading_error_rms_deg(vehicle) <= 0.5
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("rover", 1), ("copter", 2)])
-def test_over_a_bad_link_the_error_stays_within_what_the_sigma_claims(
-    kind: str, seed: int, tmp_path: Path
-) -> None:
-    vehicle = bent_vehicle(kind, seed, 0.6)
+# Every kind, many seeds: scripts/campaigns/vehicles.py --quality lossy.
+def test_over_a_bad_link_the_error_stays_within_what_the_sigma_claims(tmp_path: Path) -> None:
+    vehicle = bent_vehicle("rover", 1, 0.6)
     before = untouched(vehicle)
-    report = calibrated(vehicle, tmp_path, link=FaultyLink(SimulatedLink(vehicle), BAD_LINK, seed=seed))
+    report = calibrated(vehicle, tmp_path, link=FaultyLink(SimulatedLink(vehicle), BAD_LINK, seed=1))
     assert report.written and report.proof is not None and report.proof.passed
     assert untouched(vehicle) == before
     error_deg = heading_error_rms_deg(vehicle, 1, report.results[0].correction)

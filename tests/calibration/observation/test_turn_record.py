@@ -153,21 +153,3 @@ def test_a_field_that_moves_shows_a_turn() -> None:
     turn = turn_record(standing(2.8, 0.5, field))
     assert turn is not None
     assert turn.bias_radps == 0.0 and turn.bias_sigma_radps == pytest.approx(0.2 * DEG)
-
-
-@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.4, -0.3)])
-def test_what_roll_and_pitch_witness_is_the_walk_of_the_sum(roll: float, pitch: float) -> None:
-    time = np.arange(0.0, 40.0, 0.04)
-    shaking = 0.5 * np.where(np.arange(time.size) % 2, 1.0, -1.0)
-    # It turns at a steady lean; summed, it rolls and pitches by 0.02 in most stretches of two seconds.
-    off, turning = 0.01 * (time // 2.0 % 3.0 - 1.0), 0.3
-    rates = [
-        off - turning * math.sin(pitch),
-        off * math.cos(roll) + turning * math.cos(pitch) * math.sin(roll),
-        -off * math.sin(roll) + turning * math.cos(pitch) * math.cos(roll),
-    ]
-    attitude = Series.of(time, np.tile([roll, pitch, 0.0], (time.size, 1)))
-    turn = turn_record(gyro_of(np.stack(rates, 1) + shaking[:, np.newaxis], time, attitude_rad=attitude))
-    assert turn is not None
-    # A normal walk is within 0.6745 sigma half of the time.
-    assert turn.walk_rad == pytest.approx(0.02 / 0.6745 / math.sqrt(2.0), rel=0.03)

@@ -47,7 +47,8 @@ def with_iron(kind: str, seed: int, mgauss: float, **parameters: float) -> Simul
 def settings(kind: str, exempt: str) -> CalibrateSettings:
     takeoff_m = 5.0 if kind.endswith("copter") else 0.0
     permissions = Permissions(set_mode=True, arm=True, takeoff_m=takeoff_m, exempt=exempt)  # type: ignore[arg-type]
-    return CalibrateSettings(motion="vehicle", writing="yes", permissions=permissions)
+    rate_hz = 10.0 if kind == "rover" else 25.0
+    return CalibrateSettings(motion="vehicle", writing="yes", rate_hz=rate_hz, permissions=permissions)
 
 
 @pytest.mark.parametrize("kind", ["rover", "copter", "px4-copter"])
