@@ -12,13 +12,13 @@ ROOT = Path(__file__).parents[1]
 LINES = {
     "package gap": (17_300, 10_500),
     "package simulation": (7_750, 5_800),
-    "package attitude calibration heading": (9_150, 5_400),
+    "package attitude calibration heading": (9_200, 5_400),
     "package vehicle messages mavlink enums.py": (8_200, 5_200),
     "package procedure": (6_100, 4_400),
     "package service": (5_100, 4_100),
     "package logs": (4_550, 3_600),
     "package cli": (3_800, 2_900),
-    "package": (68_440, 46_500),
+    "package": (68_480, 46_500),
     "tests": (42_200, 29_000),
     "scripts": (8_850, 4_400),
 }
