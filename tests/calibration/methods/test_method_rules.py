@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from calibration_worlds import FIELD, Iron, turning_track
 
+from mavcompass.calibration import calibrate_track
 from mavcompass.calibration.comparison import at_least, compared
 from mavcompass.calibration.methods import auto
 from mavcompass.calibration.model import HeadingError
@@ -17,6 +20,7 @@ from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.verdict import DEFAULT_LIMITS
 from mavcompass.correction import FieldCorrection
+from mavcompass.errors import PoorCalibration
 from mavcompass.frames import euler_to_quaternion
 from mavcompass.procedure.positions.proof import CompassProof, Proof
 from mavcompass.track import MagSeries, Series, Track
@@ -172,3 +176,34 @@ def test_a_proof_passes_where_the_turns_agree_and_the_solution_stands(
     )
     assert one.difference_deg == pytest.approx(math.remainder(off_deg, 360.0))
     assert not Proof((one, CompassProof(2, 80.0, 90.0, 1.5))).passed
+
+
+def test_methods_are_held_against_each_other_at_the_load_that_was_flown() -> None:
+    """One has a motor field of 20 mG at full throttle and as much less iron at half of it."""
+    motion: Any = SimpleNamespace(load_source="throttle", sections=SimpleNamespace(load_mean=0.5))
+    plain = result(sigma_deg=0.1)
+    ofs = plain.correction.offsets_mgauss
+    loaded = replace(
+        plain.correction,
+        offsets_mgauss=(ofs[0] - 10.0, ofs[1], ofs[2]),
+        motor_mgauss=(plain.correction.matrix @ [20.0, 0.0, 0.0]).tolist(),
+        motor_source="throttle",
+    )
+    both = [plain, replace(result("world-field", 0.1), correction=loaded)]
+    assert not auto._chosen(both).accepted
+    assert auto._chosen(both, motion).accepted
+
+
+@pytest.mark.parametrize(
+    ("method", "turns_deg", "lacks"),
+    [
+        ("min-max", (120.0, 120.0), "did not turn all the way round"),
+        ("four-positions-textbook", (50.0,) * 6, "no four positions with steps of about 90"),
+        ("four-positions-textbook", (90.0, -90.0, 90.0), "no four positions with steps of about 90"),
+    ],
+)
+def test_what_a_papers_method_needs_and_does_not_get_is_said(
+    method: str, turns_deg: tuple[float, ...], lacks: str
+) -> None:
+    with pytest.raises(PoorCalibration, match=lacks):
+        calibrate_track(turning_track(Iron(), turns_deg=turns_deg), method, earth=FIELD)

@@ -131,6 +131,7 @@ def test_noise_is_no_unrest_and_unrest_is_seen_through_noise() -> None:
 
 def test_the_noisier_the_readings_the_longer_they_are_averaged() -> None:
     quiet, noisy = StillnessDetector(), StillnessDetector()
+    assert noisy.averaging_s(math.radians(0.35), 2.0) == 0.0
     for time_s, gyro, force, field in noisy_readings(0.0):
         noisy.update(time_s, gyro, force, field)
         quiet.update(time_s, gyro, (0.0, 0.0, -9.81), (200.0, 0.0, 430.0))

@@ -13,6 +13,7 @@ from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turnin
 
 from mavcompass.calibration import calibrate_compasses, calibrate_track
 from mavcompass.calibration.model import level_to_body
+from mavcompass.calibration.motion.changes import Change, last_stretch
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
@@ -23,6 +24,7 @@ from mavcompass.track import MagSeries, Series, Track, joined
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 STRONG = FieldCorrection((60.0, -40.0, 25.0), (1.08, 0.93, 1.0), (0.02, 0.0, 0.0))
+STEEL = Iron((-30.0, 70.0, -20.0))
 ROUND = tuple(70.0 if k % 2 else 50.0 for k in range(9))
 
 
@@ -211,6 +213,18 @@ def test_what_stands_beside_steel_for_long_is_no_exception(stood_s: float, kept_
     result = calibrate_track(track, "world-field", earth=FIELD)
     assert (result.heading_sigma_deg < 0.3) == kept_out
     assert kept_out or result.heading_sigma_deg > 1.0
+
+
+def test_a_beginning_beside_steel_is_cut_off_and_dated() -> None:
+    """Longer than something passes by, and shorter than what is called usual."""
+    parked, moving = turning_track(STEEL, dwell_s=13.0, turns_deg=()), driven(iron_of(STRONG))
+    end_s = float(parked.compasses[1].time_s[-1]) + 0.02
+    motion = observe_motion(Recorded(joined([parked.shifted(-end_s), moving]), earth=FIELD))
+    later, change = last_stretch(motion)
+    assert change is not None and change.is_iron and change.time_s == pytest.approx(0.0, abs=3.0)
+    assert later.recorded.track.compasses[1].time_s[0] > -1.0
+    assert Change(33.0, 20.0).words().startswith("The iron changed by about 20 mG at 33 s")
+    assert Change(33.0, 10.0).words().startswith("What was recorded before 33 s does not fit the rest")
 
 
 def test_few_headings_do_not_make_a_small_sigma() -> None:

@@ -120,6 +120,8 @@ def test_a_position_that_swings_has_its_mean_angle() -> None:
 def test_a_take_off_divides_a_position() -> None:
     current = Series.of(TIME, np.where(TIME < 17.5, 0.0, 20.0))
     assert len(find_dwells(recorded(FOUR, current_a=current))) == 5
+    nobody_knows = Series.of(TIME, np.where(TIME < 17.5, 0.0, np.nan))
+    assert len(find_dwells(recorded(FOUR, current_a=nobody_knows))) == 4
 
 
 def test_a_turn_that_never_stands_is_cut() -> None:

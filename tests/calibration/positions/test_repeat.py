@@ -71,3 +71,19 @@ def test_two_positions_tell_nothing_and_three_do() -> None:
     with pytest.raises(PoorCalibration, match="only 2 positions"):
         repeat_test(forward, turned_back((0.0, 0.0)), earth=FIELD)
     assert repeat_test(forward, turned_back((0.0, 0.0, 0.0)), earth=FIELD).cause == "repeats"
+
+
+def test_turns_that_agree_but_with_no_rigid_compass_are_a_misfit() -> None:
+    forward = four_positions(Iron(), turns=np.radians([60.0] * 6), noise=1.0, gyro_sigma=0.001)
+    bent = [
+        replace(dwell, mean_mgauss=dwell.mean_mgauss + 9.0 * np.array([0.0, 0.0, (-1.0) ** k]))
+        for k, dwell in enumerate(forward.dwells)
+    ]
+    forward = replace(forward, dwells=tuple(bent))
+    back = replace(
+        forward,
+        dwells=forward.dwells[::-1],
+        steps=tuple(replace(step, angle_rad=-step.angle_rad) for step in forward.steps[::-1]),
+    )
+    test = repeat_test(forward, back, earth=FIELD)
+    assert test.cause == "misfit" and "not with a rigid compass" in test.words
