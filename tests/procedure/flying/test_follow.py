@@ -217,3 +217,40 @@ def test_the_parameters_are_told_up_to_the_last() -> None:
     for tenth in range(52):
         mute.step(Tick(0.1 * tenth))
     assert isinstance(mute.error, NoReply)
+
+
+def test_a_clock_that_stands_still_is_noticed() -> None:
+    clock = _Clock()
+    assert clock.stands(1e6) is None  # nothing was heard yet
+    heard(clock, 3.0)
+    assert clock.time_s == 3.0 and clock.stands(22.9) is None and "stands still" in str(clock.stands(23.1))
+    clock.hear(mav.Incoming(30.0, 1, 1, mav.Heartbeat()))
+    assert clock.stands(30.0) is not None
+
+
+@pytest.mark.parametrize(("down_m", "takeoff_m"), [(-5.0, 5.0), (0.0, 0.0)])
+def test_arming_is_tried_eight_times(
+    down_m: float, takeoff_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+
+    class Unready:
+        def __init__(self, identity: Any, state: Any, modes: Any, permissions: Any) -> None:
+            asked.append(permissions.takeoff_m)
+            assert permissions.set_mode and permissions.arm
+
+        def make(self, context: Context) -> Any:
+            yield context.now
+            raise Refused("The vehicle refused to arm.", "Wait.")
+
+    monkeypatch.setattr(follow, "Readiness", Unready)
+    here = profile("copter")
+    here.position_m[:, 2] = down_m
+    machine = Machine(lambda context: follow._ready(context, COPTER, VehicleState(), here))
+    for tenth in range(200):
+        machine.step(Tick(0.1 * tenth))
+    assert isinstance(machine.error, Refused) and asked == [takeoff_m] * 8
+    asked.clear()
+    rover = Machine(lambda context: follow._ready(context, ROVER, VehicleState(), profile()))
+    rover.step(Tick(0.0))
+    assert asked == [0.0]
