@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-pyplot = pytest.importorskip("matplotlib.pyplot", reason="pip install 'mavcompass[report]'")
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pyplot = pytest.importorskip("matplotlib.pyplot", reason="pip install 'mavcompass[report]'")
     pyplot.switch_backend("Agg")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}

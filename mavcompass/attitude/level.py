@@ -10,7 +10,8 @@ The receiver's velocity u lies in the frame under an unknown rotation c, so that
 is not known yet its speed bounds v, and acceleration tells c. Where nothing measures u, what moves is bounded
 by what such things do. The autopilot's roll and pitch tau_a err by e, which lasts: it turns the acceleration
 that it sees by as much as its yaw is wrong. All of (L1) is linear, alike in both axes, and a Kalman filter of
-five complex numbers (v, tau, b, c, e); variances are those of one axis.
+five complex numbers (v, tau, b, c, e), written out: for matrices of five the calls of numpy take longer than
+the sums. Variances are those of one axis.
 """
 
 from __future__ import annotations
@@ -18,15 +19,17 @@ from __future__ import annotations
 import cmath
 import math
 
-import numpy as np
-
 from mavcompass.gravity import is_gravity
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 Vector = tuple[float, float, float]
+# The upper triangle of the covariance, row by row; the lower one is its conjugate.
+Covariance = tuple[complex, ...]
 
 _G = STANDARD_GRAVITY_MPS2
 _V, _TAU, _B, _C, _E = range(5)
+# Where their variances stand in the triangle.
+_TAU_TAU, _B_B, _C_C = 5, 9, 12
 # What stands, floats or is held upright by its buoyancy, and a box of sensors of which nothing is known:
 # where these are still, the accelerometer shows gravity. What hovers leans with its thrust, and reads level.
 ON_THE_GROUND = frozenset({"rover", "ackermann-rover", "boat"})
@@ -102,10 +105,7 @@ class Level:
         self._calm2 = 1.0
         self._g_mps2 = _G
         self._misfit = 1.0
-        self._p = np.diag(
-            np.array([30.0, _TILT_SIGMA_RAD, _BIAS_SIGMA_RADPS, 1.0, ESTIMATOR_SIGMA_RAD]) ** 2
-        ).astype(complex)
-        self._f = np.eye(5, dtype=complex)
+        self._p = _uncorrelated(_BIAS_SIGMA_RADPS**2)
 
     @property
     def time_s(self) -> float:
@@ -124,7 +124,7 @@ class Level:
         """Return the filter's own variance of roll and of pitch, without what (L1) leaves out."""
         if not is_gravity(self._g_mps2):
             return UNKNOWN_RAD**2
-        return max(float(self._p[_TAU, _TAU].real), 1e-10) * max(self._misfit, 1.0)
+        return max(self._p[_TAU_TAU].real, 1e-10) * max(self._misfit, 1.0)
 
     def turned_at(self, time_s: float) -> float:
         """Return the angle turned at a moment near the latest reading's."""
@@ -185,7 +185,7 @@ class Level:
             return
         self._correct(((_V, 1.0), (_C, -u)), self._c * u - then, r, adaptive=True)
         size = abs(self._c)
-        if size > 0.5 and self._p[_C, _C].real < _TURN_KNOWN**2:  # a rotation is as long as one
+        if size > 0.5 and self._p[_C_C].real < _TURN_KNOWN**2:  # a rotation is as long as one
             self._correct(((_C, 1.0),), self._c / size - self._c, _TURN_KNOWN**2)
 
     def hear_attitude(self, time_s: float, roll_rad: float, pitch_rad: float) -> None:
@@ -204,10 +204,10 @@ class Level:
     # --- the filter ---------------------------------------------------------------------------------
 
     def _begin(self, time_s: float, acc: Vector, gyro: Vector) -> None:
-        turned, bias, biased, p = self.turned_rad, self._bias, self.bias_radps, self._p[_B, _B]
+        turned, bias, biased, known2 = self.turned_rad, self._bias, self.bias_radps, self._p[_B_B]
         g, known = self._g_mps2, min((time_s - self._time_s) / LASTS_S, 1.0)
         self.restart()
-        self._bias, self._p[_B, _B] = bias, p
+        self._bias, self._p = bias, _uncorrelated(known2)
         self.turned_rad, self.bias_radps = turned, biased
         self._time_s, self._acc, self._gyro = time_s, acc, gyro
         norm = math.sqrt(_dot(acc, acc))
@@ -222,17 +222,9 @@ class Level:
 
     def _turn_body(self, turn: Vector) -> None:
         """Turn the frame's rows by a small rotation of the body, in body axes."""
-        x, y, z = turn
-        angle2 = x * x + y * y + z * z
+        angle2 = _dot(turn, turn)
         s, k = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
-        turned = []
-        for row in (self._x, self._y):
-            a = _cross(row, turn)  # a row times the turn's cross product matrix
-            b = _cross(a, turn)
-            turned.append(
-                (row[0] + s * a[0] + k * b[0], row[1] + s * a[1] + k * b[1], row[2] + s * a[2] + k * b[2])
-            )
-        self._square(turned[0], turned[1])
+        self._square(_turned(self._x, turn, s, k), _turned(self._y, turn, s, k))
 
     def _square(self, x: Vector, y: Vector) -> None:
         """Take two rows and make them a rotation's."""
@@ -256,44 +248,69 @@ class Level:
         self._v += push * step_s
         fading = math.exp(-step_s / _ESTIMATOR_MEMORY_S)
         self._e *= fading
-        f, p = self._f, self._p
-        lean = 1j * g * step_s
-        f[_V, _TAU], f[_V, _B] = lean, -0.5 * lean * ahead * step_s
-        f[_TAU, _B] = -ahead * step_s
-        f[_E, _E] = fading
-        p = f @ p @ f.conj().T
+        # P -> F P F^H + Q, where v' takes lean of tau and bend of b, tau' takes carry of b, and e fades.
+        lean, carry = 1j * g * step_s, -ahead * step_s
+        bend = 0.5 * lean * carry
+        vv, vt, vb, vc, ve, tt, tb, tc, te, bb, bc, be, cc, ce, ee = self._p
+        bt, back, turned = tb.conjugate(), carry.conjugate(), tb + carry * bb
+        own = vv + lean * vt.conjugate() + bend * vb.conjugate()
+        along, across = vt + lean * tt + bend * bt, vb + lean * tb + bend * bb
         # Noise of more than a step averages out what the steps hide.
         hidden2 = _HIDDEN_RADPS**2 * _LEAST_RATE2 / self._rate2
         doubt = ESTIMATOR_SIGMA_RAD**2 + (_YAW_DOUBT * abs(self._pushed) / _G) ** 2
-        p[_V, _V] += self._force2 * step_s * step_s + _HIDDEN_MPS2**2 * step_s
-        p[_TAU, _TAU] += self._rate2 * step_s * step_s + _SCALE**2 * _dot(self._gyro, self._gyro) * step_s
-        p[_B, _B] += (_BIAS_WALK + 2.0 * hidden2 / _HIDDEN_FOR_S) * step_s
-        p[_C, _C] += _TURN_WALK * step_s
-        p[_E, _E] += doubt * (1.0 - fading * fading)
-        self._p = p
+        shaken2 = self._force2 * step_s * step_s + _HIDDEN_MPS2**2 * step_s
+        rolled2 = self._rate2 * step_s * step_s + _SCALE**2 * _dot(self._gyro, self._gyro) * step_s
+        self._p = (
+            own + along * lean.conjugate() + across * bend.conjugate() + shaken2,
+            along + across * back,
+            across,
+            vc + lean * tc + bend * bc,
+            fading * (ve + lean * te + bend * be),
+            tt + carry * bt + turned * back + rolled2,
+            turned,
+            tc + carry * bc,
+            fading * (te + carry * be),
+            bb + (_BIAS_WALK + 2.0 * hidden2 / _HIDDEN_FOR_S) * step_s,
+            bc,
+            fading * be,
+            cc + _TURN_WALK * step_s,
+            fading * ce,
+            fading * fading * ee + doubt * (1.0 - fading * fading),
+        )
 
     def _correct(
         self, by: tuple[tuple[int, complex], ...], off: complex, r: float, adaptive: bool = False
     ) -> None:
         """Take a measurement of a sum of states by factors: `off` is what it says less what was foreseen."""
-        p = self._p
-        factors = np.zeros(5, dtype=complex)
+        # The innovation's covariance with each state, P h*, and its own variance.
+        v = t = b = c = e = 0.0 + 0.0j
         for i, h in by:
-            factors[i] = h
-        row = p @ factors.conj()
-        foreseen = float((factors @ row).real)
+            column, h = _column(self._p, i), h.conjugate()
+            v, t, b = v + h * column[_V], t + h * column[_TAU], b + h * column[_B]
+            c, e = c + h * column[_C], e + h * column[_E]
+        row = (v, t, b, c, e)
+        foreseen = sum((h * row[i]).real for i, h in by)
         misfit = (off.real**2 + off.imag**2) / (2.0 * (foreseen + r))
         if adaptive:
             self._misfit += 0.05 * (min(misfit, _OUTLIER) - self._misfit)
             r *= max(self._misfit, 1.0)
         r *= max(misfit / _OUTLIER, 1.0)
-        gain = row / (foreseen + r)
-        self._p = p - np.outer(gain, row.conj())
-        v, tau, b, c, e = (gain * off).tolist()
-        self._v += v
-        self._c += c
-        self._e += e
-        self._bias += b
+        by_innovation = 1.0 / (foreseen + r)
+        vv, vt, vb, vc, ve, tt, tb, tc, te, bb, bc, be, cc, ce, ee = self._p
+        v1, t1, b1, c1 = v * by_innovation, t * by_innovation, b * by_innovation, c * by_innovation
+        e1, th, bh, ch, eh = e * by_innovation, t.conjugate(), b.conjugate(), c.conjugate(), e.conjugate()
+        self._p = (
+            vv - v1 * v.conjugate(), vt - v1 * th, vb - v1 * bh, vc - v1 * ch, ve - v1 * eh,
+            tt - t1 * th, tb - t1 * bh, tc - t1 * ch, te - t1 * eh,
+            bb - b1 * bh, bc - b1 * ch, be - b1 * eh,
+            cc - c1 * ch, ce - c1 * eh,
+            ee - e1 * eh,
+        )  # fmt: skip
+        self._v += v1 * off
+        self._c += c1 * off
+        self._e += e1 * off
+        self._bias += b1 * off
+        tau = t1 * off
         # What was felt so far leans with the frame.
         self._pushed += 1j * _G * tau
         self._slow += 1j * _G * tau
@@ -333,12 +350,35 @@ class Level:
         self._rate2 = max(_calmer(self._rate2, rate2), _LEAST_RATE2)
 
 
+def _uncorrelated(bias2: complex) -> Covariance:
+    """Return what is known at the start, with this variance of the gyro's bias."""
+    tau2, e2, no = _TILT_SIGMA_RAD**2, ESTIMATOR_SIGMA_RAD**2, 0.0 + 0.0j
+    return (30.0**2, no, no, no, no, tau2, no, no, no, bias2, no, no, 1.0, no, e2)
+
+
+def _column(p: Covariance, i: int) -> tuple[complex, ...]:
+    """Return a column of the covariance: of v, tau, c or e, which alone are measured."""
+    vv, vt, vb, vc, ve, tt, tb, tc, te, _, bc, be, cc, ce, ee = p
+    if i == _V:
+        return vv, vt.conjugate(), vb.conjugate(), vc.conjugate(), ve.conjugate()
+    if i == _TAU:
+        return vt, tt, tb.conjugate(), tc.conjugate(), te.conjugate()
+    return (vc, tc, bc, cc, ce.conjugate()) if i == _C else (ve, te, be, ce, ee)
+
+
 def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _cross(a: Vector, b: Vector) -> Vector:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def _turned(row: Vector, turn: Vector, s: float, k: float) -> Vector:
+    """Turn a row by Rodrigues' formula, with these two factors of the turn's cross product and its square."""
+    a = _cross(row, turn)
+    b = _cross(a, turn)
+    return (row[0] + s * a[0] + k * b[0], row[1] + s * a[1] + k * b[1], row[2] + s * a[2] + k * b[2])
 
 
 def _middle(a: Vector, b: Vector) -> Vector:
@@ -352,5 +392,6 @@ def _calmer(noise2: float, seen2: float) -> float:
 
 def _bend2(a: Vector, b: Vector, c: Vector, d: Vector) -> float:
     """Return the mean square of the third difference over x and y."""
-    x, y = (a[i] - 3.0 * (b[i] - c[i]) - d[i] for i in (0, 1))
+    x = a[0] - 3.0 * (b[0] - c[0]) - d[0]
+    y = a[1] - 3.0 * (b[1] - c[1]) - d[1]
     return 0.5 * (x * x + y * y)

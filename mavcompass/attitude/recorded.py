@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -18,6 +20,8 @@ _STEP_S = 0.04
 # Between readings further apart nothing is bridged.
 _LONGEST_GAP_S = 0.5
 _SMOOTHING_S, _PUSHES_FOR_S = 0.6, 2.0
+# How often the filter is kept, and of how long a run: of a look at what is near, not of a whole recording.
+_KEPT_EVERY, _KEPT_ROWS = 16, 2048
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,6 +135,38 @@ def _told(time: FloatArray, attitude: Series | None) -> tuple[FloatArray, FloatA
     return at, angles
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Run:
+    """Hold a run of the filter: of what, what it gave, and the filter after so many rows and velocities."""
+
+    of: tuple[str, float, float]
+    rows: FloatArray
+    speeds: FloatArray
+    out: FloatArray
+    kept: list[tuple[int, int, Level]]
+
+    def until(self, of: tuple[str, float, float], rows: FloatArray, speeds: FloatArray) -> int:
+        """Return which kept filter is the latest that saw the beginning of this and no more; -1 for none."""
+        if self.of != of:
+            return -1
+        n, m = min(len(rows), len(self.rows)), min(len(speeds), len(self.speeds))
+        same = _same_rows(rows[:n], self.rows[:n])
+        heard = np.searchsorted(speeds[:, 0], rows[:n, 0], side="right")
+        alike = _same_rows(speeds[:m], self.speeds[:m])
+        fits = (k <= same and at == heard[k - 1] <= alike for k, at, _ in self.kept)
+        return max((which for which, fit in enumerate(fits) if fit), default=-1)
+
+
+def _same_rows(one: FloatArray, other: FloatArray) -> int:
+    """Return how many first rows are alike."""
+    alike = ((one == other) | (np.isnan(one) & np.isnan(other))).all(axis=1)
+    return len(alike) if alike.all() else int(np.argmin(alike))
+
+
+# A live session asks about what has only grown: such a run goes on from where the one before it was.
+_runs: deque[_Run] = deque(maxlen=4)
+
+
 def _run(
     vehicle: str,
     time: FloatArray,
@@ -142,26 +178,39 @@ def _run(
 ) -> FloatArray:
     """Run the filter along time (sign 1) or against it (-1): down and variance, (N, 4)."""
     interval = float(np.median(np.diff(time))) if time.size > 1 else 0.0
-    level = Level(vehicle, max(_LONGEST_GAP_S, 3.0 * interval))
+    longest_s = max(_LONGEST_GAP_S, 3.0 * interval)
     order = slice(None, None, int(sign))
-    columns = [(sign * time[order]).tolist(), force[order].tolist(), (sign * rate[order]).tolist()]
-    attitudes: list[list[float]] = []
-    if told is not None:
-        attitudes = np.column_stack([sign * told[0], told[1]])[order].tolist()
-    moments: list[float] = []
-    moved: list[list[float]] = []
+    attitudes = (
+        np.full((time.size, 3), np.nan) if told is None else np.column_stack([sign * told[0], told[1]])
+    )
+    rows = np.column_stack([sign * time, force, sign * rate, attitudes])[order]
+    speeds = np.empty((0, 3))
     if speed is not None:
-        moments = (sign * (speed.time_s - RECEIVER_LAG_S))[order].tolist()
-        moved = (sign * speed.values)[order].tolist()
-    out, place = np.empty((time.size, 4)), 0
-    for k, (now, f, w) in enumerate(zip(*columns, strict=True)):
-        level.update(now, f, w)
-        if attitudes and attitudes[k][1] == attitudes[k][1]:
-            level.hear_attitude(*attitudes[k])
+        speeds = sign * np.column_stack([speed.time_s - RECEIVER_LAG_S, speed.values])[order]
+    of, out, level = (vehicle, longest_s, sign), np.empty((time.size, 4)), Level(vehicle, longest_s)
+    start, place, kept = 0, 0, list[tuple[int, int, Level]]()
+    for run in tuple(_runs):
+        which = run.until(of, rows, speeds)
+        if which >= 0 and run.kept[which][0] > start:
+            kept = run.kept[: which + 1]
+            start, place, level = kept[-1]
+            out[:start] = run.out[:start]
+    level, moments = copy(level), speeds[:, 0].tolist()
+    moved, found = speeds[:, 1:].tolist(), []
+    for k, row in enumerate(rows[start:].tolist(), start + 1):
+        now = row[0]
+        level.update(now, row[1:4], row[4:7])
+        if row[8] == row[8]:
+            level.hear_attitude(row[7], row[8], row[9])
         while place < len(moments) and moments[place] <= now:
             level.hear_velocity(moments[place], *moved[place])
             place += 1
-        out[k] = (*level.down, level.variance)
+        found.append((*level.down, level.variance))
+        if sign > 0.0 and k % _KEPT_EVERY == 0 and len(rows) <= _KEPT_ROWS:
+            kept.append((k, place, copy(level)))
+    out[start:] = np.reshape(found, (-1, 4))
+    if kept:
+        _runs.append(_Run(of, rows, speeds, out, kept))
     return out[order]
 
 

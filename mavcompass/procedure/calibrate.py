@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from mavcompass import messages as mav
-from mavcompass.calibration.observation import dwell_alone
+from mavcompass.calibration.observation import around, dwell_between
 from mavcompass.calibration.result import CalibrationResult, summary
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, PoorCalibration, Refused
@@ -267,8 +267,9 @@ class _Calibration:
     def sureness_deg(self, start_s: float, end_s: float) -> float:
         """Return how far the heading by one still stretch may be off, 1 sigma, of the worst compass."""
         track = self.desk.builder.build()
+        near = around(track, start_s, end_s)
         try:
-            seen = [dwell_alone(track, i, start_s, end_s) for i in self.instances]
+            seen = [dwell_between(near, i, start_s, end_s) for i in self.instances]
         except (PoorCalibration, KeyError):
             return math.inf
         world = earth_field_of(track, self.settings.year)

@@ -1,15 +1,17 @@
 """Does one command calibrate every kind of vehicle? All simulated vehicles, many seeds, compasses badly bent.
 
-    python scripts/campaigns/vehicles.py [--seeds 20] [--share 1.0] [--vehicle rover]...
+    python scripts/campaigns/vehicles.py [--seeds 20] [--share 1.0] [--vehicle rover]... [--quality lossy]...
 
 The steering compass is wrong by `share` of the horizontal field, in a direction drawn by the seed, so that
-the autopilot's own yaw is bent while it turns. Judged by the simulator's truth. "claimed" is the sigma of
-those that were written, and behind it the share of them whose rms error is within 1 and 1.96 of it.
+the autopilot's own yaw is bent while it turns; over links of these qualities. Judged by the simulator's truth.
+"claimed" is the sigma of those that were written, and behind it the share of them whose rms error is within 1
+and 1.96 of it.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import random
 import statistics
@@ -25,9 +27,15 @@ from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.physics.profiles import PROFILES
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
+from mavcompass.vehicle.links.faults import Faults, FaultyLink
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
 TARGET_DEG = 0.5
+QUALITIES = {
+    "clean": Faults(),
+    "radio": Faults(loss=0.05, latency_s=0.1, reorder=0.02),
+    "lossy": Faults(loss=0.3, duplicate=0.05, reorder=0.1, latency_s=0.3),
+}
 
 
 @dataclass(frozen=True)
@@ -55,18 +63,15 @@ def bent_vehicle(kind: str, seed: int, share: float) -> SimulatedAutopilot:
     return SimulatedAutopilot(kind, seed=seed, compasses=setups)
 
 
-def run(kind: str, seed: int, share: float) -> Run:
+def run(kind: str, seed: int, share: float, quality: str) -> Run:
     """Calibrate one vehicle."""
     vehicle = bent_vehicle(kind, seed, share)
     before_deg = heading_error_rms_deg(vehicle)
+    link = FaultyLink(SimulatedLink(vehicle), QUALITIES[quality], seed)
+    settings = CalibrateSettings(writing="yes")
     with tempfile.TemporaryDirectory() as folder:
         try:
-            report = calibrate_on(
-                SimulatedLink(vehicle),
-                f"sim:{kind}",
-                CalibrateSettings(writing="yes"),
-                undo_directory=Path(folder),
-            )
+            report = calibrate_on(link, f"sim:{kind}", settings, undo_directory=Path(folder))
         except MavCompassError as error:
             return Run(before_deg, heading_error_rms_deg(vehicle), math.nan, 0, vehicle.time_s, str(error))
     trouble = "" if report.written else "; ".join(report.results[0].reasons or report.messages)
@@ -95,30 +100,35 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=100)
     parser.add_argument("--share", type=float, default=1.0)
     parser.add_argument("--vehicle", action="append", choices=[*PROFILES])
+    parser.add_argument("--quality", action="append", choices=QUALITIES, help="of the link; clean")
     arguments = parser.parse_args()
     print(
-        "vehicle          runs  within  before deg  after deg median / max    rms  claimed  1, 1.96 s"
+        "vehicle, link           runs  within  before deg  after deg median / max    rms  claimed  1, 1.96 s"
         "  positions  vehicle s median"
     )
-    for kind in arguments.vehicle or PROFILES:
+    for kind, quality in itertools.product(arguments.vehicle or PROFILES, arguments.quality or ("clean",)):
         seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-        runs = [run(kind, seed, arguments.share) for seed in seeds]
-        good = [r for r in runs if not r.trouble and r.after_deg <= TARGET_DEG]
-        written = [r for r in runs if not r.trouble]
-        ratios = [r.after_deg / r.sigma_deg for r in written]
-        covered = [100.0 * sum(x < limit for x in ratios) / max(len(ratios), 1) for limit in (1.0, 1.96)]
-        print(
-            f"{kind:15} {len(runs):5} {len(good):7} {statistics.mean(r.before_deg for r in runs):11.1f}"
-            f" {statistics.median(r.after_deg for r in runs):17.2f} / {max(r.after_deg for r in runs):.2f}"
-            f" {rms(r.after_deg for r in written):6.2f} {rms(r.sigma_deg for r in written):8.2f}"
-            f" {covered[0]:5.0f} {covered[1]:4.0f}"
-            f" {statistics.mean(r.positions for r in runs):9.1f}"
-            f" {statistics.median(r.vehicle_s for r in runs):17.1f}",
-            flush=True,
-        )
-        for seed, one in zip(seeds, runs, strict=True):
-            if one.trouble or one.after_deg > TARGET_DEG:
-                print(f"    seed {seed}: {one.after_deg:.2f} deg left. {one.trouble}")
+        show(f"{kind}, {quality}", seeds, [run(kind, seed, arguments.share, quality) for seed in seeds])
+
+
+def show(name: str, seeds: Iterable[int], runs: list[Run]) -> None:
+    """Print one line, and below it what went wrong."""
+    good = [r for r in runs if not r.trouble and r.after_deg <= TARGET_DEG]
+    written = [r for r in runs if not r.trouble]
+    ratios = [r.after_deg / r.sigma_deg for r in written]
+    covered = [100.0 * sum(x < limit for x in ratios) / max(len(ratios), 1) for limit in (1.0, 1.96)]
+    print(
+        f"{name:22} {len(runs):5} {len(good):7} {statistics.mean(r.before_deg for r in runs):11.1f}"
+        f" {statistics.median(r.after_deg for r in runs):17.2f} / {max(r.after_deg for r in runs):.2f}"
+        f" {rms(r.after_deg for r in written):6.2f} {rms(r.sigma_deg for r in written):8.2f}"
+        f" {covered[0]:5.0f} {covered[1]:4.0f}"
+        f" {statistics.mean(r.positions for r in runs):9.1f}"
+        f" {statistics.median(r.vehicle_s for r in runs):17.1f}",
+        flush=True,
+    )
+    for seed, one in zip(seeds, runs, strict=True):
+        if one.trouble or one.after_deg > TARGET_DEG:
+            print(f"    seed {seed}: {one.after_deg:.2f} deg left. {one.trouble}")
 
 
 if __name__ == "__main__":

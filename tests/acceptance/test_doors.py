@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,36 +12,32 @@ import numpy as np
 import pytest
 
 CAMPAIGNS = Path(__file__).parents[2] / "scripts" / "campaigns"
-WHOLE = (
+# One of each verdict, a remark of what the parameters tell, and one, of many, that is mended.
+SAMPLE = (
     "two contradict, rover",
-    "one alone, rover",
     "exactly right, rover",
-    "exactly right, px4-copter",
-    "never calibrated, rover",
-    "priority will change",
     "duplicate device id",
-    "GPS yaw steers",
     "two autopilots on an id",
+    "mounted at right angles, rover",
 )
-# Of many mountings each, drawn: how many.
-DRAWN = {"mounted at right angles, rover": 2}
 
 
 @pytest.fixture(scope="module")
 def doors() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(CAMPAIGNS))
-        yield importlib.import_module("doors")
+        doors = importlib.import_module("doors")
+        # As many readings a second as a compass has: recordings of half the size.
+        patch.setattr(doors, "CalibrateSettings", partial(doors.CalibrateSettings, rate_hz=10.0))
+        yield doors
 
 
 def sampled(doors: Any, name: str) -> list[Any]:
     family = [one for one in doors.situations(0) if one.family == name]
-    assert family, name
-    count = DRAWN.get(name, len(family))
-    return [family[k] for k in np.random.default_rng(52).permutation(len(family))[:count]]
+    return [family[np.random.default_rng(52).integers(len(family))]]
 
 
-@pytest.mark.parametrize("name", [*WHOLE, *DRAWN])
+@pytest.mark.parametrize("name", SAMPLE)
 def test_a_situation_is_judged_alike_through_every_door(
     doors: Any, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,7 +23,8 @@ def undo_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MAVCOMPASS_UNDO_DIR", str(tmp_path / "undo"))
 
 
-@pytest.mark.parametrize("seed", range(10))
+# As many as wanted: scripts/campaigns/calibration.py.
+@pytest.mark.parametrize("seed", range(3))
 def test_a_badly_calibrated_rover_ends_within_half_a_degree(seed: int) -> None:
     with SimulatedLink.of("rover", seed=seed) as link:
         before = heading_error_rms_deg(link.autopilot)
@@ -43,9 +44,11 @@ def test_a_second_calibration_moves_the_offsets_by_less_than_two_milligauss() ->
 
 
 # The other vehicles: tests/procedure/test_calibrate_vehicles.py.
-@pytest.mark.parametrize(("positions", "step_deg"), [(3, 120.0), (6, 60.0), (4, -90.0), (5, 72.0), (4, 80.0)])
+@pytest.mark.parametrize(("positions", "step_deg"), [(3, 120.0), (4, -90.0), (6, 60.0)])
 def test_other_numbers_of_positions_steps_and_directions_are_usable(positions: int, step_deg: float) -> None:
-    settings = CalibrateSettings(writing="yes", positions=positions, step_rad=math.radians(step_deg))
+    settings = CalibrateSettings(
+        writing="yes", rate_hz=10.0, positions=positions, step_rad=math.radians(step_deg)
+    )
     with SimulatedLink.of("rover", seed=5) as link:
         report = calibrate_on(link, "sim:rover", settings)
         assert report.written

@@ -103,18 +103,6 @@ def test_a_reading_that_is_repeated_while_the_vehicle_turns_by_45_degrees_is_fro
             _check_compass(track, 1)
 
 
-def test_what_has_no_solution_keeps_what_is_in_force() -> None:
-    kept = FieldCorrection((120.0, -80.0, 40.0))
-    refused = calibrate._refused(
-        recording(swinging(9.0), 0.0, kept), "sphere", 1, PoorCalibration("It is flat.", "Turn it.")
-    )
-    assert not refused.accepted and refused.correction == refused.in_force == kept
-    assert (
-        refused.raw_offset_mgauss == pytest.approx([-120.0, 80.0, -40.0])
-        and "It is flat." in refused.reasons[0]
-    )
-
-
 def test_three_still_positions_are_enough() -> None:
     for turns, count in (((120.0, 120.0), 3), ((205.0,), 2)):
         recorded = Recorded(turning_track(Iron((30.0, -20.0, 5.0)), turns_deg=turns), 1, FIELD)

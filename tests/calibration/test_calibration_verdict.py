@@ -11,7 +11,7 @@ import pytest
 
 from mavcompass.calibration.model import GAIN, HORIZONTAL
 from mavcompass.calibration.positions import WIDENED_BELOW
-from mavcompass.calibration.verdict import Limits, _name_positions, judge, largest_gap_rad, share_words
+from mavcompass.calibration.verdict import Limits, judge, largest_gap_rad, share_words
 from mavcompass.units import DEG_PER_RAD, RAD_PER_DEG
 
 H = 200.0
@@ -198,80 +198,3 @@ def test_a_heading_less_certain_than_the_limit_is_refused_with_its_largest_cause
     assert len(reasons) == refused
     assert all("uncertain by 2.0 degrees (limit 2), most of it from tilt" in reason for reason in reasons)
     assert told(fitted=fit(heading_sigma_rad=1.0), limit_deg=DEG_PER_RAD) == ((), ())  # just at it
-
-
-def unsteady(mgauss: float) -> Any:
-    return data(unsteady_mgauss=mgauss)
-
-
-def with_currents(*amperes: float) -> Any:
-    seen = data()
-    return SimpleNamespace(
-        dwells=tuple(dwell(current_a=a) for a in amperes), turned_rad=seen.turned_rad[: len(amperes)]
-    )
-
-
-SHARE = {"noise": 0.001, "disturbance": 0.01}
-SIGMA_DEG = 0.01 * DEG_PER_RAD
-
-
-@pytest.mark.parametrize(
-    ("seen", "fitted", "limit_deg", "reasons", "warnings"),
-    [
-        (data(), fit(heading_sigma_rad=0.01), SIGMA_DEG, [], []),
-        (data(mean_mgauss=np.array([32000.0, 0.0, -32000.0])), fit(), 2.0, [], []),
-        (data(), fit(horizontal=15.0, world_model=False), 2.0, ["nowhere so weak"], []),
-        (data(), fit(horizontal=804.0, world_model=False), 2.0, ["nowhere so strong"], []),
-        (data(), fit(xz=0.35), 2.0, [], []),
-        (unsteady(10.0), fit(), math.atan2(10.0, H) * DEG_PER_RAD, [], []),
-        (data(), fit(consistency=1e-3, residual_rms_mgauss=9.0), 2.0, [], ["fit worse than their noise"]),
-        (
-            data(),
-            fit(consistency=1e-4, residual_rms_mgauss=math.radians(0.25) * H),
-            2.0,
-            [],
-            ["fit worse than their noise"],
-        ),
-        (data(), fit(consistency=WIDENED_BELOW), 2.0, [], []),
-        (data(), fit(disturbed_probability=np.array([0.5, 0.0, 0.0, 0.0]), suspects=(0,)), 2.0, [], []),
-        (
-            data(),
-            fit(disturbed_probability=np.array([0.6, 0.0]), suspects=(0,), heading_sigma_rad=0.01),
-            SIGMA_DEG,
-            [],
-            ["The field at position 1 is off"],
-        ),
-        (
-            with_currents(2.0, 3.0, 2.5, 2.0),
-            fit(budget_rad=SHARE),
-            2.0 * SIGMA_DEG,
-            [],
-            ["differed by 1.0 A"],
-        ),
-        (with_currents(2.0, 2.99, 2.5, 2.0), fit(budget_rad=SHARE), 2.0 * SIGMA_DEG, [], []),
-    ],
-)
-def test_what_lies_at_a_limit(
-    seen: Any, fitted: Any, limit_deg: float, reasons: list[str], warnings: list[str]
-) -> None:
-    for said, expected in zip(told(seen, fitted, limit_deg=limit_deg), (reasons, warnings), strict=True):
-        assert len(said) == len(expected) and all(w in s for w, s in zip(expected, said, strict=True)), said
-
-
-@pytest.mark.parametrize(("off", "words"), [(0.28, "28 %"), (0.38, "38 %"), (-0.281, "a third")])
-def test_a_third_is_between_28_and_38_percent(off: float, words: str) -> None:
-    assert share_words(off) == words
-
-
-@pytest.mark.parametrize(
-    ("suspects", "named"),
-    [
-        ((), "one of the positions"),
-        ((2,), "position 3"),
-        ((3, 0), "position 1 or 4"),
-        ((3, 0, 1, 2), "position 1, 2, 3 or 4"),
-        ((4, 3, 0, 1, 2), "one of the positions"),
-    ],
-)
-def test_up_to_four_positions_are_named(suspects: tuple[int, ...], named: str) -> None:
-    assert _name_positions(suspects) == named

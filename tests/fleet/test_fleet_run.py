@@ -29,6 +29,14 @@ ONE, TWO = (Engine(workers=n, timeout_s=120.0) for n in (1, 2))
 
 
 @pytest.fixture
+def own_four(own_twelve: list[Recording]) -> list[Recording]:
+    """The first four of them alone."""
+    for recording in own_twelve[4:]:
+        Path(recording.path).unlink()
+    return own_twelve[:4]
+
+
+@pytest.fixture
 def own_twelve(twelve: Path, tmp_path: Path) -> list[Recording]:
     """The twelve as links in one folder, so that a test may add to it."""
     for path in twelve.rglob("*.csv"):
@@ -52,22 +60,22 @@ def test_the_table_has_the_documented_columns_and_a_row_each(
 
 
 def test_a_recording_that_kills_its_process_is_one_error_and_the_others_are_done(
-    own_twelve: list[Recording], tmp_path: Path
+    own_four: list[Recording], tmp_path: Path
 ) -> None:
     deadly = tmp_path / "deadly.csv"
-    deadly.write_bytes(Path(own_twelve[0].path).read_bytes())
+    deadly.write_bytes(Path(own_four[0].path).read_bytes())
     recordings = find_recordings([str(tmp_path)])
     run_fleet(CALIBRATE, recordings, tmp_path / "out.parquet", TWO, examine_one=examine_or_die)
     table = pq.read_table(tmp_path / "out.parquet")
-    assert Counter(table["status"].to_pylist()) == {"ok": 12, "error": 1}
+    assert Counter(table["status"].to_pylist()) == {"ok": 4, "error": 1}
     row = next(row for row in table.to_pylist() if row["status"] == "error")
     assert (row["recording"], row["error_kind"]) == (str(deadly), "WorkerDied")
     assert "signal 11" in row["error"]
 
 
-def test_the_same_on_a_dask_cluster(own_twelve: list[Recording], tmp_path: Path) -> None:
+def test_the_same_on_a_dask_cluster(own_four: list[Recording], tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
-    (tmp_path / "deadly.csv").write_bytes(Path(own_twelve[0].path).read_bytes())
+    (tmp_path / "deadly.csv").write_bytes(Path(own_four[0].path).read_bytes())
     recordings = find_recordings([str(tmp_path)])
     here = str(Path(__file__).parent)
     with distributed.LocalCluster(
@@ -76,18 +84,18 @@ def test_the_same_on_a_dask_cluster(own_twelve: list[Recording], tmp_path: Path)
         engine = Engine(scheduler=cluster.scheduler_address, timeout_s=120.0)
         run_fleet(CALIBRATE, recordings, tmp_path / "out.parquet", engine, examine_one=examine_or_die)
     table = pq.read_table(tmp_path / "out.parquet")
-    assert Counter(table["status"].to_pylist()) == {"ok": 12, "error": 1}
+    assert Counter(table["status"].to_pylist()) == {"ok": 4, "error": 1}
     assert "WorkerDied" in table["error_kind"].to_pylist()
 
 
 def test_a_scheduler_that_is_not_there_is_said(
-    own_twelve: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    own_four: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("mavcompass.fleet.engine._CONNECT_S", 0.5)
     engine = Engine(scheduler="tcp://127.0.0.1:9")
     with pytest.raises(LinkError, match="No Dask scheduler answers"):
-        run_fleet(CALIBRATE, own_twelve, tmp_path / "out.parquet", engine)
+        run_fleet(CALIBRATE, own_four, tmp_path / "out.parquet", engine)
 
 
 KILLED = """
@@ -131,50 +139,50 @@ def test_a_run_that_was_killed_goes_on_and_does_nothing_twice(
     assert pq.read_table(out).num_rows == 12
 
 
-def test_an_interrupt_leaves_a_state_to_go_on_from(own_twelve: list[Recording], tmp_path: Path) -> None:
+def test_an_interrupt_leaves_a_state_to_go_on_from(own_four: list[Recording], tmp_path: Path) -> None:
     out = tmp_path / "out.parquet"
 
     def interrupt(progress: Progress) -> None:
-        if progress.done == 5:
+        if progress.done == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_fleet(CALIBRATE, own_twelve, out, TWO, on_progress=interrupt)
+        run_fleet(CALIBRATE, own_four, out, TWO, on_progress=interrupt)
     assert not out.exists()
-    result = run_fleet(CALIBRATE, own_twelve, out, TWO)
-    assert (result.kept, result.examined) == (5, 7)
+    result = run_fleet(CALIBRATE, own_four, out, TWO)
+    assert (result.kept, result.examined) == (2, 2)
 
 
-def test_only_what_changed_is_done_again(own_twelve: list[Recording], tmp_path: Path) -> None:
+def test_only_what_changed_is_done_again(own_four: list[Recording], tmp_path: Path) -> None:
     out = tmp_path / "out.parquet"
-    run_fleet(CALIBRATE, own_twelve, out, ONE)
-    path = Path(own_twelve[3].path)
+    run_fleet(CALIBRATE, own_four, out, ONE)
+    path = Path(own_four[3].path)
     content = path.read_bytes()
     path.unlink()
     path.write_bytes(content[: len(content) // 20])
     result = run_fleet(CALIBRATE, find_recordings([str(tmp_path)]), out, ONE)
-    assert (result.kept, result.examined) == (11, 1)
+    assert (result.kept, result.examined) == (3, 1)
     rows = pq.read_table(out).to_pylist()
-    assert [row["status"] for row in rows].count("error") == 1 and len(rows) == 12
+    assert [row["status"] for row in rows].count("error") == 1 and len(rows) == 4
     result = run_fleet(CALIBRATE, find_recordings([str(tmp_path)]), out, ONE, retry_errors=True)
     assert result.examined == 1
 
 
 def test_another_question_to_the_same_output_is_refused_unless_fresh(
-    own_twelve: list[Recording], tmp_path: Path
+    own_four: list[Recording], tmp_path: Path
 ) -> None:
     out = tmp_path / "out.parquet"
-    run_fleet(CALIBRATE, own_twelve[:1], out, ONE)
+    run_fleet(CALIBRATE, own_four[:1], out, ONE)
     other = Job("calibrate", method="sphere")
     with pytest.raises(UsageError, match="--fresh"):
-        run_fleet(other, own_twelve[:1], out, ONE)
-    assert run_fleet(other, own_twelve[:1], out, ONE, fresh=True).examined == 1
+        run_fleet(other, own_four[:1], out, ONE)
+    assert run_fleet(other, own_four[:1], out, ONE, fresh=True).examined == 1
 
 
 def test_missing_pyarrow_is_said_before_the_work(
-    own_twelve: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    own_four: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(UsageError, match="pip install 'mavcompass\\[fleet\\]'"):
-        run_fleet(CALIBRATE, own_twelve, tmp_path / "out.parquet", TWO)
+        run_fleet(CALIBRATE, own_four, tmp_path / "out.parquet", TWO)
     assert not journal_of(tmp_path / "out.parquet").exists()

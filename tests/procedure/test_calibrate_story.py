@@ -1,30 +1,22 @@
-"""A calibration and a check as they are told: phases, progress, what is asked for; when one is enough."""
+"""A calibration and a check as they are told: phases, progress, what is asked for."""
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from bent_vehicles import bent_vehicle
 
 from mavcompass import messages as mav
-from mavcompass.calibration.result import Mounting
+from mavcompass.enums import MavCmd
 from mavcompass.errors import PoorCalibration, Refused
-from mavcompass.messages import Message
-from mavcompass.procedure.calibrate import CalibrateSettings, _Calibration
+from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.check import CheckSettings, check
-from mavcompass.procedure.check.preflight import _Checker
-from mavcompass.procedure.desk import Desk
-from mavcompass.procedure.positions import HandMover, VehicleMover
-from mavcompass.procedure.script import Context, Machine, Show
-from mavcompass.procedure.turning import GyroAngle
-from mavcompass.procedure.vehicle_state import VehicleIdentity
-from mavcompass.track import Track
+from mavcompass.procedure.commands import MESSAGE_IDS
+from mavcompass.procedure.script import Machine, Show
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import run
@@ -41,9 +33,24 @@ def told(shown: list[Show]) -> list[tuple[str, float | None, str]]:
     ]
 
 
+def rates_asked_of(vehicle: SimulatedAutopilot) -> dict[int, list[float]]:
+    """Return what fills with the intervals, microseconds, that are asked for of each message."""
+    asked: dict[int, list[float]] = {}
+    receive = vehicle.receive
+
+    def witness(message: mav.Message, *sender: int) -> None:
+        if isinstance(message, mav.CommandLong) and message.command == MavCmd.SET_MESSAGE_INTERVAL:
+            asked.setdefault(int(message.param1), []).append(message.param2)
+        receive(message, *sender)
+
+    vehicle.receive = witness  # type: ignore[method-assign, assignment]
+    return asked
+
+
 def test_the_story_of_a_calibration(tmp_path: Path) -> None:
     shown: list[Show] = []
     vehicle, settings = bent_vehicle("rover", 2), CalibrateSettings(writing="yes")
+    asked = rates_asked_of(vehicle)
     report = calibrate_on(
         SimulatedLink(vehicle), "sim:test", settings, on_show=shown.append, undo_directory=tmp_path
     )
@@ -64,6 +71,13 @@ def test_the_story_of_a_calibration(tmp_path: Path) -> None:
         ("prove", None, "Turning once more to check the new values."),
         ("prove", 0.95, "Checked by a turn"),
     ]
+    # What it wants to hear, where it was not as fast already; at the end each is as it was.
+    wanted = {mav.RawImu: 25.0, mav.Attitude: 10.0, mav.EkfStatusReport: 2.0, mav.SystemTime: 2.0}
+    first = {number: intervals[0] for number, intervals in asked.items()}
+    assert set(first) & {MESSAGE_IDS[kind] for kind in wanted}
+    for kind, hz in wanted.items():
+        assert first.get(MESSAGE_IDS[kind], 1e6 / hz) == pytest.approx(1e6 / hz, abs=1.0)
+    assert all(intervals[-1] != intervals[0] for intervals in asked.values())
     positions = [dict(show.data) for show in shown if show.step == "dwell"]
     assert [data["position"] for data in positions] == [1.0, 2.0, 3.0, 4.0]
     assert [data["turned_deg"] for data in positions] == pytest.approx([0.0, 90.0, 180.0, 270.0], abs=12.0)
@@ -106,108 +120,6 @@ def test_the_story_of_a_check() -> None:
         ("dwell", 0.8, "Standing still after the turn."),
     ]
     assert report.turned and report.duration_s == report.to_json()["duration_s"] > 5.0
-
-
-def identity(kind: Any, autopilot: str) -> VehicleIdentity:
-    return VehicleIdentity(1, 1, autopilot, kind)
-
-
-def desk_of(kind: str, autopilot: str = "ardupilot", instances: tuple[int, ...] = (1,)) -> Any:
-    desk = SimpleNamespace(identity=identity(kind, autopilot), instances=instances, context=Context())
-    desk.imu_rates = lambda wanted, rate_hz: Desk.imu_rates(desk, wanted, rate_hz)  # type: ignore[arg-type]
-    return desk
-
-
-def calibration(desk: Any, instances: tuple[int, ...] = (1,), **settings: Any) -> _Calibration:
-    return _Calibration(
-        desk,
-        SimpleNamespace(),
-        CalibrateSettings(**settings),
-        instances,
-        SimpleNamespace(),
-        SimpleNamespace(),
-    )  # type: ignore[arg-type]
-
-
-SLOW = {mav.GlobalPositionInt: 4.0, mav.RcChannels: 4.0, mav.SysStatus: 4.0, mav.Heartbeat: 4.0}
-ESTIMATOR, CLOCK = {mav.EkfStatusReport: 2.0}, {mav.SystemTime: 2.0}
-RECEIVER = {mav.GpsRawInt: 2.0}
-
-
-@pytest.mark.parametrize(
-    ("kind", "autopilot", "rate_hz", "wanted"),
-    [
-        (
-            "rover",
-            "ardupilot",
-            25.0,
-            {mav.RawImu: 25.0, mav.Attitude: 10.0} | SLOW | ESTIMATOR | CLOCK | RECEIVER,
-        ),
-        (
-            "boat",
-            "ardupilot",
-            5.0,
-            {mav.RawImu: 5.0, mav.Attitude: 5.0} | SLOW | ESTIMATOR | CLOCK | RECEIVER,
-        ),
-        (
-            "copter",
-            "ardupilot",
-            25.0,
-            {mav.RawImu: 50.0, mav.Attitude: 10.0, mav.GpsRawInt: 5.0} | SLOW | ESTIMATOR | CLOCK,
-        ),
-        (
-            "copter",
-            "px4",
-            25.0,
-            {mav.ScaledImu: 100.0, mav.Attitude: 10.0, mav.GpsRawInt: 5.0, mav.LocalPositionNed: 4.0}
-            | SLOW
-            | CLOCK,
-        ),
-    ],
-)
-def test_what_a_calibration_asks_to_hear(
-    kind: str, autopilot: str, rate_hz: float, wanted: dict[type[Message], float]
-) -> None:
-    assert calibration(desk_of(kind, autopilot), rate_hz=rate_hz).wanted_rates() == wanted
-    both = calibration(desk_of(kind, autopilot), (2,), rate_hz=rate_hz).wanted_rates()
-    assert both == wanted | {mav.ScaledImu2: rate_hz}
-
-
-@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
-def test_what_a_check_asks_to_hear(autopilot: str) -> None:
-    imu = mav.RawImu if autopilot == "ardupilot" else mav.ScaledImu
-    wanted = {imu: 20.0, mav.ScaledImu2: 20.0, mav.Attitude: 10.0, mav.GlobalPositionInt: 4.0}
-    wanted |= {mav.SysStatus: 4.0, mav.SystemTime: 2.0}
-    if autopilot == "ardupilot":
-        wanted |= {mav.EkfStatusReport: 2.0, mav.RcChannels: 4.0}
-    else:
-        wanted |= {mav.EstimatorStatus: 2.0}
-    found = _Checker(desk_of("rover", autopilot, (1, 2)), CheckSettings(rate_hz=20.0)).wanted_rates()
-    assert found == wanted
-
-
-@pytest.mark.parametrize(
-    ("positions", "repeatable_deg", "by_hand", "more"),
-    [(4, 0.31, False, True), (7, 0.31, False, True), (8, 0.31, False, False), (4, 0.3, False, False),
-     (4, 9.0, True, False)],
-)  # fmt: skip
-def test_more_positions_are_visited_while_they_help(
-    positions: int, repeatable_deg: float, by_hand: bool, more: bool
-) -> None:
-    desk = desk_of("rover")
-    sigmas = ((0.1, 0.5), (repeatable_deg, 1.25))
-    results = [SimpleNamespace(repeatable_sigma_deg=r, mounting=Mounting()) for r, _ in sigmas]
-    report: Any = SimpleNamespace(windows=range(positions), results=results)
-    mover = HandMover(GyroAngle(), SimpleNamespace()) if by_hand else VehicleMover(GyroAngle(), ())  # type: ignore[arg-type]
-    assert calibration(desk).wants_more(report, mover) is more
-    said = [action.text for action in desk.context.outbox]
-    assert said == ([f"Heading within {repeatable_deg:.1f} deg so far: one more position."] if more else [])
-
-
-def test_a_stretch_that_was_not_recorded_is_not_sure() -> None:
-    desk = desk_of("rover")
-    desk.builder = SimpleNamespace(build=Track)
-    assert calibration(desk).sureness_deg(0.0, 1.0) == math.inf
 
 
 def test_with_a_dead_accelerometer_nothing_is_written_and_it_is_named(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,6 +44,9 @@ def test_one_command_brings_the_heading_within_half_a_degree(kind: str, tmp_path
     assert report.written and report.proof is not None and report.proof.passed
     assert heading_error_rms_deg(vehicle) <= 0.5
     assert untouched(vehicle) == before
+    if kind.endswith("copter"):  # what hovers is levelled by its receiver's velocity
+        assert (velocity := report.track.gps_velocity_mps) is not None
+        assert np.diff(velocity.time_s).max() < 0.5 and np.ptp(velocity.time_s) > 20.0
 
 
 # What flies waits, before it turns on, until its estimator has followed the new compass: 9 s at the most.
@@ -83,27 +85,15 @@ def test_where_the_live_gyro_misled_the_proof_it_turns_on_until_it_tells(tmp_pat
     assert heading_error_rms_deg(vehicle) <= 0.5
 
 
-@pytest.mark.parametrize("kind", ["copter", "px4-copter"])
-def test_what_hovers_is_levelled_by_its_receivers_velocity(kind: str, tmp_path: Path) -> None:
-    report = calibrated(bent_vehicle(kind, seed=2), tmp_path)
-    assert (velocity := report.track.gps_velocity_mps) is not None
-    assert np.diff(velocity.time_s).max() < 0.5 and np.ptp(velocity.time_s) > 20.0
-
-
-@pytest.mark.parametrize(("kind", "seed"), [("rover", 1), ("copter", 2)])
-def test_a_bad_link_gives_the_same_result_within_its_sigma(kind: str, seed: int, tmp_path: Path) -> None:
-    clean = calibrated(bent_vehicle(kind, seed, 0.6), tmp_path).results[0]
-    vehicle = bent_vehicle(kind, seed, 0.6)
+# Every kind, many seeds: scripts/campaigns/vehicles.py --quality lossy.
+def test_over_a_bad_link_the_error_stays_within_what_the_sigma_claims(tmp_path: Path) -> None:
+    vehicle = bent_vehicle("rover", 1, 0.6)
     before = untouched(vehicle)
-    link = FaultyLink(SimulatedLink(vehicle), BAD_LINK, seed=seed)
-    report = calibrated(vehicle, tmp_path, link=link)
+    report = calibrated(vehicle, tmp_path, link=FaultyLink(SimulatedLink(vehicle), BAD_LINK, seed=1))
     assert report.written and report.proof is not None and report.proof.passed
     assert untouched(vehicle) == before
-    lossy = report.results[0]
-    sigma_deg = math.hypot(clean.heading_sigma_deg, lossy.heading_sigma_deg)
-    errors = [heading_error_rms_deg(vehicle, 1, result.correction) for result in (clean, lossy)]
-    assert abs(errors[1] - errors[0]) < 3.0 * sigma_deg
-    assert errors[1] <= 0.5
+    error_deg = heading_error_rms_deg(vehicle, 1, report.results[0].correction)
+    assert error_deg <= min(0.5, 3.0 * report.results[0].heading_sigma_deg)
 
 
 def test_more_positions_are_visited_where_four_leave_too_much_in_doubt(tmp_path: Path) -> None:

@@ -91,13 +91,6 @@ def test_an_answer_that_is_no_answer_counts_as_failed() -> None:
     assert commanded(acknowledging(77))[0] == MavResult.FAILED
 
 
-def test_in_progress_is_waited_for() -> None:
-    vehicle = acknowledging(MavResult.IN_PROGRESS)
-    _, machine, _, ended_s = commanded(vehicle, tries=2)
-    # Ten seconds after it, then once more with a longer patience.
-    assert isinstance(machine.error, NoReply) and ended_s == pytest.approx(10.0 + 1.2, abs=0.3)
-
-
 def test_a_command_is_repeated_with_more_patience_and_counted() -> None:
     vehicle = Vehicle()
     _, machine, _, ended_s = commanded(vehicle, tries=4, what="arming")

@@ -12,7 +12,6 @@ from mavcompass.errors import Refused
 from mavcompass.kinds import Kind
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.motion import Mobility, Wishes
-from mavcompass.procedure.motion.mobility import _channels_moved
 from mavcompass.procedure.motion.readiness import Permissions
 from mavcompass.procedure.motion.safety import MotionGuard, SafetyLimits
 from mavcompass.procedure.positions import HandMover, Rest, VehicleMover
@@ -154,20 +153,6 @@ def test_what_cannot_pivot_has_its_room(kind: Kind, function: float, wished_m: f
     assert charge.taken({"SERVO1_FUNCTION": function}).error is None
     guard = charge.mobility._guard
     assert isinstance(guard, MotionGuard) and guard.limits.drift_m == room_m
-
-
-@pytest.mark.parametrize(
-    ("by", "kind", "channels"),
-    [
-        ("auto", "rover", set()),
-        ("rc-override", "rover", {1}),
-        ("rc-override", "boat", {1}),
-        ("rc-override", "sub", {4}),
-        ("manual-control", "rover", {1, 2, 3, 4}),
-    ],
-)
-def test_the_channels_that_turning_moves(by: TurnBy, kind: Kind, channels: set[int]) -> None:
-    assert _channels_moved(by, kind) == channels
 
 
 @pytest.mark.parametrize(

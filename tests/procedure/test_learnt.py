@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,9 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MavCmd
 from mavcompass.errors import Refused
 from mavcompass.procedure.commands import MESSAGE_IDS
-from mavcompass.procedure.learnt import LearntSettings, _rested, _same, write_learnt
+from mavcompass.procedure.learnt import LearntSettings, write_learnt
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.procedure.script import Context, Machine, Script, Tick
+from mavcompass.procedure.script import Context, Machine, Script
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect
@@ -133,39 +132,3 @@ def test_what_was_changed_since_it_was_learnt_is_refused() -> None:
     with pytest.raises(Refused) as refused:
         ground.writes(LearntSettings(), in_force=FieldCorrection((1.0, 2.0, 3.0)))
     assert refused.value.what == "The calibration of compass 1 was changed since this was learnt."
-
-
-@pytest.mark.parametrize(
-    ("other", "is_same"),
-    [
-        (FieldCorrection((100.0, 0.0, 0.0)), True),
-        (FieldCorrection((100.09, 0.0009, 0.0)), True),
-        (FieldCorrection((100.2, 0.0, 0.0)), False),
-        (FieldCorrection((100.0, 0.0, 0.002)), False),
-        (FieldCorrection((100.0, 0.0, 0.0), diagonals=(1.0, 1.003, 1.0)), False),
-        (FieldCorrection((100.0, 0.0, 0.0), off_diagonals=(0.002, 0.0, 0.0)), False),
-        (FieldCorrection((100.0, 0.0, 0.0), scale=1.003), False),
-    ],
-)
-def test_parameters_that_travelled_as_32_bit_are_the_same(other: FieldCorrection, is_same: bool) -> None:
-    assert _same(other, FieldCorrection((100.0, 0.0, 0.0))) is is_same
-
-
-@pytest.mark.parametrize(
-    ("rests_from_s", "found_s"), [(0.0, 1.5), (4.0, 5.5), (4.4, 5.9), (4.9, None), (100.0, None)]
-)
-def test_a_rest_of_a_second_and_a_half_is_waited_for_for_six(
-    rests_from_s: float, found_s: float | None
-) -> None:
-    context = Context()
-    desk: Any = SimpleNamespace(
-        context=context, rest=SimpleNamespace(for_s=lambda: max(context.now - rests_from_s, 0.0))
-    )
-    machine = Machine(lambda _: _rested(desk))
-    machine.context = context
-    for step in range(200):
-        machine.step(Tick(0.05 * step))
-        if machine.done:
-            break
-    assert machine.result is (found_s is not None)
-    assert context.now == pytest.approx(6.0 if found_s is None else found_s, abs=0.26)

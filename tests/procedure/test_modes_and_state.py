@@ -106,33 +106,6 @@ class Vehicle:
         raise AssertionError("it hangs")
 
 
-def test_a_mode_is_changed_and_put_back() -> None:
-    vehicle = Vehicle()
-    assert vehicle.does(lambda context: vehicle.keeper.change(context, GUIDED)) is True
-    assert (
-        vehicle.keeper.ours == {GUIDED}
-        and vehicle.keeper.before == [MANUAL]
-        and not vehicle.keeper.is_foreign()
-    )
-    assert vehicle.does(vehicle.keeper.restore) is True
-    assert vehicle.state.mode == MANUAL and [m for _, m in vehicle.asked] == [GUIDED, MANUAL]
-    assert (
-        vehicle.does(vehicle.keeper.restore) is True and len(vehicle.asked) == 2
-    )  # nothing is left to put back
-    assert (
-        vehicle.does(lambda context: vehicle.keeper.change(context, MANUAL)) is True
-        and len(vehicle.asked) == 2
-    )
-
-
-def test_a_pilots_mode_is_left_to_the_pilot() -> None:
-    vehicle = Vehicle()
-    vehicle.does(lambda context: vehicle.keeper.change(context, GUIDED))
-    vehicle.is_in(AUTO)
-    assert vehicle.keeper.is_foreign() and vehicle.does(vehicle.keeper.restore) is False
-    assert vehicle.state.mode == AUTO and len(vehicle.asked) == 1
-
-
 def test_while_it_changes_both_modes_are_ours_and_then_the_new_one_alone() -> None:
     vehicle = Vehicle(obeys_s=None)
     vehicle.does(lambda context: vehicle.keeper.change(context, GUIDED))

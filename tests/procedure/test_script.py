@@ -55,17 +55,6 @@ def test_a_request_is_repeated_until_answered() -> None:
     assert machine.result == CommandAck(400, 0)
 
 
-def test_a_request_that_is_never_answered_says_so() -> None:
-    def script(context: Context) -> Script[CommandAck]:
-        return (yield from request(context, CommandLong(), CommandAck, what="the reboot", tries=2))
-
-    machine = Machine(script)
-    for tenth in range(40):
-        machine.step(Tick(tenth / 10))
-    assert isinstance(machine.error, NoReply)
-    assert "the reboot" in machine.error.what
-
-
 def test_messages_of_other_systems_are_not_the_vehicles() -> None:
     seen: list[Incoming] = []
 
@@ -212,20 +201,6 @@ def test_a_request_is_tried_six_times_each_half_as_patient_again() -> None:
     assert asked == pytest.approx([sum(waits[:n]) for n in range(6)], abs=0.06)
     assert machine.context.now == pytest.approx(9.45, abs=0.06) and isinstance(machine.error, NoReply)
     assert machine.error.what == "The vehicle did not answer a request (6 tries)."
-
-
-def test_a_question_looks_at_the_clock_every_second() -> None:
-    machine = Machine(lambda context: ask(context, "Write?"))
-    machine.step(Tick(7.0))
-    assert machine.wake_at_s == 8.0
-    machine.step(Answer(7.5, False))
-    assert machine.result is False
-
-
-def test_a_machine_begins_at_nothing() -> None:
-    machine = Machine(lambda context: pause(context, 1.0))
-    begun = (machine.done, machine.result, machine.error, machine.wake_at_s, machine.context.now)
-    assert begun == (False, None, None, 0.0, 0.0)
 
 
 def test_a_second_stop_and_one_at_the_end_change_nothing() -> None:

@@ -25,7 +25,7 @@ def wait_for(what: Callable[[], Any]) -> Any:
     while time.monotonic() < end:
         if value := what():
             return value
-        time.sleep(0.02)
+        time.sleep(0.05)  # most ask over HTTP, which costs both sides some milliseconds
     raise AssertionError(f"{what} stayed false for {_PATIENCE_S:.0f} s")
 
 

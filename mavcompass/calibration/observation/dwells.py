@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.attitude import down_in_body
+from mavcompass.attitude import LASTS_S, down_in_body
 from mavcompass.calibration.observation.tilt import TILT_FLOOR_RAD, tilt_during
 from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord, turn_record
 from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs, unquantise
@@ -211,12 +211,14 @@ def dwell_between(
     return _dwell(track, compass, in_force, time, reported, angles, record)
 
 
-def dwell_alone(track: Track, instance: int, start_s: float, end_s: float) -> Dwell:
-    """Average one stretch as `dwell_between` does, by what was recorded around it alone.
+def around(track: Track, start_s: float, end_s: float) -> Track:
+    """Cut out what tells the level of one stretch, of a long session that is looked at again and again.
 
-    Of a long session, looked at again and again, only what is near tells the level; turns count from there.
+    Turns count from there. The level is estimated once for all compasses that are asked about in it, and goes
+    on from what it was as long as the cut begins at the same reading.
     """
-    return dwell_between(track.between(start_s - _NEAR_S, end_s + _NEAR_S), instance, start_s, end_s)
+    begins_s = LASTS_S * math.floor((start_s - _NEAR_S) / LASTS_S)
+    return track.between(begins_s, end_s + _NEAR_S)
 
 
 def _dwell(

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.fits.length import (
-    _algebraic_ellipsoid,
     _algebraic_sphere,
-    _huber,
     fit_ellipsoid,
     fit_sphere,
     sphere_coverage,
@@ -89,12 +87,6 @@ def test_a_few_wild_readings_hardly_move_it() -> None:
     assert fit_ellipsoid(twisted).centre_mgauss == pytest.approx(CENTRE, abs=0.5)
 
 
-def test_a_reading_far_out_weighs_by_three_robust_sigmas() -> None:
-    residual = np.array([-2.0, -1.0, 0.0, 1.0, 2.0, 44.478, -88.956])  # the median size is 2: sigma 2.9652
-    assert _huber(residual) == pytest.approx([1.0, 1.0, 1.0, 1.0, 1.0, 0.2, 0.1], rel=1e-6)
-    assert _huber(np.zeros(4)).tolist() == [1.0] * 4
-
-
 @pytest.mark.parametrize(("fit", "fewest"), [(fit_sphere, 12), (fit_ellipsoid, 27)])
 def test_three_readings_for_each_quantity_are_enough(fit: object, fewest: int) -> None:
     assert callable(fit)
@@ -114,17 +106,6 @@ def test_what_lies_in_a_plane_is_refused(fit: object) -> None:
     for readings in (flat, flat[:, [2, 0, 1]], np.tile(CENTRE, (100, 1)), flat * [1.0, 0.0, 1.0]):
         with pytest.raises(PoorCalibration, match="lie in a plane or on a line"):
             fit(readings)
-
-
-@pytest.mark.parametrize(("height", "is_enough"), [(0.99, True), (0.997, False)])
-def test_a_fiftieth_of_the_readings_size_is_a_third_dimension(height: float, is_enough: bool) -> None:
-    ways = all_round(20000)
-    cap = CENTRE + 500.0 * ways[ways[:, 2] > height]  # 2.9 and 1.6 % of it
-    if is_enough:
-        assert fit_sphere(cap).length_mgauss == pytest.approx(500.0)
-    else:
-        with pytest.raises(PoorCalibration):
-            fit_sphere(cap)
 
 
 def test_a_saddle_is_no_ellipsoid() -> None:
@@ -170,8 +151,3 @@ def test_a_sphere_far_from_its_own_middle_is_found() -> None:
     ) and fit.length_mgauss == pytest.approx(300.0)
     centre, radius = _algebraic_sphere(cap)
     assert centre == pytest.approx([1000.0, -2000.0, 500.0]) and radius == pytest.approx(300.0)
-
-
-def test_the_first_ellipsoid_is_exact_on_exact_readings() -> None:
-    centre, matrix = _algebraic_ellipsoid(bent(200))
-    assert centre == pytest.approx(CENTRE) and matrix == pytest.approx(SHAPE / 500.0)

@@ -11,11 +11,9 @@ import pytest
 
 from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR
 from mavcompass.calibration.motion.findings import (
-    _kept_out_words,
     circle_seen_rad,
     findings,
     gain_words,
-    sparse_words,
 )
 from mavcompass.units import RAD_PER_DEG
 
@@ -89,17 +87,6 @@ def test_a_gyro_recorded_too_seldom_is_told(sigma_deg: float, rms_deg: float, re
     assert len(reasons) == refused and not warnings
     if refused:
         assert "2.5 times a second, so that a turn is known to 5 degrees" in reasons[0]
-
-
-def test_only_what_turns_tells_how_well_the_gyro_follows() -> None:
-    sigma = np.full(SECTIONS - 1, 1.0)
-    turned = np.zeros(SECTIONS)
-    assert not sparse_words(sections(turned_rad=turned, step_sigma_rad=sigma))
-    turned[12:], sigma[11] = 9.9 * RAD_PER_DEG, 10.0 * RAD_PER_DEG
-    assert not sparse_words(sections(turned_rad=turned, step_sigma_rad=sigma))
-    for sign in (1.0, -1.0):
-        turned[12:] = sign * 10.1 * RAD_PER_DEG
-        assert "known to 10 degrees" in sparse_words(sections(turned_rad=turned, step_sigma_rad=sigma))
 
 
 def test_the_circle_seen_is_all_but_its_widest_gap() -> None:
@@ -204,80 +191,3 @@ def test_stretches_that_were_kept_out_are_counted() -> None:
     sound[4] = 0.7
     _, (words,) = told(fitted=fit(sound=sound, residual_mgauss=residual))
     assert f"1 of {SECTIONS} stretches" in words and "the most at 6 s, 5 mG" in words
-
-
-@pytest.mark.parametrize(("lost", "told_of"), [(0.97, False), (1.03, True)])
-def test_one_in_fifty_stretches_kept_out_is_not_mentioned(lost: float, told_of: bool) -> None:
-    many = 50
-    seen = type("Sections", (SimpleNamespace,), {"__len__": lambda self: many})(
-        middle_s=np.arange(float(many))
-    )
-    sound = np.ones(many)
-    sound[7:9] = 1.0 - 0.5 * lost
-    left = SimpleNamespace(sound=sound, residual_mgauss=np.zeros((many, 3)))
-    assert bool(_kept_out_words(seen, left)) is told_of  # type: ignore[arg-type]
-
-
-def test_what_lies_at_a_limit_is_not_beyond_it() -> None:
-    (reason,), _ = told(fitted=fit((0.0, 1.0, 1.0)))
-    assert "gain is off" in reason  # a gain of nothing is no mounting
-    assert told(fitted=fit(crosses=(0.35, -0.35, 0.0))) == ((), ())
-    (reason,), _ = told(fitted=fit((0.6, 0.6, 0.6)))
-    assert "gain is off by 40 %" in reason
-    for scatter_deg, reasons, warnings in ((1.0, 0, 0), (1.01, 0, 1), (2.0, 0, 1), (2.01, 1, 0)):
-        said = told(scatter_deg=scatter_deg)
-        assert (len(said[0]), len(said[1])) == (reasons, warnings)
-
-
-@pytest.mark.parametrize(
-    ("load_a", "refused", "cause"),
-    [
-        (4.0, False, "something magnetic near"),
-        (4.01, False, "battery current swung by 4 A and moves the field by 5.0 mG/A"),
-        (24.0, False, "battery current swung by 24 A"),
-        (24.01, True, "battery current swung by 24 A"),
-    ],
-)
-def test_motors_are_named_beyond_a_tenth_and_refused_beyond_six_tenths(
-    load_a: float, refused: bool, cause: str
-) -> None:
-    seen, fitted = sections(load=np.linspace(0.0, load_a, SECTIONS)), fit(motor=(3.0, -4.0, 0.0))
-    reasons, warnings = told(seen, fitted, scatter_deg=1.5)
-    assert cause in warnings[0] and len(reasons) == refused
-    assert not refused or "motors' field of 120 mG is 60 % of" in reasons[0]
-    assert told(seen, fitted, load="none")[0] == ()
-    throttle = told(seen, fitted, scatter_deg=1.5, load="throttle")[1][0]
-    assert ("throttle moves the field by" in throttle) is (load_a > 4.0)
-
-
-@pytest.mark.parametrize(("apart", "named"), [(20.0, False), (20.1, True)])
-def test_halves_that_differ_by_a_tenth_of_the_field_are_named(apart: float, named: bool) -> None:
-    residual = np.zeros((SECTIONS, 3))
-    residual[SECTIONS // 2 :, 1] = apart
-    _, (warning,) = told(fitted=fit(residual_mgauss=residual), scatter_deg=1.5)
-    assert ("the iron changed by 20 mG" in warning) is named
-
-
-@pytest.mark.parametrize(
-    ("off", "sigma", "told_of"),
-    [(0.03, 0.001, True), (-0.03, 0.001, True), (0.0299, 0.001, False), (0.06, 0.02, True)],
-)
-def test_a_gyro_at_its_limit_is_told(off: float, sigma: float, told_of: bool) -> None:
-    fitted = fit(gain_sigma=sigma)
-    fitted.state[GYRO_SCALE] = off
-    assert bool(told(fitted=fitted)[1]) is told_of
-
-
-@pytest.mark.parametrize(("sound", "told_of"), [(0.5, True), (0.51, False)])
-def test_half_a_stretch_that_was_kept_out_is_told(sound: float, told_of: bool) -> None:
-    fitted = fit()
-    fitted.sound[7] = sound
-    assert bool(_kept_out_words(sections(), fitted)) is told_of
-
-
-def test_a_turn_of_ten_degrees_known_to_five() -> None:
-    turned = np.zeros(SECTIONS)
-    turned[12:] = math.radians(10.0)
-    known = np.full(SECTIONS - 1, math.radians(5.0))
-    assert not sparse_words(sections(turned_rad=turned, step_sigma_rad=known))
-    assert "known to 5 degrees" in sparse_words(sections(turned_rad=1.01 * turned, step_sigma_rad=known))

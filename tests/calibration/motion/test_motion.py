@@ -6,14 +6,13 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turning_track
 
 from mavcompass.calibration import calibrate_compasses, calibrate_track
-from mavcompass.calibration.motion.fit import fit_motion
+from mavcompass.calibration.motion.changes import Change, last_stretch
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
@@ -24,6 +23,7 @@ from mavcompass.track import MagSeries, Series, Track, joined
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 STRONG = FieldCorrection((60.0, -40.0, 25.0), (1.08, 0.93, 1.0), (0.02, 0.0, 0.0))
+STEEL = Iron((-30.0, 70.0, -20.0))
 ROUND = tuple(70.0 if k % 2 else 50.0 for k in range(9))
 
 
@@ -80,7 +80,7 @@ def test_where_the_nose_points_at_the_start_does_not_matter(first_deg: float) ->
 
 
 @pytest.mark.parametrize(("slope_deg", "uphill_rad"), [(3.0, 1.57), (3.0, 4.7), (6.0, 3.1)])
-@pytest.mark.parametrize("first_deg", [15.0, 45.0, 105.0, 190.0])
+@pytest.mark.parametrize("first_deg", [15.0, 105.0])
 def test_on_a_slope_no_fit_is_its_own_mirror_image(
     first_deg: float, slope_deg: float, uphill_rad: float
 ) -> None:
@@ -106,10 +106,10 @@ def test_on_a_slope_no_fit_is_its_own_mirror_image(
 
 
 def test_the_claim_covers_the_error_as_often_as_it_says() -> None:
-    """Forty vehicles, accelerometers off by 1 mg: the error over the claimed sigma has the spread of 1."""
+    """Twenty vehicles, accelerometers off by 1 mg: the error over the claimed sigma has the spread of 1."""
     ratios = []
     rng = np.random.default_rng(77)
-    for seed in range(40):
+    for seed in range(20):
         iron = iron_of(replace(STRONG, offsets_mgauss=tuple(rng.normal(0.0, 60.0, 3))))
         track = driven(iron, seed=seed, noise=3.0)
         assert track.acc_mps2 is not None
@@ -214,6 +214,18 @@ def test_what_stands_beside_steel_for_long_is_no_exception(stood_s: float, kept_
     assert kept_out or result.heading_sigma_deg > 1.0
 
 
+def test_a_beginning_beside_steel_is_cut_off_and_dated() -> None:
+    """Longer than something passes by, and shorter than what is called usual."""
+    parked, moving = turning_track(STEEL, dwell_s=13.0, turns_deg=()), driven(iron_of(STRONG))
+    end_s = float(parked.compasses[1].time_s[-1]) + 0.02
+    motion = observe_motion(Recorded(joined([parked.shifted(-end_s), moving]), earth=FIELD))
+    later, change = last_stretch(motion)
+    assert change is not None and change.is_iron and change.time_s == pytest.approx(0.0, abs=3.0)
+    assert later.recorded.track.compasses[1].time_s[0] > -1.0
+    assert Change(33.0, 20.0).words().startswith("The iron changed by about 20 mG at 33 s")
+    assert Change(33.0, 10.0).words().startswith("What was recorded before 33 s does not fit the rest")
+
+
 def test_few_headings_do_not_make_a_small_sigma() -> None:
     track = turning_track(iron_of(STRONG), turns_deg=(40.0, 40.0))
     result = calibrate_track(track, "world-field", earth=FIELD)
@@ -281,12 +293,6 @@ def test_one_compass_without_a_solution_does_not_take_the_others_with_it() -> No
     found[2].to_json()
 
 
-def test_too_few_sections_are_refused() -> None:
-    motion = observe_motion(Recorded(driven(iron_of(STRONG)), earth=FIELD))
-    with pytest.raises(PoorCalibration, match="stretches"):
-        fit_motion(motion.sections.rows(0, 3), FIELD)
-
-
 @pytest.mark.parametrize("ending", ["tlog", "BIN"])
 def test_firmware_is_cured_by_its_motion_alone(shared_data: Path, ending: str) -> None:
     """The exact cure is OFS 120, -80, DIA 1.1, 0.9; stops are not needed for it."""
@@ -308,34 +314,3 @@ def test_equation_s1_holds_for_a_section_that_turns_and_rolls() -> None:
     mean = np.einsum("nij,nj->ni", level_to_body(roll, 0.0 * roll), level).mean(axis=0)
     mapping = level_to_body(roll, 0.0 * roll, psi - 0.7).mean(axis=0)
     assert np.allclose(mapping @ [h * math.cos(0.7), -h * math.sin(0.7), z], mean)
-
-
-@pytest.mark.parametrize(
-    ("count", "first_deg", "second_deg", "can"),
-    [
-        (16, 160.0, 160.0, True),
-        (15, 160.0, 160.0, False),
-        (16, 140.0, 160.0, False),
-        (16, 160.0, 140.0, False),
-        (14, 140.0, 140.0, False),
-    ],
-)
-def test_halves_are_of_eight_sections_that_go_round(
-    count: int, first_deg: float, second_deg: float, can: bool
-) -> None:
-    middle = count // 2
-    turned = np.concatenate(
-        [np.linspace(0.0, first_deg, middle), np.linspace(0.0, second_deg, count - middle)]
-    )
-
-    class Half(SimpleNamespace):
-        def __len__(self) -> int:
-            return len(self.turned_rad)
-
-        def rows(self, first: int, last: int) -> Half:
-            return Half(turned_rad=self.turned_rad[first:last])
-
-    halves = Motion.halves(SimpleNamespace(sections=Half(turned_rad=np.radians(turned))))  # type: ignore[arg-type]
-    assert (halves is not None) is can
-    if halves is not None:
-        assert [len(half) for half in halves] == [8, 8]

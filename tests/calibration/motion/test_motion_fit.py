@@ -11,16 +11,9 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.model import (
-    GAIN,
-    GYRO_BIAS,
-    GYRO_SCALE,
     HEADINGS,
-    HORIZONTAL,
-    LAG,
     MOTOR,
     OFFSET,
-    VERTICAL,
-    HeadingError,
     gain_matrix,
 )
 from mavcompass.calibration.motion import changes, fit, honesty, scatter
@@ -166,67 +159,6 @@ def test_the_sigma_is_the_scatter_of_fits() -> None:
     assert np.std(off, axis=0) == pytest.approx(claimed, rel=0.5)
 
 
-@pytest.mark.parametrize(("mgauss", "is_sound"), [(1.0, True), (8.0, True), (11.0, False)])
-def test_soundness_weighs_chance_against_a_magnet(mgauss: float, is_sound: bool) -> None:
-    sections, variance = sections_of(), np.tile(4.0 * np.eye(3), (K, 1, 1))
-    residual = np.zeros((K, 3))
-    residual[5, 0] = mgauss
-    sound = fit._soundness(sections, residual, variance)
-    # Bayes: one in twenty, of 40 mG on each axis, beside noise of 2 mG.
-    loose = 4.0 + 1600.0
-    odds = 0.05 / 0.95 * (4.0 / loose) ** 1.5 * math.exp(0.5 * mgauss**2 * (1.0 / 4.0 - 1.0 / loose))
-    assert sound[5] == pytest.approx(1.0 / (1.0 + odds)) and bool(sound[5] > 0.5) is is_sound
-    assert sound[0] == pytest.approx(1.0 / (1.0 + 0.05 / 0.95 * (4.0 / loose) ** 1.5))
-
-
-@pytest.mark.parametrize(
-    ("count", "long_s", "is_believed"), [(7, 2.0, True), (8, 2.0, False), (2, 8.0, True), (2, 30.0, False)]
-)
-def test_exceptions_are_at_most_three_tenths_of_sections_and_of_time(
-    count: int, long_s: float, is_believed: bool
-) -> None:
-    sections, variance = sections_of(), np.tile(np.eye(3), (K, 1, 1))
-    residual = np.zeros((K, 3))
-    residual[:count] = 100.0
-    ends = sections.end_s.copy()
-    ends[:count] = sections.start_s[:count] + long_s
-    sound = fit._soundness(replace(sections, end_s=ends), residual, variance)
-    assert bool(sound[0] < 0.01) is is_believed and sound[-1] > 0.99
-
-
-def test_a_chi_square_exceeds_its_limit_once_in_twenty() -> None:
-    for freedom, table in ((5.0, 11.07), (30.0, 43.77), (100.0, 124.34)):
-        assert fit._chance_limit(freedom) == pytest.approx(table, rel=0.003)
-
-
-def test_the_fit_absorbs_what_the_prior_does_not_hold(found: MotionFit) -> None:
-    sections = sections_of()
-    _, rules = first_state(sections, EARTH, IronPrior(), 1e-6, None)
-    absorbed = fit._absorbed(sections, found.state, np.ones(K), rules)
-    # Motors (3) and what a level circle does not show are held; offsets in x and y, gains and headings not.
-    assert K + 4.0 < absorbed < HEADINGS + K - 3.0
-    tight = replace(rules, rows=1e6 * rules.rows)
-    assert fit._absorbed(sections, found.state, np.ones(K), tight) < absorbed
-
-
-def test_a_disturbed_section_weighs_by_its_chance_to_be_sound() -> None:
-    variance = np.tile(4.0 * np.eye(3), (2, 1, 1))
-    roots = fit._roots(variance, np.array([1.0, 0.25]))
-    weights = np.swapaxes(roots, 1, 2) @ roots
-    assert weights[0] == pytest.approx(np.eye(3) / 4.0)
-    assert weights[1] == pytest.approx(np.eye(3) * (0.25 / 4.0 + 0.75 / 1604.0))
-
-
-def test_the_first_guess_of_the_model_error_is_the_inner_halfs(found: MotionFit) -> None:
-    noisy = replace(
-        sections_of(),
-        mean_mgauss=sections_of().mean_mgauss + np.where(np.arange(K) < 16, 2.0, 90.0)[:, np.newaxis],
-    )
-    assert fit._first_model_error(noisy.readings, found.state) == pytest.approx(2.0 / 0.6745, rel=0.05)
-    wild = replace(noisy, mean_mgauss=noisy.mean_mgauss + 1e6)
-    assert fit._first_model_error(wild.readings, found.state) == 500.0
-
-
 def test_an_accelerometers_error_is_an_offset_by_the_dip(found: MotionFit) -> None:
     by_roll, by_pitch = fit.leaning_error(sections_of(), found).T
     # On the level: roll turns Z into y, pitch into x; T is nearly one.
@@ -255,30 +187,6 @@ def test_a_sections_variance_is_noise_steps_tilt_and_model(found: MotionFit) -> 
     assert single[0] == pytest.approx(expected, abs=0.05)
 
 
-def test_before_the_data_everything_has_its_sigma() -> None:
-    prior = IronPrior()
-    sections = sections_of(bias_sigma_radps=0.02, scale_sigma=0.03)
-    _, rules = first_state(sections, EARTH, prior, 7.0, None)
-    sigma = 1.0 / np.abs(
-        rules.rows[:-1].max(axis=0), where=rules.rows[:-1].any(axis=0), out=np.full(HEADINGS + K, np.nan)
-    )
-    assert sigma[GAIN][[0, 1, 3, 4, 5]] == pytest.approx([prior.gain_sigma] * 2 + [prior.cross_sigma] * 3)
-    assert sigma[[GYRO_SCALE, GYRO_BIAS, LAG]] == pytest.approx([0.03, 0.02, 0.03])
-    assert sigma[MOTOR] == pytest.approx([7.0] * 3)
-    north, _, down = EARTH.sigma_mgauss
-    assert sigma[HORIZONTAL] == pytest.approx(math.hypot(north, prior.site_sigma_mgauss))
-    assert sigma[VERTICAL] == pytest.approx(math.hypot(down, prior.site_sigma_mgauss))
-    assert np.isnan(sigma[OFFSET]).all() and np.isnan(sigma[HEADINGS:]).all()
-    alike = np.zeros(HEADINGS + K)
-    alike[GAIN][:3], alike[HORIZONTAL], alike[VERTICAL] = (1.0, 1.0, 1.0), 200.0, 450.0
-    assert rules.of(alike) == pytest.approx(np.zeros(len(rules.rows)))
-    alike[GAIN][:3] = (1.1, 0.9, 1.0 + prior.vertical_gain_sigma)
-    assert rules.of(alike)[-1] == pytest.approx(1.0)
-    _, blind = first_state(sections, None, prior, 7.0, FieldCorrection(offsets_mgauss=(0.0, 0.0, -25.0)))
-    assert blind.rows[-2, 2] == pytest.approx(1.0 / prior.vertical_offset_sigma_mgauss)
-    assert blind.wanted[-2] * prior.vertical_offset_sigma_mgauss == pytest.approx(25.0)
-
-
 @pytest.mark.parametrize("first", [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
 def test_the_first_state_is_near_wherever_the_vehicle_begins(first: float) -> None:
     psi = first + np.linspace(0.0, 2.0 * math.pi, K, endpoint=False)
@@ -290,61 +198,6 @@ def test_the_first_state_is_near_wherever_the_vehicle_begins(first: float) -> No
 
 def motion_of(sections: Sections, seen: Any) -> Any:
     return SimpleNamespace(sections=sections, fit=seen)
-
-
-def test_where_the_iron_may_have_changed() -> None:
-    residual = np.zeros((K, 3))
-    residual[10:] += [0.0, 12.0, 0.0]
-    motion = motion_of(sections_of(), SimpleNamespace(residual_mgauss=residual))
-    jumps = changes._jumps(motion)
-    assert jumps.size == 4 and jumps[0] == 30.0 + 1.0  # section 10 begins at 30 s, and settles
-    even = [(3.0 * 23 + 2.0) * k / 8 for k in range(1, 8)]
-    assert changes._candidates(motion) == pytest.approx(sorted([*jumps, *even]))
-    few = motion_of(sections_of(), SimpleNamespace(residual_mgauss=residual[:5]))
-    assert changes._jumps(few).size == 0
-    six = motion_of(sections_of(), SimpleNamespace(residual_mgauss=residual[8:14]))
-    assert changes._jumps(six)[0] == 6.0 + 1.0
-
-
-def test_a_change_is_dated_by_what_agrees_since(found: MotionFit) -> None:
-    sections = sections_of()
-    sections.mean_mgauss[:7] += [0.0, 0.0, 40.0]
-    sections.mean_mgauss[3] -= [0.0, 0.0, 40.0]  # one of these agrees by chance
-    assert changes._dated(motion_of(sections, None), motion_of(sections, found), 40.0) == 21.0
-    assert changes._dated(motion_of(sections_of(), None), motion_of(sections_of(), found), 40.0) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("mgauss", "begins"),
-    [(15.1, "The iron changed by about 15 mG at 33 s"), (14.9, "What was recorded before 33 s")],
-)
-def test_a_change_of_fifteen_milligauss_is_iron(mgauss: float, begins: str) -> None:
-    assert changes.Change(33.0, mgauss).words().startswith(begins)
-
-
-def test_blocks_are_tenths_of_the_time_and_eighths_of_the_circle(found: MotionFit) -> None:
-    blocks = honesty._by_time(sections_of())
-    assert blocks[0] == 0 and blocks[-1] == 9 and np.bincount(blocks).min() >= 2
-    assert np.bincount(honesty._by_heading(found)).tolist() == [3] * 8
-    turned = SimpleNamespace(headings_rad=np.array([0.01, -0.01, 44.0 * DEG, 46.0 * DEG, 359.0 * DEG]))
-    assert honesty._by_heading(turned).tolist() == [0, 7, 0, 1, 7]  # type: ignore[arg-type]
-
-
-def test_left_out_blocks_differ_as_much_as_chance_lets_expect() -> None:
-    ratios = []
-    for seed in range(6):
-        sections = sections_of()
-        sections.mean_mgauss[:] += np.random.default_rng(seed).normal(0.0, 1.0 / math.sqrt(20.0), (K, 3))
-        seen = fit_motion(sections, EARTH)
-        ratios.append(honesty._left_out(seen, honesty._by_time(sections)))
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.5)
-    shifted = sections_of()
-    shifted.mean_mgauss[12:] += [3.0, 0.0, 0.0]  # the iron moved a little: blocks contradict each other
-    seen = fit_motion(shifted, EARTH)
-    sure = replace(seen, whitened=seen.whitened * 5.0)
-    assert honesty._left_out(sure, honesty._by_time(shifted)) == pytest.approx(
-        25.0 * honesty._left_out(seen, honesty._by_time(shifted))
-    )
 
 
 def test_what_is_claimed_is_at_least_what_scatters() -> None:
@@ -363,28 +216,6 @@ def test_what_is_claimed_is_at_least_what_scatters() -> None:
     assert calm.at_least(1e-5).error.rms_rad() == pytest.approx(calm.error.rms_rad())  # never narrower
 
 
-def test_a_ratio_beyond_chance_widens_what_is_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
-    sections = sections_of(noise=0.2)
-    seen = fit_motion(sections, EARTH)
-    for ratio, factor in ((2.9, 1.0), (3.1, math.sqrt(3.1)), (16.0, 4.0)):
-        monkeypatch.setattr(honesty, "_left_out", lambda fit, block, r=ratio: r)
-        claimed = honesty.weigh_honestly(sections, seen)
-        assert claimed.left_out_ratio == ratio
-        assert claimed.error.rms_rad() == pytest.approx(
-            math.hypot(factor * claimed.noise_rad, claimed.accelerometer_rad), rel=1e-6
-        )
-
-
-def test_scatter_beyond_noise() -> None:
-    off, variance = np.array([0.1, -0.1, 0.1, -0.1]), np.full(4, 0.001)
-    chance = 0.001 * (1.0 + 4.0 * math.sqrt(2.0 / 4.0))
-    assert scatter._beyond_noise(off, variance, np.ones(4)) == pytest.approx(math.sqrt(0.01 - chance))
-    assert scatter._beyond_noise(off, 0.1 * np.ones(4), np.ones(4)) == 0.0
-    uneven = np.array([3.0, 1.0, 0.0, 0.0])
-    one = scatter._beyond_noise(np.array([0.1, 0.0, 9.0, 9.0]), np.zeros(4), uneven)
-    assert one == pytest.approx(math.sqrt(0.75 * 0.01))
-
-
 def test_motors_that_are_left_scatter_the_heading(found: MotionFit) -> None:
     load = np.where(np.arange(K) % 2, 5.0, -5.0)
     sections = replace(sections_of(), load=load)
@@ -400,43 +231,3 @@ def test_motors_that_are_left_scatter_the_heading(found: MotionFit) -> None:
     assert scatter.motors_left_rad(often, found, np.array([4.0, 0.0, 0.0])) == pytest.approx(
         math.sqrt(0.5 * 0.2) * 20.0 / 201.0, rel=1e-3
     )
-
-
-def test_the_heading_error_is_that_of_its_covariance(found: MotionFit) -> None:
-    assert fit.sigma_of(found) == HeadingError(found.state[:11], found.covariance[:9, :9]).rms_rad()
-
-
-def test_scatter_between_sections_is_what_noise_does_not_explain() -> None:
-    psi = np.linspace(0.0, 2.0 * math.pi, K, endpoint=False)
-    sections = sections_of(psi)
-    east = np.stack([np.sin(psi), np.cos(psi), np.zeros(K)], axis=1)
-    state = np.zeros(HEADINGS + K)
-    state[HORIZONTAL] = 200.0
-
-    def scatter_of(off_mgauss: float, model_mgauss: float, sound: FloatArray | None = None) -> float:
-        seen: Any = SimpleNamespace(
-            model_mgauss=model_mgauss,
-            headings_rad=psi,
-            gain=np.eye(3),
-            state=state,
-            residual_mgauss=east * np.where(np.arange(K) % 2, off_mgauss, -off_mgauss)[:, np.newaxis],
-            variance_mgauss2=np.tile((4.0 + model_mgauss**2) * np.eye(3), (K, 1, 1)),  # noise of 2 mG
-            sound=np.ones(K) if sound is None else sound,
-        )
-        return honesty._scatter(sections, seen)
-
-    assert scatter_of(10.0, 6.0) == pytest.approx(math.sqrt(96.0) / 200.0)
-    assert scatter_of(1.0, 6.0) == pytest.approx(6.0 / 200.0)  # no less than the model's own error
-    assert scatter_of(10.0, 0.0) == 0.0
-    half = np.where(np.arange(K) < 12, 1.0, 0.0)
-    assert scatter_of(10.0, 6.0, half) == pytest.approx(math.sqrt(96.0) / 200.0)
-
-
-def test_where_nothing_is_left_to_judge_by_no_model_error_is_found(found: MotionFit) -> None:
-    sections = sections_of(noise=6.0)
-    _, rules = first_state(sections, EARTH, IronPrior(), 1e-6, None)
-    loose = replace(rules, rows=1e-6 * rules.rows)  # a prior that holds nothing
-    residual = np.full((K, 3), 6.0)
-    disturbed_all = np.full(K, 1e-3)
-    assert fit._model_error(sections, found.state, residual, disturbed_all, loose) == 0.0
-    assert fit._model_error(sections, found.state, residual, np.ones(K), rules) > 3.0

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mavcompass.attitude import levels
 from mavcompass.calibration.model import HEADINGS, HORIZONTAL, LAG, VERTICAL
-from mavcompass.calibration.motion import changes, observed
-from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.scatter import scatter_left_rad
 from mavcompass.calibration.motion.sections import Sections, unsettled
 from mavcompass.calibration.observation.turning import TurnRecord
@@ -108,11 +104,6 @@ def test_what_turns_or_tilts_fast_does_not_count(given: dict[str, float], counts
     assert (left_deg(SWING, **given) > 1.5) is counts  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("lean_deg", "counts"), [(44.0, True), (46.0, False)])
-def test_leaning_by_half_a_right_angle_a_nose_has_hardly_a_heading(lean_deg: float, counts: bool) -> None:
-    assert (left_deg(SWING, lean_deg=lean_deg) > 0.5) is counts
-
-
 def test_disturbed_sections_do_not_count() -> None:
     only = np.where((TIME >= 10.0) & (TIME < 15.0), SWING, 0.0)
     sound = np.ones(K)
@@ -132,28 +123,11 @@ def test_noise_and_tilt_explain_what_they_can() -> None:
     assert left_deg(SWING, leaning, vertical=100.0) > 1.8
 
 
-def test_seconds_whose_tilt_is_not_known_do_not_excuse_the_others() -> None:
-    for unknown_deg, left in ((1.6, 2.0), (1.4, 0.0)):
-        tilt = np.where(np.arange(K) < 6, unknown_deg, 0.0) * DEG
-        assert left_deg(SWING, sections_of(tilt_sigma_rad=tilt), vertical=-600.0) == pytest.approx(
-            left, abs=0.1
-        )
-    assert left_deg(SWING, sections_of(tilt_sigma_rad=np.full(K, 1.6 * DEG)), vertical=-600.0) == 0.0
-
-
 def test_sections_that_were_left_out_do_not_count() -> None:
     only = np.where((TIME >= 10.05) & (TIME < 14.95), SWING, 0.0)
     assert left_deg(only) > 0.5
     rest = sections_of(end_s=np.where(np.arange(K) == 2, 10.0, 5.0 * np.arange(K) + 5.0))
     assert left_deg(only, rest) < 0.1
-
-
-def test_five_seconds_are_the_fewest() -> None:
-    for last_s, counts in ((34.95, True), (33.95, False)):
-        whole = sections_of()
-        ends = np.where(np.arange(K) == K - 1, last_s, whole.end_s)
-        late = replace(whole, start_s=np.maximum(whole.start_s, 30.0), end_s=ends)
-        assert (left_deg(SWING, late) > 0.5) is counts
 
 
 def test_readings_around_a_change_of_the_parameters_are_unsettled() -> None:
@@ -185,110 +159,3 @@ def test_the_field_turns_against_the_vehicle() -> None:
     for k, turned in enumerate((0.0, 0.3, -0.5)):
         assert mapping[k] @ north == pytest.approx([math.cos(turned), -math.sin(turned), 2.0])
         assert mapping[k] @ [0.0, 1.0, 0.0] == pytest.approx([math.sin(turned), math.cos(turned), 0.0])
-
-
-class Fitted(SimpleNamespace):
-    """Hold what is set of a fit; the horizontal field follows from it as in any."""
-
-    horizontal_mgauss = MotionFit.horizontal_mgauss
-
-
-@pytest.mark.parametrize(("model_deg", "looks"), [(0.49, False), (0.51, True)])
-def test_an_error_of_half_a_degree_is_looked_into(
-    model_deg: float, looks: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[Any] = []
-    monkeypatch.setattr(changes, "_candidates", lambda motion: asked.append(motion) or [])  # type: ignore[func-returns-value]
-    state = np.zeros(HEADINGS + K)
-    state[HORIZONTAL] = 200.0
-    fit = Fitted(state=state, gain=np.eye(3) * 1.1, model_mgauss=model_deg * DEG * 220.0, sound=np.ones(K))
-    motion: Any = SimpleNamespace(fit=fit, sections=sections_of())
-    assert changes.last_stretch(motion) == (motion, None) and bool(asked) is looks
-
-
-@pytest.mark.parametrize(("kept_out", "cuts"), [(0, False), (1, False), (K - 2, True)])
-def test_a_beginning_that_was_all_kept_out_is_a_change(
-    kept_out: int, cuts: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of one section only something may have passed by; what lasts longer than ten seconds was iron."""
-    state = np.zeros(HEADINGS + K)
-    state[HORIZONTAL] = 200.0
-    sections = sections_of()
-    lasted_s = float(sections.end_s[max(kept_out, 1) - 1] - sections.start_s[0])
-    assert (lasted_s >= 10.0) is cuts
-    later = SimpleNamespace(fit=SimpleNamespace(headings_rad=np.linspace(0.0, 300.0, 40) * DEG))
-    fit = Fitted(state=state, gain=np.eye(3), model_mgauss=0.0, sound=np.arange(K) >= kept_out)
-    motion: Any = SimpleNamespace(fit=fit, sections=sections, since=lambda start_s: later, recorded="whole")
-    monkeypatch.setattr(changes, "residual_of", lambda rows, fit: np.tile([0.0, 30.0, 40.0], (len(rows), 1)))
-    monkeypatch.setattr(changes, "since", lambda recorded, start_s: (recorded, start_s))
-    monkeypatch.setattr(changes, "replace", lambda later, recorded: (later, recorded))
-    monkeypatch.setattr(changes, "_dated", lambda motion, later, moved: lasted_s)
-    found, change = changes.last_stretch(motion)
-    if cuts:
-        settled = float(sections.end_s[kept_out - 1]) + 1.0
-        assert found == (later, ("whole", settled)) and change is not None and change.is_iron
-    else:
-        assert found is motion and change is None
-
-
-@pytest.mark.parametrize(
-    ("share", "seen_deg", "taken"), [(0.39, 160.0, True), (0.41, 160.0, False), (0.39, 149.0, False)]
-)
-def test_a_stretch_is_taken_where_it_fits_much_better_and_turns_enough(
-    share: float, seen_deg: float, taken: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    state = np.zeros(HEADINGS + K)
-    state[HORIZONTAL] = 200.0
-    later = SimpleNamespace(
-        fit=SimpleNamespace(model_mgauss=10.0 * share, headings_rad=np.linspace(0.0, seen_deg, 40) * DEG)
-    )
-    motion: Any = SimpleNamespace(
-        fit=Fitted(state=state, gain=np.eye(3), model_mgauss=10.0, sound=np.ones(K)),
-        sections=sections_of(),
-        since=lambda start_s: later,
-        recorded="whole",
-    )
-    monkeypatch.setattr(changes, "_candidates", lambda motion: [12.0])
-    monkeypatch.setattr(
-        changes, "residual_of", lambda sections, fit: np.tile([0.0, 3.0, 4.0], (len(sections), 1))
-    )
-    monkeypatch.setattr(changes, "_dated", lambda motion, later, moved: 11.0)
-    monkeypatch.setattr(changes, "since", lambda recorded, start_s: (recorded, start_s))
-    monkeypatch.setattr(changes, "replace", lambda later, recorded: (later, recorded))
-    found, change = changes.last_stretch(motion)
-    if taken:
-        assert found == (later, ("whole", 12.0)) and change == changes.Change(11.0, 5.0)
-    else:
-        assert found is motion and change is None
-
-
-@pytest.mark.parametrize("seldom", [False, True])
-@pytest.mark.parametrize("reference", [False, True])
-def test_what_is_heard_too_seldom_tells_no_scatter(
-    reference: bool, seldom: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(observed, "scatter_left_rad", lambda *given: 0.03)
-    track = Track(compasses={1: MagSeries(1, Series.of(TIME, np.zeros((400, 3))))})
-    sections = sections_of(step_sigma_rad=np.full(K - 1, 6.0 * DEG if seldom else 0.01))
-    turn: Any = SimpleNamespace(levels=levels)
-    recorded: Any = SimpleNamespace(track=track, instance=1)
-    fit: Any = None
-    motion = observed.Motion(recorded, fit, turn if reference else None, sections, fit, "none")
-    assert motion.scatter_left_rad(FieldCorrection()) == (0.0 if seldom else 0.03)
-
-
-def test_motors_that_a_correction_takes_out_leave_no_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
-    left: list[FloatArray] = []
-    monkeypatch.setattr(
-        observed, "motors_left_rad", lambda sections, fit, mgauss: left.append(mgauss) or 0.04
-    )
-    state = np.zeros(HEADINGS + K)
-    state[13:16] = (1.0, 2.0, 3.0)
-    nothing: Any = None
-    fit: Any = SimpleNamespace(state=state)
-    motion = observed.Motion(nothing, nothing, None, sections_of(), fit, "current")
-    cure = FieldCorrection(diagonals=(2.0, 1.0, 1.0), motor_mgauss=(-2.0, -2.0, -3.0), motor_source="current")
-    assert motion._motors_left_rad(cure) == 0.04 and left[-1] == pytest.approx([0.0, 0.0, 0.0])
-    motion._motors_left_rad(replace(cure, motor_source="throttle"))
-    assert left[-1].tolist() == [1.0, 2.0, 3.0]  # another load's term takes nothing out
-    assert replace(motion, load_source="none")._motors_left_rad(cure) == 0.0

@@ -24,14 +24,7 @@ from made_up_recordings import (
 from mavcompass.calibration.motion.changes import calm_since_s, last_stretch
 from mavcompass.calibration.motion.equations import first_state, section_variance
 from mavcompass.calibration.motion.findings import findings
-from mavcompass.calibration.motion.fit import (
-    _absorbed,
-    _chance_limit,
-    _first_model_error,
-    leaning_error,
-    level_headings,
-    sigma_of,
-)
+from mavcompass.calibration.motion.fit import leaning_error, level_headings, sigma_of
 from mavcompass.calibration.motion.honesty import weigh_honestly
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.motion.stops import without_disturbed_stop
@@ -113,10 +106,8 @@ def test_where_the_fit_begins(motion: Motion, as_stored: AsStored) -> None:
         {
             "first": first[:20],
             "prior": [np.diag(rules.rows.T @ rules.rows)[:17], rules.wanted, rules.of(fit.state)],
-            "model": [_first_model_error(s.readings, first), _absorbed(s, fit.state, fit.sound, rules)],
             "variance": section_variance(s, fit.state, 2.0)[::6],
             "unweighed": section_variance(s, fit.state, 2.0, weighed=False)[::9],
-            "chance": [_chance_limit(freedom) for freedom in (1.0, 7.0, 100.0)],
         }
     )
 

@@ -80,19 +80,6 @@ def test_the_turn_is_about_the_vertical_of_a_vehicle_that_leans() -> None:
     assert state.rate_radps == pytest.approx(0.0, abs=1e-9) and state.why_not == "tilting"
 
 
-def test_down_follows_the_accelerometer_within_half_a_second() -> None:
-    detector = standing()
-    lean = math.radians(10.0)
-    fed(detector, 0.5, 2.0, acc=(G * math.sin(lean), 0.0, -G * math.cos(lean)))
-    x, _, z = detector._down
-    # Each step takes 4 % of what is left: 0.96^25 = 0.36.
-    assert math.degrees(math.atan2(-x, z)) == pytest.approx(10.0 * (1.0 - 0.96**25), rel=0.02)
-    assert math.hypot(*detector._down) == pytest.approx(1.0)
-    before = detector._down
-    fed(detector, 0.1, 2.5, acc=(0.5, 0.0, 0.0))  # falling: no direction
-    assert detector._down == before
-
-
 @pytest.mark.parametrize(("mgauss", "said"), [(59.0, True), (60.0, True), (61.0, False)])
 def test_a_field_that_jumps_begins_anew(mgauss: float, said: bool) -> None:
     detector = standing()
@@ -125,19 +112,6 @@ def test_white_noise_is_found_beside_a_smooth_motion() -> None:
     assert np.mean(found[50:]) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("tilt_deg", "field_mgauss"), [(0.1, 100.0), (100.0, 0.5)])
-def test_the_mean_is_long_enough_for_tilt_and_field(tilt_deg: float, field_mgauss: float) -> None:
-    detector, chance = StillnessDetector(), np.random.default_rng(4)
-    assert detector.averaging_s(0.01, 1.0) == 0.0
-    for k in range(60):
-        acc, mag = np.array(UP) + 0.1 * chance.normal(size=3), np.array(FIELD) + 3.0 * chance.normal(size=3)
-        detector.update(k * STEP_S, np.zeros(3), acc, mag)
-    force, field = detector._force_noise.sigma, detector._field_noise.sigma
-    ratio = max(force / (G * math.radians(tilt_deg)), field / field_mgauss)
-    # n readings leave sigma / sqrt(n).
-    assert detector.averaging_s(math.radians(tilt_deg), field_mgauss) == pytest.approx(ratio**2 * STEP_S)
-
-
 @pytest.mark.parametrize("tilt_deg_s", [5.5, -5.5])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_of_what_leans_only_the_horizontal_part_of_its_rate_is_tilting(axis: int, tilt_deg_s: float) -> None:
@@ -149,20 +123,3 @@ def test_of_what_leans_only_the_horizontal_part_of_its_rate_is_tilting(axis: int
     x, y, z = (math.radians(2.9 * d + tilt_deg_s * a) for d, a in zip(down, across, strict=True))
     state = fed(detector, 1.0, 0.0, (x, y, z), acc)
     assert state.why_not == "" and math.degrees(state.rate_radps) == pytest.approx(2.9, abs=0.05)
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("down", [(0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.0, -0.8, 0.6), (-0.48, 0.6, 0.64)])
-def test_a_rate_is_parted_into_that_about_the_vertical_and_the_rest(axis: int, down: Vector) -> None:
-    detector = StillnessDetector()
-    x, y, z = down
-    acc = (-G * x, -G * y, -G * z)
-    detector.update(0.0, (0.0, 0.0, 0.0), acc, FIELD)
-    gyro = [0.3, -0.2, 0.1]
-    gyro[axis] += 0.5
-    detector.update(STEP_S, (gyro[0], gyro[1], gyro[2]), acc, FIELD)
-    _, about, tilting = detector._window[-1]
-    wanted = float(np.dot(gyro, down))
-    assert about == pytest.approx(wanted)
-    assert tilting == pytest.approx(float(np.linalg.norm(np.array(gyro) - wanted * np.array(down))))
-    assert detector._turned == pytest.approx(0.5 * wanted * STEP_S)

@@ -11,9 +11,6 @@ import pytest
 from mavcompass.calibration.observation import turn_record
 from mavcompass.calibration.observation.turning import (
     TurnRecord,
-    _drifting,
-    _quiet_stretches,
-    _slope,
 )
 from mavcompass.frames import FloatArray
 from mavcompass.track import MagSeries, Series, Track
@@ -117,17 +114,6 @@ def test_noise_is_seen_beside_turning() -> None:
     assert turn.walk_rad == pytest.approx(turn.noise_radps * math.sqrt(0.02))
 
 
-@pytest.mark.parametrize(("lasts_s", "is_witnessed"), [(19.5, False), (20.5, True)])
-def test_roll_and_pitch_bear_witness_of_twenty_seconds(lasts_s: float, is_witnessed: bool) -> None:
-    time = np.arange(0.0, lasts_s, 0.04)
-    shaking = 0.1 * np.where(np.arange(time.size) % 2, 1.0, -1.0)[:, np.newaxis] * np.ones(3)
-    level = Series.of(time, np.zeros((time.size, 3)))
-    turn = turn_record(gyro_of(shaking, time, attitude_rad=level))
-    assert turn is not None
-    usual = turn.noise_radps * math.sqrt(0.04)
-    assert turn.walk_rad == pytest.approx(0.02 * DEG if is_witnessed else usual, rel=0.02)
-
-
 def standing(seconds: float, deg_s: float, field_mgauss: FloatArray | None = None) -> Track:
     time = np.arange(0.0, seconds + 0.01, 0.1)
     if field_mgauss is None:
@@ -167,118 +153,3 @@ def test_a_field_that_moves_shows_a_turn() -> None:
     turn = turn_record(standing(2.8, 0.5, field))
     assert turn is not None
     assert turn.bias_radps == 0.0 and turn.bias_sigma_radps == pytest.approx(0.2 * DEG)
-
-
-def test_noise_of_the_field_hides_a_turn_the_more_the_weaker_it_is() -> None:
-    time = np.arange(0.0, 10.81, 0.1)
-    noise = 2.0 * math.sqrt(1.5) * (np.arange(time.size) % 3 - 1.0)[:, np.newaxis]
-    rate = np.where(time < 2.85, 0.0, np.where(time < 10.75, 45.0 * DEG, 0.0))
-    for level_mgauss, counts_mgauss in ((200.0, 200.0), (30.0, 50.0)):  # a weaker one is not believed
-        psi = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * 0.1)])
-        field = level_mgauss * np.stack([np.cos(psi), -np.sin(psi), 0.0 * psi], axis=1) + noise
-        gyro = np.stack([0.0 * rate, 0.0 * rate, rate + 0.1 * DEG], axis=1)
-        compass = MagSeries(1, Series.of(time, field + np.array([0.0, 300.0, 500.0])))
-        turn = turn_record(gyro_of(gyro, time, compasses={1: compass}, autopilot="px4"))
-        assert turn is not None
-        stood = slice(0, 27)
-        slope, sigma = _slope(time[stood], field[stood], 0.0)
-        known = math.sqrt(float(slope @ slope) + 2.0 * sigma**2) / counts_mgauss / DEG
-        usual = 1.0 / math.sqrt(0.2**-2 + known**-2)
-        assert turn.bias_sigma_radps / DEG == pytest.approx(usual, rel=0.12)
-
-
-def test_too_few_readings_tell_no_bias() -> None:
-    turn = turn_record(standing(2.8, 0.3), instance=2)
-    assert turn is not None and turn.bias_radps == 0.0
-    for count, tells in ((7, False), (8, True)):
-        track = standing(2.8, 0.3)
-        whole = track.compasses[1].reported
-        few = Series.of(whole.time_s[:count], whole.values[:count])
-        turn = turn_record(Track(gyro_radps=track.gyro_radps, compasses={1: MagSeries(1, few)}))
-        assert turn is not None and (turn.bias_radps > 0.0) is tells
-
-
-def test_a_bias_drifts_between_what_two_stretches_tell() -> None:
-    at, sigma = np.array([0.0, 5.0, 1e5, 2e5]), 0.01 * DEG
-    bias, usual = _drifting(at, [], 0.2)
-    assert bias.tolist() == [0.0] * 4 and usual == 0.2
-    bias, usual = _drifting(at, [(5.0, 0.1, sigma)], sigma)
-    assert bias == pytest.approx([0.05] * 4)  # as certain as what was known before
-    assert usual == pytest.approx(sigma / math.sqrt(2.0))
-    # A smooth drift of 0.07 deg/s, 100 s long: near stretches share it, their difference is mostly chance.
-    for apart_s, share in ((10.0, 0.196), (50.0, 0.852), (1e5, 0.980)):
-        drifted = 0.07**2 * (1.0 - math.exp(-0.5 * (apart_s / 100.0) ** 2))
-        assert share == pytest.approx(drifted / (drifted + 0.01**2), abs=1e-3)
-        bias, usual = _drifting(
-            np.array([0.0, 0.5 * apart_s, 2e5]), [(0.0, 0.0, sigma), (apart_s, 0.3, sigma)], 1.0
-        )
-        assert bias == pytest.approx([0.15 - 0.15 * share, 0.15, 0.15 + 0.15 * share], abs=2e-4)
-        assert sigma / math.sqrt(2.0) <= usual * 1.001 and usual < sigma
-
-
-def quiet(deg_s: FloatArray, time: FloatArray, limit_deg_s: float = 15.0) -> list[list[float]]:
-    return [[round(a, 2), round(b, 2)] for a, b in _quiet_stretches(time, deg_s * DEG, limit_deg_s * DEG)]
-
-
-def test_quiet_is_what_stands_most_of_the_time() -> None:
-    time = np.arange(0.0, 13.999, 0.05)
-    rate = np.where((time > 6.99) & (time < 9.99), 10.0, 0.1)
-    # The mean over half a second leaves the standing by one degree per second after 0.2 s less.
-    assert quiet(rate, time) == [[0.0, 2.25], [2.25, 4.5], [4.5, 6.75], [10.2, 12.08], [12.08, 13.95]]
-    assert quiet(rate, time, 5.0) == quiet(rate, time)
-    assert quiet(rate + 7.0, time) == quiet(rate, time)
-    assert quiet(rate + 7.0, time, 5.0) == []
-    assert quiet(np.where(time < 9.0, rate, 10.0), time)[-1][1] == 6.75  # what turns longest is no standing
-
-
-@pytest.mark.parametrize(("lasts_s", "found"), [(0.9, False), (1.1, True)])
-def test_a_second_of_rest_is_a_stretch(lasts_s: float, found: bool) -> None:
-    time = np.arange(0.0, lasts_s + 0.001, 0.05)
-    assert bool(quiet(0.0 * time, time)) is found
-
-
-def test_a_stretch_lasts_three_seconds_at_most() -> None:
-    for lasts_s, count in ((2.99, 1), (3.0, 1), (3.1, 2), (6.1, 3)):
-        time = np.linspace(0.0, lasts_s, 200)
-        assert len(quiet(0.0 * time, time)) == count
-    assert quiet(np.array([0.0, 9.0, 0.0, 9.0, 0.0]), np.arange(0.0, 5.0)) == []
-    assert quiet(np.zeros(3), np.array([0.0, 1.0, 2.0])) == []
-    assert quiet(np.zeros(4), np.array([0.0, 1.0, 2.0, 3.0])) == [[0.0, 3.0]]
-
-
-def test_a_creep_of_the_field_is_known_to_its_noise_and_its_step() -> None:
-    time = np.arange(41.0) * 0.1
-    straight = 7.0 + time[:, np.newaxis] * [1.0, -2.0, 0.5]
-    slope, sigma = _slope(time, straight, 0.0)
-    assert slope == pytest.approx([1.0, -2.0, 0.5]) and sigma == pytest.approx(0.0, abs=1e-9)
-    _, hidden = _slope(time, straight, 2.0)
-    assert hidden == pytest.approx(2.0 / math.sqrt(12.0) / 4.0)
-    power = float(((time - 2.0) ** 2).sum())
-    noise = 3.0 * np.where(np.arange(41) % 2, 1.0, -1.0)[:, np.newaxis] * np.ones(3)
-    slope, sigma = _slope(time, straight + noise, 0.0)
-    assert slope == pytest.approx([1.0, -2.0, 0.5], abs=0.01)
-    # The mean square of three axes, half as much again, of 40 fresh readings.
-    assert sigma == pytest.approx(3.0 * math.sqrt(1.5 * 41 / 40 / power), rel=1e-3)
-    # Read five times as often, it tells no more: readings are repeated.
-    often = np.arange(201.0) * 0.02
-    again = 3.0 * np.where(np.arange(201) % 2, 1.0, -1.0)[:, np.newaxis] * np.ones(3)
-    assert _slope(often, again, 0.0)[1] == pytest.approx(sigma, rel=0.03)
-    assert _slope(np.ones(5), np.zeros((5, 3)), 0.0)[1] == math.inf
-
-
-@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.4, -0.3)])
-def test_what_roll_and_pitch_witness_is_the_walk_of_the_sum(roll: float, pitch: float) -> None:
-    time = np.arange(0.0, 40.0, 0.04)
-    shaking = 0.5 * np.where(np.arange(time.size) % 2, 1.0, -1.0)
-    # It turns at a steady lean; summed, it rolls and pitches by 0.02 in most stretches of two seconds.
-    off, turning = 0.01 * (time // 2.0 % 3.0 - 1.0), 0.3
-    rates = [
-        off - turning * math.sin(pitch),
-        off * math.cos(roll) + turning * math.cos(pitch) * math.sin(roll),
-        -off * math.sin(roll) + turning * math.cos(pitch) * math.cos(roll),
-    ]
-    attitude = Series.of(time, np.tile([roll, pitch, 0.0], (time.size, 1)))
-    turn = turn_record(gyro_of(np.stack(rates, 1) + shaking[:, np.newaxis], time, attitude_rad=attitude))
-    assert turn is not None
-    # A normal walk is within 0.6745 sigma half of the time.
-    assert turn.walk_rad == pytest.approx(0.02 / 0.6745 / math.sqrt(2.0), rel=0.03)

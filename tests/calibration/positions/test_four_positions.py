@@ -266,3 +266,8 @@ def test_what_an_accelerometers_error_does_is_what_is_claimed_of_it(roll: float,
     assert rms(moved) == pytest.approx(
         math.hypot(roll, pitch) / 0.001 * wrong.budget_rad["accelerometer"] / math.sqrt(2.0), rel=0.1
     )
+
+
+def test_a_field_that_hardly_turns_is_a_dead_compass() -> None:
+    with pytest.raises(PoorCalibration, match="hardly changes while the vehicle turns"):
+        solve_four_positions(four_positions(Iron((60.0, -40.0, 25.0), 1e-3 * np.eye(3))))

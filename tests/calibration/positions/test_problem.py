@@ -26,9 +26,7 @@ from mavcompass.calibration.model import (
 )
 from mavcompass.calibration.observation import FourPositionData, Step
 from mavcompass.calibration.positions import PositionProblem, next_pose, solve_four_positions
-from mavcompass.calibration.positions.budget import _source_of
 from mavcompass.calibration.positions.fit import fit_positions, weigh_cross_terms
-from mavcompass.calibration.positions.observability import unobserved
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, assembled
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import PoorCalibration
@@ -181,16 +179,6 @@ def test_positions_have_to_cover_the_circle(degrees: tuple[float, ...], enough: 
         problem_of(four_positions(IRON, turns=np.radians([120.0])))
 
 
-@pytest.mark.parametrize(("share", "enough"), [(1.05, True), (0.95, False)])
-def test_a_field_that_hardly_turns_is_a_dead_compass(share: float, enough: bool) -> None:
-    iron = Iron((60.0, -40.0, 25.0), np.eye(3) * share / FIELD.horizontal_mgauss)
-    if enough:
-        assert problem_of(four_positions(iron)).start is not None
-    else:
-        with pytest.raises(PoorCalibration, match=r"amplitude 0\.9 mG|amplitude 1\.0 mG"):
-            problem_of(four_positions(iron))
-
-
 def test_a_pose_not_yet_taken_reads_what_the_state_predicts() -> None:
     data = four_positions(IRON)
     state = true_state(data)
@@ -208,29 +196,6 @@ def test_a_pose_not_yet_taken_reads_what_the_state_predicts() -> None:
     )
     assert certain.whiten[-1] == pytest.approx(certain.whiten[1])
     assert certain.readings.step_sigma_rad[-1] == 1e-6
-
-
-def test_each_parameter_has_its_source_in_the_budget() -> None:
-    names = {
-        GYRO_SCALE: "step_angle",
-        GYRO_BIAS: "step_angle",
-        HORIZONTAL: "world_model",
-        VERTICAL: "world_model",
-    }
-    names |= dict.fromkeys(range(MOTOR.start, MOTOR.stop), "disturbance")
-    assert all(_source_of(place) == names.get(place, "prior") for place in range(HEADINGS))
-
-
-@pytest.mark.parametrize(
-    ("place", "sigma", "hidden"),
-    [(0, 10.1, "offset_x"), (2, 9.9, ""), (2, 10.1, "offset_z"), (5, 0.041, "scale_z"), (5, 0.039, ""),
-     (6, 0.021, "cross_xy"), (8, 0.019, ""), (8, 0.021, "cross_yz")],
-)  # fmt: skip
-def test_what_the_motion_does_not_tell_is_the_priors_opinion(place: int, sigma: float, hidden: str) -> None:
-    variance = np.full(20, 1e-8)
-    variance[place] = sigma**2
-    fit: Any = type("Fit", (), {"covariance": np.diag(variance)})
-    assert unobserved(fit) == ((hidden, "mounting_yaw") if hidden else ("mounting_yaw",))
 
 
 def test_the_next_pose_lowers_what_is_not_known_and_says_how() -> None:

@@ -12,7 +12,6 @@ from calibration_worlds import FIELD, Iron, body_field, four_positions
 from mavcompass.calibration import solve_four_positions
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import repeat_test
-from mavcompass.calibration.positions.repeat import _judge
 from mavcompass.errors import PoorCalibration
 
 LAST = 0.4 + 1.5 * math.pi
@@ -74,26 +73,17 @@ def test_two_positions_tell_nothing_and_three_do() -> None:
     assert repeat_test(forward, turned_back((0.0, 0.0, 0.0)), earth=FIELD).cause == "repeats"
 
 
-@pytest.mark.parametrize(
-    ("consistency", "constant", "chi_square", "cause"),
-    [
-        # Two degrees of freedom: the chance of more is exp(-chi^2 / 2), 1 % at 9.21.
-        (0.5, 0.0, 9.20, "repeats"),
-        (0.5, 0.0, 9.22, "disturbance"),
-        (0.5, 2.99, 9.20, "repeats"),
-        (0.5, 3.01, 9.20, "hysteresis"),
-        (0.5, -3.01, 9.20, "hysteresis"),
-        (0.5, 3.01, 9.22, "disturbance"),
-        (0.011, 0.0, 0.0, "repeats"),
-        (0.009, 0.0, 0.0, "misfit"),
-        (0.009, 3.01, 0.0, "hysteresis"),
-        # What lies at a limit is not beyond it.
-        (0.5, 3.0, 0.0, "repeats"),
-        (0.01, 0.0, 0.0, "repeats"),
-    ],
-)
-def test_a_cause_is_named_beyond_its_limit(
-    consistency: float, constant: float, chi_square: float, cause: str
-) -> None:
-    named, position, _ = _judge(consistency, constant, 1.0, chi_square, 2, 1, 0.1)
-    assert (named, position) == (cause, 1 if cause == "disturbance" else -1)
+def test_turns_that_agree_but_with_no_rigid_compass_are_a_misfit() -> None:
+    forward = four_positions(Iron(), turns=np.radians([60.0] * 6), noise=1.0, gyro_sigma=0.001)
+    bent = [
+        replace(dwell, mean_mgauss=dwell.mean_mgauss + 9.0 * np.array([0.0, 0.0, (-1.0) ** k]))
+        for k, dwell in enumerate(forward.dwells)
+    ]
+    forward = replace(forward, dwells=tuple(bent))
+    back = replace(
+        forward,
+        dwells=forward.dwells[::-1],
+        steps=tuple(replace(step, angle_rad=-step.angle_rad) for step in forward.steps[::-1]),
+    )
+    test = repeat_test(forward, back, earth=FIELD)
+    assert test.cause == "misfit" and "not with a rigid compass" in test.words

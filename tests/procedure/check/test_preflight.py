@@ -9,18 +9,13 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
-import pytest
 from click.testing import CliRunner
 
 from mavcompass import messages as mav
 from mavcompass.cli.check import command
 from mavcompass.correction import FieldCorrection
-from mavcompass.earth_field import EarthField
-from mavcompass.enums import EkfFlag
 from mavcompass.heading.fault_isolation import HeadingSource
 from mavcompass.procedure.check import CheckReport, CheckSettings, check, items
-from mavcompass.procedure.check.items import Reading
 from mavcompass.procedure.script import Machine, Show
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.sensors import CompassModel
@@ -28,8 +23,6 @@ from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.links.simulated import SimulatedLink
-
-WORLD = EarthField((206.155, 0.0, 400.0))
 
 
 def checked(
@@ -118,48 +111,6 @@ def test_a_sensor_that_is_not_there_is_blamed_for_nothing() -> None:
     assert report.verdict == "pass", report.summary()
 
 
-@pytest.mark.parametrize(
-    ("correction", "name", "verdict"),
-    [
-        (FieldCorrection(), "offsets", "fail"),
-        (FieldCorrection((20.0, -50.0, 100.0)), "offsets", "pass"),
-        (FieldCorrection((500.0, 0.0, 0.0)), "offsets", "warn"),
-        (FieldCorrection((1500.0, 1500.0, 0.0)), "offsets", "fail"),
-        (FieldCorrection((1.0, 0.0, 0.0), (1.1, 0.95, 1.0)), "matrix", "pass"),
-        (FieldCorrection((1.0, 0.0, 0.0), (1.6, 1.0, 1.0)), "matrix", "warn"),
-        (FieldCorrection((1.0, 0.0, 0.0), (1.0, 0.0, 1.0)), "matrix", "fail"),
-    ],
-)
-def test_parameters_are_judged(correction: FieldCorrection, name: str, verdict: str) -> None:
-    if name == "offsets":
-        item = items.judge_offsets(1, correction, calibrated=any(correction.offsets_mgauss))
-    else:
-        item = items.judge_matrix(1, correction)
-    assert item.verdict == verdict
-    assert bool(item.remedy) == (verdict != "pass")
-
-
-@pytest.mark.parametrize(
-    ("scale", "tilted_deg", "expected"),
-    [
-        (1.0, 0.0, ["pass", "pass"]),
-        (1.1, 0.0, ["warn", "pass"]),
-        (0.8, 0.0, ["fail", "pass"]),
-        (1.0, 10.0, ["pass", "fail"]),
-    ],
-)
-def test_the_field_is_judged_against_the_world(scale: float, tilted_deg: float, expected: list[str]) -> None:
-    dip = WORLD.inclination_rad + np.radians(tilted_deg)
-    total = scale * WORLD.total_mgauss
-    reading = Reading(1, total * np.cos(dip), total * np.sin(dip), 0.0)
-    assert [item.verdict for item in items.judge_field(reading, WORLD)] == expected
-
-
-def test_without_a_place_only_an_absurd_field_fails() -> None:
-    assert items.judge_field(Reading(1, 200.0, 400.0, 0.0), None)[0].verdict == "pass"
-    assert items.judge_field(Reading(1, 900.0, 400.0, 0.0), None)[0].verdict == "fail"
-
-
 def test_agreement_is_judged_across_north() -> None:
     for heading_deg, verdict in ((1.0, "pass"), (10.0, "warn"), (90.0, "fail")):
         (item,) = items.judge_agreement(
@@ -178,30 +129,6 @@ def test_the_compass_at_fault_is_named_with_two_sound_ones_beside_it() -> None:
     assert item.instance == 1 and item.verdict == "fail"
     assert item.text.startswith("Compass 1 is ") and "2 and 3, which agree" in item.text
     assert item.remedy.startswith("Calibrate compass 1;")
-
-
-def test_the_estimator_and_its_words_are_judged() -> None:
-    assert items.judge_estimator(None) is None
-    good = items.judge_estimator(mav.EkfStatusReport(flags=EkfFlag.ATTITUDE, compass_variance=0.1))
-    assert good is not None and good.verdict == "pass"
-    bad = items.judge_estimator(mav.EkfStatusReport(flags=EkfFlag.ATTITUDE, compass_variance=0.9))
-    assert bad is not None and bad.verdict == "fail"
-    texts = [
-        "PreArm: Compass not calibrated",
-        "PreArm: Compass not calibrated",
-        "PreArm: Battery low",
-        "compass!",
-    ]
-    assert [item.text for item in items.judge_prearm(texts)] == [
-        'The autopilot says "PreArm: Compass not calibrated".'
-    ]
-
-
-@pytest.mark.parametrize(
-    ("field_deg", "gyro_deg", "verdict"), [(90.0, 88.0, "pass"), (85.0, 90.0, "warn"), (60.0, 90.0, "fail")]
-)
-def test_a_turn_is_judged(field_deg: float, gyro_deg: float, verdict: str) -> None:
-    assert items.judge_turn(1, field_deg, gyro_deg, 0.3).verdict == verdict
 
 
 # --- the command ---------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from mavcompass import messages as mav
@@ -13,8 +12,7 @@ from mavcompass.earth_field import earth_field
 from mavcompass.enums import MavModeFlag
 from mavcompass.errors import Refused
 from mavcompass.procedure.check import CheckSettings
-from mavcompass.procedure.check.items import CheckItem, Reading
-from mavcompass.procedure.check.preflight import _Checker, _down
+from mavcompass.procedure.check.preflight import _Checker
 from mavcompass.procedure.script import Context, Machine, Tick
 from mavcompass.procedure.vehicle_state import VehicleState
 
@@ -82,24 +80,3 @@ def test_the_world_is_that_of_the_place_and_the_date_where_they_are_known() -> N
         check.desk.state.utc = mav.SystemTime(time_unix_usec=unix_s * 1_000_000)
         dated = check.world()
         assert dated is not None and dated.ned_mgauss == earth_field(47.4, 8.5, 400.0, year).ned_mgauss
-
-
-def test_a_source_brings_along_what_was_found_of_its_compass() -> None:
-    check = checker("none")
-    found = (("dip", 2, 1.5), ("field", 2, -4.0), ("turn", 2, 0.7), ("dip", 1, 9.0))
-    check.items = [
-        CheckItem(name, "pass", "", instance=i, value=value, limit=2.0) for name, i, value in found
-    ]
-    source = check._source(Reading(2, 200.0, 400.0, 1.0))
-    shown = source.by_itself
-    assert (source.name, shown["dip"], shown["gyro"]) == ("compass 2", 1.5, 0.7)
-    assert np.isnan(shown["strength"])  # without a place the strength is in milligauss
-    check.desk.state.place = mav.GlobalPositionInt(lat=474_000_000, lon=85_000_000)
-    assert check._source(Reading(2, 200.0, 400.0, 1.0)).by_itself["strength"] == -4.0
-
-
-def test_down_is_that_of_roll_and_pitch() -> None:
-    seen: Any = SimpleNamespace(roll_rad=0.3, pitch_rad=-0.2)
-    x, y, z = _down(seen)
-    assert (np.arctan2(y, z), np.arcsin(-x)) == pytest.approx((0.3, -0.2))
-    assert x**2 + y**2 + z**2 == pytest.approx(1.0)

@@ -78,22 +78,6 @@ def test_rates_are_asked_for_by_the_numbers_of_the_protocol() -> None:
     assert set(FlightRates.like(20.0).of("px4")) - numbers == {ardupilotmega.MAVLINK_MSG_ID_HIGHRES_IMU}
 
 
-def test_a_clock_that_stands_still_is_noticed() -> None:
-    clock = _Clock()
-    assert clock.stands(1e6) is None  # nothing was heard yet
-    heard(clock, 3.0)
-    assert clock.time_s == 3.0 and clock.stands(22.9) is None and "stands still" in str(clock.stands(23.1))
-    clock.hear(mav.Incoming(30.0, 1, 1, mav.Heartbeat()))
-    assert clock.stands(30.0) is not None
-
-
-@pytest.mark.parametrize(
-    ("yaw", "lag"), [(3.0, 0.0), (2.5, 0.5), (-3.2, 6.2 - 2.0 * math.pi), (3.0 - 4.0, 4.0 - 2.0 * math.pi)]
-)
-def test_the_lag_is_within_half_a_turn(yaw: float, lag: float) -> None:
-    assert follow._lag(profile(), 0, heard(_Clock(), 1.0, yaw)) == pytest.approx(lag, abs=1e-6)
-
-
 def test_what_drives_is_asked_for_speed_and_rate() -> None:
     context = Context(system=1, component=1)
     follow._target(context, profile(), 20, heard(_Clock(), 1.0, 3.0))
@@ -183,23 +167,6 @@ def test_a_px4_that_does_not_enter_offboard_is_asked_six_times() -> None:
     assert len(asked) == 6 and np.diff(asked) == pytest.approx([1.5] * 5, abs=0.1)
 
 
-@pytest.mark.parametrize(
-    ("flags", "knows"),
-    [(0, False), (1 | 2 | 16, True), (1 | 2, False), (2 | 16, False), (1 | 16, False), (0x1FF, True)],
-)
-def test_an_ardupilot_knows_its_place_by_its_estimator(flags: int, knows: bool) -> None:
-    state = VehicleState()
-    assert not follow._knows_its_place(ROVER, state)
-    state.ekf = mav.EkfStatusReport(flags=flags)
-    assert follow._knows_its_place(ROVER, state) is knows
-    px4 = VehicleIdentity(1, 1, "px4", "copter")
-    assert not follow._knows_its_place(px4, state)
-    state.local = mav.LocalPositionNed()
-    assert not follow._knows_its_place(px4, state)
-    state.place = mav.GlobalPositionInt()
-    assert follow._knows_its_place(px4, state)
-
-
 def test_its_place_is_waited_for_two_minutes_of_its_clock() -> None:
     state, clock = VehicleState(), _Clock()
     state.texts.append("EKF3 waiting for GPS")
@@ -232,13 +199,6 @@ def test_a_parameter_is_set_as_its_type_and_answered() -> None:
     assert whole.param_type == MavParamType.INT32 and bits == 3
 
 
-@pytest.mark.parametrize(("hertz", "microseconds"), [(20.0, 50_000.0), (0.0, -1.0)])
-def test_a_rate_is_asked_for_as_an_interval(hertz: float, microseconds: float) -> None:
-    machine = Machine(lambda context: follow._set_rate(context, 30, hertz))
-    (asked,) = sent(machine.step(Tick(0.0)))
-    assert (asked.command, asked.param1, asked.param2) == (MavCmd.SET_MESSAGE_INTERVAL, 30.0, microseconds)
-
-
 def test_the_parameters_are_told_up_to_the_last() -> None:
     machine = Machine(follow._read_parameters)
     assert isinstance(sent(machine.step(Tick(0.0)))[0], mav.ParamRequestList)
@@ -257,6 +217,15 @@ def test_the_parameters_are_told_up_to_the_last() -> None:
     for tenth in range(52):
         mute.step(Tick(0.1 * tenth))
     assert isinstance(mute.error, NoReply)
+
+
+def test_a_clock_that_stands_still_is_noticed() -> None:
+    clock = _Clock()
+    assert clock.stands(1e6) is None  # nothing was heard yet
+    heard(clock, 3.0)
+    assert clock.time_s == 3.0 and clock.stands(22.9) is None and "stands still" in str(clock.stands(23.1))
+    clock.hear(mav.Incoming(30.0, 1, 1, mav.Heartbeat()))
+    assert clock.stands(30.0) is not None
 
 
 @pytest.mark.parametrize(("down_m", "takeoff_m"), [(-5.0, 5.0), (0.0, 0.0)])

@@ -11,7 +11,6 @@ import pytest
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.procedure.flying import Profile, profile_of
-from mavcompass.procedure.flying.profile import _smoothed
 from mavcompass.track import MagSeries, Series, Track
 
 TIME = np.arange(400.0) * 0.05
@@ -41,12 +40,6 @@ def test_the_yaw_is_unwrapped_and_smooth() -> None:
     assert profile.yaw_rad[middle] == pytest.approx(0.5 * profile.time_s[middle])
     assert profile.yaw_rate_radps[middle] == pytest.approx(np.full(profile.time_s.size - 8, 0.5))
     assert profile.rate_hz == pytest.approx(20.0) and profile.utc_s is None and profile.kind == "rover"
-
-
-def test_a_jump_of_the_yaw_is_spread_over_half_a_second() -> None:
-    step = np.where(np.arange(20) < 10, 0.0, 1.0)
-    assert _smoothed(step)[6:14] == pytest.approx([0.0, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.0])
-    assert len(_smoothed(step)) == 20 and _smoothed(step)[[0, -1]].tolist() == [0.0, pytest.approx(1.0)]
 
 
 def test_an_independent_attitude_is_believed_first() -> None:

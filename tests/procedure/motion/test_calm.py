@@ -8,7 +8,7 @@ import pytest
 
 from mavcompass import messages as mav
 from mavcompass.errors import Refused
-from mavcompass.procedure.motion.calm import _doubts, _swings, _Wander, wait_until_calm
+from mavcompass.procedure.motion.calm import wait_until_calm
 from mavcompass.procedure.positions import Rest
 from mavcompass.procedure.script import Context, Machine, Script, Show, Tick
 from mavcompass.procedure.vehicle_state import VehicleState
@@ -88,80 +88,6 @@ def test_one_that_wanders_wider_and_wider_or_far_does_not(wanders_m: float, grow
 def test_one_that_never_holds_its_place_is_refused_with_the_way_out() -> None:
     machine, _ = waiting(swings_until_s=100.0)
     assert isinstance(machine.error, Refused) and "--motion hand" in machine.error.remedy
-
-
-@pytest.mark.parametrize(
-    ("vx", "vy", "swings"), [(50, 0, False), (51, 0, True), (0, -51, True), (30, 40, False), (31, -40, True)]
-)
-def test_half_a_metre_a_second_over_ground_is_a_swing(vx: int, vy: int, swings: bool) -> None:
-    state = VehicleState(place=mav.GlobalPositionInt(vx=vx, vy=vy, vz=900))
-    assert _swings(state, Rest()) is swings
-    assert not _swings(VehicleState(), Rest())  # one that does not know its place
-
-
-@pytest.mark.parametrize(
-    ("compass", "velocity", "doubts"),
-    [(0.79, 0.29, False), (0.8, 0.0, True), (0.0, 0.3, True), (0.0, 0.0, False)],
-)
-def test_an_estimator_doubts_from_its_own_limits_on(compass: float, velocity: float, doubts: bool) -> None:
-    ekf = mav.EkfStatusReport(compass_variance=compass, velocity_variance=velocity)
-    assert _doubts(VehicleState(ekf=ekf)) is doubts
-    assert not _doubts(VehicleState())
-
-
-def wandered(
-    places_m: list[tuple[float, float, float]], lat_deg: float = 0.0, lon_deg: float = 7.0
-) -> _Wander:
-    """Follow a vehicle: times, metres north and east."""
-    wander = _Wander()
-    wander.note(0.0, VehicleState())  # it does not know its place yet
-    for time_s, north_m, east_m in places_m:
-        lat = lat_deg + north_m / 111_319.5
-        lon = lon_deg + east_m / 111_319.5 / math.cos(math.radians(lat_deg))
-        lon = math.remainder(lon, 360.0)
-        place = mav.GlobalPositionInt(lat=round(1e7 * lat), lon=round(1e7 * lon))
-        wander.note(time_s, VehicleState(place=place))
-    return wander
-
-
-@pytest.mark.parametrize(
-    ("lat_deg", "lon_deg"), [(0.0, 7.0), (60.0, 7.0), (-35.0, 149.0), (-17.0, 179.99999)]
-)
-def test_how_far_it_wandered_is_the_diagonal_of_its_places(lat_deg: float, lon_deg: float) -> None:
-    """Far from Greenwich, too, where a metre to the north would change how far a longitude is."""
-    wander = wandered([(t, 3.0 * (t % 2), 4.0 * (t % 2)) for t in range(7)], lat_deg, lon_deg)
-    assert wander.reach_m() == pytest.approx(5.0, abs=0.03)
-
-
-def test_a_stretch_is_six_seconds_and_begins_after_its_edge() -> None:
-    """A jump to the east in the earlier stretch, one to the north in the later; an older one is forgotten."""
-    jumps = {0.5: (50.0, 0.0), 5.0: (0.0, 3.0), 11.0: (1.0, 0.0)}
-    wander = wandered([(0.5 * n, *jumps.get(0.5 * n, (0.0, 0.0))) for n in range(27)])
-    assert wander.reach_m() == pytest.approx(1.0, abs=0.03)
-    assert wander.reach_m(1) == pytest.approx(3.0, abs=0.03)
-
-
-@pytest.mark.parametrize(
-    ("seconds", "earlier_m", "later_m", "keeps"),
-    [
-        (11.7, 1.0, 1.0, False),
-        (11.9, 1.0, 1.0, True),
-        (12.0, 1.0, 1.22, True),
-        (12.0, 1.0, 1.28, False),
-        (12.0, 1.9, 1.97, True),
-        (12.0, 1.9, 2.03, False),
-    ],
-)
-def test_it_keeps_to_its_place_if_it_wanders_no_wider_and_not_far(
-    seconds: float, earlier_m: float, later_m: float, keeps: bool
-) -> None:
-    count = round(10.0 * seconds)
-    middle = count - 60
-    places = [
-        (70.0 + 0.1 * n, (later_m if n > middle else earlier_m) * (n % 2), 0.0) for n in range(count + 1)
-    ]
-    assert wandered(places).keeps_to_its_place() is keeps
-    assert not _Wander().keeps_to_its_place()
 
 
 def test_what_is_said_of_the_wait_is_said_once_and_after_two_and_a_half_seconds() -> None:

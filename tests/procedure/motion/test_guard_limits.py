@@ -12,7 +12,7 @@ from mavcompass.errors import Refused
 from mavcompass.kinds import Kind
 from mavcompass.messages import Incoming
 from mavcompass.procedure.commands import MESSAGE_IDS
-from mavcompass.procedure.modes import ModeKeeper, mode_name
+from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.safety import MotionGuard
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleState
@@ -163,37 +163,6 @@ def test_what_our_own_computer_slept_through_is_no_silence() -> None:
     assert scene.guard.check(60.0) is None
 
 
-@pytest.mark.parametrize(
-    ("mode", "name"),
-    [
-        *enumerate(["MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED"], start=1),
-        (0, "mode 0"),
-        (8, "mode 524288"),
-    ],
-)
-def test_modes_of_px4_have_their_names(mode: int, name: str) -> None:
-    assert mode_name("copter", "px4", mode << 16) == name
-    if 0 < mode < 8:
-        assert mode_name("copter", "px4", mode << 16 | 5 << 24) == name
-
-
-@pytest.mark.parametrize(
-    ("kind", "mode", "name"),
-    [
-        ("rover", 0, "MANUAL"),
-        ("rover", 15, "GUIDED"),
-        ("boat", 4, "HOLD"),
-        ("copter", 4, "GUIDED"),
-        ("copter", 5, "LOITER"),
-        ("sub", 4, "GUIDED"),
-        ("copter", 99, "mode 99"),
-        ("plane", 4, "mode 4"),
-    ],
-)
-def test_modes_of_ardupilot_have_their_names(kind: Kind, mode: int, name: str) -> None:
-    assert mode_name(kind, "ardupilot", mode) == name
-
-
 def test_a_mode_that_px4_was_changed_to_is_named() -> None:
     state, px4 = VehicleState(), mav.Heartbeat(base_mode=128, custom_mode=6 << 16)
     modes = ModeKeeper(state, "px4")
@@ -208,25 +177,3 @@ def test_a_mode_that_px4_was_changed_to_is_named() -> None:
 
 def test_the_rates_are_asked_for_by_the_dialects_numbers() -> None:
     assert {kind: message_id(kind) for kind in MESSAGE_IDS} == MESSAGE_IDS
-
-
-@pytest.mark.parametrize(
-    ("kind", "centred"),
-    [("rover", {1}), ("boat", {1}), ("copter", {1, 2, 4}), ("sub", {4}), ("plane", set())],
-)
-@pytest.mark.parametrize("channel", [1, 2, 3, 4])
-@pytest.mark.parametrize(("off_us", "is_held"), [(150, False), (151, True), (-151, True)])
-def test_a_stick_that_is_held_from_the_start_is_the_pilots(
-    kind: Kind, centred: set[int], channel: int, off_us: int, is_held: bool
-) -> None:
-    """Throttles rest anywhere, and who steers by one stick only leaves the others alone."""
-    state = VehicleState()
-    pwm = [1500, 1500, 1100, 1500]
-    pwm[channel - 1] = 1500 + off_us
-    told = {}
-    for ours in (frozenset[int](), frozenset({channel})):
-        guard = MotionGuard(state, GyroAngle(), kind, moved_by_us=ours)
-        state.hear(Incoming(0.0, 1, 1, sticks(*pwm)))
-        told[ours] = guard._pilot()
-    is_told = is_held and channel in centred
-    assert list(told.values()) == ["The pilot holds a stick." if is_told else None, None]

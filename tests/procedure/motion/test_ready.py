@@ -22,8 +22,7 @@ ARMING = {"ARMING_MAGTHRESH": 0.0, "ARMING_CHECK": 0.0}
 
 def on_the_ground(kind: str, seed: int = 1) -> SimulatedAutopilot:
     """Make a disarmed vehicle that knows its place and would arm with a bent compass."""
-    parameters = {"COM_ARM_MAG_ANG": 0.0} if kind == "px4-copter" else ARMING
-    vehicle = SimulatedAutopilot(kind, seed=seed, armed=False, parameters=parameters)
+    vehicle = SimulatedAutopilot(kind, seed=seed, armed=False, parameters=ARMING)
     vehicle.advance(10.0)
     return vehicle
 
@@ -91,9 +90,9 @@ def test_a_rover_is_switched_armed_calibrated_disarmed_and_switched_back(tmp_pat
     assert vehicle.firmware.reports.heartbeat() == before
 
 
-@pytest.mark.parametrize("kind", ["copter", "px4-copter"])
-def test_a_copter_takes_off_is_calibrated_and_lands_where_it_was(kind: str, tmp_path: Path) -> None:
-    vehicle = on_the_ground(kind)
+# PX4's: tests/procedure/test_calibrate_px4.py.
+def test_a_copter_takes_off_is_calibrated_and_lands_where_it_was(tmp_path: Path) -> None:
+    vehicle = on_the_ground("copter")
     before = vehicle.firmware.reports.heartbeat()
     shown: list[str] = []
     permissions = Permissions(set_mode=True, arm=True, takeoff_m=5.0)

@@ -50,24 +50,6 @@ class Person:
         return Machine(lambda context: self.mover.settle(context, self.rest, DwellSettings(settle_s=0.5)))
 
 
-@pytest.mark.parametrize(
-    ("visited", "at", "step", "left"),
-    [
-        ((0.0,), 0.0, 90.0, 90.0), ((0.0,), 0.0, -90.0, -90.0), ((0.0,), 30.0, 90.0, 60.0),
-        ((0.0,), -30.0, 90.0, -60.0),
-        ((0.0,), 170.0, 90.0, 10.0), ((0.0, 90.0), 90.0, 90.0, 90.0), ((0.0, 95.0), 95.0, 90.0, 85.0),
-        ((0.0, 90.0), 134.0, 90.0, 46.0), ((0.0, 90.0, 180.0), 180.0, 90.0, 90.0),
-        ((0.0, -90.0), -90.0, 90.0, -90.0),
-    ],
-)  # fmt: skip
-def test_the_way_to_go_is_to_the_nearest_heading_that_is_wanted(
-    visited: tuple[float, ...], at: float, step: float, left: float
-) -> None:
-    person = Person(*visited)
-    person.at(at)
-    assert math.degrees(person.mover._left(step * DEG)) == pytest.approx(left, abs=1e-6)
-
-
 def test_the_way_is_told_until_it_is_near() -> None:
     person = Person()
     machine = person.runs(person.next(), 1.0)
@@ -177,48 +159,3 @@ def test_what_a_page_is_told_beside_the_words() -> None:
         ("turn", {"cue": 1.0}),
         ("taken", {"cue": 1.0}),
     ]
-
-
-@pytest.mark.parametrize(
-    ("visited", "at", "step", "new"),
-    [
-        ((0.0,), 49.9, 90.0, False),
-        ((0.0,), 50.1, 90.0, True),
-        ((0.0,), 35.9, 60.0, False),
-        ((0.0,), 36.1, 60.0, True),
-        ((0.0, 90.0, 180.0), 5.0, 90.0, False),
-        ((0.0, 90.0, 180.0, 270.0), 5.0, 90.0, True),
-        ((0.0, 90.0, 180.0, 270.0), 250.0, 90.0, False),
-        ((0.0, 180.0), 0.0, 180.0, True),
-    ],
-)
-def test_once_round_only_the_last_position_counts(
-    visited: tuple[float, ...], at: float, step: float, new: bool
-) -> None:
-    assert Person(*visited).mover._is_new(at * DEG, step * DEG) is new
-
-
-@pytest.mark.parametrize(
-    ("visited", "step", "wanted"),
-    [
-        ((0.0,), 90.0, [90.0, 180.0, 270.0]),
-        ((10.0, 101.0), 90.0, [190.0, 280.0]),
-        ((0.0, 45.0), 90.0, [180.0, 270.0]),
-        ((0.0, 120.0, 240.0), 120.0, [360.0, 120.0]),
-        ((0.0,), -120.0, [-120.0, -240.0]),
-    ],
-)
-def test_headings_are_wanted_at_the_steps_of_the_circle(
-    visited: tuple[float, ...], step: float, wanted: list[float]
-) -> None:
-    found = [math.degrees(angle) for angle in Person(*visited).mover._wanted(step * DEG)]
-    assert found == pytest.approx(wanted)
-
-
-@pytest.mark.parametrize(("at", "left"), [(-4.9, 94.9), (-5.1, -84.9)])
-def test_ten_degrees_nearer_the_other_way_is_worth_a_change_of_mind(at: float, left: float) -> None:
-    person = Person(0.0, 180.0)
-    person.at(at)
-    assert math.degrees(person.mover._left(90.0 * DEG)) == pytest.approx(left)
-    person.at(-at)
-    assert math.degrees(person.mover._left(-90.0 * DEG)) == pytest.approx(-left)

@@ -103,25 +103,3 @@ def test_a_dwell_that_was_not_heard_begins_anew() -> None:
     window = machine.result
     assert window is not None and window.start_s >= 4.0
     assert window.end_s - window.start_s == pytest.approx(1.7, abs=0.15)
-
-
-@pytest.mark.parametrize(("why_not", "seconds"), [("hunting", 3.0), ("tilting", 9.0)])
-def test_limits_of_the_wait_are_kept_to_the_moment(why_not: str, seconds: float) -> None:
-    """At the limit it is still waited for; what is in the way is told once more than a second has passed."""
-    rest = Rest()
-    rest.why_not = why_not
-    held: list[float] = []
-    mover = VehicleMover(GyroAngle(), ())
-    machine = Machine(lambda context: wait_still(context, rest, mover, SETTINGS))
-    told_s = math.nan
-    for eighth in range(200):
-        time_s = 2.0 + 0.125 * eighth
-        rest.time_s = time_s  # readings come, and it never rests
-        held += [time_s]
-        if any(isinstance(action, Show) for action in machine.step(Tick(time_s))):
-            assert math.isnan(told_s)
-            told_s = time_s - 2.0
-        if machine.done:
-            break
-    assert machine.result is False and machine.context.now == 2.0 + seconds + 0.125
-    assert told_s == 1.125

@@ -13,9 +13,6 @@ from mavcompass import messages as mav
 from mavcompass.errors import LinkLost, Refused
 from mavcompass.procedure.positions import DwellSettings, Rest, VehicleMover, Window, dwell, visit
 from mavcompass.procedure.positions.visiting import (
-    _asked_next,
-    _is_enough,
-    _learn_bias,
     _next_turn,
 )
 from mavcompass.procedure.script import Context, Machine, Script, Show, Tick, nothing
@@ -172,31 +169,6 @@ def test_a_silence_ends_a_dwell_with_words() -> None:
 def test_what_the_gyro_shows_at_rest_is_its_bias() -> None:
     _, _, gyro = dwelt(heard=lambda t: imu(t, 0.573))
     assert gyro.bias_radps == pytest.approx(0.01, rel=0.01)
-    for drift_deg_s, learns in ((1.9, True), (-1.9, True), (2.1, False)):
-        turned = GyroAngle(angle_rad=0.5, bias_radps=0.001)
-        _learn_bias(turned, 0.5 - drift_deg_s * DEG * 4.0, 4.0)
-        assert turned.bias_radps == pytest.approx(0.001 + (drift_deg_s * DEG if learns else 0.0))
-
-
-@pytest.mark.parametrize(
-    ("length_s", "next_s"), [(0.6, 0.92), (0.91, 0.92), (0.92, 1.06), (1.3, 1.4), (1.4, 1.54), (3.0, 3.14)]
-)
-def test_it_is_asked_when_a_dwell_may_end(length_s: float, next_s: float) -> None:
-    assert _asked_next(length_s, 0.92) == pytest.approx(next_s)
-
-
-@pytest.mark.parametrize(
-    ("known", "now_deg", "length_s", "enough"),
-    [
-        ({}, 0.15, 0.9, True), ({}, 0.16, 9.0, False),
-        ({0.7: 1.0}, 0.86, 1.4, True), ({0.7: 1.0}, 0.84, 1.4, False), ({0.7: 1.0}, 0.86, 1.39, False),
-        ({0.7: 1.0, 0.8: 0.5}, 0.5, 1.5, False), ({0.7: 1.0, 0.75: 0.5}, 0.5, 1.5, True),
-    ],
-)  # fmt: skip
-def test_what_sways_is_not_averaged_out_by_standing_longer(
-    known: dict[float, float], now_deg: float, length_s: float, enough: bool
-) -> None:
-    assert _is_enough(known, now_deg, length_s, DwellSettings()) is enough
 
 
 def test_rest_is_told_by_the_imu_and_begins_anew_after_a_restart() -> None:

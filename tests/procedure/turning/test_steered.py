@@ -164,18 +164,6 @@ def test_a_vehicle_that_has_not_turned_six_degrees_in_three_seconds_does_not_mov
         assert degrees < 90.0
 
 
-@pytest.mark.parametrize(
-    ("left_deg", "speed_deg_s", "turned_deg", "there"),
-    [(5.9, 30.0, 80.0, True), (6.1, 30.0, 80.0, False), (30.0, 4.9, 60.0, True), (30.0, 5.1, 60.0, False),
-     (50.0, 4.9, 60.0, False), (6.0, 5.0, 94.0, False), (40.0, 0.0, 60.0, False), (6.0, 4.9, 94.0, True)],
-)  # fmt: skip
-def test_what_arrives_by_itself_is_there_when_it_rests(
-    left_deg: float, speed_deg_s: float, turned_deg: float, there: bool
-) -> None:
-    turn = steered(Vehicle(GyroAngle()), arrives=True)
-    assert turn._is_there(left_deg * DEG, speed_deg_s * DEG, turned_deg * DEG) is there
-
-
 def test_holding_asks_for_no_turn_and_halting_lets_go() -> None:
     vehicle = Vehicle(GyroAngle())
     turn = SteeredTurn.by(vehicle, TurnWay("a way", 0.5, 0.7, 0.4, speed_up_s=0.9), arrives=True)
@@ -365,40 +353,3 @@ def test_the_stream_goes_on_until_the_old_mode_is_back() -> None:
                 back_s = math.inf if to_offboard else time_s
     assert machine.result is True and state.mode == 7 and last_s >= back_s - 0.12
     assert not turn._streaming and modes.before == []
-
-
-@pytest.mark.parametrize(
-    ("left", "speed", "there"),
-    [(0.15, 0.5, True), (0.16, 0.5, False), (0.0, -0.5, True), (0.01, -0.5, False)],
-)
-def test_what_coasts_is_there_when_the_rest_is_what_it_coasts(left: float, speed: float, there: bool) -> None:
-    turn = SteeredTurn(Vehicle(GyroAngle()), 1.0, coast_s=0.3)
-    assert turn._is_there(left, speed, 1.0) is there
-    turn._learned_s = 0.4
-    assert turn._is_there(0.2, 0.5, 1.0) and not turn._is_there(0.21, 0.5, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("so_far_s", "wanted", "speed", "boost"),
-    [
-        (0.49, 1.0, 0.0, 1.0),
-        (0.5, 1.0, 0.0, 1.15),
-        (0.5, 0.99, 0.0, 1.0),
-        (9.0, 1.0, 0.8, 1.03),
-        (9.0, 1.0, 1.2, 1.0),
-    ],
-)
-def test_more_is_asked_for_once_it_has_gathered_way(
-    so_far_s: float, wanted: float, speed: float, boost: float
-) -> None:
-    turn = SteeredTurn(Vehicle(GyroAngle()), 1.0)
-    assert turn._boosted(1.0, wanted, speed, so_far_s) == pytest.approx(boost)
-    assert turn._boosted(1.58, 1.0, 0.0, 9.0) == 1.6
-    assert SteeredTurn(turn.steer, 1.0, arrives=True)._boosted(1.0, 1.0, 0.0, 9.0) == 1.0
-
-
-def test_a_turn_grows_to_its_rate_or_to_what_it_can_slow_down_from() -> None:
-    turn = SteeredTurn(Vehicle(GyroAngle()), 1.0, slow_down_s=0.5, speed_up_s=0.8)
-    assert turn._most_radps(9.0) == 1.0 and turn._most_radps(0.5) == pytest.approx(0.5)  # 0.4 + 0.5 + 0.1 s
-    assert [turn._gathered(s) for s in (0.0, 0.4, 0.8, 2.0)] == [0.0, 0.5, 1.0, 1.0]
-    assert SteeredTurn(turn.steer, 1.0)._gathered(0.0) == 1.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import pytest
@@ -76,41 +75,11 @@ def test_no_more_than_a_dozen_are_under_way() -> None:
     assert done.sent == 30 and done.answers["P07"].value == 1.0
 
 
-def test_patience_follows_the_round_trip_as_tcps_does() -> None:
-    one = exchange(ask("A"))
-    assert one.patience_s() == one.lateness_s() == 0.8
-    one._learn(0.4)
-    assert (one.round_trip_s, one.deviation_s) == (0.4, 0.2) and one.patience_s() == pytest.approx(1.2)
-    one._learn(0.8)
-    assert one.deviation_s == pytest.approx(0.2 + (0.4 - 0.2) / 4.0)
-    assert one.round_trip_s == pytest.approx(0.45) and one.patience_s() == pytest.approx(0.45 + 4.0 * 0.25)
-    one.round_trip_s, one.deviation_s = 0.01, 0.001
-    assert one.patience_s() == 0.25 and one.lateness_s() == 0.1  # an echo comes sooner than one asks again
-    one.round_trip_s = 0.15
-    assert one.lateness_s() == pytest.approx(0.154)
-    one.round_trip_s, one.deviation_s = 2.5, 1.0
-    assert one.patience_s() == one.lateness_s() == 3.0
-
-
 def test_of_a_name_asked_twice_nobody_knows_which_was_answered() -> None:
     machine, done, sent = talked([ask("A")], lambda name, k: 0.1 if k == 3 else None)
     assert machine.done and done.round_trip_s is None and done.sent == 3
     # The first is waited for in full; the next as long as the share of answers lets hope.
     assert [t for t, _ in sent] == pytest.approx([0.0, 0.8, 0.8 + 0.8 * 0.75], abs=0.03)
-
-
-@pytest.mark.parametrize(
-    ("answered", "asked", "tries"),
-    [(0, 0, 9), (40, 40, 4), (12, 12, 6), (30, 60, 20), (50, 60, 8), (5, 200, 25)],
-)
-def test_a_silent_name_is_given_up_when_one_that_exists_would_have_answered(
-    answered: int, asked: int, tries: int
-) -> None:
-    one = exchange(ask("A"))
-    one.answers, one.sent = dict.fromkeys(map(str, range(answered))), asked  # type: ignore[arg-type]
-    # A thousandth of a percent is left that it exists.
-    assert one._most_tries(ask("A")) == tries
-    assert one._most_tries(ask("A", exists=True)) == one._most_tries(ask("A", wanted=2.0)) == 25
 
 
 def test_absent_names_are_told_from_lost_answers() -> None:
@@ -133,35 +102,6 @@ def test_a_vehicle_that_says_nothing_is_lost_and_nothing_counts_as_absent() -> N
     assert isinstance(machine.error, LinkLost) and "silent for 4 s" in machine.error.what
     assert set(done.open) == {"A", "B"}
     assert max(t for t, _ in sent) <= 4.0
-
-
-def test_another_value_than_the_wanted_one_may_be_a_late_echo() -> None:
-    wanted = ask("A", wanted=2.0, most_others=2)
-    one = exchange(wanted)
-    assert not one._take(value("A", 2.0))  # it was not asked yet
-    one._ask()
-    assert not one._take(value("A", 1.0)) and not one._take(value("A", 1.0)) and not wanted.refused()
-    assert wanted.others == 1 and wanted.other_value == 1.0  # of one try
-    wanted.due_s = -math.inf
-    one._ask()
-    assert not one._take(value("A", 1.5)) and wanted.refused() and wanted.other_value == 1.5
-    assert one._take(value("A", 2.0)) and one.answers["A"].value == 2.0 and not one.open
-    assert not one._take(value("A", 2.0)) and not one._take(value("B"))
-    never = ask("C", wanted=2.0)
-    for _ in range(9):
-        never.tries += 1
-        never.hear_other(1.0)
-    assert not never.refused()
-
-
-def test_from_the_second_try_on_more_may_be_sent() -> None:
-    also = ask("A", again=(ParamRequestRead(param_id="ALSO"),))
-    one = exchange(also)
-    one._ask()
-    one.context.now = 0.8
-    one._ask()
-    assert [a.message.param_id for a in one.context.outbox if isinstance(a, Send)] == ["A", "A", "ALSO"]  # type: ignore[attr-defined]
-    assert also.tries == 2 and also.first_s == 0.0 and also.sent_s == 0.8
 
 
 def test_enough_answers_end_it() -> None:

@@ -38,13 +38,13 @@ def right_angles() -> list[FloatArray]:
     return [matrix for matrix in signed if np.linalg.det(matrix) > 0.0]
 
 
-def free_ones(count: int = 20) -> list[FloatArray]:
+def free_ones(count: int) -> list[FloatArray]:
     drawn = np.random.default_rng(8).standard_normal((count, 3, 3))
     rotations = [np.linalg.qr(matrix)[0] for matrix in drawn]
     return [matrix * np.linalg.det(matrix) for matrix in rotations]
 
 
-@pytest.mark.parametrize("mounted", [*right_angles(), *free_ones()])
+@pytest.mark.parametrize("mounted", [*right_angles()[::4], *free_ones(4)])
 @pytest.mark.parametrize("kind", VEHICLES)
 def test_a_mounting_is_read_mended_and_put_back(kind: str, mounted: FloatArray, tmp_path: Path) -> None:
     autopilot = mounted_vehicle(kind, mounted)
