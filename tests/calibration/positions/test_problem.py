@@ -269,10 +269,8 @@ def test_a_result_tells_how_z_is_known_and_what_the_field_is() -> None:
     by_world, alone = calibrate_positions(data, earth=FIELD), calibrate_positions(data)
     assert by_world.instance == 1 and calibrate_positions(data, instance=3).instance == 3
     sigma = math.sqrt(float(by_world.covariance[2, 2]))
-    assert (
-        f"comes from the world model, good to {sigma:.0f} mG" in by_world.warnings[-1] and 5.0 < sigma < 60.0
-    )
-    assert "the place is unknown: Z stays as it is in force" in alone.warnings[-1]
+    assert f"taken from the magnetic model (±{sigma:.0f} mG)" in by_world.warnings[-1] and 5.0 < sigma < 60.0
+    assert "Z offset left as it was" in alone.warnings[-1]
     assert by_world.horizontal_mgauss == pytest.approx(FIELD.horizontal_mgauss, rel=0.03)
     # Without a world the field is that of a correction whose horizontal diagonals average 1.
     field = alone.correction.apply(np.array([d.mean_mgauss for d in data.dwells]))
