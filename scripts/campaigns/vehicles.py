@@ -2,8 +2,8 @@
 
     python scripts/campaigns/vehicles.py [--seeds 20] [--share 1.0] [--vehicle rover]... [--quality lossy]...
 
-The steering compass is wrong by `share` of the horizontal field, in a direction drawn by the seed, so that the
-autopilot's own yaw is bent while it turns; over links of these qualities. Judged by the simulator's truth.
+The steering compass is wrong by `share` of the horizontal field, in a direction drawn by the seed, so that
+the autopilot's own yaw is bent while it turns; over links of these qualities. The simulator's truth judges.
 "claimed" is the sigma of those that were written, and behind it the share of them whose rms error is within 1
 and 1.96 of it.
 """
