@@ -264,12 +264,20 @@ class _Calibration:
         yield from mover.release(desk.context)
         return windows
 
+    def heard(self, track: Track) -> tuple[int, ...]:
+        """Return the compasses that readings came of; one that was named stays, and is missed.
+
+        Parameters keep the ids of sensors that are no longer there.
+        """
+        heard = tuple(i for i in self.instances if i in track.compasses)
+        return self.instances if self.settings.instances else heard or self.instances
+
     def sureness_deg(self, start_s: float, end_s: float) -> float:
         """Return how far the heading by one still stretch may be off, 1 sigma, of the worst compass."""
         track = self.desk.builder.build()
         near = around(track, start_s, end_s)
         try:
-            seen = [dwell_between(near, i, start_s, end_s) for i in self.instances]
+            seen = [dwell_between(near, i, start_s, end_s) for i in self.heard(track)]
         except (PoorCalibration, KeyError):
             return math.inf
         world = earth_field_of(track, self.settings.year)
@@ -281,16 +289,22 @@ class _Calibration:
         desk = self.desk
         track = desk.builder.build()
         world = earth_field_of(track, self.settings.year)
-        results = self.services.solve(track, self.instances, windows, world)
+        heard = self.heard(track)
+        results = self.services.solve(track, heard, windows, world)
         if self.settings.rewrite:
             results = tuple(replace(result, already_right=False) for result in results)
         return CalibrationReport(
             identity=desk.identity,
             results=results,
-            before={i: desk.dialect.correction(desk.parameters, i) for i in self.instances},
+            before={i: desk.dialect.correction(desk.parameters, i) for i in heard},
             track=track,
             windows=tuple(windows),
             duration_s=desk.duration_s(),
+            messages=tuple(
+                f"No readings of compass {i} came: its parameters stay as they are."
+                for i in self.instances
+                if i not in heard
+            ),
             vehicle=desk.vehicle,
         )
 

@@ -63,6 +63,15 @@ def test_on_the_ground_it_loads_the_calibration_that_disarming_has_overwritten(t
     assert report.heading.by.startswith("PX4's own reset")
 
 
+def test_a_sensor_that_only_its_parameters_remember_is_left_as_it_is(tmp_path: Path) -> None:
+    vehicle = bent_vehicle("px4-copter", seed=7)
+    vehicle.firmware.store.set("CAL_MAG3_ID", 99.0)
+    report = calibrated(vehicle, tmp_path, CalibrateSettings(instances=(), writing="yes"))
+    assert report.written and [r.instance for r in report.results] == [1, 2]
+    assert "No readings of compass 4 came: its parameters stay as they are." in report.messages
+    assert vehicle.firmware.store.values["CAL_MAG3_ID"] == 99.0
+
+
 def test_one_that_flies_on_is_told_to_fly_by_the_old_calibration(tmp_path: Path) -> None:
     # CAL_MAG0_ROT of an inner sensor, which lies along the vehicle's axes: minus one is minus one.
     made = (bent_vehicle("px4-copter", seed) for seed in range(20))
