@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import time
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -118,7 +119,8 @@ def test_a_calibration_from_the_page_to_written_parameters(
         inner = f"document.querySelector('{what}').textContent"
         assert late.run(inner) == page.run(inner), what
     trail = "document.querySelector('.c-trail').getAttribute('d')"
-    assert late.run(trail) == page.run(trail)
+    # It sways, and each hears of the next point when it does.
+    assert any(late.run(trail) == page.run(trail) or time.sleep(0.05) for _ in range(200))
     page.click("#details summary")
     assert "COMPASS_OFS_X" in page.text("#details")
     before_deg = heading_error_rms_deg(running.link.autopilot)  # type: ignore[arg-type]
