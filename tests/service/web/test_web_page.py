@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import os
 import re
-import time
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
