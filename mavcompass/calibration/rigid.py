@@ -170,7 +170,8 @@ def prior_rows(
         in_force: gives Z's offset where no world model does.
     """
     scale_sigma, bias_sigma = (max(sigma, 1e-9) for sigma in gyro_sigma)
-    held: list[tuple[int, float, float]] = [
+    # A number of the state, or several by their mean.
+    held: list[tuple[int | list[int], float, float]] = [
         (3, 1.0, prior.gain_sigma),
         (4, 1.0, prior.gain_sigma),
         *((i, 0.0, prior.cross_sigma) for i in (6, 7, 8)),
@@ -186,17 +187,15 @@ def prior_rows(
         held.append((HORIZONTAL, earth.horizontal_mgauss, math.hypot(along, prior.site_sigma_mgauss)))
         held.append((VERTICAL, float(earth.ned_mgauss[2]), math.hypot(down, prior.site_sigma_mgauss)))
     else:
-        held.append((4, 1.0, _SCALE_SIGMA))
+        held.append(([3, 4], 1.0, _SCALE_SIGMA))
         held.append((VERTICAL, vertical_mgauss, max(0.5 * abs(vertical_mgauss), 50.0)))
         offset = -in_force.offsets_mgauss[2] if in_force is not None else 0.0
         held.append((2, offset, prior.vertical_offset_sigma_mgauss))
     rows, wanted = np.zeros((len(held) + 1, HEADINGS + readings)), np.zeros(len(held) + 1)
     for row, (place, value, sigma) in enumerate(held):
-        rows[row, place], wanted[row] = 1.0 / sigma, value / sigma
-    if earth is None:
-        rows[-4, 3:5] = 0.5 / _SCALE_SIGMA
+        rows[row, place], wanted[row] = 1.0 / np.size(place) / sigma, value / sigma
     rows[-1, 3:6] = np.array([-0.5, -0.5, 1.0]) / prior.vertical_gain_sigma
-    return PriorRows(rows, wanted, tuple(place for place, _, _ in held))
+    return PriorRows(rows, wanted, tuple(int(np.max(place)) for place, _, _ in held))
 
 
 def assembled(

@@ -13,7 +13,8 @@ import click
 
 from mavcompass.cli.options import Number, Output, Whole, common_options, to_json
 from mavcompass.cli.source import require_for, sign_key_option, system_option
-from mavcompass.cli.terminal.dial import dial, is_drawable
+from mavcompass.cli.terminal.colour import is_live
+from mavcompass.cli.terminal.dial import dial
 from mavcompass.errors import UsageError
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def command(
         rows = _recorded(source, instance, two_axis, notes)
     else:
         # Where a person looks on, a simulated vehicle's time is theirs.
-        speed = 1.0 if redrawn and is_drawable() else None
+        speed = 1.0 if redrawn and is_live(sys.stdout) else None
         rows = _live(source, address, instance, two_axis, rate_hz or 5.0, system, notes, speed)
     chosen = _limited(rows, rate_hz, duration_s)
     kept: list[dict[str, Any]] = []

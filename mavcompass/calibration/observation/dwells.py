@@ -230,7 +230,8 @@ def _dwell(
     angles: FloatArray,
     record: TurnRecord | None,
 ) -> Dwell:
-    down = down_in_body(track, time - field_lag_s(track))
+    felt_s = time - field_lag_s(track)
+    down = down_in_body(track, felt_s)
     motion = np.column_stack([angles, down[:, :2]])
     fresh, _ = effective_count(reported)
     keep = _inliers(reported, motion, compass.quantum_mgauss)
@@ -251,7 +252,7 @@ def _dwell(
     middle = float(np.median(angles))
     turned = middle + float(np.angle(phasor * np.exp(-1j * middle)))
     turning = abs(float(np.mean(record.rate_at(time)))) if record is not None else 0.0
-    roll, pitch, tilt_sigma, acc = tilt_during(track, time - field_lag_s(track), LAG_SIGMA_S)
+    roll, pitch, tilt_sigma, acc = tilt_during(track, felt_s, LAG_SIGMA_S)
     mapping = level_to_body(*tilt_from_acceleration(-down[keep]), angles[keep] - turned).mean(axis=0)
     current = track.current_a
     return Dwell(

@@ -38,9 +38,9 @@ def wrapped(line: str, stream: TextIO) -> str:
     return "\n".join(lines)
 
 
-def is_live() -> bool:
-    """Tell whether a person looks at standard error in a terminal that can redraw a line."""
-    return sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+def is_live(stream: TextIO | None = None) -> bool:
+    """Tell whether a person looks at a stream (standard error) in a terminal that can redraw a line."""
+    return (stream or sys.stderr).isatty() and os.environ.get("TERM", "dumb") != "dumb"
 
 
 def mark(verdict: str) -> str:

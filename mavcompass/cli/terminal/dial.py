@@ -8,6 +8,8 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+from mavcompass.cli.terminal.colour import is_live
+
 _POINTS = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 315: "NW"}
 _DEG_PER_COLUMN = 5
 _COLUMNS = 31
@@ -32,11 +34,6 @@ def card(heading_deg: float, columns: int = _COLUMNS) -> str:
     return "".join(drawn)
 
 
-def is_drawable() -> bool:
-    """Tell whether a person looks at standard output in a terminal that can redraw a line."""
-    return sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-
-
 @contextmanager
 def dial(wanted: bool = True) -> Iterator[Callable[[float, Sequence[str]], None] | None]:
     """Give a function that redraws the line with a heading and its figures, what matters first.
@@ -45,7 +42,7 @@ def dial(wanted: bool = True) -> Iterator[Callable[[float, Sequence[str]], None]
 
     None where it is not wanted, or standard output is no terminal that can redraw a line.
     """
-    if not wanted or not is_drawable():
+    if not wanted or not is_live(sys.stdout):
         yield None
         return
     bold, plain = ("", "") if os.environ.get("NO_COLOR") else (_BOLD, _PLAIN)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from mavcompass.procedure.check.preflight import CheckReport, CheckSettings, check
+from mavcompass.procedure.check.preflight import CheckSettings, check
+from mavcompass.procedure.check.report import CheckReport
 
 __all__ = [
     "CheckReport",

@@ -20,12 +20,12 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi
-from mavcompass.heading.fault_isolation import HeadingSource, named
+from mavcompass.heading.fault_isolation import HeadingSource
 from mavcompass.parameter_remarks import parameter_remarks
-from mavcompass.printable import counted
 from mavcompass.procedure.check import items
-from mavcompass.procedure.check.items import AGREEMENT_SIGMA_DEG, CheckItem, Reading, Verdict
+from mavcompass.procedure.check.items import AGREEMENT_SIGMA_DEG, CheckItem, Reading
 from mavcompass.procedure.check.mounting import turned_by
+from mavcompass.procedure.check.report import CheckReport
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk, carriers
 from mavcompass.procedure.dialect import Dialect
@@ -33,11 +33,9 @@ from mavcompass.procedure.motion import Mobility, SafetyLimits, Wishes
 from mavcompass.procedure.positions import DwellSettings, Mover, VehicleMover, Window
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.turning import strategies_for
-from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.steering import SteeringSource, steering_source
 from mavcompass.track import Track
 
-SCHEMA = "mavcompass.check/1"
 Turn = Literal["none", "auto", "vehicle", "hand"]
 
 _STEP_RAD = math.pi / 2.0
@@ -61,68 +59,6 @@ class CheckSettings:
     # A vehicle that is on its way is waited for: a turn on the spot takes so long.
     dwell: DwellSettings = field(default_factory=lambda: DwellSettings(patience_s=10.0))
     limits: SafetyLimits = field(default_factory=SafetyLimits)
-
-
-_GOES = {"copter": "fly", "sub": "dive", "boat": "sail"}
-
-
-def _is_calibration(item: CheckItem) -> bool:
-    return "alibrate" in item.remedy
-
-
-@dataclass(frozen=True, slots=True)
-class CheckReport:
-    """Hold the list; `verdict` is that of its worst item, `remarks` what else to know of the parameters."""
-
-    identity: VehicleIdentity
-    items: tuple[CheckItem, ...]
-    turned: bool
-    duration_s: float
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def verdict(self) -> Verdict:
-        """Return pass, warn or fail."""
-        return items.worst(item.verdict for item in self.items)
-
-    @property
-    def calibration_advised(self) -> bool:
-        """Tell whether a calibration is the remedy of something that is not right."""
-        return any(item.verdict != "pass" and _is_calibration(item) for item in self.items)
-
-    @property
-    def turns_itself(self) -> bool:
-        """Tell whether a calibration can have the vehicle turn on the spot."""
-        return bool(strategies_for(self.identity.kind, self.identity.autopilot))
-
-    def summary(self) -> str:
-        """Return one sentence."""
-        wrong = [item for item in self.items if item.verdict == self.verdict]
-        go, count = _GOES.get(self.identity.kind, "drive"), counted(len(self.items), "check")
-        match self.verdict:
-            case "pass":
-                return f"Fit to {go}: {count} passed{'' if self.turned else ', without a turn'}."
-            case "warn":
-                more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
-                return f"Fit to {go}, with care: {wrong[0].text.rstrip('.')}{more}."
-        cured = sorted({item.instance for item in wrong if item.instance and _is_calibration(item)})
-        what = f"calibrate {named([f'compass {i}' for i in cured])}" if cured else wrong[0].text.rstrip(".")
-        return f"Not fit to {go}: {what}. {len(wrong)} of {count} failed."
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the machine-readable form."""
-        return {
-            "schema": SCHEMA,
-            "autopilot": self.identity.autopilot,
-            "vehicle": self.identity.kind,
-            "verdict": self.verdict,
-            "summary": self.summary(),
-            "turned": self.turned,
-            "calibration_advised": self.calibration_advised,
-            "items": [item.to_json() for item in self.items],
-            "remarks": list(self.remarks),
-            "duration_s": self.duration_s,
-        }
 
 
 def check(
