@@ -19,6 +19,7 @@ import numpy as np
 from mavcompass.calibration.methods.running import WINDOW_S, Learnt
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import MavCompassError
+from mavcompass.frames import FloatArray
 from mavcompass.messages import Incoming
 from mavcompass.procedure.dialect import describe_compasses
 from mavcompass.service.config import LearningConfig
@@ -35,8 +36,9 @@ _log = logging.getLogger(__name__)
 PIECE_S = 10.0
 # Asked after so many pieces: at first often, for a vehicle whose compass is far off; then seldom.
 _SOON, _LATER, _EAGER = 6, 30, 60
-# A gyro that says less than this, and a heading that stays, is of something that stands.
-_STANDS_RADPS, _STANDS_TURN_RAD = math.radians(0.5), math.radians(1.0)
+# A gyro that varies by less than this, and a field that stays within this angle, belong to what stands:
+# the mean of five readings with 3 mG of noise in a field of 500 moves by 0.2 degrees.
+_STANDS_RADPS, _STANDS_TURN_RAD = math.radians(0.5), math.radians(0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +103,7 @@ class Learning:
     def restart(self) -> None:
         """Begin anew: the link was silent, the vehicle was restarted or its parameters were changed."""
         self._kept = _Kept()
-        self._builder, self._piece_s, self._turned_rad = None, math.nan, 0.0
+        self._builder, self._piece_s = None, math.nan
         self._asked, self._rests = 0, False
 
     def forget(self) -> None:
@@ -125,17 +127,16 @@ class Learning:
         if not math.isfinite(builder.latest_s):
             return
         if math.isnan(self._piece_s):
-            self._piece_s, self._turned_rad = builder.latest_s, view.level.turned_rad
+            self._piece_s = builder.latest_s
         elif builder.latest_s - self._piece_s >= PIECE_S:
-            self._keep(view, builder)
+            self._keep(builder)
 
-    def _keep(self, view: VehicleView, builder: TrackBuilder) -> None:
+    def _keep(self, builder: TrackBuilder) -> None:
         lasted_s, self._piece_s = builder.latest_s - self._piece_s, builder.latest_s
-        turned_rad, self._turned_rad = view.level.turned_rad - self._turned_rad, view.level.turned_rad
         piece = builder.take()
         if not piece.compasses or piece.gyro_radps is None:
             return
-        rested, self._rests = self._rests, _stands(piece, turned_rad)
+        rested, self._rests = self._rests, _stands(piece)
         if self._rests and rested:
             self._kept.dropped_s += lasted_s
         else:
@@ -196,10 +197,18 @@ class Learning:
         self._worker.close()
 
 
-def _stands(piece: Track, turned_rad: float) -> bool:
+def _stands(piece: Track) -> bool:
+    """Tell whether nothing moves; a steady gyro may be a steady turn, which the field tells."""
     assert piece.gyro_radps is not None
     shaken = float(np.asarray(piece.gyro_radps.values).std(axis=0).max())
-    return shaken < _STANDS_RADPS and abs(turned_rad) < _STANDS_TURN_RAD
+    fields = [compass.reported.values for compass in piece.compasses.values()]
+    return shaken < _STANDS_RADPS and all(_turned_rad(field) < _STANDS_TURN_RAD for field in fields)
+
+
+def _turned_rad(field: FloatArray) -> float:
+    """Return the angle by which a field (N, 3) turned from its first half to its last."""
+    first, last = (half.mean(axis=0) for half in np.array_split(field, 2))
+    return math.atan2(float(np.linalg.norm(np.cross(first, last))), float(first @ last))
 
 
 def _offer(lesson: Lesson, margin_deg: float) -> Finding:

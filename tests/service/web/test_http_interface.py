@@ -44,10 +44,11 @@ def test_a_calibration_from_request_to_undo(running: RunningService) -> None:
 
     after = wait_for(lambda: running.client.get("/api/parameters").json().get("parameters"))
     assert after["COMPASS_OFS_X"] != pytest.approx(before["COMPASS_OFS_X"], abs=0.1)
-    body = {"parameters": {"COMPASS_OFS_X": before["COMPASS_OFS_X"], "NO_SUCH": 1.0}}
+    y = after["COMPASS_OFS_Y"]
+    body = {"parameters": {"COMPASS_OFS_X": before["COMPASS_OFS_X"], "COMPASS_OFS_Y": y, "NO_SUCH": 1.0}}
     differences = running.client.post("/api/parameters/diff", json=body).json()["differences"]
-    assert [d["differs"] for d in differences] == [True, True]
-    assert differences[1]["now"] is None
+    assert [d["differs"] for d in differences] == [True, False, True]
+    assert differences[1]["now"] == y and differences[2]["now"] is None
 
     undo = running.client.post("/api/undo", json={"entry": head["id"]})
     assert undo.status_code == 202

@@ -115,6 +115,16 @@ def test_memory_is_bounded_and_standing_is_not_kept(drive: Drive, monkeypatch: p
     assert max(gaps) < 0.3, "what was left out leaves no gap for the gyro to be carried across"
 
 
+@pytest.mark.parametrize(
+    "rates",
+    [[math.radians(0.4)] * 600, [math.radians(2.0), -math.radians(2.0)] * 300],
+    ids=["drifts round slowly", "sways to and fro"],
+)
+def test_what_hardly_moves_is_kept_where_it_does_not_stand(drive: Drive, rates: list[float]) -> None:
+    drive.go(iter(rates), tend=False)
+    assert drive.learning._kept.dropped_s == 0.0
+
+
 def test_iron_that_moved_is_dated_by_the_clock(drive: Drive) -> None:
     drive.go(going_round(12), tend=False)
     drive.go(iter([0.0] * 900), tend=False)
